@@ -329,7 +329,7 @@ class SessionPart:
         self.end_notes = MappingProxyType(record.metadata)
 
     def _indexed_chunks(self, summary: Summary, start: int | None, end: int | None) -> Iterator[Chunk]:
-        """Yield the chunks of a finished file by its indexes: these have a checksum, the records between chunks do not."""
+        """Yield the chunks of a finished file by its indexes, which have a checksum."""
         for offset, index in summary.chunks.items():
             if offset < self._position:
                 continue

@@ -1,11 +1,14 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`cloth_verify`: a recorded session is run again from its own snapshot and events, and compared to the last bit; or
-beside a far finer motion, which says how accurate it is.
+"""`cloth_verify`: re-run of recorded sessions, and measurement of their accuracy.
 
-Begin with `main` (the command), `run` (frames against the recording) and `verdict` (what is found). `shown` compares
-what each frame must have (`outputs`, `states`, `markers`), `diagnostics` what the node says of itself, `commands` the
-events with the recorded commands; `numbering` finds what is missing.
-Of the accuracy, begin with `accuracy` (a session's certificate) and `truth` (the finer motion); `shadow` is the same of
-a live cloth, in a process of its own.
+A session is run again from its own snapshot and events, and compared to the last bit. Its accuracy is measured against
+a reference solution with much smaller steps.
+
+Entry points: `main` (the command), `run` (frames against the recording), `verdict` (the result). `frame_outputs` checks
+the messages of each frame (`outputs`, `states`, `markers`). `diagnostics` checks the diagnostics, `commands` the events
+against the recorded commands. `completeness` finds missing messages.
+
+Entry points of the accuracy: `accuracy` (a session's certificate), `reference_solution`. `accuracy_worker` measures a
+live cloth in a separate process.
 """

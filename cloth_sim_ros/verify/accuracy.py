@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Makes a certificate: while a session is run again, a far finer motion goes through the same frames beside it."""
+"""Certificate of a session's accuracy, from its re-run and a reference solution."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from cloth_sim_ros.verify.truth import Told, Truth, frame_truth, later_growth
 
 #: Length of a window [s].
 WINDOW = 1.0
-#: Rounding of a recorded position, relative to it.
+#: Relative rounding of a recorded float32 position.
 _FLOAT32 = 2.0**-24
 
 
@@ -46,20 +46,20 @@ def certify(
     particles: BinaryIO | None = None,
     every_sample: bool = False,
 ) -> tuple[Verdict, Certificate]:
-    """Run a session again, all its files in order, and say how accurate it is.
+    """Run a session again and measure its accuracy.
 
     Args:
         paths: the files of one session, in order.
-        judged: called after each frame.
-        particles: where each particle's error [m] is written to, float32, frame after frame, as in
-            `Certificate.frames`; nan where none can be told.
-        every_sample: let the independent integrator run every frame, instead of one in ever more windows.
+        on_frame: called after each frame.
+        particles: output of each particle's error [m], float32, frame after frame, as in `Certificate.frames`; nan if
+            unknown.
+        every_sample: True to run the independent integrator on every frame instead of a thinning sample of windows.
 
     Returns:
-        How the session came out when it was run again, and how accurate it is.
+        Verdict of the re-run, and the certificate.
 
     Raises:
-        SessionError: if a file cannot be read, or holds a scene or a state that make no simulation.
+        SessionError: if a file cannot be read, or its scene and state make no simulation.
     """
     watch = _Accuracy(judged, particles, every_sample)
     verdict = verify(paths, watch=watch)
@@ -71,7 +71,7 @@ def certify(
 
 
 class _Accuracy:
-    """Follows the run of a session; a `Watch`."""
+    """Measures the frames of a re-run; a `RunObserver`."""
 
     def __init__(self, judged: Callable[[], object], particles: BinaryIO | None, every_sample: bool) -> None:
         self.certificate, self.seconds = Certificate(name=""), 0.0
@@ -84,28 +84,28 @@ class _Accuracy:
         self._last = -1
         self._window: Window | None = None
         self._of_window: Truth | None = None
-        #: Frames of the window.
+        #: Frames of the current window.
         self._frames: list[RunFrame] = []
         self._of_session: Truth | None = None
         self._session_start = 0.0
         self._growth = 0.0
-        #: How far what was recorded of the last frame is from what it came to again; what that was at the window's
-        #: start [m].
+        #: Distance of the last frame's recorded positions from those of the re-run; its value at the start of the
+        #: window [m].
         self._off = self._off_at_start = 0.0
 
     def frame(self, simulation: Simulation, was: Scene, before: State, frame: Frame, record: FrameRecord) -> None:
-        """Take a frame that has just been run again."""
+        """Store a frame of the re-run."""
         self._frame = self._watch.after(simulation, was, before, frame)
         self._again = record.digest == simulation.state.digest()
         self._recorded, self._altered = None, False
 
     def cloud(self, recorded: NDArray[np.floating], same: bool) -> None:
-        """Take its recorded positions (n, 3) [m], and whether they are those that it came to."""
+        """Store the frame's recorded positions (n, 3) [m]; `is_same`: they equal those of the re-run."""
         self._recorded = recorded
         self._altered = not same and self._again
 
     def close(self) -> None:
-        """Judge the frame, once all that was recorded of it has come."""
+        """Assess the frame, after all its messages."""
         frame, self._frame = self._frame, None
         self.certificate.altered += self._altered
         if frame is not None:
@@ -117,13 +117,16 @@ class _Accuracy:
         self._altered = False
 
     def end(self) -> None:
-        """Judge what the session ended in."""
+        """Assess the last window."""
         begun = time.perf_counter()
         self._end_window()
         self.seconds += time.perf_counter() - begun
 
     def _end_window(self) -> None:
-        """Where kicks at its beginning do not explain its error, look at later ones: the promise counts those too."""
+        """Measure the amplification of later perturbations if those at its beginning do not explain the window's error.
+
+        The error bound includes the later ones.
+        """
         window, self._window = self._window, None
         if window is not None and window.verdict == "not kept" and not window.standing_out:
             window.later = later_growth(self._equations, self._frames)
@@ -134,7 +137,7 @@ class _Accuracy:
             self._end_window()
             self._begin_session(frame, start)
         self._last = frame.index
-        # What comes out again to the last bit began with the very state that was recorded.
+        # A frame reproduced to the last bit began with the recorded state.
         off = 0.0 if frame.reset or self._again else self._off
         if self._window is None:
             self._window = Window(number=len(self.certificate.windows), start=frame.t)
@@ -145,7 +148,7 @@ class _Accuracy:
         self._frames.append(frame)
         assert self._of_window is not None
         exact = self._again and not self._altered
-        # What was recorded: the state it came to, or where that is another one, the positions that are in the file.
+        # The recorded positions: those of the re-run if the states are equal, otherwise those in the file.
         recorded = frame.after.x if exact else self._in_file()
         true = frame_truth(self._equations, frame, start)
         told = self._of_window.frame(self._equations, frame)
@@ -164,7 +167,7 @@ class _Accuracy:
             promise_of_frame=self._promise_of(frame, start, error_of_frame),
             error=_away(recorded, told.x),
             growth=self._growth,
-            # From what the simulation came to again, where that is not what was recorded, another error begins.
+            # If the re-run deviates from the recording, this deviation adds to the uncertainty.
             own=told.own + self._off_at_start * max(1.0, self._growth) + off,
             floor=floor,
             session_error=math.nan if session is None else _away(recorded, session.x),
@@ -180,18 +183,18 @@ class _Accuracy:
             self._end_window()
 
     def _in_file(self) -> Array | None:
-        """The recorded positions, shape (3, n) [m]; None where there are none."""
+        """Return the recorded positions, shape (3, n) [m]; None without a cloud."""
         return None if self._recorded is None else self._recorded.T.astype(np.float64)
 
     def _rounding(self) -> float:
-        """Relative rounding of the recorded positions."""
+        """Return the relative rounding of the recorded positions."""
         return 2.0**-53 if self._recorded is not None and self._recorded.dtype.itemsize == 8 else _FLOAT32
 
     def _begin_session(self, frame: RunFrame, start: State) -> None:
         self._of_session, self._session_start = Truth(start, seed=frame.index), frame.t
 
     def _go_on(self, frame: RunFrame) -> Told | None:
-        """Go on from the session's beginning; None beyond the horizon."""
+        """Advance the reference from the session's beginning; None beyond the horizon."""
         if self._of_session is None:
             return None
         told, certificate = self._of_session.frame(self._equations, frame), self.certificate
@@ -204,7 +207,7 @@ class _Accuracy:
         return None
 
     def _promise_of(self, frame: RunFrame, start: State, error: float) -> float:
-        """What the error of a frame alone may be [m]."""
+        """Return the error bound of a single frame [m]; nan without a tolerance."""
         if frame.tolerance is None:
             return math.nan
         if not error > frame.tolerance:
@@ -236,5 +239,5 @@ def _away(recorded: Array | None, true: Array) -> float:
 
 
 def _is_sampled(window: int) -> bool:
-    """One window in each of the first eight, then every second, fourth, ...: what that costs grows by logarithm."""
+    """Return True for the first eight windows, then every second, fourth, ...: the cost grows logarithmically."""
     return window % max(1, 1 << max(0, window.bit_length() - 3)) == 0

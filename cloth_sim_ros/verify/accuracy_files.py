@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A certificate as JSON and as a picture."""
+"""Certificate as JSON and as a plot."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cloth_sim_ros.verify.verdict import Verdict
 
 
 def write_json(certificate: Certificate, path: Path, verdict: Verdict) -> None:
-    """Write all of a certificate, and what was compared; numbers that cannot be told are null."""
+    """Write a certificate and the counts of the comparison as JSON; unknown numbers are null."""
     content = attrs.asdict(certificate)
     content["run"] = {
         "same": verdict.same,
@@ -45,7 +45,7 @@ def write_json(certificate: Certificate, path: Path, verdict: Verdict) -> None:
 
 
 def write_plot(certificate: Certificate, path: Path) -> None:
-    """Draw errors, what is allowed, growth and the certificate's own error over time."""
+    """Plot errors, error bound, amplification and the uncertainty of the certificate over time [s]."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -55,16 +55,16 @@ def write_plot(certificate: Certificate, path: Path) -> None:
     FigureCanvasAgg(figure)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     lines: dict[str, tuple[list[float], str]] = {
-        "allowed: tolerance x growth": ([frame.promise for frame in frames], "k-"),
+        "allowed: tolerance x amplification": ([frame.promise for frame in frames], "k-"),
         "tolerance": ([math.nan if frame.tolerance is None else frame.tolerance for frame in frames], "k:"),
         "error since the window's start": ([frame.error for frame in frames], "C3-"),
         "error of the frame alone": ([frame.error_of_frame for frame in frames], "C1-"),
         "error since the beginning": ([frame.session_error for frame in frames], "C0-"),
-        "the certificate's own error": ([frame.own for frame in frames], "C2--"),
+        "uncertainty of the certificate": ([frame.own for frame in frames], "C2--"),
         "rounding": ([frame.floor for frame in frames], "0.6"),
     }
     for name, (values, style) in lines.items():
-        # A logarithm has no place for an error of nothing.
+        # A logarithmic axis cannot show an error of 0.
         shown = [value if value > 0.0 else math.nan for value in values]
         if not all(map(math.isnan, shown)):
             above.semilogy(times, shown, style, linewidth=1.2, label=name)
@@ -73,8 +73,8 @@ def write_plot(certificate: Certificate, path: Path) -> None:
         above.semilogy(*zip(*flagged, strict=True), "kx", markersize=5, label="flagged by the simulation")
     below.semilogy(times, [frame.growth for frame in frames], "C4-", linewidth=1.2, label="in the window")
     below.semilogy(times, [frame.session_growth for frame in frames], "C0-", linewidth=1.2, label="since the beginning")
-    above.set(ylabel="position [m]", title=f"{certificate.name}: the error of what was recorded")
-    below.set(xlabel="simulated time [s]", ylabel="growth of a kick")
+    above.set(ylabel="position [m]", title=f"{certificate.name}: error of the recording")
+    below.set(xlabel="simulated time [s]", ylabel="amplification")
     for axes in (above, below):
         axes.grid(which="both", alpha=0.2)
         axes.legend(fontsize=7)

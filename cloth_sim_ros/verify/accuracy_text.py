@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A certificate for people: sentences, a table of the windows and one of the worst frames."""
+"""Certificate as text: sentences, and tables of windows and worst frames."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from collections.abc import Sequence
 from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.verify.certificate import MOST_GROWTH, Certificate, FrameAccuracy, Window
 
-#: Most windows that are listed; of more, the worst are.
+#: Maximum number of listed windows (the worst ones), and of listed frames.
 _MOST_WINDOWS, _WORST_FRAMES = 60, 5
 
 
 def describe_accuracy(certificate: Certificate) -> str:
-    """A certificate in words and tables."""
+    """Format a certificate as sentences and tables."""
     if not certificate.frames:
-        return "Accuracy: no time passes in it: there is nothing to say."
+        return "Accuracy: no time passes in the session; there is nothing to measure."
     windows = sorted(certificate.windows, key=_badness, reverse=True)[:_MOST_WINDOWS]
     listed = sorted(windows, key=lambda window: window.number)
     worst = sorted(certificate.frames, key=_frame_badness, reverse=True)[:_WORST_FRAMES]
@@ -34,35 +34,36 @@ def _sentences(certificate: Certificate) -> list[str]:
     broken, open_ones, flagged = (certificate.having(verdict) for verdict in ("not kept", "undecided", "flagged"))
     promised = len(windows) - len(certificate.having("no promise"))
     found = [
-        f"Accuracy: of {counted(promised, 'window')} of a second, {len(certificate.having('kept'))} keep the promise."
+        f"Accuracy: of {counted(promised, 'window')} of a second, {len(certificate.having('kept'))} satisfy the "
+        "error bound."
     ]
     if not promised:
-        found = ["Accuracy: no tolerance is set, so nothing is promised."]
+        found = ["Accuracy: no tolerance is set, therefore there is no error bound."]
     elif promised < len(windows):
         found.append(f"In {len(windows) - promised} more no tolerance is set.")
     if flagged:
-        found.append(f"{len(flagged)} do not, and the simulation said so itself (flagged frames).")
+        found.append(f"{len(flagged)} do not, and the simulation flagged their frames.")
     if broken:
-        found.append(f"NOT KEPT, unflagged: {_list(broken)}.")
+        found.append(f"VIOLATED, unflagged: {_list(broken)}.")
     if open_ones:
-        found.append(f"Undecided, because the certificate itself is not accurate enough there: {_list(open_ones)}.")
+        found.append(f"Undecided, because the certificate is not accurate enough there: {_list(open_ones)}.")
     chaotic = sum(window.growth > MOST_GROWTH for window in windows)
     if chaotic:
         found.append(
-            f"In {chaotic} a kick grows more than {MOST_GROWTH:g} times: positions there are a matter of luck."
+            f"In {chaotic} a perturbation grows more than {MOST_GROWTH:g} times: positions there are unpredictable."
         )
     if certificate.altered:
         found.append(
-            f"The recorded positions of {counted(certificate.altered, 'frame')} are not what its record leads to."
+            f"The recorded positions of {counted(certificate.altered, 'frame')} do not follow from its record."
         )
     if certificate.horizon is None:
         along = [frame.session_error for frame in certificate.frames if not math.isnan(frame.session_error)]
         found.append(
-            f"From its beginning to its end ({certificate.longest:.3g} s) positions mean something; "
+            f"Positions are predictable from the beginning to the end ({certificate.longest:.3g} s); "
             f"the error is at most {max(along, default=math.nan):.2g} m."
         )
     else:
-        found.append(f"Positions mean something up to {certificate.horizon:.3g} s from the beginning or a reset.")
+        found.append(f"Positions are predictable up to {certificate.horizon:.3g} s from the beginning or a reset.")
     found.append(_other_integrator(certificate))
     found.append(f"({certificate.seconds:.1f} s)")
     return found
@@ -71,7 +72,7 @@ def _sentences(certificate: Certificate) -> list[str]:
 def _other_integrator(certificate: Certificate) -> str:
     samples = certificate.samples
     if not samples:
-        return "No frame was checked by another integrator."
+        return "No frame was checked with another integrator."
     wrong = [sample for sample in samples if not sample.agrees]
     largest = max(sample.difference for sample in samples)
     if wrong:
@@ -90,7 +91,7 @@ def _window_row(window: Window) -> dict[str, str]:
         "growth": f"{max(window.growth, window.later):.3g}",
         "own error [m]": f"{window.own:.1e}",
         "rounding [m]": f"{window.floor:.1e}",
-        "promise": window.verdict + (f" in {window.standing_out} alone" if window.standing_out else ""),
+        "verdict": window.verdict + (f" in {window.standing_out} alone" if window.standing_out else ""),
     }
 
 
@@ -122,7 +123,7 @@ def _frame_badness(frame: FrameAccuracy) -> float:
 
 
 def _ratio(error: float, allowed: float) -> float:
-    """What orders them: nothing is worse than what cannot be told; without a tolerance the error itself."""
+    """Return the sort key: error over its bound, or the error itself without a bound. Unknown errors are worst."""
     if math.isnan(error):
         return math.inf
     return error if math.isnan(allowed) else error / allowed

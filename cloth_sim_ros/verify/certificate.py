@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a certificate says: numbers for each frame and each window of a second, and what follows from them."""
+"""Certificate of a session's accuracy: errors and bounds of frames and windows."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Literal
 
 import attrs
 
-#: Growth of a kick from which positions mean nothing any more.
+#: Amplification above which positions are unpredictable.
 MOST_GROWTH = 1e3
-#: Part of a tolerance within which the certificate's own error must lie for it to mean something.
+#: Maximum uncertainty of the certificate, as a fraction of the tolerance.
 MOST_OWN = 0.1
-#: What counts as the tolerance there where none is set [m].
+#: Substitute for the tolerance if none is set [m].
 WITHOUT_TOLERANCE = 1e-4
 
 Verdict = Literal["kept", "flagged", "not kept", "undecided", "no promise"]
@@ -20,79 +20,80 @@ Verdict = Literal["kept", "flagged", "not kept", "undecided", "no promise"]
 
 @attrs.frozen(kw_only=True)
 class FrameAccuracy:
-    """How accurate one frame is. Errors are the largest of any particle's position [m]; nan where none can be told."""
+    """Accuracy of one frame. Errors are maxima over the particles' positions [m]; nan if unknown."""
 
     frame: int
     time: float
-    """Simulated time at its end [s]."""
+    """Simulated time at the end of the frame [s]."""
     window: int
-    """The window that it belongs to."""
+    """Index of its window."""
     tolerance: float | None
-    """Tolerance in force [m]; None where none is set."""
+    """Effective tolerance [m]; None if none is set."""
     flagged: bool
-    """Whether the simulation said that its error may be above its share."""
+    """True if the simulation flagged the frame: its error may exceed its share of the tolerance."""
     exact: bool
-    """Whether what was recorded came out again to the last bit; otherwise the recorded float32 positions are judged."""
+    """True if the re-run reproduced the recording to the last bit; otherwise the recorded positions are assessed."""
     error_of_frame: float
-    """From the simulation's own state at the frame's beginning."""
+    """Error from the simulation's state at the frame's beginning [m]."""
     promise_of_frame: float
-    """What that may be: the tolerance times the growth of a kick within the frame, which is looked at where the error
-    is above the tolerance [m]; nan where there is no tolerance.
+    """Bound of `error_of_frame`: the tolerance times the amplification within the frame [m]; nan without a tolerance.
+
+    The amplification is measured only if the error exceeds the tolerance; otherwise it counts as 1.
     """
     error: float
-    """From the simulation's own state at the window's beginning: what the promise is about."""
+    """Error from the simulation's state at the window's beginning; the error bound applies to it [m]."""
     growth: float
-    """How often a kick of position or velocity has grown since the window's beginning, the most so far."""
+    """Maximum amplification of a perturbation of position or velocity since the window's beginning."""
     own: float
-    """How far the certificate itself may be off there [m]."""
+    """Uncertainty of the certificate [m]."""
     floor: float
-    """What rounding alone does there, that of recorded positions included [m]."""
+    """Effect of rounding, including that of recorded positions [m]."""
     session_error: float
-    """Since the session's beginning, or its last reset; nan beyond the horizon."""
+    """Error since the session's beginning or its last reset [m]; nan beyond the horizon."""
     session_growth: float
     session_own: float
 
     @property
     def promise(self) -> float:
-        """What the error may be so far [m]; nan where there is no tolerance."""
+        """Error bound up to this frame [m]; nan without a tolerance."""
         return float("nan") if self.tolerance is None else self.tolerance * max(1.0, self.growth)
 
     @property
     def stands_out(self) -> bool:
-        """Whether the frame alone is further off than a window that begins with it may be, and was not flagged."""
+        """True if the error of the frame alone exceeds its bound and the frame is not flagged."""
         return not self.flagged and self.error_of_frame > self.promise_of_frame + self.own + self.floor
 
 
 @attrs.define(kw_only=True)
 class Window:
-    """A second of simulated time, from the simulation's own state at its beginning; shorter at an end or a reset."""
+    """One second of simulated time, from the simulation's state at its beginning; shorter at an end or a reset."""
 
     number: int
     start: float
-    """[s]"""
+    """Simulated time at its beginning [s]."""
     end: float = 0.0
     frames: int = 0
     flagged: int = 0
-    """Frames that are."""
+    """Number of flagged frames."""
     tolerance: float | None = None
-    """The least in force within it [m]; None where a frame had none."""
+    """Minimum of its frames [m]; None if a frame has none."""
     error: float = 0.0
-    """The largest of its frames [m]."""
+    """Maximum error of its frames [m]."""
     worst: int = 0
-    """Number of the frame that has it."""
+    """Index of the frame with the maximum error."""
     growth: float = 0.0
-    """Of kicks at its beginning."""
+    """Amplification of perturbations at its beginning."""
     later: float = 0.0
-    """Of kicks made later in it, which is looked at where those at its beginning do not explain its error."""
+    """Amplification of later perturbations; measured if those at its beginning do not explain its error."""
     own: float = 0.0
     floor: float = 0.0
     judged: bool = True
-    """Whether every frame could be judged."""
+    """True if the error of every frame is known."""
     standing_out: int = 0
-    """Frames that alone are further off than the promise lets them, unflagged."""
+    """Number of unflagged frames whose error alone exceeds its bound."""
 
     def add(self, frame: FrameAccuracy) -> None:
-        """Take in the next frame."""
+        """Add the next frame."""
         first = not self.frames
         self.end, self.frames = frame.time, self.frames + 1
         self.flagged += frame.flagged
@@ -110,12 +111,12 @@ class Window:
 
     @property
     def promise(self) -> float:
-        """What the error may be [m]; nan where there is no tolerance."""
+        """Error bound [m]; nan without a tolerance."""
         return float("nan") if self.tolerance is None else self.tolerance * max(1.0, self.growth, self.later)
 
     @property
     def verdict(self) -> Verdict:
-        """Whether the promise was kept. Rounding's floor is added to it: below that no error can be."""
+        """Verdict on the error bound. The rounding floor is added to the bound: no error can be smaller."""
         if self.tolerance is None:
             return "no promise"
         if self.standing_out:
@@ -130,48 +131,46 @@ class Window:
 
 @attrs.frozen(kw_only=True)
 class Sample:
-    """A frame that an integrator which is not ours ran too, from the same state."""
+    """A frame that an independent integrator also ran, from the same state."""
 
     frame: int
     stated: float
-    """The frame's error by this certificate, from the simulation's own state at its beginning [m]."""
+    """Error of the frame by this certificate, from the simulation's state at its beginning [m]."""
     independent: float
-    """The same by the other integrator [m]."""
+    """Error of the frame by the independent integrator [m]."""
     difference: float
-    """Largest distance of a particle of the one from the same of the other [m]."""
+    """Maximum distance of a particle between the two solutions [m]."""
     tolerance: float | None
 
     @property
     def agrees(self) -> bool:
-        """Whether the two differ by at most a fifth of the error, or a tenth of the tolerance."""
+        """True if the two differ by at most 20 % of the error or 10 % of the tolerance."""
         allowed = max(0.2 * self.independent, MOST_OWN * (self.tolerance or WITHOUT_TOLERANCE))
         return self.difference <= allowed
 
 
 @attrs.define(kw_only=True)
 class Certificate:
-    """How accurate a session is."""
+    """Accuracy of a session."""
 
     name: str
     windows: list[Window] = attrs.field(factory=list)
     frames: list[FrameAccuracy] = attrs.field(factory=list)
     samples: list[Sample] = attrs.field(factory=list)
     horizon: float | None = None
-    """Time since the beginning, or a reset, up to which positions mean something [s]; None where the session ends
-    before.
-    """
+    """Time since the beginning or a reset up to which positions are predictable [s]; None if the session is shorter."""
     longest: float = 0.0
-    """The longest such time that was looked at [s]."""
+    """Longest such time that was measured [s]."""
     altered: int = 0
-    """Frames whose recorded positions are not those that their record leads to."""
+    """Number of frames whose recorded positions do not follow from their record."""
     seconds: float = 0.0
-    """Wall time that it took [s]."""
+    """Wall time of the measurement [s]."""
 
     def having(self, *verdicts: Verdict) -> list[Window]:
-        """Windows of some verdicts."""
+        """Return the windows with one of the given verdicts."""
         return [window for window in self.windows if window.verdict in verdicts]
 
     @property
     def kept(self) -> bool:
-        """Whether every unflagged window that has a promise is shown to keep it, and the other integrator agrees."""
+        """True if every unflagged window with an error bound satisfies it, and the independent integrator agrees."""
         return not self.having("not kept", "undecided") and all(sample.agrees for sample in self.samples)

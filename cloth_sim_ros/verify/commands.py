@@ -1,10 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Received commands against the events that took effect.
+"""Comparison of received commands with the events that took effect.
 
-Running a session again shows that its events lead to its clouds. That the events are what was commanded shows in the
-received messages beside them: every grasp takes effect with the next frame; of the targets that have arrived when a
-frame begins, the newest takes effect in it.
+The re-run shows that the events lead to the clouds. The received messages show that the events were commanded. Every
+grasp takes effect with the next frame. When a frame begins, the newest target that has arrived takes effect.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ from cloth_sim_ros.simulation.events import Move, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.verdict import Findings
 
-#: Received targets that may wait: more than the node lets wait.
+#: Maximum number of waiting targets; larger than the limit of the node.
 _MOST_WAITING = 20_000
-#: A target may have been received this long before the recording began, and wait for its stamp [ns].
+#: Maximum time that a target received before the recording waits for its stamp [ns].
 _GRACE = 1_500_000_000
-#: How far ahead of its arrival a stamp may be [ns].
+#: Maximum lead of a stamp over its arrival [ns].
 _AHEAD = 1_000_000_000
-#: Events that services and the node itself cause, without a message.
+#: Events that services and the node cause, without a message.
 _UNASKED = ("set_parameters", "pause", "step", "reset", "relax")
 
 _Pose = tuple[float, ...]
@@ -39,12 +38,12 @@ class _Waiting(NamedTuple):
     """A received target that has not taken effect yet."""
 
     stamp: int
-    """From when on it counts [ns]."""
+    """ROS time from which the target is valid [ns]."""
     number: int
-    """Its place in the order of arrival."""
+    """Index in the order of arrival."""
     pose: _Pose
     certain: bool
-    """True if the node must have accepted it, and taken it with the next frame that is due at its stamp or later."""
+    """True if the node must have applied it in the next frame that is due at its stamp or later."""
     topic: str
 
 
@@ -53,11 +52,10 @@ class CommandCheck:
 
     Args:
         node: resolved name of the node.
-        scene: in force at the beginning. What follows a TF frame has its targets from there. Targets in other
-            coordinate frames were transformed before they took effect: who was sent one is not compared from then on.
-        from_start: the recording began with the first frame; before one that began later, commands may have come that
-            it does not hold.
-        findings: for what differs.
+        scene: effective at the beginning. Bodies that follow a TF frame are not compared. Targets in another coordinate
+            frame were transformed before they took effect; the body is not compared from then on.
+        from_start: True if the recording began with the first frame. Otherwise commands may precede the recording.
+        findings: collects the differences.
     """
 
     def __init__(self, *, node: str, scene: Scene, from_start: bool, findings: Findings) -> None:
@@ -69,7 +67,7 @@ class CommandCheck:
             for name in names
             for leaf in leaves
         }
-        #: Who does not move by received commands alone, and why.
+        #: Bodies that are not compared, with the reason: received commands alone do not move them.
         self._not_told = {name: _FOLLOWS for name in scene.gripper_names if scene.of_gripper(name, "frame")}
         self._not_told |= {name: _FOLLOWS for name, obstacle in scene.described.items() if obstacle.frame}
         self._waiting: dict[str, list[_Waiting]] = {}
@@ -80,11 +78,11 @@ class CommandCheck:
 
     @property
     def topics(self) -> frozenset[str]:
-        """The topics of commands."""
+        """Topics of the commands."""
         return frozenset(self._kinds)
 
     def receive(self, message: Message, simulation: Simulation) -> None:
-        """Take note of a command that came after the last frame."""
+        """Store a command that was received after the last frame."""
         name, leaf = self._kinds[message.topic]
         try:
             content = decode(message.data, message.type_name)
@@ -118,11 +116,11 @@ class CommandCheck:
             self._leave(waiting.pop(0).topic, "more than can wait")
 
     def compare(self, record: FrameRecord, log_time: int, stamp: int, simulation: Simulation) -> None:
-        """Compare what was received before a frame with its events.
+        """Compare the commands received before a frame with its events.
 
         Args:
             record: of the frame.
-            log_time: of the record [ns].
+            log_time: log time of the record [ns].
             stamp: ROS time at which the frame was due [ns].
             simulation: after the frame.
         """
@@ -148,7 +146,7 @@ class CommandCheck:
         for name in [name for name, waiting in self._waiting.items() if waiting and name not in moved]:
             self._expect_target(name, stamp, simulation, known=known and not forgiven)
         for name, left in grasps.items():
-            # A clock that went back clears what waits.
+            # A clock jump back clears the waiting commands.
             if cleared:
                 self._leave(f"{name}/grasp", "cleared when the clock went back", len(left))
             elif left:
@@ -160,7 +158,7 @@ class CommandCheck:
                 self._newest.pop(name, None)
 
     def end(self) -> None:
-        """List what waits for a frame that is not in the session."""
+        """List commands that still wait at the end of the session."""
         for waiting in self._waiting.values():
             self._drop(waiting, "waiting at the end, or refused as too far ahead or too old")
         for name, left in self._grasps.items():
@@ -190,8 +188,8 @@ class CommandCheck:
                 self._leave("events", f"{event['kind']} that may have been commanded before the recording began")
             return
         self._findings.compared("command")
-        # Of the same pose there may be one for a later frame. A frame on wall time that begins late takes what is
-        # stamped later than it was due, so that the later ones may have been taken with it.
+        # A target with the same pose may belong to a later frame. On wall time, a frame that begins late also applies
+        # targets stamped after it was due; therefore later ones may belong to this frame.
         found = max((one for one in same if one.stamp <= stamp), default=min(same))
         replaced = [one for one in waiting if one < found]
         self._waiting[name] = [one._replace(certain=one.certain and one > max(same)) for one in waiting if one > found]
@@ -199,7 +197,7 @@ class CommandCheck:
         self._expect_target(name, stamp, None, known=known)
 
     def _expect_target(self, name: str, stamp: int, simulation: Simulation | None, *, known: bool) -> None:
-        """Of what waits, the node must have taken what is certain and was due."""
+        """Report waiting targets that the node must have applied by now."""
         waiting = self._waiting.get(name, [])
         overdue = [one for one in waiting if one.certain and one.stamp <= stamp]
         if not overdue:
@@ -213,7 +211,7 @@ class CommandCheck:
             self._drop([one for one in waiting if one <= max(overdue)], "cleared, or received before the recording")
 
     def _may_be_impossible(self, name: str, simulation: Simulation) -> bool:
-        """True if what was accepted may have been refused in the end: it is gone, or its pads have no place yet."""
+        """Return True if the node may have refused the target: its body was removed, or its pads are not placed yet."""
         grippers = simulation.grippers
         if name not in self._grippers:
             return simulation.obstacles is None or name not in simulation.obstacles.names
@@ -222,7 +220,7 @@ class CommandCheck:
     def _follow_parameters(self, values: Mapping[str, Any]) -> None:
         for key, value in values.items():
             if key.endswith(".shape"):
-                # An obstacle that is described amid the recording.
+                # An obstacle that was added during the recording.
                 name = key.removesuffix(".shape")
                 self._kinds |= {f"{self._node}/{name}/{leaf}": (name, leaf) for leaf in ("target", "point")}
             if key.endswith(".frame") and value:

@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Declared types of a session's topics against those of the node.
+"""Comparison of the declared message types with those of the node.
 
-Bytes mean what their channel and schema declare: other tools read a cloud by the fields that the file describes.
+Channel and schema define the meaning of the bytes: other tools decode a cloud by the declared fields.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from cloth_sim_ros.session.part import SessionPart
 from cloth_sim_ros.verify import diagnostics, markers, states
 from cloth_sim_ros.verify.verdict import Findings
 
-#: Message types by the last part of a topic of the node.
+#: Message types by the last part of the node's topics.
 _TYPES = {
     "frame": messages.STRING,
     "points": messages.CLOUD,
@@ -27,18 +27,18 @@ _TYPES = {
     "tf": messages.TRANSFORMS,
     "diagnostics": diagnostics.TYPE,
 }
-#: By how much a definition with comments may be longer than one without.
+#: Maximum ratio of the lengths of a definition with comments and one without.
 _LONGER = 20
 
 
 def compare_declarations(part: SessionPart, node: str, topics: frozenset[str], findings: Findings) -> None:
-    """Compare what a file declares of its topics, once all of it was read.
+    """Compare the declarations of a file after it was read.
 
     Args:
         part: the file.
         node: resolved name of the node.
-        topics: the topics whose messages were compared.
-        findings: for what differs.
+        topics: topics whose messages were compared.
+        findings: collects the differences.
     """
     schemas, channels = part.records()
     for channel in channels.values():
@@ -61,7 +61,7 @@ def compare_declarations(part: SessionPart, node: str, topics: frozenset[str], f
 
 
 def _is_same_definition(recorded: bytes, type_name: str) -> bool:
-    """True if a definition describes the fields of a standard type, whatever its comments are."""
+    """Return True if a definition describes the fields of a standard type, up to comments."""
     wanted = describe(type_name).definition
     if recorded == wanted.encode():
         return True
@@ -74,5 +74,5 @@ def _is_same_definition(recorded: bytes, type_name: str) -> bool:
     except (TypesysError, ValueError):
         return False
     due = get_types_from_msg(wanted, type_name)
-    # Of each type its constants, which a tool may leave out, and its fields.
+    # Only fields are compared: a tool may leave out constants.
     return {name: fields for name, (_, fields) in found.items()} == {name: fields for name, (_, fields) in due.items()}

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded diagnostics against the re-run: the values that the simulation decides."""
+"""Comparison of recorded diagnostics with the re-run."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.verdict import Findings
 
 TOPIC, TYPE = "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"
-#: Sums over the frames since the node began, which a re-run from a later state lacks.
+#: Sums since the start of the node; unknown to a re-run from a later state.
 _SUMS = (
     "energy_work_j",
     "energy_wind_j",
@@ -31,13 +31,13 @@ _SUMS = (
     "energy_recovered_j",
     "energy_balance_j",
 )
-#: Texts, which another version may put otherwise.
+#: Texts that another version may word differently.
 _TEXTS = ("integrator", "integrator_why", "halted")
-#: Values that nothing rounds but printing.
+#: Entries that are exact up to printing.
 _EXACT = frozenset({"frame", "simulated_time", "paused"})
-#: By how much printed numbers may differ: they were rounded, and numpy's sums are the processor's.
+#: Tolerances of printed numbers: they are rounded, and numpy's order of summation depends on the processor.
 _RELATIVE, _ABSOLUTE = 2e-5, 2e-6
-#: Above this many edges the node measures no strain.
+#: Maximum number of edges for which the node measures the strain.
 _MOST_EDGES = 400_000
 
 
@@ -46,8 +46,8 @@ class DiagnosticsCheck:
 
     Args:
         node: resolved name of the node.
-        from_start: whether the recording began with the simulation's first frame.
-        findings: for what differs.
+        from_start: True if the recording began with the simulation's first frame.
+        findings: collects the differences.
     """
 
     def __init__(self, node: str, *, from_start: bool, findings: Findings) -> None:
@@ -59,7 +59,7 @@ class DiagnosticsCheck:
         self._last = b""
 
     def follow(self, frame: Frame, simulation: Simulation) -> None:
-        """Look at a frame that was just run."""
+        """Update the state with a frame of the re-run."""
         self._advance = frame.advance or self._advance
         if any(isinstance(event, Reset) for event in frame.events):
             self._halted = set()
@@ -73,7 +73,7 @@ class DiagnosticsCheck:
         self._halted |= set(frame.halted)
 
     def next_file(self) -> None:
-        """Go on from a snapshot: sums of the energy begin anew."""
+        """Continue from a snapshot: the energy sums restart."""
         self._from_start = False
 
     def compare(self, message: Message, simulation: Simulation) -> None:
@@ -97,7 +97,7 @@ class DiagnosticsCheck:
         left = {f"{key}, which is not there" for key in again.keys() - keys}
         for value in own[0].values:
             if value.key == "paused" and value.value == "false" != again["paused"]:
-                # A node says whether it was paused by its user.
+                # A node also reports a pause by its user.
                 self._findings.not_compared(message.topic, "paused, though not by the user: /clock stands still")
             elif value.key not in again or (value.key in _TEXTS and self._findings.verdict.environment):
                 left.add(value.key)
@@ -117,7 +117,7 @@ class DiagnosticsCheck:
 
     @staticmethod
     def _wrong_frame(content: Any, message: Message, own: Sequence[Any]) -> str:
-        """The part of what encloses the values that is not as it must be, in words; empty if none."""
+        """Return the wrong part of stamp, frame_id, status and keys, as text; empty if none."""
         if content.header.stamp.sec * 10**9 + content.header.stamp.nanosec != message.publish_time:
             return "their stamp"
         if content.header.frame_id:
@@ -148,7 +148,7 @@ class DiagnosticsCheck:
         found = {"energy_j": f"{energy.total:.9g}"}
         if self._from_start:
             contact = simulation.plan.contact
-            # What the balance leaves over is rounding, of sums of numpy's.
+            # The energy balance is left out: it is rounding of numpy's sums.
             sums = dict(zip(_SUMS[:3], (energy.work, energy.wind, energy.dissipated), strict=True))
             if contact is not None and contact.force.layered:
                 sums["energy_rubbed_j"] = energy.rubbed
@@ -181,7 +181,7 @@ class DiagnosticsCheck:
 
 
 class _StrainGauge:
-    """The largest strain of a cloth's edges."""
+    """Largest strain of a cloth's edges."""
 
     def __init__(self, scene: Scene) -> None:
         triangles, rest = scene.sheet.triangles(), scene.sheet.positions()
@@ -191,7 +191,7 @@ class _StrainGauge:
         self._edges, self._lengths = edges[lengths > 0.0].T, lengths[lengths > 0.0]
 
     def largest(self, x: Array) -> float | None:
-        """The largest relative elongation at x [m], shape (3, n); None where the node measures none."""
+        """Return the largest relative elongation at x [m], shape (3, n); None if the node does not measure it."""
         if not 0 < len(self._lengths) <= _MOST_EDGES:
             return None
         away = np.linalg.norm(x[:, self._edges[0]] - x[:, self._edges[1]], axis=0)
@@ -199,7 +199,7 @@ class _StrainGauge:
 
 
 def _same(recorded: str, again: str) -> bool:
-    """True if two printed numbers differ by no more than rounding."""
+    """Return True if two printed numbers differ by rounding only."""
     try:
         one, other = float(recorded), float(again)
     except ValueError:

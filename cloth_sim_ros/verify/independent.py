@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A frame by an integrator that is not ours: scipy's DOP853, an explicit Runge-Kutta method of order 8."""
+"""Independent integrator: scipy's DOP853, an explicit Runge-Kutta method of order 8."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.verify.fine import Moving
 from cloth_sim_ros.verify.motion import Equations, Motion, RunFrame
 
-#: Its relative tolerance, and its absolute one [m, m/s].
+#: Relative tolerance, and absolute tolerance [m, m/s].
 RELATIVE, ABSOLUTE = 1e-13, 1e-13
 
 
 def frame_by_dop853(equations: Equations, frame: RunFrame, state: State) -> Array:
-    """Return positions (3, n) [m] at a frame's end from a state at its beginning."""
+    """Return the positions (3, n) [m] at a frame's end from a state at its beginning."""
     motion = Motion(state)
     motion.take_hold(frame)
     return dop853(equations.plan(frame, motion), frame.t, frame.duration, motion.now).x
@@ -32,11 +32,12 @@ def dop853(
     relative: float = RELATIVE,
     absolute: float = ABSOLUTE,
 ) -> Moving:
-    """Move from time t [s] through a duration [s]. Anchors of friction are dragged after each of its steps; pads are
-    moved with the particles.
+    """Integrate from time t [s] over a duration [s].
+
+    Friction anchors are updated after each step. The jaws are integrated together with the particles.
 
     Raises:
-        ArithmeticError: if it finds no step that is small enough.
+        ArithmeticError: if no step is small enough.
     """
     from scipy.integrate import DOP853
 

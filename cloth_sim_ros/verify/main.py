@@ -1,7 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`cloth_verify`: runs recorded sessions again and says, in a sentence each, whether they came out the same; with
-`--accuracy` also how accurate they are.
+"""Command `cloth_verify`: re-run and comparison of recorded sessions.
+
+With `--accuracy` it also measures their accuracy.
 """
 
 from __future__ import annotations
@@ -24,29 +25,29 @@ if TYPE_CHECKING:
     from cloth_sim_ros.verify.certificate import Certificate
     from cloth_sim_ros.verify.run import Verdict
 
-#: Exit statuses. All came out the same to the last bit.
+#: Exit status: the re-run equals the recording to the last bit.
 SAME = 0
-#: Something differs.
+#: Exit status: something differs.
 DIFFERENT = 1
-#: A file could not be read, or lacks frames.
+#: Exit status: a file could not be read, or lacks frames.
 UNREADABLE = 2
-#: It was recorded by a version with other arithmetic; all differences are of the size of rounding's effects.
+#: Exit status: recorded by a version with other arithmetic; rounding explains all differences.
 OTHER_ARITHMETIC = 3
-#: With `--accuracy`: the same bits, but a window without flagged frames broke the tolerance, or may have.
+#: Exit status with `--accuracy`: equal bits, but an unflagged window violates its error bound, or may do so.
 NOT_KEPT = 4
-#: From the mildest to the gravest: of several sessions the gravest decides.
+#: In ascending order; the most severe status of several sessions counts.
 _GRAVITY = (SAME, OTHER_ARITHMETIC, NOT_KEPT, DIFFERENT, UNREADABLE)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; its exit status."""
+    """Run the command; return its exit status."""
     escape_unencodable()
     parser = argparse.ArgumentParser(
         prog="cloth_verify",
         description="Run recorded sessions again from their own snapshots and events, and compare every message. "
         "Exit status 0: the same to the last bit; 1: something differs; 2: a file cannot be read, or holds no frames; "
         "3: recorded with other arithmetic, and nothing differs that this does not explain; "
-        "4: with --accuracy, the tolerance's promise was not kept somewhere, and no frame flagged.",
+        "4: with --accuracy, a window without flagged frames violates its error bound, or may do so.",
     )
     parser.add_argument(
         "session", nargs="+", type=Path, help="session.mcap, one or more; files of a split session together, in order"
@@ -79,30 +80,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _add_accuracy(parser: argparse.ArgumentParser) -> None:
-    accuracy = parser.add_argument_group("how accurate it is")
+    accuracy = parser.add_argument_group("accuracy")
     accuracy.add_argument(
         "--accuracy",
         action="store_true",
-        help="run it beside a far finer motion, and say how far off every frame is and whether the tolerance was kept",
+        help="compare with a reference solution of much smaller steps: error of each frame, verdict on the tolerance",
     )
     accuracy.add_argument("--json", metavar="OUT.json", type=Path, help="write every frame's numbers")
-    accuracy.add_argument("--plot", metavar="OUT.png", type=Path, help="draw them over time; needs matplotlib")
+    accuracy.add_argument("--plot", metavar="OUT.png", type=Path, help="plot them over time; needs matplotlib")
     accuracy.add_argument(
         "--particles", metavar="OUT.f32", type=Path, help="write each particle's error [m], float32, frame after frame"
     )
 
 
 def _outputs(options: argparse.Namespace) -> dict[str, Path]:
-    """The files to write, by option."""
+    """Return the output files by option."""
     given = {f"--{name}": getattr(options, name) for name in ("json", "plot", "particles")}
     return {option: path for option, path in given.items() if path is not None}
 
 
 def _check_accuracy(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
-    """Before anything is read: measuring may take hours."""
+    """Check the options of the accuracy before any work: the measurement may take hours."""
     outputs = _outputs(options)
     if outputs and not options.accuracy:
-        parser.error(f"{next(iter(outputs))} is of the accuracy: it needs --accuracy")
+        parser.error(f"{next(iter(outputs))} needs --accuracy")
     try:
         check_outputs(outputs, options.session, endings={"--plot": ".png"})
     except OutputError as error:
@@ -118,7 +119,7 @@ def _check_one_session(parser: argparse.ArgumentParser, options: argparse.Namesp
 
 
 def status_of(verdict: Verdict) -> int:
-    """The exit status that a verdict alone gives."""
+    """Return the exit status of a verdict without a certificate."""
     if verdict.damaged or not verdict.frames:
         return UNREADABLE
     if verdict.same:
@@ -127,7 +128,7 @@ def status_of(verdict: Verdict) -> int:
 
 
 def describe(verdict: Verdict) -> str:
-    """A verdict in words: the outcome in the first sentence, what qualifies it after that."""
+    """Format a verdict as sentences: the outcome first, then its qualifications."""
     where = f"{verdict.name}: "
     pace = f"{verdict.simulated:.1f} s run in {verdict.seconds:.1f} s"
     counts = f"{counted(verdict.frames, 'frame')} and {counted(verdict.clouds, 'cloud')}"
@@ -165,7 +166,7 @@ def describe(verdict: Verdict) -> str:
 
 
 def counts_of(counts: Mapping[str, int]) -> list[str]:
-    """Numbers of frames and messages by kind, in words."""
+    """Format counts of frames and messages by kind."""
     plurals = {"wrench": "wrenches", "topology": "topologies"}
     return [
         f"{count} {plurals[kind]}" if kind in plurals and count != 1 else counted(count, kind)
@@ -175,7 +176,7 @@ def counts_of(counts: Mapping[str, int]) -> list[str]:
 
 
 def omissions(verdict: Verdict) -> list[str]:
-    """Lists messages that were not compared, by topic: how many, and why."""
+    """Format the messages that were not compared: count and reason by topic."""
     found: dict[str, dict[int, list[str]]] = {}
     for (topic, reason), count in sorted(verdict.not_compared.items()):
         found.setdefault(topic, {}).setdefault(count, []).append(reason)
@@ -187,7 +188,7 @@ def omissions(verdict: Verdict) -> list[str]:
 
 
 def _further(verdict: Verdict) -> str:
-    """Further kinds of messages that came out the same."""
+    """Format the counts of the other kinds of equal messages."""
     further = counts_of({kind: count for kind, count in verdict.compared.items() if kind != "cloud"})
     return f", and so did {', '.join(further)}" if further else ""
 
@@ -235,7 +236,7 @@ def _tell(certificate: Certificate, verdict: Verdict, options: argparse.Namespac
 
 
 def _frames_in(paths: Sequence[Path]) -> int | None:
-    """Frames that a session holds, by its files' indexes; None where one has none."""
+    """Return the number of frames by the files' indexes; None if a file has none."""
     count = 0
     with SessionReader(list(paths)) as reader:
         for part in reader.parts:

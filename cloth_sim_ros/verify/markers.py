@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded markers of obstacles and pads against those of the re-run."""
+"""Comparison of recorded markers of obstacles and pads with the re-run."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ from cloth_sim_ros.verify.outputs import same_bytes
 from cloth_sim_ros.verify.verdict import Findings
 
 MARKERS = "visualization_msgs/msg/MarkerArray"
-#: A plane is shown as a slab of this width and height, whose upper side it is [m].
+#: Width and height of the slab that shows a plane; its upper side is the plane [m].
 _PLANE = (10.0, 0.002)
 _COLOUR, _GROUND = (0.45, 0.5, 0.58, 1.0), (0.24, 0.26, 0.3, 1.0)
 _CUBE, _SPHERE, _CYLINDER, _TRIANGLES = 1, 2, 3, 11
 _ADD, _DELETE = 0, 2
-#: Markers of one obstacle at most: a capsule has three.
+#: Maximum number of markers of one obstacle: a capsule has three.
 _MOST = 3
-#: Where a marker is in its obstacle is turned by numpy, whose rounding is the processor's [m].
+#: Tolerance of a marker's position: numpy's rounding depends on the processor [m].
 _NEAR = 1e-9
-#: Marks where in a message stamps and poses lie.
+#: Marker numbers that locate stamps and poses in an encoded message.
 _MARKED_SECOND, _MARKED_PLACE = 0x5AC3_0000, 1.2345e222
 
 
 class MarkerCheck:
-    """Compares markers, which are sent again when an obstacle has moved, come or gone.
+    """Compares markers. A node sends them when an obstacle has moved or was added or removed.
 
     Args:
         node: resolved name of the node.
-        simulation: as a file begins.
-        findings: for what differs.
+        simulation: in its state at the beginning of a file.
+        findings: collects the differences.
     """
 
     def __init__(self, node: str, simulation: Simulation, findings: Findings) -> None:
@@ -50,21 +50,21 @@ class MarkerCheck:
         self._frame_id = simulation.scene.frame_id
         solids, self._poses = solids_and_poses(simulation.obstacles, simulation.pinching)
         self._names = [solid.name for solid in solids]
-        #: Who may be told to be gone; None as long as nothing is known of what was there before the file.
+        #: Names that a message may delete: all obstacles so far.
         self._known: set[str] = set(self._names)
         self._removed: tuple[str, ...] | None = None
         self._gone: tuple[str, ...] = ()
-        #: Whether the file had markers so far: a node deletes none that it has not sent.
+        #: True if the file had markers so far: a node deletes only markers that it has sent.
         self._sent = False
         self._layouts: dict[tuple[str, ...], _Layout] = {}
 
     @property
     def names(self) -> list[str]:
-        """Names of the obstacles and pads that are there."""
+        """Names of the current obstacles and pads."""
         return self._names
 
     def follow(self, simulation: Simulation) -> tuple[bool, bool]:
-        """Look at a frame that was just run; whether others are there, and whether markers must be sent."""
+        """Update with a frame of the re-run; return True if the obstacles changed, and True if markers are due."""
         solids, poses = solids_and_poses(simulation.obstacles, simulation.pinching)
         names = [solid.name for solid in solids]
         changed = names != self._names
@@ -77,13 +77,13 @@ class MarkerCheck:
         return changed, moved
 
     def compare(self, message: Message, simulation: Simulation, stamp: int | None, *, changed: bool = False) -> None:
-        """Compare markers with the obstacles as they are.
+        """Compare markers with the current obstacles.
 
         Args:
             message: the markers.
-            simulation: as it is.
-            stamp: ROS time that they must have [ns]; None if it is not known.
-            changed: whether this frame has brought or removed obstacles.
+            simulation: in its current state.
+            stamp: expected ROS time of the markers [ns]; None if unknown.
+            changed: True if this frame added or removed obstacles.
         """
         first, self._sent = not self._sent, True
         if stamp is not None and self._again(simulation, self._gone).is_same(message.data, self._poses, stamp):
@@ -134,11 +134,11 @@ class MarkerCheck:
 
 
 class _Layout:
-    """CDR bytes of a visualization_msgs/MarkerArray in which stamps and poses alone change."""
+    """Encoder of visualization_msgs/MarkerArray messages that differ in stamps and poses only."""
 
     def __init__(self, solids: Sequence[Obstacle], *, frame_id: str, node: str, gone: Sequence[str]) -> None:
         markers = [_marker(ns=f"{node}/{name}", id=number, action=_DELETE) for name in gone for number in range(_MOST)]
-        #: Of each marker that is there: its obstacle, and where it is in the obstacle's frame [m].
+        #: Index of the obstacle of each marker, and the marker's offset in the obstacle's frame [m].
         self._parts: list[tuple[int, NDArray[np.float64]]] = []
         for k, solid in enumerate(solids):
             for number, (fields, place) in enumerate(_parts(solid)):
@@ -159,11 +159,11 @@ class _Layout:
             start = self._data.index(struct.pack("<d", _MARKED_PLACE * (1 + number)), start)
             self._places.append(start)
 
-        #: Bytes that fill gaps between fields, where a middleware leaves what was in memory before.
+        #: Padding bytes between fields; a middleware leaves them uninitialised.
         self._gaps = np.zeros(len(self._data), dtype=np.bool_)
 
     def is_same(self, recorded: bytes, poses: Array, stamp: int) -> bool:
-        """True if a message is that of poses at a ROS time [ns], up to the gaps that are known."""
+        """Return True if a message equals the markers of `poses` at a ROS time [ns], up to known padding."""
         again = self.at(poses, stamp)
         if same_bytes(recorded, again):
             return True
@@ -172,7 +172,7 @@ class _Layout:
         return not (self._unlike(recorded) & ~self._gaps).any()
 
     def learn_gaps(self, recorded: bytes) -> None:
-        """Learn gaps of a message whose fields are those of the last bytes given by `at`."""
+        """Learn the padding of a message whose fields equal those of the last `encode`."""
         if len(recorded) == len(self._data):
             found = self._unlike(recorded)
             for start in self._places:
@@ -183,7 +183,7 @@ class _Layout:
         return np.frombuffer(recorded, np.uint8) != np.frombuffer(self._data, np.uint8)
 
     def at(self, poses: Array, stamp: int) -> bytes:
-        """The bytes for poses (obstacle_count, 7) at a ROS time [ns]."""
+        """Encode the markers for poses (obstacle_count, 7) at a ROS time [ns]."""
         time = struct.pack("<iI", *divmod(stamp, 10**9))
         for start in self._stamps:
             self._data[start : start + 8] = time
@@ -218,14 +218,14 @@ def _difference(recorded: Sequence[Any], again: Sequence[Any]) -> str:
 
 
 def _numbers(value: Any) -> NDArray[np.float64]:
-    """Numbers of a pose, point or vector, in order."""
+    """Return the numbers of a pose, point or vector."""
     if hasattr(value, "orientation"):
         return np.concatenate([_numbers(value.position), _numbers(value.orientation)])
     return np.array([getattr(value, axis) for axis in "xyzw" if hasattr(value, axis)])
 
 
 def _parts(solid: Obstacle) -> list[tuple[dict[str, Any], NDArray[np.float64]]]:
-    """Type, size and points of the markers of an obstacle, and where they are in its frame [m]."""
+    """Return type, size and points of the markers of an obstacle, and their offsets in its frame [m]."""
     here = np.zeros(3)
     if solid.shape == "plane":
         width, height = _PLANE

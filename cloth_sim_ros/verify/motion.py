@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a frame was under (scene, grips, paths), and motions that go through it from states of their own."""
+"""Frames of a simulation, and reference motions under the same commands."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from cloth_sim_ros.verify.fine import Moving
 
 @attrs.frozen(eq=False, kw_only=True)
 class Grasping:
-    """How particles were held over a frame; arrays as in `physics.forces.grips.Grips`."""
+    """Grips during a frame; arrays as in `physics.forces.grips.Grips`."""
 
     paths: Array
     starts: NDArray[np.int64]
     particles: NDArray[np.int64]
     stiffness: Array
     damping: Array
-    #: Grippers that closed at its beginning, or while time stood still before it.
+    #: Grippers that closed at its beginning, or before it while paused.
     new: frozenset[int]
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class RunFrame:
-    """A frame as the simulation ran it."""
+    """A frame of the simulation with its commands and states."""
 
     index: int
     #: Time at its start, and its length [s].
@@ -47,35 +47,35 @@ class RunFrame:
     #: State before it, with the obstacles of its scene; state after it.
     before: State
     after: State
-    #: Whether the cloth was put back to its initial state at its beginning.
+    #: True if the cloth was reset at its beginning.
     reset: bool
-    #: None where the scene has no grippers.
+    #: None if the scene has no grippers.
     grasping: Grasping | None
-    #: Paths of the obstacles and pads, see `Contact`; None where there are none.
+    #: Paths of the obstacles and pads, see `Contact`; None if there are none.
     surrounding: Array | None
-    #: Whether each gripper that pinches is anywhere, and whether it closes, see `Contact`; None where there are none.
+    #: Placed and closing flags of each pinching gripper, see `Contact`; None if there are none.
     driven: NDArray[np.bool_] | None
-    #: Thickness of contacts at its start, see `Touching.thickness_shape`; None where all have the whole one.
+    #: Thickness of contacts at its start, see `ContactBinding.thickness_shape`; None if all have the full one.
     thickness: Array | None
-    #: The same at its end; None where it is the same.
+    #: Thickness of contacts at its end; None if unchanged.
     regained: Array | None
-    #: Tolerance in force [m]; None where none is set.
+    #: Effective tolerance [m]; None if none is set.
     tolerance: float | None
-    #: Whether the simulation said that its error may be above the tolerance's share.
+    #: True if the simulation flagged the frame: its error may exceed its share of the tolerance.
     flagged: bool
-    #: Smallest step it took [s]; infinite where the cloth slept.
+    #: Smallest step of the simulation [s]; infinite if the cloth slept.
     step: float
 
 
 class FrameWatch:
-    """Takes from a simulation, frame by frame, what other motions need to go through the same."""
+    """Captures the frames of a simulation for reference motions."""
 
     def __init__(self) -> None:
         self._new: frozenset[int] = frozenset()
         self._reset = False
 
     def after(self, simulation: Simulation, was: Scene, before: State, frame: Frame) -> RunFrame | None:
-        """Return the frame just advanced, from scene and state before it; None where no time passed."""
+        """Return the last frame of the simulation, given scene and state before it; None if no time passed."""
         names, memory = simulation.grippers.names, simulation.state.memory
         if any(isinstance(event, Reset) for event in frame.events):
             self._reset, self._new = True, frozenset()
@@ -119,14 +119,14 @@ class FrameWatch:
 
 
 class Equations:
-    """A plan of its own for the scene of the frame at hand."""
+    """Separate plan for the scene of the current frame."""
 
     def __init__(self) -> None:
         self._scene: Scene | None = None
         self._plan: Plan | None = None
 
     def plan(self, frame: RunFrame, motion: Motion) -> Plan:
-        """Return the plan for a frame, with the grips of one motion laid into it."""
+        """Return the plan for a frame, with the grips of one motion."""
         if self._plan is None or self._scene is not frame.scene:
             self._scene, self._plan = frame.scene, frame.scene.plan()
         held, grips = frame.grasping, self._plan.grips
@@ -143,12 +143,13 @@ class Equations:
 
 
 class Motion:
-    """Positions and velocities under the same commands as the simulation's, from a state of one's own.
+    """Motion under the simulation's commands, from a given state.
 
-    Which particles a gripper takes is what the simulation found; where it takes them is where they are in this motion.
+    The simulation decides the particles that a gripper grasps. The grip points follow from their positions in this
+    motion.
 
     Args:
-        state: where it starts; it stays as it is.
+        state: initial state; not modified.
     """
 
     def __init__(self, state: State) -> None:
@@ -166,11 +167,11 @@ class Motion:
 
     @property
     def offsets(self) -> Array:
-        """Points of all grips in their grippers' frames [m], shape (m, 3)."""
+        """Grip points in their grippers' frames [m], shape (m, 3)."""
         return np.ascontiguousarray(np.concatenate([np.empty((0, 3)), *self._offsets]))
 
     def take_hold(self, frame: RunFrame) -> None:
-        """Grasp and let go as the simulation did at the frame's beginning, and keep what its obstacles hold."""
+        """Grasp and release like the simulation at the frame's beginning; keep the anchors of its obstacles."""
         if self.now.anchors is not None and self._scene is not None and self._scene is not frame.scene:
             self.now = self.now._replace(anchors=kept_anchors(self.now.anchors, self._scene, frame.scene))
         self._scene = frame.scene
@@ -179,7 +180,7 @@ class Motion:
             self._offsets = [self._held(held, g) for g in range(len(held.paths))]
 
     def kick(self, x: Array, v: Array) -> None:
-        """Add to positions [m] and velocities [m/s]."""
+        """Add a perturbation to positions [m] and velocities [m/s], shape (3, n) each."""
         self.now = self.now._replace(x=self.now.x + x, v=self.now.v + v)
 
     def _held(self, held: Grasping, gripper: int) -> Array:
@@ -192,11 +193,11 @@ class Motion:
 
 
 def starting_state(frame: RunFrame) -> State:
-    """Return the state in which a frame began: the one before it, or the initial one after a reset."""
+    """Return the state at a frame's beginning: the previous one, or the initial one after a reset."""
     return frame.scene.starting_state() if frame.reset else frame.before
 
 
 def take_hold(motions: Iterable[Motion], frame: RunFrame) -> None:
-    """Let several motions grasp and let go as the simulation did."""
+    """Grasp and release in several motions like the simulation."""
     for motion in motions:
         motion.take_hold(frame)

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Completeness of a session: sequence numbers, log times, the end record's counts.
 
-The recorder numbers the messages of each topic from 0, those included that a slow disk made it drop. Clouds, wrenches
-and transforms may be dropped; the end record of each file counts them.
+The recorder numbers the messages of each topic from 0, including those that it dropped because of a slow disk. Clouds,
+wrenches and transforms may be dropped; the end record of each file counts them.
 """
 
 from __future__ import annotations
@@ -15,34 +15,34 @@ from cloth_sim_ros.session.part import Message, SessionPart
 from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.verify.verdict import Findings, Place
 
-#: A log time that lies back by less is raised to the one before, by the recorder [ns].
+#: Maximum step back of a log time that the recorder corrects [ns].
 _IN_ORDER = 1_000_000_000
 _WRAP = 0xFFFFFFFF
-#: More digits than any count has.
+#: Limit of the digits of a count.
 _DIGITS = 20
 
 
 @dataclass(slots=True)
 class _Topic:
-    """Messages read of one topic."""
+    """State of one topic."""
 
     kind: str
     droppable: bool
     count: int = 0
     last: Message | None = None
     unnumbered: bool = False
-    """Every sequence number so far is 0, of more than one message."""
+    """True if all of several sequence numbers so far are 0."""
     lacking: int = 0
-    """Frames without their message since the last one that had it."""
+    """Number of frames without their message since the last message."""
     lacks_from: Place | None = None
-    """The first of them."""
+    """Position of the first of them."""
 
 
 class Numbering:
-    """Follows a session's messages from its first file to its last.
+    """Checks the messages of a session from its first file to its last.
 
     Args:
-        findings: for what is missing or differs.
+        findings: collects missing messages and differences.
     """
 
     def __init__(self, findings: Findings) -> None:
@@ -54,31 +54,31 @@ class Numbering:
         self._counts = Counter[bool]()
         self._dropped = 0
         self._may_lack = False
-        """True if a file has no end record that counts what was dropped, or is damaged."""
+        """True if a file is damaged, or lacks an end record with the count of dropped messages."""
         self._gaps: list[tuple[Place, str, int]] = []
-        """Messages of droppable topics that are not there: since which frame, of which topic, how many."""
+        """Missing messages of droppable topics: position of the first frame, topic, count."""
 
     def begin(self, part: SessionPart, opened: int) -> None:
-        """Go on with a file that was opened at a log time [ns]."""
+        """Begin a file that was opened at a log time [ns]."""
         self._part, self._opened = part, opened
         self._counts = Counter()
         if part.number:
             self._log_time = opened
 
     def declare(self, topic: str, kind: str, *, droppable: bool) -> None:
-        """Make a topic of the node known: the kind of its messages, and whether they may be dropped."""
+        """Declare a topic of the node: the kind of its messages, and True if they may be dropped."""
         self._topics.setdefault(topic, _Topic(kind, droppable))
 
     def is_seen(self, topic: str) -> bool:
-        """True if a message of the topic was read."""
+        """Return True if a message of the topic was read."""
         return topic in self._topics and self._topics[topic].count > 0
 
     def last(self, topic: str) -> Message | None:
-        """The last message read of a topic; None before the first."""
+        """Return the last message of a topic; None before the first."""
         return self._topics[topic].last if topic in self._topics else None
 
     def is_repeated(self, message: Message) -> bool:
-        """True if a message is the last one of its topic once more, as a file of a split session begins."""
+        """Return True if a message repeats the last one of its topic, as at the beginning of a split file."""
         last = self.last(message.topic)
         return last is not None and (last.data, last.publish_time, last.sequence) == (
             message.data,
@@ -87,12 +87,12 @@ class Numbering:
         )
 
     def add(self, message: Message, *, own: bool, opens: bool = False) -> None:
-        """Take a message.
+        """Add a message.
 
         Args:
-            message: it.
-            own: whether it is the node's, or one that it hears and records.
-            opens: whether it may repeat, as the file begins, what was last sent of a latched topic.
+            message: the message.
+            is_from_node: True for a message of the node, or one that it receives and records.
+            is_opening: True if it may repeat the last message of a latched topic at the beginning of a file.
         """
         self._counts[own] += 1
         topic = self._topics.setdefault(message.topic, _Topic("other message", droppable=False))
@@ -106,14 +106,14 @@ class Numbering:
         topic.last = message
 
     def lack(self, topic: str) -> None:
-        """Note that the last frame has no message of a topic that it must have."""
+        """Count a missing message of the last frame on a topic."""
         entry = self._topics[topic]
         entry.lacking += 1
         if entry.lacks_from is None:
             entry.lacks_from = self._findings.place
 
     def finish(self, *, whole: bool) -> None:
-        """End a file: compare what its end record says. `whole`: whether it was read to its end."""
+        """End a file and compare its end record. `whole`: True if the file was read to its end."""
         part = self._part
         assert part is not None
         notes = part.end_notes
@@ -136,7 +136,7 @@ class Numbering:
             )
 
     def end(self) -> None:
-        """End the session: what is not there must be what was dropped."""
+        """End the session: the missing messages must equal the dropped ones."""
         for name, topic in self._topics.items():
             if topic.unnumbered:
                 self._findings.not_compared(name, "without sequence numbers, so that missing ones do not show")
@@ -158,12 +158,12 @@ class Numbering:
             )
 
     def absent(self, topic: str) -> bool:
-        """True if frames lack messages of a topic, and there is none in the session."""
+        """Return True if frames lack messages of a topic and the session has none."""
         entry = self._topics[topic]
         return not entry.count and entry.lacking > 0
 
     def pardon(self, place: Place) -> list[str]:
-        """Take back what only the last frame record lacks, in a file that ended within it; the topics."""
+        """Forgive missing messages of the last frame in a file that ended within it; return their topics."""
         found = []
         for name, topic in self._topics.items():
             if topic.lacking == 1 and topic.lacks_from == place:
@@ -176,7 +176,7 @@ class Numbering:
 
     def _check_sequence(self, message: Message, topic: _Topic) -> None:
         if topic.last is None:
-            # A later file may be given alone.
+            # A later file may be verified alone.
             first = self._part is not None and not self._part.number
             self._resolve(message.topic, topic, message.sequence if first else None)
             return
@@ -196,7 +196,7 @@ class Numbering:
         self._resolve(message.topic, topic, ahead - 1)
 
     def _resolve(self, name: str, topic: _Topic, gap: int | None) -> None:
-        """Compare a gap of sequence numbers (None if it is not known) with the frames that lack a message."""
+        """Compare a gap of sequence numbers (None if unknown) with the number of frames without a message."""
         lacking, place = topic.lacking, topic.lacks_from or self._findings.place
         topic.lacking, topic.lacks_from = 0, None
         gone = lacking if gap is None else gap
@@ -220,7 +220,7 @@ class Numbering:
         return part is not None and (bool(part.damage) or part.end_notes.get("reason") == "recovered")
 
     def _check_log_time(self, message: Message, repeated: bool, kind: str) -> None:
-        """A message is logged at its publish time, unless that lies shortly before the log time of the one before."""
+        """Check a log time: the publish time, raised to the previous log time if it is shortly before that."""
         before, self._log_time = self._log_time, message.log_time
         if repeated:
             wanted = self._opened
@@ -236,7 +236,7 @@ class Numbering:
         )
 
     def _may_have_dropped(self) -> bool:
-        """True if a dropped message may have raised the log times of later ones."""
+        """Return True if a dropped message may have raised later log times."""
         part = self._part
         return self._is_lenient() or (
             part is not None and (not part.end_notes or part.end_notes.get("dropped", "0") != "0" or self._dropped > 0)
@@ -244,5 +244,5 @@ class Numbering:
 
 
 def _number(text: str) -> int | None:
-    """A count of an end record; None if the text is none."""
+    """Return a count of an end record; None if the text is not a count."""
     return int(text) if text.isascii() and text.isdecimal() and len(text) < _DIGITS else None

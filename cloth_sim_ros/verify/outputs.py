@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded clouds, wrenches, transforms and topology against those of the re-run, byte for byte."""
+"""Comparison of clouds, wrenches, transforms and topology with the re-run, by bytes."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from cloth_sim_ros.simulation.frame import Frame
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.verdict import Findings
 
-#: Of the cloth, behind the node's name as the grippers' names are.
+#: Last part of the cloth's TF frame, after the node's name.
 _CLOTH = "cloth"
-#: numpy adds up in an order of the processor's choice: the centre of mass has no promised bits [m].
+#: Tolerance of the centre of mass: numpy's order of summation depends on the processor [m].
 _CENTRE = 1e-9
-#: CDR fills the end of a message up to a multiple of so many bytes, or does not.
+#: Alignment to which CDR may pad the end of a message [bytes].
 _FILLED = 4
-#: Bytes of the encapsulation and of a stamp.
+#: Sizes of the encapsulation header and of a stamp [bytes].
 _CDR, _STAMP = 4, 8
-#: Bytes of the numbers of a wrench.
+#: Size of the numbers of a wrench [bytes].
 _NUMBERS = 48
 
 
 def same_bytes(recorded: bytes, again: bytes) -> bool:
-    """True if two messages are the same, up to what fills up their ends."""
+    """Return True if two messages are equal up to the padding at their ends."""
     if recorded == again:
         return True
     short, long = sorted((recorded, again), key=len)
@@ -42,8 +42,9 @@ def same_bytes(recorded: bytes, again: bytes) -> bool:
 
 
 def same_content(recorded: bytes, again: bytes, type_name: str) -> bool:
-    """True if two messages are the same, up to what fills the gaps between their fields: middlewares leave there what
-    was in memory before. Raises SessionError if the first one cannot be read.
+    """Return True if two messages are equal up to padding, which middlewares leave uninitialised.
+
+    Raises SessionError if the first one cannot be read.
     """
     if same_bytes(recorded, again):
         return True
@@ -56,20 +57,20 @@ class CloudCheck:
     """Compares clouds.
 
     Args:
-        scene: in force when the file was opened.
-        findings: for what differs.
+        scene: effective when the file was opened.
+        findings: collects the differences.
     """
 
     def __init__(self, scene: Scene, findings: Findings) -> None:
         self._frame_id, self._shape, self._findings = scene.frame_id, scene.shape, findings
-        #: Its fields: as the scene in force says (a node), or as the first one said (a study).
+        #: Fields of the first scene: a study keeps them; a node follows the current scene.
         self._first = scene.points
         self._bytes: dict[Points, messages.CloudBytes] = {}
-        #: Bytes between stamp and points that were found to be the same but for what fills gaps, as a node writes them.
+        #: Expected header by recorded header that equals it up to padding.
         self._heads: dict[bytes, bytes] = {}
 
     def compare(self, message: Message, simulation: Simulation, stamp: int) -> bool:
-        """Compare a cloud of the frame that was just run, at a ROS time [ns]; whether its positions are the same."""
+        """Compare a cloud with the last frame at a ROS time [ns]; return True if the positions are equal."""
         state, fields = simulation.state, simulation.scene.points
         for points in dict.fromkeys((fields, self._first)):
             layout = self._again(points)
@@ -96,7 +97,7 @@ class CloudCheck:
         return True
 
     def _is_same(self, recorded: bytes, again: bytes, start: int) -> bool:
-        """True if two clouds are the same, up to what fills gaps in front of the points, which begin at `start`."""
+        """Return True if two clouds are equal up to padding before the points, which begin at offset `start`."""
         if same_bytes(recorded, again):
             return True
         if not same_bytes(recorded[start:], again[start:]) or recorded[: _CDR + _STAMP] != again[: _CDR + _STAMP]:
@@ -150,7 +151,7 @@ class CloudCheck:
 
 
 def _different(recorded: NDArray[np.floating], again: Array) -> NDArray[np.intp]:
-    """Return the particles whose recorded vectors (n, 3) are not the bits of the re-run's (3, n), rounded alike."""
+    """Return the particles whose recorded vectors (n, 3) differ in bits from the re-run's (3, n) in that precision."""
     bits = np.dtype(f"u{recorded.dtype.itemsize}")
     return np.flatnonzero((recorded.view(bits) != again.T.astype(recorded.dtype).view(bits)).any(axis=1))
 
@@ -158,7 +159,7 @@ def _different(recorded: NDArray[np.floating], again: Array) -> NDArray[np.intp]
 def compare_wrench(message: Message, wrench: Array, *, frame_id: str, stamp: int, findings: Findings) -> None:
     """Compare a recorded wrench with that of the re-run: 6 numbers [N, N m]."""
     again = messages.wrench_bytes(wrench, frame_id=frame_id, stamp=stamp)
-    # Behind the stamp come the frame's length and name, then a gap, then the numbers.
+    # Layout after the stamp: length and text of the frame_id, padding, numbers.
     name = _CDR + _STAMP + 4 + len(frame_id.encode()) + 1
     same_ends = message.data[:name] == again[:name] and message.data[-_NUMBERS:] == again[-_NUMBERS:]
     if same_ends and len(message.data) == len(again):
@@ -198,7 +199,7 @@ def compare_topology(message: Message, scene: Scene, findings: Findings) -> None
 
 
 def compare_transforms(message: Message, node: str, simulation: Simulation, stamp: int, findings: Findings) -> None:
-    """Compare recorded transforms: of the cloth's centre of mass, and of each gripper that is anywhere."""
+    """Compare recorded transforms: of the cloth's centre of mass, and of each placed gripper."""
     frames = _transforms(node.strip("/"), simulation)
     parent = simulation.scene.frame_id
     if same_bytes(message.data, messages.transforms_bytes(frames, frame_id=parent, stamp=stamp)):
@@ -225,7 +226,7 @@ def compare_transforms(message: Message, node: str, simulation: Simulation, stam
 
 
 def wrenches(scene: Scene, frame: Frame) -> list[tuple[str, Array]]:
-    """Wrenches of a frame on each gripper and each obstacle, by name."""
+    """Return names and wrenches [N, N m] of a frame for each gripper and each obstacle."""
     found = list(zip(scene.gripper_names, frame.wrenches, strict=True))
     return [*found, *zip(scene.obstacle_names, frame.loads, strict=True)]
 
@@ -240,7 +241,7 @@ def _transforms(prefix: str, simulation: Simulation) -> list[tuple[str, Sequence
 
 
 def _header_difference(header: object, frame_id: str, stamp: int) -> str:
-    """The part of a header that is not as it must be, in words; empty if none."""
+    """Return the wrong part of a header, as text; empty if none."""
     time = header.stamp  # type: ignore[attr-defined]
     told = time.sec * 10**9 + time.nanosec
     if told != stamp:

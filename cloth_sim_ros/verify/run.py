@@ -36,29 +36,29 @@ from cloth_sim_ros.verify.verdict import Findings, Place, Verdict
 
 __all__ = ["Verdict", "Watch", "verify"]
 
-#: What a frame's record tells that other arithmetic can change: the rest it must get right.
+#: Parts of a frame record that other arithmetic can change.
 _OF_ROUNDING = frozenset({"the digest of its state", "its steps", "its integrator"})
-#: Entries of a frame record's extras that `Frame.extras` gives.
+#: Entries of a frame record's extras from `Frame.extras`.
 _FRAME_EXTRAS = frozenset({"poses", "halted"})
-#: Topics that the node shares with others, of which it records its own part or what it hears; why they are listed.
+#: Topics that the node shares with others, with their description.
 _SHARED = {"/rosout": "texts of the log", "/parameter_events": "changes of parameters, as the node announced them"}
-#: Why a recording ends with a whole frame; after any other end, the last frame may lack messages.
+#: Reasons of an end after a complete frame; after any other end, the last frame may lack messages.
 _WHOLE_ENDS = frozenset({"stopped", "split", "node stopped", "~/record", "failed"})
-#: Simulated time within which a node's recording has diagnostics [s].
+#: Simulated time after which a node's recording must have diagnostics [s].
 _REPORTED = 10.0
 
 
 class Watch(Protocol):
-    """Looks on while a session is run again."""
+    """Observer of a re-run."""
 
     def frame(self, simulation: Simulation, was: Scene, before: State, frame: Frame, record: FrameRecord) -> None:
-        """Take a frame that was just run, from scene and state before it."""
+        """Receive a frame of the re-run, with scene and state before it."""
 
     def cloud(self, recorded: NDArray[np.floating], same: bool) -> None:
-        """Take the positions (n, 3) [m] that were recorded of it, and whether they are those that it came to."""
+        """Receive the frame's recorded positions (n, 3) [m]; `is_same`: they equal those of the re-run."""
 
     def close(self) -> None:
-        """All that was recorded of a frame has come; also called where there was none."""
+        """Receive the end of a frame's messages; also called without a frame."""
 
 
 def verify(
@@ -67,15 +67,15 @@ def verify(
     progress: Callable[[int], None] = lambda _bytes: None,
     watch: Watch | None = None,
 ) -> Verdict:
-    """Run a session again, all its files in order, and compare it with what was recorded.
+    """Run a session again and compare it with the recording.
 
     Args:
         paths: the files of one session, in order.
-        progress: told the bytes that have been read so far.
-        watch: looks on.
+        on_progress: receives the number of bytes read so far.
+        observer: receives the frames.
 
     Raises:
-        SessionError: if a file cannot be read, or holds a scene or a state that make no simulation.
+        SessionError: if a file cannot be read, or its scene and state make no simulation.
     """
     begun = time.perf_counter()
     with SessionReader(list(paths)) as reader:
@@ -104,7 +104,7 @@ def verify(
 
 
 class _Run:
-    """A session's run, file by file."""
+    """Re-run of a session, file by file."""
 
     def __init__(self, node: str, findings: Findings, watch: Watch | None) -> None:
         self._node, self._findings, self._watch = node, findings, watch
@@ -119,7 +119,7 @@ class _Run:
         self._diagnostics: DiagnosticsCheck | None = None
 
     def begin(self, part: SessionPart) -> None:
-        """Go on with a file, from the snapshot that it opens with."""
+        """Begin a file, from its opening snapshot."""
         self._part = part
         self.simulation = simulation = _simulation(part)
         scene, from_start = simulation.scene, simulation.frame == 0
@@ -128,7 +128,7 @@ class _Run:
             self._verdict.environment.append(f"{name} as found here: the session does not hold it")
         opened = part.attachments[STATE_NAME].log_time
         self._numbering.begin(part, opened)
-        # Commands wait across the end of a file.
+        # Waiting commands carry over to the next file.
         if self._commands is None or self._diagnostics is None:
             self._commands = CommandCheck(node=self._node, scene=scene, from_start=from_start, findings=self._findings)
             self._diagnostics = DiagnosticsCheck(self._node, from_start=from_start, findings=self._findings)
@@ -142,7 +142,7 @@ class _Run:
         self._frames_before = self._verdict.frames
 
     def take(self, message: Message) -> bool:
-        """Run or compare what a message tells; False where the session cannot be run any further."""
+        """Run the frame of a record, or compare another message; return False if the re-run cannot continue."""
         topic, opens = message.topic, self._frame is None
         assert self._commands is not None
         assert self._diagnostics is not None
@@ -167,7 +167,7 @@ class _Run:
         return True
 
     def finish(self, *, whole: bool) -> None:
-        """Count what the last frame showed; `whole`: whether the file was read to its end."""
+        """End a file. `whole`: True if it was read to its end."""
         self._shown.close_frame()
         self._close_watch()
         if self._verdict.frames > self._frames_before:
@@ -204,7 +204,7 @@ class _Run:
         self._findings.not_compared(topic, reason or ("an unknown topic of the node" if own else "not the node's"))
 
     def _check_snapshot(self) -> None:
-        """A file of a split session opens with the state at which the one before ended."""
+        """Compare the snapshot of a split file with the final state of the previous file."""
         before = self._before
         if before is None or before.frame != self.simulation.frame:
             return
@@ -231,7 +231,7 @@ class _Run:
         except (ValueError, UnstableError) as error:
             self._findings.difference("frame", f"it cannot be run: {error}")
             return False
-        # What belongs to a frame has its publish time; a log time may be raised to keep the order of recording.
+        # Messages of a frame share its publish time; a log time may be raised to keep the order of recording.
         stamp = message.publish_time
         verdict.simulated += simulation.time - since
         self._compare_frame(record, frame)
@@ -294,7 +294,7 @@ class _Run:
             try:
                 self._watch.cloud(decode_cloud(message.data).xyz, same)
             except SessionError:
-                # That is a difference already; there are no positions to look at.
+                # An unreadable cloud is reported already; it has no positions.
                 return
 
     def _close_watch(self) -> None:

@@ -1,10 +1,16 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A live simulation's accuracy, in a process of its own: `python -m cloth_sim_ros.verify.shadow PARENT`.
+"""Accuracy worker: measures windows of a live simulation in a separate process.
 
-Reads windows from its standard input, one pickled tuple each: the scene's parameters and files (None where they are
-those of the window before), the full state at the window's beginning, the events of each frame, and the digest of the
-state at its end. Answers with a line of JSON each. Ends when the input does, or when its parent is gone.
+Usage: `python -m cloth_sim_ros.verify.accuracy_worker PARENT`. Reads windows from standard input, one pickled tuple
+each:
+
+- the scene's parameters and files (None if unchanged since the last window),
+- the full state at the window's beginning,
+- the events of each frame,
+- the digest of the state at the end.
+
+Answers each with a line of JSON. Ends with its input, or when the process PARENT ends.
 """
 
 from __future__ import annotations
@@ -29,14 +35,14 @@ from cloth_sim_ros.verify.fine import distance
 from cloth_sim_ros.verify.motion import Equations, FrameWatch, RunFrame, starting_state
 from cloth_sim_ros.verify.truth import Truth, later_growth
 
-#: How much is left to others: the cloth itself comes first.
+#: Niceness, so that the simulation has priority.
 _NICENESS = 10
-#: How often the parent is looked for [s].
+#: Poll interval of the parent process [s].
 _LOOK = 0.25
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Judge windows until there are no more; the exit status."""
+    """Assess windows until the input ends; return the exit status."""
     threading.Thread(target=_end_with, args=(int(arguments[0]),), daemon=True).start()
     os.nice(_NICENESS)
     scene: Scene | None = None
@@ -48,21 +54,21 @@ def main(arguments: Sequence[str]) -> int:
             assert scene is not None
             print(json.dumps(judge(scene, state, events, digest)), flush=True)
     except (EOFError, pickle.UnpicklingError, BrokenPipeError):
-        # The node has ended, or was killed amid a window.
+        # The node has ended, or was killed during a window.
         return 0
 
 
 def judge(scene: Scene, state: State, events: Sequence[Sequence[Event]], digest: str) -> dict[str, Any]:
-    """Run a window again, and a far finer motion beside it.
+    """Run a window again and compare it with a reference solution.
 
     Args:
-        scene: in force at its beginning.
-        state: then.
-        events: of each frame.
-        digest: of the state at its end.
+        scene: effective at its beginning.
+        state: full state at its beginning.
+        events: events of each frame.
+        digest: digest of the state at its end.
 
     Returns:
-        Plain values: what `Window` tells, or `trouble`, why nothing can be told.
+        JSON object: numbers of an `AccuracyWindow`, or `trouble` with the reason if they are unknown.
     """
     begun, simulation, watch = time.perf_counter(), Simulation(scene, state), FrameWatch()
     frames = []
@@ -77,7 +83,7 @@ def judge(scene: Scene, state: State, events: Sequence[Sequence[Event]], digest:
     ran = [frame for frame in frames if frame is not None]
     window = _window(ran, kicks=False)
     if window.tolerance is not None and not window.error <= window.tolerance:
-        # Only now it matters how much kicks grow.
+        # The amplification matters only if the error exceeds the tolerance.
         window = _window(ran, kicks=True)
         if window.verdict == "not kept":
             window.later = later_growth(Equations(), ran)

@@ -1,9 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages that each frame must have: clouds, wrenches, states, markers, transforms; and those that a file begins with.
+"""Checks of the messages of each frame and of the beginning of a file.
 
-A message belongs to the frame record before it that has its publish time. One that belongs to none is a difference, and
-so is a frame that lacks one, unless the end record tells of dropped messages.
+A frame has clouds, wrenches, states, markers and transforms. A message belongs to the preceding frame record with its
+publish time. A message without a frame is a difference. A frame without a due message is one, too, unless the end
+record counts dropped messages.
 """
 
 from __future__ import annotations
@@ -21,15 +22,15 @@ _TF = "/tf"
 
 
 class ShownCheck:
-    """Compares what one file's frames show.
+    """Compares the messages of one file's frames with the re-run.
 
     Args:
         node: resolved name of the node.
         part: the file.
-        opened: log time at which it was opened [ns].
-        simulation: as the file begins; it is advanced by others.
-        numbering: of the session.
-        findings: for what differs.
+        open_time: log time at which it was opened [ns].
+        simulation: in its state at the beginning of the file; the caller advances it.
+        completeness: completeness check of the session.
+        findings: collects the differences.
     """
 
     def __init__(
@@ -70,7 +71,7 @@ class ShownCheck:
         self._first: Place | None = None
         self._got: set[str] = set()
         self._opening: set[str] = set()
-        #: Wrench of each body in the frame, by topic; those that the frame must have.
+        #: Expected wrenches of the frame by topic, and topics of all messages that are due.
         self._again: dict[str, Array] = {}
         self._due: list[str] = []
         self._reasons: dict[str, str] = {}
@@ -78,19 +79,19 @@ class ShownCheck:
 
     @property
     def topics(self) -> frozenset[str]:
-        """The topics whose messages are compared here, or would be."""
+        """Topics whose messages are compared here."""
         return self._taken | {_TF}
 
     def takes(self, topic: str) -> bool:
-        """True if messages of a topic are compared here."""
+        """Return True if messages of a topic are compared here."""
         return topic in self._taken or (topic == _TF and self._simulation.scene.tf.publish)
 
     def is_latched(self, topic: str) -> bool:
-        """True if a file begins with what was last sent of a topic."""
+        """Return True if a topic is latched: a file begins with its last message."""
         return topic in self._latched
 
     def open_frame(self, frame: Frame, stamp: int) -> None:
-        """Look at a frame that was just run and was due at a ROS time [ns]: what follows must be its messages."""
+        """Begin a frame of the re-run that was due at a ROS time [ns]; its messages follow."""
         simulation = self._simulation
         scene = simulation.scene
         for name in scene.obstacle_names:
@@ -108,7 +109,7 @@ class ShownCheck:
             if moved:
                 self._due.append(self._marker_topic)
             if self._changed:
-                # The node sends no wrenches of obstacles in a frame in which some have come or gone.
+                # The node sends no obstacle wrenches in a frame that adds or removes obstacles.
                 for name in scene.obstacle_names:
                     self._due.remove(self._wrenches[name])
         self._reasons = self._gripper_states.due(frame, simulation)
@@ -120,11 +121,11 @@ class ShownCheck:
         """Compare a message.
 
         Args:
-            message: of a topic that is compared here.
-            opens: whether no frame has come yet.
+            message: a message of a compared topic.
+            is_opening: True before the first frame.
 
         Returns:
-            Whether its positions are the same, for the cloud of a frame; None for all else.
+            For the cloud of a frame: True if its positions are equal. None for other messages.
         """
         topic = message.topic
         if opens:
@@ -143,7 +144,7 @@ class ShownCheck:
         return self._compare(message)
 
     def close_frame(self) -> None:
-        """All that was recorded of a frame has come: note what it lacks."""
+        """End a frame: count its missing messages."""
         if self._frame is None:
             return
         for topic in self._due:
@@ -156,10 +157,10 @@ class ShownCheck:
         self._frame = None
 
     def finish(self) -> None:
-        """End a file that has frames: it must begin with the topology, and a node's with all that it has latched."""
+        """End a file with frames: it must begin with the topology, and a node's file with all latched topics."""
         due = [self._topology]
         if self._part.number == 0 and "dropped" in self._part.end_notes:
-            # The node's recorder counts what it drops; other writers of sessions have no states.
+            # The node's recorder counts dropped messages; other writers of sessions send no states.
             due += [self._state_topic, *self._grippers, *([self._marker_topic] if self._marked else [])]
         for topic in due:
             if topic in self._opening:
@@ -174,13 +175,13 @@ class ShownCheck:
                 self._findings.absent(topic)
 
     def end(self) -> None:
-        """End the session: name topics of which there is no message at all."""
+        """End the session: report topics without any message."""
         for topic in (self._points, *self._wrenches.values(), *self._grippers, self._marker_topic, _TF):
             if self._numbering.absent(topic):
                 self._findings.absent(topic)
 
     def _add_wrench(self, name: str) -> None:
-        """Take note of an obstacle that was described amid the recording."""
+        """Add the wrench topic of an obstacle that was added during the recording."""
         topic = self._wrenches[name] = f"{self._node}/{name}/wrench"
         self._taken |= {topic}
         self._numbering.declare(topic, "wrench", droppable=True)
@@ -213,10 +214,10 @@ class ShownCheck:
         return None
 
     def _take_opening(self, message: Message) -> None:
-        """Compare what a recording begins with: what was last sent of each latched topic."""
+        """Compare a message at the beginning of a file: the last one of a latched topic."""
         topic = message.topic
         if topic == self._state_topic and topic in self._opening and message.publish_time > self._opened:
-            # The clock may have stopped, or come, before the first frame.
+            # The clock may have stopped or started before the first frame.
             self._states.compare(message, self._simulation)
             return
         part, numbering = self._part, self._numbering
@@ -238,7 +239,7 @@ class ShownCheck:
         elif topic == self._state_topic:
             self._states.compare(message, self._simulation)
         elif repeated:
-            # It was compared when it came first.
+            # The original message was compared already.
             self._findings.compared("gripper state")
         else:
             self._gripper_states.compare_older(message, self._grippers[topic], self._simulation)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded states of the node and of its grippers against those of the re-run."""
+"""Comparison of the node's and grippers' recorded states with the re-run."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.verdict import Findings
 
 STATE, STATUS = "lifecycle_msgs/msg/State", "diagnostic_msgs/msg/DiagnosticStatus"
-#: Numbers and labels are those of managed nodes.
+#: Ids and labels of managed (lifecycle) nodes.
 _INACTIVE, _ACTIVE = (2, "inactive"), (3, "active")
 _OK, _WARN = 0, 1
 
 
 class StateCheck:
-    """Compares `~/state`, which says whether time passes.
+    """Compares `~/state`: active while time passes, otherwise inactive.
 
     Args:
-        findings: for what differs.
+        findings: collects the differences.
     """
 
     def __init__(self, findings: Findings) -> None:
         self._findings = findings
         self._last: tuple[int, str] | None = None
-        #: Whether that was said before the frame that was run last.
+        #: True if the last state precedes the last frame.
         self._is_older = False
-        #: Whether the frame at which that was said was paused.
+        #: True if the frame before the last state was paused.
         self._explained = False
 
     def compare(self, message: Message, simulation: Simulation) -> None:
-        """Compare a state with whether the frame before it was paused."""
+        """Compare a state with the pause of the preceding frame."""
         try:
             content = decode(message.data, STATE)
         except SessionError as error:
@@ -56,22 +56,22 @@ class StateCheck:
             self._findings.not_compared(message.topic, f"{content.label}, which the node's clock or end decides")
 
     def open_frame(self) -> None:
-        """Look at a frame that was just run: what was said before it may be overtaken."""
+        """Begin a frame of the re-run: the last state may be outdated."""
         self._is_older = True
 
     def is_due(self, simulation: Simulation) -> bool:
-        """True if the last state contradicts the frame that was just run, so that another one must follow."""
+        """Return True if the last state contradicts the last frame: another state must follow."""
         if simulation.paused:
             return self._last == _ACTIVE
         return self._last == _INACTIVE and (self._explained or self._is_older)
 
 
 class GripperStateCheck:
-    """Compares `~/<gripper>/state`, which says what a gripper holds.
+    """Compares `~/<gripper>/state`: open or closed, and the number of held particles.
 
     Args:
         node: resolved name of the node.
-        findings: for what differs.
+        findings: collects the differences.
     """
 
     def __init__(self, node: str, findings: Findings) -> None:
@@ -79,7 +79,7 @@ class GripperStateCheck:
 
     @staticmethod
     def due(frame: Frame, simulation: Simulation) -> dict[str, str]:
-        """Grippers whose state is sent at a frame, and why they hold nothing or nothing has changed."""
+        """Return the grippers whose state is due at a frame, each with the reason of a failed grasp."""
         if not frame.events and not frame.pinches:
             return {}
         changed = {grasp.gripper: grasp.reason for grasp in (*frame.grasps, *frame.pinches) if not grasp.pending}
@@ -88,7 +88,7 @@ class GripperStateCheck:
         return changed
 
     def compare(self, message: Message, name: str, reason: str, simulation: Simulation) -> None:
-        """Compare the state of a gripper after the frame that was just run."""
+        """Compare the state of a gripper after the last frame."""
         recorded = self._read(message, name)
         if recorded is None:
             return
@@ -107,7 +107,7 @@ class GripperStateCheck:
             )
 
     def compare_older(self, message: Message, name: str, simulation: Simulation) -> None:
-        """Compare a state that was sent before the file began: what of it must still hold."""
+        """Compare a state from before the beginning of the file, as far as it must still hold."""
         recorded = self._read(message, name)
         if recorded is None:
             return
@@ -156,5 +156,5 @@ class GripperStateCheck:
 
 
 def _level(value: Any) -> int:
-    """A message's byte, which is a number or one byte."""
+    """Return a byte field as an int; rosbags gives a number or one byte."""
     return value[0] if isinstance(value, bytes) else int(value)

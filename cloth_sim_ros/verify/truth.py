@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The motion as it truly goes on from a state, with what is known of its own error and of how kicks grow in it."""
+"""Reference solution from a state, with its uncertainty and perturbation amplification."""
 
 from __future__ import annotations
 
@@ -15,37 +15,37 @@ from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.verify.fine import FINE, FINER, ROUNDING, FineSteps, amplification, distance, follow
 from cloth_sim_ros.verify.motion import Equations, Motion, RunFrame, starting_state, take_hold
 
-#: Largest kick of a particle's position [m], and of its velocity [m/s].
+#: Maximum perturbation of a particle's position [m], and of its velocity [m/s].
 KICK = 1e-9
-#: Part of the tolerance that the fine motion may lose in a second.
+#: Error of the reference solution per second, as a fraction of the tolerance.
 PART_OF_TOLERANCE = 0.01
-#: What counts as the tolerance of a run that has none [m]: it was asked for fixed steps, which may be far finer.
+#: Substitute for the tolerance of a run with fixed steps, which may be very small [m].
 _FINE_ANYHOW = 1e-6
-#: Parts of a window at whose borders kicks are made too.
+#: Number of parts of a window; later perturbations begin at their borders.
 _PARTS = 8
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Told:
-    """The reference motion at the end of a frame, and how well it is known."""
+    """Reference solution at the end of a frame, and its uncertainty."""
 
     #: Positions [m], shape (3, n).
     x: Array
-    #: How far they may be off: the difference of the fine motion and its check [m].
+    #: Uncertainty of the positions: difference of the solution and its check [m].
     own: float
-    #: What rounding alone does to them [m], an estimate.
+    #: Estimated effect of rounding on the positions [m].
     floor: float
-    #: By what factor a kick has grown since the start, the largest of three; nan where not asked for.
+    #: Maximum amplification of three perturbations since the start; nan if not measured.
     growth: float
 
 
 class Truth:
-    """A fine motion, its check, and kicked twins of it, all from one state.
+    """Reference solution, its check, and perturbed copies, all from one state.
 
     Args:
-        state: where they start.
-        seed: of the kicks.
-        kicks: whether their growth is wanted.
+        state: initial state.
+        seed: random seed of the perturbations.
+        measure_amplification: True to integrate the perturbed copies.
     """
 
     def __init__(self, state: State, *, seed: int, kicks: bool = True) -> None:
@@ -56,7 +56,7 @@ class Truth:
         self._steps = FineSteps(0.0)
 
     def frame(self, equations: Equations, frame: RunFrame) -> Told:
-        """Go through a frame."""
+        """Advance by a frame."""
         fine, finer, kicked = self._fine, self._finer, self._kicked
         take_hold([fine, finer, *kicked], frame)
         plan = equations.plan(frame, fine)
@@ -87,19 +87,19 @@ class Truth:
         alone, together, by_velocity = self._kicked
         alone.kick(random_kick(x, free, random, smooth=False), still)
         together.kick(random_kick(x, free, random, smooth=True), still)
-        # Of velocities, what neighbours do against each other is soon undone.
+        # No rough perturbation of velocities: opposed velocities of neighbours decay quickly.
         by_velocity.kick(still, random_kick(x, free, random, smooth=True))
 
 
 def fine_rate(tolerance: float | None) -> float:
-    """Return what the fine motion may lose in a second [m/s]."""
+    """Return the permitted error per second of the reference solution [m/s]."""
     return PART_OF_TOLERANCE * (tolerance or _FINE_ANYHOW)
 
 
 def random_kick(x: Array, free: np.ndarray, random: np.random.Generator, *, smooth: bool) -> Array:
-    """Return a kick, shape (3, n), of which the largest is `KICK`.
+    """Return a perturbation, shape (3, n), with maximum norm `PERTURBATION`.
 
-    Smooth over the sheet it finds what grows slowly and together, of each particle its own what grows fast and alone.
+    A smooth one excites slow modes of the whole sheet; independent ones of each particle excite fast local modes.
     """
     if smooth:
         size = float(np.ptp(x, axis=1).max()) or 1.0
@@ -116,7 +116,7 @@ def random_kick(x: Array, free: np.ndarray, random: np.random.Generator, *, smoo
 
 
 def frame_truth(equations: Equations, frame: RunFrame, state: State) -> Array:
-    """Return the true positions (3, n) [m] at a frame's end from a state at its beginning."""
+    """Return the reference positions (3, n) [m] at a frame's end from a state at its beginning."""
     motion = Motion(state)
     motion.take_hold(frame)
     plan = equations.plan(frame, motion)
@@ -126,10 +126,9 @@ def frame_truth(equations: Equations, frame: RunFrame, state: State) -> Array:
 
 
 def later_growth(equations: Equations, frames: Sequence[RunFrame]) -> float:
-    """Return by what factor kicks grow that are made within a window, up to any later frame of it.
+    """Return the maximum amplification of perturbations made within a window, up to any later frame of it.
 
-    A motion may damp a kick at the window's beginning and still amplify a later one: a strip that falls and then
-    buckles.
+    A motion may damp a perturbation at the window's beginning and amplify a later one: a strip falls, then buckles.
     """
     most = 0.0
     for begin in sorted({part * len(frames) // _PARTS for part in range(1, _PARTS)} - {0}):

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Verdict on a session: what was compared, what differs, what was not compared."""
+"""Verdict on a re-run session: counts of compared and differing messages."""
 
 from __future__ import annotations
 
@@ -10,110 +10,110 @@ from dataclasses import dataclass, field
 
 @dataclass(kw_only=True)
 class Verdict:
-    """How a session came out when it was run again."""
+    """Result of the re-run of a session."""
 
     name: str
-    """The session's files."""
+    """Names of the session's files."""
     frames: int = 0
-    """Frames that were run and compared."""
+    """Number of frames that were run and compared."""
     compared: Counter[str] = field(default_factory=Counter)
-    """Messages that were compared, by kind: cloud, wrench, topology, command ..."""
+    """Number of compared messages by kind: cloud, wrench, topology, command ..."""
     differing: Counter[str] = field(default_factory=Counter)
-    """Of the frames and messages those that differ, by kind."""
+    """Number of differing frames and messages by kind."""
     not_compared: Counter[tuple[str, str]] = field(default_factory=Counter)
-    """Messages and values that were not compared, by topic and reason."""
+    """Number of messages and entries that were not compared, by topic and reason."""
     absent: list[str] = field(default_factory=list)
-    """Topics of the node of which the session holds no message, though it holds frames."""
+    """Topics of the node without a message in the session, although it has frames."""
     different: int = 0
-    """Frames of which anything differs."""
+    """Number of frames with a difference."""
     first_frame: int | None = None
-    """Number of the first of them."""
+    """Index of the first frame with a difference."""
     first_time: float = 0.0
-    """Its simulated time [s]."""
+    """Simulated time of that frame [s]."""
     first_reason: str = ""
-    """What differs there."""
+    """The difference in that frame."""
     largest_deviation: float = 0.0
-    """Of any particle's position in any cloud [m]; infinite where a cloud holds something that is no number."""
+    """Maximum deviation of a particle's position in any cloud [m]; infinite if a cloud holds a non-finite number."""
     simulated: float = 0.0
-    """Simulated time that was run [s]."""
+    """Simulated time of the re-run [s]."""
     seconds: float = 0.0
-    """Wall time that it took [s]."""
+    """Wall time of the re-run [s]."""
     environment: list[str] = field(default_factory=list)
-    """Differences of code and files from the recording's that change bits, or may; a phrase each."""
+    """Differences of code and files from the recording that may change bits; a phrase each."""
     other_arithmetic: str = ""
-    """By what it was recorded, where that rounds otherwise than this package; empty where it does not."""
+    """Version of the recorder if its arithmetic differs from this package's; otherwise empty."""
     unexplained: str = ""
-    """With other arithmetic: the first frame and what differs in it that no rounding explains."""
+    """With other arithmetic: the first frame with a difference that rounding does not explain, and the difference."""
     missing: list[str] = field(default_factory=list)
-    """What the session lacks, a sentence each."""
+    """Deficits of the session, a sentence each."""
     damaged: bool = False
-    """True if frames are damaged or missing in the middle, so that they could not be compared."""
+    """True if frames in the middle are damaged or missing and could not be compared."""
 
     @property
     def clouds(self) -> int:
-        """Clouds that were compared."""
+        """Number of compared clouds."""
         return self.compared["cloud"]
 
     @property
     def same(self) -> bool:
-        """True if all that was compared came out the same to the last bit."""
+        """True if everything compared is equal to the last bit."""
         return self.first_frame is None
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Place:
-    """A frame record's place in the session."""
+    """Position of a frame record in the session."""
 
     ordinal: int
-    """Number of frame records before it."""
+    """Number of preceding frame records."""
     frame: int = 0
     time: float = 0.0
     """Simulated time [s]."""
 
 
 class Findings:
-    """Adds what is found, in any order, to a verdict.
+    """Adds findings, in any order, to a verdict.
 
     Args:
-        verdict: it.
+        verdict: the verdict.
     """
 
     def __init__(self, verdict: Verdict) -> None:
         self.verdict = verdict
         self.place = Place(0)
-        """The frame record that was run last."""
+        """Position of the last frame record."""
         self._first = Place(-1)
         self._different: set[int] = set()
 
     def compared(self, kind: str, count: int = 1) -> None:
-        """Count messages that were compared."""
+        """Count compared messages."""
         self.verdict.compared[kind] += count
 
     def not_compared(self, topic: str, reason: str, count: int = 1) -> None:
-        """List messages that were not compared."""
+        """Count messages that were not compared."""
         self.verdict.not_compared[topic, reason] += count
 
     def absent(self, topic: str) -> None:
-        """Name a topic of which there must be messages, and is none; once."""
+        """Add a topic that lacks its messages, once."""
         if topic not in self.verdict.absent:
             self.verdict.absent.append(topic)
 
     def missing(self, sentence: str) -> None:
-        """Say what the session lacks, once."""
+        """Add a deficit of the session, once."""
         if sentence not in self.verdict.missing:
             self.verdict.missing.append(sentence)
 
     def difference(
         self, kind: str, reason: str, *, place: Place | None = None, rounding: bool = False, count: int = 1
     ) -> None:
-        """Note what differs.
+        """Add a difference.
 
         Args:
-            kind: of message; a frame's own record is a frame.
-            reason: what differs.
-            place: the frame record that it belongs to; the last one by default.
-            rounding: whether other arithmetic alone can make it differ.
-            count: messages that differ so.
+            kind: kind of message; a frame record is of kind "frame".
+            reason: the difference.
+            position: frame record of the message; the last one by default.
+            rounding: True if other arithmetic can cause the difference.
+            count: number of differing messages.
         """
         place = place or self.place
         verdict = self.verdict

@@ -221,7 +221,7 @@ def test_one_frame_changed_by_a_millimetre_is_found_out(tmp_path: Path, capsys: 
     # That it differs at all is graver than by how much.
     assert main(["--accuracy", str(maker.paths[0])]) == 1
     said = capsys.readouterr().out
-    assert "NOT KEPT" in said
+    assert "VIOLATED" in said
     assert "17" in said
 
 
@@ -275,7 +275,7 @@ def test_without_a_tolerance_the_error_is_stated_and_nothing_promised(
 ) -> None:
     maker = _make(tmp_path, frames=20, tolerance=0.0, step=1e-3)
     assert main(["--accuracy", str(maker.paths[0])]) == 0
-    assert "nothing is promised" in capsys.readouterr().out
+    assert "there is no error bound" in capsys.readouterr().out
     _, certificate = certify(maker.paths)
     assert [window.verdict for window in certificate.windows] == ["no promise"]
     assert certificate.windows[0].error > 1e-6
@@ -400,7 +400,7 @@ def test_a_loose_simulation_that_says_it_is_tight_is_found_out(
     )
     maker = _make(tmp_path, frames=40, tolerance=1e-6)
     assert main(["--accuracy", str(maker.paths[0])]) == NOT_KEPT
-    assert "NOT KEPT, unflagged: 0.000 to 0.667 s" in capsys.readouterr().out
+    assert "VIOLATED, unflagged: 0.000 to 0.667 s" in capsys.readouterr().out
 
 
 def test_numbers_are_written_as_json_plot_and_particles(tmp_path: Path) -> None:
