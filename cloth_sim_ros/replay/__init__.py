@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded sessions in Rerun: the viewer, a file, a picture. Imports the room session alone, and no ROS.
+"""Replay of recorded sessions in Rerun: in the viewer, as a file, as a picture.
 
-Begin with `main` (the command) and `stream` (what is logged, message by message).
+Imports `session` only, and no ROS. Entry points: `main` (the command) and `stream` (logging, message by message).
 """

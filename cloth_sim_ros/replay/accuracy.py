@@ -1,8 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How accurate a session is, for its curves and colours: measured by `cloth_verify --accuracy`, in its own process.
+"""Accuracy of a session, for curves and colours.
 
-The physics stays out of this room; a file each of frames' and of particles' numbers is all that comes over.
+`cloth_verify --accuracy` measures it in a separate process; therefore this package does not import the physics. The
+results come in two files: numbers of frames and errors of particles.
 """
 
 from __future__ import annotations
@@ -25,41 +26,41 @@ from cloth_sim_ros.session.errors import SessionError
 if TYPE_CHECKING:
     import rerun as rr
 
-#: Exit statuses of `cloth_verify` with which there is a certificate.
+#: Exit statuses of `cloth_verify` that come with a certificate.
 _MEASURED = (0, 1, 3, 4)
-#: Least error that is shown in the last colour [m].
+#: Minimum error of the last colour [m].
 _LEAST_LIMIT = 1e-12
-#: By what a frame's numbers are called: path, legend and colour of their curve.
+#: Path, legend and colour of the curve by key of a frame's numbers.
 _CURVES = {
     "promise": ("plots/accuracy/allowed", "allowed", 0xF0F0F0FF),
     "tolerance": ("plots/accuracy/tolerance", "tolerance", 0x8A8A8AFF),
     "error": ("plots/accuracy/error", "error", 0xFF5A4AFF),
     "own": ("plots/accuracy/own_error", "measured to", 0x25C26EFF),
-    "growth": ("plots/growth/growth", "growth", 0xB48CFFFF),
+    "growth": ("plots/growth/growth", "amplification", 0xB48CFFFF),
 }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Accuracy:
-    """A certificate's numbers."""
+    """Numbers of a certificate."""
 
     rows: dict[int, int]
-    """Place of each frame's numbers, by its number."""
+    """Row of each frame's numbers by frame index."""
     frames: list[dict[str, Any]]
     particles: NDArray[np.float32]
-    """Error of each particle since its window's beginning [m], shape (frames, n), on the disk; nan where unknown."""
+    """Error of each particle since its window's beginning [m], shape (frames, n), memory-mapped; nan if unknown."""
     limit: float
-    """Error that is shown in the last colour [m]."""
+    """Error of the last colour [m]."""
 
     def errors(self, frame: int) -> NDArray[np.float32]:
-        """Errors of a frame's particles [m], shape (n,); 0 where none is known."""
+        """Return the errors of a frame's particles [m], shape (n,); 0 if unknown."""
         row = self.rows.get(frame)
         if row is None:
             return np.zeros(self.particles.shape[1], np.float32)
         return np.nan_to_num(self.particles[row])
 
     def curves(self, frame: int) -> Iterator[tuple[str, float]]:
-        """Path and height of each curve at a frame: powers of ten, for errors differ by many."""
+        """Yield path and log10 of each curve at a frame: errors differ by orders of magnitude."""
         row = self.rows.get(frame)
         if row is None:
             return
@@ -70,7 +71,7 @@ class Accuracy:
 
 
 def draw_curves(recording: rr.RecordingStream) -> None:
-    """Give the curves their names and colours."""
+    """Log names and colours of the curves."""
     import rerun as rr
 
     for path, name, colour in _CURVES.values():
@@ -78,7 +79,7 @@ def draw_curves(recording: rr.RecordingStream) -> None:
 
 
 def measure(paths: Sequence[Path], folder: Path, particle_count: int) -> Accuracy:
-    """Measure a session, all its files in order; what is found lies in a folder, which must stay.
+    """Measure the accuracy of a session. `folder` receives the result files and must exist while the result is used.
 
     Raises:
         SessionError: if it cannot be measured.
@@ -86,7 +87,7 @@ def measure(paths: Sequence[Path], folder: Path, particle_count: int) -> Accurac
     numbers, particles = folder / "accuracy.json", folder / "particles.f32"
     command = module_command("cloth_sim_ros.verify.main", "--accuracy", *map(str, paths))
     command += ["--json", str(numbers), "--particles", str(particles)]
-    # Its progress bar is for the terminal; its tables are not what was asked for here.
+    # Only its progress bar is shown, not its tables.
     done = subprocess.run(command, env=child_environment(), stdout=subprocess.DEVNULL, check=False)
     if done.returncode not in _MEASURED:
         raise SessionError(f"{paths[0]}: its accuracy cannot be measured (cloth_verify ended with {done.returncode})")

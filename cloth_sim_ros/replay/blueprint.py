@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How a session looks at first opening: the sheet at a three-quarter view, plots beside it, simulated time below."""
+"""Initial layout of the viewer: sheet, plots beside it, simulated time below."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from cloth_sim_ros.replay.survey import Survey
 if TYPE_CHECKING:
     import rerun.blueprint as rrb
 
-#: How far from straight on the eye looks at the sheet, and from how far above it [degrees].
+#: Azimuth of the camera from the sheet's normal, and its elevation [degrees].
 _AZIMUTH, _ELEVATION = 35.0, 14.0
-#: Distance of the eye in radii of what is shown: the viewer's vertical field of view is 55 degrees, and some air.
+#: Distance of the camera in radii of the scene: for a vertical field of view of 55 degrees, with a margin.
 _DISTANCE, _DISTANCE_LYING = 1.9, 2.25
-#: How long a gripper's commanded path stays visible [s].
+#: Visible duration of a gripper's commanded path [s].
 _TRAIL_SECONDS = 1.5
 
 Floats = NDArray[np.float64]
 
 
 def eye_of(survey: Survey) -> tuple[Floats, Floats]:
-    """Position of the eye and where it looks [m]: from the side of the sheet on which the grippers work."""
+    """Return position and target of the camera [m], on the side of the sheet with the grippers."""
     target = 0.5 * (survey.low + survey.high)
     radius = 0.5 * float(np.linalg.norm(survey.high - survey.low))
     facing = survey.normal * np.array([1.0, 1.0, 0.0])
     if np.linalg.norm(facing) < 0.3:
-        # It lies rather than hangs: any side will do, from higher up.
+        # A lying sheet is shown from any side, at a higher elevation.
         ahead, elevation, distance = np.array([0.0, -1.0, 0.0]), 40.0, _DISTANCE_LYING
     else:
         ahead, elevation, distance = facing / np.linalg.norm(facing), _ELEVATION, _DISTANCE
@@ -51,7 +51,7 @@ def eye_of(survey: Survey) -> tuple[Floats, Floats]:
 
 
 def blueprint_of(survey: Survey, *, following: bool = False, picture: bool = False) -> rrb.Blueprint:
-    """The blueprint for a session; `following` keeps the time cursor on the newest frame, a `picture` has no menus."""
+    """Return the blueprint of a session. `following`: time cursor on the newest frame. `picture`: no menus."""
     import rerun.blueprint as rrb
 
     position, target = eye_of(survey)
@@ -71,8 +71,8 @@ def blueprint_of(survey: Survey, *, following: bool = False, picture: bool = Fal
     )
     plots = _plots(survey)
     columns = rrb.TextLogColumns(timeline_columns=[SIM_TIME], text_log_columns=["Body"])
-    plots.append(rrb.TextLogView(origin="/log", name="What happened", columns=columns))
-    # What the accuracy was asked for comes first, and needs room for its legend.
+    plots.append(rrb.TextLogView(origin="/log", name="Events", columns=columns))
+    # The accuracy plot comes first, and needs space for its legend.
     shares = [1.0 if survey.error_limit is None or k else 2.5 for k in range(len(plots))]
     panels = [rrb.TopPanel(state="hidden")] if picture else []
     return rrb.Blueprint(
@@ -117,7 +117,7 @@ def _plots(survey: Survey) -> list[Any]:
 
 
 def _plane(height: float) -> Any:
-    """The horizontal plane at a height [m]."""
+    """Return the horizontal plane at a height [m]."""
     import rerun as rr
 
     return rr.components.Plane3D.XY.with_distance(height)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Colours: strain on a ramp of equal perceived steps, light linen to deep red, that shading leaves readable."""
+"""Colours: perceptually uniform ramp for strain, from light linen to deep red."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-#: Ends and turning points of the ramp as lightness, chroma and hue [degrees] in OKLCH.
+#: Vertices of the ramp in OKLCH: lightness, chroma, hue [degrees]. They stay distinct under shading.
 _RAMP = ((0.86, 0.045, 235.0), (0.85, 0.105, 95.0), (0.70, 0.165, 55.0), (0.50, 0.190, 22.0))
 
-#: RGBA of the other things that are shown.
+#: RGBA colours of the other objects.
 ANCHOR = 0x3D7EFFFF
 OPEN_GRIPPER = 0xE8E8E8FF
 CLOSED_GRIPPER = 0x25C26EFF
@@ -21,7 +21,7 @@ TRAIL = 0x7BE0AAFF
 
 
 def strain_colours(strain: NDArray[np.float32], limit: float, out: NDArray[np.uint32]) -> None:
-    """Write colours 0xRRGGBBAA of strains into `out`, both of shape (n,): 0 and below light, `limit` and above red."""
+    """Write the colours 0xRRGGBBAA of strains (n,) into `out` (n,): light up to 0, red from `limit`."""
     table = _table()
     index = np.clip(strain * (len(table) / limit), 0.0, len(table) - 1.0)
     np.take(table, index.astype(np.intp), out=out, mode="clip")
@@ -29,7 +29,7 @@ def strain_colours(strain: NDArray[np.float32], limit: float, out: NDArray[np.ui
 
 @functools.cache
 def _table() -> NDArray[np.uint32]:
-    """256 colours on straight lines in OKLab, spaced equally along them: equal steps look equal."""
+    """Return 256 colours, equidistant on straight lines in OKLab: equal steps look equal."""
     lightness, chroma, hue = np.array(_RAMP).T
     corners = np.stack([lightness, chroma * np.cos(np.radians(hue)), chroma * np.sin(np.radians(hue))], axis=1)
     lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
@@ -42,7 +42,7 @@ def _table() -> NDArray[np.uint32]:
 
 
 def _srgb(lab: NDArray[np.float64]) -> NDArray[np.float64]:
-    """OKLab to sRGB in 0..1, shape (n, 3): B. Ottosson, "A perceptual color space for image processing", 2020."""
+    """Convert OKLab to sRGB in 0..1, shape (n, 3): B. Ottosson, "A perceptual color space for image processing", 2020."""
     to_cones = np.array(
         [[1.0, 0.3963377774, 0.2158037573], [1.0, -0.1055613458, -0.0638541728], [1.0, -0.0894841775, -1.2914855480]]
     )

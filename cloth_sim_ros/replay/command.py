@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Entry of the command `cloth_replay`, which loads the command itself."""
+"""Entry point of the command `cloth_replay`; imports the command's module."""
 
 from __future__ import annotations
 

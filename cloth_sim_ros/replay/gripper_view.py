@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How grippers are drawn: a wire sphere of the reach with the pose's axes, the commanded path, the held particles."""
+"""Drawing of grippers: wire sphere, axes, commanded path, held particles."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ _AXIS_COLOURS = ((230, 80, 80), (90, 200, 90), (90, 140, 250))
 
 
 def gripper_path(name: str) -> str:
-    """Entity path of a gripper."""
+    """Return the entity path of a gripper."""
     return f"/world/grippers/{name}"
 
 
 def target_path(name: str) -> str:
-    """Entity path of the places that a gripper is commanded to."""
+    """Return the entity path of a gripper's targets."""
     return f"/world/targets/{name}"
 
 
 def held_path(name: str) -> str:
-    """Entity path of the particles that a gripper holds."""
+    """Return the entity path of the particles that a gripper holds."""
     return f"/world/held/{name}"
 
 
@@ -40,8 +40,8 @@ class GripperView:
     """Draws the grippers of a session.
 
     Args:
-        tracks: where they are.
-        table: gives the rows of an entity path and archetype.
+        tracks: their poses and held particles.
+        table: returns the rows of an entity path and archetype.
     """
 
     def __init__(self, tracks: GripperTracks, table: Callable[..., Rows]) -> None:
@@ -50,7 +50,7 @@ class GripperView:
         self._shown: set[str] = set()
 
     def start(self, recording: rr.RecordingStream, size: float) -> None:
-        """Send what does not change, for a scene of a size [m]."""
+        """Log the static components, for a scene of a size [m]."""
         import rerun as rr
 
         for name in self._tracks.tracks:
@@ -69,7 +69,7 @@ class GripperView:
                 recording.log(where, points, static=True)
 
     def show(self, moment: Moment) -> None:
-        """Show where the grippers are; one that is nowhere any more, after a reset, is drawn no more."""
+        """Show the poses of the grippers; after a reset, a gripper without a pose is hidden."""
         import rerun as rr
 
         for name, track in self._tracks.tracks.items():
@@ -79,7 +79,7 @@ class GripperView:
             path = gripper_path(name)
             reach = self._tracks.radius if track.pose is not None else 0.0
             colour = colours.CLOSED_GRIPPER if track.closed else colours.OPEN_GRIPPER
-            # Of one that pinches the pads are drawn, with the obstacles.
+            # The pads of a pinching gripper are drawn with the obstacles.
             sphere = np.full((1, 3), 0.0 if track.pinches else reach, np.float32)
             body = self._table(f"{path}/body", rr.Ellipsoids3D, ragged=("half_sizes",))
             body.add(moment, half_sizes=sphere, colors=np.uint32(colour))
@@ -92,7 +92,7 @@ class GripperView:
                 target.add(moment, positions=track.target[:3].astype(np.float32))
 
     def held(self, xyz: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
-        """Positions (k, 3) of what each gripper holds, of those of all particles (n, 3)."""
+        """Return the positions (k, 3) of the particles held by each gripper, from those of all particles (n, 3) [m]."""
         tracks = self._tracks.tracks.items()
         return {name: xyz[:0] if track.held is None else xyz[track.held] for name, track in tracks}
 

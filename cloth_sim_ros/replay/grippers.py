@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the grippers are and what they hold, followed from frame to frame through the recorded events."""
+"""Poses and held particles of the grippers, from the recorded events."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Floats = NDArray[np.float64]
 class GripperTrack:
     """One gripper over the session.
 
-    A gripper reaches its target by the end of each frame in which time passes, unless the frame's record tells another
-    pose. What it holds is found as the
-    simulation finds it: the free particles within its radius when it closes, by the cloud before.
+    A gripper reaches its target at the end of each frame in which time passes, unless the frame's record has another
+    pose. Like in the simulation, it grasps the free particles within its radius when it closes. Their positions come
+    from the previous cloud.
     """
 
     def __init__(
@@ -34,17 +34,17 @@ class GripperTrack:
         pinches: bool = False,
     ) -> None:
         self.name = name
-        #: Whether it closes pads, and so takes hold of no particle.
+        #: True if it closes pads and therefore grasps no particles.
         self.pinches = pinches
-        #: Position [m] and quaternion x, y, z, w, shape (7,); None while it is nowhere.
+        #: Position [m] and quaternion x, y, z, w, shape (7,); None before its first target.
         self.pose = None if pose is None else pose.copy()
         self.target = target.copy()
         self.closed = closed
-        #: Numbers of the particles that it holds; None if no cloud shows what it took.
+        #: Indices of the held particles; None if no cloud shows their positions at the grasp.
         self.held: NDArray[np.intp] | None = held.astype(np.intp)
 
     def aim(self, position: Floats, orientation: Floats | None) -> None:
-        """Take note of a target; the first one places the gripper."""
+        """Set the target; the first one places the gripper."""
         self.target[:3] = position
         if orientation is not None:
             self.target[3:] = orientation / np.linalg.norm(orientation)
@@ -52,11 +52,11 @@ class GripperTrack:
             self.pose = self.target.copy()
 
     def arrive(self, pose: Floats | None, *, halted: bool) -> None:
-        """Take note of the end of a frame.
+        """Move to the pose at the end of a frame.
 
         Args:
             pose: recorded pose at the end, shape (7,); None if none is recorded.
-            halted: the gripper stands there until it has a new target.
+            is_stopped: True if the gripper is stopped until it has a new target.
         """
         if pose is not None:
             self.pose = pose
@@ -66,7 +66,7 @@ class GripperTrack:
             self.pose = self.target.copy()
 
     def close(self, xyz: NDArray[np.floating] | None, free: NDArray[np.bool_], radius: float) -> None:
-        """Close on the particles at xyz (n, 3) [m]; None if their places are not known."""
+        """Close on the particles at xyz (n, 3) [m]; None if their positions are unknown."""
         if self.closed:
             return
         self.closed = True
@@ -78,7 +78,7 @@ class GripperTrack:
             self.held = np.flatnonzero(near & free)
 
     def open(self) -> None:
-        """Let go."""
+        """Open and release the particles."""
         self.closed = False
         self.held = np.zeros(0, dtype=np.intp)
 
@@ -87,7 +87,7 @@ class GripperTracks:
     """All grippers of a session."""
 
     def __init__(self, opening: Opening, anchored: NDArray[np.intp]) -> None:
-        #: Within this distance of a gripper particles are grabbed [m].
+        #: Maximum distance at which a gripper grasps particles [m].
         self.radius = opening.gripper_radius
         self._free = np.ones(len(opening.positions), dtype=bool)
         self.anchor(anchored)
@@ -104,22 +104,22 @@ class GripperTracks:
         }
 
     def anchor(self, particles: NDArray[np.intp]) -> None:
-        """Let these be the anchored particles from now on; nobody grabs them."""
+        """Set the anchored particles, which grippers do not grasp."""
         self._free[:] = True
         self._free[particles] = False
 
     def advance(
         self, record: FrameRecord, positions_before: Callable[[], NDArray[np.floating] | None]
     ) -> list[int | None]:
-        """Take a frame's events over.
+        """Apply the events of a frame.
 
         Args:
-            record: of the frame.
-            positions_before: gives the particles (n, 3) [m] as they were before it; None if no cloud shows them.
+            record: record of the frame.
+            positions_before: returns the particles' positions (n, 3) [m] before it; None if no cloud shows them.
 
         Returns:
-            For each event the number of particles that its gripper holds right after it; None if that is not known, or
-            no gripper is concerned.
+            For each event the number of particles that its gripper holds after it; None if unknown, or for events
+            without a gripper.
         """
         counts: list[int | None] = []
         for event in record.events:
@@ -138,7 +138,7 @@ class GripperTracks:
             elif kind == "reset":
                 self._reset()
             counts.append(None if track is None or track.held is None else len(track.held))
-        # A sleeping cloth takes no steps while time passes.
+        # Not by the number of steps: a sleeping cloth takes none while time passes.
         if not record.paused or any(event.get("kind") == "step" for event in record.events):
             poses, halted = record.extras.get("poses", {}), record.extras.get("halted", ())
             for name, track in self.tracks.items():

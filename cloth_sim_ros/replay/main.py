@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`cloth_replay`: shows a recorded session in the Rerun viewer, or saves it as .rrd or as a picture. Needs no ROS."""
+"""Command `cloth_replay`: replay in the Rerun viewer, as .rrd or as a picture."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from cloth_sim_ros.replay.viewer import ViewerError
 from cloth_sim_ros.session.console import escape_unencodable
 from cloth_sim_ros.session.errors import SessionError
 
-#: Exit statuses: what was asked for was done; it cannot be done here; the session or the command line is at fault.
+#: Exit statuses: success; a missing requirement of this machine; a wrong session or command line.
 DONE, CANNOT, WRONG = 0, 1, 2
 
 _LARGEST_SIZE = 8192
-#: The viewer counts nanoseconds, in 64 bits [s].
+#: Maximum time of the viewer, which counts nanoseconds in 64 bits [s].
 _LONGEST = 9e9
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; its exit status."""
+    """Run the command; return its exit status."""
     escape_unencodable()
     parser = _parser()
     options = parser.parse_args(arguments)
@@ -83,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="cloth_replay",
-        description="Show a recorded cloth session in the Rerun viewer, or save it as a recording or a picture of it.",
+        description="Show a recorded cloth session in the Rerun viewer, or save it as a Rerun recording or a picture.",
     )
     parser.add_argument("session", nargs="+", type=Path, help="session.mcap; all files of a split session, in order")
     output = parser.add_mutually_exclusive_group()
@@ -102,10 +102,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--accuracy",
         action="store_true",
-        help="run it again far finer, as cloth_verify --accuracy does; colour the cloth by its error, and plot that",
+        help="measure the error like cloth_verify --accuracy; colour the cloth by it, and plot it",
     )
     parser.add_argument(
-        "--follow", action="store_true", help="go on with what is still being recorded, until the recording ends"
+        "--follow", action="store_true", help="follow a session that is being recorded, until the recording ends"
     )
     return parser
 
@@ -118,7 +118,7 @@ def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
             parser.error(f"--strain-limit {options.strain_limit:g}: it must be within (0, 10000] per cent")
         options.strain_limit /= 100.0
     if options.accuracy and options.follow:
-        parser.error("--accuracy is measured of a whole session: it does not go with --follow")
+        parser.error("--accuracy needs the whole session: it cannot be combined with --follow")
     if options.screenshot is not None and (options.follow or options.every != 1):
         parser.error("--screenshot shows one moment: it takes --at, not --follow or --every")
     if options.at is not None and options.screenshot is None:
@@ -130,7 +130,7 @@ def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
 def _size(text: str) -> tuple[int, int]:
     width, _, height = text.lower().partition("x")
     if not (width.isdecimal() and height.isdecimal()):
-        raise argparse.ArgumentTypeError(f"'{text}' is no size; write it as 1600x900")
+        raise argparse.ArgumentTypeError(f"'{text}' is not a size; write it as 1600x900")
     if not all(200 <= int(side) <= _LARGEST_SIZE for side in (width, height)):
         raise argparse.ArgumentTypeError(f"'{text}': either side must be within 200 and {_LARGEST_SIZE}")
     return int(width), int(height)

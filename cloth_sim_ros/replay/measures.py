@@ -1,16 +1,16 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is drawn from a cloud's positions: a normal and a strain for each particle.
+"""Normal and strain of each particle of a cloud.
 
-The strain of a particle is the largest relative elongation (l - l0) / l0 of the edges that meet in it, 0 where all are
-slack or shortened. Edges are those of the surface's triangles; on a grid also the other diagonal of each cell, so that
-no direction is favoured. Lengths l0 are those of the recorded rest shape.
+The strain of a particle is the largest relative elongation (l - l0) / l0 of its edges, or 0 if no edge is stretched.
+Edges are those of the surface's triangles. A grid also has the other diagonal of each cell, to favour no direction. The
+lengths l0 come from the recorded rest shape.
 
-The viewer lights a point by its normal alone, whichever side is looked at. So that a sheet shows its bright side, all
-normals are turned over where those of the cloth at its start face away from the viewer's main light.
+The viewer lights a point by its normal, for both sides alike. If the normals at the start face away from the viewer's
+main light, all normals are flipped, so that the sheet shows its bright side.
 
-A grid's clouds are measured by whole-array operations on shifted views, several times faster than by gathering: a long
-session has a hundred million particle positions.
+A grid uses whole-array operations on shifted views, several times faster than gathering: a long session has 10^8
+particle positions.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float32]
 
-#: Where the viewer's main light comes from; its second, half as strong, shines from about the opposite side.
+#: Direction of the viewer's main light. A second one, half as strong, comes from about the opposite side.
 _LIGHT = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
-#: Keeps the direction of a vanishing normal finite: far below any area of a cloth's triangle [m^2].
+#: Bound that keeps a vanishing normal finite, far below the area of a cloth's triangle [m^2].
 _TINY = np.float32(1e-30)
 
 
 class Measures(ABC):
-    """Measures clouds of one surface; made by `measures_of`."""
+    """Computes normals and strains of clouds of one surface; see `make_surface_geometry`."""
 
     @abstractmethod
     def measure(self, xyz: Floats, normals: Floats, strain: Floats) -> None:
-        """Write unit normals (n, 3) and strains (n,) of positions xyz (n, 3) [m] into the given arrays."""
+        """Write unit normals (n, 3) and strains (n,) at positions xyz (n, 3) [m] into the given arrays."""
 
 
 def measures_of(
     triangles: NDArray[np.uint32], rest: NDArray[np.float64], start: NDArray[np.float64], rows: int, columns: int
 ) -> Measures:
-    """Measures for clouds of rows x columns particles; a cloud of one row is that of a mesh.
+    """Return the geometry for clouds of rows x columns particles; one row means a mesh.
 
     Args:
         triangles: particles of each triangle, shape (m, 3).
-        rest: rest shape [m], shape (n, 3), in any frame.
-        start: positions from which the bright side is taken [m], shape (n, 3).
+        rest_positions: rest shape [m], shape (n, 3), in any frame.
+        start: positions that determine the bright side [m], shape (n, 3).
         rows: height of the clouds.
         columns: width of the clouds.
     """
@@ -55,7 +55,7 @@ def measures_of(
 
 
 class MeshMeasures(Measures):
-    """Any triangulated surface: normals are means over triangles, weighted by area."""
+    """Triangulated surface: normals are area-weighted means over triangles."""
 
     def __init__(self, triangles: NDArray[np.uint32], rest: NDArray[np.float64], start: NDArray[np.float64]) -> None:
         faces = np.asarray(triangles, dtype=np.intp)
@@ -72,7 +72,7 @@ class MeshMeasures(Measures):
         self._sign = np.float32(_bright_side(self._areas(np.ascontiguousarray(start.T, dtype=np.float32))))
 
     def measure(self, xyz: Floats, normals: Floats, strain: Floats) -> None:
-        """As in `Measures`."""
+        """Compute as in `SurfaceGeometry`."""
         x = np.ascontiguousarray(xyz.T)
         total = np.zeros_like(x)
         strain.fill(1.0)
@@ -88,7 +88,7 @@ class MeshMeasures(Measures):
         strain -= 1.0
 
     def _areas(self, x: Floats) -> Floats:
-        """Twice the area vector of each triangle [m^2], shape (3, m)."""
+        """Return twice the area vector of each triangle [m^2], shape (3, m)."""
         a, b, c = (np.take(x, self._faces[:, k], axis=1) for k in range(3))
         b -= a
         c -= a
@@ -96,7 +96,7 @@ class MeshMeasures(Measures):
 
 
 class GridMeasures(Measures):
-    """A grid of rows x columns particles: normals from differences along rows and columns."""
+    """Grid of rows x columns particles: normals from differences along rows and columns."""
 
     def __init__(self, rest: NDArray[np.float64], start: NDArray[np.float64], rows: int, columns: int) -> None:
         self._shape = (rows, columns)
@@ -110,7 +110,7 @@ class GridMeasures(Measures):
         self._sign = np.float32(_bright_side(np.cross(along, down, axis=0).reshape(3, -1)))
 
     def measure(self, xyz: Floats, normals: Floats, strain: Floats) -> None:
-        """As in `Measures`."""
+        """Compute as in `SurfaceGeometry`."""
         rows, columns = self._shape
         x = np.ascontiguousarray(xyz.T).reshape(3, rows, columns)
         self._normals(x, normals.reshape(rows, columns, 3))
@@ -150,7 +150,7 @@ class GridMeasures(Measures):
 
 
 def _families(grid: NDArray[Any]) -> list[tuple[NDArray[Any], NDArray[Any]]]:
-    """Near and far ends of each family of edges, as views of an array (..., rows, columns)."""
+    """Return both ends of each family of edges, as views of an array (..., rows, columns)."""
     return [
         (grid[..., :, :-1], grid[..., :, 1:]),
         (grid[..., :-1, :], grid[..., 1:, :]),
@@ -160,14 +160,14 @@ def _families(grid: NDArray[Any]) -> list[tuple[NDArray[Any], NDArray[Any]]]:
 
 
 def _bright_side(areas: NDArray[np.floating]) -> float:
-    """-1 where area vectors (3, m) on the whole face away from the light; a closed surface keeps its outside."""
+    """Return -1.0 if the sum of the area vectors (3, m) faces away from the light, else 1.0, also if closed."""
     towards = float(_LIGHT @ areas.sum(axis=1))
     total = float(np.linalg.norm(areas, axis=0).sum())
     return -1.0 if towards < -1e-3 * total else 1.0
 
 
 def _grouped(values: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Order that groups equal values, where each group starts, and the values themselves."""
+    """Return the order that groups equal entries, the start of each group, and the distinct entries."""
     order = np.argsort(values, kind="stable")
     used, starts = np.unique(values[order], return_index=True)
     return order, starts, used

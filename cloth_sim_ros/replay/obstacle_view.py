@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How obstacles are drawn: as the markers that were recorded of them."""
+"""Drawing of obstacles from their recorded markers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _DELETE, _DELETE_ALL = 2, 3
 
 
 def obstacle_path(namespace: str, number: int) -> str:
-    """Entity path of a marker of an obstacle, by the marker's namespace and number."""
+    """Return the entity path of an obstacle's marker, from the marker's namespace and id."""
     return f"/world/obstacles/{namespace.rpartition('/')[2]}/{number}"
 
 
@@ -31,21 +31,21 @@ class ObstacleView:
     """Draws the obstacles of a session.
 
     Args:
-        recording: where to.
-        table: gives the rows of an entity path and archetype.
+        recording: Rerun stream.
+        table: returns the rows of an entity path and archetype.
     """
 
     def __init__(self, recording: rr.RecordingStream, table: Callable[..., Rows]) -> None:
         self._recording = recording
         self._table = table
-        #: By path: which kind is shown there, and its geometry; None where nothing is.
+        #: Encoded geometry by path and kind of marker; None if hidden.
         self._shown: dict[tuple[str, int], bytes | None] = {}
 
     def show(self, moment: Moment, data: bytes | memoryview) -> None:
-        """Take over a MarkerArray.
+        """Show a MarkerArray.
 
         Raises:
-            SessionError: if the bytes are none.
+            SessionError: if the bytes are not one.
         """
         import rerun as rr
 
@@ -103,7 +103,7 @@ def _archetype(kind: int) -> Any:
 
 
 def _look(kind: int, colour: Any) -> Any:
-    """What does not change of a marker."""
+    """Return the static components of a marker."""
     import rerun as rr
 
     rgba = np.array([[colour.r, colour.g, colour.b, colour.a]]) * 255.0
@@ -114,7 +114,7 @@ def _look(kind: int, colour: Any) -> Any:
 
 
 def _geometry(marker: Any) -> dict[str, NDArray[np.float32]] | None:
-    """Components of a marker's shape; None for a kind that no obstacle is shown by."""
+    """Return the components of a marker's shape; None for other kinds of markers."""
     size = np.array([marker.scale.x, marker.scale.y, marker.scale.z], np.float32)
     if marker.type in (_CUBE, _SPHERE):
         return {"half_sizes": 0.5 * size[None]}

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which recorded numbers are plotted, and where: from the diagnostics and from what else a frame's record carries."""
+"""Assignment of recorded numbers to plots, from diagnostics and frame records."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cloth_sim_ros.session.cdr import decode
 
 DIAGNOSTICS_TOPIC = "/diagnostics"
 
-#: Plots by path, with their titles, from the top of the window down.
+#: Titles of the plots by path, from top to bottom of the window.
 PLOTS = {
     "plots/strain": "Largest strain [%]",
     "plots/force": "Force of the cloth [N]",
@@ -22,13 +22,13 @@ PLOTS = {
     "plots/energy": "Energy [J]",
     "plots/error": "Error estimate [m]",
     "plots/accuracy": "Error [m], powers of ten",
-    "plots/growth": "Growth of a kick, powers of ten",
+    "plots/growth": "Amplification, powers of ten",
 }
 
-#: Those that are shown where a session's accuracy is.
+#: Plots that are shown with a session's accuracy.
 ACCURACY = ("plots/accuracy", "plots/growth", "plots/strain", "plots/steps")
 
-#: What a recorded name must hold to be shown in a plot.
+#: Patterns of recorded names, with the path of their plot.
 _PLACES = (
     (re.compile(r"real[- ]?time factor(?! overall)"), "plots/pace"),
     (re.compile(r"\blate\b"), "plots/late"),
@@ -39,7 +39,7 @@ _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?![\w.])")
 
 
 def diagnostic_numbers(data: bytes) -> Iterator[tuple[str, float]]:
-    """Entity path and value of each number in a DiagnosticArray that has a plot."""
+    """Yield entity path and number of each entry in a DiagnosticArray that has a plot."""
     message = decode(data, "diagnostic_msgs/msg/DiagnosticArray")
     for status in message.status:
         for pair in status.values:
@@ -50,7 +50,7 @@ def diagnostic_numbers(data: bytes) -> Iterator[tuple[str, float]]:
 
 
 def extra_numbers(extras: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, float]]:
-    """The same of the extras of a frame's record, names of nested ones joined by blanks."""
+    """Yield entity path and number of the extras that have a plot; blanks join the names of nested ones."""
     for key, value in extras.items():
         name = f"{prefix}{key}"
         if isinstance(value, Mapping):

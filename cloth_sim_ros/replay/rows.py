@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows for the viewer, collected over many frames and sent together: one call for each entity, not for each frame."""
+"""Rows for the viewer, sent in batches: one call per entity, not per frame."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ SIM_TIME, ROS_TIME, FRAME = "simulated time", "ros time", "frame"
 
 
 class Moment(NamedTuple):
-    """When something is shown."""
+    """Time of a row on the three timelines."""
 
     sim_time: float
     """Simulated time [s]."""
     ros_time: int
-    """Nanoseconds since the epoch."""
+    """ROS time [ns since the epoch]."""
     frame: int
 
 
@@ -31,8 +31,7 @@ class Rows:
     Args:
         path: entity path.
         archetype: an archetype class of rerun.
-        ragged: components that hold any number of values in a row; the others hold as many in each row as in the
-            first, most of them one.
+        ragged: components with a variable number of entries per row; the others have a constant number, usually one.
     """
 
     def __init__(self, path: str, archetype: Any, *, ragged: tuple[str, ...] = ()) -> None:
@@ -41,21 +40,21 @@ class Rows:
         self._ragged = ragged
         self._moments: list[Moment] = []
         self._values: dict[str, list[Any]] = {}
-        #: Bytes that wait, about.
+        #: Approximate size of the collected rows [bytes].
         self.size = 0
 
     def __len__(self) -> int:
         return len(self._moments)
 
     def add(self, moment: Moment, **components: Any) -> None:
-        """Add a row; every row of an entity has the same components."""
+        """Add a row; all rows of an entity have the same components."""
         self._moments.append(moment)
         for name, value in components.items():
             self._values.setdefault(name, []).append(value)
             self.size += getattr(value, "nbytes", 32)
 
     def send(self, recording: rr.RecordingStream) -> None:
-        """Send what waits."""
+        """Send the collected rows."""
         if not self._moments:
             return
         import rerun as rr

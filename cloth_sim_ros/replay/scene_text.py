@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a replay takes from a session's opening: names, anchors and the grippers' start, without scene or physics."""
+"""Opening of a session for a replay: names, anchors and the grippers' start.
+
+Reads scene.yaml and state.npz without importing scene or physics.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +22,9 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.session.errors import SessionError
 
-#: Most bytes of a state's arrays together, whatever they are compressed to.
+#: Maximum uncompressed size of a state's arrays [bytes].
 _MOST_BYTES = 128 << 20
-#: What numpy's and Python's readers raise for damaged archives.
+#: Exceptions of numpy's and Python's readers for damaged archives.
 _DAMAGE = (
     *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error, tokenize.TokenError, SyntaxError, MemoryError),
     *(OSError, ValueError, TypeError, LookupError, EOFError, OverflowError, RuntimeError),
@@ -30,36 +33,36 @@ _DAMAGE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GripperStart:
-    """A gripper as the snapshot holds it."""
+    """Gripper in the opening snapshot."""
 
     name: str
     pose: NDArray[np.float64] | None
-    """Position [m] and quaternion x, y, z, w, shape (7,); None where it has had no target yet."""
+    """Position [m] and quaternion x, y, z, w, shape (7,); None before its first target."""
     target: NDArray[np.float64]
     closed: bool
     held: NDArray[np.int64]
-    """Particles that it holds."""
+    """Indices of the held particles."""
     pinches: bool = False
-    """Whether it closes pads, which are drawn as obstacles are, instead of taking hold of particles."""
+    """True if it closes pads, which are drawn as obstacles, instead of grasping particles."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Opening:
-    """A session's opening, as far as it is shown."""
+    """Opening of a session, as far as it is shown."""
 
     frame_id: str
     anchors: tuple[str, ...]
     gripper_radius: float
     grippers: tuple[GripperStart, ...]
     obstacles: tuple[str, ...]
-    """Names of those that are described, there or not."""
+    """Names of all described obstacles, active or not."""
     positions: NDArray[np.float64]
     """Particle positions before the first frame [m], shape (particle_count, 3)."""
 
     def anchored(self, rows: int, columns: int, anchors: Sequence[str] | None = None) -> NDArray[np.intp]:
-        """Numbers of the anchored particles of a grid; of a mesh (one row), those given by number.
+        """Return the indices of the anchored particles of a grid; of a mesh (one row), the anchors given by index.
 
-        Those of the snapshot, or by other values of `cloth.anchors`.
+        `anchors`: `cloth.anchors`; by default that of the snapshot.
         """
         grid = np.arange(rows * columns, dtype=np.intp).reshape(rows, columns)
         lines = {"top": grid[0], "bottom": grid[-1], "left": grid[:, 0], "right": grid[:, -1]}
@@ -77,11 +80,11 @@ class Opening:
 
 
 def read_opening(scene_yaml: str, state: bytes) -> Opening:
-    """Read scene.yaml and state.npz. Raises SessionError if they are none."""
+    """Read scene.yaml and state.npz. Raises SessionError if they are invalid."""
     try:
         return _opening(scene_yaml, state)
     except (ValueError, TypeError, LookupError, OverflowError) as error:
-        # Either may be whole and hold values of other types and shapes than its names say.
+        # Either may be intact and hold entries of wrong types or shapes.
         raise SessionError(
             f"scene.yaml or state.npz of the session is not one that cloth_sim wrote: {error}"
         ) from error
@@ -132,7 +135,7 @@ def _texts(value: Any) -> Sequence[str]:
 
 
 def _parameters(text: str) -> dict[str, Any]:
-    """Every parameter of a ROS parameter file with one node, by full name."""
+    """Return all parameters of a ROS parameter file with one node, by full name."""
     import yaml
 
     try:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The three ways to show a session: in the viewer, as a recording, as a picture."""
+"""Outputs of a replay: viewer, Rerun recording, picture."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from cloth_sim_ros.session.part import Message
 
 APPLICATION = "cloth_sim"
-#: How often a session that is still being recorded is looked at [s].
+#: Poll interval of a session that is being recorded [s].
 _POLL = 0.05
 
 
@@ -45,7 +45,7 @@ def save_recording(
 ) -> None:
     """Write a session as a Rerun recording. Raises SessionError or OSError with the reason.
 
-    It appears once it is complete; one that follows what is still being recorded can be seen as it grows.
+    The file appears when it is complete; with `follow` it appears at once and grows.
     """
     with SessionReader(list(paths)) as reader, contextlib.ExitStack() as stack:
         seen = _look(reader, strain_limit, follow)
@@ -66,7 +66,7 @@ def open_viewer(
     follow: bool = False,
     accuracy: bool = False,
 ) -> None:
-    """Show a session in a viewer's window. Raises SessionError, or ViewerError where there is no screen."""
+    """Show a session in a viewer's window. Raises SessionError, or ViewerError without a screen."""
     check_screen()
     with SessionReader(list(paths)) as reader, contextlib.ExitStack() as stack:
         seen = _look(reader, strain_limit, follow)
@@ -87,11 +87,11 @@ def save_picture(
     strain_limit: float | None = None,
     accuracy: bool = False,
 ) -> None:
-    """Save a picture of a session at a simulated time [s], the end where left out.
+    """Save a picture of a session at a simulated time [s]; by default at the end.
 
     Raises:
-        SessionError: with the reason why the session cannot be shown.
-        ViewerError: where the viewer cannot paint.
+        SessionError: if the session cannot be shown, with the reason.
+        ViewerError: if the viewer cannot render.
         OSError: if the picture cannot be written.
     """
     with (
@@ -111,13 +111,13 @@ def save_picture(
         recording.disconnect()
         _tell_missing(reader)
         if not stream.clouds_seen:
-            raise SessionError(f"{paths[0]} holds no clouds: there is nothing to paint")
+            raise SessionError(f"{paths[0]} holds no clouds: there is nothing to draw")
         save_screenshot(rrd, picture, at=stream.time if at is None else at, size=size)
 
 
 @contextlib.contextmanager
 def _measured(paths: Sequence[Path], seen: Survey, wanted: bool) -> Iterator[tuple[Survey, Accuracy | None]]:
-    """The survey and the accuracy, where it is wanted, as long as its files are there."""
+    """Yield the scan and, if requested, the accuracy, whose files exist until the end of the context."""
     if not wanted:
         yield seen, None
         return
@@ -133,7 +133,7 @@ def _look(reader: SessionReader, strain_limit: float | None, follow: bool) -> Su
 
 
 def _wait_for_surface(reader: SessionReader) -> None:
-    """A recording that has just begun has not written its first chunk yet."""
+    """Wait for the topology: a new recording has not written its first chunk yet."""
     while reader.topology() is None and reader.parts[-1].is_being_written():
         time.sleep(_POLL)
 
@@ -154,7 +154,7 @@ def _play(reader: SessionReader, stream: Stream, follow: bool) -> None:
 
 
 def _with_progress(reader: SessionReader, messages: Iterator[Message]) -> Iterator[Message]:
-    """The same messages, with a bar of the bytes read; on a terminal, and if it takes longer than a moment."""
+    """Yield the messages and show a progress bar of the bytes read, on a terminal and after one second."""
     from tqdm import tqdm
 
     total = sum(part.size() for part in reader.parts)
@@ -169,7 +169,7 @@ def _with_progress(reader: SessionReader, messages: Iterator[Message]) -> Iterat
 def _recording(reader: SessionReader) -> rr.RecordingStream:
     import rerun as rr
 
-    # Otherwise rerun answers a mistake with a warning and a recording that lacks the data.
+    # Without strict mode, rerun only warns about an error, and the recording lacks the rows.
     rr.set_strict_mode(True)
     recording = rr.RecordingStream(APPLICATION)
     recording.send_recording_name(reader.parts[0].session)

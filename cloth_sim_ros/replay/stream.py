@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From a session's messages to the viewer's entities, frame after frame, in memory of a few batches."""
+"""Stream of a session's messages into the viewer, in batches."""
 
 from __future__ import annotations
 
@@ -27,12 +27,11 @@ from cloth_sim_ros.session.reader import read_frame
 if TYPE_CHECKING:
     import rerun as rr
 
-#: Bytes of an entity that are collected before they are sent: so many that a call's cost does not count, so few that
-#: they stay in the processor's cache on their way.
+#: Batch size of an entity [bytes]: large enough to hide the cost of a call, small enough for the processor's cache.
 _BATCH = 2 << 20
-#: Rows of an entity that are collected before they are sent.
+#: Maximum number of rows in a batch of an entity.
 _MOST_ROWS = 4096
-#: Bytes that may be on their way to the disk or the viewer.
+#: Maximum size of the batches sent without a flush to the disk or the viewer [bytes].
 _IN_FLIGHT = 64 << 20
 _WRENCH, _STATUS = "geometry_msgs/msg/WrenchStamped", "diagnostic_msgs/msg/DiagnosticStatus"
 
@@ -40,12 +39,12 @@ CLOTH, ANCHORS, PLOTS, LOG = "/world/cloth", "/world/anchors", "/plots", "/log"
 
 
 class _Shown(NamedTuple):
-    """A cloud, measured."""
+    """A cloud with its normals and colours."""
 
     moment: Moment
     xyz: NDArray[np.float32]
     normals: NDArray[np.float32]
-    #: What it is coloured by: strain, or error [m].
+    #: Quantity that determines the colour: strain, or error [m].
     shade: NDArray[np.float32]
     held: dict[str, NDArray[np.float32]]
 
@@ -54,12 +53,12 @@ class Stream:
     """Shows the messages of one session.
 
     Args:
-        recording: where to.
-        survey: what is known of the session.
+        recording: Rerun stream.
+        scan: pre-scan of the session.
         node: resolved name of its node.
-        every: show every so many-th cloud; plots and grippers keep every frame.
-        only: show no cloud but the last one at or before this simulated time [s].
-        accuracy: colour by it instead of strain, and plot it.
+        every: show every n-th cloud; plots and grippers keep every frame.
+        last_time: show only the last cloud at or before this simulated time [s].
+        accuracy: colour by this error instead of strain, and plot it.
     """
 
     def __init__(
@@ -84,13 +83,14 @@ class Stream:
         self._every, self._only = every, only
         self._anchored = survey.opening.anchored(survey.rows, survey.columns)
         self._grippers = GripperTracks(survey.opening, self._anchored)
-        #: Whether anything was anchored so far.
+        #: True if any particle was anchored so far.
         self._pinned = len(self._anchored) > 0
         self._before: Message | None = None
-        #: Numbers of the frames that the newest record and the newest cloud show; None before the first.
+        #: Frame indices of the newest record and of the newest cloud; None before the first.
         self._recorded: int | None = None
         self._clouded: int | None = None
-        #: Events of the newest frame, told once the node has said what grippers hold: moment, event, count by a cloud.
+        #: Events of the newest frame: time, event, number of held particles by a cloud. Logged after the node has
+        #: sent the states of its grippers.
         self._events: list[tuple[Moment, Any, int | None]] = []
         self._moment = Moment(0.0, 0, 0)
         self._tables: dict[str, Rows] = {}
@@ -100,13 +100,13 @@ class Stream:
         self._pins = self._table(ANCHORS, rr.Points3D, ragged=("positions",))
         self._kept: _Shown | None = None
         self._sent = 0
-        #: Clouds that were in the messages, and those that were shown.
+        #: Number of clouds in the messages, and of those shown.
         self.clouds_seen = self.clouds_shown = 0
         self._start()
 
     @property
     def topics(self) -> frozenset[str]:
-        """The topics that are shown."""
+        """Topics that are shown."""
         return frozenset(
             {self._points, self._frame, self._obstacles, DIAGNOSTICS_TOPIC, "/rosout", *self._wrenches, *self._states}
         )
@@ -120,7 +120,7 @@ class Stream:
         """Show a message.
 
         Raises:
-            SessionError: if its bytes are not what the topic says.
+            SessionError: if its bytes do not fit the topic's type.
         """
         topic = message.topic
         if topic == self._frame:
@@ -139,24 +139,24 @@ class Stream:
                 self._scalar(path, moment, value)
         elif topic == "/rosout":
             entry = decode(message.data, "rcl_interfaces/msg/Log")
-            # What is less than a warning, the events tell already.
+            # Entries below a warning repeat the events.
             if entry.level in _LEVELS:
                 self._say(self._moment._replace(ros_time=message.log_time), entry.msg, _LEVELS[entry.level])
 
     def add_all(self, messages: Iterable[Message]) -> None:
-        """Show messages to their end."""
+        """Show all messages."""
         for message in messages:
             self.add(message)
         self.finish()
 
     def flush(self) -> None:
-        """Send what waits."""
+        """Send the collected rows."""
         for table in self._tables.values():
             table.send(self._recording)
         self._recording.flush()
 
     def finish(self) -> None:
-        """Show what was held back, and send what waits."""
+        """Show the pending cloud, and send the collected rows."""
         self._tell_events()
         if self._kept is not None:
             self._show(self._kept)
@@ -188,8 +188,8 @@ class Stream:
             self._recorded = record.frame
             self._anchor(record)
         except (TypeError, ValueError, OverflowError) as error:
-            # Values of parameters are of any type in a file.
-            raise SessionError(f"the record of frame {record.frame} has an event of other values: {error}") from error
+            # A file may hold parameters of any type.
+            raise SessionError(f"the record of frame {record.frame} has an invalid event: {error}") from error
         self._scalar("plots/steps/steps", moment, float(record.steps))
         for path, value in extra_numbers(record.extras):
             self._scalar(path, moment, value)
@@ -200,7 +200,7 @@ class Stream:
         self._view.show(moment)
 
     def _add_gripper_state(self, message: Message) -> None:
-        """Correct the newest grasp's count by what the node says of its gripper, which it does after the frame."""
+        """Correct the count of the newest grasp from the gripper's state, which the node sends after the frame."""
         name = self._states[message.topic]
         said = {entry.key: entry.value for entry in decode(message.data, _STATUS).values}
         if said.get("closed") != "true" or not said.get("held", "").isdecimal():
@@ -219,7 +219,7 @@ class Stream:
         self._events = []
 
     def _anchor(self, record: FrameRecord) -> None:
-        """Take over anchors that a frame has changed, after its grasps."""
+        """Update the anchors that a frame has changed, after its grasps."""
         for event in record.events:
             anchors = event["values"].get("cloth.anchors") if event.get("kind") == "set_parameters" else None
             if anchors is not None:
@@ -237,9 +237,9 @@ class Stream:
         check_fit(cloud, len(self._survey.opening.positions))
         xyz = np.ascontiguousarray(cloud.xyz, dtype=np.float32)
         normals, strain = np.empty_like(xyz), np.empty(len(xyz), np.float32)
-        # Far from the origin single precision is too coarse for strain.
+        # Strains use double precision if available: far from the origin, single precision is too coarse.
         self._survey.measures.measure(xyz if cloud.xyz.itemsize == 4 else cloud.xyz, normals, strain)
-        # A cloud whose frame's record was lost is shown at the last simulated time that is known.
+        # A cloud without a frame record is shown at the last known simulated time.
         moment = self._moment._replace(ros_time=message.log_time)
         self._scalar("plots/strain/largest_strain", moment, 100.0 * float(strain.max()))
         shade = strain if self._accuracy is None else self._accuracy.errors(moment.frame)
@@ -253,7 +253,7 @@ class Stream:
                 self._sent += table.size
                 table.send(self._recording)
         if self._sent >= _IN_FLIGHT:
-            # Without waiting here the rows would pile up in memory before a slow disk or viewer.
+            # Wait here, otherwise a slow disk or viewer would let the memory grow.
             self._sent = 0
             self._recording.flush()
 
@@ -276,7 +276,7 @@ class Stream:
         self._scalar(f"plots/force/{name}", self._moment._replace(ros_time=message.log_time), size)
 
     def _positions_before(self, record: FrameRecord) -> NDArray[np.floating] | None:
-        """The particles before a frame [m], by the state or the cloud there; None if neither shows them."""
+        """Return the positions before a frame (n, 3) [m], from the state or the last cloud; None if unknown."""
         if self._recorded is None:
             return self._survey.opening.positions
         if self._before is None or self._clouded != self._recorded or record.frame > self._recorded + 1:
@@ -294,7 +294,7 @@ class Stream:
         self._table(LOG, rr.TextLog).add(moment, text=text, level=level)
 
     def _table(self, path: str, archetype: Any, *, ragged: tuple[str, ...] = ()) -> Rows:
-        # One entity may have components of several archetypes, each in rows of its own.
+        # An entity may have several archetypes, each with separate rows.
         key = f"{path} {archetype.__name__}"
         found = self._tables.get(key)
         if found is None:
@@ -307,12 +307,12 @@ _LEVELS = {30: "WARN", 40: "ERROR", 50: "CRITICAL"}
 
 
 def _story(event: Any, count: int | None, *, pinches: bool) -> str:
-    """An event in words; empty for targets, which are seen.
+    """Describe an event; empty for targets, which are drawn.
 
     Args:
         event: the recorded event.
-        count: particles that its gripper holds right after it; None if that is not known.
-        pinches: whether its gripper closes pads.
+        count: number of particles that its gripper holds after it; None if unknown.
+        pinches: True if its gripper closes pads.
     """
     kind = event.get("kind")
     if kind == "grasp":
@@ -327,5 +327,5 @@ def _story(event: Any, count: int | None, *, pinches: bool) -> str:
     if kind == "relax":
         return f"tolerance times {event['factor']:g}"
     if kind == "pause":
-        return "paused" if event["paused"] else "goes on"
+        return "paused" if event["paused"] else "resumed"
     return {"step": "one step", "reset": "reset"}.get(str(kind), "")

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A first look at a session, for what must be known before its first frame is shown: bounds, colours' range, plots."""
+"""Pre-scan of a session: bounds, colour range and plots for the viewer."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.part import Message
 from cloth_sim_ros.session.reader import SessionReader, read_frame
 
-#: Clouds that are looked at.
+#: Number of sampled clouds.
 SAMPLES = 40
-#: Time between clouds where the whole file is read anyway, and within which diagnostics surely come [ns].
+#: Time between sampled clouds in a file without an index, and time within which diagnostics are certain [ns].
 _BETWEEN, _PERIODIC = 1_000_000_000, 5_000_000_000
-#: Part of a cloud's particles whose strain the colours' range leaves out, so that one corner does not dim the rest.
+#: Fraction of particles above the colour range, so that one stretched corner does not determine it.
 _BEYOND = 0.002
-#: How far around the cloth's box grippers are kept in view, in its diagonal.
+#: Margin around the cloth's bounding box in which grippers stay in view, as a fraction of its diagonal.
 _MARGIN = 0.08
-#: The colours' range where nothing is stretched, and while a session is still being recorded.
+#: Colour range (strain) of an unstretched cloth, and of a session that is being recorded.
 _LEAST_LIMIT, _FOLLOWED_LIMIT = 0.001, 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Survey:
-    """What is known of a session before it is shown."""
+    """Result of a pre-scan."""
 
     opening: Opening
     rows: int
@@ -44,28 +44,28 @@ class Survey:
     """Mean normal of the cloth at its start, shape (3,)."""
     low: NDArray[np.float64]
     high: NDArray[np.float64]
-    """Corners of the box that holds the cloth, and the grippers where they are near it [m]."""
+    """Corners of the bounding box of the cloth and of grippers near it [m], shape (3,)."""
     grips: NDArray[np.float64]
-    """Positions that grippers were commanded to [m], shape (k, 3)."""
+    """Target positions of the grippers [m], shape (k, 3)."""
     strain_limit: float
-    """Strain that is shown in the last colour."""
+    """Strain of the last colour."""
     plots: tuple[str, ...]
-    """Paths of the plots for which there is data, in their order."""
+    """Paths of the plots that have numbers, in order."""
     error_limit: float | None = None
-    """Error that is shown in the last colour [m]; None where strain is shown."""
+    """Error of the last colour [m]; None if strain is shown."""
 
 
 def survey(reader: SessionReader, *, strain_limit: float | None = None, followed: bool = False) -> Survey:
-    """Look at a sample of a session's clouds; at the first one alone where it is `followed`.
+    """Scan a sample of a session's clouds; only the first one if `is_followed`.
 
     Raises:
-        SessionError: if it holds no surface, or clouds that do not fit it.
+        SessionError: if the session has no surface, or its clouds do not fit the surface.
     """
     opening = read_opening(reader.scene_yaml, reader.state)
     surface = reader.topology()
     if surface is None:
         raise SessionError(
-            f"{reader.parts[0].path} holds no {reader.node}/topology, so that its particles make no surface; "
+            f"{reader.parts[0].path} holds no {reader.node}/topology, therefore its surface is unknown; "
             "`rerun` itself shows the points"
         )
     rest = np.asarray(surface.vertices, dtype=np.float64)
@@ -91,12 +91,12 @@ def survey(reader: SessionReader, *, strain_limit: float | None = None, followed
         measures = measures_of(surface.triangles, rest, opening.positions, rows, columns)
     grips = np.array(gathered.grips).reshape(-1, 3)
     if len(grips):
-        # A gripper that comes from afar must not make the cloth small.
+        # A distant gripper must not make the cloth small.
         margin = _MARGIN * float(np.linalg.norm(high - low))
         low = np.minimum(low, np.maximum(grips.min(axis=0), low - margin))
         high = np.maximum(high, np.minimum(grips.max(axis=0), high + margin))
     measures.measure(np.ascontiguousarray(opening.positions, dtype=np.float32), normals, strain)
-    # A snap when the cloth is let go lasts a few frames, and may be shown in one colour.
+    # The snap of a released cloth lasts a few frames; they may exceed the colour range.
     usual = float(np.quantile(strains, 0.9)) if strains else 0.0
     always = {"plots/strain", "plots/steps"}
     return Survey(
@@ -115,19 +115,19 @@ def survey(reader: SessionReader, *, strain_limit: float | None = None, followed
 
 
 def check_fit(cloud: Cloud, particle_count: int) -> None:
-    """Raise SessionError where a cloud is not of the session's cloth."""
+    """Raise SessionError if a cloud does not fit the session's cloth."""
     if len(cloud.xyz) != particle_count:
         raise SessionError(f"a cloud has {len(cloud.xyz)} points, the topology {particle_count}")
 
 
 def round_up(value: float) -> float:
-    """The next of 1, 2, 5, 10, 20 ... times a power of ten."""
+    """Return the next number of the sequence 1, 2, 5, 10, 20 ... times a power of ten."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= value * (1.0 - 1e-9))
 
 
 class _Gathered:
-    """What a sample of the messages shows."""
+    """Targets and plots in a sample of the messages."""
 
     def __init__(self, node: str) -> None:
         self._node = node
@@ -135,12 +135,12 @@ class _Gathered:
         self.plots: set[str] = set()
 
     def clouds(self, reader: SessionReader, samples: int) -> Iterator[Cloud]:
-        """Some clouds, evenly over the session; the rest of the sample is taken note of on the way."""
+        """Yield clouds evenly over the session, and add the other messages of the sample."""
         windows = _windows(reader, samples)
         first = windows[0][0]
         if first is not None:
-            # Reading stops at a stretch's first cloud and may miss diagnostics, which come about once a second: so the
-            # beginning is read once in full.
+            # Reading stops at the first cloud of a window and may miss diagnostics, which come about once a second.
+            # Therefore the beginning is read in full.
             for message in reader.messages(start=first, end=first + _PERIODIC):
                 self._note(message)
         for start, end in windows:
@@ -173,7 +173,7 @@ class _Gathered:
 
 
 def _windows(reader: SessionReader, samples: int) -> list[tuple[int | None, int | None]]:
-    """Stretches of log time [ns] to take one cloud from; one endless stretch where a file has no index."""
+    """Return windows of log time [ns] for one cloud each; one infinite window if a file has no index."""
     times = []
     for part in reader.parts:
         if not part.indexed or part.summary is None or not part.summary.chunks:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The viewer as a process of its own: without a screen for pictures, and the check before one opens on a screen."""
+"""Viewer process: a window on the screen, or headless for pictures."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from cloth_sim_ros.replay.rows import SIM_TIME
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
 
-#: How long the viewer may take to start and to load a recording [s]: a busy machine without a GPU is slow.
+#: Timeout for the start of the viewer and for loading a recording [s]: a busy machine without a GPU is slow.
 _PATIENCE = 60.0
-#: Painted alike twice in a row, the picture is complete; looked at this often [s].
+#: Interval between screenshots [s]; two equal ones in a row mean that the picture is complete.
 _LOOK_AGAIN = 0.25
 
-#: What the viewer says where it finds no driver that it can paint with; the last where it finds an OpenGL one alone.
+#: Messages of the viewer without a usable driver; the last one if only an OpenGL driver exists.
 _NO_ADAPTER = (
     "no graphics adapter",
     "failed to find adapter",
@@ -35,29 +35,29 @@ _NO_ADAPTER = (
     "adapter was found",
     "failed to get render context",
 )
-#: Where drivers are listed, beside what the environment names; a file each.
+#: Folders that list Vulkan drivers, one file each, in addition to the environment's list.
 _DRIVER_FOLDERS = ("/usr/share/vulkan/icd.d", "/usr/local/share/vulkan/icd.d", "/etc/vulkan/icd.d")
-#: What the viewer says below its reason, and colours.
+#: Irrelevant lines after the viewer's reason, and colour codes.
 _IDLE_WORDS = re.compile(r"troubleshooting rerun|report bugs|stack backtrace|^\d+:|^at |^$", re.IGNORECASE)
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 
 
 class ViewerError(Exception):
-    """The viewer cannot be used here; the message says what it needs."""
+    """The viewer cannot be used on this machine; the message names the requirement."""
 
 
 def check_screen() -> None:
-    """Raise ViewerError where there is no screen to open a window on."""
+    """Raise ViewerError if there is no screen for a window."""
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise ViewerError(
-            "there is no screen here (neither DISPLAY nor WAYLAND_DISPLAY is set); use --screenshot out.png for a "
+            "there is no screen (neither DISPLAY nor WAYLAND_DISPLAY is set); use --screenshot out.png for a "
             "picture, or --save out.rrd and open that with `rerun` on a machine with a screen; or a virtual screen: "
             "apt-get install xvfb xauth, then xvfb-run cloth_replay"
         )
 
 
 def executable() -> Path:
-    """The viewer proper: it lies beside its Python package, also where no environment is activated."""
+    """Return the viewer's executable, beside its Python package; no activated environment is needed."""
     found = importlib.util.find_spec("rerun_cli")
     if found is None or found.origin is None:
         raise ViewerError("the Rerun viewer is not installed: pip install 'cloth_sim_ros[replay]'")
@@ -65,9 +65,9 @@ def executable() -> Path:
 
 
 def open_window() -> str:
-    """Open a viewer's window, which stays when this process ends; the address that it takes recordings at.
+    """Open a viewer's window and return the address for recordings. The window outlives this process.
 
-    It listens on this machine alone. The SDK's own `spawn` lets it listen on all interfaces.
+    The viewer listens on the local interface only; the SDK's `spawn` would listen on all interfaces.
 
     Raises:
         ViewerError: if it ends at once, or does not listen in time.
@@ -77,14 +77,14 @@ def open_window() -> str:
     viewer = subprocess.Popen(
         [*command, "--bind", "127.0.0.1", "--port", str(port)],
         stdin=subprocess.DEVNULL,
-        # Told that it is part of a program, it asks nothing about analytics.
+        # As part of another program, it does not ask about analytics.
         env={**os.environ, "RERUN_APP_ONLY": "true"},
         start_new_session=True,
     )
     end = time.monotonic() + _PATIENCE
     while time.monotonic() < end:
         if viewer.poll() is not None:
-            raise ViewerError(f"the viewer ended with status {viewer.returncode}; its own words are above")
+            raise ViewerError(f"the viewer ended with status {viewer.returncode}; its messages are above")
         with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1.0):
             return f"rerun+http://127.0.0.1:{port}/proxy"
         time.sleep(0.05)
@@ -93,12 +93,12 @@ def open_window() -> str:
 
 
 def save_screenshot(rrd: Path, picture: Path, *, at: float | None, size: tuple[int, int]) -> None:
-    """Paint a recording without a screen or a GPU and save the picture, a PNG of `size` (width, height) pixels.
+    """Render a recording without a screen or a GPU and save a PNG of `size` (width, height) pixels.
 
-    `at` is a simulated time [s]; the end where left out. The recording lies on the disk: the viewer reads it.
+    `at`: simulated time [s]; by default the end. The viewer reads the recording from the disk.
 
     Raises:
-        ViewerError: if the viewer cannot paint here.
+        ViewerError: if the viewer cannot render on this machine.
     """
     with _headless(rrd, size) as (client, log):
         _wait_until_loaded(client, log)
@@ -125,7 +125,7 @@ def _headless(rrd: Path, size: tuple[int, int]) -> Iterator[tuple[ViewerClient, 
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                # Told that it is part of a program, it asks nothing about analytics; its state is nobody's settings.
+                # As part of another program, it does not ask about analytics. Its settings are temporary.
                 env={**os.environ, "RERUN_APP_ONLY": "true", "XDG_DATA_HOME": folder, "RUST_LOG": "warn"},
                 start_new_session=True,
             )
@@ -165,7 +165,7 @@ def _wait_until_loaded(client: ViewerClient, log: Path) -> None:
 
 
 def _settled_picture(client: ViewerClient) -> bytes:
-    """The picture once it no longer changes: what is loaded in the background has arrived, messages have faded."""
+    """Return the picture after it stopped changing: background loading has ended, notices have faded."""
     end = time.monotonic() + _PATIENCE
     before = b""
     while time.monotonic() < end:
@@ -180,7 +180,7 @@ def _settled_picture(client: ViewerClient) -> bytes:
 def _why(log: Path, what: str) -> ViewerError:
     output = _COLOURS.sub("", log.read_text(errors="replace"))
     said = [line.strip() for line in output.splitlines() if not _IDLE_WORDS.search(line.strip())]
-    # Where it gave up it says so in one line and the place below; else what it said last.
+    # A panic has its reason in one line; otherwise the last lines count.
     reason = next((line for line in said if "panicked at" in line), " / ".join(said[-3:])) or "nothing"
     driver = "" if _lists_a_driver() else ": none is installed here"
     if driver or any(sign in output.lower() for sign in _NO_ADAPTER):
@@ -192,7 +192,7 @@ def _why(log: Path, what: str) -> ViewerError:
 
 
 def _lists_a_driver() -> bool:
-    """Whether a Vulkan driver is listed where the loader looks; elsewhere than on Linux nobody knows."""
+    """Return True if the Vulkan loader's folders list a driver; always True on other systems than Linux."""
     if not sys.platform.startswith("linux"):
         return True
     named = os.environ.get("VK_DRIVER_FILES") or os.environ.get("VK_ICD_FILENAMES")
