@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`cloth_replay --accuracy`: curves and colours are those of the certificate."""
+"""`cloth_replay --accuracy`: curves and colours equal the certificate."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_curves_and_colours_are_those_of_the_certificate(tmp_path: Path) -> None
         assert particles.max() == pytest.approx(frame.error, rel=1e-6)
         colours.strain_colours(particles, measured.limit, wanted)
         assert row == wanted.tolist()
-    # Anchors are where they are, up to rounding.
+    # Anchors have no error, up to rounding.
     assert particles[:9].max() < 1e-12
     assert len(set(painted[-1])) > 10
 
@@ -58,7 +58,7 @@ def test_a_paused_cloth_keeps_its_colours(tmp_path: Path) -> None:
     assert list(measured.curves(77)) == []
 
 
-def test_what_cannot_be_measured_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unmeasurable_session_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     session = make_grasp(tmp_path, seconds=0.1, cloth__resolution=[8, 9])
     with pytest.raises(SystemExit):
         main([str(session), "--accuracy", "--follow"])

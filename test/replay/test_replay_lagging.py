@@ -34,7 +34,7 @@ from cloth_sim_ros.verify.run import verify
 
 NO_TURN, QUARTER_TURN = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.6, 0.8)
 ATTACH: dict[str, Any] = {"cloth.resolution": [5, 5], "gripper.radius": 0.3}
-#: Pads above a table, on which all of the cloth is below them.
+#: Pads above a table; the whole cloth lies below them.
 PINCH: dict[str, Any] = {
     "cloth.resolution": [4, 4],
     "cloth.size": [0.09, 0.09],
@@ -53,7 +53,7 @@ PINCH: dict[str, Any] = {
 
 
 def attach_events(scene: Scene) -> list[list[Event]]:
-    """Grasp of a corner, a jump of 1 m with a turn, pause and step on the way, arrival, release, grasp, reset."""
+    """Grasp of a corner, jump of 1 m with a turn, pause and step in between, arrival, release, grasp, reset."""
     x, y, z = scene.initial_positions()[-1].tolist()
     there = Target("gripper", (x, y + 1.0, z), QUARTER_TURN)
     events: list[list[Event]] = [[Target("gripper", (x, y, z), NO_TURN)], [Grasp("gripper", True)], [there], []]
@@ -64,7 +64,7 @@ def attach_events(scene: Scene) -> list[list[Event]]:
 
 
 def pinch_events(_scene: Scene) -> list[list[Event]]:
-    """Pads that go down through the table until they are halted, stand, rise by 0.5 m and are reset."""
+    """Pads that move down into the table until they are stopped, rise by 0.5 m and are reset."""
     down: list[list[Event]] = [[Target("hand", (0.0, 0.0, 0.1 - 0.03 * k))] for k in range(8)]
     return [*down, [], [], [Target("hand", (0.0, 0.0, 0.6))], *[[] for _ in range(4)], [Reset()], []]
 
@@ -74,7 +74,7 @@ CASES = {"attach": (ATTACH, attach_events), "pinch": (PINCH, pinch_events)}
 
 @dataclasses.dataclass
 class Recorded:
-    """A session, and what the simulation told of each of its frames."""
+    """A session with the simulation's results of each frame."""
 
     path: Path
     scene: Scene
@@ -112,7 +112,7 @@ def records_of(path: Path) -> list[FrameRecord]:
 
 
 def replayed(path: Path, scene: Scene) -> list[tuple[np.ndarray | None, list[int]]]:
-    """Pose and held particles of the first gripper as a replay has them after each frame."""
+    """Return pose and held particles of the first gripper in a replay after each frame."""
     found = []
     with SessionReader(path) as reader:
         opening = read_opening(reader.scene_yaml, reader.state)
@@ -129,7 +129,7 @@ def replayed(path: Path, scene: Scene) -> list[tuple[np.ndarray | None, list[int
 
 
 def altered(path: Path, target: Path, alter: Callable[[dict[str, Any]], object]) -> Path:
-    """A copy of a session in which the extras of each frame's record are altered in place."""
+    """Write a copy of a session with altered extras in each frame record."""
 
     def change(message: Message) -> Message:
         content = json.loads(decode_string(message.data))
@@ -140,7 +140,7 @@ def altered(path: Path, target: Path, alter: Callable[[dict[str, Any]], object])
     return falsify(path, target, Falsification(each(FRAME, change)))
 
 
-def test_replayed_gripper_is_where_the_simulation_had_it(recorded: Recorded) -> None:
+def test_replayed_poses_equal_simulation(recorded: Recorded) -> None:
     scene = recorded.scene
     for k, (pose, held) in enumerate(replayed(recorded.path, scene)):
         if pose is not None:
@@ -163,7 +163,7 @@ def test_step_of_sleeping_cloth_moves_replayed_gripper(tmp_path: Path) -> None:
     assert pose[1] == 1.0
 
 
-def test_poses_are_recorded_only_where_targets_are_missed(recorded: Recorded) -> None:
+def test_poses_are_recorded_only_for_missed_targets(recorded: Recorded) -> None:
     scene = recorded.scene
     name, target = scene.gripper_names[0], None
     for frame, pose, made in zip(recorded.frames, recorded.poses, records_of(recorded.path), strict=True):
@@ -221,7 +221,7 @@ def test_older_session_is_verified_and_replayed(tmp_path: Path, recorded: Record
     verdict = verify([older])
     assert verdict.same, verdict.first_reason
     assert "'poses', absent from the record" in describe(verdict)
-    # Without poses each gripper is at its target.
+    # Without a recorded pose, each gripper is at its target.
     target = next(event for frame in reversed(events) for event in frame if isinstance(event, Target))
     poses = [pose for pose, _ in replayed(older, scene) if pose is not None]
     assert any(pose[:3].tolist() == list(target.position) for pose in poses)

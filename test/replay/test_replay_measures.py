@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a replay draws: normals, strains, colours, anchors and grippers, each against an independent answer."""
+"""Normals, strains, colours, anchors and grippers of a replay, against independent results."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_a_shortened_sheet_has_no_strain(measures: Measures) -> None:
 
 
 @pytest.mark.parametrize("measures", _both(), ids=["grid", "mesh"])
-def test_one_particle_pulled_out_strains_its_neighbours_alone(measures: Measures) -> None:
+def test_displaced_particle_strains_only_its_neighbours(measures: Measures) -> None:
     xyz = REST.copy()
     middle = 3 * SHEET.columns + 4
     xyz[middle] += [0.0, 0.0, 0.5]
@@ -85,7 +85,7 @@ def test_normals_face_the_light_at_the_start(turn: float) -> None:
         assert (normals @ [1.0, 2.0, 3.0] > 0.0).all()
 
 
-def test_particles_of_no_triangle_and_collapsed_triangles_are_finite() -> None:
+def test_particles_without_area_have_finite_normals() -> None:
     rest = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [5.0, 5.0, 5.0]])
     measures = MeshMeasures(np.array([[0, 1, 2]], np.uint32), rest, rest)
     for xyz in (rest, np.zeros_like(rest)):
@@ -110,7 +110,7 @@ def test_colours_go_from_light_to_red_in_equal_steps() -> None:
 @pytest.mark.parametrize(
     ("value", "rounded"), [(0.001, 0.001), (0.0011, 0.002), (0.03, 0.05), (0.06, 0.1), (7.0, 10.0)]
 )
-def test_limits_are_round(value: float, rounded: float) -> None:
+def test_colour_limits_are_round(value: float, rounded: float) -> None:
     assert round_up(value) == pytest.approx(rounded)
 
 
@@ -124,7 +124,7 @@ def test_anchors_are_those_of_the_scene(anchors: list[str]) -> None:
     assert opening.anchored(4, 6).tolist() == scene.anchored_particles()
 
 
-def test_an_opening_that_is_none_is_refused() -> None:
+def test_invalid_opening_is_refused() -> None:
     scene = Scene()
     text, state = parameter_file.dump(scene.parameters()), scene.starting_state().to_bytes()
     with pytest.raises(SessionError, match="parameter file"):
@@ -134,7 +134,7 @@ def test_an_opening_that_is_none_is_refused() -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_grippers_are_where_the_simulation_has_them(tmp_path: Path, seed: int) -> None:
+def test_replayed_gripper_poses_equal_simulation(tmp_path: Path, seed: int) -> None:
     random = np.random.default_rng(seed)
     while not (scene := random_scene(random)).gripper_names:
         pass
@@ -164,7 +164,7 @@ def test_grippers_are_where_the_simulation_has_them(tmp_path: Path, seed: int) -
     assert any(any(frame) for frame in held)
 
 
-def test_numbers_of_a_frame_find_their_plots() -> None:
+def test_numbers_of_a_frame_have_plots() -> None:
     extras = {"energy": {"kinetic": 1.5, "balance": 1e-6}, "late": True, "skipped": 3, "real_time_factor": 0.9}
     assert dict(extra_numbers(extras)) == {
         "plots/energy/energy_kinetic": 1.5,

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Obstacles in `cloth_replay`: each shape where it was, gone when it is gone."""
+"""Obstacles in `cloth_replay`: shapes, poses, removal."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_each_shape_is_drawn_where_it_was(tmp_path: Path) -> None:
     assert slab[0][0][0] > 4.0
 
 
-def test_a_mesh_is_drawn_by_its_triangles(tmp_path: Path) -> None:
+def test_mesh_obstacle_is_drawn_by_its_triangles(tmp_path: Path) -> None:
     import rerun as rr
 
     from cloth_sim_ros.ros.obstacle_markers import ObstacleMarkers

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`cloth_replay`: what it saves holds what was recorded, its pictures show a cloth, its refusals say why."""
+"""`cloth_replay`: contents of recordings, pictures, and error messages."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SMALL = {"cloth.resolution": [8, 9], "cloth.size": [0.4, 0.45], "material.stretc
 
 
 @pytest.mark.parametrize("velocity", [False, True], ids=["positions", "velocities too"])
-def test_a_recording_holds_every_cloud_as_it_was(tmp_path: Path, velocity: bool) -> None:
+def test_rerun_recording_holds_every_cloud(tmp_path: Path, velocity: bool) -> None:
     session = make_grasp(tmp_path, seconds=0.5, cloth__resolution=[8, 9], points__velocity=velocity)
     out = tmp_path / "out.rrd"
     assert main([str(session), "--save", str(out)]) == 0
@@ -49,7 +49,7 @@ def test_a_recording_holds_every_cloud_as_it_was(tmp_path: Path, velocity: bool)
             np.testing.assert_allclose(np.linalg.norm(normals[k], axis=1), 1.0, atol=1e-5)
 
 
-def test_what_happened_is_shown(tmp_path: Path) -> None:
+def test_events_are_shown(tmp_path: Path) -> None:
     maker = SessionMaker(tmp_path, Scene.from_parameters(SMALL))
     corner = tuple(maker.simulation.positions[-1].tolist())
     maker.add([Target("gripper", corner, (0.0, 0.0, 0.0, 1.0)), Grasp("gripper", True)])
@@ -68,18 +68,18 @@ def test_what_happened_is_shown(tmp_path: Path) -> None:
     assert rows(out, "/plots/late/late_frames", "Scalars:scalars")[1] == [[3.0]]
     assert rows(out, "/plots/energy/energy_balance", "Scalars:scalars")[1] == [[1e-5]]
     assert len(rows(out, "/plots/force/gripper", "Scalars:scalars")[1]) == 4
-    # After the reset the gripper is nowhere, and is drawn so small that it is not seen.
+    # After the reset the gripper has no pose and is drawn with size 0.
     _, spheres = rows(out, "/world/grippers/gripper/body", "Ellipsoids3D:half_sizes")
     assert spheres[-1] == [[0.0, 0.0, 0.0]]
 
 
 def messages(session: Path, out: Path) -> list[str]:
-    """The events that a session's recording lists."""
+    """Return the events in a session's Rerun recording."""
     assert main([str(session), "--save", str(out)]) == 0
     return [line for lines in rows(out, "/log", "TextLog:text")[1] for line in lines]
 
 
-def test_each_grasp_of_a_frame_is_told_with_its_own_count(tmp_path: Path) -> None:
+def test_each_grasp_of_a_frame_has_its_count(tmp_path: Path) -> None:
     maker = SessionMaker(tmp_path, Scene.from_parameters(SMALL | {"gripper.radius": 0.1}))
     corner = tuple(maker.simulation.positions[-1].tolist())
     close, let_go = Grasp("gripper", True), Grasp("gripper", False)
@@ -97,7 +97,7 @@ def test_each_grasp_of_a_frame_is_told_with_its_own_count(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("drops", ["all clouds", "the last cloud"])
-def test_no_count_is_told_where_no_cloud_shows_it(tmp_path: Path, drops: str) -> None:
+def test_held_count_is_unknown_without_a_cloud(tmp_path: Path, drops: str) -> None:
     maker = SessionMaker(tmp_path, Scene.from_parameters(SMALL))
     position = np.array([0.0, 0.0, 0.0])
 
@@ -113,7 +113,7 @@ def test_no_count_is_told_where_no_cloud_shows_it(tmp_path: Path, drops: str) ->
     assert messages(maker.finish(), tmp_path / "out.rrd") == ["gripper closes"]
 
 
-def test_what_the_node_says_a_gripper_holds_is_told(tmp_path: Path) -> None:
+def test_held_count_comes_from_gripper_state(tmp_path: Path) -> None:
     maker = SessionMaker(tmp_path, Scene.from_parameters(SMALL))
     corner = tuple(maker.simulation.positions[-1].tolist())
 
@@ -128,7 +128,7 @@ def test_what_the_node_says_a_gripper_holds_is_told(tmp_path: Path) -> None:
     assert messages(maker.finish(), tmp_path / "out.rrd")[:2] == expected
 
 
-def test_a_gripper_that_comes_while_the_cloth_sleeps_is_seen_to_hold_what_it_holds(tmp_path: Path) -> None:
+def test_gripper_at_sleeping_cloth_shows_held_particles(tmp_path: Path) -> None:
     maker = SessionMaker(tmp_path, Scene.from_parameters(SMALL | {"gravity": [0.0, 0.0, 0.0]}))
     corner = maker.simulation.positions[-1]
     maker.add([Target("gripper", tuple((corner + 0.5).tolist()))])
@@ -175,9 +175,7 @@ def test_every_nth_cloud_and_all_of_the_plots(tmp_path: Path) -> None:
     assert len(rows(out, "/plots/steps/steps", "Scalars:scalars")[1]) == 30
 
 
-def test_a_split_and_a_killed_session_are_shown_to_where_they_end(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_split_and_killed_sessions_are_shown_to_their_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     maker = SessionMaker(
         tmp_path, Scene.from_parameters(SMALL), options=WriterOptions(chunk_bytes=8192, sync_seconds=0.0)
     )
@@ -193,7 +191,7 @@ def test_a_split_and_a_killed_session_are_shown_to_where_they_end(
     assert 20 < len(times) < 30
 
 
-def test_following_shows_what_is_still_being_recorded(tmp_path: Path, wait_until: Any) -> None:
+def test_follow_shows_session_during_recording(tmp_path: Path, wait_until: Any) -> None:
     scene = Scene.from_parameters(SMALL)
     maker = SessionMaker(tmp_path, scene, options=WriterOptions(chunk_bytes=4096, sync_seconds=0.0))
     out = tmp_path / "out.rrd"
@@ -217,9 +215,7 @@ def test_following_shows_what_is_still_being_recorded(tmp_path: Path, wait_until
     assert len(rows(out, "/world/cloth", "Mesh3D:vertex_positions")[0]) == 60
 
 
-def test_a_picture_shows_a_lit_cloth_where_the_gripper_holds_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_picture_shows_lit_cloth_at_gripper(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     image = pytest.importorskip("PIL.Image", reason="pictures are looked at with pillow")
     session = make_grasp(tmp_path, seconds=1.0, cloth__resolution=[20, 20], material__stretch_modulus=300.0)
     out = tmp_path / "out.png"
@@ -232,21 +228,21 @@ def test_a_picture_shows_a_lit_cloth_where_the_gripper_holds_it(
     assert picture.shape == (600, 900, 3)
     view = picture[60:560, 5:600]
     red, green, blue = view[..., 0], view[..., 1], view[..., 2]
-    # The cloth: bright, and not of one brightness, because it is lit.
+    # Cloth: bright, with varying brightness from the lighting.
     cloth = (view.min(axis=2) > 70) & (abs(red - green) < 80)
     assert cloth.mean() > 0.1
     assert view[cloth].sum(axis=1).std() > 15.0
-    # Not torn: one piece, which fills most of each row that it is in.
+    # One connected piece that fills most of each row.
     rows = [np.flatnonzero(line) for line in cloth if line.sum() > 20]
     assert np.median([len(row) / (row[-1] - row[0] + 1) for row in rows]) > 0.8
-    # The closed gripper is green, and beside the cloth.
+    # The closed gripper is green, beside the cloth.
     gripper = np.argwhere((green > 1.5 * red) & (green > 1.3 * blue) & (green > 120))
     assert len(gripper) > 30
     middle = np.median(gripper, axis=0)
     assert np.linalg.norm(np.argwhere(cloth) - middle, axis=1).min() < 40.0
 
 
-def test_the_viewer_needs_a_screen(
+def test_viewer_needs_a_screen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
@@ -258,10 +254,10 @@ def test_the_viewer_needs_a_screen(
     assert "apt-get install xvfb xauth" in said
 
 
-def test_a_missing_driver_is_named(
+def test_missing_driver_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # A list of drivers that holds none: what a machine without any has.
+    # An empty list of drivers, as on a machine without any.
     monkeypatch.setenv("VK_ICD_FILENAMES", str(tmp_path / "none.json"))
     monkeypatch.setenv("VK_DRIVER_FILES", str(tmp_path / "none.json"))
     monkeypatch.setenv("WGPU_BACKEND", "vulkan")
@@ -271,10 +267,8 @@ def test_a_missing_driver_is_named(
 
 
 @pytest.mark.parametrize("listed", [True, False], ids=["one that does not serve", "none"])
-def test_a_driver_that_does_not_serve_is_named_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, listed: bool
-) -> None:
-    # What the viewer says where OpenGL is there and Vulkan is not: nothing of drivers.
+def test_unusable_driver_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, listed: bool) -> None:
+    # Message of the viewer with OpenGL but without Vulkan: it does not mention drivers.
     log = tmp_path / "viewer.log"
     log.write_text(
         "\x1b[33m WARN\x1b[0m egui_wgpu: Software rasterizer detected - loss of performance expected. backend: Gl\n\n"
@@ -292,7 +286,7 @@ def test_a_driver_that_does_not_serve_is_named_too(
     assert message.endswith("it said: thread 'main' panicked at 'Failed to get render context')")
 
 
-def test_a_viewer_that_ends_amid_painting_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_viewer_end_during_rendering_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     driver, log = tmp_path / "driver.json", tmp_path / "viewer.log"
     driver.write_text("{}")
     log.write_text("Error: out of memory\n")
@@ -310,7 +304,7 @@ def test_a_viewer_that_ends_amid_painting_is_told(tmp_path: Path, monkeypatch: p
         viewer.save_screenshot(tmp_path / "in.rrd", tmp_path / "out.png", at=None, size=(300, 300))
 
 
-def test_another_failure_is_told_as_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_viewer_failure_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     driver, log = tmp_path / "driver.json", tmp_path / "viewer.log"
     driver.write_text("{}")
     monkeypatch.setenv("VK_DRIVER_FILES", str(driver))
@@ -341,7 +335,7 @@ def test_a_wrong_command_line_is_refused(arguments: list[str], reason: str, caps
     assert reason in capsys.readouterr().err
 
 
-def test_what_is_no_session_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_foreign_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "out.rrd")
     other = tmp_path / "other.mcap"
     other.write_bytes(b"no session")
@@ -362,7 +356,7 @@ def test_a_session_without_topology_is_refused(tmp_path: Path, capsys: pytest.Ca
     assert f"{NODE}/topology" in capsys.readouterr().err
 
 
-def test_replay_knows_neither_ros_nor_physics(tmp_path: Path) -> None:
+def test_replay_imports_neither_ros_nor_physics(tmp_path: Path) -> None:
     session = make_grasp(tmp_path, seconds=0.1, cloth__resolution=[5, 5])
     code = f"""
 import sys

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`cloth_replay` destroys nothing: sessions are no outputs, and a recording appears when it is complete."""
+"""`cloth_replay` overwrites no session, and a recording appears when it is complete."""
 
 from __future__ import annotations
 
@@ -22,7 +22,9 @@ def session(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("option", ["--save", "--screenshot"])
-def test_a_session_is_no_output(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str) -> None:
+def test_session_is_refused_as_output(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str
+) -> None:
     was = session.read_bytes()
     link = tmp_path / "link.png"
     link.symlink_to(session)
@@ -40,7 +42,7 @@ def test_a_picture_is_a_png(session: Path, tmp_path: Path, capsys: pytest.Captur
     assert list(tmp_path.iterdir()) == [session]
 
 
-def test_an_interrupted_recording_leaves_what_was_there(
+def test_interrupted_recording_keeps_existing_output(
     session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, old = tmp_path / "out.rrd", tmp_path / "old.rrd"

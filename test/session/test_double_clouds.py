@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sessions whose clouds are in double precision: verified, exported and shown as they are."""
+"""Sessions with clouds in double precision."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_precision_may_change_while_the_cloth_runs(tmp_path: Path) -> None:
         export(reader, tmp_path / "out.npz")
 
 
-def test_precision_of_clouds_is_no_part_of_the_motion(tmp_path: Path) -> None:
+def test_precision_of_clouds_does_not_affect_motion(tmp_path: Path) -> None:
     digests = []
     for double in (False, True):
         simulation = Simulation(Scene.from_parameters({**DISTANT, "points.double": double}))

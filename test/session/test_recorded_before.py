@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sessions and states of version 0.1.0, whose arithmetic was another one: read, shown, continued, and told by name.
+"""Sessions and states of version 0.1.0, with other arithmetic.
 
 test/data/session_0.1.0.mcap is 24 frames of a cloth of 6 x 5 whose corner a gripper carries, recorded by that version;
 state_0.1.0.npz its state after frame 12, as ~/save_state wrote it.
@@ -32,17 +32,17 @@ from cloth_sim_ros.verify.run import verify
 DATA = Path(__file__).parents[1] / "data"
 SESSION, STATE = DATA / "session_0.1.0.mcap", DATA / "state_0.1.0.npz"
 FRAMES, SAVED = 24, 12
-#: Positions of the same motion by two versions differ by the errors of their steps, each within 0.6 of the scene's
-#: tolerance of 1e-4 m a second: 1.1e-5 m was seen over the 0.4 s.
+#: Positions of one motion by two versions differ by their step errors, each within 0.6 of the scene's tolerance of
+#: 1e-4 m per second. 1.1e-5 m was measured over the 0.4 s.
 APART = 5e-5
 
 
 def before_the_engine(**changes: str) -> dict[str, str]:
-    """Metadata as 0.1.0 wrote it, over those of a session that is made here."""
+    """Metadata of version 0.1.0, merged into those of a new session."""
     return {"version": "0.1.0", "numba": "0.68.1", "numerics": "1", **changes}
 
 
-def test_verify_tells_other_arithmetic_by_name_and_version(capsys: pytest.CaptureFixture[str]) -> None:
+def test_verify_names_other_arithmetic_and_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert verify_command([str(SESSION)]) == 3
     said = capsys.readouterr().out
     assert "session_0.1.0.mcap: it differs from frame 1 (0.017 s) on, in the digest of its state" in said
@@ -54,11 +54,11 @@ def test_verify_tells_other_arithmetic_by_name_and_version(capsys: pytest.Captur
         "It was recorded by cloth_sim_ros 0.1.0 (numba 0.68.1), whose arithmetic this version's engine does not repeat "
         "to the last bit; that is no damage."
     ) in said
-    # Its code is another one, of course.
+    # The code differs by definition.
     assert "its code" not in said
 
 
-def test_motion_of_another_arithmetic_is_the_same_within_the_tolerance() -> None:
+def test_motion_of_other_arithmetic_is_within_tolerance() -> None:
     verdict = verify([SESSION])
     assert (verdict.first_frame, verdict.frames, verdict.clouds) == (1, FRAMES, FRAMES)
     assert 0.0 < verdict.largest_deviation < APART
@@ -67,7 +67,7 @@ def test_motion_of_another_arithmetic_is_the_same_within_the_tolerance() -> None
 
 
 @pytest.mark.parametrize("key", ["time", "tolerance", "paused", "events"])
-def test_what_arithmetic_does_not_explain_is_a_difference(
+def test_difference_beyond_rounding_is_unexplained(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str
 ) -> None:
     changed = {"time": 0.7, "tolerance": 1.0, "paused": True, "events": [to_dict(Target("gripper", (1.0, 2.0, 3.0)))]}
@@ -86,13 +86,13 @@ def test_what_arithmetic_does_not_explain_is_a_difference(
     assert "But arithmetic does not explain frame 5, " in capsys.readouterr().out
 
 
-def test_a_session_of_other_arithmetic_that_comes_out_the_same_is_the_same(tmp_path: Path) -> None:
+def test_equal_session_of_other_arithmetic_has_status_same(tmp_path: Path) -> None:
     maker = SessionMaker(tmp_path, Scene.from_parameters({"cloth.resolution": [4, 4]}), metadata=before_the_engine())
     maker.add()
     assert verify_command([str(maker.finish())]) == 0
 
 
-def test_the_gravest_status_is_the_commands(tmp_path: Path) -> None:
+def test_exit_status_is_most_severe(tmp_path: Path) -> None:
     scene = Scene.from_parameters({"cloth.resolution": [4, 4]})
     maker = SessionMaker(tmp_path, scene)
     maker.add()
@@ -106,7 +106,7 @@ def test_the_gravest_status_is_the_commands(tmp_path: Path) -> None:
     assert verify_command([different, str(tmp_path / "absent.mcap"), str(SESSION)]) == 2
 
 
-def test_what_bits_do_not_depend_on_is_no_cause() -> None:
+def test_irrelevant_environment_is_no_cause() -> None:
     recorded = environment() | {"python": "3.1", "numpy": "1.0", "processor": "another", "instructions": "neon"}
     assert differences(recorded) == []
     assert recorder_with_other_arithmetic(recorded) == ""
@@ -121,24 +121,24 @@ def test_what_bits_do_not_depend_on_is_no_cause() -> None:
         ({}, "another version of cloth_sim_ros"),
     ],
 )
-def test_other_arithmetic_is_told_by_its_recorder(recorded: dict[str, str], by: str) -> None:
+def test_other_arithmetic_names_its_recorder(recorded: dict[str, str], by: str) -> None:
     assert recorder_with_other_arithmetic(recorded) == by
 
 
-def test_an_environment_tells_its_arithmetic() -> None:
+def test_environment_names_its_arithmetic() -> None:
     told = environment()
     assert set(told) == {"version", "numerics", "source", "instructions", "python", "numpy", "machine", "processor"}
     assert told["instructions"] in {"baseline", "avx2", "avx512", "neon"}
 
 
-def test_a_session_from_before_is_read_and_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_older_session_is_read_and_named(capsys: pytest.CaptureFixture[str]) -> None:
     assert session_command(["info", str(SESSION)]) == 0
     said = capsys.readouterr().out
     assert "version 0.1.0" in said
     assert f"1 to {FRAMES} ({FRAMES} records)" in said
 
 
-def test_a_session_from_before_is_shown(tmp_path: Path) -> None:
+def test_older_session_is_shown(tmp_path: Path) -> None:
     pytest.importorskip("rerun")
     from cloth_sim_ros.replay.main import main as replay_command
 
@@ -146,12 +146,12 @@ def test_a_session_from_before_is_shown(tmp_path: Path) -> None:
     assert (tmp_path / "out.rrd").stat().st_size > 0
 
 
-def test_a_state_from_before_runs_on() -> None:
+def test_older_state_continues() -> None:
     state = State.from_bytes(STATE.read_bytes())
     with SessionReader(SESSION) as reader:
         records = list(reader.frames())
         scene = scene_of(reader)
-    # What its step control remembered is of other rules than today's: those begin anew.
+    # Its controller state follows older rules and is not used.
     assert state.left_out == ("stepper", "automatic")
     assert records[SAVED - 1].frame == state.frame == SAVED
     simulation = Simulation(scene, state)
@@ -162,7 +162,7 @@ def test_a_state_from_before_runs_on() -> None:
     assert math.isclose(simulation.time, (SAVED + 5) * scene.period)
 
 
-def test_a_frame_of_a_session_from_before_is_a_state_to_begin_with() -> None:
+def test_frame_of_older_session_is_an_initial_state() -> None:
     pytest.importorskip("rclpy")
     from cloth_sim_ros.ros.initial_state import session_state
 

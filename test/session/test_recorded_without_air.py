@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sessions that were recorded before air acted across the sheet by default."""
+"""Sessions from before wind.normal_drag had a default."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def falling(folder: Path, normal_drag: float) -> Path:
     return maker.finish()
 
 
-def test_session_without_the_parameter_runs_without_air(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_session_without_air_parameter_runs_without_air(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     dump = parameter_file.dump
 
     def without(values: dict[str, Any], **options: Any) -> str:
@@ -44,7 +44,7 @@ def test_session_without_the_parameter_runs_without_air(tmp_path: Path, monkeypa
 
 
 @pytest.mark.parametrize("normal_drag", [0.0, 0.45])
-def test_session_runs_again_with_its_own_air(tmp_path: Path, normal_drag: float) -> None:
+def test_session_reruns_with_its_recorded_air(tmp_path: Path, normal_drag: float) -> None:
     verdict = verify([falling(tmp_path, normal_drag)])
     assert (verdict.first_frame, verdict.frames) == (None, 12)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sessions that were recorded before grippers had a limit of speed."""
+"""Sessions from before grippers had a speed limit."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from cloth_sim_ros.verify.run import verify
 
 
 def jumping(folder: Path, **values: Any) -> Path:
-    """A session of a gripper that holds a corner and jumps by 1 m, and back."""
+    """Session of a gripper that holds a corner and jumps by 1 m, and back."""
     scene = Scene.from_parameters({"cloth.resolution": [5, 5], **values})
     maker = SessionMaker(folder, scene)
     x, y, z = scene.initial_positions()[-1].tolist()
@@ -32,7 +32,7 @@ def jumping(folder: Path, **values: Any) -> Path:
 
 @pytest.fixture
 def older(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let sessions be written as they were before: without the parameter."""
+    """Write sessions without the parameter, like the older version."""
     dump = parameter_file.dump
 
     def without(values: dict[str, Any], **options: Any) -> str:
@@ -42,18 +42,18 @@ def older(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("older")
-def test_older_session_runs_again_without_a_limit(tmp_path: Path) -> None:
+def test_older_session_reruns_without_speed_limit(tmp_path: Path) -> None:
     verdict = verify([jumping(tmp_path, **{"gripper.max_speed": 0.0})])
     assert (verdict.first_frame, verdict.frames) == (None, 12)
 
 
 @pytest.mark.parametrize("speed", [0.0, 3.0, 10.0])
-def test_session_runs_again_with_its_limit(tmp_path: Path, speed: float) -> None:
+def test_session_reruns_with_its_speed_limit(tmp_path: Path, speed: float) -> None:
     verdict = verify([jumping(tmp_path, **{"gripper.max_speed": speed})])
     assert (verdict.first_frame, verdict.frames) == (None, 12)
 
 
-def test_only_sessions_lack_the_limit_where_it_is_not_set() -> None:
+def test_only_older_sessions_lack_speed_limit() -> None:
     assert BEFORE["gripper.max_speed"] == 0.0
     text = parameter_file.dump({"rate": 60.0})
     assert recorded_values(text, node="/cloth_sim") == {"rate": 60.0, **BEFORE}

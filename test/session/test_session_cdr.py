@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The fast ways into CDR bytes agree with rosbags' generic reader, and with ROS itself where it is installed."""
+"""CDR codecs agree with rosbags' generic reader, and with ROS if it is installed."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def test_descriptions_are_those_of_ros() -> None:
         describe("my_msgs/msg/Thing")
 
 
-def test_quality_of_service_is_rosbag2s_text() -> None:
+def test_qos_text_equals_rosbag2() -> None:
     from rosbags.rosbag2.metadata import parse_qos
 
     (qos,) = parse_qos(Qos(reliability="best_effort", durability="transient_local", depth=3).to_yaml())

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`cloth_session`: what it prints, what it writes, and one clear line for everything it cannot do."""
+"""`cloth_session`: output, files, and one-line errors."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def session(tmp_path: Path) -> Path:
     return samples.write_session(tmp_path, CONTENT)
 
 
-def test_info_tells_what_happened(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_summarizes_session(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", str(session)]) == 0
     text = capsys.readouterr().out
     assert len(text.splitlines()) <= 40
@@ -39,10 +39,10 @@ def test_info_tells_what_happened(session: Path, capsys: pytest.CaptureFixture[s
         assert said in text
 
 
-def test_info_of_several_sessions_tells_one_after_the_other(
+def test_info_summarizes_several_sessions_in_turn(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # As `sessions/*.mcap` gives them after a second recording.
+    # The order of `sessions/*.mcap` after a second recording.
     other = samples.write_session(tmp_path, CONTENT[:90], stem="other")
     assert main(["info", str(session), str(other)]) == 0
     text = capsys.readouterr().out
@@ -56,7 +56,7 @@ def test_info_of_several_sessions_tells_one_after_the_other(
     assert "give the files of one session at a time" in capsys.readouterr().err
 
 
-def test_info_for_programs(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_prints_json(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["info", "--json", str(session)]) == 0
     content = json.loads(capsys.readouterr().out)
     assert content["complete"] is True
@@ -66,7 +66,7 @@ def test_info_for_programs(session: Path, capsys: pytest.CaptureFixture[str]) ->
     assert content["topics"][samples.POINTS]["lost"] == 0
 
 
-def test_info_of_a_cut_file_says_so_and_fails(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_of_cut_file_reports_it_and_fails(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     session.write_bytes(session.read_bytes()[:-9000])
     assert main(["info", str(session)]) == 1
     assert "cut off" in capsys.readouterr().out
@@ -84,7 +84,7 @@ def test_info_counts_what_was_dropped(tmp_path: Path, capsys: pytest.CaptureFixt
     assert text.splitlines()[-1].split() == ["/a", "std_msgs/String", "5", "0.00", "5"]
 
 
-def test_recover_makes_a_whole_file(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_recover_makes_a_complete_file(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = session.read_bytes()
     session.write_bytes(data[:-9000])
     assert main(["recover", str(session)]) == 0
@@ -118,7 +118,7 @@ def test_export_takes_every_nth_of_a_span(session: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(("every", "said"), [("60", ": 1 frame, "), ("30", ": 2 frames, ")])
-def test_export_says_how_much_in_words(
+def test_export_prints_counts_with_plurals(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], every: str, said: str
 ) -> None:
     assert main(["export", str(session), "-o", str(tmp_path / "out.npz"), "--every", every]) == 0
@@ -152,7 +152,7 @@ def test_parts_of_a_session_are_found(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 @pytest.mark.parametrize("command", ["info", "recover", "export"])
-def test_what_is_no_session_gets_one_line(
+def test_foreign_file_gets_one_line(
     command: str, session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = tmp_path / "text.mcap"

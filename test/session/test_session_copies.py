@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sessions as other tools write them again: without chunks, without indexes, with records moved or left out."""
+"""Copies of sessions by other tools: without chunks or indexes, with moved or missing records."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_copy_holds_every_message(session: Path, tmp_path: Path, variant: str) -
 
 
 @pytest.mark.parametrize("variant", ["no chunks", "no chunk indexes", "no summary", "opening at the end, no chunks"])
-def test_copy_is_told_replayed_and_exported(session: Path, tmp_path: Path, variant: str) -> None:
+def test_copy_is_summarized_replayed_and_exported(session: Path, tmp_path: Path, variant: str) -> None:
     pytest.importorskip("rerun")
     from cloth_sim_ros.replay.main import main as replay_command
 
@@ -91,7 +91,7 @@ def test_copy_is_told_replayed_and_exported(session: Path, tmp_path: Path, varia
 
 
 @pytest.mark.parametrize("variant", ["no chunks", "no chunk indexes"])
-def test_copy_is_a_state_to_begin_with(session: Path, tmp_path: Path, variant: str) -> None:
+def test_copy_is_an_initial_state(session: Path, tmp_path: Path, variant: str) -> None:
     pytest.importorskip("rclpy")
     from cloth_sim_ros.ros.initial_state import session_state
 
@@ -100,8 +100,8 @@ def test_copy_is_a_state_to_begin_with(session: Path, tmp_path: Path, variant: s
     assert state == again
 
 
-def test_messages_beside_chunks_are_read(session: Path, tmp_path: Path) -> None:
-    # The first half in chunks, the second without: one file's data section behind the other's.
+def test_messages_outside_of_chunks_are_read(session: Path, tmp_path: Path) -> None:
+    # First half in chunks, second half without: the data sections of two files, concatenated.
     chunked = copy_by_tool(session, tmp_path / "chunked.mcap").read_bytes()
     bare = copy_by_tool(session, tmp_path / "bare.mcap", use_chunking=False).read_bytes()
     with SessionReader(tmp_path / "bare.mcap") as reader:
@@ -117,7 +117,7 @@ def test_messages_beside_chunks_are_read(session: Path, tmp_path: Path) -> None:
 
 
 def records(path: Path) -> Iterator[tuple[int, bytes]]:
-    """Opcode and bytes of each record of a file."""
+    """Yield opcode and bytes of each record of a file."""
     data, position = path.read_bytes(), len(MAGIC)
     while position < len(data) - len(MAGIC):
         opcode, size = struct.unpack_from("<BQ", data, position)
@@ -135,7 +135,7 @@ def test_chunk_that_the_indexes_hide_is_read(session: Path, tmp_path: Path) -> N
             content += hidden + record
             summary = bytes(content)
         elif opcode == Opcode.CHUNK_INDEX:
-            # The bytes of the hidden chunk are passed off as message indexes.
+            # The bytes of the hidden chunk count as message indexes.
             length = 9 + 36 + int.from_bytes(record[9 + 32 : 9 + 36], "little")
             claimed = int.from_bytes(record[length : length + 8], "little") + len(hidden)
             content += record[:length] + claimed.to_bytes(8, "little") + record[length + 8 :]
@@ -155,7 +155,7 @@ def test_end_record_of_no_number_is_no_traceback(
     copy = falsify(session, tmp_path / "copy.mcap", Falsification(end={key: value}))
     assert verify_command([str(copy)]) == 0
     assert "Not all of it is there" in capsys.readouterr().out
-    # A file that lacks messages is told by the status.
+    # The status reports a file that lacks messages.
     assert session_command(["info", str(copy)]) == (key == "dropped")
 
 
@@ -174,7 +174,7 @@ def test_part_of_no_number_is_refused(session: Path, tmp_path: Path, value: str)
         SessionReader(copy)
 
 
-def test_flipped_bit_of_a_bare_message_is_found(session: Path, tmp_path: Path) -> None:
+def test_flipped_bit_of_unchunked_message_is_found(session: Path, tmp_path: Path) -> None:
     copy = copy_by_tool(session, tmp_path / "copy.mcap", **VARIANTS["data checksum"])
     with SessionReader(copy) as reader:
         cloud = next(reader.messages([f"{reader.node}/points"])).data
@@ -215,7 +215,7 @@ LEFT_OUT = {
 
 @pytest.mark.parametrize("options", [{}, {"use_chunking": False}, {"use_summary_offsets": False, **PLAIN}])
 @pytest.mark.parametrize("left_out", LEFT_OUT)
-def test_copy_without_its_opening_is_told_by_every_command(
+def test_copy_without_opening_is_reported_by_every_command(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], left_out: str, options: dict[str, Any]
 ) -> None:
     from cloth_sim_ros.batch.fit_main import main as fit_command
@@ -237,7 +237,7 @@ def test_copy_without_its_opening_is_told_by_every_command(
         assert "mcap filter --include-metadata --include-attachments" in said
 
 
-def test_copy_without_its_opening_is_told_by_replay_and_state(session: Path, tmp_path: Path) -> None:
+def test_copy_without_opening_is_reported_by_replay_and_state(session: Path, tmp_path: Path) -> None:
     pytest.importorskip("rerun")
     pytest.importorskip("rclpy")
     from cloth_sim_ros.replay.show import save_recording
@@ -258,15 +258,13 @@ def test_merged_recordings_are_refused_with_the_cause(session: Path, tmp_path: P
         SessionReader(merged)
 
 
-def test_copy_without_its_end_record_says_so(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_copy_without_end_record_is_reported(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     copy = copy_by_tool(session, tmp_path / "copy.mcap", metadata=lambda name: name == "cloth_sim")
     assert session_command(["info", str(copy)]) == 0
     assert "unknown: the record 'cloth_sim_end' is missing" in capsys.readouterr().out
 
 
-def test_verify_of_a_session_without_frames_is_no_success(
-    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_verify_fails_without_frames(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     copy = copy_by_tool(session, tmp_path / "copy.mcap", topics=lambda topic: not topic.endswith("/frame"))
     assert verify_command([str(copy)]) == 2
     assert "holds no frames" in capsys.readouterr().out

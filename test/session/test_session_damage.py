@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A file cut off at any byte, or with bits flipped, gives back what is whole and never a corrupt message."""
+"""Files cut off at any byte or with flipped bits: intact messages are read, corrupt ones never."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _write(folder: Path, compression: Compression = "lz4") -> Path:
 
 
 def _chunk_ends(path: Path) -> list[tuple[int, int]]:
-    """For each chunk, the byte after it, and how many messages the file holds up to there."""
+    """Return for each chunk its end offset and the number of messages up to there."""
     messages, ends = 0, []
     part = SessionPart(path)
     for chunk in part.chunks():
@@ -45,13 +45,13 @@ def _chunk_ends(path: Path) -> list[tuple[int, int]]:
 
 
 def _opening(path: Path) -> int:
-    """Bytes before the first chunk."""
+    """Return the size before the first chunk [bytes]."""
     with path.open("rb") as file:
         return int(SeekingReader(file).get_summary().chunk_indexes[0].chunk_start_offset)
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_cut_at_any_byte_loses_at_most_the_open_chunk(tmp_path: Path, compression: Compression) -> None:
+def test_cut_at_any_byte_loses_open_chunk_at_most(tmp_path: Path, compression: Compression) -> None:
     whole = _write(tmp_path, compression)
     data = whole.read_bytes()
     ends = _chunk_ends(whole)
@@ -66,7 +66,7 @@ def test_cut_at_any_byte_loses_at_most_the_open_chunk(tmp_path: Path, compressio
         try:
             reader = SessionReader(cut)
         except (DamagedSessionError, NotASessionError):
-            # Such a file is never seen: it gets its name once its opening is complete.
+            # Such a file is never visible: it gets its name after its opening is complete.
             assert length < opening
             continue
         with reader:
@@ -106,7 +106,7 @@ def test_flipped_bits_never_pass_as_good(tmp_path: Path, compression: Compressio
             assert reader.state == samples.SNAPSHOT.state
             assert reader.scene_yaml == samples.SNAPSHOT.scene_yaml
             assert reader.metadata["period"] == samples.SNAPSHOT.metadata["period"]
-    # Harmless are bits in the message indexes and chunk heads, which this reader does not go by.
+    # Bits in message indexes and chunk headers are harmless: this reader does not use them.
     assert refused > 20
     assert noted > 100
     assert refused + noted + harmless <= 400
@@ -143,13 +143,13 @@ def test_after_a_damaged_chunk_reading_goes_on(tmp_path: Path) -> None:
             assert "fails its checksum" in reader.missing or "does not decompress" in reader.missing
 
 
-def test_a_torn_record_of_an_unfinished_file_costs_no_other(tmp_path: Path) -> None:
+def test_torn_record_of_unfinished_file_loses_no_other_record(tmp_path: Path) -> None:
     whole = _write(tmp_path)
     path = tmp_path / "torn.mcap"
     ends = _chunk_ends(whole)
     data = whole.read_bytes()[: ends[-1][0]]
-    # The first message index after chunk 2 claims to be something that no record is, or of another length, or the chunk
-    # after it claims to reach beyond the end: the chunks that follow are found by their own checksums.
+    # The first message index after chunk 2 has a wrong opcode or length, or the next chunk has a length beyond the end:
+    # the following chunks are found by their checksums.
     with whole.open("rb") as file:
         third = SeekingReader(file).get_summary().chunk_indexes[3].chunk_start_offset
     for place, value, lost in [
@@ -173,7 +173,7 @@ def test_a_torn_record_of_an_unfinished_file_costs_no_other(tmp_path: Path) -> N
             assert not reader.complete
 
 
-def test_messages_of_a_lost_declaration_are_left_out(tmp_path: Path) -> None:
+def test_messages_of_lost_declaration_are_skipped(tmp_path: Path) -> None:
     path = _write(tmp_path)
     ends = _chunk_ends(path)
     data = bytearray(path.read_bytes()[: ends[-1][0]])
@@ -194,7 +194,7 @@ def test_messages_of_a_lost_declaration_are_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_recovered_file_is_finished_and_holds_what_was_whole(tmp_path: Path, compression: Compression) -> None:
+def test_recovered_file_is_finished_and_holds_intact_chunks(tmp_path: Path, compression: Compression) -> None:
     whole = _write(tmp_path, compression)
     ends = _chunk_ends(whole)
     cut = tmp_path / "cut.mcap"
@@ -213,7 +213,7 @@ def test_recovered_file_is_finished_and_holds_what_was_whole(tmp_path: Path, com
     assert not [path for path in tmp_path.iterdir() if "unfinished" in path.name]
 
 
-def test_recover_refuses_what_it_cannot_mend(tmp_path: Path) -> None:
+def test_recover_refuses_unrecoverable_files(tmp_path: Path) -> None:
     whole = _write(tmp_path)
     with pytest.raises(SessionError, match="nothing to recover"):
         recover(whole)

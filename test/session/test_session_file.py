@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A session file is what the ROS 2 world expects: independent readers agree on every message."""
+"""Session files are valid for ROS 2 tools: independent readers agree on every message."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def session(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return samples.write_session(tmp_path, CONTENT, options=options)
 
 
-def test_own_reader_gives_back_everything(session: Path) -> None:
+def test_reader_returns_everything(session: Path) -> None:
     with SessionReader(session, strict=True) as reader:
         assert samples.plain(list(reader.messages())) == samples.plain(CONTENT)
         assert reader.complete
@@ -108,7 +108,7 @@ def test_indexes_counts_and_declarations_agree_with_the_data(session: Path) -> N
     samples.check_structure(session)
 
 
-def test_a_cloud_is_paired_with_its_own_frame_only(tmp_path: Path) -> None:
+def test_cloud_is_paired_with_its_frame_only(tmp_path: Path) -> None:
     frames = [item for item in CONTENT if item.topic in (samples.FRAME, samples.POINTS)]
     del frames[6]  # The record of frame 3.
     path = samples.write_session(tmp_path, frames)
@@ -128,7 +128,7 @@ def test_filters_by_topic_and_time(session: Path) -> None:
     assert expected
     with SessionReader(session) as reader:
         assert samples.plain(list(reader.messages([samples.FRAME], start=start, end=end))) == samples.plain(expected)
-        # Chunks that lie outside are not even read.
+        # Chunks outside of the time range are not read.
         assert all(chunk.place.offset > 5000 for chunk in reader.parts[0].chunks(start=end))
 
 
@@ -157,7 +157,7 @@ def test_a_chunk_closes_by_size_and_by_age(tmp_path: Path) -> None:
     writer.finish(reason="stopped")
 
 
-def test_power_loss_costs_no_more_than_the_period(tmp_path: Path) -> None:
+def test_power_loss_costs_at_most_the_sync_period(tmp_path: Path) -> None:
     now, synced = [0.0], []
     options = WriterOptions(chunk_seconds=0.5, sync_seconds=2.0)
     writer = SessionWriter(
@@ -188,7 +188,7 @@ def test_a_file_is_never_overwritten(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(path.name for path in (first, second, third))
 
 
-def test_what_a_killed_process_left_hidden_is_swept_later(tmp_path: Path) -> None:
+def test_hidden_leftovers_of_killed_process_are_removed(tmp_path: Path) -> None:
     old = tmp_path / ".session_000.mcap.0123abcd.unfinished"
     used = tmp_path / ".session_000.mcap.1123abcd.unfinished"
     young = tmp_path / ".session_000.mcap.2123abcd.unfinished"
@@ -203,7 +203,7 @@ def test_what_a_killed_process_left_hidden_is_swept_later(tmp_path: Path) -> Non
     assert [path.exists() for path in (old, used, young, other)] == [False, True, True, True]
 
 
-def test_a_session_without_messages_is_whole(tmp_path: Path) -> None:
+def test_session_without_messages_is_complete(tmp_path: Path) -> None:
     path = samples.write_session(tmp_path, [])
     with SessionReader(path) as reader:
         assert list(reader.messages()) == []
@@ -246,7 +246,7 @@ def test_wrong_settings_are_named(tmp_path: Path) -> None:
         samples.write_session(tmp_path, [], options=WriterOptions(compression="gzip"))  # type: ignore[arg-type]
 
 
-def test_parts_are_taken_in_order_only(tmp_path: Path) -> None:
+def test_parts_are_accepted_in_order_only(tmp_path: Path) -> None:
     parts = []
     for number in range(3):
         writer = SessionWriter(tmp_path, snapshot=samples.SNAPSHOT, stem="s", part=number, log_time=0)
@@ -265,7 +265,7 @@ def test_parts_are_taken_in_order_only(tmp_path: Path) -> None:
             SessionReader(wrong)
 
 
-def test_session_imports_nothing_of_the_rest() -> None:
+def test_session_imports_no_other_room() -> None:
     script = (
         "import sys\n"
         "import cloth_sim_ros.session.recorder, cloth_sim_ros.session.reader, cloth_sim_ros.session.recover\n"

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Following a session that is still being recorded: everything comes once, in order, to its end."""
+"""Following a session during its recording: every message once, in order."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_messages_come_while_they_are_recorded(recorder: Recorder) -> None:
         coming = reader.follow(poll=0.005)
         got = []
         for item in CONTENT:
-            # Each is waited for before the next is recorded, so nothing can have come from the finished file.
+            # Each message is read before the next is recorded; therefore none comes from the finished file.
             _record(recorder, [item])
             got.append(next(coming))
         assert samples.plain(got) == samples.plain(CONTENT)
@@ -56,7 +56,7 @@ def test_messages_come_while_they_are_recorded(recorder: Recorder) -> None:
         assert reader.missing is None
 
 
-def test_a_split_session_is_followed_into_its_next_files(recorder: Recorder) -> None:
+def test_split_session_is_followed_into_next_files(recorder: Recorder) -> None:
     got: list[Message] = []
     with SessionReader(recorder.wait_until_open()) as reader:
         thread = threading.Thread(target=lambda: got.extend(reader.follow(poll=0.005)))
@@ -72,7 +72,7 @@ def test_a_split_session_is_followed_into_its_next_files(recorder: Recorder) -> 
         assert reader.complete
 
 
-def test_following_ends_with_the_death_of_the_recording_process(tmp_path: Path) -> None:
+def test_follow_ends_with_death_of_recording_process(tmp_path: Path) -> None:
     script = (
         "import sys\n"
         "sys.path[:0] = sys.argv[2:]\n"
@@ -103,7 +103,7 @@ def test_following_ends_with_the_death_of_the_recording_process(tmp_path: Path) 
         child.communicate()
 
 
-def test_following_ends_when_asked(recorder: Recorder) -> None:
+def test_follow_ends_on_request(recorder: Recorder) -> None:
     _record(recorder, CONTENT[:5])
     asked = iter([True, True, False])
     with SessionReader(recorder.wait_until_open()) as reader:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The text form of a frame record keeps every bit and refuses what JSON has no form for."""
+"""JSON form of frame records: keeps every bit, refuses objects without a JSON form."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ def test_every_float_and_text_comes_back_bit_for_bit(
     )
     again = FrameRecord.from_json(record.to_json())
     assert again == record
-    # -0.0 == 0.0, so compare the texts too.
+    # -0.0 == 0.0; therefore the texts are compared too.
     assert again.to_json() == record.to_json()
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
-def test_what_is_no_number_is_refused(value: float) -> None:
+def test_non_finite_numbers_are_refused(value: float) -> None:
     with pytest.raises(SessionError, match="frame 3"):
         FrameRecord(
             frame=3,

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A few kills at random moments; soak_session_kills.py does hundreds."""
+"""A few kills at random times; soak_session_kills.py does hundreds."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def _kill(folder: Path, *options: str) -> str:
     return done.stdout
 
 
-def test_killed_recordings_open_and_lack_nothing_but_their_end(tmp_path: Path) -> None:
-    # How much of the end may be missing is not tested here: a busy machine may stop any process for a while.
+def test_killed_recordings_lack_only_their_end(tmp_path: Path) -> None:
+    # The length of the missing end is not tested: a busy machine may stop a process for a while.
     assert "8 kills" in _kill(tmp_path, "--count", "8", "--within", "60", "--longest", "1.2")
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recording where files, threads or memory run out: a reason, nothing half-made, and another try that works."""
+"""Recording without free descriptors, threads or memory: a reason, no partial files, and a working retry."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FAILURES = [OSError(errno.EMFILE, "Too many open files"), OSError(errno.ENOSPC, 
 
 
 def failing_file(step: str, error: Exception) -> type[AppendFile]:
-    """An AppendFile of which one step fails, after it has done its work."""
+    """AppendFile of which one method fails after its work."""
 
     class FailingFile(AppendFile):
         def __init__(self, folder: Path, stem: str, suffix: str) -> None:
@@ -58,7 +58,7 @@ def failing_file(step: str, error: Exception) -> type[AppendFile]:
 
 
 def recorder(folder: Path, **options: Any) -> Recorder:
-    """A recorder of a session that begins now."""
+    """Return a recorder of a session that begins now."""
     return Recorder(folder, snapshot=SNAPSHOT, log_time=1, stem="cloth", **options)
 
 
@@ -81,7 +81,7 @@ def test_recording_that_fails_to_begin_leaves_nothing(
     assert again.close().state == "closed"
 
 
-def test_recording_without_descriptors_tells_the_limit(tmp_path: Path) -> None:
+def test_recording_without_descriptors_names_the_limit(tmp_path: Path) -> None:
     recorder(tmp_path / "warm").close()
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (max(int(name) for name in os.listdir("/proc/self/fd")), hard))
@@ -103,7 +103,7 @@ def test_recording_without_descriptors_tells_the_limit(tmp_path: Path) -> None:
     assert recorder(tmp_path).close().state == "closed"
 
 
-def test_recording_without_threads_tells_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recording_without_threads_names_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(_: threading.Thread) -> None:
         raise RuntimeError("can't start new thread")
 
@@ -116,7 +116,7 @@ def test_recording_without_threads_tells_the_limit(tmp_path: Path, monkeypatch: 
 
 
 @pytest.mark.parametrize("error", FAILURES, ids=["files", "space", "memory"])
-def test_split_that_fails_ends_a_whole_recording(
+def test_failed_split_ends_a_complete_recording(
     tmp_path: Path, wait_until: Callable[..., object], error: Exception
 ) -> None:
     files = iter([AppendFile, failing_file("sync_name", error)])

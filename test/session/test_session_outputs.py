@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What commands write: never over a session or what they read, refused before the work, whole or not at all."""
+"""Output files of commands: refused before the work, written atomically."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _refusal(path: Path, *inputs: Path) -> str:
     return str(refused.value)
 
 
-def test_neither_inputs_nor_sessions_are_outputs(session: Path, tmp_path: Path) -> None:
+def test_inputs_and_sessions_are_refused_as_outputs(session: Path, tmp_path: Path) -> None:
     link, hard, plain = tmp_path / "link.png", tmp_path / "hard.png", tmp_path / "scene.yaml"
     link.symlink_to(session)
     hard.hardlink_to(session)
@@ -48,7 +48,7 @@ def test_neither_inputs_nor_sessions_are_outputs(session: Path, tmp_path: Path) 
         assert "ends in .mcap is a session" in _refusal(tmp_path / name, session)
 
 
-def test_a_place_where_nothing_can_be_written_is_told_at_once(tmp_path: Path) -> None:
+def test_unwritable_output_is_reported_at_once(tmp_path: Path) -> None:
     assert "there is no folder" in _refusal(tmp_path / "absent" / "out.png")
     assert "a folder: name a file" in _refusal(tmp_path)
     if Path("/proc").is_dir():
@@ -60,7 +60,7 @@ def test_a_place_where_nothing_can_be_written_is_told_at_once(tmp_path: Path) ->
     assert "end the name in .png" in _refusal(tmp_path / "out.jpg")
 
 
-def test_other_files_may_be_replaced_and_looking_leaves_nothing(tmp_path: Path) -> None:
+def test_other_files_may_be_replaced_and_check_leaves_no_file(tmp_path: Path) -> None:
     old = tmp_path / "old.png"
     old.write_text("old")
     check_outputs(
@@ -72,7 +72,7 @@ def test_other_files_may_be_replaced_and_looking_leaves_nothing(tmp_path: Path) 
     assert old.read_text() == "old"
 
 
-def test_two_outputs_are_two_files(tmp_path: Path) -> None:
+def test_two_outputs_need_two_files(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(tmp_path / "out")
     with pytest.raises(OutputError, match="--json and --plot both name"):
         check_outputs({"--json": tmp_path / "out", "--plot": tmp_path / "link"}, [])
@@ -85,7 +85,7 @@ def _interrupted(target: Path) -> None:
         raise KeyboardInterrupt
 
 
-def test_what_is_interrupted_leaves_what_was_there(tmp_path: Path) -> None:
+def test_interrupted_write_keeps_existing_file(tmp_path: Path) -> None:
     target = tmp_path / "out"
     with pytest.raises(KeyboardInterrupt):
         _interrupted(target)
@@ -108,21 +108,21 @@ def test_what_is_interrupted_leaves_what_was_there(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["link", "out"]
 
 
-def test_a_long_name_is_no_longer_while_it_is_written(tmp_path: Path) -> None:
+def test_long_name_fits_while_it_is_written(tmp_path: Path) -> None:
     target = tmp_path / ("x" * 250)
     with written_whole(target) as place:
         place.write_text("all")
     assert target.read_text() == "all"
 
 
-def test_an_error_names_what_was_asked_for(tmp_path: Path) -> None:
+def test_error_names_requested_output(tmp_path: Path) -> None:
     target = tmp_path / "absent" / "out"
     with pytest.raises(FileNotFoundError) as refused, written_whole(target):
         pass
     assert refused.value.filename == str(target)
 
 
-def test_an_export_that_cannot_be_written_names_what_was_asked_for(
+def test_failed_export_names_requested_output(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     target = tmp_path / "folder" / "out.npz"
@@ -137,7 +137,7 @@ def test_an_export_that_cannot_be_written_names_what_was_asked_for(
     assert capsys.readouterr().err == f"cloth_session: {target}: No such file or directory\n"
 
 
-def test_what_is_being_recorded_is_not_called_cut_off(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_session_being_recorded_is_not_reported_as_cut_off(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recorder = Recorder(tmp_path, snapshot=samples.SNAPSHOT, log_time=samples.START, stem="live")
     path = recorder.wait_until_open()
     assert main(["info", str(path)]) == 1
@@ -147,7 +147,7 @@ def test_what_is_being_recorded_is_not_called_cut_off(tmp_path: Path, capsys: py
     recorder.close()
 
 
-def test_a_pipe_is_no_session_and_does_not_hang_the_search_for_parts(session: Path, tmp_path: Path) -> None:
+def test_pipe_does_not_block_search_for_parts(session: Path, tmp_path: Path) -> None:
     pipe = tmp_path / "pipe.mcap"
     os.mkfifo(pipe)
     for arguments, status in ([str(pipe)], 2), (["--all-parts", str(session)], 0):

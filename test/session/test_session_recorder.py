@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder never holds up the one who records, loses only clouds, and ends cleanly whatever the disk does."""
+"""Recorder: never blocks, drops clouds only, and ends cleanly on every disk error."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from cloth_sim_ros.session.storage import AppendFile
 from cloth_sim_ros.session.writer import SessionWriter, WriterOptions
 
 CONTENT = list(samples.samples(60))
-# Uncompressed, so that sizes on the disk are known.
+# Uncompressed, for known sizes on the disk.
 QUICK = WriterOptions(chunk_bytes=8192, chunk_seconds=0.05, sync_seconds=0, compression="none")
 
 
@@ -62,7 +62,7 @@ def _until(condition: Callable[[], bool], seconds: float = 20.0) -> None:
 
 
 class GatedFile(AppendFile):
-    """A disk that takes nothing while its gate is closed."""
+    """Disk that blocks while its gate is closed."""
 
     gate = threading.Event()
 
@@ -72,7 +72,7 @@ class GatedFile(AppendFile):
 
 
 class SmallDisk(AppendFile):
-    """A disk that is full after some bytes, in the middle of a write."""
+    """Disk that is full after some bytes, in the middle of a write."""
 
     room = 40_000
     error = errno.ENOSPC
@@ -88,7 +88,7 @@ def _plain(path: Path) -> list[tuple[str, str, bytes, int]]:
     return samples.plain(samples.read_all(path))
 
 
-def test_what_is_recorded_is_in_the_file(tmp_path: Path) -> None:
+def test_recorded_messages_are_in_the_file(tmp_path: Path) -> None:
     recorder = _start(tmp_path / "new" / "folder")
     path = recorder.wait_until_open()
     _record(recorder, CONTENT)
@@ -117,13 +117,13 @@ def test_files_are_named_by_their_start(tmp_path: Path) -> None:
     assert path.match("cloth_sim_20[0-9][0-9]-[0-9][0-9]-[0-9][0-9]T[0-9][0-9]-[0-9][0-9]-[0-9][0-9]_000.mcap")
 
 
-def test_a_stuck_disk_costs_clouds_only_and_never_blocks(tmp_path: Path) -> None:
+def test_stuck_disk_drops_clouds_only_and_never_blocks(tmp_path: Path) -> None:
     class Gated(GatedFile):
         gate = threading.Event()
 
     cloud_size = len(next(item.data for item in CONTENT if item.droppable))
     recorder = _start(tmp_path, queue_bytes=30 * cloud_size, open_file=Gated)
-    # Nothing can be written yet: a call that waited for the disk would never return.
+    # The disk is blocked: a call that waited for it would never return.
     _record(recorder, CONTENT)
     status = recorder.status()
     assert status.state == "opening"
@@ -138,14 +138,14 @@ def test_a_stuck_disk_costs_clouds_only_and_never_blocks(tmp_path: Path) -> None
     assert samples.plain(kept) == [item for item in samples.plain(CONTENT) if item[0] != samples.POINTS]
     clouds = [item for item in messages if item.topic == samples.POINTS]
     assert len(clouds) == 60 - status.dropped
-    # Their numbers show which are absent.
+    # The sequence numbers show the missing messages.
     everything = [item.data for item in CONTENT if item.topic == samples.POINTS]
     assert all(everything[item.sequence] == item.data for item in clouds)
     with SessionReader(done.path) as reader:
         assert f"{status.dropped} clouds were dropped" in str(reader.missing)
 
 
-def test_a_backlog_of_what_may_not_be_dropped_ends_the_recording(tmp_path: Path) -> None:
+def test_backlog_of_undroppable_messages_ends_recording(tmp_path: Path) -> None:
     class Gated(GatedFile):
         gate = threading.Event()
 
@@ -169,14 +169,14 @@ def test_a_backlog_of_what_may_not_be_dropped_ends_the_recording(tmp_path: Path)
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO, errno.EDQUOT])
-def test_a_full_or_broken_disk_ends_the_recording_with_what_was_written(tmp_path: Path, code: int) -> None:
+def test_full_or_broken_disk_ends_recording_with_written_part(tmp_path: Path, code: int) -> None:
     by_size = dataclasses.replace(QUICK, chunk_bytes=20_000, chunk_seconds=30.0)
     with samples.write_session(tmp_path, CONTENT, options=by_size, stem="like").open("rb") as file:
         third = SeekingReader(file).get_summary().chunk_indexes[2].chunk_start_offset
 
     class Failing(SmallDisk):
         error = code
-        # Almost the whole of the third chunk: once it is taken back, that is room for the indexes.
+        # Almost the whole third chunk: after its removal the indexes fit.
         room = third + 19_000
 
     recorder = _start(tmp_path, open_file=Failing, writer=by_size)
@@ -196,7 +196,7 @@ def test_a_full_or_broken_disk_ends_the_recording_with_what_was_written(tmp_path
     samples.check_structure(status.path)
 
 
-def test_what_only_a_lost_chunk_declared_is_not_in_the_indexes(tmp_path: Path) -> None:
+def test_declarations_of_lost_chunk_are_not_in_the_indexes(tmp_path: Path) -> None:
     class Full(SmallDisk):
         room = 1 << 30
 
@@ -215,9 +215,9 @@ def test_what_only_a_lost_chunk_declared_is_not_in_the_indexes(tmp_path: Path) -
         assert reader.complete
 
 
-def test_without_room_even_for_the_indexes_the_file_is_intact(tmp_path: Path) -> None:
+def test_file_without_space_for_indexes_is_intact(tmp_path: Path) -> None:
     class Full(SmallDisk):
-        """Takes not a byte more once it has been full."""
+        """Disk that refuses every byte after it was full."""
 
         full = False
 
@@ -244,7 +244,7 @@ def test_without_room_even_for_the_indexes_the_file_is_intact(tmp_path: Path) ->
         assert "torn" not in str(reader.missing)
 
 
-def test_a_real_limit_of_the_system(tmp_path: Path) -> None:
+def test_file_size_limit_of_the_system(tmp_path: Path) -> None:
     script = (
         "import resource, sys\n"
         "sys.path[:0] = sys.argv[2:]\n"
@@ -270,7 +270,7 @@ def test_a_real_limit_of_the_system(tmp_path: Path) -> None:
     assert len(got) > 20
 
 
-def test_little_room_left_ends_the_recording_before_the_disk_is_full(tmp_path: Path) -> None:
+def test_low_free_space_ends_recording_before_disk_is_full(tmp_path: Path) -> None:
     class Shrinking(AppendFile):
         def free_space(self) -> int:
             return 1_000_000 - self.size
@@ -299,7 +299,7 @@ def test_a_folder_removed_while_recording_ends_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["file", "below a file", "read only"])
-def test_a_folder_that_cannot_be_used_is_told_at_once(tmp_path: Path, kind: str) -> None:
+def test_unusable_folder_is_reported_at_once(tmp_path: Path, kind: str) -> None:
     folder = tmp_path / "sessions"
     if kind == "read only":
         if os.geteuid() == 0:
@@ -326,7 +326,7 @@ def test_unknown_types_end_the_recording_with_their_name(tmp_path: Path) -> None
     assert _plain(status.path) == samples.plain(CONTENT[:50])
 
 
-def test_times_that_are_none_are_refused_at_the_call(tmp_path: Path) -> None:
+def test_invalid_times_are_refused_at_the_call(tmp_path: Path) -> None:
     recorder = _start(tmp_path)
     for wrong in (-1, 1 << 63):
         with pytest.raises(ValueError, match="nanoseconds"):
@@ -337,7 +337,7 @@ def test_times_that_are_none_are_refused_at_the_call(tmp_path: Path) -> None:
 def test_log_times_keep_the_order_of_recording(tmp_path: Path) -> None:
     recorder = _start(tmp_path)
     second = 10**9
-    # A command came before the frame that was due earlier; then the clock was set back by an hour.
+    # A command precedes the frame that was due earlier; then the clock is set back by an hour.
     given = [5 * second, 5 * second + 700, 5 * second + 300, 5 * second + 800, 5 * second - second // 2]
     given += [7200 * second, 3600 * second, 3600 * second - 1]
     for time_given in given:
@@ -351,7 +351,7 @@ def test_log_times_keep_the_order_of_recording(tmp_path: Path) -> None:
     assert [item.publish_time for item in messages] == given
 
 
-def test_closing_on_a_stuck_disk_gives_up_in_time(tmp_path: Path) -> None:
+def test_close_on_stuck_disk_ends_in_time(tmp_path: Path) -> None:
     class Gated(GatedFile):
         gate = threading.Event()
 
@@ -363,7 +363,7 @@ def test_closing_on_a_stuck_disk_gives_up_in_time(tmp_path: Path) -> None:
     status = recorder.close(timeout=0.2)
     assert status.state == "failed"
     assert "is the disk stuck?" in status.error
-    # It was only slow after all.
+    # The disk was only slow.
     Gated.gate.set()
     assert recorder.close().state == "closed"
     assert status.path is not None
@@ -401,7 +401,7 @@ def test_split_files_each_open_with_their_snapshot(tmp_path: Path) -> None:
                 assert got == samples.plain(content)
                 assert reader.state == samples.SNAPSHOT.state
             else:
-                # A transient local message stays in force: every file has it, logged at the split.
+                # Every file has the last transient local message, logged at the split.
                 assert got[0][:3] == latched[:3]
                 assert got[1:] == samples.plain(content)
                 assert reader.state == b"later"
@@ -444,7 +444,7 @@ def test_split_by_session_time(tmp_path: Path) -> None:
     assert not recorder.wants_split
 
 
-def test_a_split_that_fails_ends_with_the_first_file_finished(tmp_path: Path) -> None:
+def test_failed_split_finishes_first_file(tmp_path: Path) -> None:
     class OneFile(AppendFile):
         def __init__(self, folder: Path, stem: str, suffix: str) -> None:
             if not stem.endswith("_000"):
@@ -463,7 +463,7 @@ def test_a_split_that_fails_ends_with_the_first_file_finished(tmp_path: Path) ->
         assert samples.plain(list(reader.messages())) == samples.plain(CONTENT[:50])
 
 
-def test_many_threads_may_record(tmp_path: Path) -> None:
+def test_many_threads_record_concurrently(tmp_path: Path) -> None:
     recorder = _start(tmp_path)
 
     def work(name: str) -> None:

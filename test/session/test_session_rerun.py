@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rerun's own MCAP reader, a third one in another language, agrees on every message and sees the cloth."""
+"""Rerun's MCAP reader agrees on every message and shows the cloth."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def session(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 
 def _columns(session: Path, decoder: str, component: str) -> list[tuple[str, int, Any]]:
-    """Entity path, log time and value of a component, for every row that has it."""
+    """Return entity path, log time and contents of a component, for every row that has it."""
     rows = []
     for piece in chunk.McapReader(session, decoders=[decoder]).stream().to_chunks():
         batch = piece.to_record_batch()
@@ -54,7 +54,7 @@ def test_rerun_sees_the_cloth(session: Path) -> None:
         assert np.array_equal(got, samples.positions(frame, 40))
 
 
-def test_rerun_finds_the_file_sound(session: Path) -> None:
+def test_rerun_reports_no_damage(session: Path) -> None:
     info = chunk.McapReader(session).info()
     assert (info.profile, info.library, info.summary_source) == ("ros2", "cloth_sim_ros", "embedded")
     assert (info.message_count, info.attachment_count, info.metadata_count) == (len(CONTENT), 3, 2)

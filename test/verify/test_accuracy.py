@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A session's certificate: held against an integrator that is not ours, and seen to find what is wrong."""
+"""Certificates of sessions, compared with an independent integrator, and with injected errors."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def _make(
     split_at: int = -1,
     **values: object,
 ) -> SessionMaker:
-    """A grasp; `change` gives for a frame's number what spoils its messages."""
+    """Write a grasp session; `change` returns the alteration of a frame's messages by frame index."""
     scene = Scene.from_parameters(SMALL | {name.replace("__", "."): value for name, value in values.items()})
     maker = SessionMaker(folder, scene)
     for k, events in enumerate(carried_corner(scene, frames / 60.0), start=1):
@@ -53,7 +53,7 @@ def _make(
 
 
 def _moved(scene: Scene, frame: int, metres: float) -> Callable[[int], Change | None]:
-    """Moves one particle of one frame's cloud."""
+    """Return a change that moves one particle of one frame's cloud."""
 
     def spoil(topic: str, data: bytes) -> bytes:
         if topic != POINTS:
@@ -76,7 +76,7 @@ def _run_frames(simulation: Simulation, script: list[list[Event]]) -> list[RunFr
 
 
 @pytest.mark.parametrize("counts", [FINE, FINER])
-def test_weights_cancel_what_they_say(counts: tuple[int, ...]) -> None:
+def test_extrapolation_weights_cancel_stated_orders(counts: tuple[int, ...]) -> None:
     w = weights(counts)
     assert math.fsum(w) == pytest.approx(1.0, abs=1e-12)
     for power in range(2, len(counts) + 1):
@@ -84,7 +84,7 @@ def test_weights_cancel_what_they_say(counts: tuple[int, ...]) -> None:
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.4])
-def test_the_fine_motion_meets_its_rate_by_an_integrator_that_is_not_ours(damping: float) -> None:
+def test_reference_error_rate_agrees_with_independent_integrator(damping: float) -> None:
     scene = Scene.from_parameters(SMALL | {"material.damping": damping, "cloth.anchors": ["top_left"]})
     simulation = Simulation(scene)
     _run_frames(simulation, [[]] * 20)
@@ -96,12 +96,12 @@ def test_the_fine_motion_meets_its_rate_by_an_integrator_that_is_not_ours(dampin
         errors.append(distance(now.x, exact))
         finer = follow(scene.plan(), t, lengths, start, FINER).x
         assert errors[-1] <= rate
-        # The check is closer, or both are at rounding.
+        # The check is closer, or both are at the rounding level.
         assert distance(finer, exact) < max(0.5 * errors[-1], 1e-12)
     assert errors[2] <= errors[0]
 
 
-def test_steps_are_at_least_twice_as_fine_as_the_simulation_s() -> None:
+def test_reference_steps_are_at_most_half_the_simulation_steps() -> None:
     scene = Scene.from_parameters(SMALL)
     simulation = Simulation(scene)
     start = Moving(simulation.state.x, simulation.state.v)
@@ -111,7 +111,7 @@ def test_steps_are_at_least_twice_as_fine_as_the_simulation_s() -> None:
         assert sum(lengths) == pytest.approx(1.0 / 60.0, rel=1e-12)
 
 
-def test_what_is_asked_for_below_rounding_does_not_cut_steps_for_ever() -> None:
+def test_rate_below_rounding_does_not_shrink_intervals_forever() -> None:
     scene = Scene.from_parameters(SMALL | {"material.damping": 0.0})
     simulation = Simulation(scene)
     _run_frames(simulation, [[]] * 20)
@@ -122,8 +122,8 @@ def test_what_is_asked_for_below_rounding_does_not_cut_steps_for_ever() -> None:
     assert counts[0] <= counts[1] <= counts[2] <= 20 * counts[0]
 
 
-def test_a_motion_under_the_same_commands_is_the_simulation_s_own() -> None:
-    # Grasps, turns, a grasp while paused, a release, a reset and sleep: the fine motion must meet each of them.
+def test_reference_motion_equals_simulation_under_same_commands() -> None:
+    # Grasps, turns, a grasp while paused, a release, a reset and sleep: the reference motion follows each of them.
     scene = Scene.from_parameters(SMALL | {"grippers": ["a", "b"], "gripper.radius": 0.08, "tolerance": 1e-7})
     simulation = Simulation(scene)
     corner, other = (tuple(simulation.positions[k].tolist()) for k in (71, 63))
@@ -155,7 +155,7 @@ def test_a_motion_under_the_same_commands_is_the_simulation_s_own() -> None:
         assert distance(motion.x, frame.after.x) < 1e-6, frame.index
 
 
-def test_a_gripper_takes_particles_where_they_are_in_the_motion() -> None:
+def test_grip_points_follow_from_reference_positions() -> None:
     scene = Scene.from_parameters(SMALL | {"gripper.radius": 0.08})
     simulation = Simulation(scene)
     corner = tuple(simulation.positions[71].tolist())
@@ -166,13 +166,13 @@ def test_a_gripper_takes_particles_where_they_are_in_the_motion() -> None:
     motion.kick(np.full_like(motion.x, 1e-3), np.zeros_like(motion.x))
     motion.take_hold(frame)
     own = simulation.state.memory["grip.offsets"]
-    # What is off by a millimetre is held off by a millimetre, in the gripper's own axes.
+    # A particle displaced by 1 mm keeps this offset in the gripper's frame.
     assert np.linalg.norm(motion.offsets - own, axis=1) == pytest.approx(np.full(len(own), 1e-3 * math.sqrt(3.0)))
     assert not np.allclose(motion.offsets - own, 1e-3)
 
 
 @pytest.mark.parametrize("smooth", [False, True])
-def test_kicks_are_as_large_as_they_say_and_leave_anchors_alone(smooth: bool) -> None:
+def test_perturbations_have_stated_size_and_skip_anchors(smooth: bool) -> None:
     x = np.random.default_rng(1).normal(size=(3, 50))
     free = np.arange(50) > 4
     kick = random_kick(x, free, np.random.default_rng(2), smooth=smooth)
@@ -183,17 +183,17 @@ def test_kicks_are_as_large_as_they_say_and_leave_anchors_alone(smooth: bool) ->
 
 
 @pytest.mark.parametrize("seed", [2, 4, 7])
-def test_what_is_stated_holds_by_an_integrator_that_is_not_ours(tmp_path: Path, seed: int) -> None:
-    # Thirty of them: test/soak_accuracy.py.
+def test_frame_errors_agree_with_independent_integrator(tmp_path: Path, seed: int) -> None:
+    # test/soak_accuracy.py runs thirty of them.
     _, certificate = certify(make_random_session(tmp_path, seed, frames=25), every_sample=True)
     assert len(certificate.samples) == len(certificate.frames) > 0
     assert all(sample.agrees for sample in certificate.samples)
-    # Closer by far than it has to be: 2e-10 m was the largest of these.
+    # Much closer than required: the largest difference was 2e-10 m.
     assert max(sample.difference for sample in certificate.samples) < 1e-8
     assert max(sample.independent for sample in certificate.samples) > 1e-7
 
 
-def test_errors_of_windows_hold_by_an_integrator_that_is_not_ours(tmp_path: Path) -> None:
+def test_window_errors_agree_with_independent_integrator(tmp_path: Path) -> None:
     maker = _make(tmp_path, frames=20)
     _, certificate = certify(maker.paths)
     simulation = Simulation(Scene.from_parameters(SMALL))
@@ -209,7 +209,7 @@ def test_errors_of_windows_hold_by_an_integrator_that_is_not_ours(tmp_path: Path
     assert certificate.frames[-1].error_of_frame == pytest.approx(distance(frames[-1].after.x, alone), rel=0.01)
 
 
-def test_one_frame_changed_by_a_millimetre_is_found_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_frame_changed_by_a_millimetre_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = Scene.from_parameters(SMALL)
     maker = _make(tmp_path, frames=30, change=_moved(scene, 17, 1e-3))
     _, certificate = certify(maker.paths)
@@ -218,15 +218,15 @@ def test_one_frame_changed_by_a_millimetre_is_found_out(tmp_path: Path, capsys: 
     assert certificate.frames[16].error == pytest.approx(1e-3, rel=0.02)
     assert not certificate.frames[16].exact
     assert not certificate.kept
-    # That it differs at all is graver than by how much.
+    # Differing bits are more severe than a violated bound.
     assert main(["--accuracy", str(maker.paths[0])]) == 1
     said = capsys.readouterr().out
     assert "VIOLATED" in said
     assert "17" in said
 
 
-def test_a_session_of_other_arithmetic_is_judged_by_what_was_recorded(tmp_path: Path) -> None:
-    # Every digest differs, as after other rounding: only the recorded positions are left to judge by.
+def test_session_of_other_arithmetic_uses_recorded_positions(tmp_path: Path) -> None:
+    # Every digest differs, as after other rounding: only the recorded positions can be assessed.
     def other(topic: str, data: bytes) -> bytes:
         if topic != f"{NODE}/frame":
             return data
@@ -240,17 +240,17 @@ def test_a_session_of_other_arithmetic_is_judged_by_what_was_recorded(tmp_path: 
     assert not any(frame.exact for frame in certificate.frames)
     assert certificate.altered == 0
     assert [window.verdict for window in certificate.windows] == ["kept", "kept"]
-    # Positions are recorded as float32. Its rounding is part of the floor, and of the error of a window's start.
+    # Recorded positions are float32: their rounding adds to the floor and to the error of a window's start.
     assert all(frame.floor > 1e-8 for frame in certificate.frames)
     assert certificate.frames[-1].own > 1e-8
 
 
-def test_windows_begin_each_second_and_go_on_across_files(tmp_path: Path) -> None:
+def test_windows_begin_each_second_and_span_files(tmp_path: Path) -> None:
     maker = _make(tmp_path, frames=130, split_at=30)
     _, certificate = certify(maker.paths)
     assert [(window.frames, window.number) for window in certificate.windows] == [(60, 0), (60, 1), (10, 2)]
     assert [window.start for window in certificate.windows] == pytest.approx([0.0, 1.0, 2.0])
-    # A window starts from the simulation's own state: its first frame's error is that frame's alone.
+    # A window starts from the simulation's state: the error of its first frame is that of this frame alone.
     for first in (0, 60, 120):
         told = certificate.frames[first]
         assert told.error == pytest.approx(told.error_of_frame, rel=1e-3)
@@ -258,7 +258,7 @@ def test_windows_begin_each_second_and_go_on_across_files(tmp_path: Path) -> Non
     assert certificate.frames[60].session_error > 2.0 * certificate.frames[60].error
 
 
-def test_a_reset_begins_anew(tmp_path: Path) -> None:
+def test_reset_restarts_windows(tmp_path: Path) -> None:
     maker = SessionMaker(tmp_path, Scene.from_parameters(SMALL))
     for k in range(40):
         maker.add([Reset()] if k == 25 else [])
@@ -270,9 +270,7 @@ def test_a_reset_begins_anew(tmp_path: Path) -> None:
     assert begun.session_growth < 3.0
 
 
-def test_without_a_tolerance_the_error_is_stated_and_nothing_promised(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_certificate_without_tolerance_states_error_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     maker = _make(tmp_path, frames=20, tolerance=0.0, step=1e-3)
     assert main(["--accuracy", str(maker.paths[0])]) == 0
     assert "there is no error bound" in capsys.readouterr().out
@@ -282,7 +280,7 @@ def test_without_a_tolerance_the_error_is_stated_and_nothing_promised(
     assert math.isnan(certificate.frames[0].promise)
 
 
-def test_frames_asleep_are_judged_as_others(tmp_path: Path) -> None:
+def test_sleeping_frames_are_measured(tmp_path: Path) -> None:
     maker = SessionMaker(tmp_path, Scene.from_parameters(SMALL | {"tolerance": 1e-2, "air.drag": 2.0}))
     while not maker.simulation.asleep:
         maker.add([])
@@ -293,12 +291,12 @@ def test_frames_asleep_are_judged_as_others(tmp_path: Path) -> None:
     _, certificate = certify(maker.paths)
     asleep = [frame for frame in certificate.frames if frame.frame > slept]
     assert len(asleep) == 70
-    # Where it fell asleep is not where it would come to rest: that is the error, and it is told.
+    # The position at the beginning of sleep is not the equilibrium: the difference is the error.
     assert max(frame.error for frame in asleep) > 1e-9
     assert certificate.kept
 
 
-def test_samples_of_long_sessions_become_rare() -> None:
+def test_samples_thin_out_in_long_sessions() -> None:
     sampled = [window for window in range(3600) if _is_sampled(window)]
     assert sampled[:10] == [0, 1, 2, 3, 4, 5, 6, 7, 8, 10]
     assert len(sampled) < 60
@@ -344,7 +342,7 @@ def _frame(*, error: float, own: float, flagged: bool) -> FrameAccuracy:
     )
 
 
-def test_kicks_made_later_count_where_those_at_the_start_do_not_explain_an_error() -> None:
+def test_later_perturbations_count_for_unexplained_errors() -> None:
     window = Window(number=0, start=0.0)
     window.add(_frame(error=9e-3, own=1e-9, flagged=False))
     assert (window.verdict, window.promise) == ("not kept", pytest.approx(2e-4))
@@ -352,8 +350,8 @@ def test_kicks_made_later_count_where_those_at_the_start_do_not_explain_an_error
     assert (window.verdict, window.promise) == ("kept", pytest.approx(1e-2))
 
 
-def test_growth_of_later_kicks_is_the_most_from_any_eighth_on() -> None:
-    """A sheet that falls and is pulled taut by its upper edge: of a kick at the start less is left than of one amid."""
+def test_later_amplification_is_maximum_over_eighths() -> None:
+    """Sheet that falls and is pulled taut: a perturbation at the start decays more than a later one."""
     simulation = Simulation(Scene.from_parameters(SMALL | {"material.damping": 1.0, "air.drag": 20.0}))
     frames, equations = _run_frames(simulation, [[]] * 8), Equations()
     expected = 0.0
@@ -364,7 +362,7 @@ def test_growth_of_later_kicks_is_the_most_from_any_eighth_on() -> None:
     assert later_growth(equations, frames[:1]) == 0.0
 
 
-def test_a_window_that_later_kicks_explain_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_window_explained_by_later_perturbations_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from cloth_sim_ros.scene import scene as scene_module
     from cloth_sim_ros.verify import accuracy
 
@@ -379,7 +377,7 @@ def test_a_window_that_later_kicks_explain_is_kept(tmp_path: Path, monkeypatch: 
     )
     monkeypatch.setattr(accuracy, "WINDOW", 0.1)
     monkeypatch.setattr(accuracy, "later_growth", grown)
-    # Of the windows alone is spoken here.
+    # Only the windows matter in this test.
     monkeypatch.setattr(FrameAccuracy, "stands_out", property(lambda _frame: False))
     maker = _make(tmp_path, frames=9, tolerance=1e-6)
     _, certificate = certify(maker.paths)
@@ -388,10 +386,10 @@ def test_a_window_that_later_kicks_explain_is_kept(tmp_path: Path, monkeypatch: 
     assert certificate.kept
 
 
-def test_a_loose_simulation_that_says_it_is_tight_is_found_out(
+def test_loose_simulation_with_tight_tolerance_is_violated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # Made to calculate at a thousand times the tolerance that it claims, recording and running again alike.
+    # Recording and re-run use 1000 times the stated tolerance.
     from cloth_sim_ros.scene import scene as scene_module
 
     real = scene_module.make_integrator
@@ -432,7 +430,7 @@ def test_options_that_make_no_sense_are_refused(
     assert "accuracy" in capsys.readouterr().err
 
 
-def test_a_state_is_not_changed_by_being_judged() -> None:
+def test_certificate_leaves_state_unchanged() -> None:
     scene = Scene.from_parameters(SMALL)
     simulation = Simulation(scene)
     (frame,) = _run_frames(simulation, [[]])

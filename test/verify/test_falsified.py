@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Falsified sessions, with indexes and checksums made anew, are found, or what is falsified is listed."""
+"""Falsified sessions with valid indexes and checksums are found or listed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_grasp(tmp_path_factory.mktemp("session"), seconds=FRAMES / 60.0, cloth__resolution=[5, 6], **shown)
 
 
-def test_unaltered_copy_comes_out_the_same(session: Path, tmp_path: Path) -> None:
+def test_unaltered_copy_reruns_equally(session: Path, tmp_path: Path) -> None:
     verdict = verify([falsify(session, tmp_path / "copy.mcap", Falsification())])
     assert verdict.same, verdict.first_reason
     assert (verdict.missing, verdict.absent) == ([], ["/cloth_sim/gripper/state"])

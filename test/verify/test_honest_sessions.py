@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sessions that lack messages for an honest reason, or come from other writers, are not refused."""
+"""Sessions with legitimately missing messages, or from other writers, are accepted."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def record_again(
     after: Callable[[int], object] = lambda _number: None,
     **options: Any,
 ) -> tuple[Path, RecorderStatus]:
-    """Record a session's messages as a node does; `after` is called with the number of each."""
+    """Record a session's messages like a node; call `after` with the index of each."""
     part = SessionPart(source)
     messages: Sequence[Message] = list(part.messages())
     recorder = Recorder(
@@ -99,7 +99,7 @@ def test_clouds_dropped_by_a_slow_disk_are_no_difference(session: Path, tmp_path
     assert f"{status.dropped} clouds were dropped" in describe(verdict)
 
 
-def test_recording_ended_by_a_full_disk_comes_out_the_same(session: Path, tmp_path: Path) -> None:
+def test_recording_ended_by_full_disk_reruns_equally(session: Path, tmp_path: Path) -> None:
     class Full(AppendFile):
         def _write(self, view: memoryview) -> int:
             if self.size > 30_000 and len(view) > 1500:
@@ -114,7 +114,7 @@ def test_recording_ended_by_a_full_disk_comes_out_the_same(session: Path, tmp_pa
 
 
 @pytest.mark.parametrize("share", [0.55, 0.7, 0.8, 0.9, 0.97])
-def test_recovered_session_comes_out_the_same(session: Path, tmp_path: Path, share: float) -> None:
+def test_recovered_session_reruns_equally(session: Path, tmp_path: Path, share: float) -> None:
     path, _ = record_again(session, tmp_path)
     whole = path.read_bytes()
     path.write_bytes(whole[: int(share * len(whole))])
@@ -124,7 +124,7 @@ def test_recovered_session_comes_out_the_same(session: Path, tmp_path: Path, sha
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5])
-def test_copies_of_random_sessions_come_out_the_same(tmp_path: Path, seed: int) -> None:
+def test_copies_of_random_sessions_rerun_equally(tmp_path: Path, seed: int) -> None:
     paths = make_random_session(tmp_path, seed, frames=30)
     copies = []
     for number, path in enumerate(paths):
@@ -136,7 +136,7 @@ def test_copies_of_random_sessions_come_out_the_same(tmp_path: Path, seed: int) 
         check(verify(copies))
 
 
-def test_copy_that_lacks_a_topic_is_told_by_the_count(session: Path, tmp_path: Path) -> None:
+def test_copy_without_a_topic_is_found_by_message_count(session: Path, tmp_path: Path) -> None:
     copy = copy_by_tool(session, tmp_path / "copy.mcap", topics=lambda topic: not topic.endswith("/wrench"))
     verdict = verify([copy])
     assert f"{NODE}/gripper/wrench" in verdict.absent

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sessions in which layers of the cloth rub on each other: run again to the same bits."""
+"""Sessions with self-friction between layers rerun to the same bits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.verify.run import verify
 
 
-def test_a_session_of_layers_that_rub_runs_again_to_the_same_bits(tmp_path: Path) -> None:
+def test_session_with_layer_friction_reruns_to_same_bits(tmp_path: Path) -> None:
     _, places, _ = folded(8, radius=0.012)
     mesh = tmp_path / "fold.obj"
     mesh.write_bytes(as_obj(places, grid_triangles(8, 8, "alternating")))

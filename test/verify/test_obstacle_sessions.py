@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sessions with obstacles: run again to the same bits, compared in full, and certified."""
+"""Sessions with obstacles: rerun to the same bits, comparison, certificate."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cloth_sim_ros.verify.accuracy import certify
 from cloth_sim_ros.verify.run import verify
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
-#: A small cloth that falls on a ball, from just above it.
+#: Small cloth that falls on a ball from just above it.
 FALLING: dict[str, Any] = {
     "cloth.resolution": [7, 7],
     "cloth.size": [0.3, 0.3],
@@ -43,7 +43,7 @@ ROUGH: dict[str, Any] = {**FALLING, "ball.friction": [0.5, 0.4], "floor.friction
 
 
 def made(folder: Path, *, scene: dict[str, Any] = FALLING, frames: int = 40, **options: Any) -> Path:
-    """A session in which the ball moves, and a floor comes."""
+    """Write a session with a moving ball and an added floor."""
     maker = SessionMaker(folder, Scene.from_parameters(scene))
     for k in range(frames):
         events: list[Event] = [Move("ball", (0.002 * k, 0.0, 0.0), UPRIGHT)] if 10 < k < 25 else []
@@ -59,7 +59,7 @@ def parts(folder: Path) -> list[Path]:
     return sorted(folder.glob("*.mcap"))
 
 
-def test_a_session_runs_again_to_the_same_bits_and_wrenches(tmp_path: Path) -> None:
+def test_obstacle_session_reruns_to_same_bits_and_wrenches(tmp_path: Path) -> None:
     paths = parts(made(tmp_path))
     verdict = verify(paths)
     assert verdict.same, verdict.first_reason
@@ -70,7 +70,7 @@ def test_a_session_runs_again_to_the_same_bits_and_wrenches(tmp_path: Path) -> N
     ("topic", "words"),
     [("/cloth_sim/ball/wrench", "the wrench on ball"), ("/cloth_sim/ball/target", "ball moved to .* not commanded")],
 )
-def test_what_was_recorded_otherwise_is_found(tmp_path: Path, topic: str, words: str) -> None:
+def test_altered_recording_is_found(tmp_path: Path, topic: str, words: str) -> None:
     def spoil(name: str, data: bytes) -> bytes | None:
         if name != topic:
             return data
@@ -81,7 +81,7 @@ def test_what_was_recorded_otherwise_is_found(tmp_path: Path, topic: str, words:
     assert re.search(words, verdict.first_reason)
 
 
-def test_what_happened_is_told(tmp_path: Path) -> None:
+def test_events_are_described(tmp_path: Path) -> None:
     with SessionReader(parts(made(tmp_path))) as reader:
         summarizer = Summarizer(reader.node)
         for message in reader.messages():
@@ -92,7 +92,7 @@ def test_what_happened_is_told(tmp_path: Path) -> None:
 
 
 def test_the_certificate_covers_contact(tmp_path: Path) -> None:
-    # Of the impact, and of the ball as it moves; every frame by the independent integrator too.
+    # Impact and moving ball; the independent integrator runs every frame.
     verdict, certificate = certify(parts(made(tmp_path, frames=13)), every_sample=True)
     assert verdict.same
     assert certificate.kept
@@ -100,11 +100,11 @@ def test_the_certificate_covers_contact(tmp_path: Path) -> None:
     assert max(sample.difference for sample in certificate.samples) < 1e-6
     errors = [frame.error for frame in certificate.frames]
     assert 1e-9 < max(errors) < 1e-4
-    # How far these errors themselves may be off [m].
+    # Uncertainty of these errors [m].
     assert max(frame.own for frame in certificate.frames) < 1e-6
 
 
-def test_a_session_with_friction_runs_again_to_the_same_bits_also_from_a_later_part(tmp_path: Path) -> None:
+def test_friction_session_reruns_to_same_bits_from_later_part(tmp_path: Path) -> None:
     paths = parts(made(tmp_path, scene=ROUGH))
     with SessionReader(paths) as reader:
         first, later = (State.from_bytes(part.state) for part in reader.parts)
@@ -116,7 +116,7 @@ def test_a_session_with_friction_runs_again_to_the_same_bits_also_from_a_later_p
         assert verdict.frames == frames
 
 
-def test_anchors_of_friction_that_a_snapshot_lost_are_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lost_friction_anchors_of_snapshot_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     paths = parts(made(tmp_path, scene=ROUGH))
     read = State.from_bytes
 
@@ -130,12 +130,12 @@ def test_anchors_of_friction_that_a_snapshot_lost_are_missed(tmp_path: Path, mon
 
 
 def test_the_certificate_covers_friction(tmp_path: Path) -> None:
-    # The ball comes up, and a floor is put before it in the list of obstacles: every motion keeps its own anchors.
+    # The ball rises, and a floor is inserted before it in the list of obstacles: every motion keeps its anchors.
     verdict, certificate = certify(parts(made(tmp_path, scene=ROUGH, frames=23)))
     assert verdict.same
     assert certificate.kept
     assert len(certificate.frames) == 23
-    # Sliding makes kicks grow by orders; what is told of each frame alone does not depend on it.
+    # Sliding amplifies perturbations by orders of magnitude; the errors of single frames do not depend on it.
     alone = [frame.error_of_frame for frame in certificate.frames]
     assert 1e-6 < max(alone) < 1e-3
     assert max(alone[20:]) < 1e-5

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded session runs again to the last bit, and a single flipped bit is found."""
+"""Re-run of sessions: equal to the last bit; a single flipped bit is found."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def _make(
     metadata: dict[str, str] | None = None,
     shown: dict[str, Any] | None = None,
 ) -> SessionMaker:
-    """A grasp of FRAMES frames; `change` gives for a frame's number what spoils its messages."""
+    """Write a grasp session of FRAMES frames; `change` returns the alteration of a frame's messages by frame index."""
     scene = Scene.from_parameters(SMALL | (shown or {}))
     maker = SessionMaker(folder, scene, options=options, metadata=metadata)
     for k, events in enumerate(carried_corner(scene, FRAMES / 60.0), start=1):
@@ -65,7 +65,7 @@ def _spoil_at(frame: int, topic: str, spoil: Callable[[bytes], bytes | None]) ->
     return change
 
 
-def test_a_session_runs_again_to_the_last_bit(tmp_path: Path) -> None:
+def test_session_reruns_to_the_last_bit(tmp_path: Path) -> None:
     verdict = _verify(_make(tmp_path))
     assert verdict.same
     assert not verdict.damaged
@@ -75,10 +75,10 @@ def test_a_session_runs_again_to_the_last_bit(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_random_sessions_run_again_to_the_last_bit(tmp_path: Path, seed: int) -> None:
+def test_random_sessions_rerun_to_the_last_bit(tmp_path: Path, seed: int) -> None:
     verdict = verify(make_random_session(tmp_path, seed, hinges=seed % 2 == 1))
     assert verdict.same, verdict.first_reason
-    # One that was cut off lacks what its last chunk held.
+    # A file that was cut off lacks its last chunk.
     assert verdict.frames == verdict.clouds == 60 or verdict.missing
     assert verdict.frames - 1 <= verdict.clouds <= verdict.frames
     assert verdict.frames > 0
@@ -86,9 +86,7 @@ def test_random_sessions_run_again_to_the_last_bit(tmp_path: Path, seed: int) ->
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_random_sessions_with_contact_run_again_to_the_last_bit_by_any_number_of_threads(
-    tmp_path: Path, seed: int
-) -> None:
+def test_random_contact_sessions_rerun_with_any_threads(tmp_path: Path, seed: int) -> None:
     paths = make_random_session(tmp_path, seed, frames=20, contact=True)
     for count in (1, 8):
         with threads(count):
@@ -98,14 +96,14 @@ def test_random_sessions_with_contact_run_again_to_the_last_bit_by_any_number_of
 
 
 def test_obstacles_changed_before_the_first_markers_verify(tmp_path: Path) -> None:
-    # A session whose first frame removes an obstacle: no marker of it was sent, and none is deleted.
+    # The first frame removes an obstacle: no marker of it was sent, and none is deleted.
     verdict = verify(make_random_session(tmp_path, 26, frames=30, contact=True))
     assert verdict.same, verdict.first_reason
 
 
 @pytest.mark.parametrize("bit", [0, 22, 31])
 def test_one_flipped_bit_in_a_cloud_is_found(tmp_path: Path, bit: int) -> None:
-    # The last point's last coordinate, from its lowest bit to its sign.
+    # Last coordinate of the last point, from the lowest bit to the sign.
     spoil = _spoil_at(17, POINTS, lambda data: _flip(data, _end_of_points(data) - 4 + bit // 8, bit % 8))
     verdict = _verify(_make(tmp_path, change=spoil))
     assert (verdict.first_frame, verdict.different) == (17, 1)
@@ -114,7 +112,7 @@ def test_one_flipped_bit_in_a_cloud_is_found(tmp_path: Path, bit: int) -> None:
 
 
 def _end_of_points(data: bytes) -> int:
-    # After the points comes is_dense alone, one byte.
+    # Only is_dense, one byte, follows the points.
     return len(data) - 1
 
 
@@ -122,13 +120,13 @@ def test_one_flipped_bit_in_an_event_is_found(tmp_path: Path) -> None:
     def spoil(data: bytes) -> bytes:
         record = json.loads(decode_string(data))
         target = next(event for event in record["events"] if event["kind"] == "target")
-        # The lowest bit of a coordinate.
+        # Lowest bit of a coordinate.
         target["position"][1] = float.fromhex((target["position"][1]).hex()) * (1.0 + 2.0**-52)
         return encode_string(json.dumps(record))
 
     verdict = _verify(_make(tmp_path, change=_spoil_at(25, FRAME, spoil)))
     assert verdict.first_frame == 25
-    # Once it has moved otherwise, it goes on so.
+    # A different motion stays different.
     assert verdict.different == FRAMES - 25 + 1
 
 
@@ -164,7 +162,7 @@ def test_one_flipped_bit_in_a_wrench_is_found(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("key", ["digest", "steps", "time", "paused", "integrator", "tolerance"])
-def test_a_changed_record_of_a_frame_is_found(tmp_path: Path, key: str) -> None:
+def test_changed_frame_record_is_found(tmp_path: Path, key: str) -> None:
     changed = {"digest": "0" * 32, "steps": 1, "time": 0.7, "paused": True, "integrator": "other", "tolerance": 1.0}
 
     def spoil(data: bytes) -> bytes:
@@ -176,13 +174,13 @@ def test_a_changed_record_of_a_frame_is_found(tmp_path: Path, key: str) -> None:
 
 
 def test_grasps_by_a_service_are_no_difference(tmp_path: Path) -> None:
-    # A service's call leaves no message: the event alone is recorded.
+    # A service call leaves no message, only the event.
     topic = f"{NODE}/gripper/grasp"
     verdict = _verify(_make(tmp_path, change=lambda _k: lambda name, data: None if name == topic else data))
     assert verdict.same
 
 
-def test_a_recording_begun_later_forgives_targets_that_came_before_it(tmp_path: Path) -> None:
+def test_later_recording_forgives_earlier_targets(tmp_path: Path) -> None:
     maker = _make(tmp_path, split_at=20)
     maker.finish()
     verdict = verify(maker.paths[1:])
@@ -198,7 +196,7 @@ def test_files_of_a_split_session_run_together_and_alone(tmp_path: Path) -> None
     assert [verify([path]).frames for path in maker.paths] == [15, FRAMES - 15]
 
 
-def test_a_killed_session_is_verified_up_to_where_it_ends(tmp_path: Path) -> None:
+def test_killed_session_is_verified_to_its_end(tmp_path: Path) -> None:
     path = _make(tmp_path, options=WriterOptions(chunk_bytes=8192, sync_seconds=0.0)).cut()
     whole = path.read_bytes()
     for part, least in ((1.0, 30), (0.8, 10)):
@@ -210,7 +208,7 @@ def test_a_killed_session_is_verified_up_to_where_it_ends(tmp_path: Path) -> Non
         assert "cut off" in verdict.missing[0]
 
 
-def test_missing_frames_end_what_can_be_run(tmp_path: Path) -> None:
+def test_missing_frames_end_the_rerun(tmp_path: Path) -> None:
     def leave_out(_topic: str, _data: bytes) -> None:
         return None
 
@@ -220,7 +218,7 @@ def test_missing_frames_end_what_can_be_run(tmp_path: Path) -> None:
     assert "frames 21 to 22 are missing" in verdict.missing[0]
 
 
-def test_a_frame_that_cannot_be_run_is_a_difference(tmp_path: Path) -> None:
+def test_frame_that_cannot_run_is_a_difference(tmp_path: Path) -> None:
     def spoil(data: bytes) -> bytes:
         record = json.loads(decode_string(data))
         record["events"] = [{"kind": "grasp", "gripper": "nobody", "closed": True}]
@@ -231,18 +229,18 @@ def test_a_frame_that_cannot_be_run_is_a_difference(tmp_path: Path) -> None:
     assert "nobody" in verdict.first_reason
 
 
-def test_other_code_is_told(tmp_path: Path) -> None:
+def test_other_code_is_named(tmp_path: Path) -> None:
     verdict = _verify(_make(tmp_path, metadata={"source": "0", "python": "3.1"}))
     assert verdict.environment == [f"its code 0 -> {environment()['source']}"]
 
 
-def test_the_command_says_that_it_came_out_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_verify_reports_an_equal_rerun(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = make_grasp(tmp_path, seconds=0.2, cloth__resolution=[8, 8])
     assert main([str(path)]) == 0
     assert "grasp_000.mcap: 12 frames and 12 clouds came out the same to the last bit" in capsys.readouterr().out
 
 
-def test_the_command_tells_a_difference_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_verify_reports_difference_and_continues(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bad = _make(tmp_path / "bad", change=_spoil_at(17, POINTS, lambda data: _flip(data, len(data) - 3)))
     bad.finish()
     good = _make(tmp_path / "good", split_at=20)
@@ -251,11 +249,11 @@ def test_the_command_tells_a_difference_and_goes_on(tmp_path: Path, capsys: pyte
     first, second = capsys.readouterr().out.strip().splitlines()
     assert "differs from frame 17 (0.283 s) on" in first
     assert "1 frame differs" in first
-    # The two files of the other session were taken together.
+    # The two files of the other session form a group.
     assert f"{FRAMES} frames and {FRAMES} clouds came out the same" in second
 
 
-def test_the_command_refuses_what_is_no_session(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_verify_refuses_files_that_are_no_session(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = tmp_path / "other.mcap"
     other.write_bytes(b"no session")
     assert main([str(other), str(tmp_path / "absent.mcap")]) == 2
@@ -264,7 +262,7 @@ def test_the_command_refuses_what_is_no_session(tmp_path: Path, capsys: pytest.C
     assert "absent.mcap does not exist" in errors
 
 
-def test_a_bit_flipped_on_the_disk_is_damage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_flipped_bit_on_disk_is_damage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     maker = _make(tmp_path)
     path = maker.finish()
     data = bytearray(path.read_bytes())
@@ -275,7 +273,7 @@ def test_a_bit_flipped_on_the_disk_is_damage(tmp_path: Path, capsys: pytest.Capt
 
 
 def test_targets_in_another_frame_are_not_compared(tmp_path: Path) -> None:
-    # They were transformed before they took effect: here by what a spoilt frame_id makes of them.
+    # They were transformed before they took effect; here an altered frame_id has the same result.
     def spoil(name: str, data: bytes) -> bytes:
         return data.replace(b"world", b"other", 1) if name == f"{NODE}/gripper/target" else data
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What `cloth_verify --accuracy` writes: never over a session, refused before it measures."""
+"""Outputs of `cloth_verify --accuracy`: refused before the measurement, never over a session."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _refusal(arguments: list[str], capsys: pytest.CaptureFixture[str], monkeypat
 
 
 @pytest.mark.parametrize("option", ["--json", "--plot", "--particles"])
-def test_a_session_is_no_output(
+def test_session_is_refused_as_output(
     session: Path,
     tmp_path: Path,
     option: str,
@@ -36,7 +36,7 @@ def test_a_session_is_no_output(
     was = session.read_bytes()
     other = tmp_path / "other.mcap"
     other.write_bytes(was)
-    # As `--json sessions/*.mcap` gives them where the output's name was forgotten.
+    # The arguments of `--json sessions/*.mcap`, without an output name.
     for out in (session, other):
         said = _refusal([option, str(out), str(session)], capsys, monkeypatch)
         assert f"the output's own name right after {option}" in said
@@ -52,7 +52,7 @@ def test_a_session_is_no_output(
         ("--plot", "x.xyz", "end the name in .png"),
     ],
 )
-def test_what_cannot_be_written_is_told_before_it_is_measured(
+def test_unwritable_output_is_reported_before_measurement(
     session: Path,
     tmp_path: Path,
     option: str,
@@ -66,7 +66,7 @@ def test_what_cannot_be_written_is_told_before_it_is_measured(
     assert reason in _refusal([option, str(tmp_path / name), str(session)], capsys, monkeypatch)
 
 
-def test_an_interrupted_measurement_leaves_what_was_there(
+def test_interrupted_measurement_keeps_existing_outputs(
     session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from cloth_sim_ros.verify import accuracy
