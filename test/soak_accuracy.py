@@ -1,11 +1,11 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Certificates held against an integrator that is not ours: `python test/soak_accuracy.py [--sessions 30] [--first 0]`.
+"""Certificates compared with an independent integrator: `python test/soak_accuracy.py [--sessions 30] [--first 0]`.
 
-Of each random session, scipy's DOP853 runs every frame and every window from the same states; what the certificate
-states must be right within a fifth of the error or a tenth of the tolerance. Windows are compared as far as a kick
-grows less than a thousand times. Then one frame of the same session is recorded a millimetre off, which must be found
-out. Exit status 1 if anything fails; a session's number makes it again.
+scipy's DOP853 runs every frame and every window of random sessions from the same states. The errors of the certificate
+must agree within 20 % of the error or 10 % of the tolerance. Windows are compared up to an amplification of 1000. Then
+one frame of the same session is recorded with an offset of 1 mm, which the certificate must find. Exit status 1 if a
+check fails; the session's index reproduces it.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ CHANGED = 8
 
 
 class _Independent:
-    """Runs a certificate's windows by DOP853; a `Watch`."""
+    """Runs the windows of a certificate with DOP853; a `RunObserver`."""
 
     def __init__(self, certificate: Certificate) -> None:
         self._stated = {frame.frame: frame for frame in certificate.frames}
         self._watch, self._equations = FrameWatch(), Equations()
         self._motion: Motion | None = None
         self._window = -1
-        #: For each frame that is compared: the difference, and what it may be [m].
+        #: Difference and its bound for each compared frame [m].
         self.found: list[tuple[float, float]] = []
 
     def frame(self, simulation: Simulation, was: Scene, before: State, frame: Frame, _record: FrameRecord) -> None:
@@ -66,10 +66,10 @@ class _Independent:
         self.found.append((abs(error - stated.error), allowed))
 
     def cloud(self, _recorded: np.ndarray, _same: bool) -> None:
-        """Nothing: what is compared is the simulation's own."""
+        """Do nothing: the positions of the re-run are compared."""
 
     def close(self) -> None:
-        """Nothing."""
+        """Do nothing."""
 
 
 def _millimetre_off(topic: str, data: bytes) -> bytes:
@@ -82,10 +82,10 @@ def _millimetre_off(topic: str, data: bytes) -> bytes:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; its exit status."""
-    parser = argparse.ArgumentParser(description="What certificates state must hold by another integrator.")
+    """Run the command; return its exit status."""
+    parser = argparse.ArgumentParser(description="Compare certificates with an independent integrator.")
     parser.add_argument("--sessions", type=int, default=30)
-    parser.add_argument("--first", type=int, default=0, help="number of the first session")
+    parser.add_argument("--first", type=int, default=0, help="index of the first session")
     options = parser.parse_args(arguments)
     failed = frames = windows = undetected = standing_out = 0
     seconds, verdicts = 0.0, Counter[str]()

@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cloths that touch themselves, by the million steps: `python test/soak_contact.py [--steps 1000000] [--seed 1]`.
+"""Self-contact over a million steps: `python test/soak_contact.py [--steps 1000000] [--seed 1]`.
 
-In no frame may one pass through itself, by ipctk's exact test. The scenes are taken in turn, each time with other
-random numbers, until the steps are made. Exit status 1 if one passes; its scene and number make it again.
+No frame may have a self-intersection, by ipctk's exact test. The scenes run in turn with new random numbers, up to the
+number of steps. Exit status 1 after an intersection; scene and index reproduce it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from tqdm import tqdm
 
 @attrs.define
 class Sum:
-    """Over all runs of a scene."""
+    """Totals over all runs of a scene."""
 
     runs: int = 0
     frames: int = 0
@@ -35,9 +35,9 @@ class Sum:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; its exit status."""
-    parser = argparse.ArgumentParser(description="Cloths that touch themselves must not pass through themselves.")
-    parser.add_argument("--steps", type=int, default=1_000_000, help="of all scenes together (%(default)s)")
+    """Run the command; return its exit status."""
+    parser = argparse.ArgumentParser(description="Check that cloths do not intersect themselves.")
+    parser.add_argument("--steps", type=int, default=1_000_000, help="number of steps of all scenes (%(default)s)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--scenes", nargs="+", choices=list(RUNS), default=list(RUNS), metavar="SCENE")
     options = parser.parse_args(arguments)

@@ -1,10 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Damages files of every kind that a command reads, and runs the commands on them: none may end with a traceback.
+"""Commands on damaged input files of every kind: none may end with a traceback.
 
 python test/soak_files.py --count 500
 
-Exit status 1 where a command ended with an exception, took longer than a minute, or more than a gigabyte.
+Exit status 1 if a command raised an exception, or took longer than a minute or more than a gigabyte.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-#: Longest run of a command [s].
+#: Time limit of a command [s].
 LIMIT = 60
 SCENE = """\
 /**:
@@ -80,7 +80,7 @@ STL = (
     "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 0.1 0 0\nvertex 0.1 0.1 0\nendloop\nendfacet\n"
     "endsolid a\n"
 )
-#: What takes the place of a number or a word of a text, and of bytes.
+#: Replacements of numbers and words in a text, and of bytes.
 WORDS = (
     *("-1", "0", "1e999", ".nan", "9" * 5000, str(2**63), str(-(2**63)), str(2**64), "null", "[]", "{}", "true", "''"),
     *("[1, [2]]", "{a: 1}", "*a", "&a 1", "!!int x", "!!binary x", "!!timestamp x", "\x00", "\x85", '"\\ud800"'),
@@ -92,7 +92,7 @@ NUMBERS = (0, 1, 0x7F, 0xFF, 0xFFFF, 0xFFFFFFFF, 2**63, 2**63 - 1, 2**64 - 1)
 
 
 def damaged_bytes(data: bytes, rng: random.Random) -> bytes:
-    """Bytes that were cut off, torn, doubled, or have other numbers in them."""
+    """Return damaged bytes: cut off, torn, repeated, or with other numbers."""
     out = bytearray(data)
     for _ in range(rng.choice((1, 1, 2, 5))):
         at = rng.randrange(len(out)) if out else 0
@@ -117,7 +117,7 @@ def damaged_bytes(data: bytes, rng: random.Random) -> bytes:
 
 
 def damaged_text(text: str, rng: random.Random, words: Sequence[str] = WORDS) -> bytes:
-    """A text with other words, or lines lost or doubled; now and then damaged as bytes."""
+    """Return a damaged text: other words, lost or repeated lines, sometimes damaged bytes."""
     if rng.random() < 0.2:
         return damaged_bytes(text.encode(), rng)
     for _ in range(rng.choice((1, 1, 2, 3))):
@@ -137,7 +137,7 @@ def damaged_text(text: str, rng: random.Random, words: Sequence[str] = WORDS) ->
 
 
 def damaged_json(text: str, rng: random.Random) -> str:
-    """A JSON text one of whose values is another one, or that has a key less or more."""
+    """Return JSON with one changed entry, or with a missing or additional key."""
     if rng.random() < 0.1:
         return text[: rng.randrange(len(text))]
     content = json.loads(text)
@@ -158,7 +158,7 @@ def damaged_json(text: str, rng: random.Random) -> str:
 
 
 class Samples:
-    """A folder of whole files, and what damages them into another folder."""
+    """Intact files, and methods that write damaged copies into another folder."""
 
     def __init__(self, folder: Path) -> None:
         from support.session_maker import make_grasp
@@ -182,14 +182,14 @@ class Samples:
 
     @staticmethod
     def texts() -> dict[str, str]:
-        """Text files by name."""
+        """Return the text files by name."""
         return {
             "scene.yaml": SCENE, "script.yaml": SCRIPT, "study.yaml": STUDY, "springs.yaml": SPRINGS,
             "cloth.obj": OBJ, "cloth.ply": PLY, "cloth.stl": STL,
         }  # fmt: skip
 
     def _perform(self) -> None:
-        """Do the runs of a study here."""
+        """Run a study in this process."""
         from cloth_sim_ros.batch import index, study_file
         from cloth_sim_ros.batch.folder import StudyFolder
         from cloth_sim_ros.batch.forecast import draw
@@ -205,7 +205,7 @@ class Samples:
 
 
 def frames_damaged(session: Path, target: Path, rng: random.Random) -> None:
-    """Write a session again in which one frame's record, or another message, is damaged: every checksum is right."""
+    """Write a copy of a session with one damaged frame record or other message, and correct checksums."""
     from cloth_sim_ros.session.cdr import decode_string, encode_string
     from cloth_sim_ros.session.reader import SessionReader
     from cloth_sim_ros.session.writer import SessionWriter, Snapshot, WriterOptions
@@ -239,7 +239,7 @@ def frames_damaged(session: Path, target: Path, rng: random.Random) -> None:
 
 
 class TooLong(BaseException):
-    """A command that did not end in time."""
+    """A command exceeded the time limit."""
 
 
 def _too_long(_signal_number: int, _frame: FrameType | None) -> None:
@@ -247,7 +247,7 @@ def _too_long(_signal_number: int, _frame: FrameType | None) -> None:
 
 
 def run(command: str, arguments: Sequence[str]) -> str:
-    """Run a command in this process; its trouble, empty where it ended as commands end."""
+    """Run a command in this process; return its failure, empty after a normal end."""
     module = {
         "cloth_session": "session.main", "cloth_verify": "verify.main", "cloth_replay": "replay.main",
         "cloth_batch": "batch.main", "cloth_fit": "batch.fit_main", "cloth_sim": "ros.main",
@@ -280,7 +280,7 @@ def run(command: str, arguments: Sequence[str]) -> str:
 
 
 def cases(samples: Samples, folder: Path, rng: random.Random) -> Iterator[tuple[str, list[tuple[str, list[str]]]]]:
-    """Damaged files without end: what was damaged, and the commands that read it."""
+    """Yield damaged files endlessly: description, and the commands that read the file."""
     texts = samples.texts()
     session = samples.session.read_bytes()
 
@@ -366,7 +366,7 @@ def _study_folder(samples: Samples, folder: Path, rng: random.Random) -> list[tu
 
 
 def soak(count: int, seed: int, report: Callable[[str], None]) -> list[str]:
-    """Damage so many files; the troubles that commands had, each with what was damaged."""
+    """Damage `count` files; return the failures of commands with the description of the damage."""
     rng = random.Random(seed)
     troubles: list[str] = []
     kinds: Counter[str] = Counter()
@@ -403,10 +403,10 @@ def _remove(path: Path) -> None:
 
 
 def main() -> int:
-    """Run from the command line; the exit status."""
+    """Run the command; return its exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=500, help="files (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=time.time_ns() % 100_000, help="of the damage; printed")
+    parser.add_argument("--count", type=int, default=500, help="number of files (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=time.time_ns() % 100_000, help="random seed of the damage; printed")
     options = parser.parse_args()
     print(f"seed {options.seed}")
     troubles = soak(options.count, options.seed, lambda text: print(text, flush=True))

@@ -1,12 +1,12 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Twenty cloths whose parameters are known, fitted: `python test/soak_fit.py [--count 20] [--first 0]`.
+"""Fits of synthetic cloths with known parameters: `python test/soak_fit.py [--count 20] [--first 0]`.
 
-Each is a square of 0.4 m, 10 x 10 particles, that hung still from two hands and is swung by them for 2 s, as a robot
-can do (see support/fit_samples.py for the motion and the ranges of the parameters). Clouds at 30 Hz have 2 mm of noise
-in each coordinate and lack a third of the particles. Every fit begins at the middle of the ranges. Each parameter must
-come out within 5 % of the truth, or be declared not told because its Cramér-Rao bound is above 2.5 %. Exit status 1 if
-one does not, or a fit takes more than ten minutes.
+Each cloth is a square of 0.4 m with 10 x 10 particles, hung at rest from two hands that swing it for 2 s. Motion and
+parameter ranges are in support/fit_samples.py. Clouds at 30 Hz have 2 mm of noise in each coordinate and lack a third
+of the particles. Every fit begins at the middle of the ranges. Each parameter must be within 5 % of the truth, or not
+identified because its Cramér-Rao bound is above 2.5 %. Exit status 1 if a parameter fails, or a fit takes more than ten
+minutes.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from tqdm import tqdm
 from cloth_sim_ros.batch.fit import Fit, fit
 from cloth_sim_ros.batch.fit_recording import read_session
 
-#: Largest relative error of what is told, and longest a fit may take [s].
+#: Maximum relative error of an identified parameter, and maximum time of a fit [s].
 LARGEST, LONGEST = 0.05, 600.0
 
 
 def fitted(seed: int, strength: float, workers: int | None) -> tuple[dict[str, float], Fit, tuple[float, float]]:
-    """The true parameters of a cloth, its fit, and the wall time and the processor time that took [s]."""
+    """Return the true parameters of a cloth, its fit, and the wall time and processor time of the fit [s]."""
     truth = random_truth(seed)
     with tempfile.TemporaryDirectory() as folder:
         path = record_swing(Path(folder), truth, seed=seed, strength=strength)
@@ -41,20 +41,18 @@ def fitted(seed: int, strength: float, workers: int | None) -> tuple[dict[str, f
 
 
 def processor_time() -> float:
-    """Processor time that this process and those it waited for have used [s]."""
+    """Return the processor time of this process and its finished children [s]."""
     both = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(one.ru_utime + one.ru_stime for one in both)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; its exit status."""
-    parser = argparse.ArgumentParser(
-        description="Fits of synthetic cloths must find the truth, or say that they can't."
-    )
+    """Run the command; return its exit status."""
+    parser = argparse.ArgumentParser(description="Fit synthetic cloths with known parameters.")
     parser.add_argument("--count", type=int, default=20)
-    parser.add_argument("--first", type=int, default=0, help="number of the first cloth")
-    parser.add_argument("--strength", type=float, default=1.0, help="of the swing, 1 is the usual one")
-    parser.add_argument("--workers", type=int, default=None, help="processes; one a core by default")
+    parser.add_argument("--first", type=int, default=0, help="index of the first cloth")
+    parser.add_argument("--strength", type=float, default=1.0, help="strength of the swing; 1 is the usual one")
+    parser.add_argument("--workers", type=int, default=None, help="number of processes; by default one per core")
     options = parser.parse_args(arguments)
     short = [name.split(".")[1].removesuffix("_modulus") for name in RANGES]
     print(

@@ -1,12 +1,12 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Kill recording processes at random moments and look at what they leave behind.
+"""Kills of recording processes at random times, and checks of their files.
 
     python test/soak_session_kills.py --count 500
 
-Each child records as a node does, with splits and stops at random, and notes in shared memory what it handed over.
-After SIGKILL every file in its folder must open, hold no message that was not recorded, in order and without a gap, and
-lack nothing that was handed over more than a second before.
+Each child records like a node, with random splits and stops, and counts the queued messages in shared memory. After
+SIGKILL every file in its folder must open. Its messages must be recorded ones, in order and without a gap. Only
+messages of the last second may be missing.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ from cloth_sim_ros.session.writer import WriterOptions
 
 LIMIT = 20_000
 NOTE = struct.Struct("<QQ")
-"""Frames handed over in the session of that name; then for each frame of the child its time."""
+"""Index of the session and its number of queued frames, followed by the time of each frame of the child [ns]."""
 
 
 def record(folder: Path, seed: int, notes: mmap.mmap) -> None:
-    """The child: sessions one after the other, until it is killed."""
+    """Record sessions in the child process until it is killed."""
     generator = random.Random(seed)
     points = generator.choice([10, 900, 16_000])
-    # Some children do little but begin and end sessions, or split them: the kill then falls into one of these.
+    # Some children mostly begin, end or split sessions, so that kills hit these operations.
     lengths = generator.choice([[1], [1, 50, 300], [LIMIT]])
     splits = generator.choice([[0.0], [0.02], [0.0, 0.1, 0.3]])
     frame = 0
@@ -73,7 +73,7 @@ def record(folder: Path, seed: int, notes: mmap.mmap) -> None:
 
 
 def check(folder: Path, notes: mmap.mmap, killed: int, within: float) -> tuple[str, float]:
-    """What the child left: the state of its last file, and how much of the end is missing [s]."""
+    """Check the child's files; return the state of the last one and the missing time at its end [s]."""
     files = sorted(folder.glob("*.mcap"))
     sessions = sorted({tuple(session_files(path)) for path in files}, key=lambda paths: _first_frame(paths))
     expected = 0
@@ -117,15 +117,17 @@ def _first_frame(paths: tuple[Path, ...]) -> float:
 
 
 def main() -> int:
-    """Run the kills; 0 if nothing is wrong."""
+    """Run the kills; return 0 on success."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--longest", type=float, default=2.0, help="latest moment of the kill [s]")
-    parser.add_argument("--within", type=float, default=1.0, help="what may be missing at the end [s]")
-    parser.add_argument("--folder", type=Path, help="where to record; by default in the system's temporary folder")
+    parser.add_argument("--longest", type=float, default=2.0, help="latest time of the kill [s]")
+    parser.add_argument("--within", type=float, default=1.0, help="maximum missing time at the end [s]")
+    parser.add_argument(
+        "--folder", type=Path, help="folder of the recordings; by default the system's temporary folder"
+    )
     options = parser.parse_args()
-    # Loaded once, before the children are forked.
+    # Imported once, before the children are forked.
     standard_types()
     states: Counter[str] = Counter()
     worst = 0.0

@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Slow motions, with sleep and without: `python test/soak_sleep.py [--seconds 60] [--only NAME]`.
+"""Slow motions with and without sleep: `python test/soak_sleep.py [--seconds 60] [--only NAME]`.
 
-What sleep leaves out must stay within the tolerance. Exit status 1 if it does not somewhere.
+The motion that sleep skips must stay within the tolerance. Exit status 1 if it does not.
 """
 
 from __future__ import annotations
@@ -35,27 +35,27 @@ Commands = Callable[[Simulation, int], list[Event]]
 
 
 def alone(_simulation: Simulation, _frame: int) -> list[Event]:
-    """Nobody touches it."""
+    """Return no events: an undisturbed cloth."""
     return []
 
 
 def creeping(speed: float) -> Commands:
-    """A gripper that holds the last corner and creeps at a speed [m/s]: ten targets a second."""
+    """Return commands of a gripper that holds the last corner and creeps at a speed [m/s], ten targets per second."""
 
     def commands(simulation: Simulation, frame: int) -> list[Event]:
         if frame == 0:
-            creeping.place = simulation.positions[-1].copy()  # type: ignore[attr-defined]
-            return [Target("gripper", tuple(creeping.place)), Grasp("gripper", True)]  # type: ignore[attr-defined]
+            creeping.corner = simulation.positions[-1].copy()  # type: ignore[attr-defined]
+            return [Target("gripper", tuple(creeping.corner)), Grasp("gripper", True)]  # type: ignore[attr-defined]
         if frame % 3:
             return []
-        ahead = creeping.place + np.array([0.0, speed * frame / simulation.scene.rate, 0.0])  # type: ignore[attr-defined]
+        ahead = creeping.corner + np.array([0.0, speed * frame / simulation.scene.rate, 0.0])  # type: ignore[attr-defined]
         return [Target("gripper", tuple(ahead))]
 
     return commands
 
 
 def pendulum(period: float) -> dict[str, Any]:
-    """A sheet hung by its upper edge, set askew, in a gravity by which it swings slowly [s], almost without air."""
+    """Return a sheet hung by its upper edge in oblique gravity, with a swing `period` [s] and almost no air."""
     return {
         "gravity": [0.3 * 4.0 * math.pi**2 / period**2, 0.0, -(4.0 * math.pi**2) / period**2],
         "air.drag": 0.02,
@@ -65,7 +65,7 @@ def pendulum(period: float) -> dict[str, Any]:
 
 
 def motions() -> dict[str, tuple[dict[str, Any], Commands]]:
-    """All of them, by name."""
+    """Return all motions by name."""
     wind = {f"wind of {speed:g} m/s": {"wind.velocity": [0.0, speed, 0.0]} for speed in (1e-4, 1e-3)}
     found: dict[str, tuple[dict[str, Any], Commands]] = {}
     for speed in (1e-6, 1e-5, 1e-4, 1e-3):
@@ -87,7 +87,7 @@ def motions() -> dict[str, tuple[dict[str, Any], Commands]]:
 def run(
     values: dict[str, Any], commands: Commands, seconds: float, *, calm: float
 ) -> Iterator[tuple[np.ndarray, bool]]:
-    """Positions and whether it sleeps, frame by frame, where a sheet must have been calm for so long [s]."""
+    """Return positions and sleep flag of each frame, for a minimum calm time before sleep [s]."""
     simulation = Simulation(Scene.from_parameters({**BASE, **values}))
     for frame in range(round(seconds * simulation.scene.rate)):
         known, CONSTANTS.calm = CONSTANTS.calm, calm
@@ -99,16 +99,16 @@ def run(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; its exit status."""
-    parser = argparse.ArgumentParser(description="What sleep leaves out must stay within the tolerance.")
-    parser.add_argument("--seconds", type=float, default=60.0, help="simulated time of each")
-    parser.add_argument("--only", help="part of a name")
+    """Run the command; return its exit status."""
+    parser = argparse.ArgumentParser(description="Check that the motion skipped by sleep stays within the tolerance.")
+    parser.add_argument("--seconds", type=float, default=60.0, help="simulated time of each motion [s]")
+    parser.add_argument("--only", help="run only motions with this text in their name")
     options = parser.parse_args(arguments)
     chosen = {name: each for name, each in motions().items() if (options.only or "") in name}
     wrong = 0
     for name, (values, commands) in tqdm(chosen.items(), unit="motion", disable=None):
         most = slept = moved = 0.0
-        # Calm for ever: it never sleeps.
+        # An infinite calm time: it never sleeps.
         twins = (run(values, commands, options.seconds, calm=calm) for calm in (CONSTANTS.calm, math.inf))
         first = None
         for (x, asleep), (awake, _) in zip(*twins, strict=True):

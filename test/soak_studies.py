@@ -1,11 +1,12 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A study under fire: workers killed at random, the scheduler killed once, the disk full once. Every run must be there
-once, with the digest that it has in an undisturbed study.
+"""Study with injected failures: random kills of workers, one kill of the scheduler, one full disk.
+
+Every run must be complete exactly once, with the digest of an undisturbed study.
 
     .venv/bin/python test/soak_studies.py --runs 1000 --kills 50
 
-Scheduler and workers are the documented commands, processes of their own over TCP on the loopback.
+Scheduler and workers are separate processes of the documented commands, over TCP on the loopback interface.
 """
 
 from __future__ import annotations
@@ -42,24 +43,24 @@ vary:
   material.density: {{uniform: [0.1, 0.3]}}
   target.gripper.z: {{normal: [0.0, 0.01]}}
 """
-#: A file of a run is larger than this [bytes]: with it as the limit of a file's size, nothing can be written.
+#: Limit of the file size that lets every write of a run fail [bytes].
 TOO_SMALL = 4096
 
 
 def free_port() -> int:
-    """A TCP port that nobody listens on."""
+    """Return a free TCP port."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 def batch(*arguments: str | Path) -> list[str]:
-    """A command line of cloth_batch."""
+    """Return a command line of cloth_batch."""
     return [sys.executable, "-m", "cloth_sim_ros.batch.main", *map(str, arguments)]
 
 
 class Cluster:
-    """Dask's scheduler and workers as processes, started by the documented commands and started again when they end."""
+    """Dask's scheduler and workers as processes of the documented commands, restarted when they end."""
 
     def __init__(self, workers: int, folder: Path) -> None:
         self.address = f"tcp://127.0.0.1:{free_port()}"
@@ -88,13 +89,13 @@ class Cluster:
         return self._start("scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard")
 
     def _start_worker(self) -> subprocess.Popen[bytes]:
-        # Without a nanny: whoever kills the process kills the worker.
+        # Without a nanny, the process is the worker.
         return self._start(
             "worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard", limited=self.limit_files
         )
 
     def tend(self) -> None:
-        """Start again what has ended, as a batch system does."""
+        """Restart processes that have ended, like a batch system."""
         if self._scheduler.poll() is not None:
             self._scheduler = self._start_scheduler()
         for k, worker in enumerate(self._workers):
@@ -102,21 +103,21 @@ class Cluster:
                 self._workers[k] = self._start_worker()
 
     def kill_worker(self, which: int) -> None:
-        """Kill a worker amid its work."""
+        """Kill a worker during its work."""
         _kill(self._workers[which % len(self._workers)])
 
     def kill_scheduler(self) -> None:
-        """Kill the scheduler: everything it knew is lost."""
+        """Kill the scheduler; its state is lost."""
         _kill(self._scheduler)
 
     def limit(self, limited: bool) -> None:
-        """Let workers write nothing (or everything again), as on a disk that is full."""
+        """Limit the file size of workers to simulate a full disk, or remove the limit."""
         self.limit_files = limited
         for worker in self._workers:
             _kill(worker)
 
     def stop(self) -> None:
-        """End everything."""
+        """End all processes."""
         for process in (*self._workers, self._scheduler):
             _kill(process)
 
@@ -129,7 +130,7 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 
 @contextlib.contextmanager
 def cluster(workers: int, folder: Path) -> Iterator[Cluster]:
-    """A cluster that ends with the block."""
+    """Yield a cluster that ends with the context."""
     made = Cluster(workers, folder)
     try:
         yield made
@@ -138,16 +139,16 @@ def cluster(workers: int, folder: Path) -> Iterator[Cluster]:
 
 
 def rows_in(folder: Path) -> int:
-    """Finished runs in a study's folder."""
+    """Return the number of finished runs in a study's folder."""
     return sum(1 for _ in (folder / "rows").glob("*/*.json") if not _.name.startswith("."))
 
 
 def disturbed(
     study: Path, out: Path, *, runs: int, kills: int, workers: int, seed: int, say: Callable[[str], None]
 ) -> dict[str, int]:
-    """Run a study on a cluster that is shot at until it is whole; what happened on the way."""
+    """Run a study on a cluster with injected failures until it is complete; return the counts of failures."""
     chance = random.Random(seed)
-    # Kills go by what is finished, not by the clock: so there are as many however fast the machine is.
+    # Kills depend on the number of finished runs, not on time; their number is the same on every machine.
     shots = sorted(chance.uniform(1.0, 0.95 * runs) for _ in range(kills))
     count = {"worker kills": 0, "scheduler kills": 0, "full disks": 0, "clients": 0}
     with cluster(workers, out.parent) as dask:
@@ -188,7 +189,7 @@ def disturbed(
 
 
 def compare(calm: Path, shot: Path, runs: int) -> int:
-    """Compare two folders' indexes; how many runs differ."""
+    """Compare the indexes of two folders; return the number of differing runs."""
     tables = [pq.read_table(folder / "index.parquet").to_pydict() for folder in (calm, shot)]
     for table, folder in zip(tables, (calm, shot), strict=True):
         assert table["run"] == list(range(runs)), f"{folder}: runs are missing or twice there"
@@ -202,7 +203,7 @@ def compare(calm: Path, shot: Path, runs: int) -> int:
 def soak(
     folder: Path, *, runs: int, kills: int, workers: int = 2, seed: int = 1, duration: float = 2.5, say=print
 ) -> dict[str, int]:
-    """Run the study undisturbed and under fire; what happened, with the number of runs that differ."""
+    """Run the study undisturbed and with failures; return the counts of failures and differing runs."""
     study = folder / "study.yaml"
     study.write_text(STUDY.format(runs=runs, duration=duration))
     subprocess.run(
@@ -217,13 +218,13 @@ def soak(
 
 
 def main() -> int:
-    """Run the soak; 1 if a run differs, or the study ended before all kills were done."""
-    parser = argparse.ArgumentParser(description="Kills workers, the scheduler and the disk under a study.")
+    """Run the soak; return 1 if a run differs, or the study ended before all kills."""
+    parser = argparse.ArgumentParser(description="Run a study with killed workers, a killed scheduler and a full disk.")
     parser.add_argument("--runs", type=int, default=1000)
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--duration", type=float, default=2.5, help="of each run [s]")
+    parser.add_argument("--duration", type=float, default=2.5, help="duration of each run [s]")
     options = parser.parse_args()
     begun = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="soak_studies_") as folder:

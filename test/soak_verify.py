@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Random sessions run again, many of them: `python test/soak_verify.py [--sessions 200] [--first 0] [--contact]`.
+"""Re-run of many random sessions: `python test/soak_verify.py [--sessions 200] [--first 0] [--contact]`.
 
-Each is a random scene with random commands, parameter changes, pauses and resets, recorded, split and cut at random,
-and must come out the same to the last bit. Exit status 1 if one does not; its number makes it again.
+Each session has a random scene with random commands, parameter changes, pauses and resets, and is split and cut at
+random. The re-run must be equal to the last bit. Exit status 1 if one differs; its index reproduces it.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from tqdm import tqdm
 from cloth_sim_ros.verify.main import describe
 from cloth_sim_ros.verify.run import Verdict, verify
 
-#: Sessions with contact are run again by so many threads.
+#: Numbers of threads for sessions with contact.
 THREADS = (1, 2, 8)
 
 
 def run_again(paths: list[Path], count: int | None) -> Verdict:
-    """Run a session again, by so many threads or as many as the plan chooses."""
+    """Run a session again with a number of threads; None lets the plan choose."""
     with nullcontext() if count is None else threads(count):
         return verify(paths)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; its exit status."""
-    parser = argparse.ArgumentParser(description="Random sessions must run again to the last bit.")
+    """Run the command; return its exit status."""
+    parser = argparse.ArgumentParser(description="Check that random sessions rerun to the last bit.")
     parser.add_argument("--sessions", type=int, default=200)
-    parser.add_argument("--first", type=int, default=0, help="number of the first session")
-    parser.add_argument("--obstacles", action="store_true", help="with obstacles about the cloth")
+    parser.add_argument("--first", type=int, default=0, help="index of the first session")
+    parser.add_argument("--obstacles", action="store_true", help="with obstacles around the cloth")
     parser.add_argument(
-        "--contact", action="store_true", help="with contact of every kind, and run again by 1, 2 and 8 threads"
+        "--contact", action="store_true", help="with all kinds of contact, and re-run with 1, 2 and 8 threads"
     )
     options = parser.parse_args(arguments)
     different = frames = clouds = cut = split = 0

@@ -42,7 +42,7 @@ def _table() -> NDArray[np.uint32]:
 
 
 def _srgb(lab: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Convert OKLab to sRGB in 0..1, shape (n, 3): B. Ottosson, "A perceptual color space for image processing", 2020."""
+    """Map OKLab to sRGB in 0..1, shape (n, 3): B. Ottosson, "A perceptual color space for image processing", 2020."""
     to_cones = np.array(
         [[1.0, 0.3963377774, 0.2158037573], [1.0, -0.1055613458, -0.0638541728], [1.0, -0.0894841775, -1.2914855480]]
     )

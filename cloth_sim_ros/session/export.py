@@ -69,7 +69,7 @@ def export(
     if not target.absolute().parent.is_dir():
         raise SessionError(f"there is no folder '{target.absolute().parent}' for {target.name}; create it first")
     if every < 1:
-        raise SessionError(f"every = {every} is no step between frames; give 1 or more")
+        raise SessionError(f"every {every}th frame cannot be exported; give 1 or more")
 
     def frames() -> Iterator[_Frame]:
         return _frames(reader, every, start, end, progress)

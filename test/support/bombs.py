@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Small files that ask for much memory or time, and a process that is measured while it reads one."""
+"""Small files that demand much memory or time, and measurement of their readers."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ _CHUNK, _MESSAGE = 6, 5
 
 
 def record(opcode: int, body: bytes) -> bytes:
-    """An MCAP record."""
+    """Return an MCAP record."""
     return struct.pack("<BQ", opcode, len(body)) + body
 
 
 def chunk(payload: bytes, compression: str, size: int, crc: int = 0) -> bytes:
-    """A chunk record that announces a size of its content."""
+    """Return a chunk record with an announced size of its content."""
     name = compression.encode()
     head = struct.pack("<QQQII", 0, 0, size, crc, len(name)) + name
     return record(_CHUNK, head + struct.pack("<Q", len(payload)) + payload)
 
 
 def opening(session: Path) -> bytes:
-    """The bytes of a session before its first chunk."""
+    """Return the bytes of a session before its first chunk."""
     from cloth_sim_ros.session.mcap_scan import place_at
 
     with session.open("rb") as file:
@@ -42,14 +42,14 @@ def opening(session: Path) -> bytes:
 
 
 def zstd(content: bytes) -> bytes:
-    """Content, compressed."""
+    """Return compressed content."""
     import zstandard
 
     return bytes(zstandard.ZstdCompressor().compress(content))
 
 
 def zstd_zeros(size: int) -> bytes:
-    """Zeros, compressed by a hundred thousand."""
+    """Return zeros, compressed by a factor of 100,000."""
     import zstandard
 
     compressor = zstandard.ZstdCompressor(level=1).compressobj()
@@ -58,7 +58,7 @@ def zstd_zeros(size: int) -> bytes:
 
 
 def lz4_zeros(size: int) -> bytes:
-    """Zeros, compressed, whose frame does not tell their size."""
+    """Return compressed zeros in a frame without their size."""
     import lz4.frame
 
     with lz4.frame.LZ4FrameCompressor(block_size=lz4.frame.BLOCKSIZE_MAX4MB) as compressor:
@@ -68,7 +68,7 @@ def lz4_zeros(size: int) -> bytes:
 
 
 def false_heads(size: int) -> bytes:
-    """Heads of chunks, each of which claims all that follows as its content."""
+    """Return chunk headers, each of which claims the whole rest as its content."""
     head = 9 + 32 + 8
     count = size // head
     out = bytearray()
@@ -80,7 +80,7 @@ def false_heads(size: int) -> bytes:
 
 
 def npz_zeros(size: int) -> bytes:
-    """A state whose positions are so many bytes of zeros, deflated."""
+    """Return a state with deflated zeros of a given size as positions."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name in ("position", "velocity"):
@@ -97,7 +97,7 @@ def npz_zeros(size: int) -> bytes:
 
 
 def npy_of_shape(shape: tuple[int, ...], descr: str = "<f8") -> bytes:
-    """A state whose positions have a header of a shape, and no content."""
+    """Return a state whose positions have a header with a shape, but no content."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive, archive.open("position.npy", "w") as entry:
         np.lib.format.write_array_header_1_0(entry, {"descr": descr, "fortran_order": False, "shape": shape})
@@ -105,14 +105,14 @@ def npy_of_shape(shape: tuple[int, ...], descr: str = "<f8") -> bytes:
 
 
 def laughs(levels: int = 9) -> str:
-    """Aliases that stand for 10 to so many-th texts."""
+    """Return YAML aliases that expand to a power of 10 texts."""
     lines = ["a0: &a0 [lol, lol, lol, lol, lol, lol, lol, lol, lol, lol]"]
     lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]" for k in range(1, levels)]
     return "\n".join(lines) + f"\nscene: *a{levels - 1}\n"
 
 
 def many_cornered_face(corners: int) -> bytes:
-    """An OBJ file of one face that no fan fills: a comb."""
+    """Return an OBJ file with one comb-shaped face, which no triangle fan fills."""
     lines = []
     for k in range(corners):
         lines.append(f"v {k * 1e-3} {(k % 2) * 0.5 if 0 < k < corners - 1 else -1.0} 0")
@@ -120,7 +120,7 @@ def many_cornered_face(corners: int) -> bytes:
 
 
 def sparse(path: Path, size: int, start: bytes = b"") -> Path:
-    """A file that claims a size and takes no room on the disk."""
+    """Write a sparse file of a given size."""
     with path.open("wb") as file:
         file.write(start)
         file.truncate(size)
@@ -128,17 +128,17 @@ def sparse(path: Path, size: int, start: bytes = b"") -> Path:
 
 
 class Measured(NamedTuple):
-    """Result of a command that reads a file."""
+    """Result of a command that read a file."""
 
     status: int
     said: str
     seconds: float
     memory: float
-    """Peak of its resident memory [MB]."""
+    """Peak resident memory [MB]."""
 
 
 def measure(arguments: list[str], folder: Path, *, limit: float = 60.0) -> Measured:
-    """Run a command as a process of its own and measure it."""
+    """Run a command in a separate process and measure it."""
     begun = time.perf_counter()
     with (folder / "said.log").open("w+b") as said:
         process = subprocess.Popen(arguments, cwd=folder, stdin=subprocess.DEVNULL, stdout=said, stderr=said)
@@ -154,7 +154,7 @@ def measure(arguments: list[str], folder: Path, *, limit: float = 60.0) -> Measu
 
 
 def _peak(pid: int) -> float:
-    """Peak of a process's resident memory so far [MB]."""
+    """Return the peak resident memory of a process so far [MB]."""
     try:
         status = Path(f"/proc/{pid}/status").read_text()
     except OSError:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Falsified sessions: messages altered, left out, doubled or moved, with indexes, counts and checksums made anew."""
+"""Falsified sessions: messages altered, removed, repeated or moved, with valid indexes, counts and checksums."""
 
 from __future__ import annotations
 
@@ -31,26 +31,26 @@ Change = Callable[[Messages], Messages]
 
 @dataclasses.dataclass(frozen=True)
 class Falsification:
-    """One way to falsify a session."""
+    """A falsification of a session."""
 
     change: Change = lambda messages: messages
     needs: str = FRAME
-    """A topic that the session must have for it."""
+    """Topic that the session must have."""
     end: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    """What the end record says instead."""
+    """Changed entries of the end record."""
     ended: bool = True
-    """False if the end record is left out."""
+    """False to omit the end record."""
     redefined: tuple[str, str] = ("", "")
-    """Words of the message definitions, and what they are replaced by."""
+    """Text of the message definitions and its replacement."""
     counted: bool = True
-    """True if the end record counts the messages that are there; else it is left as it was."""
+    """True to update the message count of the end record."""
     listed: str = ""
-    """Words of the list, where it can be no more than listed."""
+    """Text in the list of omissions, if the falsification can only be listed."""
     absent: str = ""
-    """A topic that is named as absent, where it can be no more."""
+    """Topic that is reported as absent, if nothing else can be found."""
 
     def is_shown(self, verdict: Verdict) -> bool:
-        """True if a verdict shows it."""
+        """Return True if a verdict shows the falsification."""
         if self.absent:
             return verdict.same and self.absent in verdict.absent
         if self.listed:
@@ -101,7 +101,7 @@ def falsify(source: Path, target: Path, falsification: Falsification) -> Path:
 
 
 def renumbered(change: Change) -> Change:
-    """The same, with the messages of each topic numbered from 0 again."""
+    """Return a change that also renumbers the messages of each topic from 0."""
 
     def changed(messages: Messages) -> Messages:
         numbers: dict[str, int] = defaultdict(int)
@@ -115,7 +115,7 @@ def renumbered(change: Change) -> Change:
 
 
 def each(topic: str, alter: Callable[[Message], Message | None], *, only: Sequence[int] | None = None) -> Change:
-    """Alter the messages of a topic, or of them only some by their place among them; None leaves one out."""
+    """Alter the messages of a topic, or only those with the given indices; None removes a message."""
 
     def changed(messages: Messages) -> Messages:
         places = [k for k, message in enumerate(messages) if message.topic == topic]
@@ -127,12 +127,12 @@ def each(topic: str, alter: Callable[[Message], Message | None], *, only: Sequen
 
 
 def drop(topic: str, *, only: Sequence[int] | None = None) -> Change:
-    """Leave messages out."""
+    """Remove messages."""
     return each(topic, lambda _message: None, only=only)
 
 
 def double(topic: str, number: int) -> Change:
-    """Have one message of a topic twice."""
+    """Repeat one message of a topic."""
 
     def changed(messages: Messages) -> Messages:
         place = [k for k, message in enumerate(messages) if message.topic == topic][number]
@@ -144,7 +144,7 @@ def double(topic: str, number: int) -> Change:
 def insert(
     topic: str, number: int, after: str, at: int, alter: Callable[[Message], Message] = lambda message: message
 ) -> Change:
-    """Put a message of a topic once more behind another one, under that one's times, altered."""
+    """Insert an altered copy of a message after another one, with the times of that one."""
 
     def changed(messages: Messages) -> Messages:
         copied = [message for message in messages if message.topic == topic][number]
@@ -157,7 +157,7 @@ def insert(
 
 
 def swap(topic: str, one: int, other: int, *, whole: bool) -> Change:
-    """Exchange two messages of a topic, or of them the bytes alone."""
+    """Exchange two messages of a topic, or only their bytes."""
 
     def changed(messages: Messages) -> Messages:
         places = [k for k, message in enumerate(messages) if message.topic == topic]
@@ -173,7 +173,7 @@ def swap(topic: str, one: int, other: int, *, whole: bool) -> Change:
 
 
 def cut_frames(count: int) -> Change:
-    """Leave out the last frames, and all that follows."""
+    """Remove the last frames and all following messages."""
 
     def changed(messages: Messages) -> Messages:
         places = [k for k, message in enumerate(messages) if message.topic == FRAME]
@@ -183,12 +183,12 @@ def cut_frames(count: int) -> Change:
 
 
 def rename(topic: str, other: str) -> Change:
-    """Give the messages of a topic another one."""
+    """Move the messages of a topic to another topic."""
     return each(topic, lambda message: message._replace(topic=other))
 
 
 def edit(alter: Callable[[Any], object]) -> Callable[[Message], Message]:
-    """Alter the content of a message, as rosbags has it."""
+    """Alter the fields of a message in rosbags' form."""
 
     def altered(message: Message) -> Message:
         content = decode(message.data, message.type_name)
@@ -202,7 +202,7 @@ def moved(away: float) -> Callable[[Message], Message]:
     """Move every point of a cloud along z [m]."""
 
     def altered(message: Message) -> Message:
-        # A bytearray is not read-only as the message is.
+        # A bytearray is writable, unlike the message.
         data = bytearray(message.data)
         view = decode_cloud(data).xyz
         view.flags.writeable = True
@@ -218,7 +218,7 @@ def later(nanoseconds: int) -> Callable[[Message], Message]:
 
 
 def both(*alters: Callable[[Message], Message]) -> Callable[[Message], Message]:
-    """One change after the other."""
+    """Apply several changes in turn."""
 
     def altered(message: Message) -> Message:
         for alter in alters:
@@ -262,9 +262,7 @@ def _flip_triangle(content: Any) -> None:
 
 
 def falsifications(gripper: str, *, busy: bool) -> dict[str, Falsification]:
-    """Ways to falsify a session of a node with a gripper of some name, by what they do; `busy`: every frame has one
-    target.
-    """
+    """Return falsifications of a session by description. `busy`: True if every frame has one target."""
     wrench, grasp = f"{NODE}/{gripper}/wrench", f"{NODE}/{gripper}/grasp"
     target, state = f"{NODE}/{gripper}/target", f"{NODE}/{gripper}/state"
     shift = both(moved(0.5), later(1))
@@ -347,7 +345,7 @@ def falsifications(gripper: str, *, busy: bool) -> dict[str, Falsification]:
         "bytes that are no cloud": Falsification(
             each(POINTS, both(lambda one: one._replace(data=one.data[:40]), later(1)), only=[2])
         ),
-        # Of the node alone.
+        # Only sessions of a node have these.
         "state left out": Falsification(renumbered(drop(STATE, only=[1])), needs=STATE),
         "state altered": Falsification(each(STATE, edit(_set("id", 2)), only=[-2]), needs=STATE),
         "first active state left out": Falsification(renumbered(drop(STATE, only=[1])), needs=STATE),

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Copies of a session as other tools write them: by the mcap library's own reader and writer."""
+"""Copies of a session by the mcap library's reader and writer, like those of other tools."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mcap.writer import Writer
 
 
 class CopiedMessage(NamedTuple):
-    """A message to be copied."""
+    """A message to copy."""
 
     topic: str
     data: bytes
@@ -41,19 +41,19 @@ def copy_by_tool(
     Args:
         source: the session.
         target: its copy.
-        metadata: whether a metadata record of a name is kept.
-        attachments: whether an attachment of a name is kept.
-        topics: whether a topic is kept.
-        contents_last: metadata and attachments come behind the messages.
-        more: further files, as `mcap merge` takes them.
-        profile: of the copy.
-        extra: how many messages of other topics are added at its end.
-        options: of the library's writer.
+        metadata: returns True if the metadata record of a name is copied.
+        attachments: returns True if the attachment of a name is copied.
+        topics: returns True if a topic is copied.
+        contents_last: True to write metadata and attachments after the messages.
+        more: further files, as for `mcap merge`.
+        profile: profile of the copy.
+        extra: number of messages of other topics that are added at the end.
+        options: options of the library's writer.
     """
     with target.open("wb") as stream:
         writer = Writer(stream, **options)
         writer.start(profile=profile, library="a tool")
-        # As other tools do: numbers are dealt anew.
+        # Other tools renumber schemas and channels.
         writer.register_schema(name="std_msgs/msg/Empty", encoding="ros2msg", data=b"")
         for path in (source, *more):
             if contents_last:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Random scenes with contact of every kind, and what is done to them."""
+"""Random scenes with all kinds of contact, and their parameter changes."""
 
 from __future__ import annotations
 
@@ -16,19 +16,20 @@ from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import ANCHORS
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
-#: Shapes of obstacles, and how many sizes each has.
+#: Number of sizes by shape of obstacle.
 SIZES = {"plane": 0, "box": 3, "sphere": 1, "capsule": 2, "cylinder": 2}
 
 
 def some(random: np.random.Generator) -> list[str]:
-    """Names of some obstacles, in any order."""
+    """Return the names of random obstacles in random order."""
     names = [f"{shape}_1" for shape in SIZES if random.random() < 0.5]
     return [str(name) for name in random.permutation(names)] or [""]
 
 
 def touching(random: np.random.Generator, values: dict[str, Any]) -> dict[str, Any]:
-    """Parameters, by name, of a small cloth just above a floor, with other obstacles beside it, of grippers that pinch
-    or attach, and of contact with itself, half of the time each.
+    """Return parameters of a small cloth just above a floor with obstacles.
+
+    Grippers pinch or attach, and self-contact is on or off, with equal probability.
     """
     rows, columns = (int(n) for n in random.integers(3, 7, 2))
     spacing = float(random.uniform(0.03, 0.06))
@@ -63,7 +64,7 @@ def touching(random: np.random.Generator, values: dict[str, Any]) -> dict[str, A
 
 
 def change(random: np.random.Generator) -> dict[str, Any]:
-    """A change of contact's parameters in mid-run."""
+    """Return a random change of contact parameters during a run."""
     name = f"{random.choice(list(SIZES))}_1"
     changes: list[dict[str, Any]] = [
         {"obstacles": some(random)},
@@ -76,7 +77,7 @@ def change(random: np.random.Generator) -> dict[str, Any]:
 
 
 class Coverage:
-    """Counts the sessions in which something of contact happened; its call is shown each frame."""
+    """Counts sessions by the features of contact that occurred; called with each frame."""
 
     def __init__(self) -> None:
         self.sessions: Counter[str] = Counter()
@@ -101,7 +102,7 @@ class Coverage:
             self._seen.add("flagged frames")
 
     def close(self) -> None:
-        """Count what was seen in a session that has ended."""
+        """Add the features of a finished session to the counts."""
         self.sessions.update(self._seen)
         self._seen.clear()
 
@@ -111,6 +112,6 @@ class Coverage:
 
 @contextmanager
 def threads(count: int) -> Iterator[None]:
-    """Let every run take so many threads."""
+    """Set the number of threads of every run."""
     with mock.patch.object(Plan, "threads", return_value=count):
         yield

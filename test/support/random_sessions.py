@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Random sessions: a scene, what is done to it, and where its files are split or cut, all from one number."""
+"""Random sessions: scene, events, splits and cuts, from one seed."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ _ANCHORS = (["top"], ["top_left", "top_right"], ["left"], ["0"], ["bottom", "3"]
 def random_scene(
     random: np.random.Generator, *, obstacles: bool = False, contact: bool = False, hinges: bool = False
 ) -> Scene:
-    """A small cloth with random geometry, material and grippers; where asked for with obstacles about it, with contact
-    of every kind, or with hinges.
+    """Return a small cloth with random geometry, material and grippers.
+
+    Optionally with obstacles around it, with all kinds of contact, or with hinges.
     """
     while True:
         values = _values(random)
@@ -42,13 +43,13 @@ def random_scene(
             scene = Scene.from_parameters(values)
             Simulation(scene)
         except ValueError:
-            # Not every material can be woven into every grid, and obstacles may lie in the cloth.
+            # Some materials do not fit some grids, and obstacles may intersect the cloth.
             continue
         return scene
 
 
 def _obstacles(random: np.random.Generator, values: dict[str, Any]) -> dict[str, Any]:
-    """Obstacles near a cloth: all are described, some are there."""
+    """Return obstacles near a cloth: all are described, some are active."""
     found: dict[str, Any] = {"contact.thickness": float(random.uniform(0.002, 0.01))}
     for shape, count in SIZES.items():
         found[f"{shape}_1.shape"] = shape
@@ -86,7 +87,7 @@ def _values(random: np.random.Generator) -> dict[str, Any]:
 
 
 def random_events(random: np.random.Generator, maker: SessionMaker, *, contact: bool = False) -> list[Event]:
-    """What happens before one frame: mostly targets, now and then everything else; to contact too where asked for."""
+    """Return random events before one frame: mostly targets; changes of contact if `contact`."""
     simulation = maker.simulation
     events: list[Event] = []
     for name in simulation.scene.gripper_names:
@@ -95,7 +96,7 @@ def random_events(random: np.random.Generator, maker: SessionMaker, *, contact: 
             turn = random.normal(size=4)
             place = tuple(float(x) for x in particle + random.normal(scale=0.02, size=3))
             turned = tuple((turn / np.linalg.norm(turn)).tolist()) if random.random() < 0.5 else None
-            # Where pads would be in the cloth it is refused.
+            # A target whose pads would intersect the cloth is refused.
             with contextlib.suppress(EventError):
                 simulation.check(Target(name, place, turned))
                 events.append(Target(name, place, turned))
@@ -113,14 +114,14 @@ def random_events(random: np.random.Generator, maker: SessionMaker, *, contact: 
         change = SetParameters(
             {"obstacles": some(random)} if scene.described and random.random() < 0.5 else _change(random)
         )
-        # What contact makes of a fixed step is refused when it comes to that, in mid-run.
+        # With contact, a fixed step may be refused later, during the run.
         if not (contact and "step" in change.values):
             with contextlib.suppress(EventError):
                 simulation.check(change)
                 events.append(change)
     if contact and random.random() < 0.1:
         changed = SetParameters(random_contact.change(random))
-        # Two changes in one frame may be refused where each of them alone is not.
+        # Two changes in one frame may be refused although each is valid.
         if not any(isinstance(event, SetParameters) for event in events):
             with contextlib.suppress(EventError):
                 simulation.check(changed)
@@ -131,12 +132,12 @@ def random_events(random: np.random.Generator, maker: SessionMaker, *, contact: 
         events.append(Step() if random.random() < 0.5 else Pause(False))
     if random.random() < 0.05:
         events.append(Relax(float(random.choice([1.0, 2.0, 10.0]))))
-    # Of one with other obstacles the cloth's start may be refused.
+    # A reset may be refused if the obstacles have changed.
     if random.random() < 0.02 and not any(isinstance(event, SetParameters) for event in events):
         with contextlib.suppress(EventError):
             simulation.check(Reset())
             events.append(Reset())
-    # The order of arrival is any.
+    # The order of arrival is random.
     return [events[k] for k in random.permutation(len(events))]
 
 
@@ -151,9 +152,9 @@ def make_random_session(
     change: Callable[[int], Change | None] = lambda _frame: None,
     watch: Callable[[Simulation, Frame], object] = lambda _simulation, _frame: None,
 ) -> list[Path]:
-    """Write a random session; its files, in order. It may end cut off, and may have several files.
+    """Write a random session and return its files in order. It may be cut off or split.
 
-    For the k-th frame `change` may give what spoils its messages; `watch` is shown each.
+    `change` may return an alteration of the k-th frame's messages. `watch` receives each frame.
     """
     random = np.random.default_rng(seed)
     options = WriterOptions(chunk_bytes=16_384, sync_seconds=0.0)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a Rerun recording holds."""
+"""Reader of Rerun recordings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 
 def rows(path: Path, entity: str, component: str) -> tuple[np.ndarray, list[Any]]:
-    """Simulated times [s] and values of an entity's component in a recording, by time."""
+    """Return simulated times [s] and contents of an entity's component in a recording, sorted by time."""
     from rerun.chunk import RrdReader
 
     times, values = [], []

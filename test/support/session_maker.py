@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded sessions without ROS and without a clock: a simulation, its frames written as the node writes them."""
+"""Recorded sessions without ROS and clock: a simulation with its frames, in the format of the node."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cloth_sim_ros.simulation.simulation import Frame, Simulation
 from cloth_sim_ros.simulation.surroundings import solids_and_poses
 
 NODE = "/cloth_sim"
-#: ROS time of every made session's start [ns]: any fixed number will do.
+#: ROS time at the start of every session [ns], arbitrary.
 START = 1_800_000_000_000_000_000
 
 _CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -58,7 +58,7 @@ def cloud_bytes(
     *,
     double: bool = False,
 ) -> bytes:
-    """CDR bytes of a cloud: positions (n, 3) [m], rows x columns; velocities [m/s] where given; float64 if `double`."""
+    """Encode a cloud: positions (n, 3) [m], rows x columns; optional velocities [m/s]; float64 if `double`."""
     length, datatype = (8, 8) if double else (4, 7)
     names = ("x", "y", "z") if velocity is None else ("x", "y", "z", "vx", "vy", "vz")
     values = xyz if velocity is None else np.concatenate([xyz, velocity], axis=1)
@@ -81,7 +81,7 @@ def cloud_bytes(
 
 
 def mesh_bytes(scene: Scene) -> bytes:
-    """CDR bytes of the topology: triangles and the rest shape, flat in its own x-y plane."""
+    """Encode the topology: triangles and rest shape, flat in its x-y plane."""
     triangle, point = message_class("shape_msgs/msg/MeshTriangle"), message_class("geometry_msgs/msg/Point")
     return encode(
         message_class(_MESH)(
@@ -93,7 +93,7 @@ def mesh_bytes(scene: Scene) -> bytes:
 
 
 def diagnostics_bytes(log_time: int, values: Mapping[str, str]) -> bytes:
-    """CDR bytes of the node's diagnostics."""
+    """Encode the node's diagnostics."""
     pair = message_class("diagnostic_msgs/msg/KeyValue")
     status = message_class("diagnostic_msgs/msg/DiagnosticStatus")(
         level=0,
@@ -106,14 +106,14 @@ def diagnostics_bytes(log_time: int, values: Mapping[str, str]) -> bytes:
 
 
 def status_bytes(name: str, values: Mapping[str, str]) -> bytes:
-    """CDR bytes of what the node says of a gripper."""
+    """Encode the state of a gripper."""
     pair = message_class("diagnostic_msgs/msg/KeyValue")
     pairs = [pair(key=key, value=value) for key, value in values.items()]
     return encode(message_class(_STATUS)(level=0, name=name, message="", hardware_id="none", values=pairs), _STATUS)
 
 
 def target_bytes(event: Target | Move, log_time: int) -> bytes:
-    """CDR bytes of a commanded pose."""
+    """Encode a commanded pose."""
     assert event.orientation is not None
     x, y, z = event.position
     qx, qy, qz, qw = event.orientation
@@ -125,13 +125,13 @@ def target_bytes(event: Target | Move, log_time: int) -> bytes:
 
 
 def point_bytes(event: Target, log_time: int) -> bytes:
-    """CDR bytes of a commanded position."""
+    """Encode a commanded position."""
     point = message_class("geometry_msgs/msg/Point")(**dict(zip("xyz", event.position, strict=True)))
     return encode(message_class(_POINT)(header=_header(log_time), point=point), _POINT)
 
 
 def wrench_bytes(wrench: Sequence[float], log_time: int) -> bytes:
-    """CDR bytes of a force [N] and torque [N m], 6 numbers."""
+    """Encode a force [N] and torque [N m], 6 numbers."""
     vector = message_class("geometry_msgs/msg/Vector3")
     values = [float(value) for value in wrench]
     force, torque = (vector(**dict(zip("xyz", part, strict=True))) for part in (values[:3], values[3:]))
@@ -140,16 +140,16 @@ def wrench_bytes(wrench: Sequence[float], log_time: int) -> bytes:
 
 
 class SessionMaker:
-    """Writes a session of one or several files, one frame a call.
+    """Writes a session of one or several files, one frame per call.
 
     Args:
-        folder: where the files go.
-        scene: what is simulated.
-        stem: beginning of the files' names.
-        options: layout of the files.
-        metadata: entries of the files' metadata, over those of the present environment.
-        topology: write it; without it there is no surface.
-        watch: is shown each frame.
+        folder: folder of the files.
+        scene: the scene.
+        stem: prefix of the file names.
+        options: format of the files.
+        metadata: entries of the files' metadata that replace those of the current environment.
+        topology: False to omit the topology.
+        watch: receives each frame.
     """
 
     def __init__(
@@ -176,7 +176,7 @@ class SessionMaker:
 
     @property
     def log_time(self) -> int:
-        """ROS time [ns] of the frame that is due."""
+        """ROS time of the next frame [ns]."""
         return START + round(self._clock * self.simulation.scene.period * 1e9)
 
     def add(
@@ -188,9 +188,9 @@ class SessionMaker:
         change: Change = lambda _topic, data: data,
         states: bool = False,
     ) -> None:
-        """Advance one frame and write it; `change` may spoil a message's bytes, or leave it out by None.
+        """Advance one frame and write it. `change` may alter a message's bytes, or return None to omit it.
 
-        `states`: write what the node says of each gripper that was commanded to close or open.
+        `states`: True to write the state of each gripper that was commanded to close or open.
         """
         self._clock += 1
         now = self.log_time
@@ -225,7 +225,7 @@ class SessionMaker:
         velocity = self.simulation.velocities if scene.points.velocity else None
         cloud = cloud_bytes(self.simulation.positions, now, scene.shape, velocity, double=scene.points.double)
         self._write(f"{NODE}/points", _CLOUD, change, cloud)
-        # The node's markers are made of ROS messages; who has none leaves them out.
+        # Markers need ROS's messages; they are omitted without ROS.
         surrounded = self.simulation.obstacles is not None or self.simulation.pinching is not None
         if surrounded and importlib.util.find_spec("rclpy"):
             self._write(f"{NODE}/obstacles", _MARKERS, change, self._markers(now))
@@ -244,7 +244,7 @@ class SessionMaker:
             self._write("/diagnostics", _DIAGNOSTICS, change, diagnostics_bytes(now, diagnostics))
 
     def _transforms(self, now: int) -> bytes:
-        """CDR bytes of the frames of the cloth and of the grippers that have had a target."""
+        """Encode the TF frames of the cloth and of the placed grippers."""
         simulation = self.simulation
         centre = (simulation.state.x * simulation.model.masses).sum(axis=1) / simulation.model.mass
         poses = {"cloth": [*centre.tolist(), 0.0, 0.0, 0.0, 1.0]}
@@ -272,7 +272,7 @@ class SessionMaker:
         )
 
     def _markers(self, now: int) -> bytes:
-        """CDR bytes of obstacles and pads as the node shows them; needs ROS's messages."""
+        """Encode the node's markers of obstacles and pads; needs ROS's messages."""
         from cloth_sim_ros.ros.obstacle_markers import ObstacleMarkers
 
         solids, poses = solids_and_poses(self.simulation.obstacles, self.simulation.pinching)
@@ -281,17 +281,17 @@ class SessionMaker:
         return ObstacleMarkers(solids, frame_id="world", node=NODE, gone=gone).serialized(poses, now)
 
     def split(self) -> None:
-        """Go on in a new file that opens with a snapshot of the present state."""
+        """Continue in a new file that opens with a snapshot of the current state."""
         self._writer.finish(reason="split")
         self._open()
 
     def finish(self) -> Path:
-        """Close the last file; the first one's path."""
+        """Close the last file; return the path of the first."""
         self._writer.finish(reason="stopped")
         return self.paths[0]
 
     def cut(self) -> Path:
-        """Leave the last file unfinished, as a killed process does; the first one's path."""
+        """Leave the last file unfinished, like a killed process; return the path of the first."""
         self._writer.abandon()
         return self.paths[0]
 
@@ -331,7 +331,7 @@ class SessionMaker:
 
 
 def carried_corner(scene: Scene, seconds: float) -> Iterable[list[Event]]:
-    """Events of a grasp, frame by frame: the gripper takes the bottom right corner, carries it up, lets it go."""
+    """Yield the events of a grasp by frame: the gripper grasps the bottom right corner, lifts it, releases it."""
     corner = scene.initial_positions()[-1]
     frames = round(seconds * scene.rate)
     away = np.array([-0.35, -0.45, 0.45]) * min(scene.cloth.size)
@@ -354,7 +354,7 @@ def carried_corner(scene: Scene, seconds: float) -> Iterable[list[Event]]:
 
 
 def make_grasp(folder: Path, *, seconds: float = 4.0, stem: str = "grasp", **values: Any) -> Path:
-    """A finished session: a cloth hung by one edge, its corner carried by the gripper; `values` by parameter name."""
+    """Write a session: a cloth hung by one edge, its corner carried by the gripper; `values` by parameter name."""
     scene = Scene.from_parameters({name.replace("__", "."): value for name, value in values.items()})
     maker = SessionMaker(folder, scene, stem=stem)
     for k, events in enumerate(carried_corner(scene, seconds)):

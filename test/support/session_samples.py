@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Synthetic sessions for the tests of cloth_sim_ros.session: every topic of a real one, no simulation and no ROS."""
+"""Synthetic sessions with all topics, without simulation and ROS."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ SMALL_CHUNKS = WriterOptions(chunk_bytes=8192, sync_seconds=0)
 
 
 class Sample(NamedTuple):
-    """A message to record."""
+    """A message for a recording."""
 
     topic: str
     type_name: str
@@ -52,7 +52,7 @@ class Sample(NamedTuple):
 
 
 def message(type_name: str, **fields: Any) -> Any:
-    """A message object of a standard type."""
+    """Return a message object of a standard type."""
     return cdr.message_class(type_name)(**fields)
 
 
@@ -64,7 +64,7 @@ def header(stamp: int, frame_id: str = "world") -> Any:
 def cloud(
     xyz: np.ndarray[Any, Any], stamp: int, *, frame_id: str = "world", names: Sequence[str] = ("x", "y", "z")
 ) -> bytes:
-    """CDR bytes of a cloud; xyz (n, fields) float32."""
+    """Encode a cloud; xyz (n, fields) float32."""
     fields = [
         message("sensor_msgs/msg/PointField", name=name, offset=4 * index, datatype=7, count=1)
         for index, name in enumerate(names)
@@ -86,7 +86,7 @@ def cloud(
 
 
 def positions(frame: int, points: int) -> np.ndarray[Any, Any]:
-    """A waving line of points, (points, 3) float32."""
+    """Return a waving line of points [m], (points, 3) float32."""
     along = np.linspace(0.0, 1.0, points)
     wave = 0.1 * np.sin(7.0 * along + 0.2 * frame)
     return np.stack([along, wave, 1.0 - 0.001 * frame * along], axis=1).astype(np.float32)
@@ -144,7 +144,7 @@ def _topology(points: int) -> bytes:
 
 
 def samples(frames: int, *, points: int = 40, first: int = 0) -> Iterator[Sample]:
-    """What a node would record over some frames: every kind of topic, in the order in which it comes about."""
+    """Return the messages of a node over some frames: every kind of topic, in the order of recording."""
     if first == 0:
         yield Sample(TOPOLOGY, "shape_msgs/msg/Mesh", _topology(points), START, False)
     for frame in range(first, first + frames):
@@ -170,7 +170,7 @@ def samples(frames: int, *, points: int = 40, first: int = 0) -> Iterator[Sample
 def write_session(
     folder: Path, content: Sequence[Sample], *, options: WriterOptions = SMALL_CHUNKS, stem: str = "session"
 ) -> Path:
-    """Write messages straight through a SessionWriter, and finish the file."""
+    """Write messages with a SessionWriter and finish the file."""
     writer = SessionWriter(folder, snapshot=SNAPSHOT, stem=stem, log_time=START, options=options)
     numbers: dict[str, int] = {}
     for sample in content:
@@ -184,18 +184,18 @@ def write_session(
 
 
 def read_all(*paths: Path) -> list[Message]:
-    """Every message of a session."""
+    """Return all messages of a session."""
     with SessionReader(list(paths)) as reader:
         return list(reader.messages())
 
 
 def plain(messages: Sequence[Message | Sample]) -> list[tuple[str, str, bytes, int]]:
-    """What two readers must agree on: topic, type, bytes, time."""
+    """Return the fields on which two readers must agree: topic, type, bytes, time."""
     return [(item.topic, item.type_name, item.data, item.log_time) for item in messages]
 
 
 def check_structure(path: Path) -> None:
-    """Hold a finished file to what MCAP's official checker asks: indexes, counts, declarations agree with the data."""
+    """Check indexes, counts and declarations of a finished file against its records, like MCAP's official checker."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     times: list[int] = []
@@ -257,7 +257,7 @@ def check_structure(path: Path) -> None:
             assert (statistics.message_start_time, statistics.message_end_time) == (min(times), max(times))
         assert statistics.attachment_count == len(summary.attachment_indexes)
         assert statistics.metadata_count == len(summary.metadata_indexes)
-        # And no chunk that the indexes do not know.
+        # The indexes name every chunk.
         file.seek(0)
         assert sum(isinstance(item, Chunk) for item in StreamReader(file, emit_chunks=True).records) == len(
             summary.chunk_indexes
