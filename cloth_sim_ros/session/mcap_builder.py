@@ -2,12 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """MCAP encoder: the bytes of a file, chunk by chunk.
 
-The layouts of the records come from the mcap package. Its Writer does not meet three requirements of a session:
-
-- A chunk that could not be written leaves file, indexes and statistics unchanged: a full disk still ends in a finished
-  file.
-- Large messages are not copied.
-- The compression level can be chosen.
+The layouts of the records come from the mcap package. A session needs three properties that its Writer lacks. A chunk
+that could not be written leaves file, indexes and statistics unchanged: a full disk still ends in a finished file.
+Large messages are not copied. The compression level can be chosen.
 
 Format: https://mcap.dev/spec
 """

@@ -25,7 +25,7 @@ class AppendFile:
 
     `publish` gives it its final name. A session is published with a complete opening. Therefore a visible file always
     has a readable opening, whenever the process was killed. The writer holds an exclusive advisory lock while the file
-    is open: a reader that gets a shared lock knows that the writer has ended (see `is_being_written`).
+    is open. If a reader gets a shared lock, the writer has ended (see `is_being_written`).
 
     Methods raise OSError as the operating system reports it.
     """

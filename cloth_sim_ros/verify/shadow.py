@@ -3,14 +3,10 @@
 """Accuracy worker: measures windows of a live simulation in a separate process.
 
 Usage: `python -m cloth_sim_ros.verify.accuracy_worker PARENT`. Reads windows from standard input, one pickled tuple
-each:
+each: parameters, files, state, events, digest. Parameters and files of the scene are None if unchanged since the last
+window. The state is the full one at the window's beginning, the digest that at its end; the events come by frame.
 
-- the scene's parameters and files (None if unchanged since the last window),
-- the full state at the window's beginning,
-- the events of each frame,
-- the digest of the state at the end.
-
-Answers each with a line of JSON. Ends with its input, or when the process PARENT ends.
+Answers each window with a line of JSON. Ends with its input, or when the process PARENT ends.
 """
 
 from __future__ import annotations
