@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A fit: parameters of a cloth from clouds of it, how well they are known, and what can't be told apart."""
+"""Fit of a cloth's parameters to point clouds, with error bounds and identifiability."""
 
 from __future__ import annotations
 
@@ -19,83 +19,86 @@ from cloth_sim_ros.batch.fit_runs import Run, Runs, followed, residuals, shift, 
 from cloth_sim_ros.batch.fit_solver import Problem, deviations, information
 from cloth_sim_ros.batch.fit_windows import TOLD, Windows, solve
 
-#: Standard deviations to either side of 95 % of a normal distribution.
+#: Half width of the 95 % interval of a normal distribution [standard deviations].
 NORMAL_95 = 1.959963984540054
-#: A correlation of successive residuals above this widens the intervals.
+#: Correlation of successive residuals above which the intervals are widened.
 LEAST_CORRELATION = 0.1
 
 
 @attrs.frozen(kw_only=True)
 class Estimate:
-    """What came out for one parameter."""
+    """Estimate of one parameter."""
 
     parameter: Fitted
+    #: Fitted value, in the parameter's unit.
     value: float
-    #: Relative standard deviation, of its logarithm: the Cramér-Rao bound, widened where residuals are correlated;
-    #: infinite where the clouds tell nothing.
+    #: Relative standard deviation (of the logarithm): the Cramér-Rao bound, widened if residuals are correlated;
+    #: infinite if the clouds do not depend on the parameter.
     bound: float
-    #: Whether the bound is within what was asked for, and nothing speaks against it.
+    #: True if the bound is at most the requested deviation, and no doubt exists.
     told: bool
-    #: Whether it came to lie at the end of the range that was searched.
+    #: True if the value lies at a limit of the search range.
     at_end: bool = False
-    #: Whether the simulated cloth follows the recording as far as the bound takes for granted; see `Fit.doubt`.
+    #: True if the model explains the recording, as the bound assumes; see `Fit.doubt`.
     followed: bool = True
 
     @property
     def interval(self) -> tuple[float, float]:
-        """The 95 % interval, in the parameter's unit."""
+        """95 % interval (lower, upper), in the parameter's unit."""
         reach = min(NORMAL_95 * self.bound, 700.0)
         return self.value * math.exp(-reach), self.value * math.exp(min(reach, 600.0))
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Fit:
-    """All that a fit tells."""
+    """Result of a fit."""
 
+    #: Name of the recording.
     name: str
     estimates: tuple[Estimate, ...]
-    #: What can't be told apart, the least known first.
+    #: Confounded directions, the most uncertain first.
     ties: tuple[Tie, ...]
-    #: Deviation of a measured coordinate [m]: as given, or that of the residuals.
+    #: Standard deviation of a measured coordinate [m]: prescribed, or estimated from the residuals.
     sigma: float
+    #: True if the caller prescribed `sigma`.
     sigma_given: bool
-    #: Deviation of the residuals [m].
+    #: Standard deviation of the residuals [m].
     rms: float
-    #: Correlation of a particle's residuals in one cloud and the next.
+    #: Correlation between a particle's residuals in successive clouds.
     correlation: float
-    #: Clouds that were used and that there are, and until when the former reach [s].
+    #: Number of used clouds, number of recorded clouds, and time of the last used cloud [s].
     clouds: int
     all_clouds: int
     until: float
-    #: Share of particles of those clouds that were not seen; None where clouds are bare points.
+    #: Fraction of the particles that the used clouds lack; None if the clouds are bare points.
     missing: float | None
-    #: By what the clouds lie off the fitted cloth on the whole [m], 3 numbers, where that was sought too; else None.
+    #: Common offset of the clouds from the fitted cloth [m], 3 numbers; None if it was not fitted.
     shift: tuple[float, ...] | None
-    #: Why later clouds were not used; empty where all were.
+    #: Reason why later clouds were not used; empty if all were used.
     reason: str
-    #: Why no parameter counts as identified, and the remedy; empty if nothing speaks against the bounds.
+    #: Reason why no parameter counts as identified, and the remedy; empty if the bounds are valid.
     doubt: str
-    #: Simulations that were run.
+    #: Number of simulations.
     runs: int
-    #: Of the last window's simulations [m].
+    #: Tolerance of the last window's simulations [m].
     tolerance: float
-    #: Largest relative deviation of a parameter that counts as told.
+    #: Largest relative standard deviation of an identified parameter.
     within: float
     recording: Recording
-    #: When each used cloud was taken [s], and the deviation of its residuals before and after the fit [m]; NaN
-    #: where it has none.
+    #: Time of each used cloud [s], and the standard deviation of its residuals before and after the fit [m]; NaN
+    #: if the cloud has no points. Shape (clouds,).
     seconds: NDArray[np.float64]
     before: NDArray[np.float64]
     after: NDArray[np.float64]
 
     @property
     def values(self) -> dict[str, float]:
-        """The values by full name."""
+        """Fitted values by full name, in the parameters' units."""
         return {estimate.parameter.name: estimate.value for estimate in self.estimates}
 
     @property
     def all_told(self) -> bool:
-        """Whether every parameter is known as well as was asked for."""
+        """True if every parameter is identified."""
         return all(estimate.told for estimate in self.estimates)
 
 
@@ -109,19 +112,22 @@ def fit(
     workers: int | None = None,
     tick: Callable[[int], None] = lambda _runs: None,
 ) -> Fit:
-    """Find parameters with which the simulated cloth comes closest to the clouds.
+    """Fit parameters by least squares between the simulated cloth and the clouds.
 
     Args:
         recording: commands and clouds, see `fit_recording`.
-        names: of the parameters, short (`stretch`) or full (`material.stretch_modulus`).
-        start: values to begin with, by name, where not the scene's.
-        sigma: deviation of a measured coordinate [m]; taken from the residuals where left out.
-        within: a parameter counts as told if its relative standard deviation is at most this.
-        workers: processes; one a core where left out.
-        tick: told how many runs have just been made.
+        names: names of the parameters, short (`stretch`) or full (`material.stretch_modulus`).
+        start: starting values by name; the scene's by default.
+        sigma: standard deviation of a measured coordinate [m]; estimated from the residuals by default.
+        within: largest relative standard deviation of an identified parameter.
+        workers: number of processes; one per core by default.
+        on_progress: called with the number of simulations since the last call.
+
+    Returns:
+        Estimates, bounds, confounded directions and residuals.
 
     Raises:
-        FitError: naming what can't be fitted, and the remedy.
+        FitError: if the fit is impossible; the text names cause and remedy.
     """
     if sigma is not None and not (math.isfinite(sigma) and sigma > 0.0):
         raise FitError(f"sigma is {sigma:g} m; the deviation of a coordinate must be above 0, e.g. 0.002")
@@ -190,31 +196,31 @@ def _told(problem: Problem, windows: Windows, before: object, within: float) -> 
 
 
 def _doubt(problem: Problem, run: Run, rms: float) -> str:
-    """Reason to doubt the bounds of a fit whose last window was followed to its end; empty if there is none."""
+    """Return the reason to doubt the bounds of a fit that used all clouds; empty if none."""
     if problem.sigma is not None and rms > WORSE * problem.sigma:
         return (
             f"the residuals are {rms / problem.sigma:.1f} times the deviation that --sigma gives: the model does not "
-            "explain these clouds, and the bounds are too small. Leave --sigma out, or give what the scene lacks"
+            "explain these clouds, and the bounds are too small. Omit --sigma, or add the missing effect to the scene"
         )
     _, missed = followed(problem.runs.recording, problem.runs.fitted, run)
     if missed:
         return (
-            f"the simulation missed its tolerance of {run.tolerance:g} m in {missed} frames, because they took more "
-            "work than is allowed: the bounds hold for no exact motion. Take fewer particles, or end before the "
+            f"the simulation missed its tolerance of {run.tolerance:g} m in {missed} frames, because they exceeded "
+            "the work limit: the motion is inexact and the bounds are invalid. Use fewer particles, or end before the "
             "violent part by --until"
         )
     return ""
 
 
 def _by_cloud(r: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Deviation of each cloud's residuals [m]; NaN where it has none."""
+    """Return the root mean square of each cloud's residuals [m], shape (clouds,); NaN if a cloud has none."""
     sums = np.concatenate([[0.0], np.cumsum(np.square(r))])[offsets]
     counts = np.diff(offsets)
     return np.where(counts > 0, np.sqrt(np.maximum(np.diff(sums), 0.0) / np.maximum(counts, 1)), np.nan)
 
 
 def path_of(fit: Fit) -> NDArray[np.float64]:
-    """Return where the fitted cloth's particles were when each used cloud was taken [m], (clouds, particles, 3)."""
+    """Return the fitted cloth's positions at the times of the used clouds [m], shape (clouds, particles, 3)."""
     fitted = [estimate.parameter for estimate in fit.estimates]
     run = Run(values=tuple(fit.values.values()), clouds=fit.clouds, tolerance=fit.tolerance)
     return simulate(fit.recording, fitted, run)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""An MCAP that this package did not record: clouds of a real cloth, and the poses of the grippers that held it."""
+"""Reader of a real cloth's MCAP: clouds and gripper poses."""
 
 from __future__ import annotations
 
@@ -24,23 +24,25 @@ from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.grippers import Grippers
 
 _CLOUD, _POSE, _BOOL = "sensor_msgs/msg/PointCloud2", "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Bool"
-#: Fields of a cloud that may carry a particle's number, and numpy's kinds of PointField's whole-number types.
+#: Names of a cloud's field with the particle index, and numpy types of PointField's integer types.
 _NUMBERS, _KINDS = ("index", "id", "particle"), {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4"}
-#: Longest recording that is taken for one motion [s].
+#: Longest accepted recording [s].
 LONGEST = 3600.0
 
 
 @attrs.define(kw_only=True)
 class _Track:
-    """Poses of a gripper in the order of their stamps."""
+    """Recorded poses and grasps of a gripper."""
 
+    #: Stamps of the poses [ns], in the order of the file.
     stamps: list[int] = attrs.field(factory=list)
+    #: Positions [m] and quaternions x, y, z, w.
     poses: list[list[float]] = attrs.field(factory=list)
-    #: Stamps and values of its grasps.
+    #: Stamps [ns] of its grasps, and true if closed.
     grasps: list[tuple[int, bool]] = attrs.field(factory=list)
 
     def at(self, stamp: float) -> tuple[list[float], list[float]]:
-        """Position [m] and quaternion at a stamp [ns]: linear between poses, the nearest one outside of them."""
+        """Return position [m] and quaternion at a stamp [ns], linear between poses and constant outside them."""
         order = np.argsort(np.array(self.stamps), kind="stable")
         times, poses = np.array(self.stamps, dtype=np.float64)[order], np.array(self.poses)[order]
         k = int(np.clip(np.searchsorted(times, stamp, side="right") - 1, 0, max(len(times) - 2, 0)))
@@ -56,17 +58,17 @@ class _Track:
 
 
 def _path(track: _Track, start: int) -> GripperPath:
-    """Path of a gripper over the time from a stamp [ns] on."""
+    """Return the path of a gripper over the time since a stamp [ns]."""
     order = np.argsort(np.array(track.stamps), kind="stable")
     times = np.asarray(1e-9 * (np.array(track.stamps, dtype=np.int64)[order] - start), dtype=np.float64)
     return GripperPath(times=times, places=np.array(track.poses)[order, :3])
 
 
 def is_session(path: Path) -> bool:
-    """Return whether a file is a session of this package, whole or damaged; an MCAP of others is none.
+    """Return true if a file is a session of this package, intact or damaged; false for any other MCAP.
 
     Raises:
-        SessionError: if it can't be read at all.
+        SessionError: if the file can't be read.
     """
     from cloth_sim_ros.session.errors import NotASessionError
     from cloth_sim_ros.session.part import SessionPart
@@ -91,20 +93,20 @@ def read_bag(
     held: Mapping[str, str] | None = None,
     begin: float = 0.0,
 ) -> Recording:
-    """Read clouds and gripper poses; the cloth is taken to hang at rest in its grippers at the first cloud.
+    """Read clouds and gripper poses of a cloth that hangs at rest in its grippers at the first cloud.
 
     Args:
         paths: MCAP files with messages in CDR.
         scene: the cloth and its grippers.
-        topic: of the clouds, where there are several.
-        poses: topics of PoseStamped by gripper; default: the one whose name ends in /GRIPPER/target or /GRIPPER/pose.
-        settle: how long the simulated cloth may come to rest before the first cloud [s].
-        matched: whether points are particles, in order or by their numbers; else they are bare points of the surface.
-        held: by gripper what it holds, such as ``12,13`` or ``top_left``; the clouds tell of the others.
-        begin: leave out clouds before this time from the first one [s].
+        topic: topic of the clouds; required if several topics have clouds.
+        poses: topic of PoseStamped by gripper; default: the one whose name ends in /GRIPPER/target or /GRIPPER/pose.
+        settle_time: settling time of the simulated cloth before the first cloud [s].
+        matched: true if points are particles, in order or by an index field; false if they are bare surface points.
+        grasped: grasped particles by gripper, such as ``12,13`` or ``top_left``; by default, found from the clouds.
+        first_time: time of the first used cloud, relative to the first recorded one [s].
 
     Raises:
-        FitError: naming what is missing, and the remedy.
+        FitError: if the recording is unusable; the text names cause and remedy.
     """
     named = parse_all_held(scene, held or {})
     if not (np.isfinite(settle) and 0.0 <= settle <= LONGEST):
@@ -140,7 +142,7 @@ def read_bag(
     for name, track in tracks.items():
         if min(track.stamps) > stamps[-1] or max(track.stamps) < stamps[0] - 60 * 10**9:
             raise FitError(
-                f"poses of gripper '{name}' and clouds have no time in common: stamps of "
+                f"poses of gripper '{name}' and clouds do not overlap in time: stamps of "
                 f"{min(track.stamps) * 1e-9:.3f} to {max(track.stamps) * 1e-9:.3f} s and {stamps[0] * 1e-9:.3f} to "
                 f"{stamps[-1] * 1e-9:.3f} s; stamp both by one clock"
             )
@@ -176,13 +178,13 @@ def read_bag(
 
 
 def _closed(scene: Scene, tracks: Mapping[str, _Track], begin: int) -> list[str]:
-    """Grippers that hold particles at a stamp [ns]: by the last grasp before it, or because none is recorded."""
+    """Return the grippers that hold particles at a stamp [ns]: closed by their last grasp, or without any grasp."""
     before = {name: [closed for time, closed in track.grasps if time <= begin] for name, track in tracks.items()}
     return [name for name, said in before.items() if not scene.pinches(name) and (not said or said[-1])]
 
 
 def _heard(paths: Sequence[Path]) -> dict[str, tuple[str, list[tuple[int, bytes]]]]:
-    """Messages of the types that count by topic: the type, and log times [ns] and bytes."""
+    """Read the messages of clouds, poses and grasps: for each topic, the type, log times [ns] and bytes."""
     from cloth_sim_ros.session.bag import bag_messages
     from cloth_sim_ros.session.errors import DamagedSessionError
 
@@ -200,10 +202,10 @@ def _heard(paths: Sequence[Path]) -> dict[str, tuple[str, list[tuple[int, bytes]
 def _one(found: Sequence[str], asked: str | None, what: str, remedy: str) -> str:
     if asked is not None:
         if asked not in found:
-            raise FitError(f"there is no topic '{asked}' of {what}; there are {', '.join(found) or 'none'}")
+            raise FitError(f"there is no topic '{asked}' of {what}; available: {', '.join(found) or 'none'}")
         return asked
     if len(found) != 1:
-        raise FitError(f"{len(found)} topics hold {what}: {', '.join(found) or 'none'}; one is needed: {remedy}")
+        raise FitError(f"{len(found)} topics hold {what}: {', '.join(found) or 'none'}; select one by {remedy}")
     return found[0]
 
 
@@ -231,7 +233,7 @@ def _track(heard: Mapping[str, tuple[str, list[tuple[int, bytes]]]], gripper: st
 
 
 def _cloud(data: bytes, time: int, scene: Scene, count: int, matched: bool) -> tuple[int, NDArray[np.float64]]:
-    """Stamp [ns] and points [m] of a cloud: matched, of every particle, NaN where it was not seen."""
+    """Return stamp [ns] and points [m] of a cloud; a matched cloud has a row for each particle, NaN if unseen."""
     from cloth_sim_ros.session.cdr import decode, decode_cloud
 
     cloud = decode_cloud(data)
@@ -258,7 +260,7 @@ def _cloud(data: bytes, time: int, scene: Scene, count: int, matched: bool) -> t
     wrong = np.flatnonzero((numbers < 0) | (numbers >= count))
     if wrong.size:
         raise FitError(
-            f"a cloud's field '{fields[0].name}' names particle {numbers[wrong[0]]}; there are {count}, counted from 0"
+            f"a cloud's field '{fields[0].name}' names particle {numbers[wrong[0]]}; there are {count}, from index 0"
         )
     whole = np.full((count, 3), np.nan)
     whole[numbers.astype(np.int64)] = points
@@ -274,10 +276,11 @@ def _start(
     begin: int,
     named: Mapping[str, Sequence[int]],
 ) -> tuple[State | None, list[HeldParticles]]:
-    """A start near the first cloud, from which the cloth comes to rest, and what closed grippers hold.
+    """Return an initial state near the first cloud, and the grasped particles.
 
-    Of a matched cloud gaps are filled; bare points bend the scene's sheet across its plane. What a gripper holds lies
-    in its origin, anchors where the scene has them. There is no start if the cloud tells nothing.
+    The cloth settles from this state. Gaps of a matched cloud are filled. Bare points deform the scene's flat sheet.
+    Grasped particles lie at their gripper's origin, anchors at the scene's positions. The state is None if
+    the cloud has no usable point.
     """
     rest, cloud = scene.initial_positions(), clouds[0]
     seen = cloud[visible(cloud)]
@@ -313,14 +316,14 @@ def _start(
 
 
 def _held_clouds(clouds: Sequence[Array], seconds: NDArray[np.float64], track: _Track, begin: int) -> NDArray[np.int64]:
-    """Numbers of the clouds of the first second before a gripper opens: they show what it held at the first one."""
+    """Return the indices of the clouds of the first second before a gripper opens: they show its grasped particles."""
     opens = [1e-9 * (time - begin) for time, closed in track.grasps if time > begin and not closed]
     whole = [len(cloud) == len(clouds[0]) for cloud in clouds]
     return np.flatnonzero((seconds <= SPAN) & (seconds < min(opens, default=np.inf)) & np.array(whole))
 
 
 def _bent(rest: Array, points: Array, places: Mapping[int, Array]) -> Array:
-    """A flat sheet, drawn to where held particles are and bent across its plane to the points about each particle."""
+    """Return a flat sheet, moved to the grasped particles and deformed along its normal to the nearest points."""
     from scipy.spatial import cKDTree
 
     x, held = rest.copy(), list(places)
@@ -339,7 +342,7 @@ def _bent(rest: Array, points: Array, places: Mapping[int, Array]) -> Array:
 
 
 def _filled(cloud: Array, triangles: NDArray[np.integer]) -> Array:
-    """A cloud whose gaps are the means of their neighbours."""
+    """Return a cloud with each gap filled by the mean of its neighbours (Jacobi iteration)."""
     x, seen = cloud.copy(), visible(cloud)
     x[~seen] = cloud[seen].mean(axis=0)
     pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]).astype(np.int64)
@@ -360,7 +363,10 @@ def _filled(cloud: Array, triangles: NDArray[np.integer]) -> Array:
 def _events(
     scene: Scene, tracks: Mapping[str, _Track], begin: int, lead: int, frames: int, holding: Sequence[str]
 ) -> list[tuple[Event, ...]]:
-    """Grippers close where they are at the first cloud, unless they hold already, wait, and follow their poses."""
+    """Return the events of each frame: grippers close at their first pose, wait while settling, then follow the poses.
+
+    Grippers that hold particles already do not close again.
+    """
     period = scene.period * 1e9
     events: list[tuple[Event, ...]] = []
     for k in range(frames):

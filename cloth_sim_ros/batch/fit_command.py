@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Entry of the command `cloth_fit`, which loads the command itself."""
+"""Entry point of the command `cloth_fit`; it imports the command."""
 
 from __future__ import annotations
 
@@ -10,5 +10,5 @@ from cloth_sim_ros.session.loading import run_command
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit status."""
+    """Run the command and return its exit status."""
     return run_command("cloth_fit", "cloth_sim_ros.batch.fit_main", arguments)

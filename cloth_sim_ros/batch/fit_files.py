@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A fit as JSON, as a parameter file, and as a picture."""
+"""Output files of a fit: JSON, parameter file and plot."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cloth_sim_ros.session.outputs import written_whole
 
 
 def write_json(fit: Fit, path: Path) -> None:
-    """Write all numbers of a fit; those that cannot be told are null."""
+    """Write all numbers of a fit as JSON; numbers that are not finite are null."""
     content: dict[str, Any] = {
         "name": fit.name,
         "all_told": fit.all_told,
@@ -69,28 +69,31 @@ def write_json(fit: Fit, path: Path) -> None:
 
 
 def write_parameters(fit: Fit, path: Path) -> list[str]:
-    """Write the scene with what the fit found, as a ROS parameter file.
+    """Write the scene with the identified parameters as a ROS parameter file.
 
-    Parameters that were not told keep the scene's values. Returns the names of those that were told.
+    Other parameters keep the scene's values.
+
+    Returns:
+        Full names of the identified parameters.
     """
     told = [estimate for estimate in fit.estimates if estimate.told]
     values = [float(f"{estimate.value:.6g}") for estimate in told]
     scene = scene_with(fit.recording.scene, [estimate.parameter for estimate in told], values)
-    lines = [f"# The scene of {fit.name} with what cloth_fit found:"]
+    lines = [f"# The scene of {fit.name} with the parameters that cloth_fit identified:"]
     for estimate in fit.estimates:
         low, high = estimate.interval
         if estimate.told:
             lines.append(f"#   {estimate.parameter.name}: {estimate.value:.6g}, 95 % {low:.4g} to {high:.4g}")
         else:
-            lines.append(f"#   {estimate.parameter.name}: not told by these clouds; the scene's value is kept")
-    lines += [f"# No parameter counts as told: {fit.doubt}."] if fit.doubt else []
+            lines.append(f"#   {estimate.parameter.name}: not identified by these clouds; the scene's value is kept")
+    lines += [f"# No parameter is identified: {fit.doubt}."] if fit.doubt else []
     with written_whole(path) as place:
         place.write_text("\n".join(lines) + "\n" + parameter_file.dump(scene.parameters()), encoding="utf-8")
     return [estimate.parameter.name for estimate in told]
 
 
 def write_plot(fit: Fit, path: Path) -> None:
-    """Draw the residuals over time, before and after the fit, and how they are distributed."""
+    """Plot the residuals over time, before and after the fit, and their distribution."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

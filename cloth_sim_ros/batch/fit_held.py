@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Held particles: those of a recorded cloth that its grippers hold, also if no cloud shows them."""
+"""Grasped particles of a recorded cloth, also if they are hidden."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from cloth_sim_ros.physics.gripper_path import rotation_matrix
 from cloth_sim_ros.physics.sheets.grid import GridSheet
 from cloth_sim_ros.scene.scene import Scene
 
-#: Clouds up to this time from the first one are examined [s].
+#: Length of the examined beginning of the recording [s].
 SPAN = 1.0
-#: Particles that may be held are those nearest to the gripper; the place of a hidden one is extrapolated from so many
-#: seen ones that are nearest to it in the rest shape.
+#: Number of candidates, which are the particles nearest to the gripper. Number of visible neighbours in the rest shape
+#: from which a hidden particle's position is extrapolated.
 _CANDIDATES, _ABOUT = 24, 9
-#: A choice is certain if the gripper is so many standard deviations on the chosen particle's side.
+#: Distance to the bisecting plane from which a choice is certain [standard deviations].
 _CERTAIN = 3.0
-#: Standard deviation of where a camera sees the gripper, and of where in its fingers the cloth lies [m].
+#: Standard deviation of the camera calibration and of the cloth's position between the fingers [m].
 _CALIBRATION = 0.002
 
 
@@ -32,37 +32,38 @@ _CALIBRATION = 0.002
 class HeldParticles:
     """Particles that one gripper holds from the first cloud on."""
 
+    #: Name of the gripper.
     gripper: str
-    #: Numbers of the particles, the one in its origin first; of several that were given none is.
+    #: Indices of the particles; the first one lies at the gripper's origin unless the user named several.
     particles: tuple[int, ...]
-    #: How far the first is from the gripper's origin by the clouds [m].
+    #: Distance of the first particle from the gripper's origin in the clouds [m].
     distance: float
-    #: The second nearest, which is not held, and its distance [m]; None if all are held.
+    #: Nearest particle that is not grasped, and its distance [m]; None if all are grasped.
     neighbour: int | None
     neighbour_distance: float
-    #: Whether any examined cloud shows the first one.
+    #: True if an examined cloud shows the first particle.
     is_seen: bool
-    #: Whether --held names them.
+    #: True if the option --held names the particles.
     is_named: bool
 
 
 @attrs.frozen(kw_only=True)
 class _Places:
-    """Places of particles in a gripper's frame, mean over clouds."""
+    """Particle positions in a gripper's frame, averaged over clouds."""
 
-    #: [m], shape (n, 3); NaN where no cloud shows the particle.
+    #: Mean positions [m], shape (n, 3); NaN if no cloud shows the particle.
     mean: Array
-    #: In how many clouds each was seen.
+    #: Number of clouds that show each particle, shape (n,).
     count: NDArray[np.int64]
-    #: Deviation of one coordinate in one cloud [m].
+    #: Standard deviation of one coordinate in one cloud [m].
     noise: float
 
 
 def parse_held(scene: Scene, gripper: str, text: str) -> tuple[int, ...]:
-    """Return the particles that a text such as ``12,13`` or ``top_left`` names.
+    """Return the particle indices that a text such as ``12,13`` or ``top_left`` names.
 
     Raises:
-        FitError: for a name that is no particle, edge or corner.
+        FitError: if a name is no particle, edge or corner.
     """
     sheet, count, particles = scene.sheet, len(scene.initial_positions()), list[int]()
     for name in (part.strip() for part in text.split(",")):
@@ -70,10 +71,10 @@ def parse_held(scene: Scene, gripper: str, text: str) -> tuple[int, ...]:
             particles.append(int(name))
             continue
         if name.isdecimal():
-            raise FitError(f"--held {gripper} names particle {name[:20]}; there are {count}, counted from 0")
+            raise FitError(f"--held {gripper} names particle {name[:20]}; there are {count}, from index 0")
         try:
             if not isinstance(sheet, GridSheet):
-                raise ValueError(f"'{name}' is no particle's number, and only a grid has edges and corners")
+                raise ValueError(f"'{name}' is no particle index, and only a grid has edges and corners")
             particles += sheet.edge(name).tolist()
         except ValueError as error:
             raise FitError(f"--held {gripper}: {error}") from error
@@ -83,20 +84,21 @@ def parse_held(scene: Scene, gripper: str, text: str) -> tuple[int, ...]:
 def find_held(
     scene: Scene, gripper: str, clouds: Sequence[Array], poses: Sequence[Sequence[float]], known: Sequence[int] = ()
 ) -> tuple[HeldParticles, Array]:
-    """Return what a closed gripper holds, and the places of all particles in its frame [m], shape (n, 3).
+    """Return a closed gripper's grasped particles, and all positions in its frame [m], shape (n, 3).
 
-    A hidden particle's place is extrapolated from the seen ones about it, by the linear map of the rest shape that
-    fits them best. The nearest to the origin is held, with those within `gripper.radius` of it in the rest shape.
+    A hidden particle's position is extrapolated from its visible neighbours by a linear least-squares map of the rest
+    shape. The gripper holds the particle nearest to its origin, and those within `gripper.radius` of it in the rest
+    shape.
 
     Args:
         scene: the cloth.
-        gripper: its name.
-        clouds: matched ones, NaN where a particle was not seen, shape (n, 3) each [m].
-        poses: the gripper's when each was taken: position [m] and quaternion x, y, z, w.
-        known: particles that it is known to hold; then the clouds do not choose.
+        gripper: name of the gripper.
+        clouds: matched clouds [m], shape (n, 3) each; NaN if a particle is hidden.
+        poses: the gripper's pose at each cloud: position [m] and quaternion x, y, z, w.
+        known: particles that the gripper is known to hold; if given, the clouds do not choose.
 
     Raises:
-        FitError: if the clouds don't tell which particle it holds.
+        FitError: if the clouds do not determine the grasped particle.
     """
     rest_shape, radius = scene.sheet.positions(), scene.gripper.radius
     places = _places(clouds, poses)
@@ -123,7 +125,7 @@ def find_held(
     )
     if not known:
         _check(result, local, errors, free_particles, radius + _spacing(rest_shape, first))
-    # The origin lies in the particle that is held, or amid those that were given.
+    # The origin lies at the grasped particle, or at the mean of the named ones.
     origin = np.mean([local[particle] for particle in known], axis=0) if known else local[first]
     for particle in held:
         if particle not in chosen:
@@ -132,10 +134,10 @@ def find_held(
 
 
 def rest_held(scene: Scene, gripper: str, position: Sequence[float], known: Sequence[int] = ()) -> HeldParticles:
-    """Return what a closed gripper holds by the scene's starting shape: for clouds that number no particle.
+    """Return a closed gripper's grasped particles by the scene's initial shape, for clouds of bare points.
 
     Raises:
-        FitError: if two particles of it are about as near.
+        FitError: if a second particle is less than twice as far away.
     """
     start, rest_shape, radius = scene.initial_positions(), scene.sheet.positions(), scene.gripper.radius
     away = np.linalg.norm(start - np.asarray(position), axis=1)
@@ -154,23 +156,23 @@ def rest_held(scene: Scene, gripper: str, position: Sequence[float], known: Sequ
     )
     if not known and result.neighbour_distance < 2.0 * result.distance:
         raise FitError(
-            f"points carry no numbers, and gripper '{gripper}' is {1e3 * result.distance:.0f} mm from particle {first} "
-            f"and {1e3 * result.neighbour_distance:.0f} mm from particle {neighbour} of the scene's starting shape: "
+            f"points carry no index, and gripper '{gripper}' is {1e3 * result.distance:.0f} mm from particle {first} "
+            f"and {1e3 * result.neighbour_distance:.0f} mm from particle {neighbour} of the scene's initial shape: "
             f"the choice is uncertain. {_remedy(result)}"
         )
     return result
 
 
 def describe_held(held: HeldParticles, scene: Scene) -> str:
-    """Return in a sentence what a gripper holds, and how certain that is."""
+    """Return a sentence about a gripper's grasped particles and their distances."""
     names = ", ".join(_named(scene, particle) for particle in held.particles[:8])
     more = f" and {len(held.particles) - 8} more" if len(held.particles) > 8 else ""
-    how = "as given" if held.is_named else "by its place" if held.is_seen else "hidden, by the places about it"
+    how = "as named" if held.is_named else "by its position" if held.is_seen else "hidden, by its neighbours' positions"
     next_text = (
         "" if held.neighbour is None else f"; the next, {held.neighbour}, at {1e3 * held.neighbour_distance:.0f} mm"
     )
     kind = "particle" if len(held.particles) == 1 else "particles"
-    return f"Gripper '{held.gripper}' holds {kind} {names}{more} ({how}): {1e3 * held.distance:.1f} mm off{next_text}."
+    return f"Gripper '{held.gripper}' holds {kind} {names}{more} ({how}): {1e3 * held.distance:.1f} mm away{next_text}."
 
 
 def _check(held: HeldParticles, local: Array, errors: Array, free_particles: Sequence[int], reach: float) -> None:
@@ -179,31 +181,31 @@ def _check(held: HeldParticles, local: Array, errors: Array, free_particles: Seq
     if not held.distance <= reach + _CERTAIN * error:
         raise FitError(
             f"gripper '{held.gripper}' is {1e3 * held.distance:.0f} mm from the nearest particle, {first}: its poses "
-            f"are not where it holds the cloth. Give those of its fingertips, in the clouds' frame and by their clock. "
+            f"do not touch the cloth. Give the fingertips' poses, in the clouds' frame and by their clock. "
             f"{_remedy(held)}"
         )
     for candidate in free_particles:
         apart = float(np.linalg.norm(local[candidate] - local[first]))
-        # How far the gripper is on this side of the plane amid the two.
+        # Distance of the gripper from the bisecting plane of the two particles, positive on the first one's side.
         inside = (float(local[candidate] @ local[candidate]) - held.distance**2) / (2.0 * apart) if apart > 0.0 else 0.0
         unknown = math.hypot(error, 0.5 * float(errors[candidate]) if math.isfinite(errors[candidate]) else 0.0)
         if inside < _CERTAIN * unknown:
             raise FitError(
                 f"gripper '{held.gripper}' may hold particle {first} or {candidate}: by the clouds they are "
                 f"{1e3 * held.distance:.0f} and {1e3 * float(np.linalg.norm(local[candidate])):.0f} mm from its "
-                f"origin, known to {1e3 * unknown:.1f} mm. {_remedy(held)}"
+                f"origin, with an uncertainty of {1e3 * unknown:.1f} mm. {_remedy(held)}"
             )
 
 
 def _remedy(held: HeldParticles) -> str:
-    return f"Name what it holds: --held {held.gripper}={held.particles[0]}"
+    return f"Name the particles: --held {held.gripper}={held.particles[0]}"
 
 
 def _places(clouds: Sequence[Array], poses: Sequence[Sequence[float]]) -> _Places:
-    """Means of what was seen, in the gripper's frame, and the noise from one cloud to the next."""
+    """Return mean positions in the gripper's frame, and the noise between successive clouds."""
     local = []
     for cloud, pose in zip(clouds, poses, strict=True):
-        # A world vector in the gripper's frame: R' d.
+        # World vector d in the gripper's frame: R' d.
         local.append((cloud - np.asarray(pose[:3])) @ np.array(rotation_matrix(np.asarray(pose[3:]))))
     stack = np.array(local)
     seen = np.isfinite(stack).all(axis=2)
@@ -212,13 +214,13 @@ def _places(clouds: Sequence[Array], poses: Sequence[Sequence[float]]) -> _Place
     mean = np.where(count[:, None] > 0, sums / np.maximum(count, 1)[:, None], np.nan)
     steps = np.diff(stack, axis=0)
     steps = np.abs(steps[np.isfinite(steps)])
-    # Median of a normal distribution's absolute values; of one cloud nothing is known.
+    # 0.6745 is the median absolute value of the standard normal distribution. One cloud gives no noise estimate.
     noise = float(np.median(steps)) / (0.6745 * math.sqrt(2.0)) if steps.size else 0.0
     return _Places(mean=mean, count=count, noise=noise)
 
 
 def _rough_places(rest_shape: Array, places: _Places) -> Array:
-    """Rough places of all particles: of a hidden one that of the nearest seen one in the rest shape, moved as there."""
+    """Return rough positions of all particles [m]; a hidden one gets that of its nearest visible one."""
     from scipy.spatial import cKDTree
 
     seen = np.flatnonzero(places.count)
@@ -233,7 +235,7 @@ def _rough_places(rest_shape: Array, places: _Places) -> Array:
 
 
 def _extrapolated_place(rest_shape: Array, places: _Places, particle: int) -> tuple[Array, float]:
-    """A particle's place in the gripper's frame [m], and the standard deviation of a coordinate [m]."""
+    """Return a particle's position in the gripper's frame [m], and a coordinate's standard deviation [m]."""
     noise = places.noise
     if places.count[particle]:
         return places.mean[particle], noise / math.sqrt(places.count[particle])
@@ -243,12 +245,12 @@ def _extrapolated_place(rest_shape: Array, places: _Places, particle: int) -> tu
     seen, away = seen[about], away[about]
     weights = np.sqrt(places.count[seen]) / np.maximum(away, 1e-9)
     design = np.column_stack([np.ones(len(seen)), rest_shape[seen] - rest_shape[particle]])
-    # Rest shapes that are flat have a column of zeros: the pseudo-inverse leaves it out.
+    # A flat rest shape has a column of zeros. The pseudo-inverse omits it.
     inverse = np.linalg.pinv(design * weights[:, None], rcond=1e-6) * weights
     map_ = inverse @ places.mean[seen]
     bent = places.mean[seen] - design @ map_
     freedom = max(len(seen) - int(np.linalg.matrix_rank(design, tol=1e-9)), 1)
-    # What the linear map leaves is noise and curvature, which both reach the extrapolated place.
+    # Residuals of the linear map are noise and curvature, and both affect the extrapolated position.
     curved = float(np.square(bent).sum()) / (3 * freedom)
     variance = np.maximum(curved, noise**2 / places.count[seen])
     return map_[0], float(np.sqrt((np.square(inverse[0]) * variance).sum()))
@@ -261,7 +263,7 @@ def _within(rest_shape: Array, first: int, radius: float) -> tuple[int, ...]:
 
 
 def _spacing(rest_shape: Array, particle: int) -> float:
-    """Distance of a particle to the nearest other one in the rest shape [m]."""
+    """Return the distance of a particle to the nearest other one in the rest shape [m]."""
     away = np.linalg.norm(rest_shape - rest_shape[particle], axis=1)
     away[particle] = np.inf
     return float(away.min())
@@ -279,10 +281,10 @@ def _corners(scene: Scene) -> Iterator[tuple[str, int]]:
 
 
 def parse_all_held(scene: Scene, texts: Mapping[str, str]) -> dict[str, tuple[int, ...]]:
-    """Return particles by gripper, of texts such as ``12,13`` or ``top_left``.
+    """Return particle indices by gripper from texts such as ``12,13`` or ``top_left``.
 
     Raises:
-        FitError: for an unknown gripper or particle, and for one that two grippers hold.
+        FitError: if a gripper or particle is unknown, or two grippers hold the same particle.
     """
     unknown = [name for name in texts if name not in scene.gripper_names]
     if unknown:
@@ -290,7 +292,7 @@ def parse_all_held(scene: Scene, texts: Mapping[str, str]) -> dict[str, tuple[in
         raise FitError(f"--held names '{unknown[0]}'; the scene's grippers are {known_names}")
     pinching = [name for name in texts if scene.pinches(name)]
     if pinching:
-        raise FitError(f"--held names '{pinching[0]}', which pinches: its pads hold what is between them")
+        raise FitError(f"--held names '{pinching[0]}', a pinching gripper; its pads hold the cloth between them")
     particles = {name: parse_held(scene, name, text) for name, text in texts.items()}
     _check_distinct(particles)
     return particles
@@ -300,7 +302,7 @@ def check_distinct(grippers: Sequence[HeldParticles]) -> None:
     """Refuse two grippers that hold the same particle.
 
     Raises:
-        FitError: naming both.
+        FitError: if two grippers share a particle; the text names both.
     """
     _check_distinct({gripper.gripper: gripper.particles for gripper in grippers})
 
@@ -311,6 +313,6 @@ def _check_distinct(particles_of: Mapping[str, Sequence[int]]) -> None:
         for particle in particles:
             if owners.setdefault(particle, name) != name:
                 raise FitError(
-                    f"grippers '{owners[particle]}' and '{name}' would both hold particle {particle}; name what each "
-                    f"holds: --held {name}=PARTICLE"
+                    f"grippers '{owners[particle]}' and '{name}' would both hold particle {particle}; name the "
+                    f"particles of each: --held {name}=PARTICLE"
                 )

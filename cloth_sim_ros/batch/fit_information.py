@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the information matrix says: combinations of parameters that the clouds do not tell; and correlation."""
+"""Identifiability by Fisher's information matrix, and correlation of residuals."""
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ from cloth_sim_ros.batch.fit_parameters import Fitted
 from cloth_sim_ros.batch.fit_recording import Recording, visible
 from cloth_sim_ros.physics.forces.force import Array
 
-#: A parameter belongs to a combination where its part is at least this of the largest.
+#: Least component of a parameter that belongs to a direction, relative to the largest component.
 PART = 0.3
 
 
 @attrs.frozen(kw_only=True)
 class Tie:
-    """A direction in which parameters may change together, and the clouds hardly tell."""
+    """Direction of joint parameter changes to which the clouds are insensitive."""
 
     parameters: tuple[Fitted, ...]
-    #: By how much their logarithms change together, the largest is 1; a parameter each.
+    #: Change of each parameter's logarithm, relative to the largest.
     parts: tuple[float, ...]
-    #: Deviation along it: how uncertain the first one's relative value is when the others follow.
+    #: Relative standard deviation of the first parameter if the others change with it.
     bound: float
 
     @property
     def single(self) -> bool:
-        """Whether it is one parameter alone."""
+        """True if the direction has only one parameter."""
         return len(self.parameters) == 1
 
 
 def ties(fitted: Sequence[Fitted], fisher: Array, within: float) -> Iterator[Tie]:
-    """Yield the combinations whose deviation is beyond what was asked for, the least known first.
+    """Yield the directions with a standard deviation above a limit, the most uncertain first.
 
     Args:
-        fitted: the parameters.
-        fisher: Fisher's matrix of their logarithms, (p, p).
-        within: largest relative deviation that counts as told.
+        parameters: the parameters.
+        fisher: Fisher's information matrix of their logarithms, shape (p, p).
+        within: largest relative standard deviation of an identified parameter.
     """
     values, vectors = np.linalg.eigh(fisher)
     floor = 1e-12 * max(float(values[-1]), 1e-300)
@@ -59,7 +59,7 @@ def ties(fitted: Sequence[Fitted], fisher: Array, within: float) -> Iterator[Tie
 
 
 def correlation(recording: Recording, r: Array, clouds: int) -> float:
-    """Return the correlation of a particle's residuals in one cloud and the next; 0 where clouds are bare points."""
+    """Return the correlation between a particle's residuals in successive clouds; 0 for bare points."""
     if not recording.matched or not r.size:
         return 0.0
     at = 0

@@ -17,22 +17,22 @@ if TYPE_CHECKING:
     from cloth_sim_ros.batch.fit import Fit
     from cloth_sim_ros.batch.fit_recording import Recording
 
-#: Exit statuses. Every parameter is known as well as was asked for.
+#: Exit status: every parameter is identified.
 TOLD = 0
-#: One is not: the clouds don't tell it, or not apart from others, or the simulated cloth does not follow them.
+#: Exit status: a parameter is not identified, or the simulated cloth does not follow the recording.
 NOT_TOLD = 1
-#: It could not be done.
+#: Exit status: the fit is impossible.
 REFUSED = 2
 
 _DESCRIPTION = (
-    "Find parameters of a cloth by least squares between recorded clouds and simulations of the same motion. Exit "
-    "status 0: every parameter is known as well as was asked for; 1: the clouds don't tell one of them, or the "
-    "simulated cloth does not follow the recording; 2: it could not be done."
+    "Fit parameters of a cloth by least squares between recorded clouds and simulations of the same motion. Exit "
+    "status 0: every parameter is identified; 1: the clouds do not identify one of them, or the simulated cloth does "
+    "not follow the recording; 2: the fit is impossible."
 )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; its exit status."""
+    """Run the command and return its exit status."""
     escape_unencodable()
     parser = _parser()
     options = parser.parse_args(arguments)
@@ -75,28 +75,26 @@ def _parser() -> argparse.ArgumentParser:
         help="stretch, shear, bending, damping, viscosity, density, drag, normal_drag, tangential_drag, friction, or "
         "full names such as material.stretch_modulus or table.friction",
     )
+    parser.add_argument("--scene", type=Path, metavar="scene.yaml", help="the cloth; replaces the scene of a session")
     parser.add_argument(
-        "--scene", type=Path, metavar="scene.yaml", help="the cloth; a session has its own, whose values this replaces"
+        "--start", action="append", default=[], metavar="NAME=VALUE", help="starting value (default: the scene's)"
     )
     parser.add_argument(
-        "--start", action="append", default=[], metavar="NAME=VALUE", help="where the search begins, not at the scene's"
-    )
-    parser.add_argument(
-        "--sigma", type=float, metavar="M", help="deviation of a measured coordinate [m]; else from the residuals"
+        "--sigma", type=float, metavar="M", help="deviation of a measured coordinate [m] (default: of the residuals)"
     )
     parser.add_argument(
         "--within",
         type=float,
         default=0.025,
         metavar="PART",
-        help="a parameter counts as told if its relative standard deviation is at most this (default 0.025)",
+        help="largest relative standard deviation of an identified parameter (default 0.025)",
     )
     parser.add_argument("--until", type=float, metavar="S", help="use clouds up to this time from the beginning [s]")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="use every N-th cloud")
-    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one a core)")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
     _add_real(parser)
-    output = parser.add_argument_group("what is written beside the table")
-    output.add_argument("--write", type=Path, metavar="OUT.yaml", help="the scene with what was found, for the node")
+    output = parser.add_argument_group("output files besides the table")
+    output.add_argument("--write", type=Path, metavar="OUT.yaml", help="scene with the identified parameters")
     output.add_argument("--json", type=Path, metavar="OUT.json", help="all numbers")
     output.add_argument("--plot", type=Path, metavar="OUT.png", help="residuals over time; needs matplotlib")
     return parser
@@ -104,39 +102,39 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_real(parser: argparse.ArgumentParser) -> None:
     real = parser.add_argument_group("an MCAP that cloth_sim did not record")
-    real.add_argument("--topic", metavar="NAME", help="the topic of the clouds, where there are several")
+    real.add_argument("--topic", metavar="NAME", help="topic of the clouds, if several topics have clouds")
     real.add_argument(
         "--pose",
         action="append",
         default=[],
         metavar="GRIPPER=TOPIC",
-        help="the topic of a gripper's poses (PoseStamped); default: the one that ends in /GRIPPER/target or /pose",
+        help="topic of a gripper's poses (PoseStamped); default: the one that ends in /GRIPPER/target or /pose",
     )
     real.add_argument(
         "--held",
         action="append",
         default=[],
         metavar="GRIPPER=PARTICLES",
-        help="what a gripper holds at the first cloud: numbers (12,13), a corner (top_left) or an edge; default: the "
-        "particle that the clouds show nearest to it, with those within gripper.radius",
+        help="particles that a gripper holds at the first cloud: indices (12,13), a corner (top_left) or an edge; "
+        "default: the particle nearest to it in the clouds, with those within gripper.radius",
     )
     real.add_argument(
         "--from",
         dest="begin",
         type=float,
         metavar="S",
-        help="leave out clouds before this time from the first one [s]: the cloth must hang at rest at the first used",
+        help="omit clouds before this time from the first one [s]; the cloth must hang at rest at the first used one",
     )
     real.add_argument(
         "--settle",
         type=float,
         metavar="S",
-        help="the cloth hung at rest at the first cloud; so long the simulated one comes to rest before it (default 4)",
+        help="settling time of the simulated cloth before the first cloud [s] (default 4)",
     )
     real.add_argument(
         "--unordered",
         action="store_true",
-        help="points carry no particle's number: fit their distances from the surface; also for sessions",
+        help="points carry no particle index: fit their distances from the surface; also for sessions",
     )
 
 
@@ -147,7 +145,7 @@ def _fit(options: argparse.Namespace) -> Fit:
     from cloth_sim_ros.batch.fit_parameters import FitError
 
     if options.every < 1:
-        raise FitError(f"--every is {options.every}; every first cloud or fewer can be taken: give 1 or more")
+        raise FitError(f"--every is {options.every}; give 1 or more")
     if options.until is not None and not options.until > 0.0:
         raise FitError(f"--until is {options.until:g} s; it must be above 0")
     names = [name.strip() for name in options.parameters.split(",") if name.strip()]
@@ -181,16 +179,14 @@ def _recording(options: argparse.Namespace) -> Recording:
         session_options += ["--from"] if options.begin is not None else []
         session_options += ["--settle"] if options.settle is not None else []
         if session_options:
-            raise FitError(
-                f"{session_options[0]} is for an MCAP that cloth_sim did not record; a session holds its state"
-            )
+            raise FitError(f"{session_options[0]} is for an MCAP that cloth_sim did not record; omit it for a session")
         return read_session(options.session, scene=scene, matched=not options.unordered)
     if scene is None:
         raise FitError(
-            f"{options.session[0]} was not recorded by cloth_sim, so it holds no scene; describe the cloth by --scene"
+            f"{options.session[0]} was not recorded by cloth_sim and holds no scene; describe the cloth by --scene"
         )
     for path in options.session[1:]:
-        # The first has been looked at; to open a pipe would wait for its writer.
+        # `is_session` has checked the first file. Opening a pipe would wait for its writer.
         open_file(path).close()
     return read_bag(
         options.session,

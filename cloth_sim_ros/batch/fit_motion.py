@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Motion at the first cloud: a fit of a real cloth's clouds starts from rest, and refuses any other start."""
+"""Test of a recording for rest at its first cloud.
+
+A fit to a real cloth's clouds starts from rest. A recording that starts in motion is refused.
+"""
 
 from __future__ import annotations
 
@@ -14,54 +17,54 @@ from numpy.typing import NDArray
 from cloth_sim_ros.batch.fit_parameters import FitError
 from cloth_sim_ros.physics.forces.force import Array
 
-#: Length of the beginning that is examined [s], and the fewest clouds of it.
+#: Length of the examined beginning [s], and the least number of its clouds.
 SPAN, MIN_CLOUDS = 0.27, 7
-#: A cloth at rest is said to move once in so many recordings.
+#: Significance level: probability that a cloth at rest is reported as moving.
 _RARELY = 1e-4
-#: A gripper that moves faster than this at the first cloud moves the cloth, whatever the noise [m/s].
+#: Largest gripper speed at the first cloud [m/s].
 _SPEED = 0.02
-#: A gripper that gets no further stands still [m].
+#: Largest displacement of a gripper that stands still [m].
 _STILL = 1e-3
-#: Powers of time that describe how motion sets in: a cloth at rest has neither velocity nor acceleration.
+#: Powers of time at the onset of motion: a cloth at rest has neither velocity nor acceleration.
 _ONSET = (3, 4, 5)
-#: Deviations of the residuals by which a cloth that moves gets further within the span.
+#: Least displacement of a moving cloth within the span [standard deviations of the residuals].
 _BEYOND = 2.0
-#: Standard deviations of a gripper's velocity that noise does not exceed.
+#: Largest gripper velocity that noise explains [standard deviations].
 _SPEED_DEVIATIONS = 4.0
-#: Starts that are tried for a time at which the cloth hangs still.
+#: Number of clouds that are tested as the start of a rest period.
 _STARTS = 200
 
 
 @attrs.frozen(kw_only=True, eq=False)
 class GripperPath:
-    """Recorded places of a gripper."""
+    """Recorded positions of a gripper."""
 
-    #: Times from the first cloud on [s], ascending, shape (n,).
+    #: Times since the first cloud [s], ascending, shape (n,).
     times: NDArray[np.float64]
-    #: [m], shape (n, 3).
+    #: Positions [m], shape (n, 3).
     places: Array
 
     def at(self, seconds: float) -> Array:
-        """Return its place [m], shape (3,): linear between poses, the nearest one outside of them."""
+        """Return the position at a time [s] as an array [m], shape (3,): linear between poses, constant outside."""
         return np.array([np.interp(seconds, self.times, column) for column in self.places.T])
 
     @property
     def noise(self) -> float:
-        """Standard deviation of a coordinate [m], by third differences of the poses about the first cloud."""
+        """Standard deviation of a coordinate [m], by third differences of the poses near the first cloud."""
         early = self.places[np.abs(self.times) <= 2.0 * SPAN]
         third = np.diff(early, n=3, axis=0)
-        # Of independent numbers with variance 1 it is 1 + 9 + 9 + 1.
+        # The third difference of independent numbers with variance 1 has the variance 1 + 9 + 9 + 1.
         return float(np.sqrt(np.square(third).mean() / 20.0)) if len(third) else 0.0
 
 
 @attrs.frozen(kw_only=True)
 class _Velocity:
-    """Velocity of the cloth at a cloud."""
+    """Velocity of the cloth at the time of a cloud."""
 
-    #: Root mean square over the particles [m/s], and its standard deviation from the noise.
+    #: Root mean square over the particles, and its standard deviation from noise [m/s].
     speed: float
     error: float
-    #: Whether noise alone explains it.
+    #: True if noise alone explains the velocity.
     is_noise: bool
 
 
@@ -71,13 +74,13 @@ def check_rest(
     """Refuse a recording that begins while the cloth moves.
 
     Args:
-        clouds: shape (n, 3) each [m]; matched ones, or no cloud for bare points, which show no velocity.
-        seconds: when each was taken, from the first one [s].
-        rest_shape: the particles' places in the rest shape [m], shape (n, 3).
-        paths: of the closed grippers, by name.
+        clouds: matched clouds [m], shape (n, 3) each; empty for bare points, which show no velocity.
+        seconds: time of each cloud since the first one [s], shape (clouds,).
+        rest_shape: particle positions in the rest shape [m], shape (n, 3).
+        paths: paths of the closed grippers, by name.
 
     Raises:
-        FitError: with the velocity and the remedy.
+        FitError: if the cloth or a gripper moves; the text names the velocity and the remedy.
     """
     for name, path in paths.items():
         speed, error = _gripper_speed(path)
@@ -112,23 +115,26 @@ def _remedy(
             continue
         velocity = _velocity(clouds, seconds, first, rest_shape, (1, 2, *_ONSET))
         if velocity is not None and velocity.is_noise:
-            return f"{begun}, or take it from where the cloth hangs still: --from {start:.2f}"
-    return f"{begun}: nowhere in this one does the cloth hang still for {SPAN} s"
+            return f"{begun}, or start when the cloth hangs still: --from {start:.2f}"
+    return f"{begun}: in this recording the cloth never hangs still for {SPAN} s"
 
 
 def _gripper_speed(path: GripperPath) -> tuple[float, float]:
-    """Speed at the first cloud [m/s], of a path whose acceleration may begin there, and what noise may make of it."""
+    """Return the gripper's speed at the first cloud, and the largest speed that noise explains [m/s].
+
+    Speeds before and after the cloud are computed separately, because the acceleration may begin there.
+    """
     step = max(0.02, float(np.median(np.diff(path.times))) if len(path.times) > 1 else 0.0)
     start, middle, end = (path.at(share * step) for share in (0.0, 1.0, 2.0))
     after = (4.0 * middle - end - 3.0 * start) / (2.0 * step)
-    # Before its first pose a path stands.
+    # The path is constant before its first pose.
     before = (start - path.at(-step)) / step
     error = _SPEED_DEVIATIONS * path.noise * math.sqrt(4.0**2 + 1.0 + 3.0**2) / (2.0 * step)
     return float(max(np.linalg.norm(after), np.linalg.norm(before))), error
 
 
 def _moves(path: GripperPath, start: float) -> bool:
-    """Return whether a gripper leaves its place at a time [s], shortly before it or within the span."""
+    """Return true if a gripper moves near a time [s]: from half a span before it to one span after it."""
     origin, shares = path.at(start), (-0.5, 0.25, 0.5, 0.75, 1.0)
     travel = max(float(np.linalg.norm(path.at(start + share * SPAN) - origin)) for share in shares)
     return travel > max(_STILL, 5.0 * path.noise)
@@ -141,10 +147,17 @@ def _velocity(
     rest_shape: Array,
     tested: Sequence[int],
 ) -> _Velocity | None:
-    """Test whether some powers of time are noise in the motion from a cloud on; None if the clouds are too few.
+    """Test if noise explains some powers of time in the motion after a cloud; None if there are too few clouds.
 
-    Each coordinate's displacement is a polynomial of time with coefficients that are linear in the rest shape;
-    particles' places at the first cloud are free.
+    Each coordinate's displacement is a polynomial of time with coefficients that are linear in the rest shape. Particle
+    positions at the first cloud are free.
+
+    Args:
+        clouds: matched clouds [m], shape (n, 3) each.
+        seconds: time of each cloud [s], shape (clouds,).
+        first: index of the first examined cloud.
+        rest_shape: particle positions in the rest shape [m], shape (n, 3).
+        tested_powers: powers of time that are tested; the first one gives the velocity.
     """
     from scipy.stats import chi2
 
@@ -179,21 +192,21 @@ def _velocity(
     velocities = np.array([modes @ block[:count] for block in coefficients]) / span
     errors = sum(variance * np.einsum("im,mk,ik->i", modes, block[:count, :count], modes) for block in blocks) / span**2
     speed = float(np.sqrt(np.square(velocities).sum(axis=0).mean()))
-    # What moves particles by no more than this description leaves of their motion may be its own fault.
+    # A displacement below the residuals of this model may be an error of the model.
     is_small = tuple(tested) == (1,) and speed * span < _BEYOND * float(np.sqrt(3.0 * variance))
     is_likely = chi2.sf(statistic / max(variance, 1e-18), 3 * len(tested) * count) > _RARELY
     return _Velocity(speed=speed, error=float(np.sqrt(np.mean(errors))), is_noise=bool(is_small or is_likely))
 
 
 def _modes(rest_shape: Array) -> Array:
-    """A constant and the coordinates in the rest shape's plane, in units of its size, shape (n, 3)."""
+    """Return a constant and the in-plane coordinates of the rest shape, in units of its size, shape (n, 3)."""
     middle = rest_shape - rest_shape.mean(axis=0)
     flat = middle @ np.linalg.svd(middle, full_matrices=False)[2][:2].T
     return np.column_stack([np.ones(len(rest_shape)), flat / max(float(np.abs(flat).max()), 1e-12)])
 
 
 def _centred(design: Array, values: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Rows of what was seen, less each particle's mean: its place is free."""
+    """Return rows of the visible particles minus each particle's mean, because its position is free."""
     counts = np.maximum(seen.sum(axis=0), 1)
     shown = np.where(seen[..., None], design, 0.0)
     shown = shown - (shown.sum(axis=0) / counts[:, None])[None]

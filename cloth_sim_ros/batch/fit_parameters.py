@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What can be fitted: names that users give, the parameters they stand for, and the scene with other values."""
+"""Fittable parameters: their names, search ranges and scenes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.without_effect import without_effect
 
-#: Short names; `bending` depends on the scene's model.
+#: Full names by short name; `bending` depends on the scene's bending model.
 _SHORT = {
     "stretch": "material.stretch_modulus",
     "shear": "material.shear_modulus",
@@ -28,7 +28,7 @@ _SHORT = {
     "friction": "contact.friction",
 }
 _BENDING = "bending"
-#: Full names beside those above; of every obstacle that is there also `<obstacle>.friction`.
+#: Further full names; each obstacle of the scene adds `<obstacle>.friction`.
 _FURTHER = (
     "material.bending_modulus",
     "bending.stiffness",
@@ -37,47 +37,47 @@ _FURTHER = (
     "gripper.damping",
     "gripper.friction",
 )
-#: A value is sought between the start's and so many times more or less.
+#: Ratio of the search limits to the starting value.
 RANGE = 100.0
 
 
 class FitError(ValueError):
-    """What can't be fitted, with the reason and the remedy in one sentence."""
+    """A fit is impossible; the message gives cause and remedy."""
 
 
 @attrs.frozen(kw_only=True)
 class Fitted:
-    """A parameter that is sought.
+    """Parameter of a fit.
 
-    Of an array (friction at rest and in motion) the first entry is meant; the others keep their ratio to it.
+    For an array (static and kinetic friction) the first entry is fitted; the others keep their ratio to it.
     """
 
     #: Full name, e.g. ``material.stretch_modulus``.
     name: str
     unit: str
-    #: Where the search begins, above 0.
+    #: Starting value, above 0, in `unit`.
     start: float
-    #: Least and most that it may become.
+    #: Limits of the search, in `unit`.
     least: float
     most: float
 
     @property
     def short(self) -> str:
-        """The last part of its name, and of friction whose it is."""
+        """Last part of the name; the full name if the last part is ambiguous."""
         group, _, last = self.name.rpartition(".")
         return self.name if last in ("friction", "stiffness") or group in ("gripper", "contact") else last
 
 
 def choose(scene: Scene, names: Sequence[str], start: Mapping[str, float] | None = None) -> list[Fitted]:
-    """Return the parameters that some names mean in a scene.
+    """Return the fit parameters of a scene by their names.
 
     Args:
-        scene: whose values the search begins with.
-        names: short or full ones.
-        start: other values to begin with, by short or full name.
+        scene: provides the starting values.
+        names: short or full names.
+        start: other starting values, by short or full name.
 
     Raises:
-        FitError: for a name that is unknown or given twice, has no effect in the scene, or begins at 0.
+        FitError: if a name is unknown or given twice, has no effect in the scene, or starts at 0.
     """
     begin = {_full(scene, name): float(value) for name, value in (start or {}).items()}
     full = [_full(scene, name) for name in names]
@@ -88,15 +88,15 @@ def choose(scene: Scene, names: Sequence[str], start: Mapping[str, float] | None
             raise FitError(f"parameter '{name}' is given twice")
     stray = [name for name in begin if name not in full]
     if stray:
-        raise FitError(f"a start of '{stray[0]}' is given, which is not among the parameters: {', '.join(full)}")
+        raise FitError(f"--start names '{stray[0]}', which is not among the parameters: {', '.join(full)}")
     return [_fitted(scene, name, begin.get(name)) for name in full]
 
 
 def scene_with(scene: Scene, fitted: Sequence[Fitted], values: Sequence[float], **further: Any) -> Scene:
-    """Return a scene with other values of the parameters that are sought, and of further ones.
+    """Return a scene with other values of the fit parameters, and of further parameters.
 
     Raises:
-        ParameterError: where the values make no scene.
+        ParameterError: if the values are invalid.
     """
     now = scene.parameters()
     changed = dict(further)
@@ -120,12 +120,12 @@ def _full(scene: Scene, name: str) -> str:
     close = difflib.get_close_matches(name, [*known, _BENDING], n=1)
     hint = f"; did you mean '{close[0]}'?" if close else ""
     if name in scene.parameters():
-        raise FitError(f"'{name}' is no parameter of the sheet that clouds tell; {_offer(frictions)}")
+        raise FitError(f"'{name}' is no parameter of the sheet that clouds can identify; {_offer(frictions)}")
     raise FitError(f"unknown parameter '{name}'{hint or '; ' + _offer(frictions)}")
 
 
 def _offer(frictions: Sequence[str]) -> str:
-    return "known are " + ", ".join([*_SHORT, _BENDING, *_FURTHER, *frictions])
+    return "known parameters: " + ", ".join([*_SHORT, _BENDING, *_FURTHER, *frictions])
 
 
 def _fitted(scene: Scene, name: str, start: float | None) -> Fitted:
@@ -135,7 +135,7 @@ def _fitted(scene: Scene, name: str, start: float | None) -> Fitted:
     _check_effect(scene, name, value if math.isfinite(value) and value > 0.0 else 0.5 * min(entry.most or 1.0, 1.0))
     if not (math.isfinite(value) and value > 0.0):
         raise FitError(
-            f"{name} begins at {value:g}; a fit needs a start above 0, within a factor of ten or so: "
+            f"{name} begins at {value:g}; a fit needs a start above 0, within a factor of about ten: "
             f"--start {name}=VALUE"
         )
     least = max(value / RANGE, entry.least or 0.0)
@@ -146,12 +146,16 @@ def _fitted(scene: Scene, name: str, start: float | None) -> Fitted:
 
 
 def _check_effect(scene: Scene, name: str, value: float) -> None:
-    """Refuse a parameter that other parameters switch off."""
+    """Refuse a parameter that other parameters disable.
+
+    Raises:
+        FitError: if the parameter has no effect in the scene.
+    """
     probe = Fitted(name=name, unit="", start=value, least=value, most=value)
     try:
-        # A value beside the default's: only what was set is judged.
+        # The value must differ from the default, because only set parameters are checked.
         tried = scene_with(scene, [probe], [value * 0.9990234375])
     except ParameterError as error:
         raise FitError(str(error)) from error
     for sentence in without_effect(tried, [name]):
-        raise FitError(sentence.replace(" is set and has", " has", 1) + "; leave it out")
+        raise FitError(sentence.replace(" is set and has", " has", 1) + "; omit it")

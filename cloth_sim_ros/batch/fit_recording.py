@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a fit compares with: how the cloth was led, frame by frame, and the clouds that were seen of it."""
+"""Recordings for fits: commands of each frame, and clouds of the cloth."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from cloth_sim_ros.simulation.sleep import wake
 if TYPE_CHECKING:
     from cloth_sim_ros.batch.fit_held import HeldParticles
 
-#: Fewer clouds with points tell nothing of a motion.
+#: Least number of clouds with points.
 LEAST_CLOUDS = 3
-#: Most that residuals, their derivatives and those of the next window may take together [bytes].
+#: Memory limit of residuals and derivatives of two windows [bytes].
 MOST_BYTES = 4 << 30
 
 
@@ -35,34 +35,41 @@ MOST_BYTES = 4 << 30
 class Recording:
     """Commands and clouds of one cloth.
 
-    Clouds are matched (row k is particle k, NaN where it was not seen) or bare points of its surface.
+    Clouds are matched (row k is particle k, NaN if it is hidden) or bare points of the surface.
     """
 
+    #: Names of the files.
     name: str
     scene: Scene
-    #: Where the motion starts; None: at the scene's own start.
+    #: Initial state; None for the scene's own.
     state: State | None
-    #: What happens at the beginning of each frame.
+    #: Events at the beginning of each frame.
     events: tuple[tuple[Event, ...], ...]
-    #: How many frames have passed when each cloud is taken, fractions between two frames' ends; ascending.
+    #: Time of each cloud in frames since the start, with fractions, ascending; shape (clouds,).
     frames: NDArray[np.float64]
-    #: When each was taken, from the recording's beginning [s].
+    #: Time of each cloud since the start of the recording [s], shape (clouds,).
     seconds: NDArray[np.float64]
-    #: Points [m], shape (points, 3).
+    #: Points of each cloud [m], shape (points, 3).
     clouds: tuple[NDArray[np.float64], ...]
+    #: True if row k of a cloud is particle k.
     matched: bool = True
-    #: In so many frames at the beginning the cloth comes to rest in thick air; 0 where the state at the start is known.
+    #: Number of settling frames, in which the cloth comes to rest in thick air; 0 if the initial state is known.
     lead: int = 0
-    #: Whether matched clouds may lie off by one vector, the same for all: how a camera was calibrated, and where in the
-    #: gripper the cloth was held, is known to millimetres at best.
+    #: True if all matched clouds may have a common offset. The camera's calibration and the cloth's position in the
+    #: gripper are known to millimetres at best.
     shifted: bool = False
-    #: What could not be read of it, in a sentence; empty where nothing is missing.
+    #: Description of the unreadable part of the recording; empty if it is complete.
     lost: str = ""
-    #: What each gripper that is closed at the first cloud holds; of a session the state says it.
+    #: Grasped particles of each gripper that is closed at the first cloud; empty for a session, whose state has them.
     held: tuple[HeldParticles, ...] = ()
 
     def part(self, *, until: float | None = None, every: int = 1) -> Recording:
-        """Return the recording up to a time [s], with every so many-th cloud."""
+        """Return the recording up to a time [s], with every n-th cloud.
+
+        Args:
+            until: time of the last cloud [s]; None for all.
+            every: n.
+        """
         last = len(self.seconds) if until is None else int(np.searchsorted(self.seconds, until + 1e-9, side="right"))
         frames = self.frames[:last:every]
         used = self.events if until is None or not frames.size else self.events[: int(np.ceil(frames[-1]))]
@@ -79,13 +86,13 @@ def read_session(paths: Sequence[Path], *, scene: Scene | None = None, matched: 
     """Read a recorded session of this package: its scene, state, events and clouds.
 
     Args:
-        paths: its files, in order.
-        scene: takes the place of the recorded one: another start of the search.
-        matched: whether row k of a cloud is particle k; else its points are taken as bare ones.
+        paths: files of the session, in order.
+        scene: replaces the recorded scene, for other starting values.
+        matched: true if row k of a cloud is particle k; false to use its points as bare surface points.
 
     Raises:
         SessionError: if a file can't be read.
-        FitError: if scene and state don't fit.
+        FitError: if scene and state do not match.
     """
     from cloth_sim_ros.session.cdr import decode_cloud
     from cloth_sim_ros.session.reader import SessionReader, read_frame
@@ -98,18 +105,18 @@ def read_session(paths: Sequence[Path], *, scene: Scene | None = None, matched: 
             recorded = Scene.from_parameters(recorded_values(reader.scene_yaml, node=node), files=reader.files)
             state = State.from_bytes(reader.state)
         except ValueError as error:
-            raise FitError(f"{paths[0]} holds no scene that can be run here: {error}") from error
+            raise FitError(f"{paths[0]} holds no scene that this version can run: {error}") from error
         scene = scene or recorded
         if scene.rate != recorded.rate:
             raise FitError(
-                f"the scene has a rate of {scene.rate:g} Hz, the session {recorded.rate:g} Hz; give it the session's"
+                f"the scene has a rate of {scene.rate:g} Hz, the session {recorded.rate:g} Hz; set the session's rate"
             )
         begin, stamp, gap = state.frame, -1, ""
         for message in reader.messages([f"{node}/frame", f"{node}/points"]):
             if message.topic == f"{node}/frame":
                 record = read_frame(message)
                 if record.frame > begin + 1:
-                    gap = f"frames {begin + 1} to {record.frame - 1} are missing; nothing after them is used"
+                    gap = f"frames {begin + 1} to {record.frame - 1} are missing; later frames are not used"
                     break
                 begin, stamp = record.frame, message.publish_time
                 events.append(_events(record.events, record.time))
@@ -132,7 +139,7 @@ def read_session(paths: Sequence[Path], *, scene: Scene | None = None, matched: 
 
 
 def prepared(state: State) -> State:
-    """Return a state that goes on under other parameters: awake, no step and no relaxed tolerance remembered."""
+    """Return a copy of a state for other parameters: awake, with a reset step controller and tolerance."""
     copy = state.copy()
     wake(copy)
     restart(copy, entirely=True)
@@ -144,13 +151,13 @@ def check(recording: Recording, fitted_names: Sequence[str]) -> None:
     """Refuse a recording that can't be compared with the scene's cloth.
 
     Raises:
-        FitError: naming what is missing, and the remedy.
+        FitError: if the recording is unusable; the text names cause and remedy.
     """
     scene, clouds = recording.scene, recording.clouds
     if not clouds:
         damage = f" ({recording.lost})" if recording.lost else ""
         raise FitError(
-            f"{recording.name} holds no cloud of the cloth in the time asked for: there is nothing to fit{damage}"
+            f"{recording.name} holds no cloud of the cloth in the requested time; there is nothing to fit{damage}"
         )
     count = len(scene.initial_positions())
     if recording.matched:
@@ -158,40 +165,41 @@ def check(recording: Recording, fitted_names: Sequence[str]) -> None:
             if len(cloud) != count:
                 raise FitError(
                     f"the cloud at {recording.seconds[k]:.3f} s has {len(cloud)} points, the scene's cloth {count} "
-                    "particles: each point must be a particle, NaN where it was not seen, or carry its number in a "
-                    "field 'index'; for points without numbers give --unordered"
+                    "particles: each point must be a particle, NaN if it is hidden, or carry its index in a "
+                    "field 'index'; for points without index give --unordered"
                 )
     seen = [bool(np.isfinite(cloud).all(axis=1).any()) for cloud in clouds]
     if sum(seen) < LEAST_CLOUDS:
         raise FitError(
-            f"{sum(seen)} of {len(clouds)} clouds hold a point that is a number; a motion needs {LEAST_CLOUDS} or more"
+            f"{sum(seen)} of {len(clouds)} clouds hold a point with finite coordinates; a fit needs {LEAST_CLOUDS} or "
+            "more"
         )
     numbers = sum(cloud.size for cloud in clouds)
     needed = 8 * numbers * (4 * len(fitted_names) + 4)
     if needed > MOST_BYTES:
         raise FitError(
             f"{len(clouds)} clouds of {numbers // 3} points in all would take {needed / 2**30:.1f} GiB of memory; at "
-            f"most {MOST_BYTES / 2**30:.0f}: take fewer by --until SECONDS or --every N"
+            f"most {MOST_BYTES / 2**30:.0f}: use fewer by --until SECONDS or --every N"
         )
     for number, events in enumerate(recording.events):
         for event in events:
             for name in fitted_names:
                 if isinstance(event, SetParameters) and name in event.values:
                     raise FitError(
-                        f"{name} was changed amid the recording, at frame {number}; end before it by --until "
-                        f"{number * scene.period:.3f}, or leave the parameter out"
+                        f"{name} was changed during the recording, at frame {number}; end before it by --until "
+                        f"{number * scene.period:.3f}, or omit the parameter"
                     )
 
 
 def cloud_offsets(recording: Recording) -> NDArray[np.int64]:
-    """Return where each cloud's residuals begin, and where the last one's end, shape (clouds + 1,)."""
+    """Return the index of each cloud's first residual, and their total number, shape (clouds + 1,)."""
     each = 3 if recording.matched else 1
     counts = [each * int(np.isfinite(cloud).all(axis=1).sum()) for cloud in recording.clouds]
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
 def visible(cloud: Array) -> NDArray[np.bool_]:
-    """Return which points of a cloud (n, 3) were seen."""
+    """Return a mask of the visible points of a cloud of shape (n, 3): true if finite, shape (n,)."""
     return np.asarray(np.isfinite(cloud).all(axis=1))
 
 
@@ -200,7 +208,7 @@ def _events(told: Sequence[Mapping[str, Any]], time: float) -> tuple[Event, ...]
         events = [from_dict(dict(event)) for event in told]
     except ValueError as error:
         raise FitError(f"the record of the frame at {time:.3f} s can't be run here: {error}") from error
-    # The fit has a tolerance of its own.
+    # The fit sets its own tolerance.
     return tuple(event for event in events if not isinstance(event, Relax) and not _sets_steps(event))
 
 

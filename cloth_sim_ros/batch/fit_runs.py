@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of a recording's motion with other parameters, many at a time in processes of their own.
+"""Simulations of a recording's motion with other parameters, in parallel processes.
 
-A run's residuals depend on its parameters, the window and the tolerance alone, never on which process made it.
+The residuals of a run depend only on parameters, window and tolerance. They do not depend on the process.
 """
 
 from __future__ import annotations
@@ -28,39 +28,43 @@ from cloth_sim_ros.simulation.simulation import Simulation
 if TYPE_CHECKING:
     from loky import ProcessPoolExecutor
 
-#: Drag of the air in which a cloth comes to rest [1/s]: the slowest swing of a sheet of half a metre dies away fastest.
+#: Air drag of settling frames [1/s]: the slowest oscillation of a sheet of 0.5 m is close to critically damped.
 THICK = 6.0
-#: Most work of a frame, in real time by its estimated cost: a cloth that values far off crumple is not followed for
-#: hours.
+#: Work limit of a frame [multiple of real time, estimated]. It stops simulations of parameters that crumple the cloth.
 MOST_WORK = 30.0
 
 
 @attrs.frozen(kw_only=True)
 class Run:
-    """One run that is asked for."""
+    """Request of one simulation."""
 
-    #: Values of the parameters.
+    #: Values of the parameters, in their units.
     values: tuple[float, ...]
-    #: Clouds that are compared: the first so many.
+    #: Number of compared clouds, from the first one.
     clouds: int
-    #: Of the simulation [m].
+    #: Tolerance of the simulation [m].
     tolerance: float
 
 
 def simulate(recording: Recording, fitted: Sequence[Fitted], run: Run) -> Array:
-    """Return the particles' positions when each cloud was taken [m], shape (clouds, particles, 3).
+    """Return the particles' positions at the time of each cloud [m], shape (clouds, particles, 3).
 
-    Between the ends of two frames they follow the cubic through positions and velocities there.
+    Positions between two frames' ends are interpolated by cubic Hermite polynomials.
+
+    Args:
+        recording: commands and times of the clouds.
+        parameters: the parameters, in the order of the values.
+        run: values, number of clouds and tolerance.
 
     Raises:
-        ValueError: where the values make no scene, or an event can't take effect.
-        UnstableError: where the motion does not stay finite.
+        ValueError: if the values are invalid, or an event can't take effect.
+        UnstableError: if the motion does not stay finite.
     """
     return followed(recording, fitted, run)[0]
 
 
 def followed(recording: Recording, fitted: Sequence[Fitted], run: Run) -> tuple[Array, int]:
-    """Return what `simulate` returns, and the number of frames that missed the tolerance within the work limit."""
+    """Return the positions as `simulate` does, and the number of frames that missed the tolerance."""
     scene = scene_with(recording.scene, fitted, run.values, tolerance=run.tolerance, step=0.0, work_limit=MOST_WORK)
     simulation = Simulation(scene, recording.state)
     frames, period = recording.frames[: run.clouds], scene.period
@@ -80,9 +84,9 @@ def followed(recording: Recording, fitted: Sequence[Fitted], run: Run) -> tuple[
 
 
 def residuals(recording: Recording, fitted: Sequence[Fitted], run: Run) -> Array:
-    """Return the points that were seen less the simulated ones [m], cloud after cloud.
+    """Return the residuals of all clouds [m]: measured minus simulated, shape (n,).
 
-    Of matched clouds all three coordinates of each particle, of bare points the distance from the surface.
+    A matched cloud gives three coordinates per visible particle. Bare points give their distances from the surface.
     """
     found = simulate(recording, fitted, run)
     parts = []
@@ -101,26 +105,26 @@ def residuals(recording: Recording, fitted: Sequence[Fitted], run: Run) -> Array
 
 
 def shift(r: Array) -> Array:
-    """Return by what residuals of matched clouds lie off on the whole [m], shape (3,).
+    """Return the mean offset of the residuals of matched clouds [m], shape (3,).
 
-    With it taken away, residuals and derivatives are those of a fit that seeks this vector too.
+    After subtraction of this vector, residuals and derivatives are those of a fit that includes it.
     """
     return np.asarray(r.reshape(-1, 3).mean(axis=0)) if r.size else np.zeros(3)
 
 
 class Runs:
-    """Runs of one recording, as many at a time as there are workers.
+    """Process pool that simulates one recording with many parameter values.
 
     Args:
-        recording: what is compared with.
-        fitted: the parameters, in the order of each run's values.
-        workers: processes; 1 runs in this one, None takes one a core.
+        recording: commands and clouds.
+        parameters: the parameters, in the order of each run's values.
+        workers: number of processes; 1 uses this process, None starts one per core.
     """
 
     def __init__(self, recording: Recording, fitted: Sequence[Fitted], *, workers: int | None = None) -> None:
         self.recording, self.fitted = recording, list(fitted)
         self.workers = workers or len(os.sched_getaffinity(0))
-        #: Runs made so far.
+        #: Number of simulations so far.
         self.made = 0
         self._pool: ProcessPoolExecutor | None = None
 
@@ -131,14 +135,14 @@ class Runs:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._pool is not None:
-            # What still runs after an error is for nothing.
+            # After an error, pending simulations are useless.
             self._pool.shutdown(wait=kind is None, kill_workers=kind is not None)
 
     def make(self, runs: Sequence[Run]) -> list[Array | str]:
-        """Return each run's residuals [m], or why it could not be made.
+        """Return the residuals of each run [m], shape (n,), or the text of its error.
 
         Raises:
-            FitError: if a worker process was ended from outside, or loky is not there.
+            FitError: if a worker process was killed, or loky is not installed.
         """
         self.made += len(runs)
         if self.workers == 1 or len(runs) == 1:
@@ -147,31 +151,31 @@ class Runs:
             from loky.process_executor import BrokenProcessPool, ProcessPoolExecutor
         except ImportError as error:
             raise FitError(
-                f"{self.workers} processes need loky: pip install 'cloth_sim_ros[batch]', or take --workers 1"
+                f"{self.workers} processes need loky: pip install 'cloth_sim_ros[batch]', or use --workers 1"
             ) from error
 
         try:
             with safe_imports():
                 if self._pool is None:
-                    # Not of the standard library: those would begin by running the user's program once more.
+                    # The standard library's processes would run the user's program again at their start.
                     self._pool = ProcessPoolExecutor(
                         self.workers, initializer=_begin, initargs=(self.recording, self.fitted), env=overrides()
                     )
                 results = self._pool.map(_work, runs)
             return list(results)
         except BrokenProcessPool as error:
-            raise FitError("a worker process was ended, perhaps for want of memory; take --workers 1") from error
+            raise FitError("a worker process was killed, possibly out of memory; use --workers 1") from error
 
 
 def _air(scene: Scene, frame: int, lead: int) -> list[SetParameters]:
-    """Thick air until the lead has passed, then the scene's own."""
+    """Return the events that set the settling drag in frame 0, and the scene's drag after settling."""
     if not lead or frame not in (0, lead):
         return []
     return [SetParameters({"air.drag": scene.air.drag if frame else max(THICK, scene.air.drag)})]
 
 
 def _between(x0: Array, v0: Array, x1: Array, v1: Array, s: float, period: float) -> Array:
-    """The cubic through positions [m] and velocities [m/s] at the ends of a frame, at its part s."""
+    """Return the cubic Hermite interpolation of positions [m] and velocities [m/s] at a fraction s of a frame."""
     a, b = s * s * (3.0 - 2.0 * s), s * (1.0 - s)
     return np.asarray(x0 + a * (x1 - x0) + period * b * ((1.0 - s) * v0 - s * v1))
 
@@ -183,14 +187,14 @@ def _made(recording: Recording, fitted: Sequence[Fitted], run: Run) -> Array | s
         return str(error)
 
 
-#: Of a worker process.
+#: Recording and parameters of a worker process.
 _task: tuple[Recording, Sequence[Fitted]] | None = None
 
 
 def _begin(recording: Recording, fitted: Sequence[Fitted]) -> None:
     global _task
     _task = recording, fitted
-    # An interruption from the keyboard reaches all processes; the one that asked for the runs ends the others.
+    # Ctrl-C reaches all processes. The parent process stops its workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Distances of bare points from a sheet's surface: for clouds whose points carry no particle's number."""
+"""Signed distances of bare points from a sheet's surface."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.forces.force import Array
 
-#: The triangles about so many nearest particles are looked at.
+#: Number of nearest particles whose incident triangles are searched.
 NEAREST = 4
 
 
 def distances(points: Array, x: Array, triangles: NDArray[np.integer]) -> Array:
-    """Return each point's distance from the surface along its normal [m], signed, shape (points,).
+    """Return each point's signed distance from the surface along its normal [m], shape (points,).
 
-    It is measured from the nearest point of the surface, in the direction of the particles' normals, interpolated
-    there. So motion along the surface shows only where its shape does.
+    The distance is measured from the nearest surface point, along the interpolated normal of the particles. Tangential
+    motion of a flat surface therefore gives no residual.
 
     Args:
-        points: [m], shape (points, 3).
-        x: the particles [m], shape (particles, 3).
-        triangles: particle numbers, all turned the same way, shape (triangles, 3).
+        points: measured points [m], shape (points, 3).
+        x: particle positions [m], shape (particles, 3).
+        triangles: particle indices with consistent orientation, shape (triangles, 3).
     """
     from scipy.spatial import cKDTree
 
@@ -47,7 +47,7 @@ def distances(points: Array, x: Array, triangles: NDArray[np.integer]) -> Array:
 
 
 def _about(corners: NDArray[np.int64], particles: int) -> NDArray[np.int64]:
-    """The triangles at each particle, filled up with -1, shape (particles, most)."""
+    """Return the indices of the triangles incident to each particle, padded with -1, shape (particles, max)."""
     owners = corners.ravel()
     order = np.argsort(owners, kind="stable")
     counts = np.bincount(owners, minlength=particles)
@@ -59,7 +59,7 @@ def _about(corners: NDArray[np.int64], particles: int) -> NDArray[np.int64]:
 
 
 def _normals(x: Array, corners: NDArray[np.int64]) -> Array:
-    """Unit normals at the particles, shape (particles, 3)."""
+    """Return unit normals at the particles, shape (particles, 3)."""
     a, b, c = (x[corners[:, k]] for k in range(3))
     each = np.cross(b - a, c - a)
     sums = np.zeros_like(x)
@@ -70,9 +70,9 @@ def _normals(x: Array, corners: NDArray[np.int64]) -> Array:
 
 
 def _nearest(p: Array, a: Array, b: Array, c: Array) -> Array:
-    """Weights of three corners at the point of each triangle that is nearest to each point, shape (points, 3).
+    """Return barycentric weights of the triangle point nearest to each point, shape (points, 3).
 
-    By the regions of Ericson, Real-Time Collision Detection, 5.1.5; a triangle without an area takes its first corner.
+    Method: the regions of Ericson, Real-Time Collision Detection, 5.1.5. A degenerate triangle gives its first corner.
     """
     ab, ac, ap, bp, cp = b - a, c - a, p - a, p - b, p - c
     d1, d2 = (np.einsum("pj,pj->p", side, ap) for side in (ab, ac))

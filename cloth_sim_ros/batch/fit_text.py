@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A fit in words: the table, what can't be told apart, and remedies."""
+"""Text report of a fit: table, confounded parameters and remedies."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cloth_sim_ros.session.words import counted
 
 
 def describe(fit: Fit) -> str:
-    """Return what a fit tells, a table first."""
+    """Return the text report of a fit, which starts with a table."""
     return "\n".join([*_head(fit), "", *_table(fit), *_explained(fit)])
 
 
@@ -23,14 +23,14 @@ def _head(fit: Fit) -> Iterator[str]:
     used = f"{fit.clouds} of {counted(fit.all_clouds, 'cloud')}" if fit.reason else counted(fit.clouds, "cloud")
     yield f"{fit.name}: {used} up to {fit.until:.2f} s{lost}; {fit.runs} simulations."
     if fit.recording.lost:
-        yield f"Not all of the recording could be read: {fit.recording.lost}."
+        yield f"A part of the recording is unreadable: {fit.recording.lost}."
     for held in fit.recording.held:
         yield describe_held(held, fit.recording.scene)
-    said = "given" if fit.sigma_given else "from the residuals"
+    said = "prescribed" if fit.sigma_given else "from the residuals"
     yield f"Deviation of a coordinate: {1e3 * fit.sigma:.3g} mm ({said}); residuals: {1e3 * fit.rms:.3g} mm."
     if fit.shift is not None:
         x, y, z = (1e3 * value for value in fit.shift)
-        yield f"On the whole the clouds lie off by ({x:.2g}, {y:.2g}, {z:.2g}) mm; that was fitted too."
+        yield f"The clouds have a common offset of ({x:.2g}, {y:.2g}, {z:.2g}) mm, which was fitted too."
 
 
 def _table(fit: Fit) -> Iterator[str]:
@@ -57,12 +57,12 @@ def _table(fit: Fit) -> Iterator[str]:
 
 
 def verdict(estimate: Estimate, within: float) -> str:
-    """Return whether a parameter is told, in a word or a few."""
+    """Return a short text: identified, or the reason why not."""
     if estimate.at_end:
-        return "NOT TOLD: at the end of the range that was searched"
+        return "NOT IDENTIFIED: at the limit of the search range"
     if not estimate.followed:
-        return "NOT TOLD: the simulated cloth does not follow the recording"
-    return "told" if estimate.told else f"NOT TOLD: bound above {100 * within:.3g} %"
+        return "NOT IDENTIFIED: the simulated cloth does not follow the recording"
+    return "identified" if estimate.told else f"NOT IDENTIFIED: bound above {100 * within:.3g} %"
 
 
 def _explained(fit: Fit) -> Iterator[str]:
@@ -74,41 +74,41 @@ def _explained(fit: Fit) -> Iterator[str]:
         if estimate.at_end:
             yield ""
             yield (
-                f"{estimate.parameter.name} ran to {estimate.value:.3g}, the end of its range: begin elsewhere by "
-                f"--start {estimate.parameter.name}=VALUE, or leave it out."
+                f"{estimate.parameter.name} is {estimate.value:.3g}, the limit of its search range: set the start by "
+                f"--start {estimate.parameter.name}=VALUE, or omit it."
             )
     if fit.reason:
         yield ""
         yield fit.reason[0].upper() + fit.reason[1:] + "."
     if fit.doubt:
         yield ""
-        yield f"No parameter counts as told: {fit.doubt}."
+        yield f"No parameter is identified: {fit.doubt}."
     if fit.correlation > LEAST_CORRELATION:
         yield ""
         yield (
-            f"Residuals of successive clouds are correlated ({fit.correlation:.2f}), as noise alone would not be: "
-            "something in the motion is not in the model (the start, the grip, the air, the weave). Intervals are "
-            "widened for it, and may still be too narrow."
+            f"Residuals of successive clouds are correlated ({fit.correlation:.2f}), unlike noise: the model lacks "
+            "something (the start, the grip, the air, the weave). The intervals are widened for it, and may still be "
+            "too narrow."
         )
 
 
 def _tied(tie: Tie, within: float) -> str:
     names = [parameter.name for parameter in tie.parameters]
     if tie.single:
-        hardly = "these clouds hardly depend on it: " if tie.bound > 0.5 else "these clouds tell it "
-        return f"{names[0]}: {hardly}to {_percent(tie.bound)} at best (one standard deviation)."
+        hardly = "these clouds hardly depend on it; " if tie.bound > 0.5 else ""
+        return f"{names[0]}: {hardly}its standard deviation is at least {_percent(tie.bound)}."
     changes = " and ".join(
         f"{name} by {'+' if part > 0 else '-'}{abs(10 * part):.2g} %"
         for name, part in zip(names, tie.parts, strict=True)
     )
     if tie.bound < 4.0 * within:
-        return f"Least known is a combination: {changes}, together (known to {_percent(tie.bound)})."
+        return f"The most uncertain combination is {changes}, together (standard deviation {_percent(tie.bound)})."
     known = ""
     if len(names) == 2 and abs(abs(tie.parts[1]) - 1.0) < 0.15:
-        known = f": only their {'ratio' if tie.parts[1] > 0 else 'product'} is"
+        known = f": only their {'ratio' if tie.parts[1] > 0 else 'product'} is identified"
     return (
-        f"{' and '.join(names)} can't be told apart{known}. Changing {changes}, together, leaves these clouds as they "
-        f"are within the noise (it is told to {_percent(tie.bound)} at best)."
+        f"{' and '.join(names)} are confounded{known}. Changing {changes}, together, changes these clouds by less than "
+        f"the noise (standard deviation at least {_percent(tie.bound)})."
     )
 
 
@@ -116,31 +116,31 @@ def _remedy(tie: Tie, fit: Fit) -> str:
     names = {parameter.name for parameter in tie.parameters}
     if not tie.single and "material.density" in names:
         return (
-            "  Remedy: positions tell moduli over density alone, as no force was measured. Weigh the cloth, give "
-            "material.density in the scene and leave it out here."
+            "  Remedy: without measured forces, positions identify only the ratio of moduli to density. Weigh the "
+            "cloth, set material.density in the scene and omit it here."
         )
     if not tie.bound < 2.0:
-        return "  Remedy: leave it out, or record a motion on which it acts."
+        return "  Remedy: omit it, or record a motion that depends on it."
     factor = tie.bound / fit.within
     ways = [
         f"noise {factor:.1f} times lower ({1e3 * fit.sigma / factor:.2g} mm)",
         f"{factor**2:.1f} times as many clouds",
     ]
     if names & {"material.stretch_modulus", "material.shear_modulus"}:
-        ways.append("a stiffer shake in the sheet's plane (larger accelerations, a weight at the free edge)")
+        ways.append("stronger shaking in the sheet's plane (larger accelerations, a weight at the free edge)")
     elif names & {"material.damping", "material.viscosity", "air.drag"}:
-        ways.append("a quicker shake, and its dying away after it stops")
+        ways.append("faster shaking, and its decay after it stops")
     elif names & {"material.bending_modulus", "bending.stiffness"}:
         ways.append("folds: hands closer together, waves across the sheet")
     else:
         ways.append("more motion")
     if not tie.single:
-        ways.append("one of them known otherwise and left out")
+        ways.append("an independent measurement of one of them, which is then omitted")
     return "  Remedy: " + ", or ".join(ways) + "."
 
 
 def _percent(part: float) -> str:
-    return "nothing" if not math.isfinite(part) else f"{100 * part:.2g} %" if part < 10.0 else "> 1000 %"
+    return "infinite" if not math.isfinite(part) else f"{100 * part:.2g} %" if part < 10.0 else "> 1000 %"
 
 
 def _number(value: float) -> str:

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Windows that grow: a short one first, whose answer is the next one's start, as far as the motion can be foretold."""
+"""Fit over growing windows; each result is the next window's start.
+
+The windows grow until all clouds are used, or the motion becomes too sensitive to the parameters.
+"""
 
 from __future__ import annotations
 
@@ -27,42 +30,44 @@ from cloth_sim_ros.batch.fit_solver import (
 )
 from cloth_sim_ros.physics.forces.force import Array
 
-#: Length of the first window [s]; each further one is twice as long.
+#: Length of the first window [s]; each further window is twice as long.
 FIRST = 0.25
-#: Fewest clouds of a window.
+#: Least number of clouds of a window.
 LEAST_CLOUDS = 3
-#: Starts that the first window is searched from, for each parameter, and how far from the user's [factor].
+#: Number of starting points of the first window per parameter, and their largest ratio to the user's start.
 STARTS, AROUND = 4, 5.0
-#: Simulations of the search, and of the first window, have this tolerance [m]; that of the rest is found.
+#: Tolerance of the search's simulations, and tolerances from which a window's is chosen [m].
 COARSE, TOLERANCES = 1e-4, (1e-5, 1e-6, 1e-7, 1e-8)
-#: What the simulation may be off by, of what a difference step moves the particles by.
+#: Largest simulation error, relative to the displacement by a difference step.
 OFF = 0.05
-#: A parameter is told where its relative deviation is at most this.
+#: Default of the largest relative standard deviation of an identified parameter.
 TOLD = 0.025
-#: A cloud is bent where the second difference is this part of the first, and of the noise.
+#: Largest second difference of a cloud's residuals, relative to the first difference or the noise.
 BENT = 0.5
 
 
 @attrs.frozen(kw_only=True)
 class Window:
-    """What one window came to."""
+    """Result of one window."""
 
+    #: Number of clouds.
     clouds: int
+    #: Linearization at the minimum.
     linear: Linear
-    #: Deviation of a coordinate [m].
+    #: Standard deviation of a coordinate [m].
     sigma: float
-    #: Of the simulations [m].
+    #: Tolerance of the simulations [m].
     tolerance: float
 
 
 @attrs.frozen(kw_only=True)
 class Windows:
-    """What all of them came to; the last one counts."""
+    """Results of all windows; the last one is the fit's result."""
 
     done: tuple[Window, ...]
-    #: Why later clouds were not used; empty where all were.
+    #: Reason why later clouds were not used; empty if all were used.
     reason: str = ""
-    #: Why no parameter counts as identified, and the remedy; empty where nothing speaks against it.
+    #: Reason why no parameter counts as identified, and the remedy; empty if the bounds are valid.
     doubt: str = ""
 
 
@@ -70,11 +75,11 @@ def solve(problem: Problem, seconds: NDArray[np.float64]) -> Windows:
     """Fit window after window.
 
     Args:
-        problem: what is fitted.
-        seconds: when each cloud was taken [s], ascending.
+        problem: the least-squares problem.
+        seconds: time of each cloud [s], ascending, shape (clouds,).
 
     Raises:
-        FitError: where the motion can't be simulated with the starting values, nor beside them.
+        FitError: if the motion can't be simulated with the starting values or near them.
     """
     ends = _ends(problem, seconds)
     theta = _search(problem, ends[0])
@@ -106,7 +111,7 @@ def solve(problem: Problem, seconds: NDArray[np.float64]) -> Windows:
 
 
 def _ends(problem: Problem, seconds: NDArray[np.float64]) -> list[int]:
-    """How many clouds each window has."""
+    """Return the number of clouds of each window."""
     last, ends, length = len(seconds), list[int](), FIRST
     while not ends or ends[-1] < last:
         count = int(np.searchsorted(seconds, seconds[0] + length * (1.0 + 1e-9), side="right"))
@@ -116,14 +121,14 @@ def _ends(problem: Problem, seconds: NDArray[np.float64]) -> list[int]:
         length *= 2.0
     if int(problem.offsets[ends[-1]]) <= len(problem.runs.fitted):
         raise FitError(
-            f"{int(problem.offsets[ends[-1]])} coordinates were seen for {len(problem.runs.fitted)} parameters; "
-            "more clouds are needed"
+            f"the clouds have {int(problem.offsets[ends[-1]])} coordinates for {len(problem.runs.fitted)} parameters; "
+            "record more clouds"
         )
     return ends
 
 
 def _search(problem: Problem, clouds: int) -> Array:
-    """Return the best of many points about the start in the first window: a fit goes downhill from there."""
+    """Return the best of many points near the start in the first window; the minimization starts there."""
     from scipy.stats import qmc
 
     start = problem.start
@@ -139,16 +144,16 @@ def _search(problem: Problem, clouds: int) -> Array:
 
 
 def _sure(problem: Problem, linear: Linear, clouds: int, tolerance: float) -> tuple[Linear, float]:
-    """Return differences that the simulation's own error does not spoil, and the tolerance that it takes.
+    """Return differences with a negligible simulation error, and the required tolerance [m].
 
-    The run at the point is repeated at a tenth of the tolerance: what that changes may be a small part of what the
-    difference steps change.
+    The simulation at the point is repeated at a tenth of the tolerance. The change must be a small fraction of the
+    change by each difference step.
     """
     for finer in (t for t in TOLERANCES if t < tolerance):
         (again,) = problem.ask([linear.theta], clouds, finer)
         if isinstance(again, str):
             break
-        # Of a parameter that is not told anyway, no more is asked than of one that just is.
+        # An unidentified parameter needs no more accuracy than one that is barely identified.
         just = problem.deviation(linear.r) / (TOLD * np.sqrt(linear.r.size))
         moved = linear.steps * np.maximum(np.sqrt(np.square(linear.jacobian).mean(axis=1)), just)
         if root_mean_square(again - linear.r) <= OFF * float(moved.min()):
@@ -159,7 +164,7 @@ def _sure(problem: Problem, linear: Linear, clouds: int, tolerance: float) -> tu
 
 
 def _straight(problem: Problem, linear: Linear, sigma: float) -> int:
-    """Return how many clouds there are before the first one that a difference step bends."""
+    """Return the number of clouds before the first one whose residuals are nonlinear within a difference step."""
     offsets = problem.offsets[problem.offsets <= linear.r.size]
     starts = offsets[:-1]
     seen = np.diff(offsets)
@@ -172,7 +177,7 @@ def _straight(problem: Problem, linear: Linear, sigma: float) -> int:
 
 
 def _noise(done: list[Window]) -> float:
-    """The least deviation of a window's residuals [m]; none is below what the simulation may be off by."""
+    """Return the least root mean square of a window's residuals [m], at least the simulation's tolerance."""
     return max(min(root_mean_square(window.linear.r) for window in done), done[-1].tolerance)
 
 
@@ -182,8 +187,8 @@ def _unsettled(done: list[Window]) -> str:
 
 def _bent_words(seconds: NDArray[np.float64], cloud: int) -> str:
     return (
-        f"clouds from {seconds[cloud]:.2f} s on are not used: there the motion hangs on the parameters too steeply for "
-        "a fit (small differences grow until they are a matter of luck)"
+        f"clouds from {seconds[cloud]:.2f} s on are not used: the motion there depends on the parameters too steeply "
+        "for a fit (small differences grow until the motion is unpredictable)"
     )
 
 

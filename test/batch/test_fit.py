@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fits of cloths whose parameters are known; `soak_fit.py` has larger ones."""
+"""Fits of cloths with known parameters; `soak_fit.py` has larger ones."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ NAMES = list(TRUTH)
 
 @pytest.fixture(scope="module")
 def noisy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """6 x 6 particles swung for half a second, 2 mm of noise, a third missing."""
+    """Session of 6 x 6 particles swung for 0.5 s, with 2 mm of noise and a third of the particles missing."""
     return record_swing(tmp_path_factory.mktemp("noisy"), TRUTH, seed=1, seconds=0.5, resolution=6)
 
 
@@ -52,29 +52,29 @@ def scene_of(**values: float) -> Scene:
     return cloth({**START, "rate": 60.0, **values}, resolution=6)
 
 
-def test_a_noisy_swing_is_fitted_within_what_it_states(fitted: Fit) -> None:
+def test_noisy_swing_estimates_lie_within_bounds(fitted: Fit) -> None:
     for estimate in fitted.estimates:
         true = TRUTH[estimate.parameter.name]
-        # Four standard deviations: a right program exceeds them once in 4,000 seeds, and the seed is fixed.
+        # A correct program exceeds four standard deviations once in 4,000 parameters on average; the seed is fixed.
         assert abs(np.log(estimate.value / true)) < 4.0 * estimate.bound
         assert not estimate.told or abs(estimate.value / true - 1.0) < 0.05
         assert estimate.told == (estimate.bound <= 0.025)
-    # 15 clouds of 24 particles: 1080 coordinates know their deviation to 2 %, four times that is allowed.
+    # 15 clouds of 24 particles: 1080 coordinates give their deviation to 2 %; about four times that is allowed.
     assert fitted.sigma == pytest.approx(0.002, rel=0.1)
     assert fitted.missing == pytest.approx(1 / 3, abs=0.1)
     assert fitted.correlation < 0.15
     assert (fitted.clouds, fitted.reason) == (15, "")
 
 
-def test_bounds_are_those_of_the_noise(noisy: Path, fitted: Fit) -> None:
+def test_bounds_scale_with_noise(noisy: Path, fitted: Fit) -> None:
     other = fit(read_session([noisy]), NAMES, start=fitted.values, sigma=0.004, workers=1)
     for one, two in zip(fitted.estimates, other.estimates, strict=True):
-        # Twice the noise, twice the bound; the derivatives are taken elsewhere and with other steps.
+        # Twice the noise gives twice the bound, except for other points and steps of the derivatives.
         assert two.bound == pytest.approx(2.0 * one.bound * 0.002 / fitted.sigma, rel=0.05)
     assert other.sigma_given
 
 
-def test_without_noise_the_truth_is_found(tmp_path: Path) -> None:
+def test_noiseless_fit_finds_true_values(tmp_path: Path) -> None:
     path = record_swing(tmp_path, TRUTH, seconds=0.5, resolution=6, noise=0.0, missing=0.0)
     found = fit(read_session([path]), ["shear", "damping"], start={"shear": 60.0, "damping": 0.08}, workers=1)
     for name, value in found.values.items():
@@ -84,15 +84,15 @@ def test_without_noise_the_truth_is_found(tmp_path: Path) -> None:
     assert found.all_told
 
 
-def test_the_number_of_workers_changes_no_bit(noisy: Path) -> None:
+def test_worker_count_changes_no_bit(noisy: Path) -> None:
     short = read_session([noisy]).part(until=0.25)
     one, two = (fit(short, ["bending"], start={"bending": 3e-4}, workers=workers) for workers in (1, 2))
     assert two.values == one.values
     assert two.estimates[0].bound == one.estimates[0].bound
 
 
-def test_where_small_differences_explode_clouds_are_left_out(tmp_path: Path) -> None:
-    # Eight times the swing: the sheet collapses between the hands.
+def test_unpredictable_clouds_are_not_used(tmp_path: Path) -> None:
+    # The swing is eight times stronger, so that the sheet collapses between the hands.
     path = record_swing(tmp_path, TRUTH, seed=2, seconds=1.0, resolution=6, strength=8.0)
     found = fit(read_session([path]), ["bending"], start={"bending": 3e-4}, workers=1)
     assert "clouds" in found.reason
@@ -101,15 +101,15 @@ def test_where_small_differences_explode_clouds_are_left_out(tmp_path: Path) -> 
         assert abs(np.log(estimate.value / TRUTH[estimate.parameter.name])) < 4.0 * estimate.bound + 0.01
 
 
-def test_a_fit_that_ends_by_misfit_identifies_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_misfit_identifies_no_parameter(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def see(topic: str, data: bytes, at: int) -> bytes:
-        """From the 8th cloud on, somebody pushes the camera by 14 mm within 5 clouds."""
+        """Displace the camera by 14 mm within 5 clouds, from the 8th cloud on."""
         if not topic.endswith("/points") or at < 7:
             return data
         xyz = np.array(decode_cloud(data).xyz, dtype=np.float64) + np.array([0.01, 0.0, 0.01]) * min(1.0, (at - 6) / 5)
         return cloud_bytes(xyz, 0, (6, 6))
 
-    # A swing that nothing but the cloth damps tells most.
+    # Without air drag the motion depends most on the parameters.
     truth = {**TRUTH, "wind.normal_drag": 0.0}
     path = record_swing(tmp_path, truth, seed=2, seconds=0.7, resolution=6, strength=4.0, distort=see)
     out = {name: tmp_path / f"fit.{name}" for name in ("json", "yaml")}
@@ -117,18 +117,18 @@ def test_a_fit_that_ends_by_misfit_identifies_nothing(tmp_path: Path, capsys: py
     status = fit_main.main([str(path), *options, "--json", str(out["json"]), "--write", str(out["yaml"])])
     said, written = capsys.readouterr().out, json.loads(out["json"].read_text())
     (entry,) = written["parameters"]
-    # The bound alone would do.
+    # The bound alone would identify the parameter.
     assert entry["bound"] < 0.025
     assert not entry["told"]
     assert not written["all_told"]
     assert status == fit_main.NOT_TOLD
-    assert "NOT TOLD: the simulated cloth does not follow the recording" in said
+    assert "NOT IDENTIFIED: the simulated cloth does not follow the recording" in said
     assert "follows only a part of the recording" in written["doubt"]
-    assert "No parameter counts as told: " in said
+    assert "No parameter is identified: " in said
     assert parameter_file.read(out["yaml"])["material.bending_modulus"] == TRUTH["material.bending_modulus"]
 
 
-def test_residuals_above_a_given_sigma_identify_nothing(noisy: Path) -> None:
+def test_residuals_above_sigma_identify_no_parameter(noisy: Path) -> None:
     result = fit(read_session([noisy]), ["bending"], start={"bending": 3e-4}, sigma=0.0005, workers=1)
     (estimate,) = result.estimates
     assert estimate.bound < 0.025
@@ -136,20 +136,20 @@ def test_residuals_above_a_given_sigma_identify_nothing(noisy: Path) -> None:
     assert "times the deviation that --sigma gives" in describe(result)
 
 
-def test_a_real_cloths_recording(bag: Path) -> None:
-    # Frames of another length than those of the truth: most clouds lie between two frames' ends.
+def test_real_recording_fits_parameters_and_offset(bag: Path) -> None:
+    # The frames are longer than those of the true motion, so that most clouds lie between two frames' ends.
     recording = read_bag([bag], scene_of(**{**TRUTH, "rate": 45.0}), settle=2.0)
     assert recording.lead == 90
     assert recording.frames[:3] == pytest.approx([90.0, 91.5, 93.0])
     found = fit(recording, ["bending", "stretch"], start={"bending": 3e-4, "stretch": 500.0}, workers=1)
-    # The start was fitted through a cloth that comes to rest: none of it was recorded.
+    # The initial state was not recorded; the simulated cloth settles to it.
     assert found.shift == pytest.approx((0.003, -0.004, 0.002), abs=3e-4)
     for estimate in found.estimates:
         assert abs(np.log(estimate.value / TRUTH[estimate.parameter.name])) < 4.0 * estimate.bound
-    assert "the clouds lie off by (" in describe(found)
+    assert "The clouds have a common offset of (" in describe(found)
 
 
-def test_points_may_carry_their_particles_numbers(tmp_path: Path) -> None:
+def test_index_field_assigns_points_to_particles(tmp_path: Path) -> None:
     from cloth_sim_ros.session.cdr import decode, encode, message_class
 
     kind = "sensor_msgs/msg/PointCloud2"
@@ -175,7 +175,7 @@ def test_points_may_carry_their_particles_numbers(tmp_path: Path) -> None:
         read_bag([path], small)
 
 
-def test_bare_points_tell_by_their_distance_from_the_surface(noisy: Path) -> None:
+def test_bare_points_fit_by_surface_distance(noisy: Path) -> None:
     bare = read_session([noisy], matched=False).part(until=0.4)
     found = fit(bare, ["bending"], start={"bending": 2e-4}, workers=1)
     (estimate,) = found.estimates
@@ -183,7 +183,9 @@ def test_bare_points_tell_by_their_distance_from_the_surface(noisy: Path) -> Non
     assert found.missing is None
 
 
-def test_the_command(noisy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_writes_json_parameters_and_plot(
+    noisy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = {name: tmp_path / f"fit.{name}" for name in ("json", "yaml", "png")}
     status = fit_main.main(
         [
@@ -211,12 +213,12 @@ def test_the_command(noisy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[
     assert out["png"].read_bytes().startswith(b"\x89PNG")
 
 
-def test_what_is_not_told_gives_a_status_and_keeps_the_scenes_value(noisy: Path, tmp_path: Path) -> None:
+def test_unidentified_parameter_keeps_scene_value(noisy: Path, tmp_path: Path) -> None:
     out = tmp_path / "fit.yaml"
     options = ["--parameters", "damping", "--start", "damping=0.2", "--workers", "1", "--within", "1e-5"]
     assert fit_main.main([str(noisy), *options, "--write", str(out)]) == fit_main.NOT_TOLD
     assert parameter_file.read(out)["material.damping"] == TRUTH["material.damping"]
-    assert "not told" in out.read_text()
+    assert "not identified" in out.read_text()
 
 
 @pytest.mark.parametrize(
@@ -234,7 +236,7 @@ def test_what_is_not_told_gives_a_status_and_keeps_the_scenes_value(noisy: Path,
         (["--parameters", "stretch", "--start", "stretch"], "write NAME=VALUE"),
         (["--parameters", "stretch", "--start", "stretch=nan"], "begins at nan"),
         (["--parameters", "stretch", "--until", "0.01"], "holds no cloud"),
-        (["--parameters", "stretch", "--until", "0.04"], "a motion needs 3"),
+        (["--parameters", "stretch", "--until", "0.04"], "a fit needs 3"),
         (["--parameters", "stretch", "--until", "0"], "above 0"),
         (["--parameters", "stretch", "--every", "0"], "give 1 or more"),
         (["--parameters", "stretch", "--sigma", "0"], "must be above 0"),
@@ -244,12 +246,12 @@ def test_what_is_not_told_gives_a_status_and_keeps_the_scenes_value(noisy: Path,
         (["--parameters", "stretch", "--json", "/nowhere/out.json"], "there is no folder"),
     ],
 )
-def test_bad_input_is_told(noisy: Path, options: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_is_refused(noisy: Path, options: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert fit_main.main([str(noisy), *options]) == fit_main.REFUSED
     assert words in capsys.readouterr().err
 
 
-def test_a_recording_that_does_not_fit_is_refused(tmp_path: Path, noisy: Path, bag: Path) -> None:
+def test_mismatched_recording_is_refused(tmp_path: Path, noisy: Path, bag: Path) -> None:
     blind = record_swing(tmp_path, TRUTH, seconds=0.2, resolution=6, missing=1.0)
     with pytest.raises(FitError, match="0 of 6 clouds hold a point"):
         fit(read_session([blind]), ["stretch"])
@@ -276,12 +278,12 @@ def test_a_recording_that_does_not_fit_is_refused(tmp_path: Path, noisy: Path, b
     assert fit_main.main([str(tmp_path / "lost.mcap"), "--parameters", "stretch"]) == fit_main.REFUSED
 
 
-def test_a_damaged_session_is_named_as_one(
+def test_damaged_session_is_reported(
     noisy: Path, fitted: Fit, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     whole, hurt = noisy.read_bytes(), tmp_path / "hurt.mcap"
     assert read_session([noisy]).lost == ""
-    assert "could be read" not in describe(fitted)
+    assert "unreadable" not in describe(fitted)
     hurt.write_bytes(whole[: len(whole) // 2])
     assert fit_main.main([str(hurt), "--parameters", "stretch"]) == fit_main.REFUSED
     assert "nothing to fit (hurt.mcap: the recording was cut off" in capsys.readouterr().err
@@ -292,11 +294,11 @@ def test_a_damaged_session_is_named_as_one(
     recording = read_session([hurt])
     assert len(recording.clouds) == len(fitted.recording.clouds)
     told = describe(attrs.evolve(fitted, recording=recording))
-    assert f"Not all of the recording could be read: {recording.lost}." in told
+    assert f"A part of the recording is unreadable: {recording.lost}." in told
     assert recording.lost.startswith("hurt.mcap: ")
 
 
-def test_a_program_of_ones_own_may_fit_by_several_processes_without_a_guard(noisy: Path, tmp_path: Path) -> None:
+def test_unguarded_program_can_fit_in_processes(noisy: Path, tmp_path: Path) -> None:
     program = tmp_path / "program.py"
     program.write_text(
         "from pathlib import Path\n"

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Particles that the grippers of a real cloth hold, by clouds in which a hand hides them."""
+"""Grasped particles of a real cloth, from clouds in which hands hide them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def scene_of(resolution: int = 6) -> Scene:
 def hidden(
     seed: int, *, noise: float, reach: float = 0.05, missing: float = 1 / 3
 ) -> Callable[[np.ndarray, int], bytes]:
-    """Clouds that lack what is within a reach of the hands [m], and a share of the rest."""
+    """Return a camera whose clouds lack the particles near the hands, within `reach` [m], and a fraction of others."""
     random = np.random.default_rng(seed)
 
     def see(x: np.ndarray, stamp: int) -> bytes:
@@ -48,7 +48,7 @@ def hidden(
 
 
 def held(recording: Recording) -> list[list[int]]:
-    """Numbers of the particles that each gripper holds in the first frame."""
+    """Return the indices of the grasped particles of each gripper in the first frame."""
     simulation = Simulation(recording.scene, recording.state)
     simulation.advance(recording.events[0])
     return [simulation.grippers.held(k).tolist() for k in range(2)]
@@ -61,18 +61,18 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("noise", [0.002, 0.005])
-def test_held_corners_that_hands_hide_are_found(tmp_path: Path, noise: float) -> None:
+def test_hidden_grasped_corners_are_found(tmp_path: Path, noise: float) -> None:
     path = write_bag(tmp_path / "hidden.mcap", TRUTH, seconds=0.4, see=hidden(1, noise=noise))
     recording = read_bag([path], scene_of())
     assert held(recording) == [[0], [LAST]]
     assert [selection.particles for selection in recording.held] == [(0,), (LAST,)]
     assert not any(selection.is_seen for selection in recording.held)
     left = describe_held(recording.held[0], recording.scene)
-    assert left.startswith("Gripper 'left' holds particle 0 (top_left) (hidden, by the places about it): ")
+    assert left.startswith("Gripper 'left' holds particle 0 (top_left) (hidden, by its neighbours' positions): ")
 
 
 def sagging(resolution: int) -> tuple[Scene, np.ndarray]:
-    """A sheet that hangs from two corners and bulges, its places in the rest shape bent onto a cylinder."""
+    """Return a scene, and the positions of its sheet on a cylinder, like a bulging sheet between two corners."""
     scene = scene_of(resolution)
     x, _, z = scene.initial_positions().T
     bulge = 0.25
@@ -81,8 +81,9 @@ def sagging(resolution: int) -> tuple[Scene, np.ndarray]:
 
 @pytest.mark.parametrize("noise", [0.002, 0.005])
 @pytest.mark.parametrize("grip", [0, 4, 44])
-def test_no_hidden_particle_is_mistaken_for_another(noise: float, grip: int) -> None:
-    # A corner, an edge and the middle of 10 x 10; of 100 random recordings of 8 clouds, all that are not refused.
+def test_hidden_particle_is_found_or_refused(noise: float, grip: int) -> None:
+    # Particles 0, 4 and 44 are a corner, an edge and the middle of 10 x 10. In 100 random recordings of 8 clouds, each
+    # grasp is found or refused.
     scene, x = sagging(10)
     random, refused = np.random.default_rng(grip), 0
     for _ in range(100):
@@ -102,8 +103,8 @@ def test_no_hidden_particle_is_mistaken_for_another(noise: float, grip: int) -> 
     assert refused <= (5 if noise == 0.002 else 40)
 
 
-def test_what_can_not_be_told_is_refused(tmp_path: Path) -> None:
-    # Both upper rows are hidden, and there is but one cloud.
+def test_ambiguous_grasp_is_refused(tmp_path: Path) -> None:
+    # Both upper rows are hidden, and the recording has only one cloud.
     see = hidden(2, noise=0.005, reach=0.2, missing=0.5)
     path = write_bag(tmp_path / "far.mcap", TRUTH, seconds=0.0, see=see)
     with pytest.raises(FitError, match=r"gripper '\w+' may hold particle \d+ or \d+: .* --held \w+=\d+"):
@@ -113,24 +114,22 @@ def test_what_can_not_be_told_is_refused(tmp_path: Path) -> None:
     assert all(selection.is_named for selection in recording.held)
 
 
-def test_given_particles_are_held(bag: Path) -> None:
+def test_named_particles_are_grasped(bag: Path) -> None:
     recording = read_bag([bag], scene_of(), held={"left": "0, 6"})
     assert held(recording) == [[0, 6], [LAST]]
     assert recording.state is not None
-    # Amid the two lies the gripper's origin.
+    # The gripper's origin is the mean of the two.
     middle = recording.state.positions[[0, 6]].mean(axis=0)
     assert middle == pytest.approx(hands(0.0)[0], abs=1e-9)
 
 
-def test_poses_away_from_the_cloth_are_refused(bag: Path) -> None:
+def test_poses_away_from_cloth_are_refused(bag: Path) -> None:
     poses = {"left": "/robot/left/pose", "right": "/robot/left/pose"}
     with pytest.raises(FitError, match="would both hold particle 0"):
         read_bag([bag], scene_of(), poses=poses)
     scene, x = sagging(6)
     pose = [*(x[0] + np.array([0.0, 0.0, 0.2])), 0.0, 0.0, 0.0, 1.0]
-    with pytest.raises(
-        FitError, match="200 mm from the nearest particle, 0: its poses are not where it holds the cloth"
-    ):
+    with pytest.raises(FitError, match="200 mm from the nearest particle, 0: its poses do not touch the cloth"):
         find_held(scene, "left", [x] * 3, [pose] * 3)
 
 
@@ -143,7 +142,7 @@ def test_poses_away_from_the_cloth_are_refused(bag: Path) -> None:
         ("left", "write NAME=VALUE"),
     ],
 )
-def test_wrong_held_particles_are_refused(
+def test_wrong_grasped_particles_are_refused(
     bag: Path, tmp_path: Path, known: str, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from cloth_sim_ros.scene import parameter_file

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of a real cloth that begin at rest, and those that begin in motion, which a fit refuses."""
+"""Recordings of a real cloth that begin at rest or in motion."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def noisy(noise: float, missing: float = 1 / 3) -> Callable[[np.ndarray, int], b
 
 @pytest.mark.parametrize("rate", [30, 60])
 @pytest.mark.parametrize("noise", [0.0, 0.002, 0.005])
-def test_a_recording_that_begins_at_rest_is_read(tmp_path: Path, rate: int, noise: float) -> None:
-    # The hands begin to move at the first cloud.
+def test_recording_from_rest_is_read(tmp_path: Path, rate: int, noise: float) -> None:
+    # The hands start to move at the first cloud.
     path = write_bag(tmp_path / "rest.mcap", TRUTH, seconds=0.5, see=noisy(noise), rate=rate)
     assert read_bag([path], scene_of()).seconds[0] == 0.0
 
@@ -50,23 +50,21 @@ def test_a_recording_that_begins_at_rest_is_read(tmp_path: Path, rate: int, nois
 @pytest.mark.parametrize("rate", [30, 60])
 @pytest.mark.parametrize("noise", [0.0, 0.002, 0.005])
 @pytest.mark.parametrize("begin", [0.2, 0.4])
-def test_a_recording_that_begins_in_motion_is_refused(tmp_path: Path, rate: int, noise: float, begin: float) -> None:
+def test_recording_from_motion_is_refused(tmp_path: Path, rate: int, noise: float, begin: float) -> None:
     path = write_bag(tmp_path / "moving.mcap", TRUTH, seconds=1.0, see=noisy(noise), rate=rate, begin=begin)
     with pytest.raises(FitError, match=r"moves at \d+ mm/s at the first cloud.* Begin the recording before"):
         read_bag([path], scene_of())
 
 
 @pytest.mark.parametrize("noise", [0.002, 0.005])
-def test_a_cloth_that_swings_under_still_hands_is_refused(tmp_path: Path, noise: float) -> None:
+def test_swinging_cloth_under_still_hands_is_refused(tmp_path: Path, noise: float) -> None:
     path = write_bag(tmp_path / "swings.mcap", TRUTH, seconds=1.6, see=noisy(noise), begin=0.85, still=0.8)
     with pytest.raises(FitError, match=r"the cloth moves .* though its grippers stand still"):
         read_bag([path], scene_of())
 
 
-def test_a_refused_recording_is_read_from_where_it_hangs_still(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    # Thick air stops the swing soon.
+def test_refused_recording_is_read_from_suggested_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    # Thick air damps the swing quickly.
     values = {**TRUTH, "air.drag": 6.0}
     path = write_bag(tmp_path / "stops.mcap", values, seconds=3.0, see=noisy(0.002), begin=0.3, still=2.4)
     scene = cloth({**START, "rate": 60.0, "air.drag": 6.0}, resolution=6)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What `cloth_fit` writes: never over what it reads, refused before it fits."""
+"""Refused outputs of `cloth_fit`: input files, wrong endings and pipes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SESSION = b"\x89MCAP0\r\n and the rest"
 
 
 @pytest.mark.parametrize("option", ["--json", "--write", "--plot"])
-def test_what_is_read_is_no_output(
+def test_input_file_as_output_is_refused(
     tmp_path: Path, option: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if option == "--plot":
@@ -36,14 +36,14 @@ def test_what_is_read_is_no_output(
         assert out.read_bytes() == was
 
 
-def test_a_picture_is_a_png(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_plot_without_png_ending_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
     arguments = [str(tmp_path / "s.mcap"), "--parameters", "stretch", "--plot", str(tmp_path / "x.xyz")]
     assert fit_main.main(arguments) == fit_main.REFUSED
     assert "end the name in .png" in capsys.readouterr().err
 
 
-def test_a_pipe_among_recordings_is_refused_and_not_waited_for(
+def test_pipe_among_recordings_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first, pipe, scene = tmp_path / "a.mcap", tmp_path / "b.mcap", tmp_path / "scene.yaml"

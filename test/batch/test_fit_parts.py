@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The parts of a fit, each against what is known of it: least squares, bounds, ties, distances from a surface."""
+"""Parts of a fit against known results: least squares, bounds, confounding, distances."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def sought(*names: str) -> list[Fitted]:
 
 
 class Decay:
-    """Runs of y = a exp(-b t), in place of a cloth's: two parameters, a cloud for each time."""
+    """Model y = a exp(-b t) in place of a cloth: two parameters, one cloud per time."""
 
     def __init__(self, measured: np.ndarray, times: np.ndarray) -> None:
         self.measured, self.times, self.fitted, self.made = measured, times, sought("a", "b"), 0
@@ -54,7 +54,7 @@ def problem_of(runs: Any, **further: Any) -> Problem:
     return Problem(runs=runs, offsets=np.arange(201), tick=lambda _: None, **{"sigma": None, **further})
 
 
-def test_least_squares_agrees_with_scipys(decay: Decay) -> None:
+def test_least_squares_agrees_with_scipy(decay: Decay) -> None:
     from scipy.optimize import least_squares
 
     problem = problem_of(decay)
@@ -62,13 +62,13 @@ def test_least_squares_agrees_with_scipys(decay: Decay) -> None:
     found = descend(problem, start, 200, 1e-5)
     theirs = least_squares(lambda x: decay.residuals(*x, 200), [1.0, 1.0], xtol=1e-12, ftol=1e-12)
     bounds = deviations(information(found, problem.deviation(found.r)))
-    # A step below a tenth of the bound is none; the expectation pulls by far less.
+    # Steps below a tenth of the bound count as converged; the prior's effect is far smaller.
     assert np.all(np.abs(found.theta - np.log(theirs.x)) < 0.1 * bounds)
     covariance = np.linalg.inv(theirs.jac.T @ theirs.jac) * 2.0 * theirs.cost / 198
     assert bounds == pytest.approx(np.sqrt(np.diag(covariance)) / theirs.x, rel=1e-2)
 
 
-def test_windows_reach_the_end_where_nothing_bends(decay: Decay) -> None:
+def test_windows_reach_end_of_linear_motion(decay: Decay) -> None:
     windows = solve(problem_of(decay), decay.times)
     assert [window.clouds for window in windows.done] == sorted({window.clouds for window in windows.done})
     assert windows.done[-1].clouds == 200
@@ -76,7 +76,7 @@ def test_windows_reach_the_end_where_nothing_bends(decay: Decay) -> None:
     assert np.exp(windows.done[-1].linear.theta) == pytest.approx([3.0, 0.7], rel=0.02)
 
 
-def test_a_later_part_that_the_model_does_not_explain_is_left_out(decay: Decay) -> None:
+def test_unexplained_later_clouds_are_not_used(decay: Decay) -> None:
     decay.measured[130:] += 0.5
     windows = solve(problem_of(decay), decay.times)
     assert windows.done[-1].clouds < 130
@@ -85,8 +85,8 @@ def test_a_later_part_that_the_model_does_not_explain_is_left_out(decay: Decay) 
     assert np.exp(windows.done[-1].linear.theta) == pytest.approx([3.0, 0.7], rel=0.1)
 
 
-def test_a_misfit_in_the_added_clouds_alone_is_found(decay: Decay) -> None:
-    # The last half at 1.7 times the noise leaves the whole window below 1.5 times.
+def test_misfit_of_added_clouds_is_found(decay: Decay) -> None:
+    # The last half has 1.7 times the noise, the whole window less than 1.5 times.
     random = np.random.default_rng(7)
     decay.measured[101:] += random.choice([-1.0, 1.0], 99) * 0.0275
     windows = solve(problem_of(decay), decay.times)
@@ -94,22 +94,22 @@ def test_a_misfit_in_the_added_clouds_alone_is_found(decay: Decay) -> None:
     assert windows.doubt
 
 
-def test_a_slowly_growing_misfit_is_found(decay: Decay) -> None:
-    # Each window's residuals are 1.4 times those of the window before.
+def test_slowly_growing_misfit_is_found(decay: Decay) -> None:
+    # Each window's residuals are 1.4 times those of the previous window.
     for begin in (26, 51, 101):
         decay.measured[begin:] += np.random.default_rng(begin).normal(scale=0.028, size=200 - begin)
     assert solve(problem_of(decay), decay.times).doubt
 
 
 class Turning(Decay):
-    """Runs of y = sin(a exp(4 t)) / 3 + b: beyond some time each turn hangs on the parameter too steeply."""
+    """Model y = sin(a exp(4 t)) / 3 + b: later oscillations depend on the parameter too steeply."""
 
     def residuals(self, a: float, b: float, count: int) -> np.ndarray:
         return self.measured[:count] - np.sin(a * np.exp(4.0 * self.times[:count])) / 3.0 - b
 
 
 @pytest.mark.parametrize(("jump", "doubted"), [(0.0, False), (1.5, True)])
-def test_an_end_by_steepness_is_doubted_only_by_what_follows(jump: float, doubted: bool) -> None:
+def test_end_by_curvature_is_doubted_by_later_clouds(jump: float, doubted: bool) -> None:
     times = np.linspace(0.0, 2.0, 200)
     turning = Turning(np.random.default_rng(1).normal(scale=0.02, size=200), times)
     turning.measured -= turning.residuals(1.02, 0.99, 200) - turning.measured
@@ -120,20 +120,20 @@ def test_an_end_by_steepness_is_doubted_only_by_what_follows(jump: float, doubte
     assert bool(windows.doubt) == doubted
 
 
-def test_a_search_that_does_not_settle_is_doubted(decay: Decay, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unconverged_search_is_doubted(decay: Decay, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fit_solver, "MOST_ITERATIONS", 1)
     decay.fitted = [attrs.evolve(parameter, start=0.05) for parameter in decay.fitted]
     windows = solve(problem_of(decay), decay.times[:30])
-    assert "the search did not settle" in windows.doubt
+    assert "the search did not converge" in windows.doubt
 
 
-def test_a_run_that_fails_is_told(decay: Decay) -> None:
+def test_failed_simulation_is_reported(decay: Decay) -> None:
     decay.make = lambda runs: ["it burst"] * len(runs)  # type: ignore[method-assign]
     with pytest.raises(FitError, match="starting values: it burst"):
         solve(problem_of(decay), decay.times)
 
 
-def test_bounds_are_infinite_only_where_nothing_is_told() -> None:
+def test_bounds_are_infinite_only_for_unidentified() -> None:
     told = np.array([[4e4, 1e3], [1e3, 1e4]])
     assert deviations(told) == pytest.approx(np.sqrt(np.diag(np.linalg.inv(told))))
     assert deviations(np.diag([1e4, 0.0])).tolist() == [0.01, np.inf]
@@ -141,8 +141,8 @@ def test_bounds_are_infinite_only_where_nothing_is_told() -> None:
 
 
 @pytest.mark.parametrize(("sign", "word"), [(-1.0, "ratio"), (1.0, "product")])
-def test_what_is_tied_is_named(sign: float, word: str) -> None:
-    # Clouds that depend on x / y alone tell their ratio: raising both leaves them as they are.
+def test_confounded_parameters_are_named(sign: float, word: str) -> None:
+    # Clouds that depend on x / y alone identify the ratio: raising both changes no cloud.
     fisher = np.zeros((3, 3))
     fisher[:2, :2] = 1e6 * np.array([[1.0, sign], [sign, 1.0]])
     fisher[2, 2] = 1e6
@@ -152,13 +152,13 @@ def test_what_is_tied_is_named(sign: float, word: str) -> None:
     assert not list(ties(sought("x", "y", "z"), fisher + 1e5 * np.eye(3), 0.025))
 
 
-def test_one_parameter_that_nothing_tells_stands_alone() -> None:
+def test_single_unidentified_parameter_is_alone() -> None:
     (tie,) = ties(sought("x", "y"), np.diag([1e6, 1.0]), 0.025)
     assert tie.single
     assert "hardly depend" in _tied(tie, 0.025)
 
 
-def test_distance_from_a_surface() -> None:
+def test_signed_distance_of_plane_and_sphere() -> None:
     rows, columns = 4, 5
     x, y = np.meshgrid(np.arange(columns) * 0.1, np.arange(rows) * 0.1)
     sheet = np.stack([x.ravel(), y.ravel(), np.zeros(rows * columns)], axis=1)
@@ -168,24 +168,24 @@ def test_distance_from_a_surface() -> None:
     found = distances(points, sheet, triangles)
     up = np.sign(np.cross(*(sheet[triangles[0, 1:]] - sheet[triangles[0, 0]]))[2])
     assert found == pytest.approx(up * points[:, 2], abs=1e-12)
-    # Of a sphere it is the distance from the centre less the radius, but for the triangles' own sag.
+    # For a sphere it is the distance from the centre minus the radius, except for the triangles' sagitta.
     turn, rise = np.meshgrid(np.linspace(-0.6, 0.6, 25), np.linspace(-0.6, 0.6, 25))
     ball = np.stack([np.sin(turn) * np.cos(rise), np.sin(rise), np.cos(turn) * np.cos(rise)], axis=-1).reshape(-1, 3)
     out = ball.reshape(25, 25, 3)[5:20, 5:20].reshape(-1, 3) * random.uniform(0.9, 1.1, size=(225, 1))
     signed = distances(out, ball, grid_triangles(25, 25, "alternating"))
-    # The sag of a cell of 0.05 on a radius of 1 is 0.05^2 / 4.
+    # The sagitta of a cell of 0.05 on a radius of 1 is 0.05^2 / 4.
     assert np.abs(signed) == pytest.approx(np.abs(np.linalg.norm(out, axis=1) - 1.0), abs=1e-3)
     assert distances(np.empty((0, 3)), sheet, triangles).shape == (0,)
 
 
-def test_between_frames_a_cubic_is_exact() -> None:
+def test_interpolation_is_exact_for_cubics() -> None:
     period, s = 0.02, 0.3
     cubic = np.polynomial.Polynomial([1.0, -2.0, 30.0, 400.0])
     ends = [np.full((3, 1), value) for t in (0.0, period) for value in (cubic(t), cubic.deriv()(t))]
     assert _between(*ends, s, period)[0, 0] == pytest.approx(cubic(s * period), rel=1e-12)
 
 
-def test_a_common_vector_is_the_mean_of_the_residuals() -> None:
+def test_mean_offset_is_mean_of_residuals() -> None:
     r = np.random.default_rng(0).normal(size=(40, 3)) + np.array([1.0, 2.0, 3.0])
     assert shift(r.ravel()) == pytest.approx(r.mean(axis=0))
 
@@ -201,7 +201,7 @@ def test_correlation_of_successive_residuals() -> None:
     assert correlation(recording, (white + same).ravel(), 40) == pytest.approx(0.5, abs=0.1)
 
 
-def test_friction_keeps_its_ratio_and_other_parameters_their_values() -> None:
+def test_friction_entries_keep_their_ratio() -> None:
     scene = Scene.from_parameters({"contact.self": True, "contact.friction": [0.4, 0.3]})
     (friction,) = choose(scene, ["friction"])
     assert (friction.name, friction.start) == ("contact.friction", 0.4)
@@ -210,13 +210,13 @@ def test_friction_keeps_its_ratio_and_other_parameters_their_values() -> None:
     assert attrs.evolve(changed, contact=scene.contact) == scene
 
 
-def test_bending_is_what_the_scenes_model_uses() -> None:
+def test_bending_name_follows_scene_model() -> None:
     crossed = Scene.from_parameters({"bending.model": "crossed", "material.bending_modulus": 1e-4})
     assert choose(Scene.from_parameters({}), ["bending"])[0].name == "bending.stiffness"
     assert choose(crossed, ["bending"])[0].name == "material.bending_modulus"
 
 
-def test_a_part_of_a_recording() -> None:
+def test_recording_part_selects_clouds_and_events() -> None:
     recording = Recording(
         name="",
         scene=Scene.from_parameters({}),

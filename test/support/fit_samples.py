@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Synthetic cloths for fits: hung by two hands, swung, and seen with noise by a camera that misses some particles."""
+"""Synthetic recordings of swung cloths for fits.
+
+Two hands hold and swing a cloth. A camera records it with noise and misses some particles.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +21,13 @@ from cloth_sim_ros.simulation.simulation import Simulation
 from support.session_maker import START as EPOCH
 from support.session_maker import SessionMaker, cloud_bytes, target_bytes
 
-#: Clouds in a second.
+#: Clouds per second [Hz].
 RATE = 30.0
-#: Edge of the sheet [m], and how much nearer than its width the hands are.
+#: Edge of the sheet [m], and reduction of the hands' distance relative to it.
 SIZE, NEARER = 0.4, 0.1
-#: Both hands swing together along x, y, z, and against each other along y: amplitudes [m] and frequencies [Hz].
+#: Amplitudes [m] and frequencies [Hz] of the hands' common motion along x, y, z, and opposite motion along y.
 AMPLITUDES, FREQUENCIES = (0.008, 0.024, 0.016, 0.012), (1.3, 1.7, 3.1, 2.3)
-#: Ranges of the true parameters, uniform in their logarithms, and where every fit begins.
+#: Ranges of the true parameters, uniform in their logarithms. `START` has the starting values of the fits.
 RANGES = {
     "material.stretch_modulus": (100.0, 1000.0),
     "material.shear_modulus": (10.0, 100.0),
@@ -35,7 +38,7 @@ START = {name: float(np.sqrt(low * high)) for name, (low, high) in RANGES.items(
 
 
 def cloth(values: dict[str, Any], *, resolution: int = 10, files: dict[str, bytes] | None = None) -> Scene:
-    """A square of cloth with two hands at its upper corners; `values` by full name."""
+    """Return the scene of a square cloth with two hands at its upper corners; `values` are by full name."""
     return Scene.from_parameters(
         {
             "rate": RATE,
@@ -54,9 +57,9 @@ def cloth(values: dict[str, Any], *, resolution: int = 10, files: dict[str, byte
 
 
 def hung(scene: Scene, seconds: float = 3.0) -> State:
-    """The state of a cloth that two hands have brought nearer and that hangs still, or nearly so.
+    """Return the state of a cloth that hangs nearly at rest between two approached hands.
 
-    A breath of wind decides to which side it bulges; thick air stops it.
+    A short wind determines the side of the bulge. Thick air damps the motion.
     """
     simulation = Simulation(scene)
     left, right = hands(0.0)
@@ -76,7 +79,10 @@ def hung(scene: Scene, seconds: float = 3.0) -> State:
 
 
 def hands(t: float, *, strength: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Where the left and the right hand are at a time [s], 3 numbers [m] each; the swing sets in over 0.3 s."""
+    """Return the positions of the left and the right hand at a time [s], shape (3,) each [m].
+
+    The swing starts smoothly over 0.3 s.
+    """
     way = min(1.0, t / 0.3)
     way *= strength * way * (3.0 - 2.0 * way)
     x, y, z, turn = (way * a * np.sin(2.0 * np.pi * f * t) for a, f in zip(AMPLITUDES, FREQUENCIES, strict=True))
@@ -98,19 +104,19 @@ def record_swing(
     stem: str = "swing",
     distort: Callable[[str, bytes, int], bytes] = lambda _topic, data, _frame: data,
 ) -> Path:
-    """A session of a swing with noisy clouds.
+    """Record a session of a swing with noisy clouds and return its path.
 
     Args:
-        folder: where it goes.
+        folder: folder of the session.
         values: true parameters by full name.
-        seed: of the noise.
-        seconds: its length.
-        noise: deviation of each coordinate [m].
-        missing: share of the particles that each cloud lacks (NaN).
+        seed: seed of the noise.
+        seconds: length of the session [s].
+        noise: standard deviation of each coordinate [m].
+        missing: fraction of the particles that each cloud lacks (NaN).
         resolution: particles along an edge.
-        strength: the swing's, 1 is that of `AMPLITUDES`.
-        stem: beginning of the file's name.
-        distort: changes a message's bytes, by its topic and the frame's number from 0, before it is recorded.
+        strength: factor of the swing's `AMPLITUDES`.
+        stem: first part of the file's name.
+        distort: changes the bytes of a message before recording; takes topic, bytes and index of the frame, from 0.
     """
     state = hung(cloth(values, resolution=resolution))
     state.frame = 0
@@ -137,7 +143,7 @@ def record_swing(
 
 
 def random_truth(seed: int) -> dict[str, float]:
-    """True parameters drawn from `RANGES`."""
+    """Return true parameters drawn from `RANGES`, by full name."""
     random = np.random.default_rng([seed, 16])
     return {name: float(low * (high / low) ** random.random()) for name, (low, high) in RANGES.items()}
 
@@ -156,20 +162,22 @@ def write_bag(
     rate: int = 30,
     still: float = 0.0,
 ) -> Path:
-    """An MCAP as of a real cloth: clouds between frames, poses at 100 Hz, no scene, no state.
+    """Write an MCAP like that of a real cloth and return its path.
+
+    It has clouds between frames and poses at 100 Hz. It has no scene and no state.
 
     Args:
-        path: the file.
+        path: file to write.
         values: true parameters by full name.
-        seconds: length.
-        noise: deviation of each coordinate [m].
-        off: by what every cloud lies off [m].
+        seconds: length of the recording [s].
+        noise: standard deviation of each coordinate [m].
+        off: offset of every cloud [m].
         resolution: particles along an edge.
-        see: bytes of a cloud of the particles' positions (n, 3) [m] at a stamp [ns].
+        see: returns the bytes of a cloud from particle positions [m], shape (n, 3), and stamp [ns].
         poses: topics of the hands' poses.
-        begin: time from which on anything is recorded [s]; the swing sets in at 0.
-        rate: clouds in a second, 30 or 60.
-        still: for so long before its end the hands stand where they are [s].
+        begin: start of the recording [s]; the swing starts at 0.
+        rate: clouds per second [Hz], 30 or 60.
+        still: time before the end during which the hands stand still [s].
     """
     swing = seconds - still
     from mcap.writer import Writer
