@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Dask: the cluster that a study starts on this machine, or the one that it is told of."""
+"""Dask clusters: one started on this machine, or an existing one."""
 
 from __future__ import annotations
 
@@ -22,52 +22,57 @@ from cloth_sim_ros.session.child_process import safe_imports
 if TYPE_CHECKING:
     from distributed import Client, Security
 
-#: A terminal's Ctrl-C reaches workers as well. This process ends them; their own words would bury what it says.
+#: Workers ignore Ctrl-C, which the terminal sends to them as well. This process stops them and prints one message.
 _UNINTERRUPTED = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
-#: A worker that was killed takes its task with it: so often, before Dask says that the task kills workers.
+#: Number of workers that may die with a task before Dask reports the task as failed.
 _ALLOWED_FAILURES = 3
 
 
 @attrs.frozen
 class SchedulerAddress:
-    """Address of a Dask scheduler, and the certificate without which it refuses a connection."""
+    """Address of a Dask scheduler and the certificate for a connection to it."""
 
-    #: Such as ``tcp://host:8786``.
+    #: Address such as ``tcp://host:8786``.
     address: str
-    #: None: what Dask's own configuration says.
+    #: TLS certificate; None uses Dask's configuration.
     security: Security | None = attrs.field(default=None, repr=False)
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
 @contextlib.contextmanager
 def local_scheduler(workers: int | None, say: Callable[[str], None]) -> Iterator[SchedulerAddress]:
-    """Start a scheduler and a worker process a core on this machine.
+    """Start a scheduler and one worker process per core on this machine.
 
-    Its connections are encrypted and need a certificate that exists in these processes alone. A scheduler runs what it
-    is sent, and every account of the machine reaches its port.
+    Connections are encrypted and need a certificate that exists in these processes alone. Without it, every account of
+    the machine could run code through the scheduler's port.
+
+    Args:
+        workers: number of worker processes; None starts one per core.
+        on_message: receives one line of text about the cluster.
     """
     import dask
     from distributed import LocalCluster, Security
 
     _be_quiet()
-    # A worker's profiler looks a hundred times a second at what its thread does, and takes the interpreter from it.
+    # A worker's profiler interrupts its thread a hundred times a second, and holds the interpreter lock meanwhile.
     settings = {
         "distributed.scheduler.allowed-failures": _ALLOWED_FAILURES,
         "distributed.worker.profile.enabled": False,
-        # What a worker measures of itself for the dashboard interrupts too, fifty times a second where left as it is.
+        # The dashboard's measurements interrupt the worker too, fifty times a second by default.
         "distributed.admin.tick.interval": "1s",
         "distributed.admin.system-monitor.interval": "2s",
     }
     dask.config.set(settings)
     security = Security.temporary()
-    # All the time: a worker that is lost is replaced. Workers import from their folder: others may not write there.
+    # Both contexts stay open with the cluster, because it replaces lost workers. Workers import from their folder,
+    # therefore other accounts must not be able to write there.
     with safe_imports(), tempfile.TemporaryDirectory(prefix="cloth_batch_", ignore_cleanup_errors=True) as folder:
         with warnings.catch_warnings():
-            # The dashboard's port may be taken: it gets another one.
+            # Dask warns if the dashboard's port is in use, and takes another one.
             warnings.simplefilter("ignore")
             cluster = LocalCluster(
                 n_workers=workers or cores(),
@@ -91,16 +96,20 @@ def local_scheduler(workers: int | None, say: Callable[[str], None]) -> Iterator
 def connect(scheduler: SchedulerAddress, *, wait: float) -> Client:
     """Connect to a scheduler, which may still be starting.
 
+    Args:
+        scheduler: its address.
+        wait: time limit of the connection [s].
+
     Raises:
-        StudyError: for an address that is none.
-        StoppedError: if it does not answer within `wait` [s].
+        StudyError: if the address is invalid.
+        StoppedError: if the scheduler does not answer within `wait`.
     """
     from distributed import Client
 
     _be_quiet()
     address = scheduler.address
     if "://" not in address:
-        raise StudyError(f"scheduler '{address}' is no address; write tcp://host:8786, as `dask scheduler` prints it")
+        raise StudyError(f"scheduler '{address}' is no address; give tcp://host:8786, as `dask scheduler` prints it")
     end = time.monotonic() + wait
     while True:
         left = end - time.monotonic()
@@ -110,8 +119,8 @@ def connect(scheduler: SchedulerAddress, *, wait: float) -> Client:
         except (OSError, TimeoutError, RuntimeError) as error:
             if time.monotonic() >= end:
                 raise StoppedError(
-                    f"no scheduler answers at {address} within {wait:g} s ({error}); does `dask scheduler` run there? "
-                    "Finished runs are kept, --resume goes on"
+                    f"no scheduler answers at {address} within {wait:g} s ({error}); start `dask scheduler` there. "
+                    "Finished runs are kept; continue with --resume"
                 ) from None
             time.sleep(0.5)
         except ValueError as error:
@@ -119,26 +128,31 @@ def connect(scheduler: SchedulerAddress, *, wait: float) -> Client:
 
 
 def check_workers(client: Client, folder: Path, source: str) -> None:
-    """Have every worker look for the study in its folder, and tell which code it runs.
+    """Check that every worker can use the study's folder and runs the same code.
+
+    Args:
+        client: connection to the cluster.
+        folder: the study's folder.
+        version: version of the code in this process, as `local_version` returns it.
 
     Raises:
-        StudyError: if one does not see it, can't write there, or has other code.
+        StudyError: if a worker can't read or write the folder, or has other code.
     """
     for worker, (said, theirs) in client.run(look, str(folder)).items():
         if said:
             raise StudyError(
-                f"worker {worker} can't use {folder}: {said}. Workers on other machines need a folder that all share, "
-                "under the same name (NFS, Lustre, a persistent volume)"
+                f"worker {worker} can't use {folder}: {said}. Workers on other machines need a shared folder under "
+                "the same name (NFS, Lustre, a persistent volume)"
             )
         if theirs != source:
             raise StudyError(
                 f"worker {worker} has another version of cloth_sim_ros ({theirs}, here {source}): its bits may differ; "
-                "install the same one there"
+                "install the same version there"
             )
 
 
 def look(folder: str) -> tuple[str, str]:
-    """On a worker: what is wrong with the folder as seen from here (nothing: empty), and the code's version."""
+    """Return the problem that a worker has with the folder (empty if none), and its code's version."""
     import secrets
     import socket
 
@@ -158,7 +172,7 @@ def look(folder: str) -> tuple[str, str]:
 
 
 def own_version() -> str:
-    """This process's code, as `look` tells it."""
+    """Return the version of this process's code, in the form of `probe_folder`."""
     from cloth_sim_ros.simulation.environment import environment
 
     known = environment()
@@ -166,6 +180,6 @@ def own_version() -> str:
 
 
 def _be_quiet() -> None:
-    """Lost connections are dealt with here; Dask's own words on them would bury what matters."""
+    """Silence Dask's logs of lost connections, because this module handles them."""
     for name in ("distributed", "distributed.client", "distributed.nanny", "distributed.worker", "distributed.core"):
         logging.getLogger(name).setLevel(logging.CRITICAL)

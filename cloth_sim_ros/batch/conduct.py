@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Conducts a study: hands its runs to a Dask cluster, a bounded number at a time, until each has its row.
+"""Scheduler of a study's runs on a Dask cluster.
 
-What is finished is told by the rows in the folder alone. Whatever gets lost (workers, the scheduler, this process)
-costs the runs that were under way, which are done again.
+The study runner submits a bounded number of tasks until each run has a row in the folder. A run is finished if its row
+exists. If a worker, the scheduler or this process is lost, the pending runs are repeated.
 """
 
 from __future__ import annotations
@@ -26,33 +26,33 @@ from cloth_sim_ros.batch.user_code import in_words
 if TYPE_CHECKING:
     from distributed import Client
 
-#: Tasks on their way for each thread of the cluster: one that runs, one that waits beside it.
+#: Pending tasks per thread of the cluster: one runs, one waits.
 _AHEAD = 2
-#: Runs that are short go together into a task of about this wall time [s] ...
+#: Wall time of a task of several short runs, approximately [s].
 _TASK_SECONDS = 1.0
-#: ... of so many at most.
+#: Limit of the number of runs in a task.
 _MOST_TOGETHER = 100
-#: How often the cluster is asked for its size [s].
+#: Time between two queries of the cluster's size [s].
 _LOOK_AGAIN = 5.0
-#: Dask gives a task up when several workers died with it. If that happens so often to a run alone, it kills them.
+#: Dask abandons a task after several workers died with it. A run is abandoned after this many such failures.
 _MOST_KILLS = 3
 
 
 class _LostError(RuntimeError):
-    """The scheduler is gone."""
+    """The scheduler lost its tasks."""
 
 
 @attrs.define
 class Conductor:
-    """Runs what is left of a study.
+    """Executes the unfinished runs of a study on a cluster.
 
     Args:
-        place: its folder.
-        study: what is run.
-        samples: each run's values.
-        seconds: what a run takes, about [s].
-        finished: told the number of each run as it is finished, and its row.
-        say: told what else happens.
+        study_folder: the study's folder.
+        study: the study.
+        samples: values of the factors for each run.
+        seconds_per_run: approximate wall time of a run [s].
+        on_progress: called with the index and the row of each finished run.
+        on_message: called with each message for the user.
     """
 
     place: StudyFolder
@@ -64,17 +64,17 @@ class Conductor:
     _kills: collections.Counter[int] = attrs.field(factory=collections.Counter, init=False)
 
     def conduct(self, address: cluster.SchedulerAddress | str, runs: Iterable[int], *, wait: float) -> None:
-        """Run some runs on a cluster.
+        """Execute runs on a cluster.
 
         Args:
-            address: of the cluster's scheduler; a text such as ``tcp://host:8786`` for one without a certificate.
-            runs: their numbers.
-            wait: how long a scheduler that is gone is waited for [s].
+            address: address of the scheduler; a text such as ``tcp://host:8786`` if it needs no certificate.
+            runs: indices of the runs.
+            wait: time limit for a lost scheduler to return [s].
 
         Raises:
             FolderError: if the folder can't be written.
-            StoppedError: if the scheduler stays away.
-            StudyError: if a worker can't work on it.
+            StoppedError: if the scheduler does not return.
+            StudyError: if a worker can't execute the study.
         """
         scheduler = cluster.SchedulerAddress(address) if isinstance(address, str) else address
         left = list(runs)
@@ -86,10 +86,10 @@ class Conductor:
                 self._drive(client, left)
             except StudyError:
                 raise
-            except Exception as error:  # What a broken connection raises is not one kind of error.
+            except Exception as error:  # A broken connection raises errors of several types.
                 if client.status == "running" and not isinstance(error, _LostError | OSError):
                     raise
-                self.say(f"the connection to the scheduler at {scheduler.address} broke ({error}); connecting anew")
+                self.say(f"the connection to the scheduler at {scheduler.address} broke ({error}); reconnecting")
                 time.sleep(1.0)
             finally:
                 _close(client)
@@ -98,8 +98,8 @@ class Conductor:
                 progressed = time.monotonic()
             elif time.monotonic() - progressed > wait:
                 raise StoppedError(
-                    f"the connection to the scheduler at {scheduler.address} breaks again and again; finished runs are "
-                    "kept, --resume goes on"
+                    f"the connection to the scheduler at {scheduler.address} breaks repeatedly; finished runs are "
+                    "kept; continue with --resume"
                 )
 
     def _drive(self, client: Client, runs: Sequence[int]) -> None:
@@ -135,25 +135,25 @@ class Conductor:
                 client.cancel(list(pending), force=True)
 
     def _room(self, client: Client) -> int:
-        """How many tasks may be on their way."""
+        """Return the limit of pending tasks."""
         threads = sum(client.nthreads().values())
         if not threads:
-            self.say("there is no worker yet; start some: dask worker ADDRESS --nthreads 1")
+            self.say("the cluster has no worker yet; start some: dask worker ADDRESS --nthreads 1")
         return max(_AHEAD * threads, _AHEAD)
 
     def _parts(self, runs: Sequence[int], client: Client) -> list[list[int]]:
-        """Runs that go into a task together."""
+        """Divide runs into batches, one task each."""
         threads = max(sum(client.nthreads().values()), 1)
         together = min(int(_TASK_SECONDS / max(self.seconds, 1e-3)), _MOST_TOGETHER, len(runs) // (4 * threads))
         size = max(together, 1)
         return [list(runs[k : k + size]) for k in range(0, len(runs), size)]
 
     def _take(self, future: Any, part: list[int]) -> list[list[int]]:
-        """Take note of a task's end; what must be done again, in parts."""
+        """Process the end of a task and return the batches that must be repeated."""
         from distributed import KilledWorker
 
         if future.status == "cancelled":
-            raise _LostError("it forgot its tasks")
+            raise _LostError("the scheduler lost its tasks")
         if future.status == "finished":
             return [[run] for run in part if not self._note(run)]
         error = future.exception()
@@ -161,14 +161,14 @@ class Conductor:
             raise error
         left = [run for run in part if not self._note(run)]
         if len(left) > 1:
-            # One of them may be the reason: each alone.
+            # One run may have caused the failure, therefore each is repeated alone.
             return [[run] for run in left]
         for run in left:
             if isinstance(error, KilledWorker):
                 self._kills[run] += 1
                 if self._kills[run] < _MOST_KILLS:
                     return [[run]]
-                words = "every worker that tried it was killed: out of memory, or a crash of a library"
+                words = "every worker that executed it was killed: out of memory, or a crash of a library"
                 self._give_up(run, KILLED, words)
             else:
                 self._give_up(run, FAILED, in_words(error))
@@ -183,7 +183,7 @@ class Conductor:
         self._note(run)
 
     def _note(self, run: int) -> bool:
-        """Whether a run is finished; if so, it is told."""
+        """Return true if a run is finished, after a call of `on_progress`."""
         row = read_row(self.place.row_file(run))
         if row is None:
             return False
@@ -192,6 +192,6 @@ class Conductor:
 
 
 def _close(client: Client) -> None:
-    """Close a connection whose other end may be gone."""
+    """Close a connection, also if the scheduler no longer exists."""
     with contextlib.suppress(Exception):
         client.close(timeout=2)

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Threads that step many cloths: the engine holds no interpreter lock while it works, so each has a core of its own."""
+"""Thread pool that steps many cloths.
+
+The engine releases the interpreter lock while it computes, therefore each thread uses a core.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +17,14 @@ from cloth_sim_ros.physics import cores
 
 
 def check_workers(count: int | None, name: str = "threads") -> int:
-    """Return a number of threads or processes, where none is given that of the cores that this process may use.
+    """Return a checked number of threads or processes; by default, one per core that this process may use.
+
+    Args:
+        count: the number; None for the default.
+        name: name of the parameter, for the error text.
 
     Raises:
-        ValueError: for one that is no whole number of at least 1.
+        ValueError: if the number is not a whole number of at least 1.
     """
     if count is None:
         return len(os.sched_getaffinity(0))
@@ -27,27 +34,28 @@ def check_workers(count: int | None, name: str = "threads") -> int:
 
 
 class Crew:
-    """Workers of which the thread that calls is one.
+    """Thread pool in which the calling thread is worker 0.
 
     Args:
-        threads: how many; None takes the cores that this process may use.
+        threads: number of threads; None takes one per core that this process may use.
 
     Raises:
-        ValueError: for a number that is not at least 1.
+        ValueError: if the number is not at least 1.
     """
 
     def __init__(self, threads: int | None = None) -> None:
         self.threads = check_workers(threads)
-        # They start when they are first needed.
+        # The executor starts its threads at their first use.
         self._others = ThreadPoolExecutor(max(1, self.threads - 1), thread_name_prefix="cloth")
 
     def run(self, count: int, job: Callable[[int, int], None]) -> None:
-        """Call ``job(worker, i)`` for each i from 0 to below a count; a worker has one call at a time.
+        """Call ``job(worker, i)`` for each i in range(count).
 
-        The next number goes to whoever is free. All are called, even if some raise.
+        A free worker takes the next index, and each worker executes one call at a time. All indices are processed, even
+        if calls raise.
 
         Raises:
-            Exception: what the call with the least number raised.
+            Exception: the exception of the lowest index.
         """
         numbers, troubles = itertools.count(), dict[int, BaseException]()
 
@@ -72,7 +80,7 @@ class Crew:
             raise troubles[min(troubles)]
 
     def close(self) -> None:
-        """End the threads."""
+        """Stop the threads."""
         self._others.shutdown()
 
     def __enter__(self) -> Self:

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A study's runs as a dataset: zarr v3, LeRobotDataset v3.0, sessions with clouds. It appears when it is whole."""
+"""Export of a study's runs as zarr v3, LeRobotDataset v3.0 or sessions.
+
+A dataset gets its name when it is complete.
+"""
 
 from __future__ import annotations
 
@@ -16,19 +19,19 @@ from cloth_sim_ros.batch.folder import StudyFolder
 from cloth_sim_ros.batch.study_run import OK
 from cloth_sim_ros.batch.trajectories import Trajectory
 
-#: Gives the runs, one after the other; they may be asked for more than once.
+#: Returns a new iterator over the runs at each call.
 Runs = Callable[[], Iterator[Trajectory]]
 
 
 def to_zarr(folder: Path, out: Path) -> int:
-    """Write zarr v3; status 0."""
+    """Write a zarr v3 group and return exit status 0."""
     from cloth_sim_ros.batch import zarr_export
 
     return _write(folder, out, lambda place, there, runs, count: zarr_export.write(there, runs(), count, place))
 
 
 def to_lerobot(folder: Path, out: Path, *, task: str, video: bool) -> int:
-    """Write a LeRobotDataset v3.0; status 0."""
+    """Write a LeRobotDataset v3.0 and return exit status 0."""
     from cloth_sim_ros.batch import lerobot_export
 
     return _write(
@@ -37,7 +40,7 @@ def to_lerobot(folder: Path, out: Path, *, task: str, video: bool) -> int:
 
 
 def to_mcap(folder: Path, out: Path) -> int:
-    """Write sessions with clouds; status 0."""
+    """Write sessions with clouds and return exit status 0."""
     place = StudyFolder(folder)
 
     def write(_place: StudyFolder, there: Path, _runs: Runs, count: int) -> None:
@@ -49,16 +52,16 @@ def to_mcap(folder: Path, out: Path) -> int:
 
 
 def sessions_of(place: StudyFolder) -> list[tuple[int, Path]]:
-    """The runs that went well, and their sessions.
+    """Return the index and the session file of each successful run.
 
     Raises:
-        StudyError: if there is none.
+        StudyError: if no run was successful.
     """
     table = index.read(place)
     columns = (table[name].to_pylist() for name in ("run", "status", "session"))
     found = [(run, place.path / path) for run, status, path in zip(*columns, strict=True) if status == OK]
     if not found:
-        raise StudyError(f"{place.path} has no run that went well: there is nothing to export")
+        raise StudyError(f"{place.path} has no successful run to export; run the study first")
     return found
 
 
@@ -66,7 +69,7 @@ def _write(folder: Path, out: Path, write: Callable[[StudyFolder, Path, Runs, in
     place = StudyFolder(folder)
     sessions = sessions_of(place)
     if out.exists():
-        raise StudyError(f"{out} is there already; choose another name, or remove it")
+        raise StudyError(f"{out} exists already; choose another name, or remove it")
     hidden = out.absolute().parent / f".unfinished-{out.name}-{secrets.token_hex(4)}"
     try:
         hidden.parent.mkdir(parents=True, exist_ok=True)

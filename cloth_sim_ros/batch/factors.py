@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a study varies: a name and how its values are distributed, made of a number within 0 and 1."""
+"""Factors of a study: named distributions, sampled by their quantile functions."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ import attrs
 from cloth_sim_ros.batch.errors import StudyError
 from cloth_sim_ros.scene.unknown import suggestion
 
-#: Most values of a list, or of `steps`.
+#: Limit of the number of values of a list or of `steps`.
 MOST_CHOICES = 1_000_000
 
 
 @attrs.frozen(kw_only=True)
 class Factor:
-    """One thing that varies."""
+    """A varied quantity and the distribution of its values."""
 
-    #: Full name: of a parameter, `name[i]` of an array's entry, `target.<gripper>.x` and the like, `policy.<name>`.
+    #: Full name of a parameter, `name[i]` for an array's entry, `target.<gripper>.x` and the like, or `policy.<name>`.
     name: str
-    #: One of `KINDS`.
+    #: Distribution, one of `KINDS`.
     kind: str
-    #: What the kind takes: the choices, or the two or three numbers.
+    #: Arguments of the distribution: the choices, or two or three numbers.
     values: tuple[Any, ...]
 
     @property
     def count(self) -> int | None:
-        """How many values there are; None where they are continuous or unbounded."""
+        """Number of values; None if they are continuous or unbounded."""
         if self.kind == "choices":
             return len(self.values)
         if self.kind == "steps":
@@ -38,11 +38,11 @@ class Factor:
         return int(self.values[1] - self.values[0]) + 1 if self.kind == "integers" else None
 
     def value(self, share: float) -> Any:
-        """The value at a share of the distribution, from 0 to 1."""
+        """Return the value at a quantile of the distribution, from 0 to 1."""
         return KINDS[self.kind][1](self.values, min(max(share, 0.0), 1.0))
 
     def at(self, index: int) -> Any:
-        """One of `count` values."""
+        """Return the value with an index below `count`."""
         if self.kind == "choices":
             return self.values[index]
         if self.kind == "integers":
@@ -50,7 +50,7 @@ class Factor:
         return _steps_at(self.values, index)
 
     def ends(self) -> list[Any]:
-        """Values that stand for all: the choices, or both ends of a range; a normal one has none."""
+        """Return the extreme values: all choices, or both ends of a range; none of a normal distribution."""
         if self.kind == "choices":
             return list(self.values)
         return [] if self.kind == "normal" else [self.value(0.0), self.value(1.0)]
@@ -75,14 +75,14 @@ def _uniform(values: tuple[Any, ...], share: float) -> float:
 
 def _log_uniform(values: tuple[Any, ...], share: float) -> float:
     low, high = float(values[0]), float(values[1])
-    # Rounding must not leave the range.
+    # Clip rounding errors to the range.
     return min(max(math.exp(math.log(low) + (math.log(high) - math.log(low)) * share), low), high)
 
 
 def _normal(values: tuple[Any, ...], share: float) -> float:
     from scipy.special import ndtri
 
-    # A share of exactly 0 or 1 would be infinitely far away.
+    # The quantiles 0 and 1 of a normal distribution are infinite.
     inside = min(max(share, 2.0**-53), 1.0 - 2.0**-53)
     return float(values[0]) + float(values[1]) * float(ndtri(inside))
 
@@ -92,7 +92,7 @@ def _integers(values: tuple[Any, ...], share: float) -> int:
     return min(low + int(share * (high - low + 1)), high)
 
 
-#: How values may be distributed: what each takes, and the value at a share.
+#: Distributions: description of the arguments, and the quantile function.
 KINDS: dict[str, tuple[str, Callable[[tuple[Any, ...], float], Any]]] = {
     "choices": ("a list of values", _choice),
     "steps": ("[lowest, highest, how many]", _steps),
@@ -104,10 +104,10 @@ KINDS: dict[str, tuple[str, Callable[[tuple[Any, ...], float], Any]]] = {
 
 
 def read(name: str, content: Any) -> Factor:
-    """Read one entry of `vary`: a list, or a distribution like ``{uniform: [0.1, 0.3]}``.
+    """Return the factor of one entry of `vary`: a list, or a distribution like ``{uniform: [0.1, 0.3]}``.
 
     Raises:
-        StudyError: naming the entry and what is wrong with it.
+        StudyError: if the entry is invalid; the text names entry and problem.
     """
     if isinstance(content, list):
         content = {"choices": content}
@@ -147,7 +147,7 @@ def _numbers(name: str, kind: str, given: list[Any]) -> tuple[Any, ...]:
     if not low < high:
         raise StudyError(
             f"vary: '{name}' has the empty range from {low} to {high}; the lowest comes first and is below the highest "
-            "(one value alone belongs into 'parameters')"
+            "(a single value belongs into 'parameters')"
         )
     if kind == "log_uniform" and low <= 0:
         raise StudyError(f"vary: '{name}' has the lowest value {low}; log_uniform takes {KINDS[kind][0]}")

@@ -1,11 +1,14 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of a study: who may find what in it, and how a file gets into it: whole, or not at all.
+"""Folder of a study, with atomic writes.
 
-study.json             the study, checked; with files/ and samples.json all that a worker needs
-runs/000/run_0000123.mcap   a run's session
-rows/000/0000123.json  a run's row, written last: a run that has one is finished
-index.parquet          all rows, gathered by the client
+study.json: the checked study. Workers need it, files/ and samples.json.
+
+runs/000/run_0000123.mcap: session of a run.
+
+rows/000/0000123.json: row of a run, written last. A run with a row is finished.
+
+index.parquet: table of all rows, written by the client.
 """
 
 from __future__ import annotations
@@ -26,14 +29,14 @@ from cloth_sim_ros.scene import files as scene_files
 from cloth_sim_ros.scene import input_file
 from cloth_sim_ros.session import plain_json
 
-#: Files of a folder: file systems slow down with many.
+#: Limit of files per folder, because file systems slow down with many files.
 _SHARD = 1000
 _HIDDEN = ".unfinished-"
-#: What to do about a file without which nothing can be gone on with.
-_BROKEN = "; nothing can be gone on with by it: put back the file as it was, or start in another folder"
-#: Longest text of all runs' values [bytes].
+#: Remedy for an unreadable file of the study.
+_BROKEN = "; the study can't continue with it: restore the file, or start in another folder"
+#: Limit of the size of samples.json [bytes].
 _MAX_SAMPLES = 1 << 26
-#: What a row has, and of what types.
+#: Keys of a row, and their types.
 _ROW: dict[str, type | tuple[type, ...]] = {
     "run": int,
     "status": str,
@@ -53,47 +56,51 @@ _ROW: dict[str, type | tuple[type, ...]] = {
 
 
 class StudyFolder:
-    """One study's folder."""
+    """Folder of one study.
+
+    Args:
+        path: the folder.
+    """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path).absolute()
 
     @property
     def study_file(self) -> Path:
-        """The checked study."""
+        """File of the checked study."""
         return self.path / "study.json"
 
     @property
     def index(self) -> Path:
-        """A row for each run."""
+        """File of the index: a table with a row for each run."""
         return self.path / "index.parquet"
 
     def session(self, run: int) -> Path:
-        """A run's session."""
+        """Return the session file of a run."""
         return self.path / "runs" / f"{run // _SHARD:03d}" / f"run_{run:07d}.mcap"
 
     def row_file(self, run: int) -> Path:
-        """A run's row."""
+        """Return the row file of a run."""
         return self.path / "rows" / f"{run // _SHARD:03d}" / f"{run:07d}.json"
 
     def create(self, study: Study, samples: Sequence[Sequence[Any]], text: str) -> None:
-        """Lay down a study, its name last; a folder that holds the same one already stays as it is.
+        """Write a study's files, study.json last; a folder with the same study is unchanged.
 
         Args:
-            study: what is run.
-            samples: each run's values.
+            study: the study.
+            samples: values of the factors for each run.
             text: the study as the user wrote it.
 
         Raises:
-            StudyError: if the folder holds another study, or something else.
-            FolderError: if it can't be written.
+            StudyError: if the folder holds another study or other files.
+            FolderError: if the folder can't be written.
         """
         content = self.fingerprint(study)
         if self.study_file.is_file():
             self.check_same(study)
             return
         if self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
-            raise StudyError(f"{self.path} is there already and holds no study; choose a new folder")
+            raise StudyError(f"{self.path} exists already and holds no study; choose a new folder")
         try:
             for name in ("files", "runs", "rows"):
                 (self.path / name).mkdir(parents=True, exist_ok=True)
@@ -109,7 +116,7 @@ class StudyFolder:
         """Refuse a folder that holds another study.
 
         Raises:
-            StudyError: naming what differs.
+            StudyError: if the studies differ; the text names the differences.
         """
         held, asked = self._content(self.study_file, dict), json.loads(self.fingerprint(study))
         other = [name for name in asked if held.get(name) != asked[name]]
@@ -120,14 +127,14 @@ class StudyFolder:
 
     @staticmethod
     def fingerprint(study: Study) -> str:
-        """The study's exact text, by which studies are told apart."""
+        """Return the study's exact text; two studies are the same if their texts are."""
         return study.to_json({name: _name_of(data) for name, data in study.files.items()})
 
     def read(self) -> Study:
-        """The study.
+        """Return the study.
 
         Raises:
-            StudyError: if there is none.
+            StudyError: if the folder holds no readable study.
         """
         try:
             text = input_file.read_text(self.study_file)
@@ -144,16 +151,16 @@ class StudyFolder:
             ) from error
 
     def _file(self, held: str) -> bytes:
-        """Content of a file that a parameter names, by the name that it has here: no path leads out of the folder."""
+        """Return the content of a parameter's file by its stored name, which can't lead out of the folder."""
         if not held.isalnum():
-            raise ValueError(f"'{held}' is no name of a file of the study")
+            raise ValueError(f"'{held}' is no file name of the study")
         return input_file.read_bytes(self.path / "files" / held, most=scene_files.MOST_BYTES)
 
     def samples(self, study: Study) -> list[tuple[Any, ...]]:
-        """Each run's values, as they were drawn when the study began.
+        """Return the values of the factors for each run, as they were drawn at the study's start.
 
         Raises:
-            StudyError: if they can't be read, or are not those of so many runs.
+            StudyError: if the file is unreadable, or its shape does not match the study.
         """
         path = self.path / "samples.json"
         drawn = self._content(path, list)
@@ -162,14 +169,18 @@ class StudyFolder:
         return [tuple(tuple(v) if isinstance(v, list) else v for v in values) for values in drawn]
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """The rows of all finished runs, in their order; one that can't be read counts as none."""
+        """Yield the rows of all finished runs, in their order; unreadable rows are skipped."""
         for path in sorted((self.path / "rows").glob("*/*.json")):
             row = read_row(path)
             if row is not None:
                 yield row
 
     def _content(self, path: Path, kind: type) -> Any:
-        """What one of the study's own files holds."""
+        """Return the JSON content of one of the study's own files.
+
+        Raises:
+            StudyError: if the file is unreadable or has another type of content.
+        """
         try:
             content = plain_json.loads(input_file.read_text(path, most=_MAX_SAMPLES), most=_MAX_SAMPLES)
         except (OSError, ValueError) as error:
@@ -179,13 +190,13 @@ class StudyFolder:
         return content
 
     def workplace(self, run: int) -> Path:
-        """Make a folder for one attempt at a run; nobody else writes into it."""
+        """Create and return a folder for one attempt of a run, which no other process uses."""
         place = self.path / "runs" / f"{_HIDDEN}{run:07d}-{secrets.token_hex(6)}"
         place.mkdir(parents=True)
         return place
 
     def write(self, path: Path, data: bytes) -> None:
-        """Give a file its content at once: whoever looks finds all of it, or what was there before."""
+        """Write a file atomically: a reader finds the new content or the previous one."""
         path.parent.mkdir(parents=True, exist_ok=True)
         hidden = path.parent / f"{_HIDDEN}{path.name}-{secrets.token_hex(6)}"
         try:
@@ -199,31 +210,34 @@ class StudyFolder:
             raise
 
     def write_row(self, row: Mapping[str, Any]) -> None:
-        """Write a run's row: from now on the run is finished."""
+        """Write a run's row, which marks the run as finished."""
         self.write(self.row_file(int(row["run"])), json.dumps(row, allow_nan=False).encode())
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Hold the folder for one client.
+        """Lock the folder for one client.
 
         Raises:
-            StudyError: if another one holds it.
+            StudyError: if another client has the lock.
         """
         descriptor = os.open(self.path / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         try:
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                raise StudyError(f"another cloth_batch works on {self.path}; wait for it, or end it") from None
+                raise StudyError(f"another cloth_batch works on {self.path}; wait for it, or stop it") from None
             except OSError:
-                # Some network file systems have no locks.
+                # Some network file systems do not support locks.
                 pass
             yield
         finally:
             os.close(descriptor)
 
     def remove_leftovers(self) -> None:
-        """Remove what killed workers left half-written. One that a lost client left at work fails by it, unheard."""
+        """Remove incomplete files of killed workers.
+
+        A worker of a lost client that still runs fails because of it, without a message.
+        """
         for path in list(self.path.rglob(f"{_HIDDEN}*")):
             if path.is_dir():
                 shutil.rmtree(path, ignore_errors=True)
@@ -232,7 +246,7 @@ class StudyFolder:
 
 
 def read_row(path: Path) -> dict[str, Any] | None:
-    """A run's row; None where there is none, or not all of it."""
+    """Return a run's row; None if it is missing or incomplete."""
     try:
         run, row = int(path.stem), plain_json.loads(input_file.read_text(path))
     except (OSError, ValueError):

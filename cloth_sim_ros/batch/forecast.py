@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a study will take, tried on the beginning of a run of it; and what only shows once one runs."""
+"""Cost estimate of a study, measured on the beginning of a run."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from cloth_sim_ros.batch.study import POLICY, TARGET, Study
 from cloth_sim_ros.batch.study_run import Motion, RunError
 from cloth_sim_ros.scene.parameters import ParameterError
 
-#: How long a run is tried [s of wall time].
+#: Wall time of the trial run [s].
 _PATIENCE = 2.0
-#: Runs of which one must begin.
+#: Number of runs that are tried until one starts.
 _TRIED = 8
 
 
 @attrs.frozen(kw_only=True)
 class Forecast:
-    """What a run takes, by its beginning."""
+    """Estimated cost of a run."""
 
     #: Wall time of one run on one core [s].
     seconds: float
-    #: Bytes of one run's session and row.
+    #: Size of one run's session and row [bytes].
     bytes: float
-    #: Frames of one run.
+    #: Number of frames of one run.
     frames: int
 
     def in_words(self, runs: int, cores: int) -> str:
-        """What all runs take."""
+        """Return a text with the cost of all runs on a number of cores."""
         hours = runs * self.seconds / 3600.0 / cores
         return (
             f"about {quantity(runs * self.bytes, 'B')} and {hours:,.2g} hours on {cores} cores "
@@ -47,7 +47,7 @@ class Forecast:
 
 
 def quantity(value: float, unit: str) -> str:
-    """A number with the prefix that suits it."""
+    """Return a number with a suitable SI prefix and its unit."""
     for prefix in ("", "k", "M", "G", "T"):
         if value < 1000.0:
             return f"{value:.3g} {prefix}{unit}"
@@ -56,17 +56,21 @@ def quantity(value: float, unit: str) -> str:
 
 
 def draw(study: Study, cores: int) -> tuple[list[tuple[Any, ...]], Forecast]:
-    """Draw each run's values, try the beginning of a run and check what can be checked.
+    """Return the values of each run and the cost estimate, after all checks that are possible.
+
+    Args:
+        study: the study.
+        cores: number of cores, for the error text.
 
     Raises:
-        StudyError: for too many runs, values that make no scene, a policy that raises.
+        StudyError: if there are too many runs, values are invalid, or the policy raises.
     """
     if study.runs > MOST_RUNS:
         few = attrs.evolve(study, runs=_TRIED)
         expected = attempt(study, _sample(few))
         raise StudyError(
             f"runs is {study.runs}; at most {MOST_RUNS} are possible. They would take "
-            f"{expected.in_words(study.runs, cores)}; split the study, or take fewer"
+            f"{expected.in_words(study.runs, cores)}; split the study, or reduce runs"
         )
     samples = _sample(study)
     _check_extremes(study, samples)
@@ -74,10 +78,10 @@ def draw(study: Study, cores: int) -> tuple[list[tuple[Any, ...]], Forecast]:
 
 
 def check_room(folder: Path, study: Study, forecast: Forecast) -> None:
-    """Refuse a study that will not fit on the disk.
+    """Refuse a study that exceeds the free disk space.
 
     Raises:
-        StudyError: naming what it takes and what there is.
+        StudyError: if the space is too small; the text names the required and the free space.
     """
     there = folder.absolute()
     while not there.exists():
@@ -85,18 +89,18 @@ def check_room(folder: Path, study: Study, forecast: Forecast) -> None:
     free = shutil.disk_usage(there).free
     needed = study.runs * forecast.bytes
     if needed > free:
-        advice = "leave the clouds out ('clouds: false'), " if study.clouds else ""
+        advice = "omit the clouds ('clouds: false'), " if study.clouds else ""
         raise StudyError(
             f"{study.runs} runs take about {quantity(needed, 'B')}, {folder} has {quantity(free, 'B')} left; "
-            f"{advice}take fewer runs or another disk"
+            f"{advice}reduce runs or use another disk"
         )
 
 
 def attempt(study: Study, samples: Sequence[Sequence[Any]]) -> Forecast:
-    """Try the beginning of a run: the first one that begins.
+    """Return the cost estimate of the first run that starts.
 
     Raises:
-        StudyError: if none of the first ones does.
+        StudyError: if none of the first runs starts.
     """
     names = [factor.name for factor in study.factors]
     first: RunError | None = None
@@ -110,7 +114,7 @@ def attempt(study: Study, samples: Sequence[Sequence[Any]]) -> Forecast:
                 break
             continue
         return _measure(study, run, dict(zip(names, values, strict=True)))
-    raise StudyError(f"no run begins: {first}")
+    raise StudyError(f"no run starts: {first}")
 
 
 def _measure(study: Study, run: int, named: dict[str, Any]) -> Forecast:
@@ -124,7 +128,7 @@ def _measure(study: Study, run: int, named: dict[str, Any]) -> Forecast:
                 recording.add(*motion.advance())
                 done += 1
         except RunError:
-            # This one fails on its way, and is recorded so when it is its turn.
+            # The run fails before its end. Its row will record that.
             done = max(done, 1)
         seconds = time.perf_counter() - begun
         opening = recording.bytes_written
@@ -143,7 +147,11 @@ def _sample(study: Study) -> list[tuple[Any, ...]]:
 
 
 def _check_extremes(study: Study, samples: Sequence[Sequence[Any]]) -> None:
-    """Refuse the least and the greatest drawn value of a parameter if it makes no scene."""
+    """Refuse the least and the greatest drawn value of a normal distribution if it is invalid.
+
+    Raises:
+        StudyError: if a value is invalid; the text names value and run.
+    """
     for index, factor in enumerate(study.factors):
         if factor.kind != "normal" or factor.name.partition(".")[0] in (TARGET, POLICY):
             continue
@@ -154,5 +162,5 @@ def _check_extremes(study: Study, samples: Sequence[Sequence[Any]]) -> None:
             except ParameterError as error:
                 raise StudyError(
                     f"vary: '{factor.name}' is {value!r} in run {drawn.index(value)}, of a normal distribution: "
-                    f"{error}; narrow it, or take uniform"
+                    f"{error}; narrow it, or use uniform"
                 ) from error

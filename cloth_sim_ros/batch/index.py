@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The index of a study's folder: a Parquet table with a row for each finished run."""
+"""Index of a study: a Parquet table with a row per finished run."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cloth_sim_ros.batch.folder import StudyFolder
 if TYPE_CHECKING:
     import pyarrow as pa
 
-#: Columns of every index; what varies and the outcomes follow, under their own names.
+#: Columns of every index and their types; columns of the factors and the outcomes follow.
 COLUMNS = {
     "run": "int64",
     "status": "string",
@@ -30,14 +30,14 @@ COLUMNS = {
     "session": "string",
     "bytes": "int64",
 }
-#: Before the names of outcomes, so that none can be taken for a parameter.
+#: Prefix of the names of outcomes, which separates them from parameters.
 OUTCOME = "outcome."
-#: Most bytes of an index once it is read, and most cells: a cell that repeats the one before takes nothing on the disk.
+#: Limits of an index in memory [bytes] and of its cells. Repeated cells take no space on the disk.
 _MAX_BYTES, _MAX_CELLS = 256 << 20, 20_000_000
 
 
 def table_of(rows: Iterable[dict[str, Any]]) -> pa.Table:
-    """A table of rows, in the order of the runs."""
+    """Return a table of rows, in the order of the runs."""
     import pyarrow as pa
 
     ordered = sorted(rows, key=lambda row: row["run"])
@@ -52,10 +52,10 @@ def table_of(rows: Iterable[dict[str, Any]]) -> pa.Table:
 
 
 def write(place: StudyFolder, rows: Iterable[dict[str, Any]]) -> None:
-    """Write the index, whole or not at all.
+    """Write the index atomically.
 
     Raises:
-        FolderError: if it can't be written.
+        FolderError: if the folder can't be written.
     """
     import pyarrow.parquet as pq
 
@@ -68,10 +68,10 @@ def write(place: StudyFolder, rows: Iterable[dict[str, Any]]) -> None:
 
 
 def read(place: StudyFolder) -> pa.Table:
-    """The index as it is on disk; gathered anew where the study was cut off before it could be written.
+    """Return the index; if the file is missing, for instance after a crash, it is rebuilt from the rows.
 
     Raises:
-        StudyError: if there is neither an index nor a study.
+        StudyError: if the folder holds no study, or the index is unreadable.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -83,12 +83,12 @@ def read(place: StudyFolder) -> pa.Table:
             _check_size(place)
             return _checked(pq.read_table(place.index))
     except (OSError, ValueError, pa.ArrowException) as error:
-        raise StudyError(f"cannot read {place.index}: {error} Remove it: the rows have all that it had") from error
+        raise StudyError(f"cannot read {place.index}: {error} Remove it: it is rebuilt from the rows") from error
     return table_of(place.rows())
 
 
 def _column(values: list[Any]) -> pa.Array:
-    """Numbers as numbers, texts as texts, arrays as lists of numbers; a mixture as JSON."""
+    """Return values as an Arrow array: numbers, texts or lists of numbers; mixed types as JSON."""
     import pyarrow as pa
 
     kinds = {type(value) for value in values if value is not None}
@@ -104,7 +104,7 @@ def _check_size(folder: StudyFolder) -> None:
     """Refuse an index that would take too much memory.
 
     Raises:
-        ValueError: naming the limit.
+        ValueError: if the index is too large; the text names the limits.
     """
     import pyarrow.parquet as pq
 
@@ -116,10 +116,10 @@ def _check_size(folder: StudyFolder) -> None:
 
 
 def _checked(table: pa.Table) -> pa.Table:
-    """The table, if it is an index.
+    """Return the table after a check of its columns.
 
     Raises:
-        ValueError: if it lacks a column, or has one of another type or with values missing.
+        ValueError: if a column is missing or has another type.
     """
     for name, kind in COLUMNS.items():
         column_type = str(table.schema.field(name).type) if name in table.column_names else "none"

@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs as a LeRobotDataset v3.0, written without the lerobot package: an episode a run, a row a frame.
+"""Writer of LeRobotDataset v3.0, without the lerobot package.
 
-A row holds what was known at the beginning of a frame, and the action that the frame then followed. The format is that
-of https://huggingface.co/docs/lerobot/lerobot-dataset-v3: data and episodes as Parquet, videos beside.
+A run is an episode, and a frame is a row. A row holds the observations at the beginning of the frame and the frame's
+action. Format: https://huggingface.co/docs/lerobot/lerobot-dataset-v3, with Parquet files and separate videos.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 CAMERA = "observation.images.cloth"
-#: Files of a chunk's folder, and the size at which a new file is begun [MB]: the format's own defaults.
+#: Number of files per chunk folder, and size of a full data or video file [MB]: the format's defaults.
 _CHUNK_FILES, _DATA_MB, _VIDEO_MB = 1000, 100, 200
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-#: What every dataset has besides: type and, of an episode's rows, the values.
+#: Further columns of every dataset and their types.
 _DEFAULTS = {
     "timestamp": "float32",
     "frame_index": "int64",
@@ -42,16 +42,16 @@ _DEFAULTS = {
 
 
 def write(path: Path, runs: Iterator[Trajectory], *, task: str, video: bool) -> None:
-    """Write runs.
+    """Write runs as a dataset.
 
     Args:
-        path: folder to make.
-        runs: the runs; all of one cloth.
-        task: what they do, in words.
-        video: whether each is rendered.
+        path: folder to create.
+        runs: the runs, all of one cloth.
+        task: description of the task.
+        video: true to render each run.
 
     Raises:
-        StudyError: if the runs differ in what they consist of, or their rate is no whole number.
+        StudyError: if the runs differ in rate, grippers, obstacles or particles, or the rate is no whole number.
     """
     dataset: _Dataset | None = None
     try:
@@ -67,7 +67,7 @@ def write(path: Path, runs: Iterator[Trajectory], *, task: str, video: bool) -> 
 
 
 def features_of(run: Trajectory) -> dict[str, dict[str, Any]]:
-    """Names and widths of what a run's rows hold, as info.json has them."""
+    """Return the features of a run's rows in the form of info.json."""
     grippers, particles = run.grippers, run.positions.shape[1]
     poses = [f"{name}.{axis}" for name in grippers for axis in (*_POSE, "closed")]
     actions = [f"{name}.{axis}" for name in grippers for axis in (*_POSE, "close")]
@@ -90,9 +90,9 @@ def features_of(run: Trajectory) -> dict[str, dict[str, Any]]:
 
 
 def columns_of(run: Trajectory) -> dict[str, np.ndarray]:
-    """An episode's rows: what was known when each frame began, shape (T, width)."""
+    """Return the columns of an episode: observations at the beginning of each frame, shape (T, width) each."""
     count = len(run.actions)
-    # The wrench that is known is that of the frame before; before the first there is none.
+    # The observed wrench is that of the previous frame; the first frame has none.
     wrenches = np.concatenate([np.zeros_like(run.wrenches[:1]), run.wrenches[:-1]])
     found = {
         "observation.state": run.poses[:-1],
@@ -106,11 +106,11 @@ def columns_of(run: Trajectory) -> dict[str, np.ndarray]:
 
 
 class _Dataset:
-    """One dataset that grows by episodes."""
+    """Dataset to which episodes are appended."""
 
     def __init__(self, path: Path, run: Trajectory, *, task: str, video: bool) -> None:
         if not float(run.rate).is_integer():
-            raise StudyError(f"the scene's rate is {run.rate} Hz; LeRobot has whole frames per second: set rate so")
+            raise StudyError(f"the scene's rate is {run.rate} Hz; LeRobot needs a whole number: change rate")
         self._path, self._task, self._video = path, task, video
         self._fps = int(run.rate)
         self._features = features_of(run)
@@ -126,12 +126,12 @@ class _Dataset:
         if run.rate != self._fps:
             raise StudyError(
                 f"rate of run {run.run} is {run.rate} Hz, of the first one {self._fps}; a dataset has one for all "
-                "episodes: leave rate out of what varies, or export with --mcap"
+                "episodes: remove rate from vary, or export with --mcap"
             )
         if features_of(run) != self._features:
             raise StudyError(
                 f"run {run.run} has other grippers, obstacles or particles than the first one; LeRobot has one layout "
-                "for all episodes: export with --zarr, or vary what leaves them"
+                "for all episodes: export with --zarr, or do not vary them"
             )
         count, episode = len(run.actions), len(self._episodes)
         columns = columns_of(run)
@@ -159,13 +159,13 @@ class _Dataset:
         self._episodes.append(entry | flat | {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0})
 
     def close(self) -> None:
-        """Close the file that is being written."""
+        """Close the current data file."""
         if self._writer is not None:
             self._writer.close()
             self._writer = None
 
     def finish(self) -> None:
-        """Write what tells of the episodes."""
+        """Write the metadata of the dataset."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -198,7 +198,7 @@ class _Dataset:
         (self._path / "meta" / "stats.json").write_text(json.dumps(total, indent=4))
 
     def _write_rows(self, columns: dict[str, np.ndarray]) -> tuple[int, int]:
-        """Write an episode's rows as one row group; the chunk and the file they are in."""
+        """Write an episode's rows as one row group and return the indices of its chunk and file."""
         import pyarrow.parquet as pq
 
         table = _table(columns, self._features)
@@ -216,7 +216,7 @@ class _Dataset:
         return self._file // _CHUNK_FILES, self._file % _CHUNK_FILES
 
     def _write_video(self, run: Trajectory, episode: int, stats: dict[str, Any]) -> dict[str, Any]:
-        """Render an episode into a file of its own; where it is."""
+        """Render an episode into its own file and return the file's location for the episodes table."""
         from cloth_sim_ros.batch.video import render
 
         chunk, file = episode // _CHUNK_FILES, episode % _CHUNK_FILES
@@ -233,7 +233,7 @@ class _Dataset:
 
 
 def _table(columns: dict[str, np.ndarray], features: dict[str, dict[str, Any]]) -> pa.Table:
-    """Rows as Arrow: lists of fixed length, and what Hugging Face's datasets asks for in the schema's metadata."""
+    """Return rows as an Arrow table with fixed-length lists and the schema metadata of Hugging Face's datasets."""
     import pyarrow as pa
 
     arrays, told = {}, {}
@@ -251,7 +251,7 @@ def _table(columns: dict[str, np.ndarray], features: dict[str, dict[str, Any]]) 
 
 
 def _tasks(task: str) -> pa.Table:
-    """The tasks as pandas reads them: the words are the index."""
+    """Return the table of tasks with pandas metadata; the task's text is the index."""
     import pyarrow as pa
 
     def column(name: str, kind: str, numpy_kind: str) -> dict[str, Any]:

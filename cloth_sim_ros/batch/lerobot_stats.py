@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Statistics of a dataset's features, as LeRobot normalises by them: of each episode, and of all together."""
+"""Statistics of a dataset's features for LeRobot's normalisation."""
 
 from __future__ import annotations
 
@@ -9,14 +9,21 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-#: Quantiles by their names in the format.
+#: Quantiles by name in the format.
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 
 Statistics = dict[str, NDArray[np.float64]]
 
 
 def statistics(values: NDArray[np.generic]) -> Statistics:
-    """Of one feature over an episode's frames, shape (T, width) or (T,): arrays of the width; `count` is the frames."""
+    """Return the statistics of one feature over an episode.
+
+    Args:
+        values: shape (T, width) or (T,).
+
+    Returns:
+        Arrays of shape (width,); `count` is the number of frames, shape (1,).
+    """
     wide = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
     found = {
         "min": wide.min(axis=0),
@@ -30,7 +37,10 @@ def statistics(values: NDArray[np.generic]) -> Statistics:
 
 
 def aggregate(episodes: Sequence[dict[str, Statistics]]) -> dict[str, Statistics]:
-    """Of all episodes: exact but for the quantiles, which are means over episodes by their frames, as LeRobot's are."""
+    """Return the statistics of all episodes.
+
+    Quantiles are means over the episodes, weighted by their frames, as in LeRobot. All others are exact.
+    """
     total: dict[str, Statistics] = {}
     for name in episodes[0]:
         each = {key: np.array([episode[name][key] for episode in episodes]) for key in episodes[0][name]}

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command `cloth_batch`: runs a study; `check`, `view` and `export`."""
+"""The command `cloth_batch`: runs, checks, shows and exports studies."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from pathlib import Path
 from cloth_sim_ros.batch.errors import StoppedError, StudyError
 from cloth_sim_ros.session.console import escape_unencodable
 
-#: Exit statuses: every run went well; some did not, or the study had to stop; bad input; a signal.
+#: Exit statuses: every run was successful; a run failed, or the study stopped; bad input; interrupted.
 WELL, NOT_ALL, REFUSED, INTERRUPTED = 0, 1, 2, 130
 _COMMANDS = ("check", "view", "export")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; its exit status."""
+    """Run the command and return its exit status."""
     escape_unencodable()
     given = list(sys.argv[1:] if arguments is None else arguments)
     name = given[0] if given and given[0] in _COMMANDS else "run"
@@ -36,14 +36,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"cloth_batch: {error}", file=sys.stderr)
         return NOT_ALL
     except BrokenPipeError:
-        # Whoever reads the output (head, less) has had enough.
+        # The reader of the output (head, less) has closed the pipe.
         sys.stderr.close()
         return WELL
     except OSError as error:
         print(f"cloth_batch: {error.filename or 'output'}: {error.strerror or error}", file=sys.stderr)
         return REFUSED
     except KeyboardInterrupt:
-        print("cloth_batch: interrupted; finished runs are kept, --resume goes on", file=sys.stderr)
+        print("cloth_batch: interrupted; finished runs are kept; continue with --resume", file=sys.stderr)
         return INTERRUPTED
     return status
 
@@ -57,24 +57,24 @@ def _check_libraries() -> None:
 def _run_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="cloth_batch",
-        description="Runs a study: many simulations of one scene, on all cores or on a Dask cluster. Each run is a "
-        "session of its own. Exit status 0: every run went well; 1: some did not, or the study had to stop; "
-        "2: it was refused before the first run.",
+        description="Runs a study: many simulations of one scene, on all cores or on a Dask cluster. Each run is "
+        "recorded as a session. Exit status 0: every run was successful; 1: a run failed, or the study stopped; "
+        "2: the study was refused before the first run.",
         epilog="also: cloth_batch check study.yaml, cloth_batch view FOLDER, cloth_batch export FOLDER",
     )
-    parser.add_argument("study", type=Path, metavar="study.yaml", help="what is run; docs/studies.md describes it")
-    parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="where the results go")
-    parser.add_argument("--resume", action="store_true", help="go on with a study that was cut off")
-    parser.add_argument("--retry-failed", action="store_true", help="with --resume: run those again that failed")
+    parser.add_argument("study", type=Path, metavar="study.yaml", help="the study; see docs/studies.md")
+    parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the results")
+    parser.add_argument("--resume", action="store_true", help="continue an interrupted study")
+    parser.add_argument("--retry-failed", action="store_true", help="with --resume: repeat failed runs")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="a running Dask cluster, instead of this machine")
-    where.add_argument("--workers", type=_positive, metavar="N", help="worker processes here (default: one a core)")
+    where.add_argument("--workers", type=_positive, metavar="N", help="local worker processes (default: one per core)")
     parser.add_argument(
         "--wait",
         type=_seconds,
         default=300.0,
         metavar="SECONDS",
-        help="how long a scheduler that is gone is waited for (default: %(default)g)",
+        help="time limit for a lost scheduler to return (default: %(default)g)",
     )
     parser.set_defaults(run=_run)
     return parser
@@ -82,7 +82,7 @@ def _run_parser() -> argparse.ArgumentParser:
 
 def _check_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="cloth_batch check", description="Says what is wrong with a study, or what it will take; runs nothing."
+        prog="cloth_batch check", description="Checks a study and estimates its cost; runs nothing."
     )
     parser.add_argument("study", type=Path, metavar="study.yaml")
     parser.set_defaults(run=_check)
@@ -90,11 +90,11 @@ def _check_parser() -> argparse.ArgumentParser:
 
 
 def _view_parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="cloth_batch view", description="Shows what a study came to.")
+    parser = argparse.ArgumentParser(prog="cloth_batch view", description="Shows the results of a study.")
     parser.add_argument("folder", type=Path, metavar="FOLDER")
-    parser.add_argument("--outcome", metavar="NAME", help="of the plot, and the order of the table")
-    parser.add_argument("--over", metavar="NAME", help="what varies, along the plot's x axis")
-    parser.add_argument("--plot", type=Path, metavar="OUT.png", help="draw the outcome over what varies")
+    parser.add_argument("--outcome", metavar="NAME", help="outcome of the plot, and order of the table")
+    parser.add_argument("--over", metavar="NAME", help="factor on the plot's x axis")
+    parser.add_argument("--plot", type=Path, metavar="OUT.png", help="plot the outcome over the factor")
     parser.add_argument("--rows", type=_positive, default=20, metavar="N", help="rows of the table (default: 20)")
     parser.add_argument("--run", type=int, dest="number", metavar="K", help="open one run in Rerun")
     parser.add_argument("--save", type=Path, metavar="OUT.rrd", help="with --run: write the recording instead")
@@ -104,15 +104,15 @@ def _view_parser() -> argparse.ArgumentParser:
 
 def _export_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="cloth_batch export", description="Writes the runs that went well as a dataset for learning."
+        prog="cloth_batch export", description="Writes the successful runs as a dataset for learning."
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER")
     kind = parser.add_mutually_exclusive_group(required=True)
-    kind.add_argument("--zarr", type=Path, metavar="OUT.zarr", help="zarr v3: a chunk a run, float32")
-    kind.add_argument("--lerobot", type=Path, metavar="OUT", help="LeRobotDataset v3.0: an episode a run")
-    kind.add_argument("--mcap", type=Path, metavar="OUT", help="sessions with clouds, also where they were left out")
-    parser.add_argument("--video", action="store_true", help="with --lerobot: render each run, too (slow)")
-    parser.add_argument("--task", default="move the cloth", help="with --lerobot: the task in words")
+    kind.add_argument("--zarr", type=Path, metavar="OUT.zarr", help="zarr v3: one chunk per run, float32")
+    kind.add_argument("--lerobot", type=Path, metavar="OUT", help="LeRobotDataset v3.0: one episode per run")
+    kind.add_argument("--mcap", type=Path, metavar="OUT", help="sessions with clouds, also if the study omitted them")
+    parser.add_argument("--video", action="store_true", help="with --lerobot: also render each run (slow)")
+    parser.add_argument("--task", default="move the cloth", help="with --lerobot: description of the task")
     parser.set_defaults(run=_export)
     return parser
 
@@ -122,7 +122,7 @@ def _run(options: argparse.Namespace) -> int:
     from cloth_sim_ros.batch.study_session import run_study
 
     if options.retry_failed and not options.resume:
-        raise StudyError("--retry-failed goes on with a study: it needs --resume")
+        raise StudyError("--retry-failed continues a study: it needs --resume")
     return run_study(
         options.study,
         options.out,
@@ -154,7 +154,7 @@ def _view(options: argparse.Namespace) -> int:
     from cloth_sim_ros.batch.view import view
 
     if options.plot is not None and not (options.outcome and options.over):
-        raise StudyError("--plot draws an outcome over what varies: it needs --outcome and --over")
+        raise StudyError("--plot draws an outcome over a factor: it needs --outcome and --over")
     if options.save is not None and options.number is None:
         raise StudyError("--save writes one run: it needs --run")
     return view(
@@ -197,7 +197,7 @@ def _seconds(text: str) -> float:
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds") from None
     if not 0.0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"{value} s can't be waited; give 0 or more")
+        raise argparse.ArgumentTypeError(f"{value} s is no waiting time; give 0 or more")
     return value
 
 

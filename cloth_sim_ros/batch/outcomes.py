@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a run came to, in a few numbers: those that every run has, and functions of the user's."""
+"""Outcomes of a run: built-in numbers and functions of the user."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 
 class OutcomeError(RuntimeError):
-    """An outcome of the user's own that can't be taken; the message says why."""
+    """A user's outcome function failed; the message gives the cause."""
 
 
-#: The outcomes of every run, and what each is.
+#: Built-in outcomes of every run, with descriptions.
 BUILT_IN = {
     "mean_height": "mean height of the particles at the end [m]",
     "lowest_height": "lowest height of a particle at the end [m]",
@@ -33,25 +33,29 @@ BUILT_IN = {
 
 
 class OutcomeWatch:
-    """Looks on while a simulation runs."""
+    """Records the frames of a simulation and computes its outcomes.
+
+    Args:
+        simulation: the simulation, at its start.
+    """
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
         self._initial = simulation.positions
         self._times: list[float] = []
         self._wrenches: list[Any] = []
-        #: Frames that missed their share of the tolerance.
+        #: Number of frames that may have missed the tolerance.
         self.flagged = 0
-        #: Sum of the frames' estimated position errors [m]; None where no tolerance is set.
+        #: Sum of the frames' estimated position errors [m]; None if no tolerance is set.
         self.error: float | None = None
 
     @property
     def frames(self) -> int:
-        """Frames that were seen."""
+        """Number of recorded frames."""
         return len(self._times)
 
     def add(self, frame: Frame) -> None:
-        """Take a frame."""
+        """Record a frame."""
         self._times.append(frame.time)
         self._wrenches.append(frame.wrenches.copy())
         if frame.advance is not None:
@@ -60,7 +64,7 @@ class OutcomeWatch:
                 self.error = (self.error or 0.0) + float(frame.advance.error)
 
     def outcomes(self) -> dict[str, float]:
-        """The built-in outcomes."""
+        """Return the built-in outcomes by name."""
         x, v = self._simulation.state.x, self._simulation.state.v
         wrenches = np.array(self._wrenches).reshape(-1, 6)
         forces, torques = wrenches[:, :3], wrenches[:, 3:]
@@ -77,10 +81,14 @@ class OutcomeWatch:
         }
 
     def own(self, functions: Mapping[str, Callable[..., Any]], values: dict[str, Any]) -> dict[str, Any]:
-        """Outcomes of the user's functions, by reference; one may return a number or several by name.
+        """Return the outcomes of the user's functions by name.
+
+        Args:
+            functions: functions by reference; each returns a number, or several numbers by name.
+            values: values of the factors of this run.
 
         Raises:
-            OutcomeError: naming the function.
+            OutcomeError: if a function fails; the text names it.
         """
         simulation = self._simulation
         finished = Finished(
@@ -100,7 +108,7 @@ class OutcomeWatch:
             answers = answer if isinstance(answer, Mapping) else {reference.rpartition(":")[2]: answer}
             for name, value in answers.items():
                 if name in BUILT_IN:
-                    raise OutcomeError(f"outcome '{reference}' gives '{name}', which every run has; name it otherwise")
+                    raise OutcomeError(f"outcome '{reference}' gives '{name}', which every run has; rename it")
                 found[str(name)] = _plain(reference, str(name), value)
         return found
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A run as a recorded session: the same file that a node records, without ROS and without a clock."""
+"""Recorder of a run as a session file, without ROS."""
 
 from __future__ import annotations
 
@@ -21,37 +21,37 @@ from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target, to_dict
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 NODE = "/cloth_sim"
-#: ROS time of every run's start [ns]: a fixed number, so that the same run has the same bytes.
+#: ROS time of every run's start [ns]: constant, so that the same run has the same bytes.
 START = 1_800_000_000_000_000_000
-#: Frames that are laid down together. One after the other that takes half as long as between two frames of the engine,
-#: which leaves nothing of it in the processor's nearest caches.
+#: Number of frames that are written together. This halves the time of writing, because the engine evicts the recorder
+#: from the processor's inner caches in each frame.
 _TOGETHER = 32
-#: Made once: a union of types takes longer to make than to ask for.
+#: Events with a target pose; a constant, because building a union type takes longer than the test of a type.
 _AIMED = (Target, Move)
 
 
 class _Waiting(NamedTuple):
-    """A frame that is still to be laid down."""
+    """Frame that is not yet written."""
 
-    #: ROS time of its end [ns], and the events with which it began, as they came.
+    #: ROS time of the frame's end [ns], and the events at its beginning, in order of arrival.
     now: int
     events: tuple[Event, ...]
-    #: Its record, and the points' bytes.
+    #: Frame record, and message bytes of the cloud.
     content: dict[str, Any]
     cloud: bytes | None
-    #: Topic of each wrench, and the wrenches: numbers of grippers, then of obstacles.
+    #: Topics and wrenches [N, N m] of the grippers, then of the obstacles.
     topics: Sequence[str]
     wrenches: list[list[float]]
 
 
 class RunRecording:
-    """Writes a simulation's frames into one session file. Methods may raise OSError as the system reports it.
+    """Writes a simulation's frames into one session file; methods may raise OSError.
 
     Args:
-        folder: of the run alone; the file gets its place when it is complete.
-        simulation: what is recorded, at its start.
-        name: of the session.
-        clouds: whether the particles' positions are written each frame; a session without them runs again all the same.
+        folder: folder of this run alone; the caller moves the complete file.
+        simulation: the recorded simulation, at its start.
+        name: name of the session.
+        clouds: true to write the particles' positions of each frame; sessions without clouds can be rerun too.
     """
 
     def __init__(self, folder: Path, simulation: Simulation, *, name: str, clouds: bool) -> None:
@@ -72,7 +72,7 @@ class RunRecording:
             ),
             stem=name,
             log_time=START,
-            # Chunks are closed by their size alone: by their age the bytes would depend on the machine's speed.
+            # Only the size closes a chunk. With a time limit the bytes would depend on the machine's speed.
             options=WriterOptions(sync_seconds=0.0),
         )
         self._writer.declare(f"{NODE}/topology", messages.MESH, Qos(durability="transient_local", depth=1))
@@ -88,11 +88,11 @@ class RunRecording:
 
     @property
     def bytes_written(self) -> int:
-        """Bytes that are in the file."""
+        """Size of the file [bytes]."""
         return self._writer.bytes_written
 
     def add(self, events: Sequence[Event], frame: Frame) -> None:
-        """Write the frame that was just computed: its commands, its record, then what shows it; not each at once."""
+        """Add the latest frame: commands, frame record, cloud and wrenches. Frames are written in groups."""
         simulation = self._simulation
         if simulation.scene is not self._scene:
             self._follow(simulation.scene)
@@ -101,7 +101,7 @@ class RunRecording:
         content = {
             "frame": frame.index,
             "time": frame.time,
-            # Now: values of parameters are the user's own, who may change them.
+            # Convert immediately, because the user may change the values of parameters later.
             "events": [to_dict(event) for event in frame.events],
             "integrator": frame.integrator,
             "tolerance": frame.tolerance,
@@ -126,7 +126,7 @@ class RunRecording:
             self._lay_down()
 
     def finish(self, *, reason: str) -> Path:
-        """Write what waits, close the file and wait until it would survive a power loss; its path."""
+        """Write the pending frames, close the file, synchronise it to the disk and return its path."""
         self._lay_down()
         self._writer.finish(reason=reason)
         with self._writer.path.open("rb") as file:
@@ -134,16 +134,16 @@ class RunRecording:
         return self._writer.path
 
     def abandon(self) -> None:
-        """Close the file as it is."""
+        """Close the file in its current state."""
         self._writer.abandon()
 
     def _follow(self, scene: Scene) -> None:
-        """Take note of a scene that is in force from here on."""
+        """Set the scene of the following frames."""
         self._scene, self._period = scene, scene.period
         self._topics = [f"{NODE}/{name}/wrench" for name in (*scene.gripper_names, *scene.obstacle_names)]
 
     def _lay_down(self) -> None:
-        """Write the frames that wait."""
+        """Write the pending frames."""
         waiting, self._waiting = self._waiting, []
         for now, events, content, cloud, topics, wrenches in waiting:
             self._now = now

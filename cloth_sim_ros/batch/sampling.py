@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The runs of a study: which values each one has. Computed once, by the client, and kept in the study's folder."""
+"""Sampling of a study's factors: values for each run.
+
+The client computes the values once and stores them in the study's folder.
+"""
 
 from __future__ import annotations
 
@@ -15,17 +18,17 @@ from numpy.typing import NDArray
 from cloth_sim_ros.batch.errors import StudyError
 from cloth_sim_ros.batch.factors import Factor
 
-#: Most runs of a study.
+#: Limit of the number of runs of a study.
 MOST_RUNS = 10_000_000
-#: How the space of what varies is filled.
+#: Sampling methods.
 SAMPLINGS = ("sobol", "latin_hypercube", "random", "grid")
 
 
 def grid_size(factors: Sequence[Factor]) -> int:
-    """How many combinations a full grid has.
+    """Return the number of combinations of a full grid.
 
     Raises:
-        StudyError: if something varies continuously.
+        StudyError: if a factor is continuous.
     """
     for factor in factors:
         if factor.count is None:
@@ -40,10 +43,10 @@ def sample(factors: Sequence[Factor], *, runs: int, seed: int, sampling: str) ->
     """Return the values of each run, in the order of the factors.
 
     Args:
-        factors: what varies.
-        runs: how many.
-        seed: of the sequence.
-        sampling: one of `SAMPLINGS`; a grid runs through the last factor first.
+        factors: the factors.
+        runs: number of runs.
+        seed: seed of the random sequence.
+        sampling: one of `SAMPLINGS`; in a grid the last factor varies fastest.
     """
     if not factors:
         return [()] * runs
@@ -57,15 +60,15 @@ def sample(factors: Sequence[Factor], *, runs: int, seed: int, sampling: str) ->
 
 
 def _shares(dimensions: int, runs: int, seed: int, sampling: str) -> NDArray[np.float64]:
-    """Numbers from 0 to 1, shape (runs, dimensions)."""
+    """Return samples of the unit cube, shape (runs, dimensions)."""
     from scipy.stats import qmc
 
     generator = np.random.default_rng(seed)
     if sampling == "random":
         return generator.random((runs, dimensions))
     with warnings.catch_warnings():
-        # A number of points that is no power of two balances less well, and scipy's new name for the seed is not in
-        # its older releases.
+        # scipy warns if the number of Sobol points is no power of two, and about the seed's old name, which its older
+        # releases need.
         warnings.simplefilter("ignore")
         engine: Any = qmc.Sobol if sampling == "sobol" else qmc.LatinHypercube
         return np.asarray(engine(dimensions, seed=generator).random(runs))

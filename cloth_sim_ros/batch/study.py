@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A study, checked and whole: the scene, what commands it, what varies, how many runs. Workers read its text form."""
+"""Checked description of a study: scene, commands, factors and number of runs.
+
+Workers read its JSON form.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ from cloth_sim_ros.session import plain_json
 from cloth_sim_ros.simulation.gripper_script import GripperScript
 
 VERSION = 1
-#: Begin the names of what varies of a script and of what a policy is told.
+#: First part of the names of factors that move a script's targets, and of a policy's values.
 TARGET, POLICY = "target", "policy"
 _ENTRY = re.compile(r"(.+)\[(\d{1,9})\]")
 _AXES = ("x", "y", "z")
@@ -31,36 +34,41 @@ _AXES = ("x", "y", "z")
 
 @attrs.frozen(kw_only=True)
 class Study:
-    """What every run has in common, and what varies."""
+    """Common settings of all runs, and the factors that vary."""
 
     #: Parameters of the scene by full name.
     parameters: dict[str, Any]
-    #: Content of the files that parameters name, by that name, whatever they vary over.
+    #: Content of all files that parameters and factors name, by that name.
     files: dict[str, bytes] = attrs.field(repr=False)
     #: Scripted grasps, one for each gripper.
     scripts: tuple[GripperScript, ...]
+    #: Policy that replaces scripts, or None.
     policy: Source | None
+    #: Outcome functions of the user.
     outcomes: tuple[Source, ...]
     #: Simulated time of each run [s].
     duration: float
     factors: tuple[Factor, ...]
+    #: Number of runs.
     runs: int
+    #: Seed of the sampling and of the runs' random numbers.
     seed: int
+    #: Sampling method, one of `SAMPLINGS`.
     sampling: str
-    #: Whether sessions hold the clouds.
+    #: True if sessions hold the clouds.
     clouds: bool
 
     def to_json(self, files: Mapping[str, str]) -> str:
-        """The exact text, the same for the same study; `files` gives a name for the content of each file."""
+        """Return the JSON text, which is unique for a study; `files` maps the name of each file to a stored name."""
         content = attrs.asdict(self, filter=lambda field, _: field.name != "files")
         return json.dumps({"version": VERSION, **content, "files": dict(files)}, sort_keys=True, indent=1)
 
     @classmethod
     def from_json(cls, text: str, files: Mapping[str, bytes]) -> Study:
-        """Read what `to_json` gave."""
+        """Return a study from the text of `to_json` and the content of its files."""
         content = plain_json.loads(text, most=input_file.MAX_TEXT)
         if content.pop("version", None) != VERSION:
-            raise StudyError(f"the study has another version than {VERSION}; use the package that made it")
+            raise StudyError(f"the study's version is not {VERSION}; use the package version that wrote it")
         content["parameters"] = _tuples(content["parameters"])
         content["files"] = dict(files)
         content["scripts"] = tuple(_script(entry) for entry in content["scripts"])
@@ -73,13 +81,16 @@ class Study:
         return cls(**content)
 
     def scene(self, values: Mapping[str, Any]) -> Scene:
-        """The scene of a run.
+        """Return the scene of a run.
+
+        Args:
+            values: values of the factors by name.
 
         Raises:
-            ParameterError: if these values make none.
+            ParameterError: if the values are invalid.
         """
         changed = dict(self.parameters)
-        # Entries of an array after the array.
+        # Set entries of an array after the array.
         for name in sorted(values, key=lambda name: "[" in name):
             if name.partition(".")[0] in (TARGET, POLICY):
                 continue
@@ -96,7 +107,7 @@ class Study:
         return Scene.from_parameters(changed, files=self.files)
 
     def moved_scripts(self, values: Mapping[str, Any]) -> list[GripperScript]:
-        """The scripts of a run: their positions moved by what varies of them."""
+        """Return the scripts of a run, with positions displaced by the factors `target.*` [m]."""
         scripts = list(self.scripts)
         for name, value in values.items():
             if name.partition(".")[0] == TARGET:
@@ -105,26 +116,24 @@ class Study:
         return scripts
 
     def seed_of(self, run: int) -> int:
-        """The seed of a run's random numbers, of 64 bits."""
+        """Return the 64-bit seed of a run's random numbers."""
         return int(np.random.SeedSequence([self.seed, run]).generate_state(1, np.uint64)[0])
 
 
 def target_of(name: str, scripts: Sequence[GripperScript]) -> tuple[int, int | None, int]:
-    """Which script, which of its positions (None for all) and which axis ``target.<gripper>[.<number>].<axis>`` names.
+    """Return the indices of script, position (None for all) and axis of ``target.<gripper>[.<number>].<axis>``.
 
     Raises:
-        StudyError: if there is none.
+        StudyError: if the name matches no target.
     """
     grippers = [script.gripper for script in scripts]
     parts = name.split(".")[1:]
     if len(parts) not in (2, 3) or parts[-1] not in _AXES:
-        raise StudyError(
-            f"vary: '{name}' is no target; write target.<gripper>.<x, y or z>, or target.<gripper>.<n>.<x>"
-        )
+        raise StudyError(f"vary: '{name}' is no target; give target.<gripper>.<x, y or z>, or target.<gripper>.<n>.<x>")
     if parts[0] not in grippers:
         there = ", ".join(grippers) or "none (a policy moves its grippers itself)"
         raise StudyError(
-            f"vary: '{name}': there is no script for a gripper '{parts[0]}'; there is {there}"
+            f"vary: '{name}': no script is for a gripper '{parts[0]}'; scripts are for {there}"
             f"{suggestion(parts[0], grippers)}"
         )
     which = grippers.index(parts[0])

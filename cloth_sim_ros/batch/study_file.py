@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reading a study from its YAML file; whatever is wrong in it is told here, before anything runs."""
+"""Reader and checks of a study's YAML file."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.unknown import is_of_ros, suggestion
 from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
-#: Entries of a study, and what each is.
+#: Entries of a study, with descriptions.
 ENTRIES = {
-    "scene": "a ROS parameter file, looked for beside the study and in config/",
-    "parameters": "parameters by full name, over the scene's",
+    "scene": "a ROS parameter file, in the study's folder or in config/",
+    "parameters": "parameters by full name, which replace the scene's",
     "scripts": "scripted grasps, as cloth_gripper plays them, one for each gripper",
     "policy": "file.py:name or module:name, called each frame instead of scripts",
-    "duration": "simulated time of a run [s]; that of the longest script where left out",
-    "vary": "what varies, by name: a list of values or a distribution",
-    "runs": "how many; of a grid all its combinations where left out",
-    "seed": "a whole number, 0 where left out",
+    "duration": "simulated time of a run [s]; by default that of the longest script",
+    "vary": "factors by name: a list of values or a distribution",
+    "runs": "number of runs; by default all combinations of a grid",
+    "seed": "a whole number, by default 0",
     "sampling": ", ".join(SAMPLINGS),
-    "clouds": "whether sessions hold the clouds (true), or what it takes to run them again",
-    "outcomes": "outcomes of your own, file.py:name or module:name",
+    "clouds": "true if sessions hold the clouds, false for the data of a rerun alone",
+    "outcomes": "outcome functions, file.py:name or module:name",
 }
-#: Longest run [s].
+#: Longest duration of a run [s].
 _LONGEST = 1e6
 
 
@@ -45,7 +45,7 @@ def read(path: str | Path) -> Study:
     """Read and check a study.
 
     Raises:
-        StudyError: naming the file, the entry and what is wrong with it.
+        StudyError: if the file is invalid; the text names file, entry and problem.
     """
     import yaml
 
@@ -61,9 +61,17 @@ def read(path: str | Path) -> Study:
 
 
 def from_dict(content: Any, *, folder: Path) -> Study:
-    """Build a study from what its YAML holds; file names start at a folder."""
+    """Return a study from the content of its YAML file.
+
+    Args:
+        content: the content.
+        folder: folder of relative file names.
+
+    Raises:
+        ValueError: if an entry is invalid (StudyError, ParameterError or ScriptError).
+    """
     if not isinstance(content, Mapping):
-        raise StudyError(f"a study has entries {', '.join(ENTRIES)}; this is {str(content)[:40]!r}")
+        raise StudyError(f"the study is {str(content)[:40]!r}; it must have entries {', '.join(ENTRIES)}")
     for name in content:
         if name not in ENTRIES:
             raise StudyError(
@@ -110,7 +118,7 @@ def _find(name: str, what: str, folder: Path) -> Path:
 
 def _flat(tree: Any, what: str, prefix: str = "") -> dict[str, Any]:
     if not isinstance(tree, Mapping):
-        raise StudyError(f"{what} is {tree!r}; it has parameters by name")
+        raise StudyError(f"{what} is {tree!r}; it must hold parameters by name")
     values: dict[str, Any] = {}
     for key, value in tree.items():
         if isinstance(value, Mapping):
@@ -123,12 +131,12 @@ def _flat(tree: Any, what: str, prefix: str = "") -> dict[str, Any]:
 def _vary(content: Mapping[str, Any]) -> Mapping[str, Any]:
     vary = content.get("vary", {})
     if not isinstance(vary, Mapping):
-        raise StudyError(f"vary is {vary!r}; it has a list or a distribution for each name")
+        raise StudyError(f"vary is {vary!r}; it must hold a list or a distribution for each name")
     return vary
 
 
 def _files(parameters: Mapping[str, Any], factors: Sequence[Factor], folders: Sequence[Path]) -> dict[str, bytes]:
-    """Content of every file that parameters name or vary over; a name starts at the first folder that has it."""
+    """Return the content of all files that parameters and factors name, from the first folder with the file."""
     wanted: list[dict[str, Any]] = [{name: value} for name, value in parameters.items()]
     wanted += [{factor.name: value} for factor in factors if factor.kind == "choices" for value in factor.values]
     found: dict[str, bytes] = {}
@@ -144,7 +152,7 @@ def _files(parameters: Mapping[str, Any], factors: Sequence[Factor], folders: Se
 def _scripts(given: Any, scene: Scene, folder: Path) -> tuple[GripperScript, ...]:
     names = [given] if isinstance(given, str) else given or []
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise StudyError(f"scripts is {given!r}; it is a list of files")
+        raise StudyError(f"scripts is {given!r}; it must be a list of files")
     scripts = tuple(GripperScript.from_file(_find(name, "script", folder)) for name in names)
     grippers = [script.gripper for script in scripts]
     for script, name in zip(scripts, names, strict=True):
@@ -155,8 +163,8 @@ def _scripts(given: Any, scene: Scene, folder: Path) -> tuple[GripperScript, ...
             raise StudyError(f"{grippers.count(script.gripper)} scripts are for the gripper '{script.gripper}'")
         if script.frame_id not in ("", scene.frame_id):
             raise StudyError(
-                f"script '{name}' has poses in '{script.frame_id}', the cloth is in '{scene.frame_id}'; nothing "
-                "transforms them here"
+                f"script '{name}' has poses in '{script.frame_id}', the cloth is in '{scene.frame_id}'; transform the "
+                "poses, a study has no TF"
             )
     return scripts
 
@@ -165,7 +173,7 @@ def _policy(given: Any, scripts: Sequence[GripperScript], folder: Path) -> Sourc
     if given is None:
         return None
     if scripts:
-        raise StudyError("a study has scripts or a policy, not both; a policy may play scripts itself")
+        raise StudyError("a study has scripts or a policy, not both; a policy can play scripts itself")
     source = find(given, "policy", folder)
     load(source, "policy")
     return source
@@ -174,7 +182,7 @@ def _policy(given: Any, scripts: Sequence[GripperScript], folder: Path) -> Sourc
 def _outcomes(given: Any, folder: Path) -> tuple[Source, ...]:
     names = [given] if isinstance(given, str) else given or []
     if not isinstance(names, list):
-        raise StudyError(f"outcomes is {given!r}; it is a list of file.py:name or module:name")
+        raise StudyError(f"outcomes is {given!r}; it must be a list of file.py:name or module:name")
     sources = tuple(find(name, "outcome", folder) for name in names)
     for source in sources:
         load(source, "outcome")
@@ -184,12 +192,12 @@ def _outcomes(given: Any, folder: Path) -> tuple[Source, ...]:
 def _duration(given: Any, scripts: Sequence[GripperScript], scene: Scene) -> float:
     if given is None:
         if not scripts:
-            raise StudyError("'duration' is missing: without a script nothing else tells how long a run is [s]")
+            raise StudyError("'duration' is missing: a study without scripts needs it [s]")
         return max(script.duration for script in scripts)
     if isinstance(given, bool) or not isinstance(given, int | float) or not math.isfinite(given):
-        raise StudyError(f"duration is {given!r}; it is a number of seconds")
+        raise StudyError(f"duration is {given!r}; it must be a number of seconds")
     if not scene.period <= given <= _LONGEST:
-        raise StudyError(f"duration is {given} s; it is from one frame ({scene.period:g} s) to {_LONGEST:g} s")
+        raise StudyError(f"duration is {given} s; it must be from one frame ({scene.period:g} s) to {_LONGEST:g} s")
     return float(given)
 
 
@@ -197,16 +205,20 @@ def _runs(given: Any, factors: Sequence[Factor], sampling: str) -> int:
     size = grid_size(factors) if sampling == "grid" else None
     if given is None:
         if size is None:
-            raise StudyError("'runs' is missing: how many")
+            raise StudyError("'runs' is missing: the number of runs")
         return size
     runs = _whole(given, "runs", least=1, most=2**63 - 1)
     if size is not None and runs != size:
-        raise StudyError(f"runs is {runs}, the grid has {size} combinations; leave runs out, or sample otherwise")
+        raise StudyError(f"runs is {runs}, the grid has {size} combinations; omit runs, or use another sampling")
     return runs
 
 
 def _check_factors(study: Study) -> None:
-    """Refuse a name that is unknown, and values that make no scene, each alone."""
+    """Refuse unknown names of factors and invalid values; each factor is checked alone.
+
+    Raises:
+        StudyError: if a factor is invalid.
+    """
     for factor in study.factors:
         first = factor.name.partition(".")[0]
         if first == TARGET:
@@ -214,7 +226,7 @@ def _check_factors(study: Study) -> None:
             _check_numbers(factor)
         elif first == POLICY:
             if study.policy is None:
-                raise StudyError(f"vary: '{factor.name}': there is no policy that could be told")
+                raise StudyError(f"vary: '{factor.name}': there is no policy to receive it; give 'policy'")
         else:
             for value in factor.ends() or [factor.value(0.5)]:
                 try:
@@ -226,25 +238,25 @@ def _check_factors(study: Study) -> None:
 def _check_numbers(factor: Factor) -> None:
     for value in factor.values:
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise StudyError(f"vary: '{factor.name}' has {value!r}; a target is moved by a number of metres")
+            raise StudyError(f"vary: '{factor.name}' has {value!r}; a displacement must be a number [m]")
 
 
 def _one_of(value: Any, what: str, known: Sequence[str]) -> str:
     if value not in known:
-        raise StudyError(f"{what} is {value!r}; it is one of {', '.join(known)}{suggestion(str(value), known)}")
+        raise StudyError(f"{what} is {value!r}; it must be one of {', '.join(known)}{suggestion(str(value), known)}")
     return str(value)
 
 
 def _truth(value: Any, what: str) -> bool:
     if not isinstance(value, bool):
-        raise StudyError(f"{what} is {value!r}; it is true or false")
+        raise StudyError(f"{what} is {value!r}; it must be true or false")
     return value
 
 
 def _whole(value: Any, what: str, *, least: int, most: int) -> int:
-    # 1e9 is a float in YAML, and means a whole number here.
+    # YAML reads 1e9 as a float; here it means a whole number.
     if isinstance(value, float) and value.is_integer():
         value = int(value)
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-        raise StudyError(f"{what} is {value!r}; it is a whole number from {least} to {most}")
+        raise StudyError(f"{what} is {value!r}; it must be a whole number from {least} to {most}")
     return value

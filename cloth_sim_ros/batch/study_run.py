@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One run of a study, from its values to its session and its row. What a Dask worker does."""
+"""Execution of one run of a study by a Dask worker."""
 
 from __future__ import annotations
 
@@ -28,30 +28,37 @@ from cloth_sim_ros.simulation.events import Event, Grasp, Move, SetParameters, T
 from cloth_sim_ros.simulation.script_events import ScriptEvents
 from cloth_sim_ros.simulation.simulation import Simulation
 
-#: How a run ended: to its end; by a fault of its own; with every worker that tried it killed.
+#: Status of a run: successful; failed by its own fault; every worker that executed it was killed.
 OK, FAILED, KILLED = "ok", "failed", "killed"
-#: What a policy may command: what a robot can, and parameters.
+#: Events that a policy may return: a robot's commands, and parameters.
 _COMMANDS = (Target, Move, Grasp, SetParameters)
 
 
 class RunError(RuntimeError):
-    """A run that fails by a fault of its own; the message says why."""
+    """A run failed by its own fault; the message gives the cause."""
 
 
 def perform_all(folder: str, runs: Sequence[tuple[int, tuple[Any, ...]]]) -> list[int]:
-    """Do several runs, one after the other; a Dask task. Returns their numbers, what they came to lies in the folder.
+    """Execute several runs sequentially, as one Dask task; results go to the folder.
+
+    Args:
+        folder: folder of the study.
+        runs: index and factor values of each run.
+
+    Returns:
+        Indices of the runs.
 
     Raises:
-        FolderError: if the folder can't be read or written here.
+        FolderError: if this machine can't read or write the folder.
     """
     place = StudyFolder(folder)
     try:
-        # A folder that was made anew is another one.
+        # The modification time distinguishes a recreated folder from its predecessor in the cache.
         study = _study(folder, place.study_file.stat().st_mtime_ns)
     except OSError as error:
         raise FolderError(
-            f"{socket.gethostname()} does not see the study in {folder}: {error.strerror}. Workers on other machines "
-            "need a folder that all share under the same name"
+            f"{socket.gethostname()} can't read the study in {folder}: {error.strerror}. Workers on other machines "
+            "need a shared folder under the same name"
         ) from error
     for run, values in runs:
         perform(place, study, run, values)
@@ -64,10 +71,18 @@ def _study(folder: str, _changed: int) -> Study:
 
 
 def perform(place: StudyFolder, study: Study, run: int, values: Sequence[Any]) -> dict[str, Any]:
-    """Do one run and write its session and its row, unless that was done already; the row.
+    """Execute one run, write its session and its row, and return the row.
+
+    A successful run is not repeated.
+
+    Args:
+        study_folder: folder of the study.
+        study: the study.
+        run: index of the run.
+        values: values of the factors, in their order.
 
     Raises:
-        FolderError: if the folder can't be written; nothing of the run stays then.
+        FolderError: if the folder can't be written; the run's files are removed then.
     """
     done = read_row(place.row_file(run))
     if done is not None and done["status"] == OK:
@@ -95,7 +110,7 @@ def perform(place: StudyFolder, study: Study, run: int, values: Sequence[Any]) -
 
 
 def empty_row(study: Study, run: int, named: dict[str, Any], *, status: str, error: str) -> dict[str, Any]:
-    """The row of a run of which nothing else is known."""
+    """Return the row of a run without results."""
     return {
         "run": run,
         "status": status,
@@ -115,7 +130,7 @@ def empty_row(study: Study, run: int, named: dict[str, Any], *, status: str, err
 
 
 def _record(study: Study, run: int, named: dict[str, Any], folder: Path) -> tuple[dict[str, Any], Path | None]:
-    """Simulate and record into a folder; the row so far, and the session where there is one."""
+    """Simulate and record a run; return its row without times, and its session file or None."""
     row = empty_row(study, run, named, status=OK, error="")
     try:
         motion = Motion.of(study, run, named)
@@ -150,20 +165,25 @@ def _own(study: Study, watch: OutcomeWatch, named: dict[str, Any]) -> dict[str, 
 
 @attrs.define(eq=False)
 class Motion:
-    """A simulation and what commands it, frame by frame."""
+    """Simulation of a run with its scripts or its policy."""
 
     simulation: Simulation
-    #: How many frames the run has.
+    #: Number of frames of the run.
     frames: int
     _commands: Callable[[int], Sequence[Event]]
     _wrenches: Any = None
 
     @classmethod
     def of(cls, study: Study, run: int, named: dict[str, Any]) -> Motion:
-        """Build a run of a study.
+        """Return the simulation of a run.
+
+        Args:
+            study: the study.
+            run: index of the run.
+            factor_values: values of the factors by name.
 
         Raises:
-            RunError: if its values make no cloth, or its policy can't be made.
+            RunError: if the values are invalid, or the policy can't be created.
         """
         try:
             simulation = Simulation(study.scene(named))
@@ -186,10 +206,10 @@ class Motion:
         return motion
 
     def advance(self) -> tuple[Sequence[Event], Any]:
-        """Run one frame; its events and the frame.
+        """Advance by one frame and return its events and the frame.
 
         Raises:
-            RunError: if the policy raises, commands what can't be, or the motion does not stay finite.
+            RunError: if the policy raises or returns invalid events, or the motion does not stay finite.
         """
         simulation = self.simulation
         events = self._commands(simulation.frame)
@@ -220,7 +240,7 @@ class Motion:
         for index, event in enumerate(events):
             if not isinstance(event, _COMMANDS):
                 known = ", ".join(kind.__name__ for kind in _COMMANDS)
-                raise RunError(f"policy '{reference}' returned {event!r}; it returns a list of {known}")
+                raise RunError(f"policy '{reference}' returned {event!r}; it must return a list of {known}")
             if (
                 isinstance(event, Move)
                 and event.orientation is None
@@ -230,6 +250,6 @@ class Motion:
         return events
 
     def _turned(self, obstacle: str) -> tuple[float, ...]:
-        """The orientation of an obstacle's present target, which a command without one keeps."""
+        """Return the orientation of an obstacle's current target, which a command without orientation keeps."""
         targets = self.simulation.state.memory["obstacle.target"]
         return tuple(targets[self.simulation.scene.obstacle_names.index(obstacle)][3:].tolist())

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A study from its file to its index: checked, conducted, summed up."""
+"""Complete execution of a study: checks, runs, index and summary."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cloth_sim_ros.batch.study import Study
 from cloth_sim_ros.batch.study_run import KILLED, OK
 from cloth_sim_ros.scene import input_file
 
-#: Kinds of failure that a summary names, each with its first runs.
+#: Limits of a summary: kinds of failure, and runs per kind.
 _KINDS, _NAMED = 5, 5
 
 
@@ -36,23 +36,23 @@ def run_study(
     workers: int | None = None,
     wait: float = 300.0,
 ) -> int:
-    """Run a study, or what is left of it.
+    """Execute the unfinished runs of a study.
 
     Args:
-        path: the study's file.
-        out: where the results go.
-        resume: whether the folder may hold results already.
-        retry_failed: whether runs that failed by a fault of their own are done again.
-        scheduler: address of a Dask scheduler; one is started on this machine where left out.
-        workers: worker processes of that one.
-        wait: how long a scheduler that is gone is waited for [s].
+        path: file of the study.
+        out: folder of the results.
+        resume: true if the folder may hold results already.
+        retry_failed: true to repeat runs that failed by their own fault.
+        scheduler: address of a Dask scheduler; by default one is started on this machine.
+        workers: number of worker processes of the local scheduler.
+        wait: time limit for a lost scheduler to return [s].
 
     Returns:
-        0 if every run went well, else 1.
+        0 if every run was successful, else 1.
 
     Raises:
-        StudyError: before the first run, for a study or a folder that is none.
-        StoppedError: if it could not go on.
+        StudyError: before the first run, if the study or the folder is invalid.
+        StoppedError: if the study can't continue.
     """
     from tqdm import tqdm
 
@@ -76,7 +76,7 @@ def run_study(
     with contextlib.ExitStack() as stack:
         stack.enter_context(place.held())
         place.remove_leftovers()
-        # In the reverse order: the cluster ends, what it left half-written goes, the index tells what is there.
+        # The stack closes in reverse order: stop the cluster, remove incomplete files, write the index.
         stack.callback(_write_index, place, rows)
         stack.callback(place.remove_leftovers)
         bar = stack.enter_context(tqdm(total=study.runs, initial=before, unit="run", desc="study", disable=None))
@@ -99,27 +99,27 @@ def run_study(
 
 
 def _write_index(place: StudyFolder, rows: dict[int, dict[str, Any]]) -> None:
-    """Write the index of what is there; a disk that is full is told of by what stopped the study."""
+    """Write the index; a full disk is ignored here, because the error that stopped the study reports it."""
     with contextlib.suppress(FolderError):
         index.write(place, rows.values())
 
 
 def _held(place: StudyFolder, study: Study, resume: bool, retry_failed: bool) -> dict[int, dict[str, Any]]:
-    """The finished runs that a folder holds already.
+    """Return the rows of the finished runs in a folder, by run.
 
     Raises:
-        StudyError: if the folder is another study's, or has results and is not to be gone on with.
+        StudyError: if the folder belongs to another study, or has results and `resume` is false.
     """
     if not place.study_file.is_file():
         if resume and place.path.exists() and any(place.path.iterdir()):
-            raise StudyError(f"{place.path} holds no study that could be gone on with: study.json is missing")
+            raise StudyError(f"{place.path} holds no study to resume: study.json is missing; omit --resume")
         return {}
     place.check_same(study)
     rows = {int(row["run"]): row for row in place.rows()}
     if rows and not resume:
         raise StudyError(
-            f"{place.path} holds {len(rows)} of {study.runs} runs of this study; --resume goes on, "
-            "another folder starts anew"
+            f"{place.path} holds {len(rows)} of {study.runs} runs of this study; continue with --resume, or start in "
+            "another folder"
         )
     again = [run for run, row in rows.items() if row["status"] == KILLED or (retry_failed and row["status"] != OK)]
     for run in again:
@@ -129,17 +129,24 @@ def _held(place: StudyFolder, study: Study, resume: bool, retry_failed: bool) ->
 
 
 def summary(place: StudyFolder, rows: Iterable[dict[str, Any]], seconds: float, done: int) -> str:
-    """What a study came to, in words: what failed and why."""
+    """Return a text summary of a study: successful runs, and failures with their causes.
+
+    Args:
+        study_folder: folder of the study.
+        rows: rows of all finished runs.
+        seconds: wall time of this execution [s].
+        n_done: number of runs of this execution.
+    """
     held = list(rows)
     failed = [row for row in held if row["status"] != OK]
     flagged = sum(row["flagged_frames"] > 0 for row in held)
     size = quantity(sum(row["bytes"] for row in held), "B")
-    lines = [f"{len(held) - len(failed)} of {len(held)} runs went well; {done} were done in {seconds:.1f} s; {size}"]
+    lines = [f"{len(held) - len(failed)} of {len(held)} runs were successful; {done} took {seconds:.1f} s; {size}"]
     if flagged:
         lines.append(f"{flagged} runs have frames that missed the tolerance (flagged_frames in the index)")
     kinds: dict[str, list[dict[str, Any]]] = collections.defaultdict(list)
     for row in failed:
-        # The same fault with other numbers is the same fault.
+        # Texts that differ only in numbers are the same kind of failure.
         kinds[re.sub(r"-?\d+(\.\d+)?(e[-+]?\d+)?", "#", row["error"])].append(row)
     for same in sorted(kinds.values(), key=len, reverse=True)[:_KINDS]:
         numbers = ", ".join(str(row["run"]) for row in same[:_NAMED]) + (", ..." if same[_NAMED:] else "")

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A run as arrays: states, actions, wrenches, obstacles. Made of its session by running it again, digest by digest."""
+"""Trajectory arrays of a run, recomputed from its session with digest checks."""
 
 from __future__ import annotations
 
@@ -26,39 +26,40 @@ Floats = NDArray[np.float32]
 
 @attrs.frozen(kw_only=True, eq=False)
 class Trajectory:
-    """One run of T frames: T + 1 states, and what happened from each to the next; all float32, SI."""
+    """Trajectory of one run of T frames: T + 1 states and T transitions; float32, SI units."""
 
+    #: Index of the run.
     run: int
-    #: Frames a second.
+    #: Frames per second [Hz].
     rate: float
-    #: Names, in the order of the arrays.
+    #: Names of grippers and obstacles, in the order of the arrays.
     grippers: tuple[str, ...]
     obstacles: tuple[str, ...]
-    #: Particles of each triangle, shape (m, 3).
+    #: Particle indices of each triangle, shape (m, 3).
     triangles: NDArray[np.int32]
     #: Particle positions [m] and velocities [m/s], shape (T + 1, n, 3).
     positions: Floats
     velocities: Floats
-    #: Each gripper's pose: position [m], quaternion x, y, z, w; and whether it is closed, shape (T + 1, grippers, 8).
+    #: Pose of each gripper: position [m], quaternion x, y, z, w, closed (1) or open (0); shape (T + 1, grippers, 8).
     poses: Floats
-    #: The newest command of each gripper: target position [m], quaternion, close (1) or open (0), (T, grippers, 8).
+    #: Latest command of each gripper: target position [m], quaternion, close (1) or open (0); shape (T, grippers, 8).
     actions: Floats
     #: Force [N] and torque [N m] of the cloth on each gripper, mean over the frame, shape (T, grippers, 6).
     wrenches: Floats
-    #: Obstacles' poses: position [m] and quaternion, shape (T + 1, obstacles, 7).
+    #: Pose of each obstacle: position [m] and quaternion, shape (T + 1, obstacles, 7).
     obstacle_poses: Floats
 
 
 def read(run: int, session: Path, *, copy_into: Path | None = None) -> Trajectory:
-    """Run a session again and note everything.
+    """Return the trajectory of a run by simulating its session again.
 
     Args:
-        run: its number.
-        session: its file.
-        copy_into: folder for a copy of the session that holds the clouds.
+        run: index of the run.
+        session: session file of the run.
+        copy_into: folder for a copy of the session with clouds; None for no copy.
 
     Raises:
-        StoppedError: if the session can't be read, or comes out differently here.
+        StoppedError: if the session can't be read, or a digest differs.
     """
     try:
         with SessionReader([session]) as reader:
@@ -79,8 +80,8 @@ def read(run: int, session: Path, *, copy_into: Path | None = None) -> Trajector
         frame = simulation.advance(events)
         if simulation.state.digest() != record.digest:
             raise StoppedError(
-                f"run {run} comes out differently here from frame {record.frame} on; export it with the version of "
-                "cloth_sim_ros that made it (cloth_verify says which)"
+                f"run {run} has another digest here from frame {record.frame} on; export it with the version of "
+                "cloth_sim_ros that recorded it (cloth_verify prints it)"
             )
         if recording is not None:
             recording.add(events, frame)
@@ -91,7 +92,7 @@ def read(run: int, session: Path, *, copy_into: Path | None = None) -> Trajector
 
 
 class _Notes:
-    """What is noted of a simulation, state by state."""
+    """Records the trajectory of a simulation."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
@@ -104,7 +105,7 @@ class _Notes:
         self._note_state()
 
     def add(self, events: list[Any], frame: Any) -> None:
-        """Take a frame that was just run."""
+        """Record the latest frame."""
         names = self._simulation.grippers.names
         for event in events:
             if isinstance(event, Target):
@@ -119,7 +120,7 @@ class _Notes:
         self._note_state()
 
     def trajectory(self, run: int) -> Trajectory:
-        """All that was noted."""
+        """Return the recorded trajectory."""
         simulation = self._simulation
         return Trajectory(
             run=run,

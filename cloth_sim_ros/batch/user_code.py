@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Functions of the user's that a study names: `file.py:name`, whose text goes with the study, or `module:name`."""
+"""User functions that a study names: `file.py:name` or `module:name`.
+
+The text of `file.py` is stored with the study. Workers import `module`.
+"""
 
 from __future__ import annotations
 
@@ -19,15 +22,15 @@ from numpy.typing import NDArray
 from cloth_sim_ros.batch.errors import StudyError
 from cloth_sim_ros.scene import input_file
 
-#: What a user's code may raise. `sys.exit` would end a worker without a word, and the study would wait for another one.
+#: Exceptions of user code. An uncaught `sys.exit` would end a worker silently, and the study would wait for another.
 USER_ERRORS = (Exception, SystemExit)
 
 
 @attrs.frozen(kw_only=True)
 class Source:
-    """Where a function comes from."""
+    """Source of a user function."""
 
-    #: As the study names it.
+    #: Reference in the study, ``file.py:name`` or ``module:name``.
     reference: str
     #: Text of the file; empty for a module, which every worker must be able to import.
     text: str = ""
@@ -35,55 +38,55 @@ class Source:
 
 @attrs.frozen(kw_only=True)
 class Observation:
-    """What a policy is told at the beginning of a frame."""
+    """Argument of a policy at the beginning of a frame."""
 
     #: Simulated time [s].
     time: float
-    #: Number of the frame, from 0.
+    #: Index of the frame, from 0.
     frame: int
     #: Particle positions [m], shape (n, 3).
     positions: NDArray[np.float64]
     #: Particle velocities [m/s], shape (n, 3).
     velocities: NDArray[np.float64]
-    #: Force [N] and torque [N m] of the cloth on each gripper, mean over the frame before, shape (grippers, 6).
+    #: Force [N] and torque [N m] of the cloth on each gripper, mean over the previous frame, shape (grippers, 6).
     wrenches: NDArray[np.float64]
-    #: What this run has for everything that varies, by name.
+    #: Values of the policy's factors in this run, by name without `policy.`; other factors by full name.
     values: dict[str, Any]
-    #: Random numbers of this run alone: they follow from the study's seed and the run's number.
+    #: Random generator of this run; its seed follows from the study's seed and the run's index.
     rng: np.random.Generator
 
 
 @attrs.frozen(kw_only=True)
 class Finished:
-    """What a user's outcome is made of, at the end of a run."""
+    """Argument of a user's outcome function at the end of a run."""
 
     #: Simulated time of each frame's end [s], shape (frames,).
     times: NDArray[np.float64]
     #: Force [N] and torque [N m] of the cloth on each gripper, mean over each frame, shape (frames, grippers, 6).
     wrenches: NDArray[np.float64]
-    #: Positions at the start and at the end [m], shape (n, 3).
+    #: Initial and final particle positions [m], shape (n, 3).
     initial: NDArray[np.float64]
     positions: NDArray[np.float64]
-    #: Velocities at the end [m/s], shape (n, 3).
+    #: Final particle velocities [m/s], shape (n, 3).
     velocities: NDArray[np.float64]
-    #: What this run has for everything that varies, by name.
+    #: Values of all factors in this run, by full name.
     values: dict[str, Any]
 
 
 def find(reference: Any, what: str, folder: Path) -> Source:
-    """Read what a study names.
+    """Return the source of a reference in a study.
 
     Args:
         reference: ``file.py:name`` or ``module:name``.
-        what: of the study's entry, for messages.
-        folder: where file names start.
+        role: role of the function, for the error text.
+        folder: folder of relative file names.
 
     Raises:
-        StudyError: if it is no such reference, or the file can't be read.
+        StudyError: if the reference is invalid, or the file can't be read.
     """
     place, _, name = reference.rpartition(":") if isinstance(reference, str) else ("", "", "")
     if not place or not name.isidentifier():
-        raise StudyError(f"{what} is {reference!r}; write file.py:name or package.module:name")
+        raise StudyError(f"{what} is {reference!r}; give file.py:name or package.module:name")
     if not place.endswith(".py"):
         return Source(reference=reference)
     try:
@@ -94,10 +97,14 @@ def find(reference: Any, what: str, folder: Path) -> Source:
 
 
 def load(source: Source, what: str) -> Callable[..., Any]:
-    """Import a function or class.
+    """Import and return a function or class.
+
+    Args:
+        source: source of the function.
+        role: role of the function, for the error text.
 
     Raises:
-        StudyError: if the import raises, or there is no such name in it.
+        StudyError: if the import raises, or the module lacks the name.
     """
     place, _, name = source.reference.rpartition(":")
     try:
@@ -112,7 +119,7 @@ def load(source: Source, what: str) -> Callable[..., Any]:
 
 
 def in_words(error: BaseException) -> str:
-    """An exception in a line: its kind, its words, and the line of the user's file where it was raised."""
+    """Return an exception as one line: type, message, and the innermost line of the user's file."""
     words = " ".join(str(error).split())
     trace, line = error.__traceback__, ""
     while trace is not None:
@@ -124,7 +131,7 @@ def in_words(error: BaseException) -> str:
 
 
 def events_of(answer: Any) -> Sequence[Any]:
-    """What a policy returned, as a list: None is no event."""
+    """Return the result of a policy as a list of events; None gives an empty list."""
     if answer is None:
         return []
     if isinstance(answer, list | tuple):

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A run as a video: the surface drawn by matplotlib without a display, encoded as H.264 by PyAV."""
+"""Video of a run: drawn by matplotlib, encoded as H.264 by PyAV."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _CODEC, _PIXELS = "libx264", "yuv420p"
 
 
 def render(run: Trajectory, path: Path, *, fps: int) -> tuple[dict[str, Any], Statistics]:
-    """Draw every frame's beginning and write the video.
+    """Draw the state at the beginning of every frame and write the video.
 
     Args:
-        run: what is drawn.
+        run: the run.
         path: file to write.
-        fps: frames a second.
+        fps: frames per second.
 
     Returns:
-        The feature as info.json has it, and the pixels' statistics, by channel, from 0 to 1, shape (3, 1, 1).
+        The feature in the form of info.json, and statistics of the pixels per channel, from 0 to 1, shape (3, 1, 1).
 
     Raises:
-        StudyError: if there is no encoder.
+        StudyError: if PyAV lacks the encoder.
     """
     import av
 
@@ -74,7 +74,7 @@ def _statistics(pixels: np.ndarray, frames: int) -> Statistics:
 
 
 def _pictures(run: Trajectory) -> Any:
-    """The frames as pictures, shape (HEIGHT, WIDTH, 3), uint8."""
+    """Yield the frames as pictures, shape (HEIGHT, WIDTH, 3), uint8."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a study came to: a table in the terminal, an outcome over what varies as a plot, one run in Rerun."""
+"""Views of a study: table in the terminal, plot, or one run in Rerun."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from cloth_sim_ros.session.outputs import written_whole
 if TYPE_CHECKING:
     import pyarrow as pa
 
-#: Columns that the table leaves out: they are for programs.
+#: Columns for programs, which the table omits.
 _FOR_PROGRAMS = ("seed", "session", "bytes", "digest", "error_estimate", "frames", "cpu_time")
-#: Widest cell.
+#: Maximum width of a cell [characters].
 _WIDEST = 24
 
 
@@ -36,26 +36,26 @@ def view(
     run: int | None = None,
     save: Path | None = None,
 ) -> int:
-    """Show a study's folder.
+    """Show the results in a study's folder and return the exit status.
 
     Args:
-        folder: of the study.
-        outcome: of the plot, and the order of the table.
-        over: what varies, along x.
+        folder: folder of the study.
+        outcome: outcome of the plot, and order of the table.
+        over: factor on the x axis.
         plot: picture to write.
-        rows: of the table, at most.
-        run: one run to open in Rerun instead.
-        save: recording of it to write, instead of opening the viewer.
+        rows: maximum number of rows of the table.
+        run: index of a run to open in Rerun instead.
+        save: Rerun recording of the run to write, instead of opening the viewer.
 
     Raises:
-        StudyError: if there is no such folder, run or column.
+        StudyError: if the folder, run or column does not exist.
     """
     place = StudyFolder(folder)
     table = index.read(place)
     if run is not None:
         return _replay(place, run, save)
     name = None if outcome is None else column_of(table, outcome, "outcome")
-    along = None if over is None else column_of(table, over, "what varies")
+    along = None if over is None else column_of(table, over, "factor")
     if plot is not None and name is not None and along is not None:
         draw(table, name, along, plot)
         print(f"{plot}: {name} over {along}, {table.num_rows} runs")
@@ -65,10 +65,15 @@ def view(
 
 
 def column_of(table: pa.Table, name: str, what: str) -> str:
-    """The column that a name means: its own, or an outcome's without the prefix.
+    """Return the column of a name, which may lack an outcome's prefix.
+
+    Args:
+        table: the index.
+        name: the name.
+        role: role of the column, for the error text.
 
     Raises:
-        StudyError: if there is none.
+        StudyError: if the column does not exist.
     """
     for candidate in (name, index.OUTCOME + name):
         if candidate in table.column_names:
@@ -78,7 +83,14 @@ def column_of(table: pa.Table, name: str, what: str) -> str:
 
 
 def text(table: pa.Table, *, order: str | None = None, rows: int = 20, first: str | None = None) -> str:
-    """The table for a terminal; by an order's column, the largest first."""
+    """Return the table as text.
+
+    Args:
+        table: the index.
+        order: column by which rows are sorted, the largest first.
+        rows: maximum number of rows.
+        first: column that follows the run's index.
+    """
     if order is not None:
         table = table.sort_by([(order, "descending")])
     names = [name for name in table.column_names if name not in _FOR_PROGRAMS]
@@ -98,10 +110,10 @@ def text(table: pa.Table, *, order: str | None = None, rows: int = 20, first: st
 
 
 def draw(table: pa.Table, name: str, along: str, file: Path) -> None:
-    """Draw an outcome over what varies: points, or at each of its texts.
+    """Plot an outcome over a factor, which may be numeric or categorical.
 
     Raises:
-        StudyError: if there is nothing to draw, or the outcome is no number.
+        StudyError: if no run has both values, or the outcome is no number.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -114,7 +126,7 @@ def draw(table: pa.Table, name: str, along: str, file: Path) -> None:
     if not pairs:
         raise StudyError(f"no run has both {name} and {along}: nothing to draw")
     if not all(isinstance(y, int | float) for _, y in pairs):
-        raise StudyError(f"{name} is no number; an outcome or another number can be drawn")
+        raise StudyError(f"{name} is no number; choose an outcome or another number")
     plain = all(isinstance(x, int | float) for x, _ in pairs)
     figure = Figure(figsize=(7.0, 5.0), layout="constrained")
     FigureCanvasAgg(figure)
@@ -130,7 +142,7 @@ def draw(table: pa.Table, name: str, along: str, file: Path) -> None:
 
 
 def _replay(place: StudyFolder, run: int, save: Path | None) -> int:
-    """Open one run in Rerun, in a process of its own."""
+    """Open one run in Rerun, in a separate process, and return its exit status."""
     row = read_row(place.row_file(run)) if run >= 0 else None
     if row is None:
         raise StudyError(f"{place.path} has no finished run {run}")
@@ -138,7 +150,7 @@ def _replay(place: StudyFolder, run: int, save: Path | None) -> int:
         raise StudyError(f"run {run} has no session: {row['error']}")
     if not place.read().clouds:
         print(
-            "cloth_batch: the sessions hold no clouds; cloth_batch export FOLDER --mcap OUT writes some with them",
+            "cloth_batch: the sessions hold no clouds; cloth_batch export FOLDER --mcap OUT adds them",
             file=sys.stderr,
         )
     command = module_command("cloth_sim_ros.replay.main", str(place.path / row["session"]))

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs as zarr v3: one group, an array for each quantity, its first axis the run; a chunk holds a run or part of it."""
+"""Writer of runs as a zarr v3 group.
+
+Each quantity is an array whose first axis is the run. A chunk holds a run or a part of it.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,8 @@ from cloth_sim_ros.batch.errors import StudyError
 from cloth_sim_ros.batch.folder import StudyFolder
 from cloth_sim_ros.batch.trajectories import Trajectory
 
-#: Each array: field of a trajectory, unit, what its axes behind run and frame are. States have one frame more.
+#: Unit and trailing axes of each array, by field of the trajectory; the first axes are run and frame. States have one
+#: more frame.
 ARRAYS = {
     "positions": ("m", ("particle", "xyz")),
     "velocities": ("m/s", ("particle", "xyz")),
@@ -29,13 +33,13 @@ _CHUNK = 64_000_000
 
 
 def write(path: Path, runs: Iterator[Trajectory], count: int, place: StudyFolder) -> None:
-    """Write runs; runs that are shorter or have fewer particles than the largest are filled up with NaN.
+    """Write runs; shorter runs and runs with fewer particles are padded with NaN.
 
     Args:
-        path: folder to make.
+        path: folder to create.
         runs: the runs.
-        count: how many there are.
-        place: of the study.
+        count: number of runs.
+        study_folder: folder of the study.
 
     Raises:
         StudyError: if the runs differ in rate, grippers or obstacles.
@@ -54,7 +58,7 @@ def write(path: Path, runs: Iterator[Trajectory], count: int, place: StudyFolder
             if value != names[name]:
                 raise StudyError(
                     f"{name} of run {run.run} is {value}, of the first one {names[name]}; a dataset has one for all "
-                    f"runs: leave {name} out of what varies, or export with --mcap"
+                    f"runs: remove {name} from vary, or export with --mcap"
                 )
         k = len(numbers)
         triangles.append(kept.setdefault(run.triangles.tobytes(), run.triangles))
@@ -86,7 +90,7 @@ def write(path: Path, runs: Iterator[Trajectory], count: int, place: StudyFolder
 
 
 def _common(triangles: list[NDArray[np.int32]]) -> NDArray[np.int32]:
-    """The triangles of all runs, shape (m, 3); where runs differ those of each, (runs, m, 3), filled up with -1."""
+    """Return the triangles of all runs, shape (m, 3); if runs differ, shape (runs, m, 3), padded with -1."""
     if all(other is triangles[0] for other in triangles):
         return triangles[0]
     found = np.full((len(triangles), max(map(len, triangles)), 3), -1, dtype=np.int32)

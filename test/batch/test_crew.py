@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Workers that step many cloths: each number once, and no thread of the engine's beside theirs."""
+"""Thread pool: each index once, and no further engine threads."""
 
 import threading
 
@@ -11,7 +11,7 @@ from cloth_sim_ros.physics import cores
 
 
 @pytest.mark.parametrize("threads", [1, 2, 4])
-def test_each_number_is_called_once_by_one_worker_at_a_time(threads):
+def test_pool_calls_each_index_once_per_worker(threads):
     called, busy, clash = [], set(), []
 
     def job(worker, i):
@@ -28,7 +28,7 @@ def test_each_number_is_called_once_by_one_worker_at_a_time(threads):
     assert not clash
 
 
-def test_all_are_called_and_the_first_trouble_is_raised():
+def test_pool_calls_all_indices_and_raises_first_error():
     called = []
 
     def job(_, i):
@@ -41,7 +41,7 @@ def test_all_are_called_and_the_first_trouble_is_raised():
     assert sorted(called) == list(range(10))
 
 
-def test_a_frame_takes_no_further_thread_while_a_crew_works(monkeypatch):
+def test_frame_uses_one_thread_inside_pool(monkeypatch):
     monkeypatch.setattr("os.sched_getaffinity", lambda _: {0, 1, 2})
     seen, names = [], set()
 

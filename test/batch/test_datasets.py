@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Datasets, read back by zarr alone and by pyarrow alone, against the sessions that they were made of."""
+"""Datasets read by zarr and pyarrow, compared with their sessions."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def push(seen):
     if seen.frame == 0:
         return [Target("gripper", seen.positions[-1], (0.0, 0.0, 0.0, 1.0)), Grasp("gripper", True)]
     if seen.frame == 9 and seen.values.get("fails"):
-        raise RuntimeError("told to")
+        raise RuntimeError("requested failure")
     return [Target("gripper", seen.positions[-1] + [0.0, 0.0, 0.01]), Move("ball", (0.0, 1.0 - 0.01 * seen.frame, 0.2))]
 """
 STUDY = {
@@ -72,7 +72,7 @@ def folder(request, tmp_path_factory) -> StudyFolder:
 
 
 def recorded(path: Path):
-    """Clouds, velocities, wrenches and events of a session, as they were recorded."""
+    """Return the recorded clouds, velocities, wrenches and events of a session."""
     clouds, velocities, wrenches, events = [], [], [], []
     with SessionReader([path]) as reader:
         for message in reader.messages():
@@ -88,7 +88,7 @@ def recorded(path: Path):
     return np.array(clouds), np.array(velocities), np.array(wrenches, dtype=np.float32), events
 
 
-def test_zarr_holds_the_sessions(folder: StudyFolder, tmp_path: Path) -> None:
+def test_zarr_equals_recorded_sessions(folder: StudyFolder, tmp_path: Path) -> None:
     import zarr
 
     out = tmp_path / "set.zarr"
@@ -116,7 +116,7 @@ def test_zarr_holds_the_sessions(folder: StudyFolder, tmp_path: Path) -> None:
     assert main(["export", str(folder.path), "--zarr", str(out)]) == 2
 
 
-def test_lerobot_holds_the_sessions(folder: StudyFolder, tmp_path: Path) -> None:
+def test_lerobot_equals_recorded_sessions(folder: StudyFolder, tmp_path: Path) -> None:
     out = tmp_path / "set"
     assert main(["export", str(folder.path), "--lerobot", str(out), "--task", "lift it"]) == 0
     info = json.loads((out / "meta" / "info.json").read_text())
@@ -138,7 +138,7 @@ def test_lerobot_holds_the_sessions(folder: StudyFolder, tmp_path: Path) -> None
         if len(clouds):
             assert np.array_equal(rows["observation.environment_state"][part][1:], clouds[:-1].reshape(14, -1))
             assert np.array_equal(rows["observation.velocities"][part][1:], velocities[:-1].reshape(14, -1))
-        # What was known when a frame began: the wrench of the one before.
+        # The observed wrench is that of the previous frame.
         assert np.array_equal(rows["observation.wrench"][part][1:], wrenches[:-1])
         assert not rows["observation.wrench"][15 * k].any()
     episodes = pq.read_table(out / "meta" / "episodes" / "chunk-000" / "file-000.parquet").to_pylist()
@@ -155,7 +155,7 @@ def test_lerobot_holds_the_sessions(folder: StudyFolder, tmp_path: Path) -> None
     assert stats["action"]["count"] == [30]
 
 
-def test_a_video_has_a_picture_for_each_row(tmp_path: Path) -> None:
+def test_video_has_one_picture_per_row(tmp_path: Path) -> None:
     av = pytest.importorskip("av")
     pytest.importorskip("matplotlib")
     (tmp_path / "arm.py").write_text(POLICY)
@@ -172,14 +172,14 @@ def test_a_video_has_a_picture_for_each_row(tmp_path: Path) -> None:
         pictures = [frame.to_ndarray(format="rgb24") for frame in video.decode(video=0)]
     assert len(pictures) == info["total_frames"] == 6
     assert list(pictures[0].shape) == info["features"][key]["shape"]
-    # Something of the cloth's red is to be seen, on white.
+    # The picture shows the red cloth on white.
     assert pictures[0][:, :, 1].min() < 120 < pictures[0][:, :, 1].max()
     (episode,) = pq.read_table(out / "meta" / "episodes" / "chunk-000" / "file-000.parquet").to_pylist()
     assert episode[f"videos/{key}/to_timestamp"] == pytest.approx(0.1)
     assert np.shape(episode[f"stats/{key}/mean"]) == (3, 1, 1)
 
 
-def test_sessions_without_clouds_come_out_with_them_on_demand(folder: StudyFolder, tmp_path: Path) -> None:
+def test_mcap_export_adds_missing_clouds(folder: StudyFolder, tmp_path: Path) -> None:
     out = tmp_path / "sessions"
     assert main(["export", str(folder.path), "--mcap", str(out)]) == 0
     (first, _) = sorted(out.glob("*.mcap"))
@@ -189,7 +189,7 @@ def test_sessions_without_clouds_come_out_with_them_on_demand(folder: StudyFolde
 
 
 def performed(folder: Path, **vary) -> StudyFolder:
-    """A study of hanging cloths, each run of it done."""
+    """Return the folder of a finished study of hanging cloths."""
     entries = {"scene": "cloth_sim.yaml", "scripts": "grasp.yaml", "duration": 0.1, "sampling": "grid", "vary": vary}
     parameters = {
         "cloth.resolution": [4, 4],
@@ -205,7 +205,7 @@ def performed(folder: Path, **vary) -> StudyFolder:
     return place
 
 
-def test_zarr_holds_the_triangles_of_each_cloth_where_they_differ(tmp_path: Path) -> None:
+def test_zarr_stores_triangles_of_differing_cloths(tmp_path: Path) -> None:
     import zarr
 
     place, out = performed(tmp_path, **{"cloth.resolution[0]": [4, 5]}), tmp_path / "set.zarr"
@@ -219,7 +219,7 @@ def test_zarr_holds_the_triangles_of_each_cloth_where_they_differ(tmp_path: Path
 
 
 @pytest.mark.parametrize("kind", ["--zarr", "--lerobot"])
-def test_runs_at_several_rates_are_no_dataset(tmp_path: Path, capsys, kind: str) -> None:
+def test_runs_at_several_rates_are_refused(tmp_path: Path, capsys, kind: str) -> None:
     place, out = performed(tmp_path, rate=[60.0, 120.0]), tmp_path / "set"
     assert main(["export", str(place.path), kind, str(out)]) == 2
     assert "rate of run 1 is 120.0" in capsys.readouterr().err
@@ -227,13 +227,13 @@ def test_runs_at_several_rates_are_no_dataset(tmp_path: Path, capsys, kind: str)
     assert main(["export", str(place.path), "--mcap", str(out)]) == 0
 
 
-def test_runs_of_other_obstacles_are_no_zarr_dataset(tmp_path: Path, capsys) -> None:
+def test_runs_with_other_obstacles_are_refused(tmp_path: Path, capsys) -> None:
     place = performed(tmp_path, obstacles=[[""], ["ball"]])
     assert main(["export", str(place.path), "--zarr", str(tmp_path / "set")]) == 2
     assert "obstacles of run 1 is ['ball'], of the first one []" in capsys.readouterr().err
 
 
-def test_statistics_of_all_episodes_are_those_of_their_rows() -> None:
+def test_aggregated_statistics_equal_row_statistics() -> None:
     generator = np.random.default_rng(0)
     parts = [generator.normal(size=(n, 3)) + n for n in (5, 11)]
     total = aggregate([{"x": statistics(part)} for part in parts])["x"]

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bytes of messages laid out by hand, against rosbags' generic writer."""
+"""Message bytes of the session writer, compared with rosbags' generic writer."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ STAMP = 1_800_000_000_123_456_789
 @pytest.mark.parametrize("frame_id", ["", "world", "a_longer_frame"])
 @pytest.mark.parametrize("velocity", [False, True])
 @pytest.mark.parametrize("double", [False, True])
-def test_a_cloud_is_what_a_generic_writer_makes(frame_id: str, velocity: bool, double: bool) -> None:
+def test_cloud_bytes_equal_generic_writer(frame_id: str, velocity: bool, double: bool) -> None:
     x, v = np.random.default_rng(0).normal(size=(2, 3, 6))
     made = messages.CloudBytes(frame_id=frame_id, height=2, width=3, velocity=velocity, double=double)
     made = made.at(x, STAMP, v if velocity else None)
     read = decode(made, messages.CLOUD)
-    # Behind the last field bytes fill up to a multiple of four, as they travel.
+    # Padding after the last field extends the message to a multiple of four bytes.
     again = encode(read, messages.CLOUD)
     assert made[: len(again)] == again
     assert len(made) % 4 == 0
@@ -35,7 +35,7 @@ def test_a_cloud_is_what_a_generic_writer_makes(frame_id: str, velocity: bool, d
 
 
 @pytest.mark.parametrize("frame_id", ["", "world", "map"])
-def test_small_messages_are_what_a_generic_writer_makes(frame_id: str) -> None:
+def test_small_message_bytes_equal_generic_writer(frame_id: str) -> None:
     made = [
         (messages.POSE, messages.pose_bytes((1.0, -0.0, 3.0), (0.0, 0.6, 0.0, 0.8), frame_id=frame_id, stamp=STAMP)),
         (messages.POINT, messages.point_bytes((1.0, 2.0, 3.0), frame_id=frame_id, stamp=STAMP)),

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Studies: their files, their runs, what is told before the first one, and what each folder holds in the end."""
+"""Studies: files, checks, runs, folders and the command `cloth_batch`."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def with_policy(tmp_path: Path):
     )
 
 
-def test_a_run_is_a_session_that_runs_again_and_its_row_tells_of_it(tmp_path: Path) -> None:
+def test_run_session_verifies_and_row_describes_it(tmp_path: Path) -> None:
     study = study_of(tmp_path)
     place, samples = lay_down(tmp_path / "out", study)
     row = perform(place, study, 2, samples[2])
@@ -101,14 +101,14 @@ def test_a_run_is_a_session_that_runs_again_and_its_row_tells_of_it(tmp_path: Pa
     assert row["outcomes"]["mean_height"] > 0.5
 
 
-def test_bits_do_not_depend_on_order_process_or_place_and_bytes_neither(tmp_path: Path) -> None:
+def test_bits_are_independent_of_order_and_process(tmp_path: Path) -> None:
     study = study_of(tmp_path)
     first, samples = lay_down(tmp_path / "first", study)
     second, again = lay_down(tmp_path / "second", study)
     assert samples == again
     for run in (0, 1, 2, 3):
         perform(first, study, run, samples[run])
-    # As a worker does it, from what lies in the folder.
+    # A worker reads the study from the folder.
     perform_all(str(second.path), [(run, again[run]) for run in (3, 1, 0, 2)])
     for run in range(4):
         assert first.session(run).read_bytes() == second.session(run).read_bytes()
@@ -117,7 +117,7 @@ def test_bits_do_not_depend_on_order_process_or_place_and_bytes_neither(tmp_path
     assert len(set(digests)) == 4
 
 
-def test_without_clouds_a_session_is_small_and_runs_again_all_the_same(tmp_path: Path) -> None:
+def test_session_without_clouds_is_small_and_verifies(tmp_path: Path) -> None:
     rows = {}
     for clouds in (True, False):
         study = study_of(tmp_path, clouds=clouds)
@@ -128,7 +128,7 @@ def test_without_clouds_a_session_is_small_and_runs_again_all_the_same(tmp_path:
     assert rows[False]["bytes"] < rows[True]["bytes"]
 
 
-def test_a_run_that_fails_is_recorded_to_where_it_failed(with_policy, tmp_path: Path) -> None:
+def test_failed_run_is_recorded_until_its_failure(with_policy, tmp_path: Path) -> None:
     place, samples = lay_down(tmp_path / "out", with_policy)
     well, failed = (perform(place, with_policy, run, values) for run, values in enumerate(samples))
     assert (well["status"], failed["status"]) == ("ok", "failed")
@@ -140,7 +140,7 @@ def test_a_run_that_fails_is_recorded_to_where_it_failed(with_policy, tmp_path: 
     assert verdict.frames == failed["frames"] == 13
 
 
-def test_a_policys_random_numbers_are_those_of_its_run(with_policy, tmp_path: Path) -> None:
+def test_policy_random_numbers_depend_on_run(with_policy, tmp_path: Path) -> None:
     one, samples = lay_down(tmp_path / "one", with_policy)
     other, _ = lay_down(tmp_path / "other", with_policy)
     perform(one, with_policy, 1, samples[0])
@@ -151,7 +151,7 @@ def test_a_policys_random_numbers_are_those_of_its_run(with_policy, tmp_path: Pa
     assert digests[0] != digests[1]
 
 
-def test_a_row_that_is_there_is_not_done_again(tmp_path: Path) -> None:
+def test_finished_run_is_not_repeated(tmp_path: Path) -> None:
     study = study_of(tmp_path)
     place, samples = lay_down(tmp_path / "out", study)
     row = perform(place, study, 0, samples[0])
@@ -159,7 +159,7 @@ def test_a_row_that_is_there_is_not_done_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("where", ["session", "row"])
-def test_a_full_disk_names_the_folder_and_leaves_nothing(tmp_path: Path, monkeypatch, where: str) -> None:
+def test_full_disk_names_folder_and_leaves_no_files(tmp_path: Path, monkeypatch, where: str) -> None:
     study = study_of(tmp_path)
     place, samples = lay_down(tmp_path / "out", study)
 
@@ -168,7 +168,7 @@ def test_a_full_disk_names_the_folder_and_leaves_nothing(tmp_path: Path, monkeyp
 
     name = "cloth_sim_ros.session.storage.AppendFile._write" if where == "session" else "os.replace"
     monkeypatch.setattr(name, full)
-    with pytest.raises(FolderError, match=r"nothing more fits into .*out.*--resume"):
+    with pytest.raises(FolderError, match=r"no space left in .*out.*--resume"):
         perform(place, study, 0, samples[0])
     monkeypatch.undo()
     assert not list(place.path.rglob(".unfinished*"))
@@ -209,15 +209,15 @@ def test_a_full_disk_names_the_folder_and_leaves_nothing(tmp_path: Path, monkeyp
         ({"scripts": None, "policy": "arm.py:Lift"}, "cannot read"),
     ],
 )
-def test_what_is_wrong_in_a_study_is_told(tmp_path: Path, entries, words: str) -> None:
+def test_invalid_study_is_refused(tmp_path: Path, entries, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         study_of(tmp_path, **entries)
 
 
-def test_a_policy_that_raises_is_told_before_the_first_run(tmp_path: Path) -> None:
+def test_raising_policy_is_refused_before_first_run(tmp_path: Path) -> None:
     (tmp_path / "arm.py").write_text(POLICY)
     study = study_of(tmp_path, scripts=None, vary={}, policy="arm.py:broken")
-    with pytest.raises(StudyError, match=r"no run begins: policy 'arm.py:broken' raised ZeroDivisionError.*line 16"):
+    with pytest.raises(StudyError, match=r"no run starts: policy 'arm.py:broken' raised ZeroDivisionError.*line 16"):
         draw(study, 2)
     (tmp_path / "worse.py").write_text("import nothing_of_that_name\n")
     with pytest.raises(StudyError, match="ModuleNotFoundError"):
@@ -226,11 +226,11 @@ def test_a_policy_that_raises_is_told_before_the_first_run(tmp_path: Path) -> No
         study_of(tmp_path, scripts=None, vary={}, policy="arm.py:lift")
 
 
-def test_code_that_asks_python_to_exit_fails_its_run_and_no_worker(tmp_path: Path) -> None:
+def test_exit_in_user_code_fails_only_its_run(tmp_path: Path) -> None:
     (tmp_path / "arm.py").write_text(POLICY)
     (tmp_path / "gone.py").write_text("import sys\nsys.exit(5)\n")
     study = study_of(tmp_path, scripts=None, policy="arm.py:leaves", vary=None)
-    with pytest.raises(StudyError, match=r"no run begins: policy 'arm.py:leaves' raised SystemExit: 3 \(arm.py"):
+    with pytest.raises(StudyError, match=r"no run starts: policy 'arm.py:leaves' raised SystemExit: 3 \(arm.py"):
         draw(study, 1)
     with pytest.raises(StudyError, match=r"policy 'gone.py:lift' can't be imported: SystemExit: 5 \(gone.py, line 2\)"):
         study_of(tmp_path, scripts=None, policy="gone.py:lift", vary=None)
@@ -241,17 +241,17 @@ def test_code_that_asks_python_to_exit_fails_its_run_and_no_worker(tmp_path: Pat
     assert row["error"].startswith("outcome 'arm.py:ends' raised SystemExit: enough (arm.py")
 
 
-def test_too_many_runs_are_refused_with_what_they_would_take(tmp_path: Path) -> None:
+def test_too_many_runs_are_refused_with_estimate(tmp_path: Path) -> None:
     with pytest.raises(StudyError, match=r"runs is 1000000000; at most 10000000.*B and .* hours on 2 cores"):
         draw(study_of(tmp_path, runs=1e9), 2)
 
 
-def test_a_normal_value_that_makes_no_scene_is_told_with_its_run(tmp_path: Path) -> None:
+def test_invalid_normal_value_is_reported_with_run(tmp_path: Path) -> None:
     with pytest.raises(StudyError, match=r"'air.drag' is -.* in run \d+"):
         draw(study_of(tmp_path, vary={"air.drag": {"normal": [0.0, 1.0]}}), 2)
 
 
-def test_a_folder_of_another_study_is_refused(tmp_path: Path, capsys) -> None:
+def test_folder_of_another_study_is_refused(tmp_path: Path, capsys) -> None:
     place, _ = lay_down(tmp_path / "out", study_of(tmp_path))
     with pytest.raises(StudyError, match="holds another study: it differs in duration"):
         place.create(study_of(tmp_path, duration=1.0), [], "")
@@ -264,7 +264,7 @@ def test_a_folder_of_another_study_is_refused(tmp_path: Path, capsys) -> None:
     assert "holds no study" in capsys.readouterr().err
 
 
-def test_a_study_reads_back_as_it_is(tmp_path: Path) -> None:
+def test_study_round_trip_is_exact(tmp_path: Path) -> None:
     study = study_of(tmp_path, vary={"cloth.size[0]": [0.8, 1.2], "material.density": {"uniform": [0.1, 0.3]}})
     place, samples = lay_down(tmp_path / "out", study)
     assert place.read() == study
@@ -273,7 +273,7 @@ def test_a_study_reads_back_as_it_is(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("sampling", ["sobol", "latin_hypercube", "random"])
-def test_samples_fill_their_ranges_and_follow_from_the_seed(sampling: str) -> None:
+def test_samples_fill_ranges_and_follow_seed(sampling: str) -> None:
     factors = [
         read("a", {"uniform": [1.0, 2.0]}),
         read("b", {"log_uniform": [1e-6, 1e-2]}),
@@ -286,7 +286,7 @@ def test_samples_fill_their_ranges_and_follow_from_the_seed(sampling: str) -> No
     a, b, c, d, e, f = zip(*drawn, strict=True)
     assert drawn == sample(factors, runs=256, seed=1, sampling=sampling)
     assert drawn != sample(factors, runs=256, seed=2, sampling=sampling)
-    # A quarter of the runs in each quarter of a range, within five standard deviations of plain chance.
+    # Each quarter of a range has a quarter of the runs, within five standard deviations of independent samples.
     for values in (np.array(a) - 1.0, np.log10(b) / 4.0 + 1.5):
         assert np.all(np.abs(np.histogram(values, bins=4, range=(0.0, 1.0))[0] - 64) < 35)
     assert set(c) == {1, 2, 3, 4}
@@ -295,12 +295,12 @@ def test_samples_fill_their_ranges_and_follow_from_the_seed(sampling: str) -> No
     assert set(f) == {0.0, 0.25, 0.5, 0.75, 1.0}
 
 
-def test_a_grid_has_every_combination_once() -> None:
+def test_grid_has_each_combination_once() -> None:
     factors = [read("a", [1, 2]), read("b", {"integers": [0, 2]})]
     assert sample(factors, runs=6, seed=0, sampling="grid") == [(1, 0), (1, 1), (1, 2), (2, 0), (2, 1), (2, 2)]
 
 
-def test_moved_targets_move_the_script(tmp_path: Path) -> None:
+def test_target_factors_move_script_positions(tmp_path: Path) -> None:
     study = study_of(tmp_path, vary={"target.gripper.x": [0.1], "target.gripper.2.z": [0.5]})
     before, after = study.scripts[0], study.moved_scripts({"target.gripper.x": 0.1, "target.gripper.2.z": 0.5})[0]
     moved = np.array([p.position for p in after.waypoints]) - np.array([p.position for p in before.waypoints])
@@ -308,17 +308,17 @@ def test_moved_targets_move_the_script(tmp_path: Path) -> None:
     assert np.allclose(moved[:, 2], [0.5 if k == 1 else 0.0 for k in range(len(moved))])
 
 
-def test_the_command_runs_a_study_and_goes_on_with_one(tmp_path: Path, capsys) -> None:
+def test_command_runs_and_resumes_study(tmp_path: Path, capsys) -> None:
     (tmp_path / "study.yaml").write_text(json.dumps({**BASE, "runs": 6}))
     command = [str(tmp_path / "study.yaml"), "--out", str(tmp_path / "out"), "--workers", "1"]
     assert main(command) == 0
-    assert "6 of 6 runs went well" in capsys.readouterr().out
+    assert "6 of 6 runs were successful" in capsys.readouterr().out
     place = StudyFolder(tmp_path / "out")
     whole = index.read(place).to_pydict()
     assert whole["run"] == list(range(6))
     assert "outcome.mean_height" in whole
     assert main(command) == 2
-    assert "--resume goes on" in capsys.readouterr().err
+    assert "continue with --resume" in capsys.readouterr().err
     place.row_file(3).unlink()
     place.row_file(4).write_text('{"run": 4, "sta')
     (place.path / "runs" / ".unfinished-0000003-abc").mkdir()
@@ -342,28 +342,28 @@ def test_the_command_runs_a_study_and_goes_on_with_one(tmp_path: Path, capsys) -
 @pytest.mark.parametrize(
     ("option", "value", "words"),
     [
-        ("--wait", "nan", "argument --wait: nan s can't be waited; give 0 or more"),
-        ("--wait", "-1", "-1.0 s can't be waited"),
-        ("--wait", "inf", "inf s can't be waited"),
+        ("--wait", "nan", "argument --wait: nan s is no waiting time; give 0 or more"),
+        ("--wait", "-1", "-1.0 s is no waiting time"),
+        ("--wait", "inf", "inf s is no waiting time"),
         ("--wait", "soon", "'soon' is no number of seconds"),
         ("--workers", "0", "0 is below 1"),
         ("--workers", "two", "argument --workers: 'two' is no whole number"),
     ],
 )
-def test_a_senseless_option_is_told(tmp_path: Path, capsys, option: str, value: str, words: str) -> None:
+def test_invalid_option_is_refused(tmp_path: Path, capsys, option: str, value: str, words: str) -> None:
     with pytest.raises(SystemExit) as left:
         main([str(tmp_path / "study.yaml"), "--out", str(tmp_path / "out"), option, value])
     assert left.value.code == 2
     assert words in " ".join(capsys.readouterr().err.split())
 
 
-def test_a_second_client_is_refused(tmp_path: Path) -> None:
+def test_second_client_is_refused(tmp_path: Path) -> None:
     place, _ = lay_down(tmp_path / "out", study_of(tmp_path))
     with place.held(), pytest.raises(StudyError, match="another cloth_batch"), StudyFolder(place.path).held():
         pass
 
 
-def test_the_sessions_first_file_says_what_it_is(tmp_path: Path) -> None:
+def test_session_metadata_names_run(tmp_path: Path) -> None:
     study = study_of(tmp_path)
     place, samples = lay_down(tmp_path / "out", study)
     row = perform(place, study, 0, samples[0])

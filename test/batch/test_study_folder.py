@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A study's folder that was broken by hand or by a disk: what it lost is done again, or told in a line."""
+"""Damaged folders of studies: lost rows are repeated, other damage is reported."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def resume(place: StudyFolder) -> int:
         ("samples.json", None, "samples.json can't be read: [Errno 2]"),
     ],
 )
-def test_a_study_that_can_not_be_gone_on_with_is_told(
+def test_unreadable_study_is_refused(
     place: StudyFolder, capsys: pytest.CaptureFixture[str], name: str, text: str | None, words: str
 ) -> None:
     if text is None:
@@ -72,29 +72,27 @@ def test_a_study_that_can_not_be_gone_on_with_is_told(
 
 
 @pytest.mark.parametrize("text", ['{"run": 1}', '{"run": "x"}', "[]", "", None])
-def test_a_row_that_is_not_whole_is_none(place: StudyFolder, text: str | None) -> None:
+def test_incomplete_row_is_ignored(place: StudyFolder, text: str | None) -> None:
     row, path = read_row(place.row_file(0)), place.row_file(1)
     assert row is not None
-    # Where no text is given: another run's row under this run's name.
+    # None stands for another run's row under this run's name.
     path.write_text(json.dumps(row) if text is None else text)
     assert read_row(path) is None
     assert [row["run"] for row in place.rows()] == [0]
 
 
-def test_a_run_whose_row_is_broken_is_done_again(place: StudyFolder, capsys: pytest.CaptureFixture[str]) -> None:
+def test_run_with_damaged_row_is_repeated(place: StudyFolder, capsys: pytest.CaptureFixture[str]) -> None:
     whole = index.read(place).to_pydict()
     place.row_file(1).write_text('{"run": 1}')
     assert resume(place) == 0
-    assert "2 of 2 runs went well; 1 were done" in capsys.readouterr().out
+    assert "2 of 2 runs were successful; 1 took" in capsys.readouterr().out
     assert index.read(place).to_pydict()["digest"] == whole["digest"]
 
 
-def test_an_index_that_is_broken_is_told_and_the_rows_have_what_it_had(
-    place: StudyFolder, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_damaged_index_is_refused_and_rebuilt_from_rows(place: StudyFolder, capsys: pytest.CaptureFixture[str]) -> None:
     whole = index.read(place).to_pydict()
     place.index.write_bytes(place.index.read_bytes()[:100])
     assert main(["view", str(place.path)]) == 2
-    assert "Remove it: the rows have all that it had" in capsys.readouterr().err
+    assert "Remove it: it is rebuilt from the rows" in capsys.readouterr().err
     place.index.unlink()
     assert index.read(place).to_pydict() == whole

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A study on a cluster of the documented commands, over TCP, whose worker is killed; soak_studies.py does far more."""
+"""Studies with a killed worker or an interrupt; `soak_studies.py` has more cases.
+
+The cluster uses the documented commands over TCP.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,7 @@ STUDY = {
 }
 
 
-def test_a_killed_workers_runs_are_done_again_with_the_same_digests(tmp_path: Path) -> None:
+def test_runs_of_killed_worker_repeat_with_same_digests(tmp_path: Path) -> None:
     sys.path.insert(0, str(Path(__file__).parents[1]))
     try:
         from soak_studies import cluster
@@ -66,12 +69,12 @@ def test_a_killed_workers_runs_are_done_again_with_the_same_digests(tmp_path: Pa
     assert [row["run"] for row in shot.rows()] == [0, 1, 2, 3]
 
 
-def test_ctrl_c_ends_a_study_in_one_line(tmp_path: Path) -> None:
+def test_ctrl_c_stops_study_with_one_line(tmp_path: Path) -> None:
     (tmp_path / "slow.py").write_text("import time\n\ndef wait(seen):\n    time.sleep(0.02)\n")
     study = {**STUDY, "scripts": [], "policy": "slow.py:wait", "duration": 0.5, "runs": 100, "clouds": False}
     (tmp_path / "study.yaml").write_text(json.dumps(study))
     command = [sys.executable, "-m", "cloth_sim_ros.batch.main", "study.yaml", "--out", "out", "--workers", "2"]
-    # A group of its own, to which a terminal would send the signal.
+    # The process gets its own group, because a terminal sends the signal to a group.
     begun = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
     try:
         end = time.monotonic() + 60.0
@@ -83,6 +86,6 @@ def test_ctrl_c_ends_a_study_in_one_line(tmp_path: Path) -> None:
         begun.kill()
     assert begun.returncode == 130
     assert "Traceback" not in told
-    assert told.splitlines()[-1] == "cloth_batch: interrupted; finished runs are kept, --resume goes on"
+    assert told.splitlines()[-1] == "cloth_batch: interrupted; finished runs are kept; continue with --resume"
     assert not list(tmp_path.rglob(".unfinished*"))
     assert (tmp_path / "out" / "index.parquet").is_file()
