@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Live, accurate cloth for ROS 2 graphs: a mass-spring sheet with a stated error, usable as a library without ROS."""
+"""Mass-spring cloth with a stated error, for ROS 2 and as a library.
+
+The package imports without ROS.
+"""
 
 from __future__ import annotations
 
@@ -113,7 +116,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name's module when the name is first used: nothing that is not used is loaded."""
+    """Import a public name's module at its first use."""
     if name not in _PLACES:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     return getattr(importlib.import_module(f"{__name__}.{_PLACES[name]}"), name)

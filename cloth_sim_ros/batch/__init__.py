@@ -1,10 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Many simulations: studies on Dask, their datasets, environments for learning, rollouts, fits of a cloth's parameters.
+"""Many simulations: studies, datasets, learning environments, rollouts, parameter fits.
 
-Each simulation is a `simulation.Simulation` like a live one, and gives the same bits. Start with `vector_env` (cloths
-for learning), `futures` (`rollouts` of one cloth), `study` (what `cloth_batch` runs) or `fit` (what `cloth_fit` finds).
-Dask, gymnasium, zarr and pyarrow come with the extra `batch` and are loaded where they are first needed.
+Each simulation is a `simulation.Simulation` and gives the same bits as a live one. Start with `vector_env` (learning
+environments), `parallel_rollouts` (`rollouts` of one cloth), `study` (command `cloth_batch`) or `fit` (command
+`cloth_fit`). The extra `batch` installs Dask, gymnasium, zarr and pyarrow. They are imported at their first use.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ __all__ = ["ClothEnv", "ClothVectorEnv", "Outcome", "Trajectories", "rollouts"]
 
 
 def __getattr__(name: str) -> Any:
-    # A public name's module is imported when the name is first used: nothing that is not used is loaded.
+    # Import a public name's module at its first use.
     if name not in _PLACES:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
     return getattr(importlib.import_module(f"{__name__}.{_PLACES[name]}"), name)

@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Actions of environments and rollouts: an array of numbers for each gripper, and the events that they become.
+"""Decoder of action arrays of environments and rollouts into events.
 
-Of each gripper: position of its target x, y, z [m]; where orientations are commanded, x, y, z, w of a quaternion, which
-is brought to length 1; grasp, closed from 0.5 on.
+The row of a gripper holds its target position x, y, z [m] and its grasp. A grasp of at least 0.5 closes the gripper.
+Actions with orientations hold a quaternion x, y, z, w before the grasp. It is normalized.
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.movers import within
 from cloth_sim_ros.simulation.simulation import Simulation
 
-#: Numbers of a gripper without and with an orientation.
+#: Size of a gripper's row without and with an orientation.
 NUMBERS, TURNED_NUMBERS = 4, 8
-#: Grasp from which a gripper closes.
+#: Least grasp that closes a gripper.
 CLOSED = 0.5
-#: A gripper turns at most as fast as a point at this distance from it may move [m].
+#: Lever arm that converts the speed limit to a limit of the turning rate [m].
 _ARM = 0.1
 
 
 class Commands:
-    """Makes events of actions.
+    """Decodes action arrays into events of a simulation.
 
     Args:
-        scene: of the cloth.
-        turned: whether actions have orientations.
-        speed: most speed of a gripper's target [m/s]; infinite where left out: a target is then commanded as it is.
+        scene: the cloth's scene.
+        has_orientations: true if actions have orientations.
+        speed: speed limit of a gripper's target [m/s]; infinite by default, so that targets are commanded unchanged.
 
     Raises:
-        ValueError: for a scene without grippers, or a speed that is not above 0.
+        ValueError: if the scene has no grippers, or the speed is not above 0.
     """
 
     def __init__(self, scene: Scene, *, turned: bool = False, speed: float = math.inf) -> None:
         self.names = scene.gripper_names
         if not self.names:
-            raise ValueError("the scene has no grippers, so there is nothing to command; name some by `grippers`")
+            raise ValueError("the scene has no grippers, so actions have no effect; name some by `grippers`")
         if not speed > 0.0:
             raise ValueError(f"speed is {speed} m/s; it must be above 0, or math.inf for no limit")
         self.turned, self._way = turned, speed * scene.period
@@ -53,10 +53,10 @@ class Commands:
         self.shape = (len(self.names), TURNED_NUMBERS if turned else NUMBERS)
 
     def checked(self, actions: Any, lead: tuple[int, ...], *, dtype: type = np.float64) -> NDArray[Any]:
-        """Return actions as an array of shape (*lead, grippers, numbers).
+        """Return actions as an array of shape (*lead, grippers, 4 or 8), checked.
 
         Raises:
-            ValueError: for another shape, numbers that are not finite, or a quaternion without length.
+            ValueError: if the shape differs, a number is not finite, or a quaternion has no length.
         """
         shape = (*lead, *self.shape)
         try:
@@ -65,25 +65,31 @@ class Commands:
             raise ValueError(f"actions are {actions!r}; they must be numbers of shape {shape}") from error
         if array.shape != shape:
             what = ", ".join(["x", "y", "z", *(["qx", "qy", "qz", "qw"] if self.turned else []), "grasp"])
-            raise ValueError(f"actions have shape {array.shape}; they must be {shape}, of each gripper {what}")
+            raise ValueError(f"actions have shape {array.shape}; they must be {shape}, for each gripper {what}")
         place, bound = array[..., :3], float(REACH)
         if not (np.isfinite(array).all() and (np.abs(place) <= bound).all()):
             wrong = np.argwhere(~np.isfinite(array))
             if len(wrong):
                 raise ValueError(f"actions{wrong[0].tolist()} is {array[tuple(wrong[0])]}; it must be finite")
             wrong = np.argwhere(np.abs(place) > bound)
-            raise ValueError(f"actions{wrong[0].tolist()} is {place[tuple(wrong[0])]} m; at most {bound:g} m away")
+            raise ValueError(f"actions{wrong[0].tolist()} is {place[tuple(wrong[0])]} m; the limit is {bound:g} m")
         if self.turned:
             length = np.sqrt((array[..., 3:7].astype(np.float64) ** 2).sum(axis=-1))
             wrong = np.argwhere(length < 1e-6)
             if len(wrong):
-                raise ValueError(f"actions{wrong[0].tolist()} has a quaternion without length; for no turn 0, 0, 0, 1")
+                raise ValueError(
+                    f"actions{wrong[0].tolist()} has a quaternion without length; the identity is 0, 0, 0, 1"
+                )
         return array
 
     def events(self, action: NDArray[Any], simulation: Simulation) -> list[Event]:
-        """Return what one cloth's action, shape (grippers, numbers), commands for the next frame.
+        """Return the events of one cloth's action for the next frame.
 
-        Grippers whose grasp stays as it is get no event of it.
+        A gripper gets a `Grasp` event only if its grasp changes.
+
+        Args:
+            action: shape (grippers, 4 or 8).
+            simulation: the cloth; its state is read.
         """
         memory = simulation.state.memory
         closed, placed = memory["gripper.closed"].tolist(), memory["gripper.placed"].tolist()
@@ -100,7 +106,7 @@ class Commands:
     def _near(
         self, before: Sequence[float], position: Sequence[float], turn: Sequence[float] | None
     ) -> tuple[Sequence[float], Sequence[float] | None]:
-        """Return the pose, or as much of the way to it from the target before as the speed lets."""
+        """Return the commanded pose, moved towards the previous target until the speed limit holds."""
         if turn is not None:
             length = math.sqrt(in_order(number * number for number in turn))
             unit = [number / length for number in turn]

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One cloth for learning: a `gymnasium.Env`, for wrappers and algorithms that know no vectors."""
+"""Learning environment of one cloth: a `gymnasium.Env`.
+
+It is for wrappers and algorithms that do not support vector environments.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +20,10 @@ from cloth_sim_ros.simulation.snapshot import Snapshot
 
 
 class ClothEnv(Uncopyable, gymnasium.Env[Any, Any]):
-    """A cloth that grippers move: `ClothVectorEnv` of one.
+    """Cloth that grippers move: a `ClothVectorEnv` with one cloth.
 
     Args:
-        options: those of `ClothVectorEnv`, less the number of cloths, autoreset and copying. User's functions are given
+        options: options of `ClothVectorEnv` except `num_envs`, `autoreset_mode` and `copy`. Functions of the user get
             arrays of one cloth, shape (1, ...).
     """
 
@@ -29,7 +32,7 @@ class ClothEnv(Uncopyable, gymnasium.Env[Any, Any]):
     def __init__(self, **options: Any) -> None:
         for name in ("num_envs", "autoreset_mode", "copy"):
             if name in options:
-                raise ValueError(f"{name} is set; one cloth has none: take ClothVectorEnv")
+                raise ValueError(f"{name} is set, but ClothEnv has no such option; use ClothVectorEnv")
         self._cloths = ClothVectorEnv(1, autoreset_mode=AutoresetMode.DISABLED, **options)
         self.metadata = {"render_modes": []}
         self.scene = self._cloths.scene
@@ -38,23 +41,23 @@ class ClothEnv(Uncopyable, gymnasium.Env[Any, Any]):
 
     @property
     def snapshot(self) -> Snapshot:
-        """Where the cloth is: to be rolled out, or restored in a `Simulation` of its scene."""
+        """Snapshot of the cloth, for rollouts or for a `Simulation` of its scene."""
         return self._cloths.snapshots[0]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Let the cloth begin anew; see `ClothVectorEnv.reset`."""
+        """Start a new episode; see `ClothVectorEnv.reset`."""
         super().reset(seed=seed)
         observations, _ = self._cloths.reset(seed=seed, options=options)
         return observations[0], {}
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Let the cloth go on by an action, shape (grippers, 4 or 8); see `ClothVectorEnv.step`."""
+        """Step the cloth by an action, shape (grippers, 4 or 8); see `ClothVectorEnv.step`."""
         observations, rewards, terminations, truncations, infos = self._cloths.step(np.asarray(action)[None])
         info = {"flagged": int(infos["flagged"][0])}
         return observations[0], float(rewards[0]), bool(terminations[0]), bool(truncations[0]), info
 
     def close(self) -> None:
-        """End the threads."""
+        """Stop the threads."""
         self._cloths.close()

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Many futures of one cloth, on all cores: what sampling planners such as MPPI need."""
+"""Parallel rollouts of one cloth, for sampling planners such as MPPI."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from cloth_sim_ros.simulation.snapshot import Snapshot
 
 @attrs.frozen(kw_only=True, eq=False)
 class Trajectories:
-    """What K futures of T frames did, frame by frame; m particles are told of."""
+    """Trajectories of K rollouts of T frames with m recorded particles."""
 
     #: Positions at the ends of frames [m], shape (K, T, m, 3), float32.
     positions: NDArray[np.float32]
-    #: Velocities [m/s], the same shape; None where they were not asked for.
+    #: Velocities at the ends of frames [m/s], shape (K, T, m, 3), float32; None if they were not requested.
     velocities: NDArray[np.float32] | None
     #: Force [N] and torque [N m] of the cloth on each gripper, mean over the frame, shape (K, T, grippers, 6).
     wrenches: Array
-    #: Where each future ends, to go on from.
+    #: Final snapshot of each rollout, from which further rollouts can start.
     ends: list[Snapshot]
 
 
@@ -43,24 +43,28 @@ def rollouts(
     threads: int | None = None,
     processes: int | None = None,
 ) -> Trajectories:
-    """Let a cloth go on from a snapshot by each of several sequences of actions.
+    """Roll out several action sequences from one snapshot.
 
-    The result depends neither on the number of threads or processes nor on what else is rolled out.
+    The result of a rollout is independent of the number of threads or processes and of the other rollouts.
 
     Args:
-        snapshot: where all begin; it stays as it is.
-        actions: shape (K, T, grippers, 4): in each frame, for each gripper, its target's position [m] and grasp (closed
-            from 0.5 on); or (K, T, grippers, 8) with a quaternion x, y, z, w between. A target is reached by the end of
-            its frame.
-        particles: of which particles positions are told; all where left out.
-        velocities: whether velocities are told too.
-        threads: None takes the cores that this process may use.
-        processes: so many processes instead of threads. They take about a second to start, and wait for further calls.
-            Small cloths are stepped faster by them: threads share the interpreter, which has a third of their frames.
+        snapshot: start of all rollouts; it is not changed.
+        actions: actions of each rollout, frame and gripper. Shape (K, T, grippers, 4): target position [m] and grasp
+            (closed from 0.5 on). Shape (K, T, grippers, 8): position, quaternion x, y, z, w, and grasp. A gripper
+            reaches its target at the end of the frame.
+        particles: indices of the recorded particles; all by default.
+        velocities: true to record velocities too.
+        threads: number of threads; None takes one per core that this process may use.
+        processes: number of processes, instead of threads. They take about a second to start, and wait for further
+            calls. For small cloths processes are faster than threads, which share the interpreter lock. The interpreter
+            takes a third of a small cloth's frame.
+
+    Returns:
+        Positions, velocities, wrenches and final snapshots.
 
     Raises:
-        ValueError: for actions of another shape or numbers that are not finite, or particles that are none.
-        UnstableError: if the motion of a future does not stay finite.
+        ValueError: if actions have another shape or are not finite, or an index names no particle.
+        UnstableError: if the motion of a rollout does not stay finite.
     """
     given = np.shape(actions)
     if len(given) != 4:

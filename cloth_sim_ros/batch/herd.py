@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""N cloths as snapshots, stepped by simulations that a crew's workers own: of each cloth memory holds its state alone.
+"""Pool of N cloths, stored as snapshots and stepped by a thread pool.
 
-A cloth whose scene is the common one is stepped by whichever worker is free. One whose scene was changed has a
-simulation of its own.
+Each worker of the thread pool has one simulation of the common scene. Therefore a cloth takes only the memory of its
+state. A cloth with a randomised scene has its own simulation.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.simulation.snapshot import Snapshot
 
-#: Takes a random generator and the scene; gives another scene, or values of parameters by full name, or None.
+#: Takes a random generator and the scene; returns another scene, values of parameters by full name, or None.
 Randomise = Callable[[np.random.Generator, Scene], Scene | Mapping[str, Any] | None]
-#: Brings a fresh simulation to where an episode begins.
+#: Advances a new simulation to the start of an episode.
 Prepare = Callable[[Simulation], None]
 
 
@@ -31,10 +31,10 @@ class Herd:
     """Cloths that are stepped together.
 
     Args:
-        count: how many.
-        scene: the common one.
-        crew: who steps them.
-        prepare: brings a simulation to where episodes begin.
+        count: number of cloths.
+        scene: the common scene.
+        thread_pool: thread pool that steps the cloths.
+        prepare: advances a simulation to the start of an episode.
     """
 
     def __init__(self, count: int, scene: Scene, crew: Crew, *, prepare: Prepare | None = None) -> None:
@@ -43,7 +43,7 @@ class Herd:
         self._fresh = first.snapshot()
         self._workers: list[Simulation | None] = [first, *[None] * (crew.threads - 1)]
         self._own: list[Simulation | None] = [None] * count
-        #: Where each cloth is.
+        #: Snapshot of each cloth.
         self.snapshots: list[Snapshot] = [self._fresh] * count
 
     def _made(self, scene: Scene) -> Simulation:
@@ -53,10 +53,14 @@ class Herd:
         return simulation
 
     def begin(self, indices: list[int], scenes: list[Scene]) -> None:
-        """Let cloths begin anew, each by its scene.
+        """Start a new episode of some cloths.
+
+        Args:
+            indices: indices of the cloths.
+            scenes: scene of each.
 
         Raises:
-            ValueError: for a scene of other particles, grippers or frames than the common one.
+            ValueError: if a scene has other particles, grippers or rate than the common scene.
         """
         for scene in scenes:
             self._check(scene)
@@ -79,7 +83,7 @@ class Herd:
         for name, value in given.items():
             if value != common[name]:
                 raise ValueError(
-                    f"a randomised scene has {name} {value}, the environment's own {common[name]}; actions and "
+                    f"a randomised scene has {name} {value}, the environment's scene {common[name]}; actions and "
                     "observations of all cloths must be alike"
                 )
 
@@ -91,19 +95,20 @@ class Herd:
         frames: int,
         tell: Callable[[int, Simulation, Array, int], None],
     ) -> None:
-        """Let cloths go on for some frames, each by its action, shape (N, grippers, numbers).
+        """Step cloths for some frames, each by its action.
 
-        Either all do, or all stay where they were.
+        If one cloth fails, none is changed.
 
         Args:
-            indices: which of them.
-            actions: of all.
-            commands: what makes events of an action.
-            frames: how many.
-            tell: is called with index, simulation, wrenches of the last frame and frames that missed the tolerance.
+            indices: indices of the cloths.
+            actions: actions of all cloths, shape (N, grippers, 4 or 8).
+            decoder: decoder of the actions.
+            frames: number of frames.
+            on_step: called with index, simulation, wrenches of the last frame and number of frames that missed the
+                tolerance.
 
         Raises:
-            UnstableError: if the motion of one does not stay finite.
+            UnstableError: if the motion of a cloth does not stay finite.
         """
         after: list[Snapshot] = [self._fresh] * len(indices)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a step of many cloths led to: what users' functions of reward and termination are given."""
+"""Outcome of an environment step: argument of the user's reward and termination functions."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from cloth_sim_ros.physics.state import State
 
 @attrs.frozen(kw_only=True, eq=False)
 class Outcome:
-    """One step of N cloths. Nothing of it may be written into."""
+    """Outcome of one step of N cloths; read only."""
 
-    #: What is observed, shape (N, m, 3), or (N, m, 6) with velocities, float32.
+    #: Observed positions [m], shape (N, m, 3), or positions and velocities [m/s], shape (N, m, 6); float32.
     observations: NDArray[np.float32]
-    #: What was commanded, shape (N, grippers, 4 or 8), float32.
+    #: Actions of the step, shape (N, grippers, 4 or 8), float32.
     actions: NDArray[np.float32]
     #: Force [N] and torque [N m] of the cloth on each gripper, mean over the last frame, shape (N, grippers, 6).
     wrenches: Array
-    #: Steps of each episode so far, this one included, shape (N,).
+    #: Number of steps of each episode, including this one, shape (N,).
     elapsed: NDArray[np.int64]
-    #: Each cloth's state in double precision, all particles.
+    #: State of each cloth, with all particles in double precision.
     states: Sequence[State]
 
     @property
@@ -37,26 +37,32 @@ class Outcome:
 
     @property
     def velocities(self) -> NDArray[np.float32]:
-        """Velocities of the observed particles [m/s], shape (N, m, 3); none where they are not observed."""
+        """Velocities of the observed particles [m/s], shape (N, m, 3); shape (N, m, 0) if they are not observed."""
         return self.observations[..., 3:]
 
 
-#: A user's function: takes a step of all cloths and returns a number, or a truth value, for each, shape (N,).
+#: Function of the user: takes the outcome of a step and returns a number or bool for each cloth, shape (N,).
 Judge: TypeAlias = Callable[[Outcome], Any]
 
 
 def judged(what: str, judge: Judge | None, outcome: Outcome, dtype: type) -> NDArray[Any]:
-    """Return what a user's function says of each cloth; zeros, or false, without one.
+    """Return the values of a user's function for all cloths, shape (N,); zeros or false without a function.
+
+    Args:
+        name: name of the function, for the error text.
+        function: the function.
+        outcome: its argument.
+        dtype: type of the values: bool or a float type.
 
     Raises:
-        ValueError: for another shape, or a number that is not finite.
+        ValueError: if the result has another shape or is not finite.
     """
     count = len(outcome.states)
     if judge is None:
         return np.zeros(count, dtype=dtype)
     found = np.asarray(judge(outcome))
     if found.shape != (count,) or found.dtype.kind not in ("b" if dtype is bool else "biuf"):
-        kind = "truth value" if dtype is bool else "number"
+        kind = "bool" if dtype is bool else "number"
         raise ValueError(
             f"{what} gave an array of shape {found.shape} and type {found.dtype}; it must give one {kind} for each "
             f"cloth, shape ({count},)"

@@ -1,7 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Processes that roll out futures of a cloth. They are loky's: they outlive a call, start without the caller's own
-program, and one that was killed is told of and replaced.
+"""Rollouts in a process pool.
+
+The pool is loky's. Its processes persist between calls and do not import the caller's program. The pool reports and
+replaces killed processes.
 """
 
 from __future__ import annotations
@@ -19,17 +21,23 @@ from cloth_sim_ros.session.child_process import overrides, safe_imports
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.simulation.snapshot import Snapshot
 
-#: How long processes wait for a further call [s].
+#: Time after which idle processes exit [s].
 _WAIT = 300.0
-#: Pieces of the work for each process: enough that none waits long for another at the end.
+#: Pieces of work per process, for an even load at the end.
 _PIECES = 4
 
 
 def in_processes(snapshot: Snapshot, acts: NDArray[Any], wanted: Wanted, processes: int) -> Iterator[Future]:
-    """Roll out futures, in order, by as many processes.
+    """Yield the rollouts of several action sequences, in order, computed by processes.
+
+    Args:
+        snapshot: start of all rollouts.
+        actions: actions, shape (K, T, grippers, 4 or 8).
+        request: type of the actions and outputs.
+        processes: number of processes.
 
     Raises:
-        ImportError: if loky is not there.
+        ImportError: if loky is not installed.
         RuntimeError: if a process was killed.
     """
     try:
@@ -39,7 +47,7 @@ def in_processes(snapshot: Snapshot, acts: NDArray[Any], wanted: Wanted, process
         raise ImportError("rollouts in processes need loky: pip install 'cloth_sim_ros[batch]'") from error
     packed = pickle.dumps(snapshot)
     pieces = np.array_split(acts, max(1, min(len(acts), _PIECES * processes)))
-    # Workers that start later, in place of lost ones, have the variables from `env`.
+    # Processes that replace lost ones get their environment variables from `env`.
     with safe_imports():
         executor = get_reusable_executor(max_workers=processes, timeout=_WAIT, env=overrides())
         tasks = [executor.submit(_rolled, packed, piece, wanted) for piece in pieces]
@@ -48,15 +56,15 @@ def in_processes(snapshot: Snapshot, acts: NDArray[Any], wanted: Wanted, process
             yield from task.result()
     except TerminatedWorkerError as error:
         raise RuntimeError(
-            f"one of {processes} processes that roll out futures was killed, perhaps for want of memory; the next call "
-            "starts new ones. Ask for fewer processes, or fewer particles to be told of"
+            f"one of {processes} rollout processes was killed, possibly out of memory; the next call starts new ones. "
+            "Use fewer processes, or fewer particles"
         ) from error
     finally:
         for task in tasks:
             task.cancel()
 
 
-#: What this process stepped last.
+#: Latest simulation of this process; empty at the start.
 _kept: list[Simulation] = []
 
 
@@ -68,7 +76,7 @@ def _rolled(packed: bytes, acts: NDArray[Any], wanted: Wanted) -> list[Future]:
 
 
 def _simulation(snapshot: Snapshot) -> Simulation:
-    """A simulation of the snapshot's scene: that of the call before where it fits."""
+    """Return a simulation of the snapshot's scene; the cached one if it fits."""
     try:
         snapshot.check_fits(_kept[0].scene)
     except (IndexError, ValueError):

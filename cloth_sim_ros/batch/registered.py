@@ -1,17 +1,18 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The environments' name in gymnasium, which knows it once this module, or one of theirs, is imported.
+"""Registration of the environments in gymnasium.
 
-``gymnasium.make_vec("cloth_sim_ros.batch.registered:cloth_sim_ros/Cloth-v0")`` imports it itself.
+Importing this module or an environment's module registers the name. The call
+``gymnasium.make_vec("cloth_sim_ros.batch.registered:cloth_sim_ros/Cloth-v0")`` imports this module.
 """
 
 from __future__ import annotations
 
 import gymnasium
 
-#: Name of the environment, of one cloth and of many.
+#: Name of the single and of the vector environment.
 NAME = "cloth_sim_ros/Cloth-v0"
-#: Steps of an episode where nothing else is asked for.
+#: Default number of steps of an episode.
 STEPS = 600
 
 if NAME not in gymnasium.registry:

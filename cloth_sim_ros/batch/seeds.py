@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A random generator for each of many cloths."""
+"""Random generators of many cloths."""
 
 from __future__ import annotations
 
@@ -10,20 +10,25 @@ import numpy as np
 
 
 class Generators:
-    """Made when they are first asked for, or seeded.
+    """Random generators, one per cloth, created when they are seeded or first used.
 
     Args:
-        count: how many.
+        count: number of generators.
     """
 
     def __init__(self, count: int) -> None:
         self._made: list[tuple[np.random.Generator, int] | None] = [None] * count
 
     def seed(self, seed: int | Sequence[int | None] | None, indices: Sequence[int]) -> None:
-        """Seed some of them: with a number and the next ones, or with one each; with None they go on.
+        """Seed some generators.
+
+        Args:
+            seed: seed of generator 0, which increases by 1 per generator; or one seed for each of them. None keeps a
+                generator's state.
+            indices: indices of the seeded generators.
 
         Raises:
-            ValueError: for another number of seeds, or one that is no whole number of at least 0.
+            ValueError: if the number of seeds is wrong, or a seed is no whole number of at least 0.
         """
         count = len(self._made)
         if seed is None:
@@ -36,16 +41,16 @@ class Generators:
                 self._make(i, seeds[i])
 
     def of(self, index: int) -> np.random.Generator:
-        """Return one of them."""
+        """Return the generator of a cloth."""
         made = self._made[index]
         return self._make(index, None) if made is None else made[0]
 
     def all(self) -> tuple[np.random.Generator, ...]:
-        """Return all of them."""
+        """Return all generators."""
         return tuple(self.of(i) for i in range(len(self._made)))
 
     def seeds(self) -> tuple[int, ...]:
-        """Return what each was seeded with."""
+        """Return the seeds of all generators."""
         self.all()
         return tuple(made[1] for made in self._made if made is not None)
 

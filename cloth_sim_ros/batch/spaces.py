@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What environments are asked for, checked: scenes, numbers, where grippers may be, which cloths begin anew."""
+"""Checked options of environments: scenes, numbers, spaces, modes and reset masks."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
     from gymnasium.spaces import Box
     from gymnasium.vector import AutoresetMode
 
-#: Tolerance of an environment's cloth where no scene is given [m].
+#: Tolerance of the default scene of environments [m].
 TOLERANCE = 1e-3
 
 
 def scene_of(given: Scene | str | Path | Mapping[str, Any] | None, base: Scene | None = None) -> Scene:
-    """Return a scene: as it is, from a ROS parameter file, or from values by full name.
+    """Return a scene from a scene, a ROS parameter file, or values by full name.
 
     Args:
-        given: what names it; None for the default one at a tolerance of a millimetre.
-        base: whose parameters, and files, values change; the default scene's where left out.
+        source: scene, file or values; None for the default scene with a tolerance of 1 mm.
+        base: scene whose parameters the values replace; the default scene by default.
 
     Raises:
-        ValueError: for an unknown name or a bad value.
+        ValueError: if a name is unknown or a value is invalid.
     """
     if isinstance(given, Scene):
         return given
@@ -48,8 +48,12 @@ def scene_of(given: Scene | str | Path | Mapping[str, Any] | None, base: Scene |
 def whole_number(name: str, value: Any) -> int:
     """Return a whole number of at least 1.
 
+    Args:
+        name: name of the option, for the error text.
+        value: the number.
+
     Raises:
-        ValueError: for anything else.
+        ValueError: if the value is no whole number of at least 1.
     """
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
         raise ValueError(f"{name} is {value!r}; it must be a whole number of at least 1")
@@ -57,14 +61,14 @@ def whole_number(name: str, value: Any) -> int:
 
 
 def workspace_of(given: ArrayLike | None, start: Array) -> Array:
-    """Return lowest and highest corner of where targets may be [m], shape (2, 3).
+    """Return the lowest and the highest corner of the targets' box [m], shape (2, 3).
 
     Args:
-        given: as the user gave it; None for the box around the cloth's start, twice its size larger on each side.
-        start: positions of the particles at the start [m], shape (n, 3).
+        bounds: the user's box; None for the box of the initial cloth, extended by twice its size on each side.
+        start: initial particle positions [m], shape (n, 3).
 
     Raises:
-        ValueError: for another shape, numbers that are not finite, or a corner that is not the lowest.
+        ValueError: if the shape is wrong, a number is not finite, or the first corner is not the lowest.
     """
     if given is None:
         low, high = start.min(axis=0), start.max(axis=0)
@@ -81,32 +85,37 @@ def workspace_of(given: ArrayLike | None, start: Array) -> Array:
 
 
 def action_space(commands: Commands, workspace: Array) -> Box:
-    """Return the space of one cloth's actions: targets in the workspace, quaternions, grasps."""
+    """Return the space of one cloth's actions: targets in the workspace, quaternions, grasps.
+
+    Args:
+        decoder: decoder of the actions.
+        workspace: lowest and highest corner of the targets [m], shape (2, 3).
+    """
     from gymnasium.spaces import Box
 
     low, high = (np.zeros(commands.shape, dtype=np.float32) for _ in range(2))
     low[:, :3], high[:, :3] = workspace
-    # A box has quaternions without length too; they are hit by no random number.
+    # The box contains the quaternion of length zero, but random samples never hit it.
     low[:, 3:-1], high[:, 3:-1], high[:, -1] = -1.0, 1.0, 1.0
     return Box(low, high, dtype=np.float32)
 
 
 def observation_space(shape: tuple[int, ...]) -> Box:
-    """Return a space of positions and velocities, which have no bounds; one number each stands for all of them."""
+    """Return an unbounded space of positions [m] and velocities [m/s]; its bounds are broadcast from one number."""
     from gymnasium.spaces import Box
 
     space = Box(-np.inf, np.inf, shape, np.float32)
     for name in ("low", "high", "bounded_below", "bounded_above"):
-        # Four arrays of the observations' size otherwise.
+        # Broadcasting saves four arrays of the observations' size.
         setattr(space, name, np.broadcast_to(getattr(space, name).flat[0], shape))
     return space
 
 
 def mode_of(given: str | AutoresetMode) -> AutoresetMode:
-    """Return a mode of autoreset by its name.
+    """Return an autoreset mode by its name.
 
     Raises:
-        ValueError: for an unknown one.
+        ValueError: if the name is unknown.
     """
     from gymnasium.vector import AutoresetMode
 
@@ -118,15 +127,15 @@ def mode_of(given: str | AutoresetMode) -> AutoresetMode:
 
 
 def mask_of(options: Mapping[str, Any] | None, count: int) -> NDArray[np.bool_]:
-    """Return which cloths ``options["reset_mask"]`` names; all without one.
+    """Return the mask ``options["reset_mask"]`` of reset cloths, shape (count,); all true by default.
 
     Raises:
-        ValueError: for another option, or a mask of another shape or type, or of none.
+        ValueError: if an option is unknown, or the mask has another shape or type or selects no cloth.
     """
     given = dict(options or {})
     mask = given.pop("reset_mask", None)
     if given:
-        raise ValueError(f"options has {', '.join(map(repr, given))}; known is 'reset_mask'")
+        raise ValueError(f"options has {', '.join(map(repr, given))}; the only option is 'reset_mask'")
     if mask is None:
         return np.ones(count, dtype=bool)
     if not isinstance(mask, np.ndarray) or mask.shape != (count,) or mask.dtype != np.bool_ or not mask.any():

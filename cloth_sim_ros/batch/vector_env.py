@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cloths for learning: a `gymnasium.vector.VectorEnv` of N cloths in one process, stepped on all cores.
+"""Learning environment of N cloths: a `gymnasium.vector.VectorEnv` on all cores.
 
-Each cloth moves to the last bit as a `Simulation` of its own does, whatever the number of threads and of cloths.
+Each cloth has the same bits as a separate `Simulation`, independent of the number of threads and cloths.
 """
 
 from __future__ import annotations
@@ -38,49 +38,51 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.simulation.snapshot import Snapshot
 
-#: Most speed of a gripper's target where nothing else is asked for [m/s].
+#: Default speed limit of a gripper's target [m/s].
 SPEED = 1.0
 
 
 class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
     """N cloths that grippers move.
 
-    The action of a cloth has for each gripper its target's position [m], a quaternion x, y, z, w if `orientations`, and
-    a grasp from 0 to 1, closed from 0.5 on: shape (grippers, 4 or 8), float32. Its observation has the positions [m] of
-    particles, and their velocities [m/s] if `velocities`: shape (m, 3 or 6), float32.
+    Actions have the shape (num_envs, grippers, 4 or 8), float32. The row of a gripper holds its target position [m], a
+    quaternion x, y, z, w if `orientations` is true, and a grasp from 0 to 1. A grasp of 0.5 or more closes the gripper.
 
-    `infos` has of each cloth under ``flagged`` in how many frames of the step the tolerance was missed.
+    Observations have the shape (num_envs, m, 3 or 6), float32. The row of a particle holds its position [m], and its
+    velocity [m/s] if `velocities` is true.
+
+    ``infos["flagged"]`` is the number of frames of the step that missed the tolerance, for each cloth.
 
     Args:
         num_envs: number of cloths.
-        scene: what each is: a `Scene`, a ROS parameter file, or values of parameters by full name. The default scene,
-            at a tolerance of a millimetre, where left out.
-        reward: takes an `Outcome`, gives a number for each cloth; 0 where left out.
-        terminated: takes an `Outcome`, says of each cloth whether its episode is over; never where left out.
-        max_episode_steps: after which an episode is truncated; None for never.
-        prepare: takes a fresh `Simulation` and brings it to where episodes begin, e.g. lets a gripper take a corner.
-        randomise: takes a `numpy.random.Generator`, each cloth's own, and the scene, at each reset; gives another
-            scene, values of parameters to change, or None. A cloth that was changed is made anew, which takes
-            milliseconds; others are put back.
-        frames_per_step: frames that an action lasts.
-        particles: which particles are observed; all where left out.
-        velocities: whether velocities are observed.
-        orientations: whether actions have orientations.
-        workspace: where targets may be [m], lowest and highest corner, shape (2, 3); where left out, twice the cloth's
-            size beyond where it starts.
-        speed: most speed of a gripper's target [m/s]: it is reached over several frames where it is far. A gripper's
-            first target places it at once.
+        scene: a `Scene`, a ROS parameter file, or values of parameters by full name; by default, the default scene with
+            a tolerance of 1 mm.
+        reward: takes an `Outcome` and returns a number for each cloth; 0 by default.
+        terminated: takes an `Outcome` and returns a bool for each cloth, true at the end of its episode; by default,
+            always false.
+        max_episode_steps: number of steps after which an episode is truncated; None for no limit.
+        prepare: takes a new `Simulation` and advances it to the start of an episode, e.g. grasps a corner.
+        randomise: takes a cloth's `numpy.random.Generator` and the scene at each reset. It returns another scene,
+            values of parameters, or None. A changed cloth is rebuilt in milliseconds; others are restored.
+        frames_per_step: number of frames per action.
+        particles: indices of the observed particles; all by default.
+        velocities: true to observe velocities.
+        orientations: true if actions have orientations.
+        workspace: box of the targets [m], lowest and highest corner, shape (2, 3); by default, the box of the initial
+            cloth, extended by twice its size.
+        speed: speed limit of a gripper's target [m/s]. A gripper reaches a distant target over several frames. Its
+            first target places it immediately.
         autoreset_mode: ``NextStep``, ``SameStep`` or ``Disabled``, see gymnasium.vector.AutoresetMode.
-        threads: None takes the cores that this process may use.
-        copy: whether observations are copies; else all are one array, which the next step writes into.
+        threads: number of threads; None takes one per core that this process may use.
+        copy: true to return copies of the observations; false to return one array that the next step overwrites.
 
     Raises:
-        ValueError: for a value out of range; the message names it.
+        ValueError: if an option is out of range; the message names it.
     """
 
     copy_refusal = (
         "an environment's cloths own memory of the engine, and can't be copied or pickled; make another environment, "
-        "or try futures of its snapshots by rollouts()"
+        "or roll out its snapshots by rollouts()"
     )
 
     def __init__(
@@ -109,7 +111,7 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
         self.autoreset_mode = mode_of(autoreset_mode)
         self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
         self._reward, self._terminated, self._randomise, self._copy = reward, terminated, randomise, copy
-        #: The scene of all cloths that are not randomised.
+        #: Common scene of all cloths that are not randomised.
         self.scene = scene_of(scene)
         self._commands = Commands(self.scene, turned=orientations, speed=speed)
         start = self.scene.initial_positions()
@@ -125,41 +127,41 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
         self._wrenches = np.zeros((self.num_envs, len(self._commands.names), 6))
         self._flagged = np.zeros(self.num_envs, dtype=np.int64)
         self._elapsed = np.zeros(self.num_envs, dtype=np.int64)
-        #: Whether each cloth's episode is over, and whether it has begun at all.
+        # Masks of the cloths whose episode is over, and of those that were reset at least once.
         self._over = np.zeros(self.num_envs, dtype=bool)
         self._begun = np.zeros(self.num_envs, dtype=bool)
         self._generators = Generators(self.num_envs)
 
     @property
     def snapshots(self) -> tuple[Snapshot, ...]:
-        """Where each cloth is: to be rolled out, or restored in a `Simulation` of its scene."""
+        """Snapshot of each cloth, for rollouts or for a `Simulation` of its scene."""
         return tuple(self._herd.snapshots)
 
     @property  # type: ignore[misc]
     def np_random(self) -> Any:
-        """Each cloth's random generator."""
+        """Random generator of each cloth."""
         return self._generators.all()
 
     @property
     def np_random_seed(self) -> Any:
-        """What each cloth's random generator was seeded with."""
+        """Seed of each cloth's random generator."""
         return self._generators.seeds()
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Let all cloths begin anew, or those that ``options["reset_mask"]``, shape (num_envs,), names.
+        """Start a new episode of all cloths, or of those that ``options["reset_mask"]`` selects.
 
         Args:
-            seed: of the first cloth's generator, the next having the next number; or one for each. Generators go on
-                where it is left out.
-            options: may have ``reset_mask``.
+            seed: seed of the first cloth's generator, which increases by 1 per cloth; or one seed for each cloth. None
+                keeps the generators' states.
+            options: may have ``reset_mask``, bool, shape (num_envs,).
 
         Returns:
-            Observations, shape (num_envs, m, 3 or 6), and nothing else.
+            Observations, shape (num_envs, m, 3 or 6), and an empty dictionary.
 
         Raises:
-            ValueError: for seeds or a mask of another shape.
+            ValueError: if seeds or mask have another shape.
         """
         indices = np.flatnonzero(mask_of(options, self.num_envs)).tolist()
         self._generators.seed(seed, indices)
@@ -169,14 +171,17 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
     def step(
         self, actions: ArrayLike
     ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Let all cloths go on, each by its action; actions have shape (num_envs, grippers, 4 or 8).
+        """Step all cloths, each by its action.
+
+        Args:
+            actions: shape (num_envs, grippers, 4 or 8).
 
         Returns:
             Observations, rewards, terminations, truncations and infos.
 
         Raises:
-            ValueError: for actions of another shape, not finite, or outside `action_space`; no cloth has moved then.
-            RuntimeError: before the first reset; after `close`; with autoreset disabled, for an episode that is over.
+            ValueError: if actions have another shape, are not finite, or lie outside `action_space`. No cloth moves.
+            RuntimeError: before the first reset, after `close`, or if an episode is over and autoreset is disabled.
         """
         acts = self._checked(actions)
         again = np.flatnonzero(self._over).tolist() if self.autoreset_mode is AutoresetMode.NEXT_STEP else []
@@ -208,18 +213,18 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
         return self._told(), rewards, terminations, truncations, infos
 
     def close_extras(self, **kwargs: Any) -> None:
-        """End the threads."""
+        """Stop the threads."""
         self._crew.close()
 
     def _checked(self, actions: ArrayLike) -> NDArray[np.float32]:
         if self.closed:
-            raise RuntimeError("the environment is closed: make another one")
+            raise RuntimeError("the environment is closed: make another environment")
         if not self._begun.all():
-            raise RuntimeError("the cloths have not begun yet: call reset() before the first step()")
+            raise RuntimeError("the cloths have no episode yet: call reset() before the first step()")
         if self.autoreset_mode is AutoresetMode.DISABLED and self._over.any():
             over = np.flatnonzero(self._over)
             raise RuntimeError(
-                f"the episode of cloth {over[0]} is over, and autoreset is disabled: begin it anew by "
+                f"the episode of cloth {over[0]} is over, and autoreset is disabled: start a new one by "
                 'reset(options={"reset_mask": terminations | truncations})'
             )
         acts = self._commands.checked(actions, (self.num_envs,), dtype=np.float32)
@@ -234,7 +239,7 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
         return acts
 
     def _tell(self, i: int, simulation: Simulation, wrenches: Array, missed: int) -> None:
-        """Write down what became of a cloth; called by its worker."""
+        """Store observation, wrenches and flags of a stepped cloth; called by its worker."""
         self._put(i, simulation.state)
         self._wrenches[i], self._flagged[i] = wrenches, missed
 
@@ -243,7 +248,7 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
         put(row.reshape(len(row), -1, 3).transpose(1, 0, 2), self._chosen, state)
 
     def _look(self, indices: Sequence[int] | range) -> None:
-        """Observe cloths where they are."""
+        """Store the observations of cloths from their snapshots."""
         for i in indices:
             self._put(i, self._herd.snapshots[i].state)
 

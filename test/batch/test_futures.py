@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rollouts: each future is what a simulation alone does, on any number of threads."""
+"""Rollouts equal single simulations on any number of threads."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FUTURES, FRAMES = 5, 4
 
 @pytest.fixture(scope="module")
 def held() -> Simulation:
-    """A cloth whose last corner is held by the left gripper, under other gravity than its scene began with."""
+    """Simulation whose left gripper holds the last corner, with another gravity than its scene."""
     simulation = Simulation(SCENE)
     simulation.advance([Target("left", simulation.positions[-1]), Grasp("left", True)])
     simulation.advance([Target("right", simulation.positions[-6]), SetParameters({"gravity": [0.0, 0.5, -9.0]})])
@@ -32,7 +32,7 @@ def ways(simulation: Simulation) -> np.ndarray:
 
 
 @pytest.mark.parametrize("workers", [{"threads": 1}, {"threads": 2}, {"threads": 3}, {}, {"processes": 2}], ids=str)
-def test_futures_are_what_simulations_alone_do(held: Simulation, workers: dict[str, int]) -> None:
+def test_rollouts_equal_single_simulations(held: Simulation, workers: dict[str, int]) -> None:
     taken = held.snapshot()
     digest, acts = taken.state.digest(), ways(held)
     done = rollouts(taken, acts, velocities=True, **workers)
@@ -55,7 +55,7 @@ def test_futures_are_what_simulations_alone_do(held: Simulation, workers: dict[s
     assert taken.state.digest() == held.state.digest() == digest
 
 
-def test_they_go_on_from_their_ends_and_tell_of_chosen_particles(held: Simulation) -> None:
+def test_rollouts_continue_with_selected_particles(held: Simulation) -> None:
     acts = ways(held)
     whole = rollouts(held.snapshot(), acts, particles=[29, 3])
     first = rollouts(held.snapshot(), acts[:1, :2])
@@ -65,7 +65,7 @@ def test_they_go_on_from_their_ends_and_tell_of_chosen_particles(held: Simulatio
     assert then.ends[0].state.digest() == whole.ends[0].state.digest()
 
 
-def test_grippers_turn_where_orientations_are_given(held: Simulation) -> None:
+def test_orientations_turn_grippers(held: Simulation) -> None:
     acts = np.zeros((1, 2, 2, 8))
     acts[..., :3], acts[..., 6], acts[..., 7] = held.grippers.poses()[:, :3], 2.0, [1.0, 0.0]
     acts[0, 1, 0, 3:7] = [0.0, 0.0, 3.0, 3.0]
@@ -78,23 +78,23 @@ def test_grippers_turn_where_orientations_are_given(held: Simulation) -> None:
     ("shape", "value", "options", "message"),
     [
         ((2, 3, 4), 0.0, {}, r"actions have shape \(2, 3, 4\); they must be \(K, T, grippers, 4\)"),
-        ((2, 3, 1, 4), 0.0, {}, r"they must be \(2, 3, 2, 4\), of each gripper x, y, z, grasp"),
+        ((2, 3, 1, 4), 0.0, {}, r"they must be \(2, 3, 2, 4\), for each gripper x, y, z, grasp"),
         ((2, 3, 2, 8), 0.0, {}, r"actions\[0, 0, 0\] has a quaternion without length"),
         ((2, 3, 2, 4), np.nan, {}, r"actions\[0, 0, 0, 0\] is nan"),
-        ((2, 3, 2, 4), 2e4, {}, r"actions\[0, 0, 0, 0\] is 20000\.0 m; at most 10000 m away"),
+        ((2, 3, 2, 4), 2e4, {}, r"actions\[0, 0, 0, 0\] is 20000\.0 m; the limit is 10000 m"),
         ((2, 3, 2, 4), 0.0, {"threads": -1}, "threads is -1"),
         ((2, 3, 2, 4), 0.0, {"processes": 0}, "processes is 0; it must be a whole number of at least 1"),
         ((2, 3, 2, 4), 0.0, {"threads": 2, "processes": 2}, "threads is 2 and processes is 2; give one of them"),
         ((2, 3, 2, 4), 0.0, {"particles": [-1]}, "particles name particle -1"),
-        ((2, 3, 2, 4), 0.0, {"particles": [0.5]}, "give a list of numbers of particles"),
+        ((2, 3, 2, 4), 0.0, {"particles": [0.5]}, "give a list of particle indices"),
     ],
 )
-def test_bad_input_is_told(held: Simulation, shape, value, options, message: str) -> None:
+def test_bad_input_is_refused(held: Simulation, shape, value, options, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         rollouts(held.snapshot(), np.full(shape, value), **options)
 
 
-def test_processes_take_up_other_scenes_and_other_states(held: Simulation) -> None:
+def test_processes_accept_other_scenes_and_states(held: Simulation) -> None:
     other = Simulation(Scene.from_parameters({"cloth.resolution": [4, 4], "grippers": ["left", "right"]}))
     for simulation in (held, other, held):
         acts = ways(held)[:2]
@@ -102,7 +102,7 @@ def test_processes_take_up_other_scenes_and_other_states(held: Simulation) -> No
         assert [end.state.digest() for end in here.ends] == [end.state.digest() for end in there.ends]
 
 
-def test_no_futures_and_no_frames_are_none(held: Simulation) -> None:
+def test_empty_rollouts_have_empty_results(held: Simulation) -> None:
     for workers in ({}, {"processes": 1}):
         assert rollouts(held.snapshot(), np.zeros((0, 3, 2, 4)), **workers).positions.shape == (0, 3, 30, 3)
     still = rollouts(held.snapshot(), np.zeros((2, 0, 2, 4)))

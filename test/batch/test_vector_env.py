@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Environments of gymnasium: each cloth moves as a simulation of its own, and gymnasium's own checks pass."""
+"""Gymnasium environments: equality with single simulations, and gymnasium's checks."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def actions(cloths: ClothVectorEnv, steps: int, seed: int = 0) -> np.ndarray:
 
 
 def low(outcome: Outcome) -> np.ndarray:
-    """Whether the last particle is low."""
+    """Return true for each cloth whose last particle is below -0.2 m, shape (N,)."""
     return np.array([state.x[2, -1] < -0.2 for state in outcome.states])
 
 
@@ -67,7 +67,7 @@ def make():
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
-def test_each_cloth_moves_as_a_simulation_alone(make, threads: int) -> None:
+def test_each_cloth_equals_single_simulation(make, threads: int) -> None:
     cloths = make(speed=np.inf, prepare=take_corner, threads=threads, frames_per_step=2, velocities=True)
     observations, _ = cloths.reset(seed=3)
     alone = [Simulation(SCENE) for _ in range(COUNT)]
@@ -92,7 +92,7 @@ def test_each_cloth_moves_as_a_simulation_alone(make, threads: int) -> None:
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_a_vector_does_what_single_cloths_do(make, mode: AutoresetMode) -> None:
+def test_vector_env_equals_single_envs(make, mode: AutoresetMode) -> None:
     options = {"scene": SCENE, "reward": height, "terminated": low, "randomise": heavier, "prepare": take_corner}
     cloths = make(autoreset_mode=mode, max_episode_steps=7, **options)
 
@@ -118,7 +118,7 @@ def test_a_vector_does_what_single_cloths_do(make, mode: AutoresetMode) -> None:
 
 
 def _equal(here, there) -> bool:
-    """Whether results are equal; what is masked in infos does not count."""
+    """Return true if results are equal; masked entries of infos are ignored."""
     *data, info = here
     *expected, told = there
     assert all(np.array_equal(a, b) and a.dtype == b.dtype for a, b in zip(data, expected, strict=True))
@@ -134,7 +134,7 @@ def _equal(here, there) -> bool:
     return True
 
 
-def test_gymnasium_knows_both_by_name_and_checks_them() -> None:
+def test_registered_envs_pass_gymnasium_checks() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         # Positions have no bounds.
@@ -157,7 +157,7 @@ def test_gymnasium_knows_both_by_name_and_checks_them() -> None:
 @pytest.mark.parametrize(
     "code", ["from cloth_sim_ros.batch import ClothVectorEnv", "from cloth_sim_ros.batch import ClothEnv"]
 )
-def test_gymnasium_knows_their_name_once_they_are_imported(code: str) -> None:
+def test_import_registers_env_name(code: str) -> None:
     code = f"import gymnasium; {code}; print(type(gymnasium.make_vec({NAME!r}, num_envs=2)).__name__)"
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", code], check=False, capture_output=True, text=True, cwd=ROOT
@@ -166,7 +166,7 @@ def test_gymnasium_knows_their_name_once_they_are_imported(code: str) -> None:
     assert isinstance(gymnasium.make_vec(f"cloth_sim_ros.batch.registered:{NAME}"), ClothVectorEnv)
 
 
-def test_seeds_are_each_cloths_own(make) -> None:
+def test_each_cloth_has_own_seed(make) -> None:
     cloths = make(randomise=heavier)
     cloths.reset(seed=11)
     assert cloths.np_random_seed == tuple(range(11, 11 + COUNT))
@@ -178,7 +178,7 @@ def test_seeds_are_each_cloths_own(make) -> None:
     assert [snapshot.scene.material.density for snapshot in cloths.snapshots] != first[::-1]
 
 
-def test_a_fresh_cloth_is_put_back_not_built(make, monkeypatch) -> None:
+def test_reset_restores_snapshot_without_rebuild(make, monkeypatch) -> None:
     cloths = make(prepare=take_corner, threads=1)
     fresh = cloths.reset()[0]
     for acts in actions(cloths, 3):
@@ -187,7 +187,7 @@ def test_a_fresh_cloth_is_put_back_not_built(make, monkeypatch) -> None:
     assert (cloths.reset()[0] == fresh).all()
 
 
-def test_observations_may_be_of_some_particles_in_one_array(make) -> None:
+def test_selected_particles_share_one_array(make) -> None:
     cloths = make(particles=[29, 0, 5], copy=False)
     first, _ = cloths.reset()
     assert first.shape == (COUNT, 3, 3)
@@ -195,7 +195,7 @@ def test_observations_may_be_of_some_particles_in_one_array(make) -> None:
     assert cloths.step(actions(cloths, 1)[0])[0] is first
 
 
-def test_a_gripper_goes_no_faster_than_its_speed(make) -> None:
+def test_gripper_speed_is_limited(make) -> None:
     cloths = make(1, speed=0.3, orientations=True)
     cloths.reset()
     start = np.array([[[0.0, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0, 0.0]]])
@@ -222,7 +222,7 @@ def bad(value: float) -> np.ndarray:
     [
         (
             np.zeros((COUNT, 4)),
-            r"actions have shape \(5, 4\); they must be \(5, 1, 4\), of each gripper x, y, z, grasp",
+            r"actions have shape \(5, 4\); they must be \(5, 1, 4\), for each gripper x, y, z, grasp",
         ),
         (bad(np.nan), r"actions\[3, 0, 1\] is nan; it must be finite"),
         (bad(np.inf), r"actions\[3, 0, 1\] is inf; it must be finite"),
@@ -230,7 +230,7 @@ def bad(value: float) -> np.ndarray:
         ("left", "they must be numbers"),
     ],
 )
-def test_bad_actions_move_nothing(make, acts, message: str) -> None:
+def test_bad_actions_move_no_cloth(make, acts, message: str) -> None:
     cloths = make(prepare=take_corner)
     before = cloths.reset()[0]
     with pytest.raises(ValueError, match=message):
@@ -242,7 +242,7 @@ def test_bad_actions_move_nothing(make, acts, message: str) -> None:
     assert [s.state.digest() for s in again.snapshots] == [s.state.digest() for s in cloths.snapshots]
 
 
-def test_a_reward_that_fails_leaves_the_cloths_where_they_were(make) -> None:
+def test_failed_reward_leaves_cloths_unchanged(make) -> None:
     cloths = make(reward=lambda outcome: np.full(COUNT, np.nan), copy=False)
     first = cloths.reset()[0].copy()
     digests = [s.state.digest() for s in cloths.snapshots]
@@ -259,7 +259,7 @@ def test_a_reward_that_fails_leaves_the_cloths_where_they_were(make) -> None:
         ({"threads": 0}, "threads is 0"),
         ({"frames_per_step": 1.5}, "frames_per_step is 1.5"),
         ({"max_episode_steps": -1}, "max_episode_steps is -1"),
-        ({"particles": [30]}, "there are 30, counted from 0"),
+        ({"particles": [30]}, "there are 30, from index 0"),
         ({"particles": []}, "particles are"),
         ({"speed": 0.0}, "speed is 0.0 m/s"),
         ({"workspace": [[0, 0, 0], [1, 1, -1]]}, "workspace is"),
@@ -269,12 +269,12 @@ def test_a_reward_that_fails_leaves_the_cloths_where_they_were(make) -> None:
         ({"scene": 3}, "scene is 3"),
     ],
 )
-def test_bad_options_are_told(options, message: str) -> None:
+def test_bad_options_are_refused(options, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         ClothVectorEnv(**{"scene": SCENE, **options})
 
 
-def test_what_comes_at_the_wrong_time_is_told(make) -> None:
+def test_calls_in_wrong_order_are_refused(make) -> None:
     cloths = make(autoreset_mode="Disabled", max_episode_steps=1)
     with pytest.raises(RuntimeError, match=r"call reset\(\) before the first step"):
         cloths.step(bad(0.0))
@@ -290,7 +290,7 @@ def test_what_comes_at_the_wrong_time_is_told(make) -> None:
         cloths.step(bad(0.0))
 
 
-def test_a_closed_environment_is_told(make) -> None:
+def test_closed_environment_is_refused(make) -> None:
     cloths = make()
     cloths.reset()
     cloths.close()
@@ -299,14 +299,14 @@ def test_a_closed_environment_is_told(make) -> None:
         cloths.step(bad(0.0))
 
 
-def test_a_randomised_scene_must_be_alike(make) -> None:
+def test_randomised_scene_must_have_same_shape(make) -> None:
     cloths = make(randomise=lambda rng, scene: {"cloth.resolution": [4, 4]})
     with pytest.raises(ValueError, match="actions and observations of all cloths must be alike"):
         cloths.reset()
 
 
 @pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, pickle.dumps])
-def test_an_environment_is_not_copied(make, again) -> None:
+def test_environment_copy_is_refused(make, again) -> None:
     for cloths in (make(), ClothEnv(scene=SCENE, threads=1)):
         with pytest.raises(TypeError, match="make another environment"):
             again(cloths)
