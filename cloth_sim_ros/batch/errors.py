@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Exceptions of studies; every message names the value, the limit and the remedy."""
+"""Exceptions of studies.
+
+Every message names the value, the limit and the remedy.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fit of a cloth's parameters to point clouds, with error bounds and identifiability."""
+"""Fit of a cloth's parameters to point clouds, with error bounds."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pool of N cloths, stored as snapshots and stepped by a thread pool.
+"""Pool of cloths, stored as snapshots and stepped by threads.
 
 Each worker of the thread pool has one simulation of the common scene. Therefore a cloth takes only the memory of its
 state. A cloth with a randomised scene has its own simulation.

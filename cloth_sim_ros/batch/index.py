@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Index of a study: a Parquet table with a row per finished run."""
+"""Index of a study: Parquet table with one row per run."""
 
 from __future__ import annotations
 

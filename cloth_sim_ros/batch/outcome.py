@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Outcome of an environment step: argument of the user's reward and termination functions."""
+"""Outcome of an environment step, for reward and termination functions."""
 
 from __future__ import annotations
 

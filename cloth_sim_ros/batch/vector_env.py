@@ -45,8 +45,9 @@ SPEED = 1.0
 class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
     """N cloths that grippers move.
 
-    Actions have the shape (num_envs, grippers, 4 or 8), float32. The row of a gripper holds its target position [m], a
-    quaternion x, y, z, w if `orientations` is true, and a grasp from 0 to 1. A grasp of 0.5 or more closes the gripper.
+    Actions have the shape (num_envs, grippers, 4 or 8), float32. The row of a gripper holds its target position [m] and
+    a grasp from 0 to 1. A grasp of 0.5 or more closes the gripper. If `orientations` is true, a quaternion x, y, z, w
+    stands between them.
 
     Observations have the shape (num_envs, m, 3 or 6), float32. The row of a particle holds its position [m], and its
     velocity [m/s] if `velocities` is true.

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Views of a study: table in the terminal, plot, or one run in Rerun."""
+"""Views of a study: table, plot, or one run in Rerun."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Grasped particles of a real cloth, from clouds in which hands hide them."""
+"""Grasped particles of a real cloth that hands hide."""
 
 from __future__ import annotations
 
