@@ -137,7 +137,7 @@ def read_bag(
     clouds = [cloud for (_, cloud), new in zip(seen, first, strict=True) if new]
     if seconds[-1] > LONGEST:
         raise FitError(
-            f"clouds span {seconds[-1]:.0f} s, at most {LONGEST:g} are one motion; are the header stamps of one clock?"
+            f"clouds span {seconds[-1]:.0f} s; the limit is {LONGEST:g} s. Check that one clock sets the header stamps"
         )
     for name, track in tracks.items():
         if min(track.stamps) > stamps[-1] or max(track.stamps) < stamps[0] - 60 * 10**9:

@@ -172,7 +172,7 @@ def describe_held(held: HeldParticles, scene: Scene) -> str:
         "" if held.neighbour is None else f"; the next, {held.neighbour}, at {1e3 * held.neighbour_distance:.0f} mm"
     )
     kind = "particle" if len(held.particles) == 1 else "particles"
-    return f"Gripper '{held.gripper}' holds {kind} {names}{more} ({how}): {1e3 * held.distance:.1f} mm away{next_text}."
+    return f"Gripper '{held.gripper}' holds {kind} {names}{more} ({how}): {1e3 * held.distance:.1f} mm off{next_text}."
 
 
 def _check(held: HeldParticles, local: Array, errors: Array, free_particles: Sequence[int], reach: float) -> None:
@@ -180,8 +180,8 @@ def _check(held: HeldParticles, local: Array, errors: Array, free_particles: Seq
     error = math.hypot(float(errors[first]), _CALIBRATION)
     if not held.distance <= reach + _CERTAIN * error:
         raise FitError(
-            f"gripper '{held.gripper}' is {1e3 * held.distance:.0f} mm from the nearest particle, {first}: its poses "
-            f"do not touch the cloth. Give the fingertips' poses, in the clouds' frame and by their clock. "
+            f"gripper '{held.gripper}' is {1e3 * held.distance:.0f} mm from the nearest particle, {first}: its "
+            f"poses do not touch the cloth. Give the fingertips' poses, in the clouds' frame and by their clock. "
             f"{_remedy(held)}"
         )
     for candidate in free_particles:

@@ -171,15 +171,15 @@ def check(recording: Recording, fitted_names: Sequence[str]) -> None:
     seen = [bool(np.isfinite(cloud).all(axis=1).any()) for cloud in clouds]
     if sum(seen) < LEAST_CLOUDS:
         raise FitError(
-            f"{sum(seen)} of {len(clouds)} clouds hold a point with finite coordinates; a fit needs {LEAST_CLOUDS} or "
-            "more"
+            f"{sum(seen)} of {len(clouds)} clouds hold a point with finite coordinates; a fit needs "
+            f"{LEAST_CLOUDS} or more"
         )
     numbers = sum(cloud.size for cloud in clouds)
     needed = 8 * numbers * (4 * len(fitted_names) + 4)
     if needed > MOST_BYTES:
         raise FitError(
-            f"{len(clouds)} clouds of {numbers // 3} points in all would take {needed / 2**30:.1f} GiB of memory; at "
-            f"most {MOST_BYTES / 2**30:.0f}: use fewer by --until SECONDS or --every N"
+            f"{len(clouds)} clouds of {numbers // 3} points in all would take {needed / 2**30:.1f} GiB of memory; "
+            f"at most {MOST_BYTES / 2**30:.0f}: use fewer by --until SECONDS or --every N"
         )
     for number, events in enumerate(recording.events):
         for event in events:

@@ -102,7 +102,7 @@ def _tied(tie: Tie, within: float) -> str:
         for name, part in zip(names, tie.parts, strict=True)
     )
     if tie.bound < 4.0 * within:
-        return f"The most uncertain combination is {changes}, together (standard deviation {_percent(tie.bound)})."
+        return f"The most uncertain combination is {changes}, together (sigma {_percent(tie.bound)})."
     known = ""
     if len(names) == 2 and abs(abs(tie.parts[1]) - 1.0) < 0.15:
         known = f": only their {'ratio' if tie.parts[1] > 0 else 'product'} is identified"

@@ -121,8 +121,8 @@ def _ends(problem: Problem, seconds: NDArray[np.float64]) -> list[int]:
         length *= 2.0
     if int(problem.offsets[ends[-1]]) <= len(problem.runs.fitted):
         raise FitError(
-            f"the clouds have {int(problem.offsets[ends[-1]])} coordinates for {len(problem.runs.fitted)} parameters; "
-            "record more clouds"
+            f"the clouds have {int(problem.offsets[ends[-1]])} coordinates for {len(problem.runs.fitted)} "
+            "parameters; record more clouds"
         )
     return ends
 
@@ -194,6 +194,7 @@ def _bent_words(seconds: NDArray[np.float64], cloud: int) -> str:
 
 def _worse_words(seconds: NDArray[np.float64], clouds: int, rms: float, last: Window) -> str:
     return (
-        f"clouds after {seconds[last.clouds - 1]:.2f} s are not used: up to {seconds[clouds - 1]:.2f} s the residuals "
-        f"grow from {1e3 * root_mean_square(last.linear.r):.3g} to {1e3 * rms:.3g} mm, which the model does not explain"
+        f"clouds after {seconds[last.clouds - 1]:.2f} s are not used: up to {seconds[clouds - 1]:.2f} s the "
+        f"residuals grow from {1e3 * root_mean_square(last.linear.r):.3g} to {1e3 * rms:.3g} mm, which the model "
+        "does not explain"
     )

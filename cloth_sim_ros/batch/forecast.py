@@ -91,8 +91,8 @@ def check_room(folder: Path, study: Study, forecast: Forecast) -> None:
     if needed > free:
         advice = "omit the clouds ('clouds: false'), " if study.clouds else ""
         raise StudyError(
-            f"{study.runs} runs take about {quantity(needed, 'B')}, {folder} has {quantity(free, 'B')} left; "
-            f"{advice}reduce runs or use another disk"
+            f"{study.runs} runs take about {quantity(needed, 'B')}, {folder} has {quantity(free, 'B')} "
+            f"left; {advice}reduce runs or use another disk"
         )
 
 
