@@ -146,8 +146,8 @@ def check_workers(client: Client, folder: Path, source: str) -> None:
             )
         if theirs != source:
             raise StudyError(
-                f"worker {worker} has another version of cloth_sim_ros ({theirs}, here {source}): its bits may "
-                "differ; install the same version there"
+                f"worker {worker} has another version of cloth_sim_ros ({theirs}, here {source}): its bits "
+                "may differ; install the same version there"
             )
 
 

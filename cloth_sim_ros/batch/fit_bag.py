@@ -136,9 +136,7 @@ def read_bag(
     seconds = (stamps[first] - stamps[0]) * 1e-9
     clouds = [cloud for (_, cloud), new in zip(seen, first, strict=True) if new]
     if seconds[-1] > LONGEST:
-        raise FitError(
-            f"clouds span {seconds[-1]:.0f} s; the limit is {LONGEST:g} s. Check that one clock sets the header stamps"
-        )
+        raise FitError(f"clouds span {seconds[-1]:.0f} s; the limit is {LONGEST:g} s. Stamp all messages by one clock")
     for name, track in tracks.items():
         if min(track.stamps) > stamps[-1] or max(track.stamps) < stamps[0] - 60 * 10**9:
             raise FitError(

@@ -178,8 +178,8 @@ def check(recording: Recording, fitted_names: Sequence[str]) -> None:
     needed = 8 * numbers * (4 * len(fitted_names) + 4)
     if needed > MOST_BYTES:
         raise FitError(
-            f"{len(clouds)} clouds of {numbers // 3} points in all would take {needed / 2**30:.1f} GiB of memory; "
-            f"at most {MOST_BYTES / 2**30:.0f}: use fewer by --until SECONDS or --every N"
+            f"{len(clouds)} clouds of {numbers // 3} points in all would take {needed / 2**30:.1f} GiB of "
+            f"memory; at most {MOST_BYTES / 2**30:.0f}: use fewer by --until SECONDS or --every N"
         )
     for number, events in enumerate(recording.events):
         for event in events:

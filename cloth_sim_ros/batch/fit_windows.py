@@ -195,6 +195,6 @@ def _bent_words(seconds: NDArray[np.float64], cloud: int) -> str:
 def _worse_words(seconds: NDArray[np.float64], clouds: int, rms: float, last: Window) -> str:
     return (
         f"clouds after {seconds[last.clouds - 1]:.2f} s are not used: up to {seconds[clouds - 1]:.2f} s the "
-        f"residuals grow from {1e3 * root_mean_square(last.linear.r):.3g} to {1e3 * rms:.3g} mm, which the model "
-        "does not explain"
+        f"residuals grow from {1e3 * root_mean_square(last.linear.r):.3g} to {1e3 * rms:.3g} mm, which the "
+        "model does not explain"
     )

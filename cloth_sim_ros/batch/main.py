@@ -142,7 +142,7 @@ def _check(options: argparse.Namespace) -> int:
 
     study = study_file.read(options.study)
     _, forecast = draw(study, cores())
-    print(f"{study.runs} runs of {study.duration:g} s ({forecast.frames} frames), {study.sampling}, seed {study.seed}")
+    print(f"{study.runs} runs of {study.duration:g} s, {forecast.frames} frames, {study.sampling}, seed {study.seed}")
     for factor in study.factors:
         print(f"  {factor.name}: {factor.kind} {', '.join(map(str, factor.values[:8]))}")
     print(f"they take {forecast.in_words(study.runs, cores())}")

@@ -118,8 +118,8 @@ def _held(place: StudyFolder, study: Study, resume: bool, retry_failed: bool) ->
     rows = {int(row["run"]): row for row in place.rows()}
     if rows and not resume:
         raise StudyError(
-            f"{place.path} holds {len(rows)} of {study.runs} runs of this study; continue with --resume, or start "
-            "in another folder"
+            f"{place.path} holds {len(rows)} of {study.runs} runs of this study; continue with --resume, or "
+            "start in another folder"
         )
     again = [run for run, row in rows.items() if row["status"] == KILLED or (retry_failed and row["status"] != OK)]
     for run in again:
