@@ -146,7 +146,7 @@ def test_nothing_is_sent_while_the_cloth_stands(monkeypatch: pytest.MonkeyPatch)
     assert len(said) == 1
 
 
-def test_cloth_that_was_started_anew_ends_the_script(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_restarted_cloth_ends_the_script(monkeypatch: pytest.MonkeyPatch) -> None:
     cloth = SlowCloth(monkeypatch, 1.0)
     spin = cloth._spin_once
 
@@ -162,7 +162,7 @@ def test_cloth_that_was_started_anew_ends_the_script(monkeypatch: pytest.MonkeyP
         cloth.player.play()
 
 
-def test_cloth_that_says_no_time_is_not_waited_for_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cloth_without_time_times_out(monkeypatch: pytest.MonkeyPatch) -> None:
     cloth = SlowCloth(monkeypatch, 1.0, stands_at=-1.0)
     with pytest.raises(gripper_player.GripperError, match="/cloth_sim has said nothing on /cloth_sim/clock"):
         cloth.player.play(standing=3.0)

@@ -95,7 +95,7 @@ class Cloth:
 
 
 @pytest.mark.parametrize(("at", "for_long"), [(0.5, 0.0), (0.95, 0.7), (0.3, 30.0), (1.8, 5.0)])
-def test_grasps_happen_where_the_script_has_them(monkeypatch: pytest.MonkeyPatch, at: float, for_long: float) -> None:
+def test_grasps_happen_at_script_positions(monkeypatch: pytest.MonkeyPatch, at: float, for_long: float) -> None:
     cloth = Cloth(monkeypatch)
     cloth.held_up_at, cloth.held_up_for = at, for_long
     cloth.play()
@@ -110,11 +110,11 @@ def test_grasps_happen_where_the_script_has_them(monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("held", [0, 3])
-def test_what_was_held_is_known(monkeypatch: pytest.MonkeyPatch, held: int) -> None:
+def test_grasp_report_has_particle_count(monkeypatch: pytest.MonkeyPatch, held: int) -> None:
     assert [hold.held for hold in Cloth(monkeypatch, held=held).play().hands[0].holds] == [held]
 
 
-def test_it_is_not_opened_before_it_is_known_what_it_held(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gripper_opens_after_grasp_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     # What is said after the opening is of an open gripper.
     cloth = Cloth(monkeypatch, answers_after=2.5)
     player = cloth.play()
@@ -123,7 +123,7 @@ def test_it_is_not_opened_before_it_is_known_what_it_held(monkeypatch: pytest.Mo
     assert [hold.held for hold in player.hands[0].holds] == [3]
 
 
-def test_it_begins_when_the_node_says_that_the_gripper_is_open(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_script_starts_after_node_reports_open_gripper(monkeypatch: pytest.MonkeyPatch) -> None:
     cloth = Cloth(monkeypatch, answers_after=2.5)
     player = gripper_player.GripperPlayer(cloth.node, [SCRIPT], target="/cloth_sim")
     # What it was before somebody asked is no answer.
@@ -133,7 +133,7 @@ def test_it_begins_when_the_node_says_that_the_gripper_is_open(monkeypatch: pyte
     assert 2.5 <= cloth.time < 3.0
 
 
-def test_a_node_that_does_not_say_that_the_gripper_is_open_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_open_report_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     cloth = Cloth(monkeypatch, answers_after=1e9)
     player = gripper_player.GripperPlayer(cloth.node, [SCRIPT], target="/cloth_sim")
     cloth.say(False)
@@ -141,7 +141,7 @@ def test_a_node_that_does_not_say_that_the_gripper_is_open_is_told(monkeypatch: 
         player.wait_for_grippers(10.0)
 
 
-def test_a_node_that_does_not_answer_is_not_waited_for_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_grasp_answer_times_out(monkeypatch: pytest.MonkeyPatch) -> None:
     cloth = Cloth(monkeypatch, answers_after=1e9)
     player = cloth.play()
     assert len(cloth.grasps()) == 2
@@ -151,7 +151,7 @@ def test_a_node_that_does_not_answer_is_not_waited_for_for_ever(monkeypatch: pyt
     assert "not known" in describe_holds(player.hands[0].holds)
 
 
-def test_scripts_of_several_grippers_begin_and_are_delayed_together(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scripts_of_several_grippers_start_and_wait_together(monkeypatch: pytest.MonkeyPatch) -> None:
     cloth = Cloth(monkeypatch)
     cloth.held_up_at, cloth.held_up_for = 0.95, 0.7
     scripts = [attrs.evolve(SCRIPT, gripper=name) for name in ("left", "right")]
@@ -167,7 +167,7 @@ def test_scripts_of_several_grippers_begin_and_are_delayed_together(monkeypatch:
     assert [[hold.held for hold in hand.holds] for hand in player.hands] == [[3], [3]]
 
 
-def test_what_was_held_is_told_in_words() -> None:
+def test_grasp_reports_are_described_in_words() -> None:
     holds = [gripper_hand.Hold(1, ""), gripper_hand.Hold(0, "")]
     assert describe_holds(holds) == "held 1 particle; held nothing (the node's log says why)"
     assert describe_holds([]) == "the script closes nothing"

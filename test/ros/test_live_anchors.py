@@ -37,7 +37,7 @@ def anchored(*names: str) -> SetParameters:
     return SetParameters({"cloth.anchors": list(names) or [""]})
 
 
-def test_what_is_anchored_holds_the_place_that_it_has() -> None:
+def test_new_anchor_holds_its_current_position() -> None:
     simulation = swinging()
     there = simulation.positions[BOTTOM]
     assert np.abs(simulation.velocities[BOTTOM]).max() > 0.1
@@ -47,7 +47,7 @@ def test_what_is_anchored_holds_the_place_that_it_has() -> None:
     assert not simulation.velocities[BOTTOM].any()
 
 
-def test_what_is_let_go_falls() -> None:
+def test_released_anchor_falls() -> None:
     simulation = swinging()
     simulation.advance([anchored("top_left")])
     for _ in range(10):
@@ -66,7 +66,7 @@ def test_a_sheet_that_sleeps_wakes() -> None:
     assert simulation.velocities[:, 2].max() < -0.1
 
 
-def test_a_held_particle_may_be_anchored_and_let_go_again() -> None:
+def test_grasped_particle_may_be_anchored_and_released() -> None:
     simulation = swinging()
     corner = 41
     simulation.advance([Target("gripper", tuple(simulation.positions[corner])), Grasp("gripper", True)])
@@ -82,7 +82,7 @@ def test_a_held_particle_may_be_anchored_and_let_go_again() -> None:
     assert simulation.positions[corner][2] > there[2] + 0.05
 
 
-def test_a_reset_returns_to_the_places_of_the_start_with_the_anchors_in_force() -> None:
+def test_reset_restores_positions_and_keeps_anchors() -> None:
     simulation = swinging()
     simulation.advance([anchored("bottom")])
     simulation.advance([Reset()])
@@ -93,7 +93,7 @@ def test_a_reset_returns_to_the_places_of_the_start_with_the_anchors_in_force() 
 
 
 @pytest.mark.parametrize("integrator", ["auto", "implicit"])
-def test_it_runs_again_to_the_last_bit_from_any_frame(integrator: str) -> None:
+def test_anchor_changes_replay_bit_for_bit_from_any_frame(integrator: str) -> None:
     def events(frame: int) -> list[object]:
         if frame == 25:
             return [anchored("top_left", "41")]
@@ -135,7 +135,7 @@ def test_a_state_begins_with_other_anchors_at_rest(tmp_path: Path) -> None:
         (["-1"], "'-1' is no edge or corner"),
     ],
 )
-def test_what_is_no_anchor_is_refused_with_the_reason(names: list[str], words: str) -> None:
+def test_invalid_anchor_is_refused_with_the_reason(names: list[str], words: str) -> None:
     simulation = swinging(1)
     before = simulation.state.digest()
     with pytest.raises(EventError, match=words):
@@ -145,7 +145,7 @@ def test_what_is_no_anchor_is_refused_with_the_reason(names: list[str], words: s
         simulation.advance([SetParameters({"cloth.anchors": "top"})])
 
 
-def test_by_parameter_it_is_refused_with_the_same_words_and_recorded(client: Client, tmp_path: Path) -> None:
+def test_anchor_parameter_is_refused_alike_and_recorded(client: Client, tmp_path: Path) -> None:
     pytest.importorskip("mcap")
     from cloth_sim_ros.verify.run import verify
 

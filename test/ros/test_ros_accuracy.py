@@ -62,7 +62,7 @@ def _script(simulation: Simulation) -> list[list[Event]]:
     return script
 
 
-def test_what_it_says_is_so(shadow: Shadow, wait_until: Callable[..., Any]) -> None:
+def test_accuracy_diagnostics_match_the_windows(shadow: Shadow, wait_until: Callable[..., Any]) -> None:
     simulation = Simulation(Scene.from_parameters(SMALL))
     assert shadow.describe(0.0)["accuracy"] == "starting"
     start, ends, moved = simulation.state.copy(), [], 0
@@ -92,7 +92,7 @@ def test_what_it_says_is_so(shadow: Shadow, wait_until: Callable[..., Any]) -> N
     assert set(told) == {name for row in rows if len(row) > 2 for name in re.findall(r"`(\w+)`", row[1])}
 
 
-def test_it_is_the_certificate_of_the_window() -> None:
+def test_verdict_equals_certificate_of_the_window() -> None:
     scene = Scene.from_parameters(SMALL | {"tolerance": 1e-6})
     simulation = Simulation(scene)
     start = State.from_bytes(simulation.state.to_bytes())
@@ -105,7 +105,7 @@ def test_it_is_the_certificate_of_the_window() -> None:
     assert "otherwise" in judge(scene, start, [()] * 30, "0" * 32)["trouble"]
 
 
-def test_growth_is_looked_at_where_the_error_is_above_the_tolerance(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_amplification_is_computed_above_tolerance_only(monkeypatch: pytest.MonkeyPatch) -> None:
     from cloth_sim_ros.scene import scene as scene_module
 
     real = scene_module.make_integrator
@@ -123,7 +123,7 @@ def test_growth_is_looked_at_where_the_error_is_above_the_tolerance(monkeypatch:
     assert told["error"] > told["allowed"]
 
 
-def test_whole_windows_are_left_out_where_it_is_behind(shadow: Shadow, wait_until: Callable[..., Any]) -> None:
+def test_whole_windows_are_skipped_when_worker_lags(shadow: Shadow, wait_until: Callable[..., Any]) -> None:
     (child,) = wait_until(lambda: _shadows_of(os.getpid()), what="the process")
     child.send_signal(signal.SIGSTOP)
     simulation = Simulation(Scene.from_parameters(SMALL))
@@ -144,7 +144,7 @@ def test_whole_windows_are_left_out_where_it_is_behind(shadow: Shadow, wait_unti
     wait_until(lambda: not psutil.pid_exists(child.pid), what="its end")
 
 
-def test_off_means_nothing_at_all(ros_domain: int, start_process: Callable[..., Any]) -> None:
+def test_accuracy_off_loads_and_starts_nothing(ros_domain: int, start_process: Callable[..., Any]) -> None:
     script = (
         "import atexit, sys\n"
         "from cloth_sim_ros.ros.main import main\n"
@@ -189,7 +189,7 @@ def _set_accuracy(client: Client, on: bool) -> None:
     assert result.successful, result.reason
 
 
-def test_a_node_tells_its_error_and_outlives_its_shadow(client: Client, start_process: Callable[..., Any]) -> None:
+def test_node_reports_error_and_survives_worker_death(client: Client, start_process: Callable[..., Any]) -> None:
     latest = _listen(client)
     process = start_cloth(start_process, *PARAMETERS, "diagnostics.accuracy:=true")
     client.spin_until(lambda: latest().get("accuracy_verdict") == "kept", what="a window that is judged")
@@ -210,7 +210,7 @@ def test_a_node_tells_its_error_and_outlives_its_shadow(client: Client, start_pr
     client.spin_until(lambda: not psutil.pid_exists(child.pid), what="its end with the node")
 
 
-def test_a_shadow_does_not_outlive_a_node_that_was_killed(client: Client, start_process: Callable[..., Any]) -> None:
+def test_worker_ends_when_node_is_killed(client: Client, start_process: Callable[..., Any]) -> None:
     latest = _listen(client)
     process = start_cloth(start_process, *PARAMETERS, "diagnostics.accuracy:=true")
     client.spin_until(lambda: "accuracy_verdict" in latest(), what="a window that is judged")

@@ -73,12 +73,12 @@ def test_node_refuses_to_start(ros_domain: int, start_process: Callable[..., Any
     assert "Traceback" not in process.output
 
 
-def test_a_misspelt_parameter_is_told(ros_domain: int, start_process: Callable[..., Any]) -> None:
+def test_misspelt_parameter_gives_a_warning(ros_domain: int, start_process: Callable[..., Any]) -> None:
     process = start_cloth(start_process, "cloth.sizes:=[1.0, 1.0]")
     assert "did you mean 'cloth.size'?" in process.output
 
 
-def test_gripper_names_those_that_are_there(ros_domain: int, start_process: Callable[..., Any]) -> None:
+def test_gripper_error_lists_known_grippers(ros_domain: int, start_process: Callable[..., Any]) -> None:
     start_cloth(start_process, "grippers:=[left, right]")
     gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", "--gripper", "middle"])
     assert gripper.wait() == 1
@@ -128,7 +128,7 @@ def test_gripper_waits_for_the_node_and_not_for_its_middleware(
     assert "playing" not in gripper.output
 
 
-def test_gripper_waits_for_a_node_that_says_nothing_yet(ros_domain: int, start_process: Callable[..., Any]) -> None:
+def test_gripper_waits_for_a_node_without_messages(ros_domain: int, start_process: Callable[..., Any]) -> None:
     with Client("cloth_sim") as silent:
         silent.node.create_subscription(PoseStamped, TARGET, lambda _: None, 10)
         silent.node.create_subscription(Bool, "/cloth_sim/gripper/grasp", lambda _: None, 10)
@@ -209,7 +209,7 @@ def check_parameters(client: Client) -> None:
     assert "Wrong parameter type" in refusal("material.density", string_value="heavy")
 
 
-def test_a_motion_that_cant_go_on_stops_time_and_not_the_node(
+def test_unstable_motion_stops_time_and_not_the_node(
     ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
 ) -> None:
     # A state of a cloth that flies apart: it is told in its frame; a reset would be another start of the same.

@@ -100,7 +100,7 @@ def grasp_live(client: Client, folder: Path) -> Run:
     return run
 
 
-def test_a_sessions_commands_drive_a_node(client: Client, tmp_path: Path) -> None:
+def test_played_session_commands_drive_a_node(client: Client, tmp_path: Path) -> None:
     live = grasp_live(client, tmp_path / "live")
     check_profiles_let_them_be_played(live)
     check_the_frames_of_wall_time_are_those_of_the_clock(client, live, tmp_path / "clock")

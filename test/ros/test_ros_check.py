@@ -48,7 +48,7 @@ def sliver_mesh(folder: Path, *, moved: float) -> str:
     return str(path)
 
 
-def test_it_says_what_would_run_and_how_fast(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_prints_cloth_and_speed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = written(tmp_path, {"cloth.resolution": [12, 10], "rate": 50.0, "grippers": ["left", "right"]})
     assert check(path) == 0
     said = capsys.readouterr().out
@@ -67,7 +67,7 @@ def test_it_says_what_would_run_and_how_fast(tmp_path: Path, capsys: pytest.Capt
     assert "warning" not in said
 
 
-def test_it_needs_no_ros(tmp_path: Path) -> None:
+def test_check_needs_no_ros(tmp_path: Path) -> None:
     path = written(tmp_path, {"cloth.resolution": [5, 5]})
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT_ROS, "--check", path], capture_output=True, text=True, check=False
@@ -76,7 +76,7 @@ def test_it_needs_no_ros(tmp_path: Path) -> None:
     assert "a grid of 5 x 5: 25 particles" in done.stdout
 
 
-def test_a_reader_that_has_had_enough_is_no_failure(tmp_path: Path) -> None:
+def test_closed_output_pipe_is_no_failure(tmp_path: Path) -> None:
     path = written(tmp_path, {"cloth.resolution": [5, 5]})
     reading, writing = os.pipe()
     os.close(reading)
@@ -108,7 +108,7 @@ def test_another_nodes_parameters_are_read_by_its_name(tmp_path: Path, capsys: p
     )
 
 
-def test_what_has_no_effect_is_told_as_the_node_tells_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_and_node_warn_alike_of_ineffective_parameters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     values = {
         "cloth.resolution": [5, 5],
         "cloth.sizes": [1.0, 1.0],
@@ -157,7 +157,7 @@ def test_what_has_no_effect_is_told_as_the_node_tells_it(tmp_path: Path, capsys:
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
-def test_what_the_node_refuses_is_refused(
+def test_check_refuses_what_the_node_refuses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], values: dict[str, Any], words: str
 ) -> None:
     assert check(written(tmp_path, values)) == 1
@@ -167,7 +167,7 @@ def test_what_the_node_refuses_is_refused(
     assert said.out == ""
 
 
-def test_the_longest_name_that_a_topic_takes_is_taken(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_longest_topic_name_is_accepted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "not" / "there"
     values = {"cloth.resolution": [3, 3], "grippers": ["a" * 229], "record.enabled": True, "record.folder": str(folder)}
     assert check(written(tmp_path, values)) == 0
@@ -176,7 +176,7 @@ def test_the_longest_name_that_a_topic_takes_is_taken(tmp_path: Path, capsys: py
     assert "grippers: aaa" in capsys.readouterr().out
 
 
-def test_a_file_name_starts_where_the_nodes_would(
+def test_relative_file_names_resolve_as_in_the_node(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config, here = Path(__file__).parents[2] / "config", tmp_path / "here"
@@ -194,7 +194,7 @@ def test_a_file_name_starts_where_the_nodes_would(
     assert "the node looks" not in capsys.readouterr().err
 
 
-def test_a_file_that_is_none_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_or_invalid_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert check(str(tmp_path / "nowhere.yaml")) == 1
     assert "cannot read parameter file" in capsys.readouterr().err
     with pytest.raises(SystemExit) as ended:
@@ -202,7 +202,7 @@ def test_a_file_that_is_none_is_refused(tmp_path: Path, capsys: pytest.CaptureFi
     assert ended.value.code == 2
 
 
-def test_what_few_edges_of_a_mesh_cost_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_cost_of_few_short_edges_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mesh = sliver_mesh(tmp_path, moved=0.048)
     values = {"cloth.mesh": mesh, "bending.model": "none", "cloth.anchors": ["0", "20"]}
     assert check(written(tmp_path, values)) == 0
@@ -222,7 +222,7 @@ def test_what_few_edges_of_a_mesh_cost_is_told(tmp_path: Path, capsys: pytest.Ca
     assert "no few particles set it" in in_words(without, whole.scene.sheet)[1]
 
 
-def test_the_limit_is_that_of_the_plan() -> None:
+def test_step_limit_equals_that_of_the_plan() -> None:
     values = {"cloth.resolution": [9, 9], "material.damping": 0.0, "wind.normal_drag": 0.0}
     simulation = Simulation(Scene.from_parameters(values))
     found = step_setters(simulation.plan, simulation.state.x)
@@ -237,7 +237,7 @@ def test_without_springs_nothing_bounds_the_step() -> None:
     assert in_words(found, simulation.scene.sheet) == ["nothing bounds the step by its stability"]
 
 
-def test_it_says_what_obstacles_there_are_and_how_far(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_prints_obstacles_and_gaps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     values = {
         "cloth.resolution": [6, 6],
         "obstacles": ["pole"],

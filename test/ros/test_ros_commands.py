@@ -38,7 +38,7 @@ def test_stamps() -> None:
     assert gate.accept(3, NOW) == 3
 
 
-def test_queue_gives_each_frame_what_is_due() -> None:
+def test_queue_returns_due_events() -> None:
     queue = EventQueue()
     late, early = Target("g", (2.0, 0, 0)), Target("g", (1.0, 0, 0))
     queue.put(late, stamp=20)
@@ -62,7 +62,7 @@ def test_queue_is_bounded() -> None:
         queue.put(Reset())
 
 
-def test_log_is_throttled_by_kind_and_counts_what_it_left_out() -> None:
+def test_log_is_throttled_by_kind_and_counts_omissions() -> None:
     log, now = Log(), [0.0]
     throttled = ThrottledLog(log, seconds=1.0, clock=lambda: now[0])
     for number in range(100):
@@ -105,7 +105,7 @@ def test_unstable_motion_stops_time_and_keeps_the_commands(monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize("asked", [Step(), Pause(False)], ids=["step", "go on"])
-def test_time_that_cant_pass_is_answered_with_the_reason(monkeypatch: pytest.MonkeyPatch, asked: Event) -> None:
+def test_stopped_time_is_answered_with_the_reason(monkeypatch: pytest.MonkeyPatch, asked: Event) -> None:
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": (5, 5)}))
     queue = EventQueue()
     stepper = Stepper(simulation, queue)
@@ -134,7 +134,7 @@ def test_time_that_cant_pass_is_answered_with_the_reason(monkeypatch: pytest.Mon
     assert told[-1].frame is not None
 
 
-def test_parameters_that_cant_take_effect_do_not_hurt_the_rest() -> None:
+def test_refused_parameters_leave_other_events_in_effect() -> None:
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": (5, 5)}))
     queue = EventQueue()
     stepper = Stepper(simulation, queue)
@@ -147,7 +147,7 @@ def test_parameters_that_cant_take_effect_do_not_hurt_the_rest() -> None:
     assert simulation.grippers.is_placed(0)
 
 
-def test_bad_parameters_and_a_motion_that_cant_go_on_in_one_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bad_parameters_and_unstable_motion_in_one_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": (5, 5)}))
     queue = EventQueue()
     stepper = Stepper(simulation, queue)
@@ -170,7 +170,7 @@ def test_bad_parameters_and_a_motion_that_cant_go_on_in_one_frame(monkeypatch: p
     ("sec", "nanosec", "reason"),
     [(-5, 0, "-5 s and 0 ns; a time is not negative"), (5, 4_000_000_000, "nanoseconds are below 1000000000")],
 )
-def test_stamps_that_are_no_time_are_refused(sec: int, nanosec: int, reason: str) -> None:
+def test_invalid_stamps_are_refused(sec: int, nanosec: int, reason: str) -> None:
     assert checked(0, 0) == 0
     assert checked(5, 999_999_999) == 6 * SECOND - 1
     with pytest.raises(StampError, match=reason):

@@ -40,7 +40,7 @@ def run_demo(start_process: Callable[..., Any], folder: Path) -> Any:
     return start_process(["-m", "cloth_sim_ros.ros.demo", *arguments])
 
 
-def test_what_is_reported_adds_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_demo_report_counts_are_consistent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     maker = SessionMaker(tmp_path, Scene.from_parameters({"cloth.resolution": [4, 4]}))
     for _ in range(5):
         maker.add()
@@ -84,7 +84,7 @@ def test_a_signal_ends_the_demonstration_and_what_it_started(
     assert "Traceback" not in process.output
 
 
-def test_a_demonstration_keeps_to_this_machine_and_to_a_domain_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_demo_uses_localhost_and_a_reserved_domain(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(RANGE)
     monkeypatch.delenv(DOMAIN)
     with demo._domain():
@@ -98,7 +98,7 @@ def test_a_demonstration_keeps_to_this_machine_and_to_a_domain_of_its_own(monkey
             assert int(os.environ[DOMAIN]) != first
 
 
-def test_what_the_user_says_of_the_network_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_demo_keeps_network_settings_of_the_user(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(RANGE, "SUBNET")
     monkeypatch.setenv(DOMAIN, "42")
     with demo._domain():
@@ -106,7 +106,7 @@ def test_what_the_user_says_of_the_network_is_kept(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize(("given", "expected"), [({}, "LOCALHOST"), ({RANGE: "SUBNET"}, "SUBNET")])
-def test_make_passes_on_the_range_and_nothing_of_another_ros(given: dict[str, str], expected: str) -> None:
+def test_make_passes_discovery_range_and_no_other_ros(given: dict[str, str], expected: str) -> None:
     if shutil.which("make") is None:
         pytest.skip("make is not installed")
     foreign = {"AMENT_PREFIX_PATH": "/opt/ros/other", "PYTHONPATH": "/opt/ros/other", "ROS_DISTRO": "other"}

@@ -86,7 +86,7 @@ def test_values_just_outside_a_range_are_refused(node: Node, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ARRAYS)
-def test_bounds_of_an_array_are_said_as_they_are_judged(name: str) -> None:
+def test_array_bounds_of_descriptor_match_the_check(name: str) -> None:
     entry = DECLARED[name]
     said = describe(entry).additional_constraints
     if entry.least is None:
@@ -104,7 +104,7 @@ def test_bounds_of_an_array_are_said_as_they_are_judged(name: str) -> None:
         assert entry.check([kind(entry.least)] * count)
 
 
-def test_limits_that_no_range_can_say_are_said_in_words() -> None:
+def test_limits_without_range_are_in_constraints() -> None:
     said = {name: describe(entry).additional_constraints for name, entry in DECLARED.items()}
     assert "0.0, or at least 1e-12" in said["tolerance"]
     assert "at most 4000000 particles" in said["cloth.resolution"]

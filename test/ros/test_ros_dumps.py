@@ -83,7 +83,7 @@ def test_dump_is_a_scene_of_the_library(client: Client, tmp_path: Path, capsys: 
     assert "write /arm/towel/ for /cloth_sim/ in their names" in line
 
 
-def test_file_of_other_nodes_alone_is_told_by_each_reader(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_file_of_other_nodes_alone_gives_a_warning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "dump.yaml"
     path.write_text(parameter_file.dump({"rate": 30.0}, node="/cloth_sim"))
     words = "it sets parameters of /cloth_sim: write '/**:', which means every node, or '/towel:' for '/cloth_sim:'"
@@ -107,13 +107,13 @@ def test_file_of_other_nodes_alone_is_told_by_each_reader(tmp_path: Path, capsys
         "",
     ],
 )
-def test_file_that_means_the_node_is_not_told(tmp_path: Path, text: str) -> None:
+def test_file_addressed_to_the_node_gives_no_warning(tmp_path: Path, text: str) -> None:
     path = tmp_path / "file.yaml"
     path.write_text(text)
     assert list(unused_files(["cloth_sim", "--ros-args", "--params-file", str(path)], node="/towel")) == []
 
 
-def test_node_says_once_that_a_file_is_anothers(
+def test_node_warns_once_of_another_nodes_file(
     ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
 ) -> None:
     path = tmp_path / "dump.yaml"

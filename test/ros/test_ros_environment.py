@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_no_place_for_the_log_is_one_sentence(start_process: Callable[..., Any], tmp_path: Path, command: str) -> None:
+def test_unwritable_log_folder_gives_one_sentence(start_process: Callable[..., Any], tmp_path: Path, command: str) -> None:
     (tmp_path / "file").write_text("")
     below = str(tmp_path / "file" / "below")
     for variables, words in (
@@ -35,14 +35,14 @@ def test_no_place_for_the_log_is_one_sentence(start_process: Callable[..., Any],
         assert line.endswith("set ROS_LOG_DIR to a folder that can be written")
 
 
-def test_folder_that_is_to_be_made_is_made(tmp_path: Path) -> None:
+def test_missing_log_folder_is_created(tmp_path: Path) -> None:
     check_environment({"ROS_LOG_DIR": "~/log", "HOME": str(tmp_path)}, [])
     assert (tmp_path / "log").is_dir()
     # Without a file of a log there is no folder to look at.
     check_environment({}, ["cloth_sim", "--ros-args", "--disable-external-lib-logs"])
 
 
-def test_security_without_a_keystore_is_one_sentence(tmp_path: Path) -> None:
+def test_security_without_keystore_gives_one_sentence(tmp_path: Path) -> None:
     log = {"ROS_LOG_DIR": str(tmp_path)}
     secure = {**log, "ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
     with pytest.raises(EnvironmentFaultError, match="ROS_SECURITY_KEYSTORE is not set"):

@@ -240,7 +240,7 @@ def test_jump_back_of_the_clock_recovers(client: Client, monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize("error", [MemoryError, KeyboardInterrupt, SystemExit])
-def test_what_is_no_failure_propagates(
+def test_memory_and_stop_errors_propagate(
     client: Client, monkeypatch: pytest.MonkeyPatch, error: type[BaseException]
 ) -> None:
     def raises(*_: Any) -> None:

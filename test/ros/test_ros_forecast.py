@@ -42,7 +42,7 @@ def test_the_estimate_is_steps_times_particles_times_cost() -> None:
     ("factor", "fixed", "expected"),
     [(0.1, False, (43, 86)), (0.1, True, (28, 56)), (5.0, False, (100, 200)), (1e-9, False, (2, 2))],
 )
-def test_the_resolution_that_would_hold(factor: float, fixed: bool, expected: tuple[int, int]) -> None:
+def test_real_time_resolution(factor: float, fixed: bool, expected: tuple[int, int]) -> None:
     assert holding((100, 200), factor, fixed_step=fixed) == expected
 
 
@@ -56,7 +56,7 @@ def test_the_resolution_that_would_hold(factor: float, fixed: bool, expected: tu
     ],
     ids=["stiff", "damped", "bending", "fixed step"],
 )
-def test_what_is_recommended_holds_by_the_same_estimate(material: dict[str, Any]) -> None:
+def test_recommended_resolution_reaches_real_time_by_estimate(material: dict[str, Any]) -> None:
     values = {"cloth.resolution": [100, 80]} | material
     slow, simulation, log = forecaster(**values)
     slow.tell()
@@ -73,7 +73,7 @@ def test_what_is_recommended_holds_by_the_same_estimate(material: dict[str, Any]
     assert better.newest.factor * ROOM >= 0.95
 
 
-def test_it_is_told_again_when_it_has_changed() -> None:
+def test_changed_estimate_is_logged_again() -> None:
     one, simulation, log = forecaster(**{"cloth.resolution": [20, 20]})
     one.tell()
     one.tell()
@@ -92,14 +92,14 @@ def test_it_is_told_again_when_it_has_changed() -> None:
     assert len(log.infos) == 2
 
 
-def test_what_has_no_limit_is_not_guessed() -> None:
+def test_integrator_without_step_limit_has_no_estimate() -> None:
     one, _, log = forecaster(**{"cloth.resolution": [5, 5], "integrator": "implicit"})
     one.tell()
     assert log.infos + log.warnings == []
     assert one.describe() == {"real_time_factor_expected": "unknown"}
 
 
-def test_the_machine_at_hand_counts() -> None:
+def test_estimate_uses_measured_step_cost() -> None:
     one, simulation, _ = forecaster(**{"cloth.resolution": [10, 10]})
     one.tell()
     assert one.newest is not None
@@ -135,7 +135,7 @@ def forecast_log(cost: float, **values: Any) -> tuple[str, list[str]]:
     return line, log.warnings
 
 
-def test_contact_counts_before_there_is_any() -> None:
+def test_estimate_includes_contact_before_it_begins() -> None:
     line, warnings = forecast_log(5.2, **TABLE)
     assert "about 0.9 in contact (" in line
     assert warnings

@@ -86,7 +86,7 @@ def test_frames_with_tf2_are_transformed(monkeypatch: pytest.MonkeyPatch) -> Non
         frames.to_cloth("moon", (1.0, 0.0, 0.5), None, 0)
 
 
-def test_a_command_of_now_does_not_wait_for_the_transform_of_now(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command_stamped_now_uses_newest_transform(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = stub_tf2(monkeypatch)
     frames = transformer()
     position, _ = frames.to_cloth("base", (1.0, 0.0, 0.5), None, NEWEST + SECOND // 10)
@@ -98,7 +98,7 @@ def test_a_command_of_now_does_not_wait_for_the_transform_of_now(monkeypatch: py
         frames.to_cloth("moon", (1.0, 0.0, 0.5), None, NEWEST + 1)
 
 
-def test_transforms_are_forgotten_when_the_clock_goes_back(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_transforms_are_cleared_when_clock_goes_back(monkeypatch: pytest.MonkeyPatch) -> None:
     stub_tf2(monkeypatch)
     frames = transformer()
     frames.forget()
@@ -119,7 +119,7 @@ def companions(heard: int | None, **values: Any) -> tuple[Simulation, Companions
     return simulation, Companions(simulation, transformer(), lambda _: heard, ThrottledLog(log)), log
 
 
-def test_a_silent_gripper_lets_go_only_if_asked() -> None:
+def test_silent_gripper_releases_only_with_timeout_set() -> None:
     simulation, own, log = companions(NOW, gripper__timeout=0.5)
     simulation.advance([Target("gripper", (0.5, 0.0, 0.5)), Grasp("gripper", True)])
     assert own.events(NOW + SECOND // 2) == []
@@ -162,7 +162,7 @@ def test_a_gripper_follows_a_frame_of_its_own(monkeypatch: pytest.MonkeyPatch) -
     assert [event.gripper for event in grippers.events(NOW) if isinstance(event, Target)] == ["left"]
 
 
-def test_a_frame_that_can_not_be_followed_is_told_when_it_gets_lost_and_when_it_is_found(
+def test_frame_loss_and_recovery_are_logged(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     stub_tf2(monkeypatch)
@@ -200,7 +200,7 @@ def test_an_obstacle_follows_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     assert own.events(NOW) == [], "the same transform is no news"
 
 
-def test_a_gripper_whose_frame_stands_still_lets_go_as_a_silent_one_does(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gripper_with_stale_frame_releases_after_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
     stub_tf2(monkeypatch)
     simulation, own, log = companions(None, gripper__frame="base", gripper__timeout=0.5)
     simulation.advance(own.events(NOW))
@@ -210,7 +210,7 @@ def test_a_gripper_whose_frame_stands_still_lets_go_as_a_silent_one_does(monkeyp
     assert "no target has come for 1.00 s" in log.lines[0]
 
 
-def test_a_clock_that_was_set_back_leaves_a_gripper_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_clock_set_back_restarts_gripper_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
     stub_tf2(monkeypatch)
     simulation, own, _ = companions(None, gripper__frame="base", gripper__timeout=0.5)
     simulation.advance(own.events(NOW))

@@ -54,7 +54,7 @@ def monitored(**values: Any) -> tuple[Simulation, Callable[..., list[str]]]:
     return cloth, follow
 
 
-def test_limit_is_told_once_while_it_lasts() -> None:
+def test_speed_limit_is_warned_of_once() -> None:
     _, follow = monitored()
     assert follow(gripper=0.1) == []
     assert follow(gripper=1.1) == [
@@ -76,7 +76,7 @@ def test_each_gripper_names_its_own_limit() -> None:
     assert [line.split()[0] for line in follow(left=0.1, right=1.0)] == ["'right'"]
 
 
-def test_pads_name_the_limit_that_no_parameter_lifts() -> None:
+def test_pad_speed_limit_names_no_parameter() -> None:
     scene = Scene.from_parameters(
         {"cloth.resolution": [5, 5], "gripper.mode": "pinch", "contact.thickness": 0.005, "gripper.max_speed": 0.0}
     )
@@ -159,7 +159,7 @@ def test_one_grippers_limit_is_set_while_the_cloth_runs(client: Client) -> None:
         assert cloth.node.node.get_parameter("left.max_speed").value == 3.0
 
 
-def test_a_grippers_own_frame_is_a_parameter_that_is_there(client: Client) -> None:
+def test_individual_gripper_frame_is_a_parameter(client: Client) -> None:
     lines: list[str] = []
     client.node.create_subscription(RosLog, "/rosout", lambda message: lines.append(message.msg), 100)
     values = {**TWO, "left.frame": "left_tcp", "obstacles": ["ball"], "ball.shape": "sphere", "ball.size": [0.1]}

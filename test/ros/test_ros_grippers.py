@@ -90,7 +90,7 @@ def test_out_of_order_repeated_and_early_stamps(client: Client) -> None:
         assert cloth.place("gripper")[0] == pytest.approx(0.7, abs=1e-12)
 
 
-def test_stamps_that_are_no_time_change_nothing(client: Client) -> None:
+def test_invalid_stamps_change_nothing(client: Client) -> None:
     with ClockedCloth(client) as cloth:
         cloth.target("gripper", CORNER)
         cloth.tick()
@@ -103,7 +103,7 @@ def test_stamps_that_are_no_time_change_nothing(client: Client) -> None:
         assert cloth.place("gripper").tolist() == CORNER.tolist()
 
 
-def test_targets_and_points_of_one_gripper_are_one_stream(client: Client) -> None:
+def test_targets_and_points_of_a_gripper_share_stamp_order(client: Client) -> None:
     with ClockedCloth(client) as cloth:
         cloth.tick()
         cloth.target("gripper", CORNER, stamp=cloth.now - 3, w=2.0)
@@ -114,7 +114,7 @@ def test_targets_and_points_of_one_gripper_are_one_stream(client: Client) -> Non
         assert cloth.place("gripper").tolist() == [0.1, 0.0, 1.0]
 
 
-def test_a_grasp_in_the_frame_of_its_target_is_made_where_the_gripper_was(client: Client) -> None:
+def test_grasp_in_same_frame_as_target_uses_previous_pose(client: Client) -> None:
     # The order of a frame: the newest target, then the grasps; the way to the target is then gone closed.
     with ClockedCloth(client) as cloth:
         cloth.target("gripper", CORNER)
@@ -160,7 +160,7 @@ def test_several_grippers_hold_the_same_particle(client: Client) -> None:
         assert np.linalg.norm(cloth.simulation.positions[41] - cloth.place("right")) < 0.02
 
 
-def test_closing_on_nothing_on_everything_and_twice(client: Client) -> None:
+def test_closing_on_no_and_all_particles_and_twice(client: Client) -> None:
     with ClockedCloth(client, {"gripper.radius": 5.0}) as cloth:
         cloth.target("gripper", (0.0, -100.0, 0.0))
         cloth.tick()
@@ -244,7 +244,7 @@ def test_a_silent_gripper_keeps_its_last_target(client: Client) -> None:
         np.testing.assert_allclose(cloth.place("gripper"), off_corner(0.0, -0.3, 0.1), atol=1e-12)
 
 
-def test_a_silent_gripper_lets_go_after_its_timeout_and_may_close_again(client: Client) -> None:
+def test_gripper_timeout_releases_and_allows_new_grasp(client: Client) -> None:
     with ClockedCloth(client, {"gripper.timeout": 0.5}) as cloth:
         cloth.target("gripper", CORNER)
         cloth.tick()

@@ -78,7 +78,7 @@ def test_the_cloth_starts_at_that_frame_bit_for_bit(tmp_path: Path, frame: int) 
         np.testing.assert_allclose(simulation.positions, original.positions, rtol=0.0, atol=1e-12)
 
 
-def test_a_session_that_was_cut_off_is_read_to_its_last_frame(tmp_path: Path) -> None:
+def test_truncated_session_is_read_to_its_last_frame(tmp_path: Path) -> None:
     (path,), states = recorded(tmp_path, cut=True)
     assert_same_motion(start_from(f"{path}@25"), states[25])
     with pytest.raises(ParameterError, match=rf"the session ends at frame {FRAMES} \("):
@@ -93,7 +93,7 @@ def test_any_file_of_a_split_session_leads_to_any_frame(tmp_path: Path, named: i
         assert_same_motion(start_from(f"{paths[named]}@{frame}"), states[frame])
 
 
-def test_a_lost_part_of_a_split_session_is_told(tmp_path: Path) -> None:
+def test_missing_part_of_split_session_is_reported(tmp_path: Path) -> None:
     paths, states = recorded(tmp_path, split=(10, 30))
     paths[0].unlink()
     assert_same_motion(start_from(f"{paths[1]}@33"), states[33])
@@ -108,7 +108,7 @@ def test_frames_beyond_the_end_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", ["", "x", "-1", "1.5", "٣", "9" * 5000])
-def test_what_is_no_frame_number_is_refused(number: str) -> None:
+def test_invalid_frame_number_is_refused(number: str) -> None:
     with pytest.raises(ParameterError, match=r"is no frame number; write session\.mcap@120"):
         session_state(f"session.mcap@{number}")
 
@@ -145,7 +145,7 @@ def test_a_session_with_a_gap_is_refused(tmp_path: Path) -> None:
         session_state(f"{path}@30")
 
 
-def test_a_paused_frame_has_the_state_in_which_it_was_reached(tmp_path: Path) -> None:
+def test_paused_frame_has_the_state_at_the_pause(tmp_path: Path) -> None:
     maker = SessionMaker(tmp_path, Scene.from_parameters(GRID))
     events = script()
     for number in range(30):
@@ -158,7 +158,7 @@ def test_a_paused_frame_has_the_state_in_which_it_was_reached(tmp_path: Path) ->
     assert simulation.advance().moved
 
 
-def test_a_session_that_began_in_another_one_carries_what_it_needs(tmp_path: Path) -> None:
+def test_session_started_from_another_is_self_contained(tmp_path: Path) -> None:
     (path,), states = recorded(tmp_path)
     first = start_from(f"{path}@25")
     (second,), later = recorded(tmp_path / "later", scene=first.scene)
@@ -183,7 +183,7 @@ def test_a_session_of_a_mesh_carries_the_mesh(tmp_path: Path) -> None:
     assert_same_motion(Simulation(scene), maker.simulation.state)
 
 
-def test_without_mcap_the_reason_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_missing_mcap_is_reported_with_the_reason(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (path,), _ = recorded(tmp_path)
     for module in [name for name in sys.modules if name.startswith(("mcap", "cloth_sim_ros.session"))]:
         monkeypatch.delitem(sys.modules, module)

@@ -80,7 +80,7 @@ def start_pacer() -> Iterator[Callable[..., None]]:
     ],
     ids=["long", "longer", "long-late", "longer-late", "longest-late", "long-latest"],
 )
-def test_frame_after_a_long_one_takes_what_came_meanwhile(
+def test_frame_after_a_long_one_takes_waiting_commands(
     start_pacer: Callable[..., None], frame: float, delay: float, count: int
 ) -> None:
     executor = Executor(delay=delay)

@@ -34,13 +34,13 @@ def run(monitor: Lateness, windows: int, *, late: int, seconds: float) -> None:
             monitor.add(late=int(number < late), skipped=0, seconds=seconds)
 
 
-def test_single_late_frames_are_not_told() -> None:
+def test_single_late_frames_are_not_logged() -> None:
     monitor, log = lateness()
     run(monitor, 100, late=3, seconds=0.0034)
     assert log.lines == []
 
 
-def test_it_is_told_when_it_begins_and_ends_and_now_and_then() -> None:
+def test_lateness_is_logged_at_start_end_and_intervals() -> None:
     monitor, log = lateness()
     run(monitor, 1, late=60, seconds=0.0034)
     assert log.lines == [
@@ -59,7 +59,7 @@ def test_it_is_told_when_it_begins_and_ends_and_now_and_then() -> None:
     assert len(log.lines) == 3
 
 
-def test_due_times_that_were_left_out_count() -> None:
+def test_skipped_ticks_count_as_late() -> None:
     monitor, log = lateness()
     for _ in range(WINDOW // 2):
         monitor.add(late=1, skipped=1, seconds=0.03)

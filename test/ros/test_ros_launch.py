@@ -157,7 +157,7 @@ def test_every_argument_reaches_the_node(
 
 
 @pytest.mark.parametrize("given", ["", "true", "False"])
-def test_the_clock_of_the_parameter_file_stays_unless_another_is_asked_for(
+def test_launch_keeps_use_sim_time_of_parameter_file(
     monkeypatch: pytest.MonkeyPatch, given: str
 ) -> None:
     launched = Launched(monkeypatch, params_file="own.yaml", use_sim_time=given, rviz="true")
@@ -167,7 +167,7 @@ def test_the_clock_of_the_parameter_file_stays_unless_another_is_asked_for(
     assert rviz["parameters"] == expected
 
 
-def test_each_scene_of_the_package_is_an_argument_away(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_packaged_scene_is_a_launch_argument(monkeypatch: pytest.MonkeyPatch) -> None:
     scenes = Launched(monkeypatch).declared["scene"]["choices"]
     for scene in scenes:
         (cloth,) = Launched(monkeypatch, scene=scene).nodes
@@ -207,7 +207,7 @@ def test_rviz_shows_the_cloth_that_is_launched(monkeypatch: pytest.MonkeyPatch) 
     assert all(old == new for old, new in plain["remappings"])
 
 
-def test_a_misspelt_argument_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_misspelt_launch_argument_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     launched = Launched(monkeypatch, param_file="own.yaml", robot="left")
     assert launched.words == ["cloth_sim.launch.py has no argument 'param_file'; did you mean 'params_file'?"]
 

@@ -68,7 +68,7 @@ def session(ros_domain: int, start_process: Callable[..., Any], tmp_path: Path) 
     return Session(received=_messages(received.read_bytes()), path=path, log=cloth.output)
 
 
-def test_a_grasped_cloth_is_received_recorded_and_runs_again(session: Session) -> None:
+def test_grasped_cloth_is_received_recorded_and_verified(session: Session) -> None:
     check_received_at_60_hz_none_lost(session)
     check_corner_follows_the_gripper_and_falls(session)
     check_second_reader_agrees(session)

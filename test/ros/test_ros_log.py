@@ -49,7 +49,7 @@ def test_left_out_messages_are_counted_after_the_last(client: Client) -> None:
     assert log.lines[2:] == ["a5"]
 
 
-def test_old_command_is_told_with_gripper_age_and_count(client: Client, capfd: pytest.CaptureFixture[str]) -> None:
+def test_old_command_warning_has_gripper_age_and_count(client: Client, capfd: pytest.CaptureFixture[str]) -> None:
     with ClockedCloth(client) as cloth:
         cloth.tick(2)
         for _ in range(4):
@@ -68,7 +68,7 @@ def test_old_command_is_told_with_gripper_age_and_count(client: Client, capfd: p
     assert "; 4 of 'gripper' so far" in lines[1]
 
 
-def test_targets_that_give_way_are_counted() -> None:
+def test_evicted_targets_are_counted() -> None:
     queue = EventQueue()
     for index in range(MOST_WAITING + 3):
         queue.put(Target("g", (float(index), 0.0, 0.0)))

@@ -63,7 +63,7 @@ def test_two_cloths_in_one_process(ros_domain: int) -> None:
             cloth.node.destroy_node()
 
 
-def test_remapped_node_and_a_namesake(ros_domain: int, start_process: Callable[..., Any], tmp_path: Path) -> None:
+def test_remapped_node_and_duplicate_name(ros_domain: int, start_process: Callable[..., Any], tmp_path: Path) -> None:
     pytest.importorskip("mcap")
     from cloth_sim_ros.session.reader import SessionReader
 
@@ -96,7 +96,7 @@ def test_remapped_node_and_a_namesake(ros_domain: int, start_process: Callable[.
             assert len(list(reader.clouds())) > 3
 
 
-def test_everyone_may_die_in_the_middle_of_a_grasp(
+def test_processes_may_die_during_a_grasp(
     ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
 ) -> None:
     script = tmp_path / "script.yaml"
@@ -142,7 +142,7 @@ def test_everyone_may_die_in_the_middle_of_a_grasp(
     assert gripper.interrupt() == 130
 
 
-def test_a_recording_is_whole_where_the_context_was_shut_down_first(ros_domain: int, tmp_path: Path) -> None:
+def test_recording_is_complete_after_context_shutdown(ros_domain: int, tmp_path: Path) -> None:
     pytest.importorskip("mcap")
     from cloth_sim_ros.session.reader import SessionReader
 

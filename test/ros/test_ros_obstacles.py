@@ -53,7 +53,7 @@ def shown(client: Client, arrays: list[MarkerArray], count: int) -> MarkerArray:
     return arrays[-1]
 
 
-def test_an_obstacle_goes_where_it_is_commanded_and_is_shown_there(client: Client) -> None:
+def test_obstacle_reaches_its_target_and_marker_follows(client: Client) -> None:
     arrays: list[MarkerArray] = []
     client.node.create_subscription(MarkerArray, "/cloth_sim/obstacles", arrays.append, LATCHED)
     with ClockedCloth(client, {"obstacles": ["floor", "ball"], **FLOOR, **BALL}) as cloth:
@@ -115,7 +115,7 @@ def test_obstacles_come_and_go_with_their_topics(client: Client, capfd: pytest.C
         client.spin_until(lambda: "floor/target" not in topics(), what="the topic to be gone")
 
 
-def test_a_target_for_one_that_is_gone_meanwhile_is_left_out(client: Client) -> None:
+def test_target_of_removed_obstacle_is_dropped(client: Client) -> None:
     with ClockedCloth(client, {"obstacles": ["floor", "ball"], **FLOOR, **BALL}) as cloth:
         cloth.tick(2)
         cloth.target("ball", (0.3, 0.45, 0.5), stamp=cloth.now + 3 * SECOND // 60)
@@ -125,7 +125,7 @@ def test_a_target_for_one_that_is_gone_meanwhile_is_left_out(client: Client) -> 
         assert not cloth.simulation.paused
 
 
-def test_one_that_would_hold_the_cloth_is_refused_at_once(client: Client) -> None:
+def test_obstacle_overlapping_the_cloth_is_refused(client: Client) -> None:
     with ClockedCloth(client) as cloth:
         cloth.tick()
         result = change(cloth, obstacles=["ball"], **{**BALL, "ball.position": [0.5, 0.02, 0.5]})
@@ -148,7 +148,7 @@ def test_friction_is_described_and_changes_while_the_cloth_runs(client: Client) 
         assert not change(cloth, block__friction=[-0.1]).successful
 
 
-def test_a_block_bears_the_cloth_and_tells_by_how_much(client: Client) -> None:
+def test_block_bears_the_cloth_and_publishes_wrench(client: Client) -> None:
     wrenches: list[WrenchStamped] = []
     client.node.create_subscription(WrenchStamped, "/cloth_sim/block/wrench", wrenches.append, 10)
     with ClockedCloth(client, LYING) as cloth:
@@ -186,7 +186,7 @@ def test_a_session_with_obstacles_runs_again_to_the_same_bits(client: Client, tm
     assert verdict.frames == 35
 
 
-def test_what_would_crush_the_cloth_is_stopped_and_told_and_time_goes_on(
+def test_crushing_obstacle_is_stopped_with_warning(
     client: Client, capfd: pytest.CaptureFixture[str]
 ) -> None:
     small = {"cloth.resolution": [4, 4], "cloth.size": [0.09, 0.09], "cloth.position": [0.0, 0.0, 0.005]}

@@ -40,7 +40,7 @@ def profile(client: Client, topic: str) -> Any:
     return info.qos_profile
 
 
-def test_the_surface_is_made_while_someone_looks_and_shows_the_points(client: Client) -> None:
+def test_surface_marker_is_built_for_subscribers_only(client: Client) -> None:
     with ClockedCloth(client, {"frame_id": "map"}) as cloth:
         marker = cloth.node._outputs._marker
         made, make = [], marker.serialized
@@ -75,7 +75,7 @@ def test_the_surface_is_made_while_someone_looks_and_shows_the_points(client: Cl
         assert len(made) == count
 
 
-def test_who_comes_late_gets_the_topology(client: Client) -> None:
+def test_late_subscriber_receives_topology(client: Client) -> None:
     with ClockedCloth(client) as cloth:
         cloth.tick(50)
         late: list[Mesh] = []
@@ -107,7 +107,7 @@ def test_a_mesh_is_published_in_its_own_order(client: Client, tmp_path: Path) ->
         assert (meshes[0].vertices[4].x, meshes[0].vertices[4].y) == (2.0, 0.0)
 
 
-def test_profiles_are_reliable_and_each_may_be_overridden_by_itself(client: Client) -> None:
+def test_profiles_are_reliable_and_overridable_one_by_one(client: Client) -> None:
     points = "qos_overrides./cloth_sim/points.publisher"
     with ClockedCloth(client, {f"{points}.reliability": "best_effort", f"{points}.depth": 3}) as cloth:
         assert profile(client, "/cloth_sim/points").reliability == ReliabilityPolicy.BEST_EFFORT
@@ -167,7 +167,7 @@ def test_frames_of_one_stamp_belong_together(client: Client) -> None:
         assert [stamp_of(cloud) for cloud in clouds] == [stamp_of(wrench) for wrench in wrenches]
 
 
-def test_diagnostics_say_what_the_docs_say(client: Client) -> None:
+def test_diagnostics_keys_match_the_docs(client: Client) -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "ros.md").read_text()
     # What the accuracy says, test_ros_accuracy.py looks at.
     section = page.split("## Diagnostics\n")[1].split("\n### ")[0]
@@ -199,7 +199,7 @@ def test_diagnostics_say_what_the_docs_say(client: Client) -> None:
         assert float(values["energy_dissipated_j"]) > 0.0
 
 
-def test_the_strain_is_that_of_the_longest_edge_and_measured_for_readers_alone(client: Client) -> None:
+def test_strain_is_measured_for_subscribers_only(client: Client) -> None:
     with ClockedCloth(client, {"cloth.resolution": [6, 6], "cloth.size": [1.0, 2.0]}) as cloth:
         gauge = cloth.node._diagnostics._collect._gauge
         x = cloth.simulation.state.x.copy()
@@ -218,7 +218,7 @@ def test_the_strain_is_that_of_the_longest_edge_and_measured_for_readers_alone(c
         assert asked
 
 
-def test_targets_are_taken_from_any_publisher_and_grasps_from_reliable_ones(client: Client) -> None:
+def test_targets_take_any_publisher_and_grasps_reliable_ones(client: Client) -> None:
     profiles = {
         policy: QoSProfile(depth=10, reliability=policy)
         for policy in (ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT)

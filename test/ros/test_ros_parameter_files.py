@@ -109,7 +109,7 @@ REFUSED = [
 
 @pytest.mark.parametrize("namespace", ["", "/ns", "/left/ns"])
 @pytest.mark.parametrize("text", ALIKE)
-def test_a_file_means_the_same_without_ros(tmp_path: Path, text: str, namespace: str) -> None:
+def test_file_has_same_meaning_without_ros(tmp_path: Path, text: str, namespace: str) -> None:
     path = tmp_path / "file.yaml"
     path.write_text(text)
     expected = of_ros(path, name="towel", namespace=namespace)

@@ -119,7 +119,7 @@ def other_value(entry: Any, value: Any) -> Any:
     return 0.9 * value if value else 0.001 * entry.most**0.5
 
 
-def test_what_time_it_follows_is_chosen_at_the_start(client: Client) -> None:
+def test_use_sim_time_is_fixed_at_start(client: Client) -> None:
     with ClockedCloth(client) as cloth:
         for value in (False, True):
             (result,) = cloth.node.node.set_parameters([Parameter("use_sim_time", value=value)])
@@ -130,7 +130,7 @@ def test_what_time_it_follows_is_chosen_at_the_start(client: Client) -> None:
         cloth.tick(2)
 
 
-def test_a_misspelt_profile_is_told(client: Client, capfd: pytest.CaptureFixture[str]) -> None:
+def test_misspelt_qos_override_gives_a_warning(client: Client, capfd: pytest.CaptureFixture[str]) -> None:
     right = "qos_overrides./cloth_sim/points.publisher.reliability"
     wrong = "qos_overrides./cloth_sim/pionts.publisher.reliability"
     with ClockedCloth(client, {right: "best_effort", wrong: "best_effort"}):
@@ -162,7 +162,7 @@ PLAIN = [
 ]  # fmt: skip
 
 
-def test_plain_scalars_of_files_mean_the_same_with_and_without_ros(client: Client, tmp_path: Path) -> None:
+def test_plain_scalars_have_same_meaning_without_ros(client: Client, tmp_path: Path) -> None:
     path = tmp_path / "scalars.yaml"
     lines = "\n".join(f"    v{number}: {text}" for number, text in enumerate(PLAIN))
     path.write_text(f"/**:\n  ros__parameters:\n{lines}\n")
@@ -174,7 +174,7 @@ def test_plain_scalars_of_files_mean_the_same_with_and_without_ros(client: Clien
     node.destroy_node()
 
 
-def test_what_is_written_is_read_back_with_and_without_ros(client: Client, tmp_path: Path) -> None:
+def test_written_values_are_read_back_with_and_without_ros(client: Client, tmp_path: Path) -> None:
     values = {f"v{number}": text for number, text in enumerate(PLAIN)}
     values |= {"f0": 1e-5, "f1": 1e300, "f2": 2.3e-308, "f3": -0.1, "i0": -(2**63), "b0": True, "l0": ["y", "1e3"]}
     path = tmp_path / "written.yaml"

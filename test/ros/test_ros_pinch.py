@@ -69,7 +69,7 @@ def close_to_the_end(cloth: ClockedCloth, client: Client, *, closed: bool = True
     return future.result(), frames
 
 
-def test_closing_answers_when_the_pads_hold_and_the_wrench_is_that_of_contact(client: Client) -> None:
+def test_closing_answer_waits_for_pads_and_wrench_is_contact(client: Client) -> None:
     wrenches: list[WrenchStamped] = []
     states: list[DiagnosticStatus] = []
     client.node.create_subscription(WrenchStamped, "/cloth_sim/gripper/wrench", wrenches.append, 10)
@@ -101,7 +101,7 @@ def test_closing_answers_when_the_pads_hold_and_the_wrench_is_that_of_contact(cl
         assert np.linalg.norm(cloth.simulation.positions[-1] - there) > 0.01
 
 
-def test_closing_on_nothing_says_so_when_the_pads_meet(client: Client) -> None:
+def test_closing_on_nothing_is_answered_when_pads_meet(client: Client) -> None:
     with ClockedCloth(client, PINCH) as cloth:
         cloth.target("gripper", (0.0, 1.0, 0.0))
         cloth.tick()
@@ -111,7 +111,7 @@ def test_closing_on_nothing_says_so_when_the_pads_meet(client: Client) -> None:
 
 
 @pytest.mark.parametrize("instead", ["opened", "reset"])
-def test_closing_that_comes_to_nothing_is_answered(client: Client, instead: str) -> None:
+def test_interrupted_closing_is_answered(client: Client, instead: str) -> None:
     with ClockedCloth(client, PINCH) as cloth:
         cloth.target("gripper", CORNER)
         cloth.tick()
@@ -177,7 +177,7 @@ def test_a_recorded_pinch_runs_again_to_the_last_bit(client: Client, tmp_path: P
         ({"gripper.friction": [0.1, 0.2]}, "has friction 0.1 at rest and 0.2 in motion"),
     ],
 )
-def test_what_can_not_pinch_is_refused(client: Client, values: dict[str, Any], words: str) -> None:
+def test_parameters_that_prevent_pinching_are_refused(client: Client, values: dict[str, Any], words: str) -> None:
     with pytest.raises(ParameterError) as caught:
         ClockedCloth(client, {**PINCH, **values})
     assert words in str(caught.value)

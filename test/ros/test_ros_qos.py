@@ -40,7 +40,7 @@ def requested(client: Client, topic: str) -> Any:
     return info.qos_profile
 
 
-def test_latched_points_reach_those_who_come_later(client: Client) -> None:
+def test_latched_points_reach_late_subscribers(client: Client) -> None:
     with ClockedCloth(client, {f"{POINTS}.durability": "transient_local", f"{POINTS}.depth": 1}) as cloth:
         listener = client.node.create_subscription(PointCloud2, "/cloth_sim/points", lambda _: None, LATCHED)
         client.spin_until(lambda: client.node.count_publishers("/cloth_sim/points"), what="the publisher of points")
@@ -167,7 +167,7 @@ def test_session_holds_the_profiles_in_force(client: Client, tmp_path: Path) -> 
     assert "depth: 100" in offered["/cloth_sim/gripper/grasp"]
 
 
-def test_dumped_topics_are_told_from_misspelt_ones() -> None:
+def test_dumped_topics_are_distinguished_from_misspelt_ones() -> None:
     topics = ["/towel/points", "/towel/left/wrench", "/diagnostics"]
     names = [
         "qos_overrides./arm/cloth/points.publisher.depth",
@@ -180,7 +180,7 @@ def test_dumped_topics_are_told_from_misspelt_ones() -> None:
     assert foreign_owners(names, topics, "/towel") == {"/arm/cloth": names[:2]}
 
 
-def test_policies_of_an_endpoint_are_judged_together() -> None:
+def test_policies_of_an_endpoint_are_validated_together() -> None:
     both = {f"{POINTS}.durability": "TRANSIENT_LOCAL", f"{POINTS}.reliability": "Best_Effort"}
     assert len(list(faults(both))) == 1
     apart = {f"{POINTS}.durability": "transient_local", f"{TARGET}.reliability": "best_effort"}

@@ -36,7 +36,7 @@ def offered(client: Client) -> set[str]:
     return {name for name, _ in [*services, *subscriptions] if name.startswith(NAME)}
 
 
-def test_what_can_be_found_is_served(client: Client) -> None:
+def test_discoverable_services_are_served(client: Client) -> None:
     cloth = ClothNode(context=client.context, parameter_overrides=[Parameter("cloth.resolution", value=[5, 5])])
     try:
         client.spin_until(lambda: "cloth_sim" in client.node.get_node_names(), what="the node")
@@ -54,7 +54,7 @@ def test_what_can_be_found_is_served(client: Client) -> None:
         cloth.node.destroy_node()
 
 
-def test_parameters_are_not_served_where_that_was_not_wanted(client: Client) -> None:
+def test_parameter_services_can_be_disabled(client: Client) -> None:
     cloth = ClothNode(
         context=client.context,
         start_parameter_services=False,

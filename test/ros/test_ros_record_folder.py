@@ -15,7 +15,7 @@ from std_srvs.srv import SetBool, Trigger
 from support.ros_client import Client, start_cloth
 
 
-def test_a_folder_counts_at_once_and_a_bad_one_is_told_once(
+def test_record_folder_change_applies_and_bad_one_warns_once(
     ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
 ) -> None:
     pytest.importorskip("mcap")

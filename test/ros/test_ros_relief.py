@@ -63,7 +63,7 @@ def made(frame: Frame, advance: Advance, *, moved: bool) -> Frame:
     return attrs.evolve(frame, advance=advance, moved=moved)
 
 
-def test_it_is_relaxed_up_to_ten_times_and_says_so() -> None:
+def test_tolerance_is_relaxed_tenfold_at_most_and_logged() -> None:
     machine = Machine()
     assert machine.in_force() == ("0.0001", "0.0001", "as it was set")
     assert machine.run(1.3, windows=8) == [2.0, 4.0, 8.0, 10.0]
@@ -73,13 +73,13 @@ def test_it_is_relaxed_up_to_ten_times_and_says_so() -> None:
     assert "the tolerance is 0.001 m instead of 0.0001 m: frames take 130 % of their time" in machine.lines
 
 
-def test_none_is_relaxed_beyond_a_centimetre() -> None:
+def test_tolerance_is_not_relaxed_beyond_a_centimetre() -> None:
     machine = Machine(tolerance=4e-3)
     machine.run(1.3, windows=8)
     assert machine.in_force()[1] == "0.01"
 
 
-def test_it_is_tightened_again_where_there_is_room_and_not_before() -> None:
+def test_tolerance_is_tightened_at_low_load_only() -> None:
     machine = Machine()
     machine.run(1.3, windows=3)
     assert machine.run(0.7, windows=3 * PATIENCE) == [8.0], "the last of the relaxations"
@@ -89,7 +89,7 @@ def test_it_is_tightened_again_where_there_is_room_and_not_before() -> None:
     assert machine.lines[-1] == "the tolerance is 0.0001 m again, as it was set: frames take 30 % of their time"
 
 
-def test_tightened_too_early_it_waits_longer_every_time() -> None:
+def test_early_tightening_doubles_patience() -> None:
     machine = Machine()
     waits = []
     for _ in range(7):
@@ -98,7 +98,7 @@ def test_tightened_too_early_it_waits_longer_every_time() -> None:
     assert waits == [PATIENCE, 8, 16, 32, MOST_PATIENCE, MOST_PATIENCE, MOST_PATIENCE]
 
 
-def test_nothing_is_given_up_where_stability_sets_the_steps() -> None:
+def test_stability_limited_steps_keep_the_tolerance() -> None:
     machine = Machine()
     assert machine.run(2.0, windows=3, steps=10) == []
     assert machine.in_force()[2] == (
@@ -119,14 +119,14 @@ def test_nothing_is_given_up_where_stability_sets_the_steps() -> None:
     ],
     ids=["not asked for", "no tolerance", "fixed step"],
 )
-def test_there_is_nothing_to_relax(values: dict[str, Any], told: tuple[str, str, str]) -> None:
+def test_scene_without_tolerance_is_not_relaxed(values: dict[str, Any], told: tuple[str, str, str]) -> None:
     machine = Machine(**values)
     assert machine.run(3.0, windows=3) == []
     assert machine.in_force() == told
     assert machine.lines == []
 
 
-def test_a_single_long_frame_and_paused_time_are_no_overload() -> None:
+def test_single_long_frame_and_pause_are_no_overload() -> None:
     machine = Machine()
     for _ in range(10):
         machine.run(5.0, windows=0)
@@ -136,14 +136,14 @@ def test_a_single_long_frame_and_paused_time_are_no_overload() -> None:
     assert machine.run(5.0, windows=3, moved=False) == []
 
 
-def test_whoever_wants_it_no_more_has_their_own_tolerance_back() -> None:
+def test_switching_relaxation_off_restores_the_tolerance() -> None:
     machine = Machine()
     machine.run(1.3, windows=4)
     machine.simulation.advance([SetParameters({"overload": "slow"})])
     assert machine.relief.events() == [Relax(1.0)]
 
 
-def test_time_that_follows_a_clock_has_no_overload() -> None:
+def test_clock_driven_node_has_no_overload() -> None:
     machine = Machine()
     machine.relief.live = False
     assert machine.run(3.0, windows=3) == []

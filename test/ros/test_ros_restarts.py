@@ -126,7 +126,7 @@ def test_the_node_dies_first_and_its_callers_go_on(grasp: tuple[Actors, Client],
     check_sessions(tmp_path / "sessions", 2)
 
 
-def test_everyone_dies_at_once_and_returns_in_reverse(grasp: tuple[Actors, Client], tmp_path: Path) -> None:
+def test_all_processes_die_and_return_in_reverse(grasp: tuple[Actors, Client], tmp_path: Path) -> None:
     actors, client = grasp
     for name in ("node", "gripper", "subscriber"):
         actors.signal(name, signal.SIGKILL)
@@ -140,7 +140,7 @@ def test_everyone_dies_at_once_and_returns_in_reverse(grasp: tuple[Actors, Clien
     check_sessions(tmp_path / "sessions", 2)
 
 
-def test_stalled_processes_hold_nobody_up(grasp: tuple[Actors, Client]) -> None:
+def test_stalled_processes_do_not_block_others(grasp: tuple[Actors, Client]) -> None:
     actors, client = grasp
     # A reliable subscriber that takes nothing any more: the node publishes on, and it gets what is newest afterwards.
     actors.signal("subscriber", signal.SIGSTOP)
@@ -168,7 +168,7 @@ def test_stalled_processes_hold_nobody_up(grasp: tuple[Actors, Client]) -> None:
     assert "Traceback" not in actors.output("node")
 
 
-def test_a_gripper_held_up_over_its_grasp_closes_where_the_cloth_is(
+def test_delayed_gripper_closes_at_the_cloth(
     ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
 ) -> None:
     actors = Actors(start_process, tmp_path)
@@ -199,7 +199,7 @@ def test_subscribers_come_and_go_amid_a_grasp(grasp: tuple[Actors, Client]) -> N
     assert "Traceback" not in actors.output("node")
 
 
-def test_a_port_that_was_left_half_made_hinders_nobody(ros_domain: int, start_process: Callable[..., Any]) -> None:
+def test_half_made_port_blocks_no_process(ros_domain: int, start_process: Callable[..., Any]) -> None:
     # The last port of the domain, which no test comes to.
     port = Path("/dev/shm") / f"fastrtps_port{7400 + 250 * ros_domain + 249}"
     port.write_bytes(b"")

@@ -27,7 +27,7 @@ NO_TIMES = [
 ]
 
 
-def test_a_message_on_clock_that_holds_no_time_is_left_out(ros_domain: int, start_process: Callable[..., Any]) -> None:
+def test_clock_message_without_valid_time_is_ignored(ros_domain: int, start_process: Callable[..., Any]) -> None:
     process = start_cloth(start_process, "use_sim_time:=true", SMALL, wait="Hz of /clock")
     with Client() as client:
         clock = client.publisher(Clock, "/clock")
@@ -63,7 +63,7 @@ def test_a_message_on_clock_that_holds_no_time_is_left_out(ros_domain: int, star
     assert "Traceback" not in process.output
 
 
-def test_gripper_leaves_it_out_too(ros_domain: int, start_process: Callable[..., Any]) -> None:
+def test_gripper_ignores_invalid_clock_message(ros_domain: int, start_process: Callable[..., Any]) -> None:
     command = ["-m", "cloth_sim_ros.ros.gripper_main", "--node", "/nowhere", "--wait", "60"]
     gripper = start_process([*command, "--ros-args", "-p", "use_sim_time:=true"])
     with Client() as client:
@@ -78,7 +78,7 @@ def test_gripper_leaves_it_out_too(ros_domain: int, start_process: Callable[...,
     assert "Traceback" not in gripper.output
 
 
-def test_a_silent_clock_is_told_of_once_a_minute() -> None:
+def test_silent_clock_is_warned_of_once_a_minute() -> None:
     now, told = [100.0], []
 
     class Log:

@@ -150,7 +150,7 @@ def test_clock_that_goes_back_while_it_stands_resets(client: Client, back: int) 
         cloth.wait_for_report(DiagnosticStatus.OK, f"/clock stands at {back / SECOND:.3f} s", at=back)
 
 
-def test_clock_that_stands_at_zero_is_one(client: Client) -> None:
+def test_clock_standing_at_zero_is_a_clock(client: Client) -> None:
     with Standing(client) as cloth:
         cloth.wait_for_report(DiagnosticStatus.OK, "/clock stands at 0.000 s", at=0)
         assert cloth.ask(Trigger, "reset", at=0).success

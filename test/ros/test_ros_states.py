@@ -51,7 +51,7 @@ def gripper_state(client: Client, name: str = "gripper") -> Heard:
     return Heard(client, DiagnosticStatus, f"/cloth_sim/{name}/state")
 
 
-def test_what_a_gripper_holds_is_heard_by_those_who_come_later(client: Client) -> None:
+def test_gripper_state_reaches_late_subscribers(client: Client) -> None:
     with ClockedCloth(client, {"grippers": ["left", "right"]}) as cloth:
         first = gripper_state(client, "left")
         assert first.values == {"closed": "false", "held": "0", "frame": "0", "simulated_time": "0.000000"}
@@ -82,7 +82,7 @@ def test_what_a_gripper_holds_is_heard_by_those_who_come_later(client: Client) -
         client.spin_until(future.done, what="the reset's answer")
 
 
-def test_closing_on_nothing_is_said_with_the_reason(client: Client) -> None:
+def test_closing_on_nothing_is_published_with_reason(client: Client) -> None:
     with ClockedCloth(client) as cloth:
         heard = gripper_state(client)
         cloth.target("gripper", (3.0, 3.0, 3.0))
@@ -94,7 +94,7 @@ def test_closing_on_nothing_is_said_with_the_reason(client: Client) -> None:
         assert heard.messages[-1].message.startswith("closed, holds nothing: no particle within 0.05 m")
 
 
-def test_what_lets_go_by_itself_is_said(client: Client) -> None:
+def test_automatic_release_is_published(client: Client) -> None:
     with ClockedCloth(client, {"gripper.timeout": 0.05}) as cloth:
         heard = gripper_state(client)
         cloth.target("gripper", CORNER)
@@ -106,7 +106,7 @@ def test_what_lets_go_by_itself_is_said(client: Client) -> None:
         )
 
 
-def test_the_nodes_state_is_that_of_a_managed_node(client: Client) -> None:
+def test_node_state_follows_managed_node_ids(client: Client) -> None:
     with ClockedCloth(client) as cloth:
         cloth.tick(3)
         heard = Heard(client, State, "/cloth_sim/state")
@@ -163,7 +163,7 @@ def read(data: bytes) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("names", [[], ["a"], ["ab", "abc"], ["abcd", "abcde", "left_arm/towel/gripper"]], ids=len)
-def test_transforms_are_laid_out_as_ros_does(names: list[str]) -> None:
+def test_transform_bytes_match_ros_serialization(names: list[str]) -> None:
     frames = [(name, [0.1 + k, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8]) for k, name in enumerate(names)]
     found = read(transforms_bytes(frames, frame_id="world", stamp=5_000_000_007))
     assert list(found) == names
@@ -205,7 +205,7 @@ def test_grippers_and_cloth_are_frames(client: Client, tf2_msgs: type) -> None:
         cloth.tick(2)
 
 
-def test_without_tf2_it_is_said_and_all_else_goes_on(
+def test_missing_tf2_is_logged_and_node_goes_on(
     client: Client, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "tf2_msgs", None)
@@ -215,13 +215,13 @@ def test_without_tf2_it_is_said_and_all_else_goes_on(
     assert said.count("tf.publish is set, and tf2_msgs is not installed: no frames are sent") == 1
 
 
-def test_nothing_is_loaded_for_frames_that_nobody_asked_for(client: Client) -> None:
+def test_tf2_is_not_loaded_unless_requested(client: Client) -> None:
     with ClockedCloth(client) as cloth:
         cloth.tick(2)
         assert cloth.node._broadcaster._output is None
         assert "tf2_msgs" not in sys.modules
 
 
-def test_a_gripper_that_would_be_the_cloth_is_refused() -> None:
+def test_gripper_named_cloth_is_refused() -> None:
     with pytest.raises(ParameterError, match="a gripper is named 'cloth', as the cloth's own frame is"):
         Scene.from_parameters({"grippers": ["cloth"], "tf.publish": True})

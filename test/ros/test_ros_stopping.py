@@ -51,7 +51,7 @@ def test_a_signal_closes_the_recording(
         assert reader.complete
 
 
-def test_a_context_that_is_shut_down_amid_a_frame_is_no_error(ros_domain: int) -> None:
+def test_context_shutdown_during_a_frame_is_no_error(ros_domain: int) -> None:
     # As rclpy's own signal handlers do in a process that has several nodes.
     context = rclpy.Context()
     rclpy.init(context=context)
@@ -135,7 +135,7 @@ def signals() -> Iterator[StopSignals]:
         signal.signal(number, handler)
 
 
-def test_a_signal_raises_nothing_amid_whatever_it_meets(signals: StopSignals) -> None:
+def test_signal_raises_nothing_in_a_callback(signals: StopSignals) -> None:
     aside = Aside(signals.name)
 
     def interrupted() -> str:
@@ -149,7 +149,7 @@ def test_a_signal_raises_nothing_amid_whatever_it_meets(signals: StopSignals) ->
         aside.run(lambda: pytest.fail("it began"))
 
 
-def test_a_job_that_goes_on_is_left(signals: StopSignals) -> None:
+def test_running_job_is_abandoned_on_signal(signals: StopSignals) -> None:
     aside, ended = Aside(signals.name), threading.Event()
 
     def endless() -> None:
@@ -162,7 +162,7 @@ def test_a_job_that_goes_on_is_left(signals: StopSignals) -> None:
     ended.set()
 
 
-def test_no_frame_begins_beside_one_that_is_left(ros_domain: int, wait_until: Callable[..., object]) -> None:
+def test_no_frame_starts_beside_an_abandoned_one(ros_domain: int, wait_until: Callable[..., object]) -> None:
     context = rclpy.Context()
     rclpy.init(context=context)
     begun: list[Callable[[], Any]] = []
@@ -205,7 +205,7 @@ def test_a_gripper_that_waits_ends_at_once(ros_domain: int, start_process: Calla
     assert "Traceback" not in process.output
 
 
-def test_a_context_that_ends_amid_the_closing_is_no_error(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_context_shutdown_during_closing_is_no_error(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """As rclpy's own signal handler ends it: nobody is left to be told, and the recording is closed all the same."""
     context = rclpy.Context()
     context.init()
@@ -223,7 +223,7 @@ def test_a_context_that_ends_amid_the_closing_is_no_error(ros_domain: int, monke
     cloth.node.destroy_node()
 
 
-def test_a_node_that_stops_warns_of_nothing(
+def test_stopping_node_logs_no_warning(
     ros_domain: int, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """A namesake that the last report would be the first to see: nobody could act on the warning."""

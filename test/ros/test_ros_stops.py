@@ -26,7 +26,7 @@ FALLING: dict[str, Any] = {
 }
 
 
-def test_a_stop_is_told_once_however_often_it_is_asked_for() -> None:
+def test_repeated_stop_is_warned_of_once() -> None:
     cloth, log = Simulation(Scene.from_parameters({"cloth.resolution": [5, 5]})), Log()
     frame = cloth.advance()
     node, nothing = SimpleNamespace(), SimpleNamespace()

@@ -94,7 +94,7 @@ def test_a_service_waits_for_the_frame_under_way(
     assert before.count("begins") == before.count("ends")
 
 
-def test_many_callers_at_once(client: Client, tmp_path: Path) -> None:
+def test_concurrent_service_callers_are_all_answered(client: Client, tmp_path: Path) -> None:
     pytest.importorskip("mcap")
     from cloth_sim_ros.verify.run import verify
 
@@ -126,7 +126,7 @@ def test_many_callers_at_once(client: Client, tmp_path: Path) -> None:
         assert verdict.same, verdict.first_reason
 
 
-def test_what_another_callback_refuses_is_not_taken_over(client: Client) -> None:
+def test_change_refused_by_another_callback_is_not_applied(client: Client) -> None:
     node = Node(
         "cloth_sim",
         context=client.context,

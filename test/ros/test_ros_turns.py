@@ -27,7 +27,7 @@ def client(ros_domain: int) -> Iterator[Client]:
 
 
 @pytest.mark.parametrize(("beside", "most"), [(False, 1.5), (True, 0.5)], ids=["in the executor", "beside it"])
-def test_a_frame_that_nobody_commands_takes_one_turn_or_none(client: Client, beside: bool, most: float) -> None:
+def test_uncommanded_frame_takes_at_most_one_spin(client: Client, beside: bool, most: float) -> None:
     overrides = [Parameter(name, value=value) for name, value in (AT_REST | {"rate": 500.0}).items()]
     cloth = ClothNode(context=client.context, parameter_overrides=overrides, stopped=str if beside else None)
     client.executor.add_node(cloth.node)
@@ -46,7 +46,7 @@ def test_a_frame_that_nobody_commands_takes_one_turn_or_none(client: Client, bes
         cloth.node.destroy_node()
 
 
-def test_there_is_little_to_look_at_in_each(client: Client) -> None:
+def test_wait_set_of_a_spin_is_small(client: Client) -> None:
     bare = len(list(client.node.waitables))
     with ClockedCloth(client, AT_REST) as cloth:
         assert len(list(cloth.node.node.timers)) == 1
@@ -76,7 +76,7 @@ def test_a_sleeping_frame_wakes_no_other_thread(client: Client) -> None:
         cloth.node.destroy_node()
 
 
-def test_a_publisher_of_grasps_that_would_not_be_heard_is_told(
+def test_incompatible_grasp_publisher_is_warned_of(
     client: Client, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with ClockedCloth(client, AT_REST):
@@ -92,7 +92,7 @@ def test_a_publisher_of_grasps_that_would_not_be_heard_is_told(
         client.spin_until(told, what="a warning")
 
 
-def test_commands_take_effect_in_frames_beside_the_executor(client: Client) -> None:
+def test_commands_take_effect_in_timer_thread_frames(client: Client) -> None:
     overrides = [Parameter(name, value=value) for name, value in AT_REST.items()]
     cloth = ClothNode(context=client.context, parameter_overrides=overrides, stopped=str)
     client.executor.add_node(cloth.node)
@@ -116,7 +116,7 @@ def test_commands_take_effect_in_frames_beside_the_executor(client: Client) -> N
         cloth.node.destroy_node()
 
 
-def test_what_goes_wrong_beside_the_executor_is_the_executors_to_raise(
+def test_executor_raises_errors_of_the_timer_thread(
     client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     overrides = [Parameter(name, value=value) for name, value in AT_REST.items()]

@@ -18,7 +18,7 @@ REASON = "which is not installed: pip install mcap rosbags zstandard lz4"
 
 
 @pytest.mark.parametrize("library", ["mcap", "rosbags", "lz4"])
-def test_the_node_runs_and_says_that_it_cant_record(
+def test_node_without_mcap_runs_and_reports_no_recording(
     ros_domain: int, start_process: Callable[..., Any], tmp_path: Path, library: str
 ) -> None:
     parameters = {"record.enabled": "true", "record.folder": tmp_path / "sessions", "cloth.resolution": "[6, 7]"}
