@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a shadow says how accurate the cloth is: begun and ended as `diagnostics.accuracy` says.
+"""Switch of the accuracy monitor.
 
-Without it nothing is loaded, started or kept.
+The parameter `diagnostics.accuracy` starts and ends the monitor. While it is false, nothing is loaded or started.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ _OFF = {"accuracy": "off"}
 
 
 class Accuracy:
-    """Holds the shadow, while one is wanted.
+    """Owns the accuracy monitor while `diagnostics.accuracy` is true.
 
     Args:
         simulation: the cloth.
-        log: is told what the shadow finds wrong.
+        log: receives the monitor's warnings.
     """
 
     def __init__(self, simulation: Simulation, log: ThrottledLog) -> None:
@@ -31,7 +31,7 @@ class Accuracy:
         self._shadow: Shadow | None = None
 
     def follow(self) -> None:
-        """Begin or end as the parameter says, and pass on what the shadow found wrong."""
+        """Start or end the monitor by the parameter, and log the monitor's warnings."""
         wanted, shadow = self._simulation.scene.diagnostics.accuracy, self._shadow
         if wanted and shadow is None:
             from cloth_sim_ros.ros.shadow import Shadow
@@ -44,21 +44,21 @@ class Accuracy:
                 self.close()
 
     def before_frame(self) -> None:
-        """The next frame begins with the state as it is."""
+        """Pass on the state at which the next frame begins."""
         if self._shadow is not None:
             self._shadow.before_frame(self._simulation)
 
     def after_frame(self, frame: Frame) -> None:
-        """It ended."""
+        """Pass on the frame that ended."""
         if self._shadow is not None:
             self._shadow.after_frame(self._simulation, frame)
 
     def describe(self) -> dict[str, str]:
-        """What there is to say in diagnostics."""
+        """Return the entries for diagnostics."""
         return _OFF if self._shadow is None else self._shadow.describe(self._simulation.time)
 
     def close(self) -> None:
-        """End the shadow, if there is one."""
+        """End the monitor if it runs."""
         if self._shadow is not None:
             self._shadow.close()
             self._shadow = None

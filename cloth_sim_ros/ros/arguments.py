@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Command lines of the package's commands: ROS arguments and our own, side by side."""
+"""Command lines that mix ROS arguments and the package's own."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from cloth_sim_ros.ros.environment_checks import EnvironmentFaultError, check_en
 
 
 class ArgumentsError(ValueError):
-    """ROS arguments that can't be read; the message says which."""
+    """ROS arguments that rclpy can't read; the message names them."""
 
 
 def read_and_start(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Namespace:
-    """Parse what is not for ROS, and start rclpy with the rest, without signal handlers.
+    """Parse the arguments that are not for ROS, and start rclpy with the others, without signal handlers.
 
     Raises:
-        ArgumentsError: for ROS arguments that rclpy does not take, and for an environment in which it can't start.
-        SystemExit: as argparse does.
+        ArgumentsError: if rclpy refuses the ROS arguments or can't start in this environment.
+        SystemExit: raised by argparse.
     """
     try:
         options = parser.parse_args(remove_ros_args(list(argv))[1:])
@@ -38,7 +38,7 @@ def read_and_start(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argp
 
 
 def readable(error: Exception) -> str:
-    """Return the message of one of rclpy's errors without the places in its sources, or what explains it."""
+    """Return the message of an rclpy error without its source locations, or an explanation if one is known."""
     parts = [part for part in str(error).replace("\n", ", ").split(", at ") if not part.startswith(("/", "./"))]
     message = ", at ".join(parts).strip() if parts else str(error)
     return explain(message) or message

@@ -1,11 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A thread for what may take long, so that a signal is heard meanwhile.
+"""A worker thread for long computations that keeps the main thread responsive to signals.
 
-Python handles signals between two instructions of the main thread: while that is inside the engine, they wait. A
-main thread that waits for another one hears them, and looks now and then whether one has come. Nothing is raised out
-of a signal's handler: where that happens amid a callback of rclpy's or of the garbage collection's, it is printed and
-forgotten.
+Python runs signal handlers between two instructions of the main thread. While that thread is inside the engine, signals
+wait. Therefore the main thread waits for the worker thread instead, and polls for signals.
+A handler raises nothing: an exception within a callback of rclpy or of the garbage collector is printed and lost.
 """
 
 from __future__ import annotations
@@ -20,20 +19,20 @@ from typing import Any, NoReturn, TypeVar
 from cloth_sim_ros.ros.stopping import StopRequestedError
 
 T = TypeVar("T")
-#: How often the waiting thread looks up [s].
+#: Period at which a waiting thread polls for signals [s].
 _GLANCE = 0.1
 
 
 def at_once(job: Callable[[], T]) -> T:
-    """Run a job here and now: what a node does whose process nobody stops by a signal."""
+    """Run a job in the calling thread, for nodes whose process no signal stops."""
     return job()
 
 
 class Turn:
-    """A lock that its holder may take again. Who waits for it hears signals.
+    """A reentrant lock; a signal interrupts a thread that waits for it.
 
     Args:
-        stopped: returns the name of the signal that has come, empty while none has.
+        signal_name: returns the name of the signal that has come; empty if none has.
     """
 
     def __init__(self, stopped: Callable[[], str]) -> None:
@@ -41,10 +40,10 @@ class Turn:
         self._lock = threading.RLock()
 
     def __enter__(self) -> None:
-        """Take it.
+        """Take the lock.
 
         Raises:
-            StopRequestedError: if a signal has come and the lock is not free soon.
+            StopRequestedError: if a signal has come and the lock is not free within 0.1 s.
         """
         while not self._lock.acquire(timeout=_GLANCE):
             stopped = self._stopped()
@@ -58,11 +57,12 @@ class Turn:
 
 
 class Aside:
-    """Runs one job at a time in a thread of its own while the caller, the main thread, waits; those of other threads
-    here and now.
+    """Runs one job at a time in a worker thread while the main thread waits.
+
+    Jobs of other threads run in the calling thread.
 
     Args:
-        stopped: returns the name of the signal that has come, empty while none has.
+        signal_name: returns the name of the signal that has come; empty if none has.
     """
 
     def __init__(self, stopped: Callable[[], str]) -> None:
@@ -74,23 +74,23 @@ class Aside:
 
     @property
     def left(self) -> bool:
-        """Whether a signal came before a job ended: it goes on alone, and what it works on is not to be read."""
+        """True if a signal came before a job ended. The job goes on, and its objects must not be read."""
         return self._running
 
     def run(self, job: Callable[[], T]) -> T:
         """Run a job and return what it returns, or raise what it raises.
 
         Raises:
-            StopRequestedError: if a signal came before, or comes and the job is not done soon; one that had begun is
-                left to itself.
+            StopRequestedError: if a signal came before the job, or comes and the job does not end within 0.1 s. A job
+                that has begun is abandoned.
         """
         if threading.current_thread() is not threading.main_thread():
-            # Which hears signals meanwhile.
+            # The main thread handles signals meanwhile.
             return job()
         if self._stopped():
             raise StopRequestedError(self._stopped())
         if self._thread is None:
-            # A daemon: it must not hold up the end of the process.
+            # A daemon thread does not delay the end of the process.
             self._thread = threading.Thread(target=self._work, name="frames", daemon=True)
             self._thread.start()
         self._running = True
@@ -112,7 +112,7 @@ class Aside:
                     raise StopRequestedError(stopped) from None
 
     def leave(self) -> None:
-        """Take note that a frame of another thread goes on alone."""
+        """Mark a frame of another thread as abandoned."""
         self._running = True
 
     def end_process(self, status: int) -> NoReturn:
@@ -131,5 +131,5 @@ class Aside:
             try:
                 self._outcomes.put((job(), None))
             except BaseException as error:
-                # The caller's to handle, whatever it is.
+                # The caller raises it, whatever it is.
                 self._outcomes.put((None, error))

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The grippers and the cloth as TF frames, where they are asked for and tf2_msgs is installed."""
+"""TF frames of the grippers and the cloth, published if `tf.publish` is set."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from cloth_sim_ros.ros.outputs import Output, Tape
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.simulation.simulation import Simulation
 
-#: As tf2's own broadcaster offers it.
+#: The profile of tf2's own broadcaster.
 TRANSFORMS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
-#: Of the cloth, behind the node's name as the grippers' names are.
+#: Name of the cloth's frame, below the node's name like those of the grippers.
 CLOTH = "cloth"
 
 
 class FrameBroadcaster:
-    """Sends /tf while `tf.publish` is set: `<node>/<gripper>`, and `<node>/cloth`, at the centre of mass.
+    """Publishes /tf while `tf.publish` is set: `<node>/<gripper>`, and `<node>/cloth` at the centre of mass.
 
     Args:
         node: the node.
         simulation: the cloth.
-        tape: records them.
+        sink: records the messages.
     """
 
     def __init__(self, node: Node, simulation: Simulation, tape: Tape) -> None:
@@ -39,7 +39,7 @@ class FrameBroadcaster:
         self._asked = False
 
     def send(self, stamp: int) -> None:
-        """Send the frames as they are at a ROS time [ns], where they are asked for."""
+        """Publish the present frames with a ROS time [ns] as stamp, if `tf.publish` is set."""
         wanted = self._simulation.scene.tf.publish
         if wanted and not self._asked:
             self._open()
@@ -49,7 +49,7 @@ class FrameBroadcaster:
             self._output.send(transforms_bytes(self._transforms(), frame_id=parent, stamp=stamp), stamp)
 
     def _open(self) -> None:
-        """Begin to publish, or say why not; once for each time that it is asked for."""
+        """Create the publisher, or log an error, once each time that `tf.publish` is set."""
         if self._output is not None:
             return
         try:
@@ -72,7 +72,7 @@ class FrameBroadcaster:
         frames = [(f"{self._prefix}/{CLOTH}", [*centre.tolist(), 0.0, 0.0, 0.0, 1.0])]
         poses = simulation.grippers.poses().tolist()
         for index, name in enumerate(simulation.grippers.names):
-            # One that has had no target is nowhere.
+            # A gripper without a target has no pose.
             if simulation.grippers.is_placed(index):
                 frames.append((f"{self._prefix}/{name}", poses[index]))
         return frames
@@ -82,8 +82,8 @@ def transforms_bytes(frames: Iterable[tuple[str, Sequence[float]]], *, frame_id:
     """Return the CDR bytes of a tf2_msgs/TFMessage.
 
     Args:
-        frames: name, and position [m] and quaternion x, y, z, w in the parent, 7 numbers.
-        frame_id: the parent.
+        frames: name of each frame with its pose in the parent: position [m] and quaternion x, y, z, w, 7 numbers.
+        frame_id: the parent frame.
         stamp: ROS time [ns].
     """
     listed = list(frames)

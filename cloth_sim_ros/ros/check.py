@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`cloth_sim --check scene.yaml`: what would run, how fast, and what sets its step, without joining a graph."""
+"""`cloth_sim --check scene.yaml`: cloth, expected speed and step limit, without a graph."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ from cloth_sim_ros.simulation.simulation import Simulation
 if TYPE_CHECKING:
     from cloth_sim_ros.simulation.obstacles import Obstacles
 
-#: The beginning of the motion that is tried: simulated [s], and at most so long by the clock on the wall [s].
+#: Length of the trial run: simulated time [s], and its limit in wall time [s].
 _TRIED, _PATIENCE = 1.0, 5.0
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run `cloth_sim --check FILE`, of which only these arguments are allowed.
+    """Run `cloth_sim --check FILE`.
 
     Returns:
-        Exit status: 0, or 1 where the node would refuse the file, 130 if a signal ended it.
+        Exit status: 0; 1 if the node would refuse the file; 130 if a signal ended the command.
     """
     escape_unencodable()
     options = parser().parse_args(arguments)
@@ -48,7 +48,7 @@ def main(arguments: Sequence[str]) -> int:
         status = check(options.check, node=options.node)
         sys.stdout.flush()
     except BrokenPipeError:
-        # Whoever reads the output (head, less) has had enough; what is still held goes nowhere as Python ends.
+        # The reader of the output (head, less) has ended. Python's buffered output must go nowhere at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except KeyboardInterrupt:
@@ -57,10 +57,10 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def check(path: str, *, node: str) -> int:
-    """Print what a parameter file would let run, as the node of a name reads it.
+    """Print the cloth of a parameter file as the node of a given name reads it.
 
     Returns:
-        Exit status: 0, or 1 where the node would refuse it, with the node's words.
+        Exit status: 0; 1 if the node would refuse the file, with the node's message.
     """
     values: dict[str, Any] = {}
     try:
@@ -101,7 +101,7 @@ def check(path: str, *, node: str) -> int:
 
 
 class _Lines:
-    """What the node's log would say, printed."""
+    """A logger that prints the node's messages."""
 
     def info(self, text: str) -> None:
         print(text)
@@ -148,7 +148,7 @@ def _print_forecast(simulation: Simulation, cost: float | None) -> None:
 
 
 def _print_trial(simulation: Simulation) -> None:
-    """Run the beginning of the motion, and say how it went."""
+    """Run the first second of the motion, and print its speed."""
     period = simulation.scene.period
     taken: list[float] = []
     done: list[Advance] = []

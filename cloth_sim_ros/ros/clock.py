@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""When frames are due: by wall time on a steady clock, or when `/clock` reaches them."""
+"""Pacers: sources of frame ticks, from wall time or from `/clock`."""
 
 from __future__ import annotations
 
@@ -22,51 +22,51 @@ from cloth_sim_ros.ros.sim_time import ClockSilence, SimTimeNode
 _SECOND = 1_000_000_000
 #: A difference of stamps and ROS time above this is a jump of the clock, not its drift [ns].
 _JUMP = 100_000_000
-#: Stamps are left alone while they are this close to ROS time: reading two clocks is no more exact [ns].
+#: Stamps are not corrected if they are this close to ROS time: reading two clocks is no more exact [ns].
 _DEAD_BAND = 200_000
-#: Reading the clocks took longer than this: the thread was interrupted in between, the reading says nothing [ns].
+#: If reading the clocks takes longer than this, the thread was interrupted, and the reading is dropped [ns].
 _READING = 50_000
-#: How long a frame under way is waited for at the end [s].
+#: Longest wait for a running frame when the pacer stops [s].
 _PATIENCE = 0.2
-#: Longest time that frames wait for a requested turn of the executor, from the request or its last turn since [s].
+#: Longest time that frames wait for a requested spin of the executor, from the request or its last spin since [s].
 EXECUTOR_TIMEOUT = 0.5
-#: When /clock goes ahead by more than this, older frames are left out [s].
+#: If /clock jumps forward by more than this, older frames are skipped [s].
 CATCH_UP = 1.0
-#: /clock stands when its time has not changed for so long, or for so many times its own last interval, within bounds
-#: [s].
+#: /clock stands if its time has not changed for the first [s], or for so many times its last interval, at most the
+#: third [s].
 STANDS_AFTER, _INTERVALS, _MAX_STANDS_AFTER = 2.0, 3.0, 4.0
-#: Longest time between two looks at /clock that counts: what lies beyond it the executor was busy [s].
+#: Longest counted time between two checks of /clock: beyond it the executor was busy [s].
 _MAX_INTERVAL = 0.5
-#: Shortest period of frames while /clock stands [s]: they only take commands.
+#: Shortest period of frames while /clock stands [s]; these frames only apply commands.
 _MIN_STANDING_PERIOD = 0.01
 
 
 @attrs.frozen(kw_only=True)
 class Due:
-    """A frame that is due."""
+    """The request of one frame."""
 
-    #: ROS time at which it was due [ns].
+    #: ROS time of the tick [ns].
     stamp: int
-    #: How long ago that was, by a steady clock [ns]. Where time is simulated: how much later it begins than real time
-    #: allows, one period for each frame since /clock made it due.
+    #: Delay of the frame's start behind the tick, by a steady clock [ns]. With /clock: delay behind the time that real
+    #: time allows, one period for each frame since /clock reached the tick.
     lateness: int
-    #: Due times since the frame before that passed without a frame.
+    #: Ticks since the previous frame that passed without a frame.
     skipped: int
-    #: ROS time at which it begins [ns]; when it was due, where that is simulated. One that is late takes what came
-    #: since.
+    #: ROS time at which the frame starts [ns], so that a late frame takes the commands that came since its tick. With
+    #: /clock: equal to `stamp`.
     now: int
-    #: Whether /clock stands, so that no time is to pass.
+    #: True if /clock stands; then the frame advances no time.
     stands: bool = False
 
 
 class Pacer(Protocol):
-    """Calls for frames."""
+    """A source of frame ticks."""
 
     def start(self) -> None:
-        """Begin; the first frame is due one period later, or at the next multiple of the period of /clock."""
+        """Start. The first tick comes one period later, or at the next multiple of the period on /clock."""
 
     def stop(self) -> bool:
-        """Call for no more frames; return whether none is under way."""
+        """Stop the ticks; return true if no frame is running."""
 
     @property
     def period(self) -> int:
@@ -74,25 +74,24 @@ class Pacer(Protocol):
 
 
 class WallPacer:
-    """Frames due by wall time. Where one takes longer than the period the next due times are left out: no spiral.
+    """Ticks by wall time. If a frame takes longer than the period, the ticks that it missed are skipped.
 
-    A thread of its own waits for their times and asks the executor for a turn: it takes the commands that have arrived,
-    then runs the frame. A turn looks at all that the node waits for, and takes as long as the frame of a small cloth.
-    So frames may run beside the executor, in that thread, if nothing is to be taken first: no command has come since
-    the frame before, that frame was not late, and no turn is pending.
+    A timer thread waits for each tick and requests a spin of the executor. The executor drains the command queues, then
+    runs the frame. A spin checks every entity of the node, which costs as much time as the frame of a small cloth.
+    Therefore a frame may run in the timer thread, without the executor. Three conditions must hold: no command has come
+    since the previous frame, that frame was not late, and no spin is pending.
 
-    A turn is pending from the request until the executor begins a frame, however many due times pass meanwhile: the
-    executor is late, and frames wait for it. If it takes no turn for `EXECUTOR_TIMEOUT`, it does not spin: frames run
-    without it until it takes a turn again.
+    A spin is pending from its request until the executor starts a frame, even if further ticks pass. Frames wait for
+    it. If the executor does not spin for `EXECUTOR_TIMEOUT`, frames run in the timer thread until it spins again.
 
     Args:
-        node: has the guard condition that the executor is asked by.
-        rate: frames a second.
-        on_due: called for each frame.
-        settled: whether all messages that have arrived were taken. In each turn an executor runs timers first, then
-            takes one message of each topic, the oldest. If frames take all the time there is, a frame that did not wait
-            for `settled` would only see commands that are as old as the middleware's queue is long.
-        beside: whether frames may run beside the executor.
+        node: owns the guard condition that wakes the executor.
+        rate: frames per second [Hz].
+        on_tick: called for each frame.
+        is_drained: returns true if all arrived messages were taken. In each spin an executor runs timers first, then
+            takes the oldest message of each topic. If frames take all the time, the queues stay full. A frame that did
+            not wait for `is_drained` would then see old commands only.
+        in_timer_thread: allow frames in the timer thread.
     """
 
     def __init__(
@@ -112,20 +111,20 @@ class WallPacer:
         self._clock = node.get_clock()
         self.period = round(_SECOND / rate)
         self._start = 0
-        #: Number of the last frame, and of the last due time that was seen to.
+        #: Tick index of the last frame, and of the last tick that was handled.
         self._last = self._rung = 0
         self._stamp: int | None = None
         self._bell: threading.Thread | None = None
-        # Held by the thread that a frame runs in.
+        # Held by the thread that runs a frame.
         self._running = threading.Lock()
-        #: When the pending turn was requested, or the executor's last turn since, by a steady clock [ns]; None if none
-        #: is pending. Set before the guard condition is triggered, cleared by the executor only.
+        #: Steady time of the pending request, or of the executor's last spin since [ns]; None if no spin is pending.
+        #: Set before the guard condition is triggered, cleared by the executor only.
         self._pending_since: int | None = None
         self._trouble: BaseException | None = None
 
     def start(self) -> None:
         self._start = time.monotonic_ns()
-        # Held until the end: to wait for a lock costs half of what an event does.
+        # Held until the end: waiting for a lock costs half as much as waiting for an event.
         self._ended = threading.Lock()
         self._ended.acquire()
         self._bell = threading.Thread(target=self._ring, name="due", daemon=True)
@@ -144,7 +143,7 @@ class WallPacer:
         return True
 
     def _number(self) -> int:
-        """Number of the newest frame that is due."""
+        """Index of the newest tick."""
         return (time.monotonic_ns() - self._start) // self.period
 
     def _ring(self) -> None:
@@ -155,14 +154,14 @@ class WallPacer:
                 return
             self._rung = self._number()
             is_concurrent = self._beside and not late and not self._waits_for_executor() and self._settled()
-            # While a frame is under way in the executor that one takes no commands, and this one will be late.
+            # While the executor runs a frame it takes no commands, and this frame will be late.
             if not is_concurrent or not self._running.acquire(blocking=False):
                 self._request_turn()
                 continue
             try:
                 self._run()
             except BaseException as error:
-                # The executor's to raise, whatever it is.
+                # The executor raises it, whatever it is.
                 self._trouble = error
                 self._guard.trigger()
                 return
@@ -175,12 +174,12 @@ class WallPacer:
         self._guard.trigger()
 
     def _waits_for_executor(self) -> bool:
-        """Whether a turn is pending, and the executor has been silent for less than its time limit."""
+        """Return true if a spin is pending and the executor has been silent for less than `EXECUTOR_TIMEOUT`."""
         since = self._pending_since
         return since is not None and time.monotonic_ns() - since < EXECUTOR_TIMEOUT * _SECOND
 
     def _note_turn(self) -> None:
-        """Note that the executor spins: the time limit of a pending turn begins anew."""
+        """Restart the time limit of a pending spin: the executor spins."""
         if self._pending_since is not None:
             self._pending_since = time.monotonic_ns()
 
@@ -193,13 +192,13 @@ class WallPacer:
         if not self._settled():
             self._request_turn()
             return
-        # A frame under way that waits for nobody: the next one is rung for.
+        # If the timer thread runs a frame, the next tick requests a spin.
         if self._running.acquire(blocking=False):
             try:
                 self._pending_since = None
                 self._run()
             finally:
-                # A turn that was requested during the frame could not begin before its end.
+                # A spin that was requested during the frame could not begin before its end.
                 self._note_turn()
                 self._running.release()
 
@@ -215,8 +214,10 @@ class WallPacer:
         self._on_due(Due(stamp=stamp, lateness=now - due, skipped=skipped, now=ros))
 
     def _stamped(self, due: int, periods: int) -> tuple[int, int]:
-        """ROS time of a steady time: evenly spaced, led slowly where clocks drift apart, jumping where they jump; and
-        that of now.
+        """Return the ROS time of a tick and the present ROS time [ns].
+
+        Stamps are evenly spaced. If the clocks drift apart, stamps are corrected by at most 1 % of the period. They
+        jump if the ROS clock jumps.
         """
         before = time.monotonic_ns()
         ros = self._clock.now().nanoseconds
@@ -235,10 +236,10 @@ class WallPacer:
 
 
 class ClockPacer:
-    """Frames due when `/clock` reaches multiples of the period: the same stamps however often `/clock` is published.
+    """Ticks at multiples of the period on `/clock`: stamps do not depend on how often `/clock` is published.
 
-    When it jumps back, frames begin again from there; when it jumps ahead, those of the last second are made up for.
-    When it stands, frames without a motion are called for by wall time, stamped with the time at which it stands.
+    After a jump back, ticks start again from there. After a jump forward, the ticks of the last second are caught up.
+    While `/clock` stands, ticks come by wall time with the standing time as stamp; their frames advance no time.
     """
 
     def __init__(
@@ -263,9 +264,9 @@ class ClockPacer:
         self._reached = 0
         self._guard = node.create_guard_condition(self._serve)
         self._jump: object | None = None
-        #: Newest time of /clock [ns], and when real time lets the next frame begin, by a steady clock [ns].
+        #: Newest time of /clock [ns], and earliest start of the next frame in real time, by a steady clock [ns].
         self._now, self._allowed = 0, 0
-        #: Whether its time changed since the last look; since when it has not, and the interval before that [s].
+        #: Whether /clock changed since the last check, for how long it has not, and the interval before that [s].
         self._changed, self._idle, self._interval = False, 0.0, 0.0
         self._looked = time.monotonic()
         self._silence = ClockSilence(node.get_logger())
@@ -288,11 +289,11 @@ class ClockPacer:
 
     @property
     def has_clock(self) -> bool:
-        """Whether /clock has said anything yet."""
+        """True once a time has come on /clock."""
         return self._next is not None or self._node.has_clock_time
 
     def describe(self) -> tuple[bytes, str] | None:
-        """Return level and summary of diagnostics while /clock does not move; None while it does."""
+        """Return level and summary for diagnostics while /clock does not advance; None while it does."""
         if not self.has_clock:
             return DiagnosticStatus.WARN, f"waiting for /clock since {self._silence.seconds:.0f} s"
         if self._standing is None:
@@ -300,9 +301,9 @@ class ClockPacer:
         return DiagnosticStatus.OK, f"/clock stands at {self._reached / _SECOND:.3f} s"
 
     def check(self) -> None:
-        """Notice that /clock stands; call it some times a second, from the executor that hears /clock."""
+        """Detect that /clock stands. The executor that takes /clock calls this a few times a second."""
         now = time.monotonic()
-        # What an executor that was busy has not taken yet is no sign that nothing came.
+        # A busy executor may not have taken the messages that came.
         elapsed, self._looked = min(now - self._looked, _MAX_INTERVAL), now
         if not self.has_clock:
             self._silence.look()
@@ -328,7 +329,7 @@ class ClockPacer:
             self._standing = None
 
     def _moved(self, _jump: TimeJump) -> None:
-        # Called from within the clock's own update: only say that there is something to do.
+        # Called within the update of the clock: only wake the executor.
         self._changed = True
         self._guard.trigger()
 
@@ -336,7 +337,7 @@ class ClockPacer:
         return int(number * _SECOND / self._rate)
 
     def _first_from(self, time: int) -> int:
-        """Number of the first due time at or after a time [ns]."""
+        """Index of the first tick at or after a time [ns]."""
         number = int(time * self._rate / _SECOND)
         while self._due(number) < time:
             number += 1
@@ -348,13 +349,13 @@ class ClockPacer:
             return
         if now != self._now:
             if self._next is None or self._due(self._next) > self._now:
-                # No frame waits that an earlier message made due.
+                # No tick of an earlier message waits.
                 self._allowed = time.monotonic_ns()
             self._now = now
         if self._next is None:
             self._next = self._first_from(max(now, 1))
         elif now < self._reached - self.period:
-            # A step back of less than a frame needs nothing: no frame is due until /clock is where it was.
+            # A step back of less than a period needs no action: no tick comes until /clock has returned.
             self._next = self._first_from(max(now, 1))
             self._allowed = time.monotonic_ns()
             self._on_jump_back(self._reached, now)
@@ -363,7 +364,7 @@ class ClockPacer:
         if self._due(self._next) > now:
             return
         if not self._settled():
-            # A turn later: see WallPacer.
+            # One spin later: see WallPacer.
             self._guard.trigger()
             return
         behind = self._first_from(now + 1) - self._next
@@ -374,10 +375,10 @@ class ClockPacer:
         self._end_standing()
         number = self._next
         self._next += 1
-        # Each frame may take its period, those of one step of /clock as well.
+        # Each frame may take its period, also if one step of /clock makes several due.
         lateness = max(0, time.monotonic_ns() - self._allowed)
         self._allowed += self.period
         self._on_due(Due(stamp=self._due(number), lateness=lateness, skipped=skipped, now=self._due(number)))
         if self._due(self._next) <= now:
-            # One frame a call, so that commands and services are heard while many are made up for.
+            # One frame a call, so that commands and services are served while many frames are caught up.
             self._guard.trigger()

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pause of a cloth whose /clock stands, apart from the user's own."""
+"""Pause of a cloth while /clock stands, separate from the user's pause."""
 
 from __future__ import annotations
 
@@ -10,28 +10,32 @@ from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 
 class ClockPause:
-    """Pauses the simulation while /clock stands, by recorded events; afterwards the user's pause is in force again.
+    """Pauses the simulation by recorded events while /clock stands, and restores the user's pause afterwards.
 
     Args:
         simulation: the cloth.
-        queue: has the user's events.
+        queue: holds the user's events.
     """
 
     def __init__(self, simulation: Simulation, queue: EventQueue) -> None:
         self._simulation, self._queue = simulation, queue
-        #: Whether the simulation is paused because /clock stands.
+        #: True while the simulation is paused because /clock stands.
         self._holds = False
         self._user = False
-        #: Of the newest frame while it stands: the user's pause before it, and whether a pause was added to it.
+        #: For the newest frame while /clock stands: the user's pause before it, and whether a pause was added.
         self._before = self._added = False
 
     @property
     def user_paused(self) -> bool:
-        """Pause that the user asked for, with a moving /clock as with a standing one."""
+        """The pause that the user requested, whether or not /clock stands."""
         return self._user if self._holds else self._simulation.paused
 
     def events(self, *, stands: bool) -> tuple[list[Event], list[Event]]:
-        """Return what a frame begins with and what it ends with; `stands`: /clock does."""
+        """Return the first and the last events of a frame.
+
+        Args:
+            stands: true if /clock stands.
+        """
         if not stands:
             return [Pause(False)] if self._holds and not self._user else [], []
         self._before = self.user_paused
@@ -39,7 +43,7 @@ class ClockPause:
         return [], [Pause(True)] if self._added else []
 
     def settle(self, frame: Frame, *, stands: bool) -> None:
-        """Take note of a frame that succeeded."""
+        """Update the pauses after a frame that succeeded."""
         if not stands:
             self._holds = False
             return

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The topic ~/clock: simulated time of a cloth, published and followed."""
+"""Publisher and subscriber of ~/clock, the simulated time of a cloth."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from rosgraph_msgs.msg import Clock
 from cloth_sim_ros.ros.messages import SECOND, read_stamp, set_stamp
 from cloth_sim_ros.ros.outputs import LATCHED, STREAM, Output, Tape
 
-#: Name of the topic below that of the node.
+#: Name of the topic below the node's name.
 TOPIC = "clock"
-#: A cloth is slow if its frames take more than so many times their simulated time. The target of the next frame then
-#: races with that frame, which begins at once; so it waits for a share of a frame and is taken by the one after.
+#: A cloth is slow if its frames take more than this ratio of wall to simulated time. Its next frame starts at once, in
+#: a race with the target. Therefore the target waits for this fraction of a frame and is applied by the frame after.
 _SLOW, _SHARE = 1.2, 0.25
 
 
 class ClothClock:
-    """Publishes the simulated time of each frame while someone listens.
+    """Publishes the simulated time of each frame to subscribers.
 
-    It is not recorded: the records of frames hold it.
+    The topic is not recorded, because the frame records hold the time.
 
     Args:
         node: the cloth's node.
-        sink: what records other outputs.
+        sink: records other outputs.
     """
 
     def __init__(self, node: Node, sink: Tape) -> None:
@@ -43,21 +43,21 @@ class ClothClock:
 
 
 class ClothTime:
-    """Simulated time of the cloth of another node, frame by frame.
+    """Simulated time of another node's cloth, frame by frame.
 
     Args:
-        node: a node of the caller's.
+        node: the caller's node.
         target: full name of the cloth's node, e.g. ``/cloth_sim``.
     """
 
     def __init__(self, node: Node, target: str) -> None:
         self._topic = f"{target}/{TOPIC}"
         self._newest: int | None = None
-        #: Simulated time of one frame [ns]; 0 while it is not known.
+        #: Simulated time of one frame [ns]; 0 if it is not known yet.
         self.period = 0
-        #: The latest time that was returned [ns].
+        #: The latest time that `now` returned [ns].
         self._latest = 0
-        #: Steady time at which the newest frame was heard of, and the wall time between the last two [s].
+        #: Steady time at which the newest message arrived, and the wall time between the last two [s].
         self._arrival = self._interval = 0.0
         self._label = ""
         node.create_subscription(Clock, self._topic, self._take, STREAM)
@@ -66,8 +66,8 @@ class ClothTime:
     def now(self) -> int | None:
         """Return the time at the end of the frame after the newest [ns]; None before the first.
 
-        One target a frame, for the frame's very end, leads a gripper evenly, however long frames take. The time goes
-        back only if the node was restarted.
+        One target a frame, for the frame's end, moves a gripper evenly, however long frames take. The time goes back
+        only if the node was restarted.
         """
         if self._newest is None:
             return None
@@ -76,12 +76,12 @@ class ClothTime:
 
     @property
     def send_time(self) -> float:
-        """Steady time at which the next target is to be sent [s]: at once, unless the cloth is slow."""
+        """Steady time at which to send the next target [s]: now, unless the cloth is slow."""
         is_slow = self.period and self._interval > _SLOW * self.period / SECOND
         return self._arrival + (_SHARE * self._interval if is_slow else 0.0)
 
     def describe(self) -> str:
-        """Return what is known of a cloth whose time stands, as the end of a sentence."""
+        """Return the state of a cloth whose time stands, as the end of a sentence."""
         if self._newest is None:
             return f"has said nothing on {self._topic}, its simulated time,"
         return f"stands at {self._newest / SECOND:.3f} s of simulated time (~/state: {self._label or 'not known'})"
@@ -93,7 +93,7 @@ class ClothTime:
         arrival = time.monotonic()
         self._arrival, self._interval = arrival, arrival - self._arrival if before is not None else 0.0
         if before is not None and before < self._newest:
-            # The least: a message may be lost.
+            # The smallest step: a message may be missing.
             step = self._newest - before
             self.period = min(self.period or step, step)
         elif before is not None:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters that a command line gives a node, known before the node exists."""
+"""Parameters of a ROS command line, read before the node exists."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _ASSIGN = ":="
 
 
 def command_line_parameters(argv: Sequence[str], *, node: str = "cloth_sim") -> dict[str, Any]:
-    """Return the parameters of ROS arguments by full name, those of parameter files included; the last one counts.
+    """Return the parameters of ROS arguments and parameter files by full name; the last value counts.
 
-    A value or a file that cannot be read is left out: the node refuses it in its own words.
+    Unreadable values and files are left out: the node refuses them with its own message.
 
     Args:
         argv: a command line.
@@ -52,7 +52,7 @@ def _rules(argv: Sequence[str]) -> Iterator[tuple[str, str]]:
 
 
 def _full_name(remappings: Sequence[str], node: str) -> str:
-    """Return a node's name with its namespace, after remapping; of several rules the first counts."""
+    """Return a node's full name after remapping; the first of several rules counts."""
     names = {"__node": node, "__ns": "/"}
     for rule in reversed(remappings):
         name, assigned, value = rule.partition(_ASSIGN)

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command topics of grippers and obstacles. A callback checks a message and queues an event, nothing more."""
+"""Command topics of grippers and obstacles.
+
+A callback only checks a message and queues an event.
+"""
 
 from __future__ import annotations
 
@@ -31,24 +34,24 @@ from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
 from cloth_sim_ros.simulation.frame import Frame
 from cloth_sim_ros.simulation.grippers import GraspResult
 
-#: Best effort, so that any publisher matches; the newest target is what counts.
+#: Best effort, so that any publisher matches; only the newest target counts.
 TARGETS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-#: No grasp may be lost.
+#: Reliable, because every grasp must arrive.
 GRASPS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class Commands:
-    """Subscriptions of every gripper and obstacle of a cloth, from `listen` on.
+    """Subscriptions of the command topics of all grippers and obstacles; `subscribe` creates them.
 
     Args:
         node: the node.
-        grippers: names.
-        queue: where events wait.
+        grippers: names of the grippers.
+        queue: receives the events.
         check: refuses events that can't take effect, with EventError.
-        frames: brings poses into the cloth's frame.
-        tape: records the bytes as they came.
-        log: for refusals.
-        turn: held while the queue is worked on.
+        frames: transforms poses into the cloth's frame.
+        sink: records the bytes of each message.
+        log: receives refusals.
+        lock: held during each callback.
     """
 
     def __init__(
@@ -74,19 +77,19 @@ class Commands:
         self._grippers = grippers
         self._gates = {name: StampGate() for name in grippers}
         self._obstacles: dict[str, Subscription] = {}
-        #: Commands older than the newest, by gripper or obstacle.
+        #: Number of commands older than the newest one, by gripper or obstacle.
         self._dropped: dict[str, int] = {}
         self._heard: dict[str, int] = {}
-        #: Messages that had arrived at the last call of `settled`, and the number of turns in a row that brought some.
+        #: Messages at the last call of `is_drained`, and the number of consecutive spins that delivered some.
         self._seen = 0
         self._turns = 0
-        #: Messages that arrived, and of them those that were refused or older than the newest.
+        #: Counts of messages: received, refused, and older than the newest one.
         self.received = 0
         self.refused = 0
         self.outdated = 0
 
     def listen(self) -> None:
-        """Subscribe: whoever meets a subscription may rely on being heard."""
+        """Subscribe to the topics of the grippers. From then on every matched publisher is served."""
         for gripper in self._grippers:
             for leaf, kind, qos, handle in (
                 ("target", PoseStamped, TARGETS, self._target),
@@ -96,7 +99,7 @@ class Commands:
                 self._subscribe(gripper, leaf, kind, qos, handle)
 
     def listen_to_obstacles(self, names: list[str]) -> None:
-        """Subscribe for the obstacles that there are now, and no more for those that are gone."""
+        """Subscribe to the targets of the present obstacles, and unsubscribe from those of removed ones."""
         for name in [name for name in self._obstacles if name not in names]:
             self._node.destroy_subscription(self._obstacles.pop(name))
             del self._gates[name]
@@ -113,8 +116,8 @@ class Commands:
         take = functools.partial(
             self._take, name, leaf, kind, profile, self._node.resolve_topic_name(topic, only_expand=True), handle
         )
-        # Raw, so that the very bytes that came are recorded, and so that broken ones are ours to refuse.
-        # A volatile best-effort subscription matches every publisher: it needs no event, which costs each turn time.
+        # Raw, so that the received bytes are recorded, and so that the node refuses malformed ones itself.
+        # A volatile best-effort subscription matches every publisher and needs no event, which would slow each spin.
         choosy = profile.reliability != ReliabilityPolicy.BEST_EFFORT or profile.durability != DurabilityPolicy.VOLATILE
         misfit = functools.partial(self._warn_of_misfit, self._node.resolve_topic_name(topic)) if choosy else None
         events = SubscriptionEventCallbacks(incompatible_qos=misfit, use_default_callbacks=False)
@@ -124,36 +127,36 @@ class Commands:
 
     def _warn_of_misfit(self, topic: str, event: Any) -> None:
         if event.last_policy_kind == QoSPolicyKind.DURABILITY:
-            fault = "is volatile, and nothing that it sends is heard: make it transient local"
+            fault = "is volatile, so none of its messages arrive: make it transient local"
         else:
-            fault = "offers best effort, and nothing that it sends is heard: make it reliable"
+            fault = "offers best effort, so none of its messages arrive: make it reliable"
         self._log.warn(f"misfit {topic}", f"a publisher of {topic} {fault}")
 
     def heard(self, gripper: str) -> int | None:
-        """When the newest target of a gripper or obstacle came, ROS time [ns]; None if none has."""
+        """Return the ROS time at which the newest target of a gripper or obstacle came [ns]; None before the first."""
         return self._heard.get(gripper)
 
     def settled(self) -> bool:
-        """Whether every command that has arrived was taken, judged by the executor's turns since the last call.
+        """Return true if all arrived commands were taken: the last spin of the executor delivered none.
 
-        While it is False, ask again one turn later.
+        If it is false, call it again after one more spin.
         """
         taken, self._seen = self.received > self._seen, self.received
         self._turns = self._turns + 1 if taken else 0
-        # No more than the middleware keeps: a flood must not hold up the frame.
+        # At most as many spins as the middleware queues messages, so that a flood does not delay the frame.
         if taken and self._turns <= TARGETS.depth:
             return False
         self._turns = 0
         return True
 
     def forget_stamps(self) -> None:
-        """Accept any stamp next: the clock was set back, or the cloth was."""
+        """Accept any stamp next, because the clock or the cloth was set back."""
         for gate in self._gates.values():
             gate.forget()
         self._heard.clear()
 
     def _single(self, take: Callable[[bytes], None]) -> Callable[[bytes], None]:
-        """Return a function of exactly one argument: rclpy looks at how many a callback could take."""
+        """Return a callback of exactly one argument that holds the lock; rclpy inspects the signature."""
 
         def callback(data: bytes) -> None:
             with self._turn:
@@ -180,7 +183,7 @@ class Commands:
         except (RuntimeError, UnicodeDecodeError) as error:
             self._log.debug(functools.partial("{} of '{}': {}".format, leaf, name, error))
             self._refuse(
-                name, leaf, "bytes", f"its {len(data)} bytes are no {kind.__name__}; look at its publisher's type"
+                name, leaf, "bytes", f"its {len(data)} bytes are no {kind.__name__}; check the type of its publisher"
             )
             return
         try:
@@ -198,7 +201,7 @@ class Commands:
 
     def _refuse(self, name: str, leaf: str, kind: str, reason: str) -> None:
         self.refused += 1
-        # The check of an event names its target itself.
+        # The error of an event's check names its target already.
         subject = f"target of '{name}'"
         if reason.startswith(f"{subject}: "):
             reason = reason.removeprefix(f"{subject}: ")
@@ -220,7 +223,7 @@ class Commands:
 
     def _aim(self, event: Target | Move, header: Any, now: int) -> None:
         stamp = checked(header.stamp.sec, header.stamp.nanosec)
-        # An invalid value is reported as such, before its frame is looked up and its stamp compared.
+        # Values are checked first, so that an invalid one is reported rather than its frame or stamp.
         self._check(event)
         position, orientation = self._frames.to_cloth(header.frame_id, event.position, event.orientation, stamp)
         event = attrs.evolve(event, position=position, orientation=orientation)
@@ -232,7 +235,7 @@ class Commands:
         if self._queue.displaced > displaced:
             self._log.warn(
                 "displaced",
-                f"{MOST_WAITING} commands wait for a frame, and the oldest target gave way to one of '{name}'; "
+                f"{MOST_WAITING} commands wait for a frame, and one of '{name}' replaced the oldest target; "
                 f"{self._queue.displaced} so far: does /clock stand still, or does a sender flood?",
             )
         self._log.debug(functools.partial(_in_words, event, stamp))
@@ -244,7 +247,7 @@ class Commands:
         self._log.debug(functools.partial(_in_words, event, 0))
 
     def _tell(self, outcome: Outcome) -> None:
-        """Say what a grasp did: it has no other answer."""
+        """Log the result of a grasp: a topic has no other answer."""
         grasp = outcome.grasp
         if grasp is None:
             self._log.warn("grasp lost", f"a grasp did not take effect: {outcome.reason}")
@@ -252,7 +255,7 @@ class Commands:
             self._tell_grasp(grasp)
 
     def show(self, frame: Frame) -> None:
-        """Say of pads that came to rest in a frame what is between them."""
+        """Log the result of each grasp whose pads came to rest in a frame."""
         for grasp in frame.pinches:
             self._tell_grasp(grasp)
 
@@ -270,6 +273,6 @@ class Commands:
 
 
 def _in_words(event: Event, stamp: int) -> str:
-    """Return a command as DEBUG lines have it."""
+    """Return a command's text for DEBUG lines."""
     when = f"stamped {stamp / 1e9:.3f} s" if stamp else "for now"
     return f"command received, {when}: {event}"

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What grippers and obstacles do by themselves: follow a TF frame; a gripper lets go when its commands fall silent."""
+"""Events of the node itself: TF following and the command timeout of grippers."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 
-#: A frame that can't be followed is told of again after so long [ns].
+#: Period of the warnings of a frame that can't be followed [ns].
 _LOST_PERIOD = 60_000_000_000
 
 
 class Companions:
-    """Adds events of its own before a frame.
+    """Makes grippers and obstacles follow TF frames, and opens grippers without commands after `gripper.timeout`.
 
     Args:
         simulation: the cloth.
-        frames: looks frames up.
-        heard: when a gripper's newest target came, ROS time [ns], or None.
-        log: says what happened.
+        frames: looks up TF frames.
+        last_target_time: returns the ROS time of a gripper's newest target [ns], or None.
+        log: receives losses, recoveries and timeouts.
     """
 
     def __init__(
@@ -39,13 +39,13 @@ class Companions:
         self._heard = heard
         self._log = log
         self._followed: dict[str, int] = {}
-        #: When the frame that a gripper follows was last seen to move on, ROS time [ns].
+        #: ROS time of the last new transform of a followed frame [ns], by gripper or obstacle.
         self._moved: dict[str, int] = {}
-        #: When it was last told that what follows a frame can't, ROS time [ns].
+        #: ROS time of the last warning of a frame that can't be followed [ns], by gripper or obstacle.
         self._lost: dict[str, int] = {}
 
     def events(self, now: int) -> list[Event]:
-        """Return the events of a frame that is due at a ROS time [ns]."""
+        """Return the events for the simulation frame due at a ROS time [ns]."""
         scene = self._simulation.scene
         found: list[Event] = []
         for name in scene.obstacle_names:
@@ -76,7 +76,7 @@ class Companions:
         return [target]
 
     def _tell_lost(self, name: str, words: str, now: int) -> None:
-        """Warn when a frame gets lost, and now and then while it is."""
+        """Warn when a frame is lost, and once a minute while it is."""
         told = self._lost.get(name)
         # The clock may have been set back since.
         if told is None or not 0 <= now - told < _LOST_PERIOD:

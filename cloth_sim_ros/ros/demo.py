@@ -1,7 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The demonstration behind `make run`: a towel on a table, folded by grippers of another process, recorded; it ends by
-itself.
+"""The demonstration of `make run`: two grippers of another process fold a towel.
+
+It records the session and ends when the scripts have been played.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
 _NODE = "/cloth_sim"
-#: A busy machine takes long to load everything [s].
+#: Longest wait for the first cloud: a busy machine loads slowly [s].
 _START_LIMIT = 60.0
 #: The cloth settles for this long after the script has ended [s].
 _SETTLING = 1.0
@@ -46,12 +47,12 @@ _STOP_LIMIT = 10.0
 
 
 class DemoError(RuntimeError):
-    """The demonstration did not succeed; the message says why."""
+    """The demonstration failed; the message says why."""
 
 
 @attrs.define
 class Seen:
-    """What the demonstration's own subscriber received."""
+    """Messages that the demonstration's subscriber received."""
 
     clouds: int = 0
     #: Stamp of the first one [ns].
@@ -60,7 +61,7 @@ class Seen:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the demonstration; exit status 0 if all of it worked, 130 if a signal ended it."""
+    """Run the demonstration; return the exit status: 0 on success, 1 on failure, 130 if a signal ended it."""
     options = _read(arguments)
     signals = StopSignals()
     signals.install()
@@ -96,12 +97,12 @@ def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 @contextlib.contextmanager
 def _domain() -> Iterator[None]:
-    """Keep to this machine, and to a ROS domain of our own unless one is given: no robot in the lab shall move."""
+    """Restrict discovery to this machine and a reserved ROS domain, unless set, so that no robot in the lab moves."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if "ROS_DOMAIN_ID" in os.environ:
         yield
         return
-    # As ROS 2's own domain_coordinator does: who holds port 32768 + id has domain id.
+    # As ROS 2's domain_coordinator does: the process that holds port 32768 + id owns domain id.
     for domain in range(1, 101):
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as reservation:
             try:
@@ -169,7 +170,7 @@ def _play(options: argparse.Namespace, duration: float, signals: StopSignals) ->
 
 
 def _watch(cloth: _Child, gripper: _Child, duration: float, seen: Seen, spin: Any) -> bool:
-    """Spin until the grippers have played and the cloth has settled; False if a signal came."""
+    """Spin until the scripts have ended and the cloth has settled; return false if a signal came."""
     begun = time.monotonic()
     total = duration + _SETTLING
     bar = tqdm(
@@ -195,14 +196,14 @@ def _watch(cloth: _Child, gripper: _Child, duration: float, seen: Seen, spin: An
 def _report(seen: Seen) -> int:
     values = seen.values
     path = values.get("recording_file", "")
-    # What the node said of itself last is up to a second older than the last cloud; all that it published is recorded.
+    # The last diagnostics are up to a second older than the last cloud. The session holds every published cloud.
     published = _published_since(path, 0)
     lost = _published_since(path, seen.first) - seen.clouds
     print(f"frames published  {published}, received {seen.clouds}, lost since the first one {lost}")
     print(f"late frames       {values.get('late_frames')}")
     print(f"real-time factor  {float(values.get('real_time_factor_overall', 'nan')):.3f}")
     print(f"session           {path}")
-    # The console script lies beside this Python; it is what the user types next.
+    # The console script in this Python's folder; the user types it next.
     command = Path(sys.executable).parent / "cloth_replay"
     with contextlib.suppress(ValueError):
         command = command.relative_to(Path.cwd())
@@ -213,7 +214,7 @@ def _report(seen: Seen) -> int:
 
 
 def _published_since(path: str, stamp: int) -> int:
-    """Number of clouds in the session from a stamp [ns] on: the subscriber meets the node after its start."""
+    """Return the number of clouds in the session from a stamp [ns] on; the subscriber is matched after the start."""
     from cloth_sim_ros.session.errors import SessionError
     from cloth_sim_ros.session.reader import SessionReader
 
@@ -225,13 +226,13 @@ def _published_since(path: str, stamp: int) -> int:
 
 
 class _Child:
-    """A process of ours, its output kept for the case that it fails; it surely ends with the demonstration."""
+    """A child process whose output is kept for error messages; it ends with the demonstration."""
 
     def __init__(self, name: str, folder: Path, module: str, *arguments: str) -> None:
         self._name = name
         self._output = folder / f"{name}.log"
         with self._output.open("wb") as stream:
-            # A group of its own: Ctrl-C comes to us, and we end it in order.
+            # In a process group of its own: Ctrl-C reaches the demonstration, which ends the child in order.
             self._process = subprocess.Popen(
                 module_command(module, *arguments),
                 env=child_environment(),
@@ -254,21 +255,21 @@ class _Child:
                 self._process.wait()
 
     def poll(self) -> int | None:
-        """Exit status, or None while it runs."""
+        """Return the exit status, or None while the process runs."""
         return self._process.poll()
 
     def log(self) -> str:
-        """What it wrote."""
+        """Return the output of the process."""
         return self._output.read_text(errors="replace")
 
     def check_alive(self) -> None:
-        """Raise DemoError if it has ended."""
+        """Raise DemoError if the process has ended."""
         status = self._process.poll()
         if status is not None:
             raise DemoError(f"{self._name} ended with status {status}\n{self.log()}")
 
     def stop(self, spin: Any) -> int:
-        """Ask it to stop, keep receiving until it has, and return its exit status."""
+        """Interrupt the process, receive messages until it ends, and return its exit status."""
         self._process.send_signal(signal.SIGINT)
         begun = time.monotonic()
         while self._process.poll() is None:

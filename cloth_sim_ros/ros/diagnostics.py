@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the node says of itself on /diagnostics, once a second."""
+"""Publisher of /diagnostics, once a second."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from cloth_sim_ros.ros.messages import set_stamp
 from cloth_sim_ros.ros.outputs import Output, Tape
 
 PERIOD = 1.0
-#: Below this share of real time the cloth is late for good.
+#: Below this real-time factor the cloth can't keep up.
 _SLOW = 0.95
 
 
 @attrs.define
 class Tally:
-    """Counts of one node, and what they were when it last reported."""
+    """Frame counts and times of one node, and their values at the last report."""
 
     #: Frames in which time passed.
     frames: int = 0
-    #: Due times that passed without their frame being published within its period.
+    #: Ticks whose frame was not published within its period.
     late: int = 0
-    #: Wall time that frames took, the longest since the last report and the sum [s].
+    #: Longest wall time of a frame since the last report, and the sum over all frames [s].
     longest: float = 0.0
     busy: float = 0.0
     _reported: tuple[int, int, float] = (0, 0, 0.0)
@@ -43,11 +43,11 @@ class Tally:
         self.longest = max(self.longest, seconds)
 
     def begin(self) -> None:
-        """Count time from now on."""
+        """Restart the time measurement."""
         self._since = self._begun = time.monotonic()
 
     def overall_factor(self, period: float) -> float:
-        """Simulated time a wall time since the beginning."""
+        """Return the ratio of simulated to wall time since the start, for frames of a period [s]."""
         return self.frames * period / max(time.monotonic() - self._begun, 1e-9)
 
     def report(self, period: float) -> dict[str, Any]:
@@ -67,23 +67,23 @@ class Tally:
 
 
 class Diagnostics:
-    """Publishes a report.
+    """Publishes reports.
 
     Args:
         node: the node.
-        tape: records it.
-        collect: told whether somebody will read it, returns level, summary and values.
+        sink: records them.
+        collect: returns level, summary and values; its argument is true if a subscriber or a recording takes them.
     """
 
     def __init__(self, node: Node, tape: Tape, collect: Callable[[bool], tuple[bytes, str, dict[str, str]]]) -> None:
         self._collect = collect
         self._clock = node.get_clock()
-        # "none" is what diagnostic_updater has where there is no hardware: an empty one looks forgotten.
+        # diagnostic_updater uses "none" if there is no hardware; an empty id looks like an omission.
         self._status = DiagnosticStatus(name=f"{node.get_fully_qualified_name().strip('/')}: cloth", hardware_id="none")
         self._output = Output(node, DiagnosticArray, "/diagnostics", tape)
 
     def send(self) -> None:
-        """Publish what is so now."""
+        """Publish the present report."""
         wanted = self._output.wanted
         level, summary, values = self._collect(wanted)
         if not wanted:
@@ -97,5 +97,5 @@ class Diagnostics:
         self._output.send(bytes(serialize_message(message)), now)
 
     def flush(self) -> None:
-        """Wait shortly until the last report has arrived."""
+        """Wait at most 0.2 s until subscribers have received the last report."""
         self._output.flush()

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of the environment that rclpy tells obscurely: the log's folder and security."""
+"""Checks of the environment: log folder and security, for errors that rclpy reports unclearly."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class EnvironmentFaultError(ValueError):
 def check_environment(environment: Mapping[str, str], arguments: Sequence[str]) -> None:
     """Refuse an environment in which rclpy can't start.
 
-    With security, rclpy's RuntimeWarning beside an error that `explain` knows is switched off.
+    With security, the RuntimeWarning that accompanies an error known to `explain` is switched off.
 
     Args:
-        environment: variables by name.
+        environment: environment variables by name.
         arguments: the command line, ROS arguments included.
 
     Raises:
@@ -40,7 +40,7 @@ def check_environment(environment: Mapping[str, str], arguments: Sequence[str]) 
 
 
 def explain(message: str) -> str:
-    """Return one sentence for an error of rclpy that comes of the environment; empty for others."""
+    """Return one sentence for an rclpy error that the environment causes; empty for other errors."""
     if "security libraries" in message:
         return (
             f"{_SECURE} is true, and the Fast DDS of this environment was built without security, as ROS's wheels on "
@@ -52,7 +52,7 @@ def explain(message: str) -> str:
 
 
 def _check_log_folder(environment: Mapping[str, str]) -> None:
-    """Refuse a log's folder that can't be made or written, as rcl names and makes it."""
+    """Refuse a log folder that can't be created or written; its name follows rcl's rules."""
     remedy = "set ROS_LOG_DIR to a folder that can be written"
     named = environment.get("ROS_LOG_DIR") or f"{environment.get('ROS_HOME') or '~/.ros'}/log"
     if named.startswith("~") and not environment.get("HOME"):
@@ -67,7 +67,7 @@ def _check_log_folder(environment: Mapping[str, str]) -> None:
 
 
 def _check_keystore(environment: Mapping[str, str], arguments: Sequence[str]) -> None:
-    """Refuse a keystore that lacks the node's enclave, where only secured nodes may start."""
+    """Refuse a keystore without the node's enclave if only secured nodes may start."""
     keystore = environment.get("ROS_SECURITY_KEYSTORE", "")
     if not keystore:
         raise EnvironmentFaultError(

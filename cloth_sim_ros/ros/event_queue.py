@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Events that wait for their frame. Callbacks only put events here; a frame takes those that are due."""
+"""Queue of events that wait for their frame.
+
+Callbacks put events into it; a frame takes those that are due.
+"""
 
 from __future__ import annotations
 
@@ -12,20 +15,20 @@ from cloth_sim_ros.simulation.events import Event, Move, Target
 from cloth_sim_ros.simulation.grippers import GraspResult
 from cloth_sim_ros.simulation.simulation import Frame
 
-#: Waiting events, above which targets give way to newer ones and everything else is refused: a second of 1 kHz targets
-#: of a few grippers.
+#: Capacity of the queue. Above it, new events evict the oldest target; without a target they are refused. Enough for a
+#: second of targets of a few grippers at 1 kHz.
 MOST_WAITING = 8192
 
 
 @attrs.frozen(kw_only=True)
 class Outcome:
-    """What became of an event."""
+    """The effect of an event."""
 
-    #: The frame in which it took effect; None if it didn't.
+    #: The frame in which the event took effect; None if it did not.
     frame: Frame | None
-    #: For a grasp that took effect.
+    #: Result of a grasp that took effect.
     grasp: GraspResult | None = None
-    #: Why it did not take effect.
+    #: The reason if the event did not take effect.
     reason: str = ""
 
 
@@ -37,9 +40,9 @@ class Entry:
     """A waiting event."""
 
     event: Event
-    #: The frame that is due at or after this ROS time [ns] takes it; 0 for the next one.
+    #: The first frame due at or after this ROS time [ns] takes the event; 0 for the next frame.
     stamp: int = 0
-    #: Told what became of it.
+    #: Called with the result.
     answer: Answer | None = None
 
 
@@ -48,21 +51,21 @@ class QueueFullError(RuntimeError):
 
 
 class EventQueue:
-    """Events in order of arrival. Whoever works on it holds the node's turn: it has no lock of its own."""
+    """Events in order of arrival. It is not thread-safe: callers hold the node's lock."""
 
     def __init__(self) -> None:
         self._entries: list[Entry] = []
-        #: Targets that gave way to newer commands so far.
+        #: Number of targets that were evicted for newer events.
         self.displaced = 0
 
     def __len__(self) -> int:
         return len(self._entries)
 
     def make_room(self, event: Event) -> None:
-        """Let the oldest target give way where too many events wait.
+        """Evict the oldest target if the queue is full.
 
         Raises:
-            QueueFullError: if none of them is a target.
+            QueueFullError: if the queue is full and holds no target.
         """
         if len(self._entries) < MOST_WAITING:
             return
@@ -72,39 +75,39 @@ class EventQueue:
                 self.displaced += 1
                 return
         raise QueueFullError(
-            f"{MOST_WAITING} commands wait for a frame already, and {type(event).__name__.lower()} is one more; "
-            "is /clock standing still?"
+            f"{type(event).__name__.lower()} is refused: {MOST_WAITING} commands wait for a frame already; "
+            "does /clock stand still?"
         )
 
     def put(self, event: Event, *, stamp: int = 0, answer: Answer | None = None, promised: bool = False) -> None:
-        """Let an event wait for its frame; one that was promised its place by `make_room` is never refused.
+        """Queue an event for its frame. With `reserved`, `evict_target` was called before, and nothing is raised.
 
         Raises:
-            QueueFullError: if too many wait and none of them is a target, of which the oldest gives way.
+            QueueFullError: if the queue is full and holds no target.
         """
         if not promised:
             self.make_room(event)
         self._entries.append(Entry(event=event, stamp=stamp, answer=answer))
 
     def take(self, due: int) -> list[Entry]:
-        """Remove and return what a frame due at a ROS time [ns] takes: by stamp, equal ones in order of arrival."""
+        """Remove and return the events due at a ROS time [ns], by stamp; equal stamps keep the order of arrival."""
         if not self._entries:
             return []
         ready = [entry for entry in self._entries if entry.stamp <= due]
         self._entries = [entry for entry in self._entries if entry.stamp > due]
-        # The newest target of a gripper is the one with the newest stamp; all else is stamped 0 and keeps its order.
+        # The newest target of a gripper is the one with the newest stamp. Other events have stamp 0 and keep order.
         return sorted(ready, key=lambda entry: entry.stamp)
 
     def holds(self, kind: type[Event]) -> bool:
-        """Return true if an event of a kind waits."""
+        """Return true if an event of a class waits."""
         return any(isinstance(entry.event, kind) for entry in self._entries)
 
     def clear(self, reason: str) -> None:
-        """Forget everything that waits, telling why."""
+        """Answer all waiting events with the reason why they take no effect."""
         self.refuse(reason)
 
     def refuse(self, reason: str, *, keep: tuple[type[Event], ...] = ()) -> None:
-        """Answer what waits, but for events of some kinds, with the reason why it takes no effect."""
+        """Answer waiting events with the reason why they take no effect, except those of the classes in `keep`."""
         entries = [entry for entry in self._entries if not isinstance(entry.event, keep)]
         self._entries = [entry for entry in self._entries if isinstance(entry.event, keep)]
         for entry in entries:

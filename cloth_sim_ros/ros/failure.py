@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""State `failed`: entered by an exception in a frame, left by a reset."""
+"""The state `failed`: an exception in a frame enters it, a reset leaves it."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from cloth_sim_ros.simulation.events import Reset, SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.simulation.snapshot import Snapshot
 
-#: Environment variable that lets exceptions of frames propagate. The tests set it, so that no bug hides in the state.
+#: Environment variable that lets exceptions of frames propagate. The tests set it, so that the state hides no bug.
 RAISE = "CLOTH_SIM_ROS_RAISE"
-#: Longest reason: it is a label, a diagnostics message and an end record.
+#: Longest reason [characters]: it is a label, a diagnostics message and an end record.
 _MAX_LENGTH = 300
 
 
@@ -31,17 +31,17 @@ class NodeFailedError(RuntimeError):
 
 
 class FailureGuard:
-    """Runs frames. An exception takes the simulation back to the frame before and stops time until a reset.
+    """Runs frames. An exception restores the state of the previous frame and stops time until a reset.
 
-    MemoryError, StopRequestedError and what is no Exception propagate. A callback that holds `callback_lock` and raises
-    fails the next frame.
+    MemoryError, StopRequestedError and exceptions outside the class Exception propagate. If a callback that holds
+    `callback_lock` raises, the next frame fails.
 
     Args:
         node: the node.
         simulation: the cloth.
         queue: events that wait for a frame.
-        lock: held by whoever works on the cloth.
-        stepper: has the events of the frame that failed.
+        lock: the lock of the cloth.
+        stepper: holds the events of the frame that failed.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class FailureGuard:
         self._node, self._simulation, self._queue, self._stepper = node, simulation, queue, stepper
         self._reports: Mapping[str, Callable[[str, int], Any]] = {}
         self._recover: Callable[[], None] = lambda: None
-        #: Held by callbacks instead of the lock alone.
+        #: Callbacks hold this instead of the lock.
         self.callback_lock = CallbackLock(lock, self.defer)
         self._pending: Exception | None = None
         self._log = ThrottledLog(node.get_logger(), seconds=60.0)
@@ -65,22 +65,22 @@ class FailureGuard:
         self.reason = ""
 
     def report_by(self, reports: Mapping[str, Callable[[str, int], Any]], *, recover: Callable[[], None]) -> None:
-        """Set how failure and recovery are reported.
+        """Set the callbacks for failure and recovery.
 
         Args:
-            reports: actions by what they report; each takes the reason and the ROS time of the frame [ns]. If one of
-                them fails, the others follow.
-            recover: called after the frame of a reset that succeeded.
+            reports: callbacks by subject; each takes the reason and the ROS time of the frame [ns]. If one fails, the
+                others still run.
+            recover: called after the frame of a successful reset.
         """
         self._reports, self._recover = reports, recover
 
     @property
     def answer(self) -> str:
-        """Answer to a request that is refused while failed; empty otherwise."""
+        """Answer to requests while failed; empty otherwise."""
         return f"failed: {self.reason}; call ~/reset" if self.reason else ""
 
     def run(self, frame: Callable[[], None], stamp: int) -> None:
-        """Run the frame due at a ROS time [ns]; while failed, refuse what waits for it unless a reset does."""
+        """Run the frame due at a ROS time [ns]. While failed, refuse the waiting events unless one is a reset."""
         failed = self.reason
         if failed:
             is_reset = self._queue.holds(Reset)
@@ -102,7 +102,7 @@ class FailureGuard:
                 self._node.get_logger().info(f"reset: time goes on from frame {self._simulation.frame}")
 
     def defer(self, error: Exception) -> bool:
-        """Let the exception of a callback fail the next frame; return whether it is not to be raised."""
+        """Let the exception of a callback fail the next frame; return false if the callback must raise it."""
         if self._propagates(error):
             return False
         if not self.reason:
@@ -116,7 +116,7 @@ class FailureGuard:
         except Exception as error:
             if self._propagates(error):
                 raise
-            # While failed, what else goes wrong most likely has the same cause, whose traceback is in the log.
+            # While failed, further errors most likely have the same cause, whose traceback is in the log.
             trace = "" if self.reason else f"\n{traceback.format_exc().rstrip()}"
             self._log.error(subject, f"{subject}: {sentence_of(error)}{trace}")
 
@@ -137,7 +137,7 @@ class FailureGuard:
     def _propagates(self, error: Exception) -> bool:
         if isinstance(error, MemoryError | StopRequestedError) or os.environ.get(RAISE):
             return True
-        # The middleware's errors after the context was shut down: nobody listens any more.
+        # The middleware raises after the context was shut down; there is no subscriber any more.
         return isinstance(error, RuntimeError) and not self._node.context.ok()
 
     def _enter(self, error: Exception, before: Snapshot, stamp: int) -> None:
@@ -157,11 +157,11 @@ class FailureGuard:
 
 
 class CallbackLock:
-    """A lock that takes the exception of the callback that holds it.
+    """A lock that intercepts the exception of the callback that holds it.
 
     Args:
-        lock: held within.
-        defer: takes an exception; returns whether it is not to be raised.
+        lock: the lock to hold.
+        defer: takes an exception; returns true if the exception is not raised.
     """
 
     def __init__(self, lock: AbstractContextManager[Any], defer: Callable[[Exception], bool]) -> None:

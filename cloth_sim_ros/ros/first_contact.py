@@ -1,17 +1,17 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The moment at which a cloth begins to touch each obstacle, each gripper that pinches, and itself."""
+"""Detection of the first contact with each obstacle, pinching gripper and the cloth itself."""
 
 from __future__ import annotations
 
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
-#: Of the cloth that touches itself.
+#: Name of self-contact.
 _ITSELF = "itself"
 
 
 class FirstContact:
-    """Looks at frames for contacts that were not there before.
+    """Detects contacts that begin, once for each.
 
     Args:
         simulation: the cloth.
@@ -22,7 +22,7 @@ class FirstContact:
         self._reported: set[str] = set()
 
     def new_contacts(self, frame: Frame) -> str:
-        """Return what the cloth has begun to touch in a frame, for the first time, in words; empty if nothing."""
+        """Return the names of the contacts that a frame began for the first time, as text; empty if none."""
         contact = self._simulation.plan.contact
         if contact is None or not frame.moved or frame.advance is None or not frame.advance.steps:
             return ""
@@ -33,7 +33,7 @@ class FirstContact:
             wrenches = zip(scene.gripper_names, frame.wrenches, strict=True)
             pressed += [name for name, load in wrenches if self._is_pinched(name) and load.any()]
         new = [f"'{name}'" for name in pressed]
-        # It takes longer to look for: once a second.
+        # Self-contact takes longer to detect: once a second.
         is_sampled = contact.force.surface is not None and not frame.index % max(1, round(scene.rate))
         if is_sampled and _ITSELF not in self._reported and contact.own_gaps(self._simulation.state.x)[0]:
             pressed.append(_ITSELF)

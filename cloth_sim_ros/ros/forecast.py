@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How fast a cloth can be expected to run, told before it turns out, and the resolution that would hold real time."""
+"""Estimate of the real-time factor, and the resolution that reaches real time."""
 
 from __future__ import annotations
 
@@ -17,36 +17,36 @@ from cloth_sim_ros.physics.remembered import Hinges
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
-#: Share of a period that stepping may take: the rest is for messages, the recording and other programs.
+#: Fraction of a period that stepping may take; the rest is for messages, the recording and other programs.
 ROOM = 0.8
-#: How many times as long as at best frames take while an obstacle or the cloth itself touches it, and while pads press
-#: it: stiffer springs, smaller errors, evaluations that look for contact. Measured with the package's scene pinch:
-#: 6 on the table, 12 to 20 between pads.
+#: Slowdown of frames in contact with an obstacle or the cloth itself, and between pads, relative to the best case. The
+#: causes are stiffer springs, smaller errors and contact detection. Measured with the package's scene pinch: 6 on the
+#: table, 12 to 20 between pads.
 _CONTACT_FACTOR, _PINCH_FACTOR = 6.0, 15.0
-#: Told again where the factor has changed by more than this share.
+#: Relative change of the factor that is logged again.
 _NEWS = 0.2
 
 
 @attrs.frozen(kw_only=True)
 class Forecast:
-    """What one frame takes."""
+    """Expected cost of one frame."""
 
-    #: Steps, at least.
+    #: Smallest number of steps.
     steps: int
     #: Wall time of these steps [s].
     seconds: float
-    #: Simulated time of the frame a wall time: 1 is real time.
+    #: Real-time factor: simulated time of the frame over its wall time.
     factor: float
 
 
 def forecast(*, period: float, step: float, particles: int, cost: float) -> Forecast:
-    """Return what a frame takes at best: accuracy may ask for more than the given step.
+    """Return the cost of a frame at best; accuracy may require smaller steps.
 
     Args:
         period: simulated time of a frame [s].
-        step: longest step that is taken, by stability or as it is fixed [s].
+        step: longest step, by the stability limit or as fixed [s].
         particles: number of particles.
-        cost: of one step for one particle [s].
+        cost: wall time of one step for one particle [s].
     """
     steps = max(1, math.ceil(period / step * (1.0 - 1e-12)))
     seconds = steps * particles * cost
@@ -54,23 +54,26 @@ def forecast(*, period: float, step: float, particles: int, cost: float) -> Fore
 
 
 def holding(shape: tuple[int, int], factor: float, *, fixed_step: bool = False) -> tuple[int, int]:
-    """Return rows and columns of a grid of the same size that would hold real time with some room, at least 2 each.
+    """Return rows and columns, at least 2 each, of a grid of the same size that reaches real time with a margin.
 
-    Particles grow with the square of the rows, and steps with them: a sheet's springs keep their stiffness, its
-    particles share the mass, so that the stability limit is in proportion to the spacing (that of bending to its
-    square, by which the result is on the safe side).
+    The number of particles grows with the square of the rows, and the number of steps with the rows. The springs of a
+    sheet keep their stiffness and its particles share the mass. Therefore the stability limit is proportional to the
+    spacing. That of bending is proportional to its square, so that the result is on the safe side.
 
     Args:
-        shape: rows and columns of the grid at hand.
-        factor: expected of it, see `Forecast`.
-        fixed_step: whether the step is fixed, and does not depend on the spacing.
+        shape: rows and columns of the present grid.
+        factor: its expected real-time factor, see `PerformanceEstimate`.
+        fixed_step: true if the step is fixed and does not depend on the spacing.
     """
     scale = min(1.0, (ROOM * factor) ** (1.0 / (2.0 if fixed_step else 3.0)))
     return max(2, int(shape[0] * scale)), max(2, int(shape[1] * scale))
 
 
 def try_frames(scene: Scene) -> float | None:
-    """Return what a step takes here for one particle [s], as two frames of a cloth that is thrown away show it.
+    """Measure the wall time of a step for one particle [s] with two frames of a temporary cloth.
+
+    Returns:
+        The wall time, or None if the motion is unstable or takes no steps.
 
     Raises:
         StepLimitError: if the scene's fixed step is above its limit.
@@ -84,35 +87,35 @@ def try_frames(scene: Scene) -> float | None:
     except StepLimitError:
         raise
     except UnstableError:
-        # It is told when it comes to its frame: there it stops time, not the node.
+        # The frame itself will report it: there it stops time, not the node.
         return None
     return seconds / (done.evaluations * trial.state.particle_count) if done and done.evaluations else None
 
 
 class Forecaster:
-    """Says at start, and when the cloth has changed, how fast it can be expected to run.
+    """Logs the expected real-time factor at the start and after changes of the cloth.
 
     Args:
         simulation: the cloth.
-        logger: told.
+        logger: receives the estimate.
     """
 
     def __init__(self, simulation: Simulation, logger: Any) -> None:
         self._simulation = simulation
         self._logger = logger
         self._told: float | None = None
-        #: Cost of a step measured on this machine, as a share of what the model of costs says.
+        #: Ratio of the measured cost of a step on this machine to that of the cost model.
         self._share = 1.0
-        #: The newest; None where steps have no limit that is known beforehand.
+        #: The newest estimate; None if the integrator has no step limit that is known beforehand.
         self.newest: Forecast | None = None
 
     def calibrate(self, cost: float | None) -> None:
-        """Take over what a step of this cloth took on this machine for one particle [s], if that is known."""
+        """Set the measured wall time of a step for one particle [s]; None changes nothing."""
         if cost is not None:
             self._share = cost / self._cost
 
     def tell(self) -> None:
-        """Say what is to be expected now, unless that is what was said last."""
+        """Log the present estimate if it differs from the last one logged."""
         self.newest = self._expected()
         if self.newest is None:
             return
@@ -136,7 +139,7 @@ class Forecaster:
             self._logger.warning(f"{words}. Real time is not held{when}: {self._remedy(factor)}")
 
     def describe(self) -> dict[str, str]:
-        """Return the newest expectation, for diagnostics."""
+        """Return the newest estimate, for diagnostics."""
         return {"real_time_factor_expected": "unknown" if self.newest is None else f"{self.newest.factor:.4g}"}
 
     def _expected(self) -> Forecast | None:
@@ -152,9 +155,9 @@ class Forecaster:
         )
 
     def _contact_factors(self, factor: float) -> dict[str, float]:
-        """Return the factors that are expected where contact is at work, by the condition in words.
+        """Return the expected real-time factors with contact, by the condition as text.
 
-        A fixed step stays as it is, and what contact adds to it is counted already.
+        A fixed step has none: it stays as it is, and the cost model includes contact.
         """
         scene = self._simulation.scene
         if scene.step:
@@ -168,7 +171,7 @@ class Forecaster:
 
     @property
     def _cost(self) -> float:
-        """Of a step for one particle by the model of costs, contact as it is now included [s]."""
+        """Wall time of a step for one particle by the cost model, with the present contact [s]."""
         simulation, state = self._simulation, self._simulation.state
         met = simulation.plan.contact_cost(simulation.time, simulation.scene.period, state)
         bent = simulation.plan.cost(int(Hinges.of(state).every))
@@ -185,4 +188,4 @@ class Forecaster:
             scale = (ROOM * factor) ** (1.0 if fixed else 2.0 / 3.0)
             remedy = f"a mesh of {max(3, int(columns * scale))} particles would"
         softer = "a larger step" if fixed else "a softer or heavier material"
-        return f"{remedy}, as would {softer}; otherwise the parameter overload says what gives way"
+        return f"{remedy}, as would {softer}; otherwise frames are late or, with overload: relax, less accurate"

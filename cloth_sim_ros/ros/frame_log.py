@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""DEBUG lines of frames: the events that each applies, and the integrator's choices."""
+"""DEBUG log of frames: applied events and the integrator's choices."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from cloth_sim_ros.simulation.frame import Frame
 
 
 class FrameLog:
-    """Logs at DEBUG which events a frame applied, and how it was stepped if that has changed.
+    """Logs at DEBUG the events of each frame, and changes of integrator, reason or step limit.
 
     Args:
-        log: of the node.
+        log: the node's log.
     """
 
     def __init__(self, log: ThrottledLog) -> None:
@@ -22,7 +22,7 @@ class FrameLog:
         self._choice: tuple[str, str, str] | None = None
 
     def show(self, frame: Frame) -> None:
-        """Log a frame that was computed; nothing unless the level is DEBUG."""
+        """Log a frame if the level is DEBUG."""
         if not self._log.debugging:
             return
         for event in frame.events:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Commands given in other coordinate frames: transformed where tf2 is installed, refused where it is not."""
+"""Transformation of commands into the cloth's coordinate frame by tf2, if it is installed."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from cloth_sim_ros.physics.gripper_path import normalised, product, rotation_mat
 from cloth_sim_ros.ros.messages import read_stamp
 from cloth_sim_ros.scene.frame_ids import fault
 
-#: A command stamped with now comes before the transform of now. By how much the newest one may be older [ns].
+#: Largest age of the newest transform relative to a command's stamp [ns]: a command comes before its transform.
 _BEHIND = 100_000_000
 
 Pose = tuple[tuple[float, ...], tuple[float, ...] | None]
 
 
 class FrameError(ValueError):
-    """A pose that can't be brought into the cloth's frame; the message says why."""
+    """A pose that can't be transformed into the cloth's frame; the message says why."""
 
 
 class FrameTransformer:
-    """Brings poses into the cloth's frame.
+    """Transforms poses into the cloth's frame.
 
-    tf2 is imported, and /tf listened to, when a pose in another frame first comes.
+    The first pose in another frame imports tf2 and subscribes to /tf.
     """
 
     def __init__(self, node: Node, frame_id: str) -> None:
@@ -37,7 +37,7 @@ class FrameTransformer:
         self._buffer: Any = None
         self._listener: Any = None
         self._found = 0
-        #: Whether tf2 was looked for in vain: to look again would cost each frame of a gripper that follows something.
+        #: True if tf2 could not be imported. A second import would cost time in each frame of a following gripper.
         self._absent = False
 
     def to_cloth(
@@ -46,14 +46,14 @@ class FrameTransformer:
         """Return position [m] and orientation (or None) in the cloth's frame.
 
         Args:
-            frame_id: of the command; empty means the cloth's.
+            frame_id: frame of the command; empty means the cloth's.
             position: 3 numbers [m].
             orientation: quaternion x, y, z, w, or None.
-            stamp: ROS time of the command [ns]; zero for the newest transform. Where that of the stamp is not known
-                yet, the newest one is taken if it is at most 0.1 s older.
+            stamp: ROS time of the command [ns]; zero for the newest transform. If the transform at the stamp is not
+                known yet, the newest one is used if it is at most 0.1 s older.
 
         Raises:
-            FrameError: if tf2 takes no such name, or there is no way from one frame to the other.
+            FrameError: if the name is invalid in tf2, or no transform connects the frames.
         """
         if frame_id in ("", self._frame_id):
             return position, orientation
@@ -72,16 +72,16 @@ class FrameTransformer:
         return tuple(moved.tolist()), turned
 
     def newest(self, frame_id: str) -> tuple[tuple[float, ...], tuple[float, ...], int]:
-        """Return position [m], orientation and stamp [ns] of a frame in the cloth's frame, as newly as it is known.
+        """Return the newest position [m], orientation x, y, z, w and stamp [ns] of a frame in the cloth's frame.
 
         Raises:
-            FrameError: if there is no way from one frame to the other.
+            FrameError: if no transform connects the frames.
         """
         translation, turn = self._lookup(frame_id, 0)
         return tuple(translation.tolist()), tuple(turn.tolist()), self._found
 
     def forget(self) -> None:
-        """Forget what moved, because the clock was set back; what is fixed stays known."""
+        """Clear the dynamic transforms, because the clock was set back; static ones stay."""
         if self._buffer is not None:
             self._buffer.clear()
 

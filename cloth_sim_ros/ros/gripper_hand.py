@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One gripper of a cloth's node as a client has it: its commands, and what the node says of it."""
+"""Client of one gripper: sends its commands and receives its state."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ from cloth_sim_ros.ros.messages import set_stamp
 from cloth_sim_ros.ros.outputs import LATCHED
 from cloth_sim_ros.simulation.gripper_script import GraspAt, GripperScript
 
-#: A node says what a grasp did after its frame, of pads when they have come to rest. In the cloth's time [s].
+#: Longest wait for the result of a grasp, in the cloth's time [s]. It comes after the frame, or when pads have stopped.
 _ANSWER = 7.0
-#: How long the end waits for the last grasp to be received.
+#: Longest wait for the delivery of the last grasp.
 _DELIVERY = Duration(seconds=0.5)
 
 
 @attrs.frozen
 class Hold:
-    """What became of closing the gripper."""
+    """Result of one closing of the gripper."""
 
-    #: Particles that it held; None if the node did not say.
+    #: Number of particles held; None if the node did not answer.
     held: int | None
-    #: What the node said, or why it said nothing.
+    #: The node's message, or why there is none.
     words: str
 
 
 class Hand:
-    """A gripper of the node, and the script that is played to it.
+    """Plays a script to one gripper of a cloth's node.
 
-    Times are those of the cloth [s].
+    All times are in the cloth's time [s].
 
     Args:
-        node: a node of the caller's.
-        script: what is played.
+        node: the caller's node.
+        script: the script.
         target: full name of the cloth's node, e.g. ``/cloth_sim``.
     """
 
@@ -50,55 +50,55 @@ class Hand:
         self._node, self.script = node, script
         prefix = f"{target}/{script.gripper}"
         self._targets = node.create_publisher(PoseStamped, f"{prefix}/target", QoSProfile(depth=10))
-        # Reliable, as the node subscribes it: a lost grasp would drop the cloth.
+        # Reliable, like the node's subscription: a missing grasp would drop the cloth.
         self._grasps = node.create_publisher(
             Bool, f"{prefix}/grasp", QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
         )
-        # What the node says of the gripper: at once to those that come later, and again after each grasp.
+        # The state of the gripper: latched, and published again after each grasp.
         node.create_subscription(DiagnosticStatus, f"{prefix}/state", self._said, LATCHED)
         self._status: dict[str, str] | None = None
-        #: Until when an answer to the newest closing is waited for [s]; None where none is.
+        #: Deadline of the answer to the newest closing [s]; None if none is pending.
         self._open_question: float | None = None
-        #: Time of the script up to which the gripper stays where it was closed [s].
+        #: Script time up to which the gripper stays at the position of its closing [s].
         self._stay = math.inf
-        #: Grasps that are still to come.
+        #: Grasps of the script that have not been sent.
         self.waiting: list[GraspAt] = list(script.grasps)
-        #: One for each time that the script has closed the gripper.
+        #: One report for each closing.
         self.holds: list[Hold] = []
         self.targets_sent = 0
 
     def is_met(self) -> bool:
-        """Whether the node listens to the commands and has said what the gripper is."""
+        """Return true if the node subscribes to the commands and has published the gripper's state."""
         listens = self._targets.get_subscription_count() and self._grasps.get_subscription_count()
         return bool(listens and self._status is not None)
 
     def open(self) -> None:
         """Ask the node to open the gripper.
 
-        We have met the node's subscriptions; its middleware may take seconds longer to meet our publishers, and
-        targets, sent as best effort, would be lost until then. The grasp is reliable, and its publisher was announced
-        after that of targets: a node that answers it has met both. Its answer is waited for, not the middleware's
-        acknowledgement, which says less and, for a publisher as young as this one, comes three seconds later.
+        This node has matched the node's subscriptions. Its middleware may need seconds longer to match these
+        publishers, and targets, sent as best effort, would not arrive until then. The grasp is reliable, and its
+        publisher was announced after that of targets. Therefore a node that answers the grasp has matched both. The
+        middleware's acknowledgement says less and, for a new publisher, comes three seconds later.
         """
-        # What was said before is of an earlier grasp.
+        # The previous state belongs to an earlier grasp.
         self._status = None
         self._grasps.publish(Bool(data=False))
 
     def is_open(self) -> bool:
-        """Whether the node has said, since it was asked, that the gripper is open."""
+        """Return true if the node has reported an open gripper since `open` was called."""
         return self._status_where(closed=False) is not None
 
     def stay(self, elapsed: float, now: float) -> float:
-        """Return the time that the script may have reached, at most `elapsed`, both since its start [s].
+        """Return the script time that may be reached [s], at most `elapsed`, the time since the script's start [s].
 
-        While it is not known what the last closing holds, the gripper stays where it was closed.
+        Until the result of the last closing is known, the gripper stays at its position.
         """
         return elapsed if self._is_answered(now) else min(elapsed, self._stay)
 
     def command(self, elapsed: float, now: float) -> None:
-        """Send the target, and the grasps that are due, at so long after the script's start [s]."""
+        """Send the target and the due grasps, at a time since the script's start [s]."""
         self._send_target(min(elapsed, self.script.duration))
-        # What the last grasp holds is asked before it may be opened again.
+        # The result of the last grasp must be known before the gripper opens again.
         while self.waiting and self.waiting[0].time <= elapsed and self._is_answered(now):
             grasp = self.waiting.pop(0)
             self._status = None
@@ -108,15 +108,15 @@ class Hand:
                 self._stay = max(elapsed, self.script.rest_end(grasp.time))
 
     def has_played(self, elapsed: float, now: float) -> bool:
-        """Whether the script has ended, with what it held known."""
+        """Return true if the script has ended and the result of its last grasp is known."""
         return elapsed > self.script.duration and not self.waiting and self._is_answered(now)
 
     def finish(self) -> None:
-        """Wait until the last grasp was received."""
+        """Wait at most 0.5 s until the node has received the last grasp."""
         self._grasps.wait_for_all_acked(_DELIVERY)
 
     def _is_answered(self, now: float) -> bool:
-        """Whether it is known what the last closing did; notes it."""
+        """Return true if the result of the last closing is known, and append its report."""
         if self._open_question is None:
             return True
         status = self._status_where(closed=True)
@@ -134,7 +134,7 @@ class Hand:
         self._status = values | {"words": str(status.message)}
 
     def _status_where(self, *, closed: bool) -> dict[str, str] | None:
-        """What was said since it was last forgotten, where it is of a gripper that is closed, or open."""
+        """Return the state since it was last cleared if it is of a closed, or open, gripper; otherwise None."""
         status = self._status
         return status if status is not None and status.get("closed") == str(closed).lower() else None
 

@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command `cloth_gripper`: plays scripted grasps into the command topics of a cloth.
+"""The command `cloth_gripper`, which plays scripted grasps into a cloth's command topics.
 
-It imports next to nothing, as the node does: a signal during the slow imports of rclpy ends it in order.
+Like the node's command it imports little, so that a signal during the slow imports of rclpy ends it in order.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from cloth_sim_ros.session.loading import loading
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Play a script, or several together.
+    """Play one script, or several together.
 
     Returns:
-        Exit status: 0 when it was played, 1 if it could not be or a grasp held nothing, 130 if a signal ended it.
+        Exit status: 0 if the scripts were played; 1 on failure or if a grasp held nothing; 130 if a signal ended it.
     """
     argv = list(sys.argv if arguments is None else ["cloth_gripper", *arguments])
     with loading("cloth_gripper"):

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Plays scripted grasps to a running cloth, through its command topics."""
+"""Player of scripted grasps through the command topics of a cloth."""
 
 from __future__ import annotations
 
@@ -14,43 +14,42 @@ from rclpy.node import Node
 from cloth_sim_ros.ros.gripper_hand import Hand
 from cloth_sim_ros.simulation.gripper_script import GraspAt, GripperScript
 
-#: Discovery is gradual: a gripper counts as unknown only if it has not appeared this long after other services of the
-#: node [s].
+#: Discovery is gradual. A gripper counts as unknown if it appears this much later than other topics of the node [s].
 _SETTLING = 1.0
-#: Services that rclpy makes with the node itself, before it is ready.
+#: Service that rclpy creates with the node itself, before the node is ready.
 _OF_RCLPY = "/get_type_description"
-#: If a grasp is later than this, the scripts are set back to this long before it, so that the gripper closes at the
-#: place that its script gives [s].
+#: If a grasp is later than this, the scripts are set back to this long before it, so that the gripper closes at its
+#: scripted position [s].
 _HELD_UP = 0.1
 
 
-#: The time from one target to the next is up to so many times that of a frame, or of a target.
+#: Largest regular interval between targets, as a ratio to the period of a frame or of targets.
 _MORE = 1.5
-#: A time that has not moved for this long stands [s].
+#: The script's time stands if it has not changed for this long [s].
 _STANDING = 5.0
-#: How long it may stand by default [s].
+#: Longest time that it may stand by default [s].
 _LONGEST_STANDING = 30.0
 
 
 class PlayedTime(Protocol):
     """The time in which scripts are played."""
 
-    #: How far it goes on from one frame of the cloth to the next [ns]; 0 where it has none.
+    #: Its increment from one frame of the cloth to the next [ns]; 0 if it has no frames.
     period: int
 
     @property
     def send_time(self) -> float:
-        """Steady time at which the next target is to be sent, at the earliest [s]."""
+        """Earliest steady time at which to send the next target [s]."""
 
     def now(self) -> int | None:
         """Return the time [ns]; None if it is not known yet."""
 
     def describe(self) -> str:
-        """Return what is known of a cloth whose time stands, as the end of a sentence."""
+        """Return the state of a cloth whose time stands, as the end of a sentence."""
 
 
 class NodeTime:
-    """The ROS time of a client's own node."""
+    """The ROS time of the client's node."""
 
     period = 0
     send_time = 0.0
@@ -63,7 +62,7 @@ class NodeTime:
         return int(self._clock.now().nanoseconds)
 
     def describe(self) -> str:
-        """Return why it stands, as the end of a sentence."""
+        """Return why the time stands, as the end of a sentence."""
         return "is not heard: the clock of this node stands"
 
 
@@ -72,15 +71,15 @@ class GripperError(RuntimeError):
 
 
 class GripperPlayer:
-    """Plays scripts, one for each gripper, to a cloth's node; they begin together.
+    """Plays scripts, one for each gripper, to a cloth's node; they start together.
 
     Args:
-        node: a node of the caller's.
-        scripts: what to play.
+        node: the caller's node.
+        scripts: the scripts.
         target: full name of the cloth's node, e.g. ``/cloth_sim``.
-        proceed: asked again and again; False ends everything early.
-        played: the time in which scripts are played; that of the caller's node where left out.
-        on_standing: told, once each time, that the script waits because that time stands.
+        should_continue: polled; false ends the player early.
+        script_time: the time in which scripts are played; by default that of the caller's node.
+        on_standing: called with a message each time that the script begins to wait because that time stands.
     """
 
     def __init__(
@@ -98,7 +97,7 @@ class GripperPlayer:
         self._proceed = proceed
         self._played = played or NodeTime(node)
         self._on_standing = on_standing
-        #: Of the time in which scripts are played [ns]: the scripts' start, delays included, and the newest.
+        #: Start of the scripts, with delays, and newest time, both in the script time [ns].
         self._start = 0
         self._newest: int | None = None
         self._compensated: GraspAt | None = None
@@ -108,13 +107,13 @@ class GripperPlayer:
         self._executor.add_node(node)
 
     def wait_for_grippers(self, limit: float) -> bool:
-        """Wait until the cloth's node serves the grippers and open them; False if told to end.
+        """Wait until the cloth's node serves the grippers, and open them; return false if ended early.
 
         Args:
-            limit: how long it waits at most [s].
+            limit: longest wait [s].
 
         Raises:
-            GripperError: if the node does not come, does not answer, or has no such gripper.
+            GripperError: if the node does not appear, does not answer, or has no such gripper.
         """
         begun = time.monotonic()
         settling, known = begun, list[str]()
@@ -123,7 +122,7 @@ class GripperPlayer:
             if not missing:
                 return self._begin_open(begun + limit)
             now = time.monotonic()
-            # A node that only has a name is still preparing, and its grippers come to be known one by one.
+            # A node without services is still starting, and its grippers are discovered one by one.
             served = self._is_served()
             before, known = known, self._known_grippers() if served else []
             settling = settling if known == before else now
@@ -139,10 +138,10 @@ class GripperPlayer:
         return False
 
     def _begin_open(self, end: float) -> bool:
-        """Open the grippers, once, and wait until the node says that they are open.
+        """Open the grippers once, and wait until the node reports that they are open.
 
         Raises:
-            GripperError: if no answer comes until `end`.
+            GripperError: if no answer comes before the steady time `end` [s].
         """
         for hand in self.hands:
             hand.open()
@@ -159,17 +158,17 @@ class GripperPlayer:
         return False
 
     def play(self, *, standing: float = _LONGEST_STANDING) -> bool:
-        """Play the scripts from beginning to end, in the time of the cloth; False if told to end early.
+        """Play the scripts in the time of the cloth; return false if ended early.
 
-        A script does not leave the place of a closing before it is known what the gripper holds. If that is late, or
-        if this process was held up over a grasp, all scripts are delayed by as much. A gripper would otherwise close
-        where the cloth no longer is. Nothing is sent while the time stands.
+        A gripper stays at the position of a closing until the result is known. If the result is late, or if this
+        process was suspended during a grasp, all scripts are delayed by as much. Otherwise a gripper would close beside
+        the cloth. Nothing is sent while the time stands.
 
         Args:
-            standing: how long the time may stand [s].
+            standing: longest time that the script time may stand [s].
 
         Raises:
-            GripperError: if it stands for longer, or goes back.
+            GripperError: if the script time stands for longer, or goes back.
         """
         period = 1.0 / max(hand.script.rate for hand in self.hands)
         due = moved = time.monotonic()
@@ -189,25 +188,25 @@ class GripperPlayer:
             elif stood > _STANDING and not waits:
                 waits = True
                 self._on_standing(f"{self._target} {self._played.describe()}: the script waits")
-            # By the steady clock, without drift; times that have passed are left out.
+            # By the steady clock, without drift; missed times are skipped.
             due = max(due + period, time.monotonic() - period)
             while (left := due - time.monotonic()) > 0.0:
                 self._executor.spin_once(timeout_sec=left)
             if self._played.period and self._played.now() == self._newest:
-                # The target of the next frame is sent as soon as that is known.
+                # The target of the next frame is sent as soon as its time is known.
                 self._executor.spin_once(timeout_sec=period)
         return False
 
     def _wait_to_send(self, now: int) -> int:
-        """Wait until the target of a time [ns] is to be sent, or a newer time comes; return the newest."""
+        """Wait until the send time of the target for a time [ns], or until a newer time; return the newest [ns]."""
         while (left := self._played.send_time - time.monotonic()) > 0.0 and self._played.now() == now:
             self._executor.spin_once(timeout_sec=left)
         return self._played.now() or now
 
     def _newest_time(self) -> int | None:
-        """Return the time [ns] after all messages that have arrived.
+        """Return the script time [ns] after all arrived messages were taken.
 
-        An executor hands over one message of a topic at a time: a client that was held up would send several targets
+        A spin delivers one message of a topic. Without this loop a client that was suspended would send several targets
         for one frame.
         """
         now = self._played.now()
@@ -219,15 +218,15 @@ class GripperPlayer:
         return now
 
     def _go_on(self, now: int, elapsed: float, period: float) -> bool:
-        """Send what is due at a time [ns]; return whether the scripts have ended.
+        """Send the due commands; return true if the scripts have ended.
 
         Args:
-            now: the time in which the scripts are played [ns].
-            elapsed: the wall's time since targets were sent [s].
+            now: script time [ns].
+            elapsed: wall time since the last targets [s].
             period: time between two targets [s].
 
         Raises:
-            GripperError: if the time went back.
+            GripperError: if the script time went back.
         """
         if self._newest is None:
             self._start = self._newest = now
@@ -238,7 +237,7 @@ class GripperPlayer:
         late = max(late, played - min(hand.stay(played, seconds) for hand in self.hands))
         first = min((grasp for hand in self.hands for grasp in hand.waiting[:1]), key=_time_of, default=None)
         if first is not None and played - late > first.time + _HELD_UP and first is not self._compensated:
-            # Once for each: the steps of a simulated clock may be longer.
+            # Once for each grasp: a simulated clock may advance by larger steps.
             self._compensated = first
             late = played - max(first.time - _HELD_UP, 0.0)
         self._newest = now
@@ -253,14 +252,14 @@ class GripperPlayer:
         return True
 
     def _held_up(self, played: float, elapsed: float, period: float) -> float:
-        """Return by how much the scripts are to be delayed because frames have passed without a target [s].
+        """Return the delay of the scripts because frames have passed without a target [s].
 
-        A gripper that made up for them would be twice as fast for a frame. A cloth that is faster than real time has
-        several frames from one target to the next, and is followed as it is.
+        A gripper that caught up would be twice as fast for a frame. A cloth faster than real time has several frames
+        between two targets; this causes no delay.
 
         Args:
-            played: how far the time of the scripts went on since the last target [s].
-            elapsed: the wall's time since then [s].
+            played: increment of the script time since the last target [s].
+            elapsed: wall time since then [s].
             period: time between two targets [s].
         """
         step = max(self._played.period * 1e-9, period)
@@ -272,10 +271,10 @@ class GripperPlayer:
         return {f"{namespace.rstrip('/')}/{name}" for name, namespace in self._node.get_node_names_and_namespaces()}
 
     def _is_served(self) -> bool:
-        """Whether the node is there and ready: it serves more than what rclpy makes with the node itself.
+        """Return true if the node is ready: it serves more than the services that rclpy creates with each node.
 
-        By the services' names: asked for by the node's name, the graph answers for one node of that name, and one that
-        was killed stays in it for some seconds beside the one that took its place.
+        The check uses the names of services, not that of the node. A killed node stays in the graph for some seconds,
+        and a query by node name may return it instead of its successor.
         """
         of_node = (name for name, _ in self._node.get_service_names_and_types() if name.startswith(f"{self._target}/"))
         return any(not name.endswith(_OF_RCLPY) and self._node.count_services(name) for name in of_node)

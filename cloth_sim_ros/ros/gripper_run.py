@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command `cloth_gripper`, once ROS is loaded."""
+"""The command `cloth_gripper` after ROS is loaded."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def run(argv: Sequence[str], signals: StopSignals) -> int:
 
     Args:
         argv: the command line, the program's name first.
-        signals: the signals, installed; looked at between any two things that take time.
+        signals: the installed signal handlers; polled between long operations.
 
     Returns:
         The exit status, see `gripper_main.main`.
@@ -107,7 +107,7 @@ def _parser() -> argparse.ArgumentParser:
         "scripts",
         nargs="*",
         metavar="script",
-        help="a script, or one for each of several grippers, which begin together; config/grasp.yaml where left out",
+        help="a script, or one for each of several grippers, which start together (default: config/grasp.yaml)",
     )
     parser.add_argument("--gripper", help="name of the gripper, instead of the script's")
     parser.add_argument("--node", default="/cloth_sim", help="full name of the cloth's node (default: %(default)s)")

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Warnings of grippers that follow their targets at their limit of speed."""
+"""Warnings of grippers at their speed limit."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from cloth_sim_ros.simulation.simulation import Simulation
 
 
 class GripperSpeedMonitor:
-    """Warns when the limit of a gripper's speed begins to hold it back.
+    """Warns when a gripper reaches its speed limit.
 
     Args:
         simulation: the cloth.
-        log: warned.
+        log: receives the warnings.
     """
 
     def __init__(self, simulation: Simulation, log: ThrottledLog) -> None:
@@ -22,7 +22,7 @@ class GripperSpeedMonitor:
         self._limited: set[str] = set()
 
     def check(self) -> None:
-        """Look at the newest frame."""
+        """Check the newest frame."""
         grippers = self._simulation.grippers
         limited = grippers.limited
         if not limited and not self._limited:

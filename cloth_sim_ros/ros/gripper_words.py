@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Words of the gripper client on what was held."""
+"""Text of grasp reports for the gripper client."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def describe_holds(holds: Sequence[Hold]) -> str:
-    """Return in words what was held, one grasp after the other."""
+    """Return the results of grasps as text, in order."""
     if not holds:
         return "the script closes nothing"
     return "; ".join(_in_words(hold) for hold in holds)
@@ -22,5 +22,5 @@ def describe_holds(holds: Sequence[Hold]) -> str:
 
 def _in_words(hold: Hold) -> str:
     if hold.held is None:
-        return f"what it held is not known: {hold.words}"
+        return f"the result of a grasp is not known: {hold.words}"
     return f"held {counted(hold.held, 'particle')}" if hold.held else "held nothing (the node's log says why)"

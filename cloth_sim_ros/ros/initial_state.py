@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The state that `initial_state` names when it lies in a recorded session: ``session.mcap@frame``."""
+"""Initial states from recorded sessions: ``session.mcap@frame``."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _MOST_DIGITS = 18
 
 
 def session_state(name: str) -> dict[str, bytes]:
-    """Return the state's bytes by the name, or nothing if the name is that of a plain file.
+    """Return the bytes of the state by its name, or an empty dict if the name is that of a plain file.
 
-    Only snapshots are recorded whole: the session runs again from the last one before the frame. Of a split session
-    any file may be named; the others are looked for beside it.
+    Only snapshots are recorded in full. The session is replayed from the last snapshot before the frame. For a split
+    session any file may be named; the others are searched in the same folder.
 
     Raises:
         ParameterError: if the session can't be read, has no such frame, or runs differently here.
@@ -53,7 +53,7 @@ def _state_at(path: str, number: int, name: str) -> bytes:
 
     begins = None
     try:
-        # From the last file on: its snapshot is the nearest.
+        # Backwards from the last file, to the nearest snapshot.
         for file in reversed(session_files(path)):
             with SessionReader(file) as reader:
                 state = State.from_bytes(reader.state)
@@ -68,10 +68,10 @@ def _state_at(path: str, number: int, name: str) -> bytes:
 
 
 def _run(reader: SessionReader, state: State, number: int, name: str) -> bytes:
-    """Run a session's file again from its snapshot to a frame; the bytes of the state there."""
+    """Replay a session file from its snapshot to a frame; return the bytes of the state there."""
     values = recorded_values(reader.scene_yaml, node=reader.node)
     simulation = Simulation(Scene.from_parameters(values, files=reader.files), state)
-    # Of another arithmetic the motion comes out the same but for rounding: a place to begin at all the same.
+    # With another arithmetic the motion differs only by rounding, which is acceptable for an initial state.
     repeatable = not recorder_with_other_arithmetic(reader.metadata)
     for record in reader.frames():
         if simulation.frame >= number:
@@ -96,8 +96,6 @@ def _run(reader: SessionReader, state: State, number: int, name: str) -> bytes:
 
 
 def begins_anew(simulation: Simulation) -> str:
-    """Say what of the state that a simulation began with is not taken over: what another version remembered."""
+    """Return a sentence on the parts of the initial state that another version saved and that are not used."""
     name, left_out = simulation.scene.initial_state, ", ".join(simulation.state.left_out)
-    return (
-        f"initial_state '{name}' was saved by another version: what it remembered of its steps ({left_out}) begins anew"
-    )
+    return f"initial_state '{name}' was saved by another version: its controller state ({left_out}) is reset"

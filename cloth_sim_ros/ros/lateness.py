@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether frames come late, told when that begins, now and then while it lasts, and when it ends."""
+"""Deadline monitor: logs when frames start and stop missing their period."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ import statistics
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.session.words import counted
 
-#: A judgement is over at least so much time [s], and so many frames.
+#: Smallest length of a window: time [s], and ticks.
 WINDOW, FEWEST = 2.0, 20
-#: Share of a window's frames above which the cloth is late: single ones are the system's, /diagnostics counts them.
+#: Fraction of late ticks in a window above which the cloth is late. /diagnostics counts single late frames.
 MANY = 0.05
-#: While it lasts it is told again after so many windows.
+#: Number of windows between two warnings while the cloth is late.
 AGAIN = 30
-#: Windows in time before that is told.
+#: Number of consecutive windows in time before the recovery is logged.
 CALM = 5
-#: Above this share of the period it is computing that takes the time.
+#: Above this fraction of the period, the computation is the cause of late frames.
 BUSY = 0.9
-#: A contact that begins is reported if it makes the real-time factor smaller than this share of the last one reported.
+#: A new contact is reported if the real-time factor falls below this fraction of the last one reported.
 WORSE = 0.8
-#: What makes frames cheaper.
-REMEDY = "a smaller cloth.resolution, a lower rate, a larger tolerance, or overload: relax gives it less to do"
+#: Ways to make frames cheaper.
+REMEDY = "a smaller cloth.resolution, a lower rate, a larger tolerance, or overload: relax reduces the load"
 
 
 class Lateness:
-    """Follows frames that are due by wall time.
+    """Monitors frames that are due by wall time.
 
     Args:
         period: time between two frames [s].
-        log: told.
+        log: receives warnings and recoveries.
     """
 
     def __init__(self, *, period: float, log: ThrottledLog) -> None:
@@ -41,29 +41,29 @@ class Lateness:
         self._windows = 0
         self._calm = 0
         self._sum = 0
-        #: Real-time factor reported last.
+        #: Last reported real-time factor.
         self._reported = 1.0
         self._since = ""
         self._begin()
 
     def begin_contact(self, names: str) -> None:
-        """Restart the measurement, because the cloth has begun to touch something.
+        """Restart the window, because a contact has begun.
 
         Args:
-            names: of what it touches, as the end of a sentence.
+            names: of the contacts, as the end of a sentence.
         """
         self._since = f" since the cloth touches {names}"
         self._begin()
 
     def count(self, *, lateness: int, skipped: int, seconds: float, follows_clock: bool) -> int:
-        """Return the number of due times, a frame's and those skipped before it, that count as late.
+        """Return the number of late ticks: a frame's own and those skipped before it.
 
         Args:
-            lateness: how much later it began than it was due [ns].
-            skipped: due times before this one that were left out.
-            seconds: wall time that the frame took [s].
-            follows_clock: whether /clock makes frames due: then real time promises nothing of a step but a period for
-                each frame that is made up for, which `lateness` takes into account.
+            lateness: delay of the frame's start behind its tick [ns].
+            skipped: number of skipped ticks before the frame.
+            seconds: wall time of the frame [s].
+            follows_clock: true if /clock makes frames due. Then each frame has one period of real time, which
+                `lateness` takes into account.
         """
         period = round(1e9 * self._period)
         if follows_clock:
@@ -73,12 +73,12 @@ class Lateness:
         return late
 
     def add(self, *, late: int, skipped: int, seconds: float) -> None:
-        """Take note of a frame.
+        """Add a frame to the window.
 
         Args:
-            late: number of due times, this frame's and those skipped before it, whose frame was not out a period later.
-            skipped: due times before this one that were left out.
-            seconds: wall time that the frame took [s].
+            late: number of late ticks, the frame's own and those skipped before it.
+            skipped: number of skipped ticks before the frame.
+            seconds: wall time of the frame [s].
         """
         self._due += 1 + skipped
         self._late += late
@@ -107,24 +107,24 @@ class Lateness:
             self._calm += 1
             if self._calm == CALM:
                 self._is_late, self._reported = False, 1.0
-                self._log.info("in time", f"frames come in time again; {counted(self._sum, 'frame')} late or left out")
+                self._log.info("in time", f"frames are on time again; {counted(self._sum, 'frame')} late or skipped")
         self._since = ""
 
     def _tell(self, factor: float) -> None:
         middle, period = statistics.median(self._taken), self._period
         if middle > BUSY * period:
-            why = "the cloth takes more time than this machine has"
+            why = "the cloth is too slow for this machine and rate"
         else:
-            why = "the machine had other things to do"
+            why = "other processes use the machine"
         self._log.warn(
             "late",
-            f"frames come late: {self._late} of {self._due} were not there a period after they were due; one takes "
+            f"frames come late: {self._late} of {self._due} missed their period; one takes "
             f"{middle * 1e3:.1f} ms of {period * 1e3:.1f} ms: {why}{self._describe(factor, middle)}",
         )
         self._reported = factor
 
     def _describe(self, factor: float, middle: float) -> str:
-        """Return the real-time factor, if it is below 1, and what would raise it, as the end of a sentence."""
+        """Return the real-time factor if it is below 1, and the remedy, as the end of a sentence."""
         if factor > 1.0 - MANY:
             return ""
         remedy = f": {REMEDY}" if middle > BUSY * self._period else ""

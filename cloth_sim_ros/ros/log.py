@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Logging that a flood of bad input can't flood."""
+"""Throttled logging."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from typing import Any
 
 from rclpy.logging import LoggingSeverity
 
-#: Kinds of message that are told apart; names of grippers are part of a kind, so this is far above what is needed.
+#: Largest number of distinct kinds of message. Kinds contain gripper names; this is far above what is needed.
 _MOST_KINDS = 1000
 _INFO, _WARN, _ERROR = "info", "warn", "error"
 
 
 class ThrottledLog:
-    """Logs each kind of message at most once in a while, and says how many it left out.
+    """Logs each kind of message at most once in a period, with the number of messages omitted since.
 
     Args:
         logger: a node's logger.
-        seconds: least time between two messages of one kind [s].
-        clock: seconds of a clock that never goes back.
+        seconds: shortest time between two messages of one kind [s].
+        clock: monotonic clock [s].
     """
 
     def __init__(self, logger: Any, *, seconds: float = 1.0, clock: Callable[[], float] = time.monotonic) -> None:
@@ -29,32 +29,32 @@ class ThrottledLog:
         self._seconds = seconds
         self._clock = clock
         self._last: dict[str, float] = {}
-        #: Whether DEBUG lines are logged, as `settle` found it last: to ask costs microseconds.
+        #: True if DEBUG lines are logged; `flush` updates it, because a query takes microseconds.
         self.debugging = False
-        #: Of each kind how many were left out, the newest of them, and its severity.
+        #: For each kind the number of omitted messages, the newest of them, and its severity.
         self._left_out: dict[str, tuple[int, str, str]] = {}
 
     def debug(self, message: Callable[[], str]) -> None:
-        """Log a line for who looks for a fault; it is made only while the level is DEBUG, and then not throttled."""
+        """Log a DEBUG line, unthrottled. Its text is built only while the level is DEBUG."""
         if self.debugging:
             self._logger.debug(message())
 
     def info(self, kind: str, message: str) -> None:
-        """Log what is worth knowing."""
+        """Log at level INFO."""
         self._log(kind, message, _INFO)
 
     def warn(self, kind: str, message: str) -> None:
-        """Log what someone should look at."""
+        """Log at level WARN."""
         self._log(kind, message, _WARN)
 
     def error(self, kind: str, message: str) -> None:
-        """Log what went wrong."""
+        """Log at level ERROR."""
         self._log(kind, message, _ERROR)
 
     def settle(self) -> None:
-        """Look at the level, and log the newest message of each kind of which some were left out a while ago.
+        """Update the level, and log the newest omitted message of each kind whose period is over.
 
-        Call it now and then.
+        Call it periodically.
         """
         self.debugging = bool(self._logger.is_enabled_for(LoggingSeverity.DEBUG))
         now = self._clock()
@@ -78,7 +78,7 @@ class ThrottledLog:
         self._write(f"{message}{_more(count)}", severity)
 
     def _write(self, text: str, severity: str) -> None:
-        # A line each: rclpy takes one severity a line of code.
+        # One call each: rclpy allows one severity per line of code.
         if severity == _INFO:
             self._logger.info(text)
         elif severity == _WARN:

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command `cloth_sim`.
 
-It imports next to nothing: the signal handlers are installed first, so that a signal during the slow imports of rclpy
-and numpy ends the process in order.
+It imports little and installs the signal handlers first. Therefore a signal during the slow imports of rclpy and numpy
+ends the process in order.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from cloth_sim_ros.ros.stopping import StopSignals
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the node, or say what it would run.
+    """Run the node, or check a parameter file with `--check`.
 
     Returns:
-        Exit status: 0 when stopped by a signal, 1 if it could not start, its recording could not be closed, or a
+        Exit status: 0 if a signal stopped the node; 1 if it could not start, its recording could not be closed, or a
         frame failed and `on_failure` is `exit`.
     """
     argv = list(sys.argv if arguments is None else ["cloth_sim", *arguments])

@@ -1,7 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages from arrays. Large ones are laid out in bytes directly: one Python object a point would take longer than the
-frame that it shows.
+"""Serialized messages from arrays.
+
+Large messages are written as bytes directly: one Python object per point would take longer than a frame.
 """
 
 from __future__ import annotations
@@ -18,20 +19,20 @@ from visualization_msgs.msg import Marker
 
 from cloth_sim_ros.physics.forces.force import Array
 
-#: [ns]
+#: One second [ns].
 SECOND = 1_000_000_000
-#: CDR, little endian, as every ROS 2 middleware sends.
+#: Header of CDR in little endian, which every ROS 2 middleware sends.
 CDR = b"\x00\x01\x00\x00"
 
 
 class CloudMessage:
-    """A sensor_msgs/PointCloud2 whose header stamp and points alone change: the rest is serialized once.
+    """A sensor_msgs/PointCloud2 of which only stamp and points change; the rest is serialized once.
 
     Args:
         frame_id: coordinate frame.
         height: rows of a grid, or 1.
         width: columns of a grid, or the number of particles.
-        velocity: whether each point has its velocity too: fields vx, vy, vz [m/s].
+        velocity: true for additional fields vx, vy, vz [m/s].
         double: true for fields in double precision.
     """
 
@@ -53,14 +54,20 @@ class CloudMessage:
         )
         message.header.frame_id = frame_id
         self._points = np.empty((height * width, len(names)), dtype=f"<f{length}")
-        # Behind the row step come the number of bytes, the bytes, and is_dense; before it all stays but the stamp.
+        # The row step is followed by the number of bytes, the bytes, and is_dense. Before it only the stamp changes.
         start = bytes(serialize_message(message))[len(CDR) + 8 : -5]
         self._middle = start + struct.pack("<I", self._points.nbytes)
-        # To a multiple of four, as it travels: what is recorded is what subscribers receive, to the last byte.
+        # Padded to a multiple of four as on the wire: recorded and received bytes are identical.
         self._end = aligned(b"\x01", 4)
 
     def serialized(self, x: Array, stamp: int, v: Array | None = None) -> bytes:
-        """Return the CDR bytes for positions x [m] at a ROS time [ns]; velocities v [m/s] where it has them; (3, n)."""
+        """Return the CDR bytes for positions x [m] and, with velocity fields, v [m/s], shapes (3, n).
+
+        Args:
+            x: positions.
+            stamp: ROS time [ns].
+            v: velocities; required if the cloud has velocity fields.
+        """
         self._points[:, :3] = x.T
         if v is not None:
             self._points[:, 3:] = v.T
@@ -97,7 +104,7 @@ class SurfaceMarker:
             setattr(self._message.scale, side, 1.0)
         self._message.color = ColorRGBA(r=0.85, g=0.3, b=0.25, a=1.0)
         self._corners = np.ascontiguousarray(triangles).ravel()
-        # Behind the points comes nothing that is aligned to 8 bytes, so it has the same bytes whatever their number.
+        # No field after the points is aligned to 8 bytes, so the tail does not depend on the number of points.
         self._tail = self._tail_length()
 
     def serialized(self, x: Array, stamp: int) -> bytes:
@@ -110,7 +117,7 @@ class SurfaceMarker:
 
     @staticmethod
     def _tail_length() -> int:
-        """Length of what follows the number of points: found by giving the field before it a mark."""
+        """Return the length of the bytes after the number of points; a marked field before it locates them."""
         plain = bytes(serialize_message(Marker()))
         locked = bytes(serialize_message(Marker(frame_locked=True)))
         place = next(index for index, (a, b) in enumerate(zip(plain, locked, strict=True)) if a != b)
@@ -140,5 +147,5 @@ def read_stamp(stamp: object) -> int:
 
 
 def aligned(data: bytes, size: int) -> bytes:
-    """Fill up with zeros to a multiple of a size."""
+    """Pad with zeros to a multiple of a size [bytes]."""
     return data + bytes(-len(data) % size)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The node: puts together what makes a live cloth of a scene, and lets the frames come when they are due."""
+"""The cloth node: connects a simulation to the graph and runs its frames."""
 
 from __future__ import annotations
 
@@ -51,28 +51,28 @@ from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.simulation.events import Reset, SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation
 
-#: How often the node looks after itself [s]; also the longest that a signal waits to be seen.
+#: Period of maintenance [s]; also the longest time until a signal is noticed.
 _HOUSEKEEPING = 0.25
-#: A paused cloth is shown this often, so that those who come later see it, and no disk fills with the same picture [s].
+#: Publication period of a paused cloth [s]: late subscribers receive it, and recordings stay small.
 _PAUSED_PERIOD = 1.0
 
 
 class ClothNode:
-    """A live cloth: `node` goes to an executor, `start` lets time begin, `close` ends the recording.
+    """A live cloth. `node` is added to an executor, `start` starts time, `close` ends the recording.
 
-    It has a ROS node as an attribute instead of deriving from one, so that its names can't clash with rclpy's own.
+    The ROS node is an attribute, not a base class, so that names can't clash with rclpy's.
 
     Args:
         name: node name, before remapping.
-        aside: runs a long computation and returns what it returns; may raise StopRequestedError instead, and leave the
-            computation to itself.
-        stopped: where given, frames that nobody commands run in a thread of their own, not in the executor. Returns the
-            name of the signal that has come, empty while none has: who waits for that thread looks at it.
-        options: further arguments of rclpy's Node: namespace, context, parameter_overrides, ... Services, those for
-            parameters included, and subscriptions are made by `start`: whatever can be discovered is served.
+        run_job: runs a long computation and returns its result. It may raise StopRequestedError and abandon the
+            computation.
+        signal_name: returns the name of the signal that has come; empty if none has. If given, frames without commands
+            run in the timer thread, and threads that wait for it poll this function.
+        options: further arguments of rclpy's Node: namespace, context, parameter_overrides, ... `start` creates
+            subscriptions and services, those for parameters included: everything that is discovered is served.
 
     Raises:
-        ParameterError: for parameters that make no cloth.
+        ParameterError: if the parameters define no valid cloth.
     """
 
     def __init__(
@@ -94,8 +94,8 @@ class ClothNode:
         refuse_endless_frames(scene, self._simulation)
         if self._simulation.state.left_out:
             self._log.info("initial state", begins_anew(self._simulation))
-        # Held by whoever works on the cloth or on what waits for it. Services wait for their frame, so they run beside
-        # it where the executor has several threads; and parameters may be set from anywhere.
+        # Protects the cloth and the queue. With several executor threads, services run concurrently with frames, and
+        # any thread may set parameters.
         self._turn, self._beside = Turn(stopped or str), stopped is not None
         self._queue = EventQueue()
         self._frames = FrameTransformer(self.node, scene.frame_id)
@@ -190,9 +190,9 @@ class ClothNode:
         self._report_due = time.monotonic()
         self._shown: float | None = None
         self._extras: dict[str, Any] = {}
-        #: Whether a signal came before a frame ended, which goes on alone: the cloth is not to be read.
+        #: True if a signal came before a frame ended. The frame goes on, and the cloth must not be read.
         self.cut_off = False
-        #: Once closed, whether all that was recorded is in its file.
+        #: After `close`: true if the file holds everything recorded.
         self._saved: bool | None = None
 
     @property
@@ -202,11 +202,11 @@ class ClothNode:
 
     @property
     def published(self) -> int:
-        """Clouds published."""
+        """Number of clouds published."""
         return self._outputs.published
 
     def warm_up(self) -> None:
-        """Time some frames of a throw-away copy of the cloth on this machine, and load the libraries for recording.
+        """Measure the step cost with a temporary copy of the cloth, and load the libraries for recording.
 
         Raises:
             ValueError: if the scene can't be stepped.
@@ -216,10 +216,10 @@ class ClothNode:
         self._recording.prepare()
 
     def start(self) -> None:
-        """Begin to record, if asked to, let the cloth be found and commanded, and let time begin.
+        """Start the recording if `record.enabled`, then publishers, subscriptions, services and the pacer.
 
         Raises:
-            RecordingUnavailableError: if the recording can't begin, though its libraries are there.
+            RecordingUnavailableError: if the recording can't start although its libraries are installed.
         """
         scene = self._simulation.scene
         now = self.node.get_clock().now().nanoseconds
@@ -252,30 +252,30 @@ class ClothNode:
             self._forecaster.tell()
         self._report_due = time.monotonic() + diagnostics.PERIOD
         self.tally.begin()
-        # Last: who hears it may rely on all else.
+        # Last: a subscriber of ~/state may rely on everything else.
         self._states.start(now, waits=self._follows_clock)
         self._pacer.start()
         log_start(self.node.get_logger(), self._simulation, follows_clock=self._follows_clock)
         self._log.debug(lambda: f"Poisson's ratio, which follows from the moduli: {scene.poisson_ratio}")
 
     def stop(self) -> bool:
-        """Let no more frames be due; return whether none is under way."""
+        """Stop the pacer; return true if no frame is running."""
         ended = self._pacer is None or self._pacer.stop()
         self.cut_off |= not ended
         return ended
 
     def close(self, *, timeout: float = 1.5) -> bool:
-        """End the recording and the node; return whether all that was recorded is in its file.
+        """End the recording and the node; return true if the file holds everything recorded.
 
-        Nothing of it stays in the graph, and no thread. If the context was shut down before, as rclpy's own signal
-        handlers do, nothing is published. Once closed, a further call returns the same.
+        All entities in the graph and all threads end. If the context was shut down before, as rclpy's signal handlers
+        do, nothing is published. A further call returns the same.
 
         Args:
-            timeout: longest time that the recording's file is waited for [s].
+            timeout: longest wait for the recording's file [s].
         """
         if self._saved is None:
             try:
-                # Who waited for the end of a frame that goes on alone would wait in vain.
+                # An aborted frame never releases the lock.
                 with self._turn if self.stop() else nullcontext():
                     self._saved = self._close(timeout)
             finally:
@@ -283,7 +283,7 @@ class ClothNode:
         return self._saved
 
     def __enter__(self) -> Self:
-        """Return the cloth, which is closed at the end."""
+        """Return the cloth; the context closes it at its end."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -293,7 +293,7 @@ class ClothNode:
         self._accuracy.close()
         self._recording.discard()
         self._queue.clear("the node stops")
-        # If a signal cut a frame off, there is no whole state to report.
+        # If a signal aborted a frame, there is no consistent state to report.
         if self._pacer is not None and not self.cut_off and self.node.context.ok():
             with unless_shut_down(self.node):
                 self._states.end(self.node.get_clock().now().nanoseconds)
@@ -306,7 +306,7 @@ class ClothNode:
 
     def _on_due(self, due: Due) -> None:
         with self._turn, unless_shut_down(self.node):
-            # A frame that was left to itself is still at work on the cloth.
+            # An aborted frame still works on the cloth.
             if not self.cut_off:
                 self._failure.run(lambda: self._frame(due), due.stamp)
 
@@ -351,7 +351,7 @@ class ClothNode:
             self._obstacles.send(frame, due.stamp)
             self._broadcaster.send(due.stamp)
         self._recording.commit()
-        # Last: what is answered is not taken back.
+        # Last, because an answer is final.
         self._stepper.answer()
         self._services.show(frame)
         self._commands.show(frame)
@@ -381,7 +381,7 @@ class ClothNode:
 
     def _on_jump_ahead(self, skipped: int) -> None:
         left = counted(skipped, "frame")
-        self._log.warn("ahead", f"/clock is ahead by more than can be made up for: {left} left out for good")
+        self._log.warn("ahead", f"/clock jumped forward by more than can be caught up: {left} skipped")
         with self._turn:
             self._extras = {"skipped": skipped}
 
@@ -394,11 +394,11 @@ class ClothNode:
         self._simulation.check_scene(wanted)
         self._queue.make_room(SetParameters(values))
 
-    # Once in a while
+    # Maintenance
 
     def _keep_house(self) -> None:
         with self._turn:
-            # No timer of its own: the executor would look at it in each of its turns.
+            # No timer of its own: the executor would check it in each spin.
             now = time.monotonic()
             if now >= self._report_due:
                 self._report_due = max(self._report_due, now - _HOUSEKEEPING) + diagnostics.PERIOD

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What of a parameter file only the running node refuses: said of a file without ROS, in the node's words."""
+"""Checks of a parameter file that otherwise only the running node makes, without ROS."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from cloth_sim_ros.scene.scene import Scene
 _SIM_TIME = "use_sim_time"
 #: Longest full name of a topic in ROS 2 (rmw's RMW_TOPIC_MAX_NAME_LENGTH).
 MOST_TOPIC = 247
-#: The longest of the last parts of topics below a gripper's or an obstacle's name.
+#: The longest topic name below that of a gripper or obstacle.
 _LEAF = "/wrench"
 
 
 def refuse_values(values: Mapping[str, Any]) -> None:
-    """Refuse values that the node refuses whatever the others are; all faults are named together.
+    """Refuse values that the node refuses independently of the others; report all faults together.
 
     Raises:
-        ParameterError: naming each.
+        ParameterError: names each fault.
     """
     entries = Scene.declared_for(values)
     kinds = {entry.name: entry.kind for entry in entries} | {_SIM_TIME: "bool"}
@@ -52,10 +52,10 @@ def _remedy(name: str, kinds: Mapping[str, str]) -> str:
 
 
 def refuse_scene(scene: Scene, *, node: str) -> None:
-    """Refuse names that are too long for topics, and a folder that nothing can be recorded into.
+    """Refuse names that are too long for topics, and a recording folder that can't be written.
 
     Raises:
-        ParameterError: naming the name or the folder.
+        ParameterError: names the parameter or the folder.
     """
     most = MOST_TOPIC - len(f"/{node.strip('/')}/{_LEAF}")
     for kind, names in (("gripper", scene.gripper_names), ("obstacle", [*scene.obstacle_names, *scene.described])):
@@ -70,7 +70,7 @@ def refuse_scene(scene: Scene, *, node: str) -> None:
 
 
 def _refuse_folder(folder: Path) -> None:
-    """Refuse a folder as the recorder does that would make it, and make none."""
+    """Refuse a folder that the recorder could not create or write; create none."""
     try:
         there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     except (OSError, ValueError) as error:
@@ -82,7 +82,7 @@ def _refuse_folder(folder: Path) -> None:
 
 
 def hint_at_folder(error: str, values: Mapping[str, Any], path: str | Path) -> str:
-    """Say, of an error that names a relative file that is not there, where such names start; of others nothing."""
+    """Return a hint on the working directory if an error names a missing relative file; otherwise an empty text."""
     for parameter, value in values.items():
         named = (parameter in files.NAMES or parameter.endswith(".mesh")) and isinstance(value, str) and value
         if not named or os.path.isabs(value) or f"'{value}'" not in error:

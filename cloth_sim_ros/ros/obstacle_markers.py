@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Obstacles as a visualization_msgs/MarkerArray, for RViz and the replay."""
+"""Obstacles as a visualization_msgs/MarkerArray for RViz and the replay."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ from cloth_sim_ros.physics.gripper_path import rotation_matrix
 from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.ros.messages import set_stamp
 
-#: A plane is shown as a slab of this width and height, whose upper side it is [m].
+#: Width and height of the slab that shows a plane, which is its upper side [m].
 PLANE = (10.0, 0.002)
 _COLOUR, _GROUND = ColorRGBA(r=0.45, g=0.5, b=0.58, a=1.0), ColorRGBA(r=0.24, g=0.26, b=0.3, a=1.0)
 
 
 class ObstacleMarkers:
-    """Markers of some obstacles, in namespaces of the names of node and obstacle: several cloths show in one display.
+    """Markers of obstacles, with namespaces `<node>/<obstacle>` so that one display shows several cloths.
 
     Args:
         solids: the obstacles.
         frame_id: coordinate frame.
         node: the node's full name.
-        gone: names of obstacles that were shown before and are no more.
+        removed: names of obstacles whose markers are to be deleted.
     """
 
     def __init__(self, solids: Sequence[Obstacle], *, frame_id: str, node: str, gone: Sequence[str] = ()) -> None:
         self._frame_id = frame_id
-        #: Of each marker: its obstacle, the marker, and where it is in the obstacle's frame [m].
+        #: For each marker: index of its obstacle, the marker, and its position in the obstacle's frame [m].
         self._parts: list[tuple[int, Marker, NDArray[np.float64]]] = []
         for k, solid in enumerate(solids):
             for number, (marker, place) in enumerate(_markers(solid)):
                 marker.ns, marker.id, marker.action = f"{node}/{solid.name}", number, Marker.ADD
-                # What stands on a plane is told from it.
+                # Planes are darker than the objects on them.
                 marker.color = _GROUND if solid.shape == "plane" else _COLOUR
                 marker.header.frame_id = frame_id
                 self._parts.append((k, marker, place))
@@ -65,7 +65,7 @@ _MOST = 3
 
 
 def _markers(solid: Obstacle) -> list[tuple[Marker, NDArray[np.float64]]]:
-    """Return the markers of an obstacle, and where they are in its frame."""
+    """Return the markers of an obstacle and their positions in its frame [m], shape (3,)."""
     here = np.zeros(3)
     match solid.shape:
         case "plane":

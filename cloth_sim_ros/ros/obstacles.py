@@ -1,7 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Obstacles in the graph: their command topics, markers, those of pads included, and wrenches, which come and go with
-them.
+"""Topics of obstacles: commands, markers and wrenches.
+
+Topics are created and removed with their obstacles. The markers include the pads of pinching grippers.
 """
 
 from __future__ import annotations
@@ -25,21 +26,21 @@ if TYPE_CHECKING:
     from cloth_sim_ros.physics.obstacles import Obstacle
     from cloth_sim_ros.ros.obstacle_markers import ObstacleMarkers
 
-#: A stop within so much simulated time of the one before is the same one [s].
+#: A stop within this simulated time after the previous one is the same stop [s].
 _CALM = 1.0
-#: Words of a stop of several.
-_SEVERAL = ("are", "they would", "they stand still until they are")
+#: Words for a stop of several bodies: verb, subject and object.
+_SEVERAL = ("are", "they", "them")
 
 
 class ObstacleTopics:
-    """Topics of the obstacles of a cloth; none where there are none.
+    """Topics of a cloth's obstacles.
 
     Args:
         node: the node.
         simulation: the cloth.
-        commands: hears their targets.
-        tape: records what is published.
-        log: says what an obstacle can't follow.
+        commands: subscribes to their targets.
+        sink: records the published messages.
+        log: receives warnings of stops and lags.
     """
 
     def __init__(self, node: Node, simulation: Simulation, commands: Commands, tape: Tape, log: ThrottledLog) -> None:
@@ -51,23 +52,23 @@ class ObstacleTopics:
         self._wrenches: dict[str, Output] = {}
         self._shown: bytes = b""
         self._poses = np.zeros((0, 7))
-        #: Who was stopped and was not commanded anew since.
+        #: Names of stopped bodies without a new command since.
         self._halted: set[str] = set()
-        #: Frame in which each was stopped last, and after how many frames without a stop another one is news.
+        #: Frame of each body's last stop, and the number of frames after which another stop is reported.
         self._stopped: dict[str, int] = {}
         self._calm = round(_CALM * simulation.scene.rate)
 
     def start(self, stamp: int) -> None:
-        """Publish where they are at a ROS time [ns], and listen."""
+        """Publish the obstacles at a ROS time [ns], and subscribe to their targets."""
         self._follow(stamp)
 
     def record(self, stamp: int) -> None:
-        """Record where they are, at the beginning of a recording."""
+        """Record the markers at the start of a recording, at a ROS time [ns]."""
         if self._output is not None:
             self._output.record(self._shown, stamp)
 
     def send(self, frame: Frame, stamp: int) -> None:
-        """Publish and record what a frame did to them."""
+        """Publish and record the markers and wrenches after a frame, at a ROS time [ns]."""
         self._follow_halted(frame)
         self._warn_of_stops(frame)
         obstacles = self._simulation.obstacles
@@ -82,8 +83,8 @@ class ObstacleTopics:
         for name in obstacles.behind:
             self._log.warn(
                 f"behind {name}",
-                f"'{name}' is not yet where it is commanded to be: an obstacle follows at {obstacles.speed:g} m/s, "
-                "lest it jump through the cloth",
+                f"'{name}' lags behind its target: the speed of obstacles is limited to {obstacles.speed:g} m/s, "
+                "so that they do not pass through the cloth",
             )
         for name, load in zip(obstacles.names, frame.loads, strict=True):
             output = self._wrenches[name]
@@ -91,7 +92,7 @@ class ObstacleTopics:
                 output.send(wrench_message(load, frame_id=self._simulation.scene.frame_id, stamp=stamp), stamp)
 
     def log_recovery(self, frame: Frame) -> None:
-        """Log contacts that the events of a frame left with a reduced thickness: a warning, but for opened grippers."""
+        """Log contacts to which the events of a frame gave a reduced thickness; a warning unless a gripper opened."""
         if frame.recovery is None:
             return
         text = frame.recovery.describe()
@@ -101,7 +102,7 @@ class ObstacleTopics:
             self._log.info("contact recovery", f"a gripper opened while it pressed the cloth {text}")
 
     def describe(self) -> dict[str, str]:
-        """Return what diagnostics say of contact; nothing where there is none."""
+        """Return the diagnostics entries of contact; empty without contact."""
         gaps, contact, said = self._simulation.gaps(), self._simulation.plan.contact, dict[str, str]()
         if gaps is not None and len(gaps):
             said = {"contacts": str(int(gaps[:, 0].sum())), "smallest_gap_m": f"{gaps[:, 1].min():.6g}"}
@@ -112,7 +113,7 @@ class ObstacleTopics:
         return said
 
     def _warn_of_stops(self, frame: Frame) -> None:
-        """Warn once of a stop, although commands that go on ask for it again in each frame."""
+        """Warn once of a stop, even if commands cause it again in each frame."""
         latest = self._stopped
         self._stopped = {name: index for name, index in latest.items() if frame.index - index <= self._calm}
         new = [name for name in frame.halted if name not in self._stopped]
@@ -120,15 +121,14 @@ class ObstacleTopics:
         if not new:
             return
         names = ", ".join(f"'{name}'" for name in new)
-        words = ("is", "it would", "it stands still until it is") if len(new) == 1 else _SEVERAL
+        words = ("is", "it", "it") if len(new) == 1 else _SEVERAL
         self._log.warn(
             f"halted {names}",
-            f"{names} {words[0]} stopped: with what else is there {words[1]} have left the cloth no room; {words[2]} "
-            "commanded anew",
+            f"{names} {words[0]} stopped: {words[1]} would crush the cloth; send a new target to resume {words[2]}",
         )
 
     def _follow_halted(self, frame: Frame) -> None:
-        """Take note of who stands still because there was no room, and who was commanded since or is gone."""
+        """Update the stopped bodies: add those of the frame, drop those with a new command and removed ones."""
         anew = {event.obstacle for event in frame.events if isinstance(event, Move)}
         anew |= {event.gripper for event in frame.events if isinstance(event, Target)}
         scene = self._simulation.scene
@@ -138,7 +138,7 @@ class ObstacleTopics:
         self._halted = ((self._halted - anew) & known) | set(frame.halted)
 
     def _follow(self, stamp: int) -> None:
-        """Let topics be those of the obstacles that there are."""
+        """Create and remove topics so that they match the present obstacles."""
         obstacles, scene = self._simulation.obstacles, self._simulation.scene
         names = [] if obstacles is None else obstacles.names
         solids, _ = self._solids()
@@ -172,6 +172,6 @@ class ObstacleTopics:
         assert self._markers is not None
         assert self._output is not None
         self._poses = self._solids()[1]
-        # Always: whoever comes later hears the last one.
+        # Without a check for subscribers: the topic is latched (transient local).
         self._shown = self._markers.serialized(self._poses, stamp)
         self._output.send(self._shown, stamp)

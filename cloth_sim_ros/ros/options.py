@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command line of `cloth_sim`, ROS arguments aside; read without ROS where a file is only to be checked."""
+"""Command-line options of `cloth_sim` besides ROS arguments; parsed without ROS for `--check`."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ def parser() -> argparse.ArgumentParser:
     found = argparse.ArgumentParser(
         prog="cloth_sim",
         description="A live cloth in a ROS 2 graph. Parameters: --ros-args -p name:=value, or --params-file file.yaml; "
-        "ros2 param describe tells what they mean.",
+        "ros2 param describe explains them.",
         allow_abbrev=False,
     )
     found.add_argument("--version", action="version", version=__version__)
     found.add_argument(
         "--check",
         metavar="FILE",
-        help="say what a parameter file would let run, how fast, and what sets its step, without joining the graph; "
-        "the exit status is 1 where the node would refuse it",
+        help="print the cloth of a parameter file, its expected speed and its step limit, without joining the graph; "
+        "the exit status is 1 if the node would refuse it",
     )
     found.add_argument(
         "--node",
         default="cloth_sim",
         metavar="NAME",
-        help="of --check: whose parameters are read (default: %(default)s)",
+        help="with --check: name of the node whose parameters are read (default: %(default)s)",
     )
     return found

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the node publishes: built only where someone listens or records, serialized once, the same bytes for both."""
+"""Published topics of the node.
+
+Messages are built only for subscribers or a recording, and serialized once for both.
+"""
 
 from __future__ import annotations
 
@@ -23,34 +26,34 @@ from cloth_sim_ros.ros.qos_overrides import OPTIONS, overridden_profile
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 
-#: Reliable, because RViz's displays ask for it; a subscriber that wants the newest alone takes best effort for itself.
+#: Reliable, because RViz's displays request it; a subscriber that only needs the newest message requests best effort.
 STREAM = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-#: For what is large: of clouds that a slow subscriber has not fetched, the newest alone is kept for it.
+#: For large messages: only the newest unread cloud is kept for a slow subscriber.
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
-#: For what is said once: those who come later hear it too.
+#: For messages that are published once: late subscribers receive them (transient local).
 LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-#: How long the node waits at its end for subscribers to receive the last messages.
+#: Longest wait at the node's end until subscribers have received the last messages.
 _FLUSH = Duration(seconds=0.2)
-#: A publication that takes longer is worth a warning, at most once in so long [s].
+#: A publication that takes longer than the first is warned of, at most once in the second [s].
 _LONG_PUBLICATION, _BETWEEN_WARNINGS = 0.5, 60.0
 
 
 class Tape(Protocol):
-    """What records."""
+    """A consumer that records messages."""
 
     @property
     def running(self) -> bool:
-        """Whether messages are recorded."""
+        """True while messages are recorded."""
 
     def add(self, topic: str, kind: Any, data: bytes, *, stamp: int, qos: QoSProfile, droppable: bool) -> None:
-        """Record a message's bytes at a ROS time [ns]; droppable ones give way where the disk can't follow."""
+        """Record a message's bytes at a ROS time [ns]; droppable ones may be dropped if the disk is too slow."""
 
 
 class Output:
-    """One topic.
+    """One published topic.
 
     Raises:
-        ParameterError: for overrides of its quality of service that make no profile.
+        ParameterError: if the overrides of its quality of service form no valid profile.
     """
 
     def __init__(
@@ -67,8 +70,8 @@ class Output:
                 topic,
                 profile,
                 qos_overriding_options=OPTIONS,
-                # A subscriber that asks for what is not offered is told so by its own side; each event that this side
-                # waits for costs the executor time in every turn.
+                # The subscriber's side reports incompatible profiles. An event of the publisher would cost time in
+                # each spin of the executor.
                 event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
             )
         except RuntimeError as error:
@@ -76,45 +79,45 @@ class Output:
             raise ParameterError(
                 f"qos_overrides.{name}.publisher: {error}; the middleware takes no such profile"
             ) from error
-        #: Under the node's own name, whatever the topic is remapped to: a session looks the same everywhere.
+        #: Topic name below the node's name, before remapping, so that sessions do not depend on remappings.
         self.topic = node.resolve_topic_name(topic, only_expand=True)
 
     @property
     def heard(self) -> bool:
-        """Whether someone listens."""
+        """True if the topic has subscribers."""
         return bool(self._publisher.get_subscription_count())
 
     @property
     def wanted(self) -> bool:
-        """Whether someone listens or records."""
+        """True if the topic has subscribers or a recording runs."""
         return self._tape.running or self.heard
 
     def publish(self, data: bytes) -> None:
-        """Publish bytes; a warning tells if the middleware kept the node waiting."""
+        """Publish bytes, and warn if the middleware blocks the node for more than 0.5 s."""
         begun = time.monotonic()
         self._publisher.publish(data)
         if (elapsed := time.monotonic() - begun) > _LONG_PUBLICATION:
             self._log.warn(
                 "slow",
                 f"{self.topic}: publishing took {elapsed:.2g} s, and the frame waited for the middleware: a subscriber "
-                f"starts, is suspended, or was killed; if this comes again, resume or end it",
+                f"starts, is suspended, or was killed; if this repeats, resume or end it",
             )
 
     def send(self, data: bytes, stamp: int) -> None:
-        """Publish bytes, and record the same."""
+        """Publish and record bytes at a ROS time [ns]."""
         self.publish(data)
         self.record(data, stamp)
 
     def flush(self) -> None:
-        """Wait until reliable subscribers have what was published, but not for those that have died."""
+        """Wait at most 0.2 s until reliable subscribers have received the messages."""
         self._publisher.wait_for_all_acked(_FLUSH)
 
     def close(self) -> None:
-        """Let the topic be no more."""
+        """Remove the topic."""
         self._node.destroy_publisher(self._publisher)
 
     def record(self, data: bytes, stamp: int) -> None:
-        """Record bytes, where a recording runs."""
+        """Record bytes at a ROS time [ns] if a recording runs."""
         if self._tape.running:
             self._tape.add(
                 self.topic, self._kind, data, stamp=stamp, qos=self._publisher.qos_profile, droppable=self._droppable
@@ -129,7 +132,7 @@ class Outputs:
         sheet = scene.sheet
         triangles = sheet.triangles()
         self._frame_id = scene.frame_id
-        # With velocities or without, in double precision or not, made when first asked for.
+        # By velocity and double precision; built on first use.
         self._clouds: dict[tuple[bool, bool], CloudMessage] = {}
         self._marker = SurfaceMarker(frame_id=scene.frame_id, name=node.get_fully_qualified_name(), triangles=triangles)
         self._points = Output(node, PointCloud2, "~/points", tape, qos=NEWEST, droppable=True)
@@ -142,11 +145,11 @@ class Outputs:
         self.published = 0
 
     def start(self, stamp: int) -> None:
-        """Publish what is said once."""
+        """Publish the topology at a ROS time [ns]."""
         self._topology.send(self._topology_bytes, stamp)
 
     def record_topology(self, stamp: int) -> None:
-        """Record what was said once, at the beginning of a recording."""
+        """Record the topology at the start of a recording, at a ROS time [ns]."""
         self._topology.record(self._topology_bytes, stamp)
 
     def send(
@@ -158,14 +161,14 @@ class Outputs:
             x: positions [m], shape (3, n).
             wrenches: force [N] and torque [N m] on each gripper, shape (gripper_count, 6).
             stamp: ROS time at which the frame was due [ns].
-            velocities: [m/s], shape (3, n), where the cloud is to tell them.
+            velocities: velocities [m/s], shape (3, n), if the cloud has velocity fields.
             double: true for a cloud in double precision.
         """
         if self._points.wanted:
             cloud = self._cloud(velocity=velocities is not None, double=double)
             self._points.send(cloud.serialized(x, stamp, velocities), stamp)
             self.published += 1
-        # Not recorded: it is large, and points and topology hold the same.
+        # Not recorded, because it is large and follows from points and topology.
         if self._mesh.heard:
             self._mesh.publish(self._marker.serialized(x, stamp))
         for output, wrench in zip(self._wrenches, wrenches, strict=True):
@@ -182,5 +185,5 @@ class Outputs:
         return self._clouds[key]
 
     def flush(self) -> None:
-        """Wait shortly until the last points have arrived."""
+        """Wait at most 0.2 s until subscribers have received the last points."""
         self._points.flush()

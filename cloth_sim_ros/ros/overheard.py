@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the node says on /rosout and /parameter_events: heard there as others hear it, and recorded."""
+"""Recorder of the node's own messages on /rosout and /parameter_events."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _ROSOUT = QoSProfile(depth=1000)
 
 
 class Overheard:
-    """Records this node's part of the topics that all nodes share, while a recording runs.
+    """Records this node's messages on the topics that all nodes share, while a recording runs.
 
     Args:
         node: the node.
-        tape: records.
-        turn: held while it does.
+        sink: records the messages.
+        lock: held while a message is recorded.
     """
 
     def __init__(self, node: Node, tape: Tape, turn: AbstractContextManager[Any]) -> None:
@@ -34,7 +34,7 @@ class Overheard:
         self._subscriptions: list[Any] = []
 
     def listen(self) -> None:
-        """Subscribe while a recording runs, and no longer: forty other nodes speak there too."""
+        """Subscribe while a recording runs, and unsubscribe afterwards: many nodes publish on these topics."""
         if self._tape.running and not self._subscriptions:
             logger, name = self._node.get_logger().name, self._node.get_fully_qualified_name()
             self._hear(Log, "/rosout", _ROSOUT, lambda message: message.name == logger)
@@ -51,7 +51,7 @@ class Overheard:
             try:
                 ours = is_ours(deserialize_message(data, kind))
             except (RuntimeError, UnicodeDecodeError):
-                # Broken bytes of someone else's.
+                # Malformed bytes of another node.
                 return
             if ours:
                 stamp = self._node.get_clock().now().nanoseconds

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The scene's parameters as ROS parameters: declared, described, ranged, changed while running."""
+"""ROS parameters of a scene: declaration, description, ranges and changes at run time."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _TYPES = {
 
 
 class UnknownParametersError(ParameterNotDeclaredException):
-    """Parameters that are not there."""
+    """Parameters that do not exist."""
 
     def __init__(self, names: list[str], known: Sequence[str]) -> None:
         super().__init__(names)
@@ -52,23 +52,22 @@ class UnknownParametersError(ParameterNotDeclaredException):
 
 
 class SceneNode(SimTimeNode):
-    """rclpy's node, with words for what rclpy refuses without a name."""
+    """rclpy's node with error messages that name the parameter."""
 
     def __init__(self, name: str, **options: Any) -> None:
-        """As rclpy's, with the overrides declared.
+        """Create rclpy's node, and declare the overrides.
 
         Raises:
-            ParameterError: for an empty list, which has no type in ROS, and for a use_sim_time that is neither true nor
-                false.
+            ParameterError: for an empty list, which has no type in ROS, or a use_sim_time that is not a bool.
         """
         super().__init__(name, automatically_declare_parameters_from_overrides=True, **options)
-        #: Whether parameters are only being declared, so that what listens to changes lets them pass.
+        #: True while parameters are being declared; callbacks for changes ignore these.
         self.declaring = False
-        #: What is known of the parameters of a scene that are declared.
+        #: Declarations of the scene's parameters, by name.
         self.entries: dict[str, Parameter] = {}
 
     def destroy_node(self) -> None:
-        """As rclpy's; callbacks of parameters are forgotten too, so that nothing refers to what they belong to."""
+        """Destroy rclpy's node, and clear its parameter callbacks so that their objects can be freed."""
         super().destroy_node()
         for callbacks in (
             self._pre_set_parameters_callbacks,
@@ -78,7 +77,7 @@ class SceneNode(SimTimeNode):
             callbacks.clear()
 
     def declare_parameters(self, namespace: str, parameters: Iterable[Any], *arguments: Any, **options: Any) -> Any:
-        """As rclpy's, which declares the overrides by it before it looks at any of them: the place to refuse them."""
+        """Declare parameters as rclpy does, which declares the overrides first; refuse invalid overrides here."""
         listed = list(parameters)
         given = {f"{namespace}.{entry[0]}".lstrip("."): entry[1] for entry in listed if len(entry) > 1}
         refused = Faults()
@@ -86,7 +85,7 @@ class SceneNode(SimTimeNode):
         if SIM_TIME in given and given[SIM_TIME] is not None:
             refused.attempt(lambda: check_sim_time(given[SIM_TIME]))
         if refused:
-            # What `declare` would refuse of the others, so that the next start tells nothing new.
+            # Include the faults that `declare` would find, so that one start reports all of them.
             _check_values({name: value for name, value in given.items() if value is not None}, refused)
         refused.refuse()
         return super().declare_parameters(namespace, listed, *arguments, **options)
@@ -94,13 +93,12 @@ class SceneNode(SimTimeNode):
     def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
         """Set parameters together or not at all, as rclpy's method does.
 
-        It differs in three ways. Parameters that do not exist are named in the error; rclpy's names none. Setting
-        `<name>.shape` of a new obstacle first declares all parameters of that obstacle, and setting a parameter of a
-        single gripper that gripper's. A value at the end of a range that excludes it is refused with that end; rclpy
-        would name the next number.
+        It differs in three ways. The error names the parameters that do not exist. Setting `<name>.shape` of a new
+        obstacle first declares all parameters of that obstacle; the same holds for a parameter of a single gripper. A
+        value at the excluded end of a range is refused with that end, while rclpy would name the next number.
 
         Raises:
-            UnknownParametersError: names each unknown parameter and the known one that is spelt most like it.
+            UnknownParametersError: names each unknown parameter and the known one with the most similar spelling.
         """
         names = [entry.name for entry in parameter_list]
         described = [
@@ -141,7 +139,7 @@ def _reason(entry: Parameter, value: Any) -> str:
 
 
 def _empty_lists(values: Mapping[str, Any]) -> list[str]:
-    """Say which of the given parameters are [], and what to write instead."""
+    """Return a sentence for each parameter that is [], with the remedy."""
     if not (empty := [name for name, value in values.items() if value is None]):
         return []
     kinds = {entry.name: entry.kind for entry in Scene.declared_for(values)} | {SIM_TIME: "bool"}
@@ -155,7 +153,7 @@ def _empty_lists(values: Mapping[str, Any]) -> list[str]:
 
 
 def _check_values(overrides: Mapping[str, Any], refused: Faults) -> dict[str, Any]:
-    """Return the values of a scene's parameters among the given ones, and add the faults of all given ones."""
+    """Return the values of the scene's parameters among the overrides, and add the faults of all overrides."""
     values: dict[str, Any] = {}
     for entry in Scene.declared_for(overrides):
         if entry.name in overrides:
@@ -166,14 +164,14 @@ def _check_values(overrides: Mapping[str, Any], refused: Faults) -> dict[str, An
 
 
 def declare(node: Node) -> Scene:
-    """Declare every parameter of a scene on a node that declared its overrides by itself; return the scene they make.
+    """Declare all parameters of a scene on a node that has declared its overrides; return the scene.
 
     Raises:
-        ParameterError: for a value that makes no scene; the message says which and why.
+        ParameterError: if the values form no valid scene; the message names the parameters and the reasons.
     """
     overrides = {name: node.get_parameter(name).value for name in node.list_parameters([], 0).names}
     refused = Faults()
-    # Declared by the override, of whatever type that has: checked here, where the message says what to do.
+    # The override was declared with any type; the check here gives a message with the remedy.
     values = _check_values(overrides, refused)
     refused.refuse()
     for name in values:
@@ -193,7 +191,7 @@ def declare(node: Node) -> Scene:
 
 
 def declare_one(node: Node, entry: Parameter, value: Any) -> None:
-    """Declare a parameter of a scene on a node, with a value, whatever override there is."""
+    """Declare a parameter of a scene on a node with a value; overrides are ignored."""
     typed = RosParameter(entry.name, _TYPES[entry.kind], _listed(value)).value
     if isinstance(node, SceneNode):
         node.entries[entry.name] = entry
@@ -201,7 +199,7 @@ def declare_one(node: Node, entry: Parameter, value: Any) -> None:
 
 
 def describe(entry: Parameter) -> ParameterDescriptor:
-    """Return the descriptor of a parameter; what it has no field for is said in its constraints."""
+    """Return the descriptor of a parameter; `additional_constraints` holds the limits that have no field."""
     constraints = []
     descriptor = ParameterDescriptor(
         name=entry.name, type=_TYPES[entry.kind].value, description=entry.description, read_only=not entry.live
@@ -233,14 +231,14 @@ def describe(entry: Parameter) -> ParameterDescriptor:
 
 
 class LiveParameters:
-    """Lets parameters be set while the cloth runs: checked at once, in force with the next frame.
+    """Changes of parameters at run time: validated at once, effective with the next frame.
 
     Args:
-        node: whose parameters.
-        scene: in force.
-        change: called with what was set, flat names and values; must not refuse it any more.
-        check: refuses a change, flat names and values, and the scene that it makes, with ValueError or RuntimeError.
-        turn: held meanwhile: an executor of several threads, or another thread, may set parameters beside frames.
+        node: the node that owns the parameters.
+        scene: the scene in force.
+        change: called with the accepted values by name; must not refuse them.
+        check: raises ValueError or RuntimeError to refuse a change; takes the values by name and the resulting scene.
+        lock: held during each change, because other threads may set parameters while a frame runs.
     """
 
     def __init__(
@@ -255,22 +253,22 @@ class LiveParameters:
         self._change = change
         self._check = check
         self._turn = turn
-        # With what was set and waits for its frame, so that two changes in one frame are checked together.
+        # Includes accepted values that wait for their frame, so that two changes before a frame are checked together.
         self._accepted = scene
-        # What was judged last, and the scene that it makes: not built twice.
+        # The last validated values and their scene, so that it is not built twice.
         self._judged: tuple[dict[str, Any], Scene] = ({}, scene)
         self._returning = False
-        # Another callback may refuse what this one accepts: only what is set in the end is taken over.
+        # Another callback may still refuse a change: only values that were set are applied.
         node.add_on_set_parameters_callback(self._judge)
         node.add_post_set_parameters_callback(self._take_over)
 
     @property
     def accepted(self) -> Scene:
-        """The scene as the parameters show it: in force, or with the next frame."""
+        """The scene of the present parameters, in force now or from the next frame on."""
         return self._accepted
 
     def return_to(self, scene: Scene) -> None:
-        """Show the values of a scene: a change that was accepted could not take effect after all."""
+        """Set the parameters to the values of a scene, because an accepted change could not take effect."""
         before, now = self._accepted.parameters(), scene.parameters()
         gone = self._accepted.entries
         remaining = {entry.name for entry in scene.entries}
@@ -332,18 +330,18 @@ class LiveParameters:
 
     @property
     def _passes(self) -> bool:
-        """Whether what is set changes nothing of the scene."""
+        """True while parameters are set without an effect on the scene."""
         return self._returning or (isinstance(self._node, SceneNode) and self._node.declaring)
 
     def _values(self, changes: Sequence[RosParameter]) -> dict[str, Any]:
-        # Those of single grippers and new obstacles are known by their names.
+        # Parameters of single grippers and new obstacles are recognised by their names.
         names = [change.name for change in changes]
         known = {entry.name for entry in Scene.declared_for([*self._accepted.parameters(), *names])}
         return {change.name: _plain(change.value) for change in changes if change.name in known}
 
 
 def _warn_of_unknown(node: Node, scene: Scene, known: Sequence[str]) -> None:
-    """Warn of overrides that nothing looks at: a typing error in a parameter file is easily overlooked."""
+    """Warn of overrides without effect, such as typing errors in a parameter file."""
     names = node.list_parameters([], 0).names
     full, resolve = node.get_fully_qualified_name(), node.resolve_topic_name
     looked_at = {Override(resolve(topic), kind, policy).name for kind, topic, policy in overridable(scene)}

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The node in a process of its own, from its arguments until a signal asks it to stop."""
+"""Process of the node, from its arguments to the signal that stops it."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ _BAD_NAMES = (
     InvalidParameterException,
     InvalidTopicNameException,
 )
-#: rclpy raises these from a broken message of a type that it takes itself (/clock, a parameter request); they have no
-#: public name.
+#: Errors that rclpy raises for a malformed message of a type that it takes itself (/clock, parameter requests). They
+#: have no public name.
 _TAKING_FAILED = ("RCLError", "RMWError")
 
 
@@ -46,15 +46,15 @@ def run(argv: Sequence[str], signals: StopSignals) -> int:
     """Run the node.
 
     Args:
-        argv: the command line, the command itself included.
-        signals: installed.
+        argv: the command line, including the command.
+        signals: the installed signal handlers.
 
     Returns:
-        Exit status: 0 when stopped by a signal, 1 if it could not start, its recording could not be closed, or a frame
-        failed and `on_failure` is `exit`.
+        Exit status: 0 if a signal stopped the node; 1 if it could not start, its recording could not be closed, or a
+        frame failed and `on_failure` is `exit`.
     """
     aside = Aside(signals.name)
-    # Until the node has joined the graph; processes that start later find the environment as it was.
+    # In force until the node has joined the graph; later child processes get the original environment.
     joining = contextlib.ExitStack()
     try:
         warning = joining.enter_context(cloud_transports(command_line_parameters(argv)))
@@ -73,7 +73,7 @@ def run(argv: Sequence[str], signals: StopSignals) -> int:
 
 def _run(argv: Sequence[str], signals: StopSignals, aside: Aside, joining: contextlib.ExitStack, warning: str) -> int:
     try:
-        # Aside, so that a signal interrupts nothing but our waiting: an exception amid rclpy's callbacks would be lost.
+        # In the worker thread: a signal interrupts only the wait, because exceptions in rclpy's callbacks are lost.
         cloth = aside.run(lambda: ClothNode(aside=aside.run, stopped=signals.name))
         joining.close()
     except StopRequestedError:
@@ -90,13 +90,13 @@ def _run(argv: Sequence[str], signals: StopSignals, aside: Aside, joining: conte
     started = failed = False
     try:
         cloth.warm_up()
-        # What the compiler and other libraries keep for good need not be gone through again: a garbage collection would
-        # hold up a frame by some tens of milliseconds now and then.
+        # Exclude the permanent objects of libraries from garbage collection, which would delay frames by tens of
+        # milliseconds.
         gc.collect()
         gc.freeze()
         cloth.start()
         started = True
-        # After the first frame began: to read a file a second time takes a while.
+        # After the start, because reading a file a second time takes a while.
         for sentence in unused_files(argv, node=cloth.node.get_fully_qualified_name()):
             cloth.node.get_logger().warning(sentence)
         _spin(cloth, signals)
@@ -130,13 +130,13 @@ def _spin(cloth: ClothNode, signals: StopSignals) -> None:
         except ExternalShutdownException:
             return
         except StopRequestedError:
-            # While it waited for a frame to end.
+            # Raised while waiting for the end of a frame.
             break
         except RuntimeError as error:
             if type(error).__name__ not in _TAKING_FAILED:
                 raise
             log.error("take", f"a message could not be taken and is left out: {error}")
-    # Frames have nothing to say any more.
+    # Frames must log nothing after the next line.
     cloth.stop()
     cloth.node.get_logger().info(f"{signals.name()}: stopping")
 

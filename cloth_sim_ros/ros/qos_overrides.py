@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Overrides of the quality of service of a topic that the node publishes or subscribes to."""
+"""Quality-of-service profiles of the node's topics with their overrides."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from cloth_sim_ros.ros.qos_rules import POLICIES, PUBLISHER, Override, faults
 from cloth_sim_ros.scene.parameters import Faults
 
-#: What rclpy declares as parameters of each topic.
+#: Policies that rclpy declares as parameters of each topic.
 OPTIONS = QoSOverridingOptions([QoSPolicyKind[policy.upper()] for policy in POLICIES])
 
 _ENUMS: dict[str, Any] = {
@@ -24,23 +24,23 @@ _ENUMS: dict[str, Any] = {
 
 
 def override_names(node: Node, topic: str, *, endpoint_kind: str = PUBLISHER) -> list[str]:
-    """Return the names of the overrides that a publisher or subscription of a topic looks at, after remapping."""
+    """Return the names of the override parameters of a topic's publisher or subscription, after remapping."""
     return [Override(node.resolve_topic_name(topic), endpoint_kind, policy).name for policy in POLICIES]
 
 
 def overridden_profile(node: Node, topic: str, qos: QoSProfile, *, endpoint_kind: str = PUBLISHER) -> QoSProfile:
-    """Return a profile of a topic's own, with its overrides: rclpy writes them into the very object that it is given.
+    """Return a new profile of a topic with its overrides; rclpy would write them into the object that it is given.
 
-    They are judged here, because rclpy's errors about them name no parameter.
+    Overrides are validated here, because rclpy's errors name no parameter.
 
     Args:
-        node: whose topic.
-        topic: before remapping.
-        qos: the defaults; stays as it is.
+        node: the node that owns the topic.
+        topic: its name before remapping.
+        qos: the defaults; not modified.
         endpoint_kind: one of `qos_rules.ENDPOINT_KINDS`.
 
     Raises:
-        ParameterError: names each parameter, its value and what is allowed.
+        ParameterError: names each invalid parameter, its value and the allowed ones.
     """
     names = override_names(node, topic, endpoint_kind=endpoint_kind)
     overrides = {

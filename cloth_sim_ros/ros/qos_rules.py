@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters that override quality of service: their names and values, judged without ROS."""
+"""Names and values of the parameters that override quality of service, validated without ROS."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ if TYPE_CHECKING:
     from cloth_sim_ros.scene.scene import Scene
 
 PUBLISHER, SUBSCRIPTION = ENDPOINT_KINDS = ("publisher", "subscription")
-#: Values of each policy that has words for values, in rclpy's order.
+#: Named values of each policy, in rclpy's order.
 _WORDS = {
     "reliability": ("system_default", "reliable", "best_effort", "best_available"),
     "history": ("system_default", "keep_last", "keep_all"),
     "durability": ("system_default", "transient_local", "volatile", "best_available"),
 }
-#: Parts of a profile that may be overridden.
+#: Policies of a profile that may be overridden.
 POLICIES = (*_WORDS, "depth")
-#: Deepest queue that a middleware takes: the length has 32 bits there.
+#: Largest depth of a queue: the middleware's length has 32 bits.
 _DEEPEST = 2**31 - 1
 
 
 @attrs.frozen
 class Override:
-    """The name of an override, taken apart."""
+    """The parts of an override's parameter name."""
 
     topic: str
     #: One of ENDPOINT_KINDS.
@@ -39,7 +39,7 @@ class Override:
 
     @property
     def endpoint(self) -> str:
-        """The beginning of the name, the same for all policies."""
+        """The prefix of the name that all policies share."""
         return f"{PROFILES}{self.topic}.{self.endpoint_kind}"
 
     @property
@@ -49,7 +49,7 @@ class Override:
 
 
 def topics_of(scene: Scene) -> dict[str, list[str]]:
-    """Return the topics of a scene's node whose profiles may be overridden, by endpoint_kind."""
+    """Return the topics of a scene's node with overridable profiles, by endpoint kind."""
     out = ["~/points", "~/topology", "~/mesh", "~/state", "~/clock", "/diagnostics", "/tf"]
     out += [f"~/{name}/{leaf}" for name in scene.gripper_names for leaf in ("wrench", "state")]
     out += ["~/obstacles"] if scene.described or scene.pinching else []
@@ -60,7 +60,7 @@ def topics_of(scene: Scene) -> dict[str, list[str]]:
 
 
 def overridable(scene: Scene) -> Iterator[tuple[str, str, str]]:
-    """Yield the kind of endpoint, topic before remapping, and policy of each override that a scene's node looks at."""
+    """Yield endpoint kind, topic before remapping, and policy of each override that a scene's node reads."""
     for endpoint_kind, topics in topics_of(scene).items():
         for topic in topics:
             for policy in POLICIES:
@@ -68,7 +68,7 @@ def overridable(scene: Scene) -> Iterator[tuple[str, str, str]]:
 
 
 def read_name(name: str) -> Override | None:
-    """Return the parts of an override's name; None if it is none, or of a policy that can't be overridden."""
+    """Return the parts of an override's name; None if the name is no override or its policy is not overridable."""
     if not name.startswith(PROFILES):
         return None
     topic, _, end = name.removeprefix(PROFILES).rpartition(".")
@@ -79,11 +79,11 @@ def read_name(name: str) -> Override | None:
 
 
 def faults(values: Mapping[str, Any], defaults: Mapping[str, str] | None = None) -> Iterator[str]:
-    """Yield a sentence for each override whose value, or whose combination with others, is senseless.
+    """Yield a sentence for each override with an invalid value or an invalid combination with others.
 
     Args:
-        values: parameters by full name; those that are no overrides are passed over.
-        defaults: words of the policies that are not overridden, where they are known.
+        values: parameters by full name; other parameters are ignored.
+        defaults: values of the policies that are not overridden, if they are known.
     """
     endpoints: dict[str, dict[str, str]] = {}
     for name, value in values.items():
@@ -97,24 +97,24 @@ def faults(values: Mapping[str, Any], defaults: Mapping[str, str] | None = None)
         policies = {**(defaults or {}), **chosen}
         if policies.get("reliability") == "best_effort" and policies.get("durability") == "transient_local":
             yield (
-                f"{endpoint} has reliability best_effort and durability transient_local; what is published by best "
-                "effort is not repeated for those who come later: take reliable, or durability volatile"
+                f"{endpoint} has reliability best_effort and durability transient_local; best effort does not repeat "
+                "messages for late subscribers: set reliability reliable or durability volatile"
             )
 
 
 def foreign_owners(names: Iterable[str], topics: Iterable[str], node: str) -> dict[str, list[str]]:
-    """Return the overrides that are of another node's topics, as in a parameter dump of it, by that node's full name.
+    """Return the overrides of other nodes' topics, as in their parameter dumps, by the full name of the node.
 
     Args:
-        names: of overrides that this node does not look at.
-        topics: of this node, by full name.
-        node: its full name.
+        names: names of overrides that this node does not read.
+        topics: full names of this node's topics.
+        node: the full name of this node.
     """
     leaves = [topic.removeprefix(node) for topic in topics if topic.startswith(f"{node}/")]
     owned: dict[str, list[str]] = {}
     for name in names:
         topic = override.topic if (override := read_name(name)) is not None else ""
-        # The longest leaf leaves the shortest name of a node: that of ~/left/wrench, not that of a node 'left'.
+        # The longest leaf gives the shortest node name: ~/left/wrench belongs to this leaf, not to a node 'left'.
         owners = sorted((topic.removesuffix(leaf) for leaf in leaves if topic.endswith(leaf)), key=len)
         if owners and owners[0] not in ("", node):
             owned.setdefault(owners[0], []).append(name)
@@ -122,7 +122,7 @@ def foreign_owners(names: Iterable[str], topics: Iterable[str], node: str) -> di
 
 
 def _wrong(override: Override, value: Any) -> str:
-    """Return what a policy's value must be; empty if it is."""
+    """Return the allowed values of a policy if a value is invalid; otherwise an empty text."""
     if override.policy == "depth":
         right = isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _DEEPEST
         waits = "for slow subscribers" if override.endpoint_kind == PUBLISHER else "for the node"

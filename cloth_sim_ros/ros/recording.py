@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recording of what the node publishes and hears: frames, bytes and snapshots, handed to the session's recorder."""
+"""Recording of frames, messages and snapshots of one node into a session."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ if TYPE_CHECKING:
 
 _NO_MEMORY = "no memory is left"
 _FRAME_TYPE = "std_msgs/msg/String"
-#: Libraries that a recording's compression takes.
+#: Libraries of each compression.
 _COMPRESSION = {"none": (), "lz4": ("lz4.frame",), "zstd": ("zstandard",)}
 
 
 class RecordingUnavailableError(RuntimeError):
-    """Nothing can be recorded; the message says why."""
+    """Recording is not possible; the message says why."""
 
 
 class RecordingNotInstalledError(RecordingUnavailableError):
-    """The libraries that recording needs are not there."""
+    """The libraries for recording are not installed."""
 
 
 class SessionRecording:
-    """One node's recording: at most one at a time, begun and ended at frame boundaries.
+    """Recordings of one node: at most one at a time, started and ended at frame boundaries.
 
     Args:
         node_name: the node's full name, e.g. ``/cloth_sim``.
-        simulation: what is recorded.
-        settings: how and where to, asked for when a recording begins; by default what is in force in the simulation.
+        simulation: the recorded simulation.
+        settings: returns the settings when a recording starts; by default those in force in the simulation.
     """
 
     def __init__(
@@ -56,23 +56,23 @@ class SessionRecording:
         self._closing: Recorder | None = None
         self._last: RecorderStatus | None = None
         self._told: list[Callable[[RecorderStatus], None]] = []
-        #: What a frame under way records; None between frames.
+        #: Records of the running frame; None between frames.
         self._held: list[Callable[[Recorder], object]] | None = None
-        #: Why nothing can be recorded at all, once that was tried; else empty.
+        #: The missing library if a recording failed to start because of it; otherwise empty.
         self.missing = ""
 
     @property
     def running(self) -> bool:
-        """Whether messages are recorded."""
+        """True while messages are recorded."""
         return self._recorder is not None
 
     @property
     def busy(self) -> bool:
-        """True while a recording runs or the one before is still being closed."""
+        """True while a recording runs or the previous one is still being closed."""
         return self._recorder is not None or self._closing is not None
 
     def prepare(self) -> None:
-        """Load what recording needs, so that no frame is late because of it; nothing where it is not installed."""
+        """Load the libraries for recording, if they are installed, so that they do not delay a frame."""
         try:
             self._check_libraries()
         except RecordingNotInstalledError:
@@ -82,22 +82,23 @@ class SessionRecording:
         layouts.describe(_FRAME_TYPE)
 
     def begin(self, stamp: int) -> None:
-        """Begin a recording with a snapshot, at a ROS time [ns]; its file is made in the background, see `status`.
+        """Start a recording with a snapshot at a ROS time [ns]. Its file is created in the background, see `status`.
 
         Raises:
-            RecordingNotInstalledError: if the libraries for it are missing.
-            RecordingUnavailableError: if one runs already, the folder has no place, or memory, threads, files run out.
+            RecordingNotInstalledError: if its libraries are missing.
+            RecordingUnavailableError: if a recording runs already, the folder can't be used, or memory, threads or
+                files run out.
         """
         if self._recorder is not None:
             raise RecordingUnavailableError(f"recording already, into {self._recorder.status().path}")
         if self._closing is not None:
-            raise RecordingUnavailableError("the recording before is still being closed; ask again")
+            raise RecordingUnavailableError("the previous recording is still being closed; try again")
         try:
             self._recorder = self._new_recorder(stamp)
         except (OSError, MemoryError) as error:
             reason = getattr(error, "strerror", None) or _NO_MEMORY
             raise RecordingUnavailableError(
-                f"cannot begin to record: {reason}; end other processes, or raise this one's limits (ulimit -a)"
+                f"cannot start recording: {reason}; end other processes, or raise this one's limits (ulimit -a)"
             ) from error
 
     def _new_recorder(self, stamp: int) -> Recorder:
@@ -117,9 +118,9 @@ class SessionRecording:
             raise RecordingUnavailableError(str(error)) from error
 
     def _check_libraries(self) -> None:
-        """Import the libraries that recording needs.
+        """Import the libraries for recording.
 
-        The session's modules import them late, in the recorder's thread, where a missing one could not be reported.
+        The session's modules import them late, in the recorder's thread, which could not report a missing one.
 
         Raises:
             RecordingNotInstalledError: if one of them is missing.
@@ -138,7 +139,7 @@ class SessionRecording:
         """Wait until the file exists, and return its path.
 
         Raises:
-            RecordingUnavailableError: if it can't be made; nothing is recorded then.
+            RecordingUnavailableError: if the file can't be created; then nothing is recorded.
         """
         from cloth_sim_ros.session.errors import RecordingError
 
@@ -150,16 +151,16 @@ class SessionRecording:
             raise RecordingUnavailableError(str(error)) from error
 
     def status(self) -> RecorderStatus | None:
-        """What the recording does, or how the last one ended; None if there was none."""
+        """Return the status of the present or the last recording; None before the first."""
         recorder = self._recorder or self._closing
         return recorder.status() if recorder is not None else self._last
 
     def tell(self, listener: Callable[[RecorderStatus], None]) -> None:
-        """Have a listener told, once, when the recording just begun has its file, or the one ended is closed."""
+        """Call a listener once, when the file of a started recording exists or that of an ended one is closed."""
         self._told.append(listener)
 
     def poll(self) -> str:
-        """Tell listeners what they wait for; return what went wrong with the recording, once, else an empty text."""
+        """Call the listeners if their event has come; return an error of the recording once, or an empty text."""
         recorder = self._recorder or self._closing
         if recorder is None:
             return ""
@@ -179,10 +180,10 @@ class SessionRecording:
         return reason
 
     def end_soon(self, *, reason: str = "stopped") -> None:
-        """Let what is recorded be written and the file be closed, without waiting for it; see `tell`.
+        """Close the file in the background; `notify` reports its end.
 
         Raises:
-            RecordingUnavailableError: if nothing is being recorded.
+            RecordingUnavailableError: if no recording runs.
         """
         if self._recorder is None:
             raise RecordingUnavailableError("nothing is being recorded")
@@ -190,7 +191,7 @@ class SessionRecording:
         self._recorder, self._closing = None, self._recorder
 
     def end(self, *, reason: str, timeout: float) -> RecorderStatus | None:
-        """Close the recording, if there is one, within a time [s], and return how it went."""
+        """Close the recording, if one runs, within a time [s], and return its final status."""
         recorder = self._recorder or self._closing
         if recorder is None:
             return None
@@ -199,7 +200,7 @@ class SessionRecording:
         return self._last
 
     def before_frame(self, stamp: int) -> None:
-        """Go on in a new file where the present one has reached its limit; without memory for that, end here."""
+        """Start a new file if the present one has reached its size limit; end the recording if memory runs out."""
         if self._recorder is not None and self._recorder.wants_split:
             try:
                 snapshot = self._snapshot()
@@ -210,14 +211,14 @@ class SessionRecording:
         self._held = []
 
     def commit(self) -> None:
-        """Record what a frame had to record: it succeeded."""
+        """Write the records of a frame that succeeded."""
         held, self._held = self._held, None
         if self._recorder is not None:
             for record in held or ():
                 record(self._recorder)
 
     def discard(self) -> None:
-        """Forget what a frame had to record: it failed."""
+        """Drop the records of a frame that failed."""
         self._held = None
 
     def add(self, topic: str, kind: Any, data: bytes, *, stamp: int, qos: QoSProfile, droppable: bool) -> None:
@@ -226,7 +227,7 @@ class SessionRecording:
             self._put(topic, _type_name(kind), data, log_time=stamp, droppable=droppable, qos=_session_qos(qos))
 
     def add_frame(self, frame: Frame, stamp: int, extras: dict[str, Any]) -> None:
-        """Record what a frame did, before the messages that show it."""
+        """Record a frame at a ROS time [ns], before its messages."""
         if self._recorder is None:
             return
         from cloth_sim_ros.session.cdr import encode_string
@@ -256,10 +257,10 @@ class SessionRecording:
             self._held.append(lambda recorder: recorder.record(*message, **options))
 
     def save_state(self) -> Path:
-        """Write the cloth's state into the folder for recordings, and return the file.
+        """Write the cloth's state into the recording folder, and return the file.
 
         Raises:
-            RecordingUnavailableError: if it can't be written; the message says why, and the remedy.
+            RecordingUnavailableError: if the file can't be written; the message has the cause and the remedy.
         """
         from cloth_sim_ros.session.errors import RecordingError
         from cloth_sim_ros.session.storage import AppendFile, make_folder, remove_leftovers
@@ -291,7 +292,7 @@ class SessionRecording:
         return path
 
     def _stem(self) -> str:
-        """Return what files' names begin with."""
+        """Return the prefix of file names."""
         return self._node_name.strip("/").replace("/", "_")
 
     def _options(self) -> RecorderOptions:
@@ -321,10 +322,10 @@ class SessionRecording:
 
 
 def _folder(settings: RecordSettings) -> Path:
-    """Return the folder for recordings; it need not be there.
+    """Return the recording folder, which need not exist.
 
     Raises:
-        RecordingUnavailableError: if it is in the home folder of someone who has none.
+        RecordingUnavailableError: if it is in the home folder of a user without one.
     """
     try:
         return Path(settings.folder).expanduser()
@@ -335,11 +336,11 @@ def _folder(settings: RecordSettings) -> Path:
 
 
 def tell_end(logger: Any, status: RecorderStatus) -> None:
-    """Say how a recording ended."""
+    """Log the end of a recording."""
     if status.state == "closed":
         logger.info(f"recorded {counted(status.messages, 'message')}, {status.bytes_written} bytes, into {status.path}")
     else:
-        logger.error(f"the recording did not end well: {status.error}")
+        logger.error(f"the recording failed: {status.error}")
 
 
 def _type_name(kind: Any) -> str:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Begin and end of recordings: at the node's start and end, by ~/record, around a failure."""
+"""Start and end of recordings: with the node, by ~/record, and around a failure."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 
 class RecordingControl:
-    """Begins and ends the recordings of one node.
+    """Starts and ends the recordings of one node.
 
     Args:
         node: the node.
-        recording: what records.
-        overheard: records /rosout and /parameter_events.
-        latched: record what was published once, at a ROS time [ns].
-        refusal: returns why no recording may begin, empty if one may.
+        recording: the recording.
+        log_recorder: records /rosout and /parameter_events.
+        latched: functions that record latched messages at a ROS time [ns].
+        refusal: returns why no recording may start; empty if one may.
     """
 
     def __init__(
@@ -46,15 +46,15 @@ class RecordingControl:
         self._resumes = False
 
     def begin_with_node(self, now: int) -> None:
-        """Begin at the node's start, at a ROS time [ns], and wait for the file.
+        """Start a recording with the node at a ROS time [ns], and wait for its file.
 
         Raises:
-            RecordingUnavailableError: if the recording can't begin, though its libraries are there.
+            RecordingUnavailableError: if the recording can't start although its libraries are installed.
         """
         try:
             self._recording.begin(now)
         except RecordingNotInstalledError as error:
-            # A robot that lacks the libraries has its cloth all the same.
+            # The node runs without the libraries too.
             self._node.get_logger().error(f"nothing is recorded: {error}")
             return
         self._log_recorder.listen()
@@ -62,7 +62,7 @@ class RecordingControl:
         self._node.get_logger().info(f"recording into {path}")
 
     def switch(self, begin: bool, answer: Callable[[bool, str], None]) -> None:
-        """Begin or end a recording, and answer whether that went well and what came of it."""
+        """Start or end a recording, and answer with success and a message."""
         self._node.get_logger().debug(f"~/record: {'begins' if begin else 'ends'} a recording")
         try:
             if begin:
@@ -84,7 +84,7 @@ class RecordingControl:
                 self._node.get_logger().info(f"recording into {status.path}")
             elif status.state == "closed":
                 tell_end(self._node.get_logger(), status)
-            # Why it failed, the housekeeping logs, whether or not somebody waits for an answer.
+            # The node's maintenance logs the error of a failed recording.
             success = status.state == ("recording" if begin else "closed")
             ended = f"{status.path} was closed before it was open"
             answer(success, status.error or (str(status.path) if success else ended))
@@ -92,7 +92,7 @@ class RecordingControl:
         self._recording.tell(finish)
 
     def fail(self, reason: str, _stamp: int) -> None:
-        """End the recording, if there is one, with the reason of a failure; another one begins after the reset."""
+        """End the recording, if one runs, with the reason of a failure; `resume` starts another after the reset."""
         self._recording.discard()
         if self._recording.running:
             self._resumes = True
@@ -100,18 +100,18 @@ class RecordingControl:
             self._recording.tell(lambda status: tell_end(self._node.get_logger(), status))
 
     def follow(self) -> None:
-        """Begin the recording that a failure ended, once the node has recovered; call it now and then."""
+        """Start a new recording after a failure ended one and the node has recovered. Call it periodically."""
         if self._resumes and not self._refusal() and not self._recording.busy:
             self._resumes = False
             self.switch(True, self._log_resumption)
 
     def _log_resumption(self, success: bool, message: str) -> None:
-        # A further failure ended it, and is logged itself; the next reset begins another one.
+        # A further failure ended it and is logged itself; the next reset starts another recording.
         if not success and not self._resumes:
             self._node.get_logger().error(f"nothing is recorded after the failure: {message}")
 
     def end(self, *, timeout: float) -> bool:
-        """End the recording with the node, within a time [s]; return whether all of it is in its file."""
+        """End the recording with the node, within a time [s]; return true if its file is complete."""
         status = self._recording.end(reason="node stopped", timeout=timeout)
         if status is not None:
             tell_end(self._node.get_logger(), status)

@@ -1,8 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What gives way where the machine is too slow: the tolerance, within bounds, where it is what makes frames dear.
+"""Tolerance governor: relaxes the tolerance while frames overrun and accuracy limits the step.
 
-Here alone a measured time decides over what is computed, and so the decision is an event, recorded as any other.
+The tolerance grows at most tenfold, and to at most 1 cm. Only here does a measured time influence the computation.
+Therefore each change is an event and is recorded.
 """
 
 from __future__ import annotations
@@ -17,26 +18,26 @@ from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.simulation.events import Relax
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
-#: A judgement is over at least so much time [s], and so many frames.
+#: Smallest length of a window: time [s], and frames.
 WINDOW, FEWEST = 0.5, 5
-#: Share of the period that the middle one of a window's frames takes: above the first the machine is too slow, below
-#: the second there is room, also for what half the tolerance costs (1.4 times the steps at order 2).
+#: Bounds of the load, the median frame time over the period. Above the first the machine is too slow. Below the second
+#: it has reserves, enough for half the tolerance (1.4 times the steps at order 2).
 BUSY, ROOMY = 0.9, 0.5
-#: Factor of one relaxation, and of tightening.
+#: Factor of one relaxation, and of one tightening.
 STEP = 2.0
-#: Windows with room before the tolerance is tightened. Twice as many whenever that turned out to be too early.
+#: Number of windows at low load before the tolerance is tightened, and its bound; doubled after a premature tightening.
 PATIENCE, MOST_PATIENCE = 4, 64
-#: With so many times the steps that stability asks for it is the tolerance that they are taken for.
+#: Ratio to the number of steps for stability above which accuracy limits the step.
 _MORE = 1.1
 
 
 class Relief:
-    """Follows the time that frames take, and relaxes the tolerance or tightens it again.
+    """Measures frame times, and relaxes or tightens the tolerance.
 
     Args:
-        simulation: the cloth; its scene's `overload` says whether anything is to be done.
-        log: told of every change.
-        live: whether frames are due by wall time; where they follow /clock there is no real time to be held.
+        simulation: the cloth; the governor is active if its parameter `overload` is `relax`.
+        log: receives every change.
+        is_live: true if frames are due by wall time; with /clock there is no deadline.
     """
 
     def __init__(self, simulation: Simulation, log: ThrottledLog, *, live: bool = True) -> None:
@@ -56,7 +57,7 @@ class Relief:
         return self.live and self._simulation.scene.overload == "relax"
 
     def events(self) -> list[Relax]:
-        """Return what the next frame begins with."""
+        """Return the events at the start of the next frame."""
         factor = relaxation.factor_of(self._simulation.state)
         if not self._active and factor != 1.0:
             self._begin_window()
@@ -66,7 +67,7 @@ class Relief:
         return [] if wanted is None or wanted == factor else [Relax(wanted)]
 
     def add(self, frame: Frame, seconds: float) -> None:
-        """Take note of a frame that took some wall time [s]."""
+        """Add a frame with its wall time [s]."""
         if not self._active or not frame.moved or frame.advance is None:
             return
         period = self._simulation.scene.period
@@ -79,7 +80,7 @@ class Relief:
         self._judge(load, frame.advance)
 
     def describe(self) -> dict[str, str]:
-        """Return the tolerance that was set, that in force, and why, for diagnostics."""
+        """Return the set tolerance, the one in force, and the reason, for diagnostics."""
         scene = self._simulation.scene
         held = bool(scene.tolerance) and not scene.step
         factor = relaxation.factor_of(self._simulation.state)
@@ -96,7 +97,7 @@ class Relief:
 
     def _judge(self, load: float, advance: Advance) -> None:
         factor = relaxation.factor_of(self._simulation.state)
-        took = f"frames take {100.0 * load:.0f} % of their time"
+        took = f"frames take {100.0 * load:.0f} % of their period"
         if load > BUSY:
             self._relieve(factor, took, advance)
             return
@@ -113,9 +114,9 @@ class Relief:
             return
         more = min(STEP * factor, relaxation.MOST_FACTOR)
         if relaxation.relaxed(scene.tolerance, more) == relaxation.relaxed(scene.tolerance, factor):
-            self._say(f"{took}, and the tolerance is relaxed as far as may be: frames come late")
+            self._say(f"{took}, and the tolerance is at its limit: frames come late")
         elif not accuracy_binds(advance, scene.period):
-            self._say(f"{took}, but stability sets the steps: a larger tolerance would buy nothing, frames come late")
+            self._say(f"{took}, but stability limits the step: a larger tolerance would not help, frames come late")
         else:
             if self._tightened:
                 self._patience = min(2 * self._patience, MOST_PATIENCE)
@@ -139,6 +140,11 @@ class Relief:
 
 
 def accuracy_binds(advance: Advance, duration: float) -> bool:
-    """Whether a frame of some length [s] took more steps than stability, or one step a frame, asks for."""
+    """Return true if a frame took more steps than stability, or one step a frame, requires.
+
+    Args:
+        advance: the steps of the frame.
+        duration: simulated time of the frame [s].
+    """
     longest = min(CONSTANTS.safety * advance.limit, duration)
     return advance.steps > _MORE * steps_for(duration, longest)

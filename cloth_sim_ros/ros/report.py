@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the node has to say of itself: level, summary and values of its diagnostics."""
+"""Diagnostics of the node: level, summary and values."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Said = tuple[bytes, str, dict[str, str]]
 
 
 def introduction(simulation: Simulation, *, follows_clock: bool) -> str:
-    """What a node says at its start."""
+    """Return the node's first log line."""
     scene, count = simulation.scene, simulation.state.particle_count
     names = f"grippers: {', '.join(scene.gripper_names) or 'none'}"
     if scene.obstacle_names:
@@ -48,34 +48,34 @@ def log_start(logger: RcutilsLogger, simulation: Simulation, *, follows_clock: b
 
 @attrs.define
 class Latest:
-    """How the newest frame went."""
+    """Outcome of the newest frame."""
 
-    #: Why time is stopped; empty while it goes on.
+    #: The reason if time is stopped; otherwise empty.
     failure: str = ""
     #: Exception of a frame that failed; empty unless the node is in the state `failed`.
     exception: str = ""
-    #: What the integrator did in the newest frame in which time passed; None before the first.
+    #: Steps of the newest frame in which time advanced; None before the first.
     advance: Advance | None = None
 
     def clear_exception(self) -> None:
-        """Forget the exception: the node has recovered."""
+        """Clear the exception after the node has recovered."""
         self.exception = ""
 
 
 class Report:
-    """Collects what there is to say.
+    """Collects level, summary and values for /diagnostics.
 
     Args:
-        node: for its name, and who shares it.
+        node: the node.
         simulation: the cloth.
-        latest: how the newest frame went.
+        latest: outcome of the newest frame.
         tally: counts of frames.
         commands: counts of commands.
         outputs: counts of clouds.
-        recording: its state.
-        further: values of others, by name.
-        user_paused: whether the user paused the cloth; the simulation is paused while /clock stands as well.
-        clock: level and summary while /clock does not move, None while it does or is not followed.
+        recording: the recording.
+        additional: returns further values by name.
+        user_paused: returns true if the user paused the cloth; a standing /clock pauses the simulation too.
+        clock: returns level and summary while /clock does not advance; None while it does or is not followed.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class Report:
         self._namesakes = False
 
     def __call__(self, wanted: bool = True) -> Said:
-        """Return what is so now; the strain is not measured where nobody will read it."""
+        """Return the present report; the strain is measured only if a subscriber or a recording takes the report."""
         period = self._simulation.scene.period
         rates = self._tally.report(period)
         values = {
@@ -174,9 +174,9 @@ class Report:
         return values
 
     def look_for_namesakes(self) -> None:
-        """Warn once when another node has this one's name: services and parameters would reach either of them.
+        """Warn once if another node has the same name: services and parameters would reach either of them.
 
-        Not part of a report: the last one is made while the node stops, when nobody can act on a warning any more.
+        Separate from the report, because the last report is made while the node stops.
         """
         own = (self._node.get_name(), self._node.get_namespace())
         found = self._node.get_node_names_and_namespaces().count(own) > 1

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The node's services. What changes the cloth is queued like any event, and answered after the frame it changed."""
+"""Services of the node.
+
+Requests that change the cloth are queued as events and answered after their frame.
+"""
 
 from __future__ import annotations
 
@@ -22,25 +25,25 @@ from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, Step
 from cloth_sim_ros.simulation.grippers import GraspResult
 from cloth_sim_ros.simulation.simulation import Frame
 
-#: How long a service waits for the frame that it asked for before it says that none is due [s].
+#: Longest wait of a request for its frame [s].
 PATIENCE = 5.0
-#: How long one waits for pads that close before it says that they still do [s].
+#: Longest wait of a request for closing pads [s].
 CLOSING_PATIENCE = 30.0
 
 
 class Services:
-    """Services of one cloth, from `serve` on.
+    """Services of one cloth; `serve` creates them.
 
     Args:
         node: the node.
-        grippers: names.
-        queue: where events wait.
-        paused: whether time stands still.
-        record: begins (True) or ends a recording and tells a function whether that went well and what came of it.
+        grippers: names of the grippers.
+        queue: receives the events.
+        paused: returns true while time is paused.
+        record: starts (True) or ends a recording, and calls a function with success and a message.
         save_state: writes the state and returns its file, or raises RecordingUnavailableError.
-        seconds: a clock that never stops nor goes back [s].
-        turn: held by whoever works on the cloth: an executor of several threads runs services beside frames.
-        refusal: returns why nothing but a reset can be done, empty while all can.
+        seconds: monotonic clock [s].
+        lock: protects the cloth; with several executor threads, services run concurrently with frames.
+        refusal: returns why only a reset is possible; empty if all requests are.
     """
 
     def __init__(
@@ -66,12 +69,12 @@ class Services:
         self._seconds = seconds
         self._turn = turn
         self._waiting: list[tuple[float, Future]] = []
-        #: Of grippers whose pads close: which, since when, and who is told what became of it.
+        #: Grippers whose pads are closing: name, start time [s], and the future of the result.
         self._closing: list[tuple[str, float, Future]] = []
 
     def serve(self) -> None:
-        """Let the services be found: whoever finds one may rely on an answer."""
-        # A handler that waits for its frame must not keep the frame from being computed.
+        """Create the services. From then on every request is answered."""
+        # A request that waits for its frame must not block the frame.
         group = ReentrantCallbackGroup()
         for kind, name, handle in (
             (Trigger, "~/reset", self._on_reset),
@@ -87,25 +90,25 @@ class Services:
             )
 
     def give_up_waiting(self) -> None:
-        """Answer those that have waited too long for a frame; call it now and then."""
+        """Answer requests that have waited too long. Call it periodically."""
         now = self._seconds()
         for asked, future in self._waiting:
             if now - asked > PATIENCE and not future.done():
                 future.set_result(
                     Outcome(
                         frame=None,
-                        reason=f"no frame was due within {PATIENCE:g} s: /clock stands still; the next one does it",
+                        reason=f"no frame was due within {PATIENCE:g} s: /clock stands still; the next one applies it",
                     )
                 )
         self._waiting = [entry for entry in self._waiting if not entry[1].done()]
         for gripper, asked, future in self._closing:
             if now - asked > CLOSING_PATIENCE:
-                reason = f"its pads still close after {CLOSING_PATIENCE:g} s; ~/{gripper}/state tells when they hold"
+                reason = f"its pads still close after {CLOSING_PATIENCE:g} s; ~/{gripper}/state reports their grasp"
                 future.set_result(GraspResult(gripper, True, 0, reason))
         self._closing = [entry for entry in self._closing if not entry[2].done()]
 
     def show(self, frame: Frame) -> None:
-        """Answer those who wait for pads that came to rest in a frame, or never will."""
+        """Answer requests whose pads came to rest in a frame, or were opened or reset."""
         if not self._closing:
             return
         became = {grasp.gripper: grasp for grasp in frame.grasps}
@@ -122,13 +125,18 @@ class Services:
         self._closing = [entry for entry in self._closing if not entry[2].done()]
 
     def fail(self, reason: str, _stamp: int) -> None:
-        """Answer those who wait for pads to come to rest: a frame failed."""
+        """Answer the requests that wait for pads, because a frame failed."""
         closing, self._closing = self._closing, []
         for gripper, _, future in closing:
             future.set_result(GraspResult(gripper, True, 0, f"failed: {reason}"))
 
     async def _ask(self, event: Event, *, rest: Future | None = None) -> Outcome:
-        """Queue an event and wait for its frame; where it begins to close pads, `rest` is told what becomes of it."""
+        """Queue an event and wait for its frame.
+
+        Args:
+            event: the event.
+            rest: future of the result if the event starts to close pads.
+        """
         future: Future = Future()
 
         def answer(outcome: Outcome) -> None:
@@ -172,7 +180,7 @@ class Services:
             return _answered(response, outcome, "")
         if grasp.pending:
             grasp = await rest
-        # Closing on nothing did what was asked, and yet not what was wanted.
+        # Closing on nothing is no success.
         response.success = bool(grasp.held) if grasp.closed else True
         response.message = f"holds {counted(grasp.held, 'particle')}" + (f": {grasp.reason}" if grasp.reason else "")
         return response

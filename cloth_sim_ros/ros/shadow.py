@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The shadow: a process that runs windows of a second again, far finer, and says how far off the cloth was in them.
+"""Accuracy monitor: a worker process that integrates windows of a second again with finer steps.
 
-The node's timer takes hold of a state at a window's beginning and notes its events. The rest is a thread's work, here
-and there; where the shadow is behind, whole windows are left out and counted.
+The node keeps the state at the start of a window and its events. Threads send the windows and receive the errors. If
+the worker lags, whole windows are skipped and counted.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from cloth_sim_ros.simulation.simulation import Frame, Simulation
 _COMMAND = "cloth_sim_ros.verify.shadow"
 #: Length of a window [s].
 _WINDOW = 1.0
-#: How long a process that was killed may take to be gone [s].
+#: Longest wait for the end of a killed process [s].
 _PATIENCE = 1.0
 
 
 @attrs.frozen(eq=False)
 class _Job:
-    """A window."""
+    """A window: scene, start state, events and end state."""
 
     scene: Scene
     start: State
@@ -43,7 +43,7 @@ class _Job:
 
 
 class Shadow:
-    """Starts the process at once, without waiting for it."""
+    """Starts the worker process without waiting for it, sends it windows and collects their errors."""
 
     def __init__(self) -> None:
         self._jobs: queue.Queue[_Job | None] = queue.Queue(maxsize=1)
@@ -53,24 +53,24 @@ class Shadow:
         self._start: State | None = None
         self._events: list[tuple[Event, ...]] = []
         self._moved = 0
-        # Written by the threads, each by one of them, and read elsewhere.
+        # Each is written by one of the threads and read by others.
         self._ended = ""
         self._latest: dict[str, Any] = {}
         self._judged = self._not_kept = 0
         self._complaints: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._left_out = 0
-        #: A window is given when the one before is answered: a pipe would hold a minute of them.
+        #: A window is sent after the previous one was answered; a pipe would buffer a minute of them.
         self._ready = threading.Semaphore(1)
         threading.Thread(target=self._serve, name="accuracy", daemon=True).start()
 
     def before_frame(self, simulation: Simulation) -> None:
-        """Begin a window where none is open."""
+        """Start a window if none is open."""
         if self._start is None and not self._ended:
             self._scene, self._start = simulation.scene, simulation.state.share()
             self._events, self._moved = [], 0
 
     def after_frame(self, simulation: Simulation, frame: Frame) -> None:
-        """Note what happened; hand the window over where it is complete."""
+        """Add a frame to the window, and pass the window on when it is complete."""
         if self._start is None or self._scene is None or not (frame.moved or frame.events):
             return
         self._events.append(frame.events)
@@ -79,14 +79,14 @@ class Shadow:
             return
         job = _Job(self._scene, self._start, self._events, simulation.state.share())
         self._start = None
-        # One window waits for the process at most. If an older one still waits, the new one takes its place.
+        # At most one window waits for the process. A new one replaces an older one that still waits.
         with contextlib.suppress(queue.Empty):
             self._jobs.get_nowait()
             self._left_out += 1
         self._jobs.put_nowait(job)
 
     def describe(self, now: float) -> dict[str, str]:
-        """What there is to say, at a simulated time [s]."""
+        """Return the entries for diagnostics at a simulated time [s]."""
         latest = self._latest
         state = self._ended or ("running" if latest else "starting")
         values = {
@@ -108,7 +108,7 @@ class Shadow:
         return values
 
     def complaints(self) -> list[str]:
-        """What was found wrong since this was asked last."""
+        """Return and clear the warnings since the last call."""
         found = []
         while not self._complaints.empty():
             found.append(self._complaints.get_nowait())
@@ -122,14 +122,14 @@ class Shadow:
             process.kill()
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(_PATIENCE)
-        # No frame comes any more: the thread alone takes from there.
+        # No frame comes any more: only the thread takes from the queue.
         with contextlib.suppress(queue.Empty):
             self._jobs.get_nowait()
         self._jobs.put_nowait(None)
 
     def _serve(self) -> None:
-        """Start the process and give it windows; in a thread of its own, for either may take its time."""
-        # Not in the terminal's group: what Ctrl-C ends is the node, and with it the shadow.
+        """Start the process and send it windows, in a thread because both may block."""
+        # Not in the terminal's process group: Ctrl-C ends the node, and the node ends the process.
         try:
             process = subprocess.Popen(
                 module_command(_COMMAND, str(os.getpid())),
@@ -146,12 +146,12 @@ class Shadow:
             process.kill()
         assert process.stdin is not None and process.stdout is not None
         threading.Thread(target=self._listen, args=(process, process.stdout), name="accuracy", daemon=True).start()
-        # Where it is gone, whoever listens says so.
+        # If the process has ended, the reading thread reports it.
         with contextlib.suppress(OSError), process.stdin:
             self._give(process.stdin)
 
     def _give(self, windows: IO[bytes]) -> None:
-        """Give windows until there are none any more."""
+        """Send windows until the monitor is closed."""
         told: Scene | None = None
         while True:
             self._ready.acquire()
@@ -180,12 +180,12 @@ class Shadow:
         if told["verdict"] == "not kept":
             self._not_kept += 1
             self._complaints.put(
-                f"from {told['start']:.3f} to {told['end']:.3f} s positions were off by {told['error']:.3g} m, and "
-                f"{told['allowed']:.3g} m is what the tolerance promises there"
+                f"from {told['start']:.3f} to {told['end']:.3f} s the error of positions is {told['error']:.3g} m, "
+                f"above the bound of {told['allowed']:.3g} m that the tolerance guarantees"
             )
         self._latest = told
 
     def _end(self, why: str) -> None:
         if not self._closed.is_set():
-            self._ended = f"{why}; set diagnostics.accuracy to false and true again for another one"
+            self._ended = f"{why}; set diagnostics.accuracy to false and true again to restart it"
             self._complaints.put(f"the process that measures accuracy {self._ended}")

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is said while the context may be shut down: rclpy's own signal handlers do so at any moment."""
+"""Guard against errors after a shutdown of the context.
+
+rclpy's signal handlers may shut it down at any moment.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from rclpy.node import Node
 
 @contextmanager
 def unless_shut_down(node: Node) -> Iterator[None]:
-    """Let errors of the middleware pass where the context was shut down meanwhile: nobody is left to be told."""
+    """Suppress errors of the middleware if the context was shut down meanwhile."""
     try:
         yield
     except RuntimeError:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated time as a node is told it: `use_sim_time`, what comes on /clock, and what if nothing does."""
+"""Simulated time of a node: `use_sim_time`, checks of /clock, and warnings if it is silent."""
 
 from __future__ import annotations
 
@@ -15,37 +15,37 @@ from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.messages import SECOND, read_stamp
 from cloth_sim_ros.scene.parameters import ParameterError
 
-#: The parameter.
+#: Name of ROS's parameter.
 SIM_TIME = "use_sim_time"
-#: Of a stamp: its seconds have 31 bits [ns].
+#: Latest time that a stamp can hold: its seconds have 31 bits [ns].
 _LATEST = 2**31 * SECOND - 1
-#: Without a word from /clock for this long a node says so [s].
+#: Longest silence of /clock before the first warning [s].
 _PATIENCE = 5.0
-#: What does not change is told again after so long [s].
+#: Period of repeated warnings [s].
 _AGAIN = 60.0
 
 
 def check_sim_time(value: Any) -> None:
-    """Refuse what is neither true nor false: rclpy would log that, and take the wall's time.
+    """Refuse a value that is not a bool; rclpy would log an error and use wall time.
 
     Raises:
-        ParameterError: says what it must be.
+        ParameterError: names the allowed values.
     """
     if not isinstance(value, bool):
         raise ParameterError(f"{SIM_TIME} is {value!r}; it must be true or false, without quotes: {SIM_TIME}:=true")
 
 
 class SimTimeNode(Node):
-    """rclpy's node, where a message on /clock that holds no time changes nothing.
+    """rclpy's node that ignores messages on /clock without a valid time.
 
-    rclpy's own reader of /clock raises for times before 0, and takes times for which no stamp has a place.
+    rclpy's subscription of /clock raises for times before 0, and accepts times that no stamp can hold.
     """
 
-    #: Whether a time has come on /clock: 0 is one, and rclpy's before the first as well.
+    #: True once a time has come on /clock; 0 is valid, and also rclpy's time before the first message.
     has_clock_time = False
 
     def create_subscription(self, msg_type: Any, topic: str, callback: Any, *arguments: Any, **options: Any) -> Any:
-        """As rclpy's; it subscribes to /clock by this method too."""
+        """Create a subscription as rclpy does, which subscribes to /clock by this method too."""
         if msg_type is Clock and not options.get("raw"):
             take = callback
 
@@ -58,7 +58,7 @@ class SimTimeNode(Node):
 
 
 def _only_times(take: Callable[[Clock], Any], log: ThrottledLog) -> Callable[[Clock], Any]:
-    """Return a callback that passes on the messages whose time a stamp can hold, and warns of others."""
+    """Return a callback that passes on messages whose time a stamp can hold, and warns of others."""
 
     def only_times(message: Clock) -> Any:
         if 0 <= (now := read_stamp(message.clock)) <= _LATEST:
@@ -67,7 +67,7 @@ def _only_times(take: Callable[[Clock], Any], log: ThrottledLog) -> Callable[[Cl
         log.warn(
             kind,
             f"a message on /clock is left out: its time is {now / SECOND:.3f} s (sec {message.clock.sec}, nanosec "
-            f"{message.clock.nanosec}), and must be at least 0 and below {2**31} s; look at who publishes /clock",
+            f"{message.clock.nanosec}), and must be at least 0 and below {2**31} s; check the publisher of /clock",
         )
         return None
 
@@ -75,11 +75,11 @@ def _only_times(take: Callable[[Clock], Any], log: ThrottledLog) -> Callable[[Cl
 
 
 class ClockSilence:
-    """Says that nothing comes on /clock, after a while, and once a minute from then on.
+    """Warns of a silent /clock after 5 s, and once a minute from then on.
 
     Args:
         log: a node's logger.
-        seconds: a clock that never stops nor goes back [s].
+        seconds: monotonic clock [s].
     """
 
     def __init__(self, log: Any, *, seconds: Callable[[], float] = time.monotonic) -> None:
@@ -90,11 +90,11 @@ class ClockSilence:
 
     @property
     def seconds(self) -> float:
-        """Time since the beginning [s]."""
+        """Time since the start [s]."""
         return self._seconds() - self._began
 
     def look(self) -> None:
-        """Say so, if it is time to; call it now and then, while nothing has come."""
+        """Warn if a warning is due. Call it periodically while no message has come."""
         now = self._seconds()
         if now <= self._due:
             return

@@ -1,24 +1,24 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which command is the newest: stamps judged without a ROS graph."""
+"""Validation and order of command stamps, without a ROS graph."""
 
 from __future__ import annotations
 
 import attrs
 
 _SECOND = 1_000_000_000
-#: How far ahead of now a stamp may be [ns].
+#: Largest time of a stamp ahead of the present [ns].
 AHEAD = _SECOND
-#: After this long without a command [ns] an older stamp counts again: a sender was restarted, a bag played once more.
+#: After this silence [ns] older stamps are accepted again: a sender was restarted, or a bag is played again.
 FORGET = _SECOND
 
 
 class StampError(ValueError):
-    """A stamp that is not used; the message says why."""
+    """A stamp that is refused; the message says why."""
 
 
 class NoTimeError(StampError):
-    """A stamp that is no time."""
+    """A stamp that is no valid time."""
 
 
 class OldStampError(StampError):
@@ -29,7 +29,7 @@ def checked(sec: int, nanosec: int) -> int:
     """Return the seconds and nanoseconds of a message's stamp as ROS time [ns].
 
     Raises:
-        NoTimeError: if they are no time: before 1970, or with a second or more of nanoseconds.
+        NoTimeError: if they are no valid time: before 1970, or with a second or more of nanoseconds.
     """
     if sec < 0:
         raise NoTimeError(f"its stamp is {sec} s and {nanosec} ns; a time is not negative, and 0 s and 0 ns mean now")
@@ -40,21 +40,21 @@ def checked(sec: int, nanosec: int) -> int:
 
 @attrs.define
 class StampGate:
-    """Judges the stamps of one gripper's commands."""
+    """Accepts or refuses the stamps of one gripper's commands."""
 
     _newest: int | None = None
     _heard: int = 0
 
     def accept(self, stamp: int, now: int) -> int:
-        """Return the ROS time [ns] from which a command counts.
+        """Return the ROS time [ns] at which a command takes effect.
 
         Args:
-            stamp: of the command [ns]; zero means now.
-            now: ROS time [ns].
+            stamp: stamp of the command [ns]; zero means now.
+            now: present ROS time [ns].
 
         Raises:
-            OldStampError: if it is older than the newest one.
-            StampError: if it is too far ahead.
+            OldStampError: if the stamp is older than the newest one.
+            StampError: if the stamp is more than a second ahead.
         """
         effective = stamp or now
         if effective > now + AHEAD:
@@ -72,5 +72,5 @@ class StampGate:
         return effective
 
     def forget(self) -> None:
-        """Begin anew: the clock was set back."""
+        """Accept any stamp next, because the clock was set back."""
         self._newest = None

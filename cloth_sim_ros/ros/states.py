@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What holds until it changes, for those who come later too: what each gripper holds, and whether time passes."""
+"""Latched state topics of the node and its grippers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cloth_sim_ros.session.words import counted
 from cloth_sim_ros.simulation.events import Reset
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
-#: Labels are those of managed nodes.
+#: Labels of ROS 2's managed nodes.
 _LABELS = {
     State.PRIMARY_STATE_ACTIVE: "active",
     State.PRIMARY_STATE_INACTIVE: "inactive",
@@ -23,12 +23,12 @@ _LABELS = {
 
 
 class States:
-    """Latched topics: ~/state, and ~/<gripper>/state, sent again after every grasp, whether or not it changed anything.
+    """The latched topics ~/state and ~/<gripper>/state; the latter is published after every grasp.
 
     Args:
         node: the node.
         simulation: the cloth.
-        tape: records them.
+        sink: records the messages.
     """
 
     def __init__(self, node: Node, simulation: Simulation, tape: Tape) -> None:
@@ -41,7 +41,12 @@ class States:
         self._said = 0
 
     def start(self, stamp: int, *, waits: bool = False) -> None:
-        """Say what is so at the beginning, at a ROS time [ns]; `waits`: no time passes until /clock comes."""
+        """Publish the first states.
+
+        Args:
+            stamp: ROS time [ns].
+            waits: true if no time passes until /clock comes.
+        """
         if waits:
             self._send_state(State.PRIMARY_STATE_INACTIVE, stamp)
         else:
@@ -49,29 +54,29 @@ class States:
         self._say_grippers({name: "" for name in self._grippers}, stamp)
 
     def record(self, stamp: int) -> None:
-        """Record what was said last, at the beginning of a recording."""
+        """Record the newest states at the start of a recording, at a ROS time [ns]."""
         for output, data in self._latest.items():
             output.record(data, stamp)
 
     def show(self, frame: Frame, stamp: int) -> None:
-        """Say what a frame has changed."""
+        """Publish the states that a frame changed, at a ROS time [ns]."""
         self._say_state(stamp)
         if not frame.events and not frame.pinches:
             return
-        # Pads that only begin to close hold nothing yet: it is told when they have.
+        # Pads that start to close hold nothing yet; their state is published when they come to rest.
         changed = {grasp.gripper: grasp.reason for grasp in (*frame.grasps, *frame.pinches) if not grasp.pending}
         if any(isinstance(event, Reset) for event in frame.events):
             changed = {name: "" for name in self._grippers} | changed
         self._say_grippers(changed, stamp)
 
     def end(self, stamp: int) -> None:
-        """Say that this was all."""
+        """Publish the final state at a ROS time [ns]."""
         self._send_state(State.PRIMARY_STATE_FINALIZED, stamp)
 
     def fail(self, reason: str, stamp: int) -> None:
-        """Say that a frame failed, at a ROS time [ns].
+        """Publish that a frame failed, at a ROS time [ns].
 
-        Its id is that of managed nodes whose code has raised and that wait for their error to be handled.
+        The id is that of a managed node during error processing.
         """
         self._said = State.TRANSITION_STATE_ERRORPROCESSING
         self._send(self._state, State(id=self._said, label=f"failed: {reason}"), stamp)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which edges and triangles of a cloth set its step, and how much longer steps would be without them."""
+"""Edges and triangles that limit the step, and the gain without them."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ from cloth_sim_ros.physics.plan import Plan, compile
 from cloth_sim_ros.physics.sheets.mesh import MeshSheet
 from cloth_sim_ros.scene.build import Sheet
 
-#: Share of the particles that counts as few.
+#: Largest fraction of the particles that is reported as limiting.
 FEW = 0.01
-#: Below this gain in the length of steps no few particles are to blame.
+#: Smallest gain in step length for which particles are reported as limiting.
 LITTLE = 1.2
-#: Edges and triangles that are named.
+#: Largest number of edges and triangles that are named.
 _NAMED = 5
-#: Rows and columns of a block's numbers, see `Plan.add_bounds`.
+#: Indices of a block's components as a symmetric matrix, see `Plan.add_bounds`.
 _BLOCK = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
 
 
 @attrs.frozen(kw_only=True)
 class StepSetters:
-    """What bounds the step at given positions."""
+    """Elements that limit the step at given positions."""
 
-    #: Longest stable step of the leapfrog by the bounds [s]; infinite where nothing bounds it.
+    #: Longest stable step of the leapfrog by the bounds [s]; infinite without a bound.
     limit: float
-    #: Particle that has it; None where none has.
+    #: Index of the particle with this limit; None without a bound.
     particle: int | None
-    #: Name of the force that has the largest share of the stiffness there, and that share.
+    #: Name of the force with the largest share of the stiffness at this particle, and the share.
     force: str = ""
     share: float = 0.0
-    #: Particles that are stiffer than all others by far, at most `FEW` of them, the stiffest first.
+    #: Indices of the particles that are much stiffer than all others, stiffest first, at most `STIFF_FRACTION`.
     few: tuple[int, ...] = ()
-    #: By how much steps would be longer without them; 1 or a little more where stiffness is spread evenly.
+    #: Ratio of the step length without them to the present one; close to 1 if the stiffness is spread evenly.
     gain: float = 1.0
 
 
 def step_setters(plan: Plan, x: Array) -> StepSetters:
-    """Find what bounds the step at positions x [m], shape (3, n)."""
+    """Find the elements that limit the step at positions x [m], shape (3, n)."""
     model = plan.model
     moving = np.flatnonzero(model.inverse_masses > 0.0)
     limits = _limits(plan, x)[moving]
@@ -56,7 +56,7 @@ def step_setters(plan: Plan, x: Array) -> StepSetters:
     few = max(1, int(FEW * len(moving)))
     particle, limit = int(moving[order[0]]), float(limits[order[0]])
     gain = float(limits[order[min(few, len(order) - 1)]]) / limit
-    # Name only particles whose own limit is clearly below what would remain without them.
+    # Name only particles whose limit is clearly below the one without them.
     named = [k for k in order[:few] if limits[k] * LITTLE <= gain * limit]
     force, share = _stiffest(model, x, particle)
     return StepSetters(
@@ -65,7 +65,7 @@ def step_setters(plan: Plan, x: Array) -> StepSetters:
 
 
 def in_words(found: StepSetters, sheet: Sheet) -> list[str]:
-    """Return what sets the step, as sentences."""
+    """Return the step limiters as sentences."""
     if found.particle is None:
         return ["nothing bounds the step by its stability"]
     lines = [
@@ -74,7 +74,7 @@ def in_words(found: StepSetters, sheet: Sheet) -> list[str]:
     ]
     if found.gain < LITTLE or not found.few:
         lines.append(
-            f"no few particles set it: without the stiffest {FEW:.0%} steps would be {found.gain:.2f} times as long"
+            f"no small group sets it: without the stiffest {FEW:.0%} steps would be {found.gain:.2f} times as long"
         )
         return lines
     count = "1 particle" if len(found.few) == 1 else f"{len(found.few)} particles"
@@ -89,7 +89,7 @@ def in_words(found: StepSetters, sheet: Sheet) -> list[str]:
 
 
 def _limits(plan: Plan, x: Array) -> Array:
-    """Longest stable step by the bounds of each particle [s], shape (n,)."""
+    """Return the longest stable step by the bounds of each particle [s], shape (n,)."""
     stiff, damped = np.zeros((2, 6, plan.model.particle_count))
     plan.add_bounds(x, stiff, damped)
     omega2, rates = (np.maximum(_largest(blocks), 0.0) / plan.model.masses for blocks in (stiff, damped))
@@ -99,12 +99,12 @@ def _limits(plan: Plan, x: Array) -> Array:
 
 
 def _largest(blocks: Array) -> Array:
-    """Largest eigenvalues of blocks (6, n), shape (n,)."""
+    """Return the largest eigenvalues of blocks (6, n), shape (n,)."""
     return np.asarray(np.linalg.eigvalsh(blocks[_BLOCK].transpose(2, 0, 1))[:, -1])
 
 
 def _stiffest(model: Model, x: Array, particle: int) -> tuple[str, float]:
-    """The force that adds most to the stiffness of a particle, and its share."""
+    """Return the name of the force with the largest share of a particle's stiffness, and the share."""
     stiffness: dict[str, float] = {}
     for force in model.forces:
         if not isinstance(force, Gravity | Drag | Wind | Grips):
@@ -123,7 +123,7 @@ def _stiffness_at(model: Model, force: Force, x: Array, particle: int) -> float:
 
 
 def _places(sheet: MeshSheet, particles: tuple[int, ...]) -> list[str]:
-    """The shortest edges of particles, and the flattest triangles."""
+    """Return sentences on the shortest edges and the flattest triangles at particles."""
     edges = sheet.surface.edges
     lengths = _norms(sheet.rest[edges[:, 1]] - sheet.rest[edges[:, 0]])
     touched = np.flatnonzero(np.isin(edges, particles).any(axis=1))
@@ -141,7 +141,7 @@ def _places(sheet: MeshSheet, particles: tuple[int, ...]) -> list[str]:
 
 
 def _heights(sheet: MeshSheet) -> Array:
-    """Smallest height of each triangle [m]."""
+    """Return the smallest height of each triangle [m], shape (m,)."""
     corners = [sheet.rest[sheet.surface.triangles[:, k]] for k in range(3)]
     longest = np.max([_norms(corners[k] - corners[k - 1]) for k in range(3)], axis=0)
     return np.asarray(2.0 * sheet.areas() / longest)

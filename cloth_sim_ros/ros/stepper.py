@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Advances the simulation by a frame with the events that are due. A failure is reported and does not end the node."""
+"""Stepper: advances the simulation by frames with the due events.
+
+A failure is reported and does not end the node.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +21,9 @@ class Stepper:
     """Advances a simulation with the events of a queue.
 
     Args:
-        simulation: what is advanced.
-        queue: where events wait.
-        aside: runs a frame's computation and returns what it returns; may raise StopRequestedError.
+        simulation: the cloth.
+        queue: events that wait for a frame.
+        run_job: runs the computation of a frame and returns its result; may raise StopRequestedError.
     """
 
     def __init__(
@@ -33,30 +36,30 @@ class Stepper:
         self._simulation = simulation
         self._queue = queue
         self._aside = aside
-        #: Why the motion was stopped; empty while it goes on.
+        #: The reason if time is stopped; otherwise empty.
         self.trouble = ""
-        #: Why parameters that were accepted could not take effect, in the newest frame; empty if they did.
+        #: The reason if accepted parameters could not take effect in the newest frame; otherwise empty.
         self.refused_parameters = ""
-        #: Events of a frame that are not answered yet.
+        #: Events of the frame without an answer yet.
         self._entries: list[Entry] = []
         self._outcomes: list[tuple[Entry, Outcome]] = []
 
     def step(self, due: int, own: Sequence[Event] = ()) -> Frame:
-        """Compute the frame that is due at a ROS time [ns] and answer its events, see `advance` and `answer`."""
+        """Compute the frame due at a ROS time [ns] and answer its events, see `advance` and `answer`."""
         frame = self.advance(due, own)
         self.answer()
         return frame
 
     def advance(self, stamp: int, first: Sequence[Event] = (), *, last: Sequence[Event] = ()) -> Frame:
-        """Compute the frame that is due at a ROS time [ns], with the events that wait for it.
+        """Compute the frame due at a ROS time, with the events that wait for it.
 
         Args:
-            stamp: ROS time [ns]; events stamped later go on waiting.
+            stamp: ROS time [ns]; events with later stamps stay in the queue.
             first: events of the node itself, applied first.
             last: events of the node itself, applied last.
 
-        If the motion becomes unstable, the commands take effect but no time passes. `trouble` says why, and so does the
-        answer to a service that asked for time to pass.
+        If the motion becomes unstable, the commands take effect but no time passes. `trouble` holds the reason, and so
+        does the answer to a service that requested time to pass.
         """
         self._outcomes = []
         self._entries = entries = self._queue.take(stamp)
@@ -79,12 +82,12 @@ class Stepper:
                     entries = [entry for entry in entries if not isinstance(entry.event, SetParameters)]
                 elif isinstance(error, UnstableError) and not stopped:
                     stopped, self.trouble = True, str(error)
-                    # Leave out events that let time pass: the same step would fail again within this frame.
+                    # Drop events that let time pass: the same step would fail again within this frame.
                     refused += [(entry, f"time is stopped: {error}") for entry in entries if _lets_time_pass(entry)]
                     entries = [entry for entry in entries if not _lets_time_pass(entry)]
                     entries.append(Entry(event=Pause(True)))
                 else:
-                    # What was accepted when it came may be for an obstacle that is gone since.
+                    # An accepted event may address an obstacle that was removed meanwhile.
                     late = self._impossible(entries)
                     if not late:
                         raise
@@ -111,7 +114,7 @@ class Stepper:
                 entry.answer(Outcome(frame=None, reason=reason))
 
     def _impossible(self, entries: list[Entry]) -> list[tuple[Entry, str]]:
-        """Events that can't take effect any more, and why."""
+        """Return the events that can't take effect any more, with the reasons."""
         found = []
         for entry in entries:
             try:
@@ -131,7 +134,7 @@ def _lets_time_pass(entry: Entry) -> bool:
 
 
 def _outcomes(entries: list[Entry], frame: Frame) -> list[tuple[Entry, Outcome]]:
-    # Grasps keep their order through the frame, so that the k-th result is the k-th grasp's.
+    # Grasps keep their order through the frame: the k-th result belongs to the k-th grasp.
     results = iter(frame.grasps)
     return [
         (entry, Outcome(frame=frame, grasp=next(results) if isinstance(entry.event, Grasp) else None))

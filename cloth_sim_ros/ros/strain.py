@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The largest strain of a cloth, for its report."""
+"""Largest strain of a cloth, for diagnostics."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
 
-#: Above this many edges the report would hold up frames.
+#: Largest number of edges that are measured; more would delay frames.
 MOST_EDGES = 400_000
 
 
 class StrainGauge:
-    """Measures the edges of a cloth's surface against their rest lengths."""
+    """Measures the elongation of the surface's edges relative to their rest lengths."""
 
     def __init__(self, scene: Scene) -> None:
         sheet = scene.sheet
@@ -30,7 +30,7 @@ class StrainGauge:
         """Return the largest relative elongation at x [m], shape (3, n); None if there are no edges or too many."""
         if not 0 < len(self._inverse_squares) <= MOST_EDGES:
             return None
-        # A component at a time, and one root in the end: a quarter of the time, in which no frame is taken.
+        # One component at a time and one root at the end: a quarter of the time.
         squares = np.zeros(len(self._inverse_squares))
         for component in x:
             away = component.take(self._far)

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fast DDS transports of a node: a shared-memory segment that holds the clouds of suspended subscribers."""
+"""Fast DDS transports of a node: a shared-memory segment for its clouds.
+
+The segment is large enough for the unread clouds of suspended subscribers.
+"""
 
 from __future__ import annotations
 
@@ -15,43 +18,44 @@ from cloth_sim_ros.scene.locations import config_file
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 
-#: A subscriber that is suspended is given up by Fast DDS after so long [s].
+#: Time after which Fast DDS drops a suspended subscriber [s].
 _LEASE = 3.0
-#: Buffers that wait for one subscriber at most, and the size of the largest [bytes]: a longer message is cut into such.
+#: Largest number of buffers that wait for one subscriber, and largest buffer [bytes]; longer messages are split.
 _QUEUE, _LARGEST_BUFFER = 512, 65_500
-#: Room for all that is small: wrenches, states, diagnostics, discovery [bytes].
+#: Size for all small messages: wrenches, states, diagnostics, discovery [bytes].
 _SMALL = 1 << 20
 #: Smallest and largest segment [bytes].
 _MIN_SEGMENT, _MAX_SEGMENT = 1 << 20, 64 << 20
-#: Others need room too: their ports and segments.
+#: Largest fraction of the free shared memory: other processes need ports and segments too.
 _SHARE_OF_ROOM = 0.5
-#: A segment of less than this share of what is wanted is filled too soon.
+#: Smallest segment as a fraction of the required size; a smaller one fills too soon.
 _MIN_SHARE = 0.25
-#: Least size of what a particle takes in a file of a mesh or of springs [bytes].
+#: Smallest size of a particle in a file of a mesh or of springs [bytes].
 _FILE_BYTES_A_PARTICLE = 30
 _SHARED_MEMORY = Path("/dev/shm")
 _PROFILE, _PROFILE_SEGMENT = "fastdds_large_clouds.xml", str(16 << 20)
 _PROFILES_FILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _BUILTIN = "FASTDDS_BUILTIN_TRANSPORTS"
 _RANGE, _ONLY_LOCAL, _PEERS = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS"
-#: A user who sets one of these has transports of his own.
+#: Variables by which users choose their own transports.
 _USERS_VARIABLES = (_PROFILES_FILE, "FASTDDS_DEFAULT_PROFILES_FILE", _BUILTIN, "RMW_FASTRTPS_USE_QOS_FROM_XML")
-#: Fast DDS reads these in the working directory, unless told otherwise by the variables.
+#: Files that Fast DDS reads in the working directory, unless the variables below disable it.
 _USERS_FILES = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml")
 _SKIP_FILES = ("SKIP_DEFAULT_XML_FILE", "SKIP_DEFAULT_XML")
 
 
 @contextlib.contextmanager
 def cloud_transports(*cloths: Mapping[str, Any]) -> Iterator[str]:
-    """Let the process's first ROS node, made meanwhile, join the graph with room for the clouds of some cloths.
+    """Set up a shared-memory segment for the clouds of the process's first ROS node.
 
-    rclpy must be initialized meanwhile too. Nothing is changed if the user chose transports, or another middleware.
+    Within this context, initialize rclpy and create the node. Nothing changes if the user chose transports or another
+    middleware.
 
     Args:
-        cloths: parameters of each, by full name; what is left out has its default.
+        cloths: parameters of each cloth by full name; missing ones have their defaults.
 
     Yields:
-        A warning if the shared memory has no room and UDP is used instead, else an empty text.
+        A warning if the shared memory is too small and UDP is used instead; otherwise an empty text.
     """
     with contextlib.ExitStack() as stack:
         yield _enter(stack, sum(segment_bytes(values) for values in cloths)) if not _has_users_transports() else ""
@@ -61,7 +65,7 @@ def segment_bytes(parameters: Mapping[str, Any]) -> int:
     """Return the size of the shared-memory segment that a cloth's outputs need [bytes].
 
     Args:
-        parameters: by full name; what is left out, or refused by the node, has its default.
+        parameters: by full name; missing and invalid ones have their defaults.
     """
     cloud, mesh, rate = _output_bytes(parameters)
     pinned = min(_LEASE * rate * (cloud + mesh), _QUEUE * _LARGEST_BUFFER)
@@ -70,7 +74,7 @@ def segment_bytes(parameters: Mapping[str, Any]) -> int:
 
 
 def _output_bytes(parameters: Mapping[str, Any]) -> tuple[int, int, float]:
-    """Return the bytes of a cloud and of a mesh marker, and the frames a second."""
+    """Return the sizes of a cloud and of a mesh marker [bytes], and the frame rate [Hz]."""
     entries = {entry.name: entry for entry in Scene.declared_for(())}
 
     def value(name: str) -> Any:
@@ -83,7 +87,7 @@ def _output_bytes(parameters: Mapping[str, Any]) -> tuple[int, int, float]:
     for name in (value("cloth.mesh"), value("cloth.springs")):
         with contextlib.suppress(OSError, ValueError):
             if name:
-                # A bound by the file's size: to read it twice would delay the first cloud.
+                # A bound from the file's size, because reading the file twice would delay the first cloud.
                 particles = os.stat(name).st_size // _FILE_BYTES_A_PARTICLE
                 triangles = 2 * particles
     point_bytes = (6 if value("points.velocity") else 3) * (8 if value("points.double") else 4)
@@ -102,7 +106,7 @@ def _has_users_transports() -> bool:
 
 
 def _enter(stack: contextlib.ExitStack, requested: int) -> str:
-    """Set the environment for a segment, or for UDP without room for one; return a warning or an empty text."""
+    """Set the environment for a segment, or for UDP if memory is short; return a warning or an empty text."""
     requested = min(requested, _MAX_SEGMENT)
     try:
         status = os.statvfs(_SHARED_MEMORY)
@@ -126,11 +130,11 @@ def _enter(stack: contextlib.ExitStack, requested: int) -> str:
 
 
 def _udp(stack: contextlib.ExitStack) -> dict[str, str | None]:
-    """Return the environment that has UDP alone."""
+    """Return the environment variables for UDP only."""
     local = os.environ.get(_ONLY_LOCAL) == "1" or os.environ.get(_RANGE, "").upper() == "LOCALHOST"
     if not local:
         return {_BUILTIN: "UDPv4"}
-    # rmw_fastrtps adds shared memory of its own to the range LOCALHOST, so the profile says what that range means.
+    # rmw_fastrtps adds shared memory to the range LOCALHOST. Therefore a profile replaces that range.
     peers = ["127.0.0.1", *filter(None, os.environ.get(_PEERS, "").split(";"))]
     return {_PROFILES_FILE: _write(stack, _local_udp_profile(peers)), _RANGE: "SYSTEM_DEFAULT", _ONLY_LOCAL: None}
 
@@ -157,7 +161,7 @@ def _put(name: str, value: str | None) -> None:
 
 
 def _local_udp_profile(peers: list[str]) -> str:
-    """Return a profile as the range LOCALHOST has it, without shared memory."""
+    """Return a profile equal to the range LOCALHOST, without shared memory."""
     locators = "".join(f"<locator><udpv4><address>{peer}</address></udpv4></locator>" for peer in peers)
     return f"""<?xml version="1.0" encoding="UTF-8"?>
 <dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">

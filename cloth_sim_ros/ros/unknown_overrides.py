@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sentences on parameters that nothing looks at, a few for however many there are."""
+"""Warnings of parameters without effect."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from cloth_sim_ros.scene.unknown import FOREIGN, PROFILES, suggestion
 if TYPE_CHECKING:
     from cloth_sim_ros.scene.scene import Scene
 
-#: So many have a sentence each; more have one together.
+#: Largest number of parameters with a sentence each; more share one.
 _SINGLE = 3
 
 
 def unknown_sentences(
     names: Iterable[str], known: Iterable[str], scene: Scene, *, node: str, resolve: Callable[[str], str] | None = None
 ) -> list[str]:
-    """Return what to say of parameters, if a node does not look at them.
+    """Return warnings of parameters that a node does not read.
 
-    Overrides of another node's topics, as a parameter dump of that node has them, share one sentence.
+    Overrides of another node's topics, as in a parameter dump of that node, share one sentence.
 
     Args:
-        names: of what sets something, those that are known included.
-        known: names of the parameters that there are, overrides of quality of service aside.
-        scene: of the node.
-        node: its full name.
-        resolve: returns a topic's full name after remapping; where left out topics may be remapped to any name, and an
-            override of any is taken for one that the node looks at.
+        names: names of the parameters that are set, known ones included.
+        known: names of the existing parameters, without overrides of quality of service.
+        scene: the scene of the node.
+        node: the full name of the node.
+        resolve: returns a topic's full name after remapping. By default topics may be remapped to any name, and every
+            override counts as read.
     """
     full = resolve or (lambda topic: topic.replace("~", node, 1))
     topics = {full(topic) for _, topic, _ in overridable(scene)}

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Warning of parameter files that set nothing for the node that they are given to."""
+"""Warnings of parameter files that set nothing for the node."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ _OPTIONS = ("--params-file",)
 
 
 def unused_files(arguments: Sequence[str], *, node: str) -> Iterator[str]:
-    """Yield a sentence for each parameter file that holds other nodes' parameters alone, as a dump of another node.
+    """Yield a sentence for each parameter file that only holds parameters of other nodes.
 
     Args:
         arguments: the command line.
         node: full name of the node, after remapping.
     """
     for option, path in pairwise(arguments):
-        # A pipe has been read by ROS, and holds nothing any more.
+        # ROS has read a pipe already.
         if option not in _OPTIONS or not Path(path).is_file():
             continue
         try:
             owners = parameter_file.other_nodes(parameter_file.text_of(path), node=node, source=path)
         except ParameterError:
-            # ROS has taken it all the same: the two readers differ in what they refuse.
+            # ROS has accepted the file: the two readers differ in what they refuse.
             continue
         if owners:
             yield f"'{path}' sets nothing for the node {node}: {owners.partition(', or give the name')[0]}"

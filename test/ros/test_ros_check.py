@@ -61,7 +61,7 @@ def test_check_prints_cloth_and_speed(tmp_path: Path, capsys: pytest.CaptureFixt
         "auto: explicit steps are affordable",
         "tried here: the first 50 frames took ",
         "where 'structural' has ",
-        "no few particles set it",
+        "no small group sets it",
     ):
         assert words in said, words
     assert "warning" not in said
@@ -108,7 +108,9 @@ def test_another_nodes_parameters_are_read_by_its_name(tmp_path: Path, capsys: p
     )
 
 
-def test_check_and_node_warn_alike_of_ineffective_parameters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_and_node_warn_alike_of_ineffective_parameters(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     values = {
         "cloth.resolution": [5, 5],
         "cloth.sizes": [1.0, 1.0],
@@ -219,7 +221,7 @@ def test_cost_of_few_short_edges_is_printed(tmp_path: Path, capsys: pytest.Captu
     assert found.gain > 2.0
     assert without.limit / found.limit == pytest.approx(found.gain, rel=0.25)
     assert without.gain < 1.2
-    assert "no few particles set it" in in_words(without, whole.scene.sheet)[1]
+    assert "no small group sets it" in in_words(without, whole.scene.sheet)[1]
 
 
 def test_step_limit_equals_that_of_the_plan() -> None:

@@ -18,7 +18,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_unwritable_log_folder_gives_one_sentence(start_process: Callable[..., Any], tmp_path: Path, command: str) -> None:
+def test_unwritable_log_folder_gives_one_sentence(
+    start_process: Callable[..., Any], tmp_path: Path, command: str
+) -> None:
     (tmp_path / "file").write_text("")
     below = str(tmp_path / "file" / "below")
     for variables, words in (

@@ -44,17 +44,16 @@ def test_lateness_is_logged_at_start_end_and_intervals() -> None:
     monitor, log = lateness()
     run(monitor, 1, late=60, seconds=0.0034)
     assert log.lines == [
-        "frames come late: 60 of 120 were not there a period after they were due; one takes 3.4 ms of 16.7 ms: the "
-        "machine had other things to do"
+        "frames come late: 60 of 120 missed their period; one takes 3.4 ms of 16.7 ms: other processes use the machine"
     ]
     run(monitor, AGAIN - 1, late=60, seconds=0.02)
     assert len(log.lines) == 1
     run(monitor, 1, late=60, seconds=0.02)
-    assert log.lines[1].endswith("one takes 20.0 ms of 16.7 ms: the cloth takes more time than this machine has")
+    assert log.lines[1].endswith("one takes 20.0 ms of 16.7 ms: the cloth is too slow for this machine and rate")
     run(monitor, CALM - 1, late=0, seconds=0.0034)
     assert len(log.lines) == 2
     run(monitor, 1, late=0, seconds=0.0034)
-    assert log.lines[2:] == [f"frames come in time again; {60 * (AGAIN + 1)} frames late or left out"]
+    assert log.lines[2:] == [f"frames are on time again; {60 * (AGAIN + 1)} frames late or skipped"]
     run(monitor, 10, late=0, seconds=0.0034)
     assert len(log.lines) == 3
 
@@ -78,8 +77,8 @@ def test_slow_cloth_names_its_factor_and_the_remedy() -> None:
     pass_window(monitor, seconds=0.05, skipped=2)
     (line,) = log.lines
     assert line.endswith(
-        "the cloth takes more time than this machine has; the real-time factor is 0.33: a smaller cloth.resolution, a "
-        "lower rate, a larger tolerance, or overload: relax gives it less to do"
+        "the cloth is too slow for this machine and rate; the real-time factor is 0.33: a smaller cloth.resolution, a "
+        "lower rate, a larger tolerance, or overload: relax reduces the load"
     )
 
 

@@ -157,9 +157,7 @@ def test_every_argument_reaches_the_node(
 
 
 @pytest.mark.parametrize("given", ["", "true", "False"])
-def test_launch_keeps_use_sim_time_of_parameter_file(
-    monkeypatch: pytest.MonkeyPatch, given: str
-) -> None:
+def test_launch_keeps_use_sim_time_of_parameter_file(monkeypatch: pytest.MonkeyPatch, given: str) -> None:
     launched = Launched(monkeypatch, params_file="own.yaml", use_sim_time=given, rviz="true")
     expected = [{"use_sim_time": given == "true"}] if given else []
     cloth, rviz = launched.nodes

@@ -96,9 +96,7 @@ def test_remapped_node_and_duplicate_name(ros_domain: int, start_process: Callab
             assert len(list(reader.clouds())) > 3
 
 
-def test_processes_may_die_during_a_grasp(
-    ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_processes_may_die_during_a_grasp(ros_domain: int, start_process: Callable[..., Any], tmp_path: Path) -> None:
     script = tmp_path / "script.yaml"
     steps = [
         {"time": 0.0, "position": list(CORNER)},

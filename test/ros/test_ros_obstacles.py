@@ -186,9 +186,7 @@ def test_a_session_with_obstacles_runs_again_to_the_same_bits(client: Client, tm
     assert verdict.frames == 35
 
 
-def test_crushing_obstacle_is_stopped_with_warning(
-    client: Client, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_crushing_obstacle_is_stopped_with_warning(client: Client, capfd: pytest.CaptureFixture[str]) -> None:
     small = {"cloth.resolution": [4, 4], "cloth.size": [0.09, 0.09], "cloth.position": [0.0, 0.0, 0.005]}
     iron = {"iron.shape": "box", "iron.size": [0.2, 0.2, 0.02], "iron.position": [0.0, 0.0, 0.1]}
     table = {"table.shape": "plane", "obstacles": ["table", "iron"], "contact.thickness": 0.005, "tolerance": 1e-2}

@@ -83,7 +83,7 @@ def test_inputs_may_be_overridden(client: Client, capfd: pytest.CaptureFixture[s
 
         def misfit() -> bool:
             warnings.append(capfd.readouterr().err)
-            return "is volatile, and nothing that it sends is heard" in "".join(warnings)
+            return "is volatile, so none of its messages arrive" in "".join(warnings)
 
         client.spin_until(misfit, what="a warning")
     assert "there is no parameter" not in "".join(warnings)
@@ -107,7 +107,7 @@ def test_latched_target_is_heard_by_a_node_that_starts_later(client: Client) -> 
         (
             # Alone it does not fit the topic's default.
             {"qos_overrides./cloth_sim/topology.publisher.reliability": "best_effort"},
-            "take reliable, or durability volatile",
+            "set reliability reliable or durability volatile",
         ),
         ({f"{TARGET}.durability": "transient_local"}, f"{TARGET} has reliability best_effort and durability"),
         ({f"{POINTS}.durability": "forever"}, "system_default, transient_local, volatile or best_available"),

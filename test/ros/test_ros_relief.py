@@ -69,8 +69,8 @@ def test_tolerance_is_relaxed_tenfold_at_most_and_logged() -> None:
     assert machine.run(1.3, windows=8) == [2.0, 4.0, 8.0, 10.0]
     set_to, in_force, why = machine.in_force()
     assert (set_to, in_force) == ("0.0001", "0.001")
-    assert why == "frames take 130 % of their time, and the tolerance is relaxed as far as may be: frames come late"
-    assert "the tolerance is 0.001 m instead of 0.0001 m: frames take 130 % of their time" in machine.lines
+    assert why == "frames take 130 % of their period, and the tolerance is at its limit: frames come late"
+    assert "the tolerance is 0.001 m instead of 0.0001 m: frames take 130 % of their period" in machine.lines
 
 
 def test_tolerance_is_not_relaxed_beyond_a_centimetre() -> None:
@@ -86,7 +86,7 @@ def test_tolerance_is_tightened_at_low_load_only() -> None:
     assert machine.run(0.3, windows=PATIENCE) == []
     assert machine.run(0.3, windows=2 * PATIENCE + 1) == [4.0, 2.0, 1.0]
     assert machine.in_force() == ("0.0001", "0.0001", "as it was set")
-    assert machine.lines[-1] == "the tolerance is 0.0001 m again, as it was set: frames take 30 % of their time"
+    assert machine.lines[-1] == "the tolerance is 0.0001 m again, as it was set: frames take 30 % of their period"
 
 
 def test_early_tightening_doubles_patience() -> None:
@@ -102,7 +102,7 @@ def test_stability_limited_steps_keep_the_tolerance() -> None:
     machine = Machine()
     assert machine.run(2.0, windows=3, steps=10) == []
     assert machine.in_force()[2] == (
-        "frames take 200 % of their time, but stability sets the steps: a larger tolerance would buy nothing, "
+        "frames take 200 % of their period, but stability limits the step: a larger tolerance would not help, "
         "frames come late"
     )
     assert len(machine.lines) == 1

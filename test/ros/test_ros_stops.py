@@ -35,15 +35,9 @@ def test_repeated_stop_is_warned_of_once() -> None:
     for index in range(1, 200):
         stopped = ("iron", "gripper") if index % 2 else ()
         topics.send(attrs.evolve(frame, index=index, halted=stopped), 0)
-    assert log.lines == [
-        "'iron', 'gripper' are stopped: with what else is there they would have left the cloth no room; they stand "
-        "still until they are commanded anew"
-    ]
+    assert log.lines == ["'iron', 'gripper' are stopped: they would crush the cloth; send a new target to resume them"]
     topics.send(attrs.evolve(frame, index=400, halted=("iron",)), 0)
-    assert log.lines[1:] == [
-        "'iron' is stopped: with what else is there it would have left the cloth no room; it stands still until it is "
-        "commanded anew"
-    ]
+    assert log.lines[1:] == ["'iron' is stopped: it would crush the cloth; send a new target to resume it"]
 
 
 def test_contact_is_noticed_once_when_it_begins() -> None:

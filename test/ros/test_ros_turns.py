@@ -76,9 +76,7 @@ def test_a_sleeping_frame_wakes_no_other_thread(client: Client) -> None:
         cloth.node.destroy_node()
 
 
-def test_incompatible_grasp_publisher_is_warned_of(
-    client: Client, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_incompatible_grasp_publisher_is_warned_of(client: Client, capfd: pytest.CaptureFixture[str]) -> None:
     with ClockedCloth(client, AT_REST):
         effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
         client.node.create_publisher(Bool, "/cloth_sim/gripper/grasp", effort)
@@ -116,9 +114,7 @@ def test_commands_take_effect_in_timer_thread_frames(client: Client) -> None:
         cloth.node.destroy_node()
 
 
-def test_executor_raises_errors_of_the_timer_thread(
-    client: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_executor_raises_errors_of_the_timer_thread(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     overrides = [Parameter(name, value=value) for name, value in AT_REST.items()]
     cloth = ClothNode(context=client.context, parameter_overrides=overrides, stopped=str)
 
