@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the tests share: a ROS domain of their own, processes that surely end, and waiting without fixed sleeps."""
+"""Shared fixtures: a reserved ROS domain, child processes that always end, and waits with a limit."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ collect_ignore = [name for name in ("benchmarks", "validation") if not (ROOT / n
 # Discovery takes up to 2.6 s, a first import some seconds on a busy machine.
 PATIENCE = 60.0
 
-# A shell's job in the background ignores interrupts, and so does all that it starts: tests that send one would wait.
+# A shell's background job ignores interrupts, and so do its children: tests that send one would wait.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-#: ROS domains that the tests use, from 1 on, and the order in which this process tries them: workers begin apart.
+#: ROS domains of the tests, from 1 on, and the order in which this process tries them; each worker starts elsewhere.
 _DOMAINS = 100
 _WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
 _WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
 _CANDIDATES = itertools.cycle([(_WORKER * _DOMAINS // _WORKERS + i) % _DOMAINS + 1 for i in range(_DOMAINS)])
 
 
-#: Where Fast DDS keeps a segment for each port that something hears on, and what the first number of a whole one is.
+#: Folder of the shared-memory segments of Fast DDS's ports, and the first number of a complete segment.
 _SEGMENTS, _WHOLE = Path("/dev/shm"), (2).to_bytes(4, sys.byteorder)
-#: Ports of domain 0 begin there, and those of each further domain so many behind (the RTPS specification's PB and DG).
+#: First port of domain 0, and number of ports per domain (PB and DG of the RTPS specification).
 _PORTS, _PORTS_EACH = 7400, 250
 
 
 def remove_half_made_ports(domain: int) -> None:
-    """Remove what a process left that was killed while it made a port of a domain: whoever opens it waits for ever.
+    """Remove incomplete ports of a domain, which a killed process left: a process that opens one waits for ever.
 
-    The segment is then empty, or its first number is not yet what Boost.Interprocess writes at the end.
+    The segment of such a port is empty, or lacks the first number that Boost.Interprocess writes at the end.
     """
     first = _PORTS + _PORTS_EACH * domain
     for path in _SEGMENTS.glob("fastrtps_port*"):
@@ -63,11 +63,11 @@ def remove_half_made_ports(domain: int) -> None:
 
 
 def _reserve_domain() -> tuple[int, socket.socket]:
-    """A ROS domain that no other test process on this machine uses, and the socket that reserves it.
+    """Reserve a ROS domain that no other test process on this machine uses; return its id and the reserving socket.
 
-    The way of ROS 2's own `domain_coordinator`: whoever can bind port 32768 + id owns domain id, so that these tests
-    stay apart from each other's workers and from other packages' tests. The system frees the port when we end. Each
-    call begins behind the last one's id: nodes that were killed stay in a domain's graph for some seconds.
+    As in ROS 2's `domain_coordinator`, the process that binds port 32768 + id owns domain id. This separates these
+    tests from other workers and from tests of other packages. The system frees the port when the process ends. Each
+    call starts after the last id, because killed nodes stay in a domain's graph for some seconds.
     """
     for _ in range(_DOMAINS):
         domain = next(_CANDIDATES)
@@ -82,18 +82,18 @@ def _reserve_domain() -> tuple[int, socket.socket]:
     raise RuntimeError(f"all ROS domains 1 to {_DOMAINS} are reserved by other tests on this machine; end some of them")
 
 
-# At import, before any test module can make a ROS context: each pytest process (each worker too) has its own domain,
-# and its children inherit it.
+# At import, before any test module can create a ROS context. Each pytest process, workers included, has its own
+# domain, and its children inherit it.
 _DOMAIN, _RESERVATION = _reserve_domain()
 atexit.register(_RESERVATION.close)
 os.environ["ROS_DOMAIN_ID"] = str(_DOMAIN)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.pop("ROS_STATIC_PEERS", None)
-# An exception in a frame is raised here and in the nodes that tests start, instead of a state `failed` that hides it.
+# Exceptions in frames are raised here and in the nodes that tests start, so that the state `failed` hides none.
 os.environ["CLOTH_SIM_ROS_RAISE"] = "1"
 
 
-# What a robot with the distribution's packages alone may lack; `make test` has all of it.
+# Libraries that a robot with the distribution's packages only may lack; `make test` has all of them.
 _OPTIONAL = {
     "lz4",
     "matplotlib",
@@ -111,7 +111,7 @@ _OPTIONAL = {
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[None]:
-    """A test module that cannot be imported for want of an optional library is skipped, and the library named."""
+    """Skip a test module that can't be imported because an optional library is missing, and name the library."""
     outcome = yield
     report = outcome.get_result()  # type: ignore[attr-defined]
     missing = re.findall(r"ModuleNotFoundError: No module named '(\w+)", str(report.longrepr)) if report.failed else []
@@ -120,8 +120,8 @@ def pytest_make_collect_report(collector: pytest.Collector) -> Iterator[None]:
         report.longrepr = (str(collector.path), 1, f"Skipped: {missing[-1]} is not installed")
 
 
-# What `make test` finds it finds each time: the tests' text alone decides what is drawn. `make soak` draws at random.
-# No deadline: a busy machine is no failure.
+# `make test` is reproducible: its random examples depend only on the tests' text. `make soak` draws at random.
+# No deadline, because a busy machine is no failure.
 with contextlib.suppress(ImportError):
     from hypothesis import settings
 
@@ -137,7 +137,7 @@ def _ros_log_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 @pytest.fixture
 def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """A ROS domain for one test alone, set for it and its children: nothing of an earlier test can be heard."""
+    """A ROS domain for one test and its children, without messages of earlier tests."""
     domain, reservation = _reserve_domain()
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     yield domain
@@ -145,7 +145,7 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
 
 def _wait_until(condition: Callable[[], object], *, limit: float = PATIENCE, what: str = "the condition") -> object:
-    """Poll until `condition()` is true and return its value; fail after `limit` seconds, naming `what`."""
+    """Poll until `condition()` is true and return its value; fail after `limit` [s] with the description."""
     end = time.monotonic() + limit
     while True:
         value = condition()
@@ -158,12 +158,12 @@ def _wait_until(condition: Callable[[], object], *, limit: float = PATIENCE, wha
 
 @pytest.fixture
 def wait_until() -> Callable[..., object]:
-    """`wait_until(condition, limit=60.0, what="...")`: poll, with a limit, never a fixed sleep."""
+    """`wait_until(condition, limit=60.0, description="...")`: poll with a limit instead of a fixed sleep."""
     return _wait_until
 
 
 class RunningProcess:
-    """A child in a process group of its own, its output (both streams) in a file, ended with the test."""
+    """A child process in its own process group, with its output (both streams) in a file; it ends with the test."""
 
     def __init__(self, arguments: Sequence[str | Path], *, output: Path, env: dict[str, str], cwd: Path) -> None:
         self.arguments = [str(argument) for argument in arguments]
@@ -186,11 +186,11 @@ class RunningProcess:
 
     @property
     def output(self) -> str:
-        """All that it has written so far."""
+        """The output so far."""
         return self._output.read_text(errors="replace")
 
     def wait_for_output(self, text: str, *, limit: float = PATIENCE) -> str:
-        """Wait until it has written `text` and return all it wrote; fail when it ends before, or after `limit` s."""
+        """Wait until the output contains `text`, and return it; fail if the process ends, or after `limit` [s]."""
 
         def seen() -> str | None:
             ended = self.popen.poll() is not None
@@ -204,7 +204,7 @@ class RunningProcess:
         return str(_wait_until(seen, limit=limit, what=f"{text!r} from {self.arguments}, which wrote:\n{self.output}"))
 
     def wait(self, *, limit: float = PATIENCE) -> int:
-        """Wait for its end and return the exit status; fail after `limit` s."""
+        """Wait for the end and return the exit status; fail after `limit` [s]."""
         try:
             return self.popen.wait(limit)
         except subprocess.TimeoutExpired:
@@ -221,14 +221,14 @@ class RunningProcess:
         return self.wait(limit=limit)
 
     def kill(self) -> None:
-        """End it and its children at once."""
+        """Kill the process and its children."""
         self.send_signal(signal.SIGKILL)
         self.popen.wait()
         remove_half_made_ports(int(os.environ["ROS_DOMAIN_ID"]))
 
 
 def _stop(process: RunningProcess) -> None:
-    # Politely first, so that a recording under way is closed; then surely, children included.
+    # Interrupt first, so that a running recording is closed; then kill, children included.
     if process.popen.poll() is None:
         process.send_signal(signal.SIGINT)
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -238,7 +238,7 @@ def _stop(process: RunningProcess) -> None:
 
 @pytest.fixture
 def start_process(tmp_path: Path) -> Iterator[Callable[..., RunningProcess]]:
-    """`start_process(arguments, env={...}, cwd=...)` starts a child that ends with the test, whatever happens.
+    """`start_process(arguments, env={...}, cwd=...)` starts a child that always ends with the test.
 
     The child inherits the test's environment (its ROS domain included), with `env` on top. An argument list that
     begins with "-m" runs under this Python: `start_process(["-m", "cloth_sim_ros.ros.main"])`.
@@ -260,13 +260,13 @@ def start_process(tmp_path: Path) -> Iterator[Callable[..., RunningProcess]]:
     yield start
     for process in running:
         _stop(process)
-        # Shown where the test fails: what the others said is half of why.
+        # Shown if the test fails: the output of the processes explains it.
         print(f"--- {' '.join(process.arguments)}\n{process.output[-4000:]}")
 
 
 @pytest.fixture
 def find_executable() -> Callable[[str], str]:
-    """`find_executable(name)`: one of the package's commands, as installed beside this Python; skips where it isn't."""
+    """`find_executable(name)`: a command of the package in this Python's folder; skips if it is not installed."""
 
     def find(name: str) -> str:
         found = shutil.which(name, path=str(Path(sys.executable).parent)) or shutil.which(name)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A worker thread for long computations that keeps the main thread responsive to signals.
+"""A worker thread that keeps the main thread responsive to signals.
 
 Python runs signal handlers between two instructions of the main thread. While that thread is inside the engine, signals
 wait. Therefore the main thread waits for the worker thread instead, and polls for signals.

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""TF frames of the grippers and the cloth, published if `tf.publish` is set."""
+"""Publisher of TF frames of the grippers and the cloth."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Events of the node itself: TF following and the command timeout of grippers."""
+"""TF following and command timeout of grippers and obstacles."""
 
 from __future__ import annotations
 

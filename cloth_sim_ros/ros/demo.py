@@ -1,8 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The demonstration of `make run`: two grippers of another process fold a towel.
+"""The demonstration of `make run`.
 
-It records the session and ends when the scripts have been played.
+Two grippers of another process fold a towel. The demonstration records the session and ends when the scripts have been
+played.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of the environment: log folder and security, for errors that rclpy reports unclearly."""
+"""Checks of log folder and security, whose errors rclpy reports unclearly."""
 
 from __future__ import annotations
 

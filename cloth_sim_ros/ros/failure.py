@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The state `failed`: an exception in a frame enters it, a reset leaves it."""
+"""The state `failed`, from an exception in a frame to a reset."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Detection of the first contact with each obstacle, pinching gripper and the cloth itself."""
+"""Detection of first contacts with obstacles, pinching grippers and the cloth itself."""
 
 from __future__ import annotations
 

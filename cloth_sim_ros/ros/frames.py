@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Transformation of commands into the cloth's coordinate frame by tf2, if it is installed."""
+"""Transformation of commands into the cloth's coordinate frame by tf2."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The cloth node: connects a simulation to the graph and runs its frames."""
+"""The cloth node, which connects a simulation to the graph."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of a parameter file that otherwise only the running node makes, without ROS."""
+"""The node's checks of a parameter file, without ROS."""
 
 from __future__ import annotations
 

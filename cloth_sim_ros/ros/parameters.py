@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""ROS parameters of a scene: declaration, description, ranges and changes at run time."""
+"""ROS parameters of a scene: declaration, descriptors and changes."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Process of the node, from its arguments to the signal that stops it."""
+"""Process of the node, from arguments to stop signal."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Names and values of the parameters that override quality of service, validated without ROS."""
+"""Validation of quality-of-service overrides, without ROS."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Start and end of recordings: with the node, by ~/record, and around a failure."""
+"""Start and end of recordings: by node, ~/record and failure."""
 
 from __future__ import annotations
 

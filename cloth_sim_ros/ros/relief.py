@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tolerance governor: relaxes the tolerance while frames overrun and accuracy limits the step.
+"""Tolerance governor.
 
-The tolerance grows at most tenfold, and to at most 1 cm. Only here does a measured time influence the computation.
-Therefore each change is an event and is recorded.
+It relaxes the tolerance while frames overrun and accuracy limits the step, at most tenfold and to at most 1 cm. Only
+here does a measured time influence the computation. Therefore each change is an event and is recorded.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Relief:
     Args:
         simulation: the cloth; the governor is active if its parameter `overload` is `relax`.
         log: receives every change.
-        is_live: true if frames are due by wall time; with /clock there is no deadline.
+        live: true if frames are due by wall time; with /clock there is no deadline.
     """
 
     def __init__(self, simulation: Simulation, log: ThrottledLog, *, live: bool = True) -> None:

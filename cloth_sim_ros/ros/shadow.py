@@ -1,9 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Accuracy monitor: a worker process that integrates windows of a second again with finer steps.
+"""Accuracy monitor.
 
-The node keeps the state at the start of a window and its events. Threads send the windows and receive the errors. If
-the worker lags, whole windows are skipped and counted.
+A worker process integrates windows of a second again with finer steps. The node keeps the state at the start of a
+window and its events. Threads send the windows and receive the errors. If the worker lags, whole windows are skipped
+and counted.
 """
 
 from __future__ import annotations

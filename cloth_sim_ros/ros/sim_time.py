@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated time of a node: `use_sim_time`, checks of /clock, and warnings if it is silent."""
+"""Simulated time of a node: `use_sim_time` and checks of /clock."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Signal handling: SIGINT, SIGTERM and SIGHUP request a stop and raise no exception."""
+"""Signal handling: SIGINT, SIGTERM and SIGHUP request a stop."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The gripper client in the time of a cloth that is slow, stands, or ends."""
+"""The gripper client with a cloth that is slow, stands, or ends."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from cloth_sim_ros.simulation.gripper_script import GripperScript
 
 SECOND = 1_000_000_000
 PERIOD = 1.0 / 60.0
-#: It stays for 1.2 s where it closes.
+#: The script stays at the position of its closing for 1.2 s.
 STEPS: list[dict[str, Any]] = [
     {"time": 0.0, "position": [0.0, 0.0, 0.0]},
     {"time": 1.0, "position": [1.0, 0.0, 0.0], "close": True},
@@ -36,12 +36,12 @@ SCRIPT = GripperScript.from_dict({"rate": 100.0, "steps": STEPS})
 
 
 class SlowCloth:
-    """A cloth whose frames take longer than their time, by a clock of the test's, and what is sent to it.
+    """A cloth slower than real time, on the test's clock; it records the received commands.
 
     Args:
-        factor: simulated time of a frame a wall time.
+        factor: real-time factor.
         answer: simulated time that pads take to close [s].
-        stands_at: simulated time at which it stands from then on [s].
+        stands_at: simulated time at which the cloth stops [s].
     """
 
     def __init__(
@@ -49,9 +49,9 @@ class SlowCloth:
     ) -> None:
         self.factor, self._answer, self._stands_at = factor, answer, stands_at
         self.wall = self.simulated = 0.0
-        #: Simulated time of what was sent, and what: x of targets, and grasps.
+        #: Received commands with their simulated time [s]: x of targets [m], and grasps.
         self.sent: list[tuple[float, float | bool]] = []
-        #: Share of a frame that had passed when each target was sent.
+        #: Fraction of the frame that had passed when each target was sent.
         self.shares: list[float] = []
         self._closed: float | None = None
         self._callbacks: dict[str, Callable[[Any], None]] = {}
@@ -71,11 +71,11 @@ class SlowCloth:
         )
 
     def targets(self) -> list[tuple[float, float]]:
-        """Simulated time and x of targets."""
+        """Simulated time [s] and x [m] of the targets."""
         return [(when, message) for when, message in self.sent if not isinstance(message, bool)]
 
     def grasps(self) -> list[float]:
-        """Simulated times of grasps."""
+        """Simulated times of the grasps [s]."""
         return [when for when, message in self.sent if isinstance(message, bool)]
 
     def _spin_once(self, timeout_sec: float) -> None:
@@ -110,7 +110,7 @@ def test_script_is_as_slow_as_the_cloth(monkeypatch: pytest.MonkeyPatch, factor:
     begun = cloth.targets()[0][0]
     assert closed - begun == pytest.approx(1.0, abs=0.06)
     assert opened - closed == pytest.approx(2.0, abs=0.1)
-    # No frame sees the gripper go further than the script does in a frame's time: at most 1.9 m/s.
+    # In no frame does the gripper move further than the script does in the frame's time: at most 1.9 m/s.
     by_frame = dict(cloth.targets())
     ways = [b - a for a, b in zip(list(by_frame.values()), list(by_frame.values())[1:], strict=False)]
     assert max(map(abs, ways)) < 2.4 * 1.6 * PERIOD
@@ -120,7 +120,7 @@ def test_script_is_as_slow_as_the_cloth(monkeypatch: pytest.MonkeyPatch, factor:
 def test_target_is_sent_within_the_frame_of_a_slow_cloth(monkeypatch: pytest.MonkeyPatch) -> None:
     cloth = SlowCloth(monkeypatch, 0.1)
     assert cloth.player.play()
-    # At the beginning of a frame it would be taken by that frame or by the next one, as chance has it.
+    # At the start of a frame, either that frame or the next one would take it.
     assert min(cloth.shares[5:]) > 0.2
     assert max(cloth.shares[5:]) < 0.5
 
@@ -130,7 +130,7 @@ def test_script_waits_where_it_closes_until_it_holds(monkeypatch: pytest.MonkeyP
     assert cloth.player.play()
     closed, opened = cloth.grasps()
     assert all(x == 1.0 for when, x in cloth.targets() if closed + 0.1 < when < closed + 3.0)
-    # From where it waited to the opening it is as far as in the script.
+    # The time from the wait to the opening is that of the script.
     assert opened - closed == pytest.approx(3.0 + 0.8, abs=0.1)
 
 
@@ -210,7 +210,7 @@ def test_script_waits_for_a_paused_cloth(client: Client, start_process: Callable
     client.node.create_subscription(PoseStamped, "/cloth_sim/gripper/target", targets.append, QoSProfile(depth=100))
     node = start_process(["-m", "cloth_sim_ros.ros.main", "--ros-args", "-p", "cloth.resolution:=[6, 7]"])
     node.wait_for_output(STARTED)
-    # The service is met before: discovery may take longer than the script.
+    # Match the service first: discovery may take longer than the script.
     assert client.call(SetBool, "/cloth_sim/pause", SetBool.Request(data=False)).success
     gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", script])
     client.spin_until(lambda: len(targets) > 20, what="targets")
@@ -222,5 +222,5 @@ def test_script_waits_for_a_paused_cloth(client: Client, start_process: Callable
     assert gripper.wait() == 0
     client.spin_until(lambda: len(targets) > count, what="the rest of the targets")
     assert "held 1 particle" in gripper.output
-    # A tenth of a second of targets may have been under way.
+    # Targets of a tenth of a second may still have been in transit.
     assert count < 100

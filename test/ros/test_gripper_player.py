@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The gripper client's player, on a clock that stands still where the test says so."""
+"""The gripper client's player on a clock that the test controls."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ SCRIPT = GripperScript.from_dict(
 
 
 class Cloth:
-    """The other side: a gripper that says how much it holds, some time after it was closed."""
+    """A node whose gripper reports its particle count some time after a closing."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *, held: int = 3, answers_after: float = 0.02) -> None:
-        #: What is sent and when [s]: x of targets, and grasps.
+        #: Received commands with their time [s]: x of targets [m], and grasps.
         self.sent: list[tuple[float, Any]] = []
-        #: To which gripper each of these was sent.
+        #: The gripper of each command.
         self.to: list[str] = []
         self.time = 0.0
-        #: When the player is put aside by the system, and for how long [s].
+        #: Time at which the system suspends the player, and the duration [s].
         self.held_up_at, self.held_up_for = 0.0, 0.0
         self._held = held
         self._answers_after = answers_after
-        #: What the gripper will say, and when [s].
+        #: Future answers of the gripper with their time [s].
         self._answers: list[tuple[float, str, bool]] = []
         self._hear: dict[str, Any] = {}
-        # The middleware acknowledges nothing in time: what counts is what the node says.
+        # The middleware never acknowledges in time: only the node's answers count.
         clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=round(self.time * 1e9)))
         self.node: Any = SimpleNamespace(
             create_publisher=self._create_publisher, create_subscription=self._subscribe, get_clock=lambda: clock
@@ -53,7 +53,7 @@ class Cloth:
         monkeypatch.setattr(gripper_player, "time", SimpleNamespace(monotonic=lambda: self.time))
 
     def say(self, closed: bool, gripper: str = "gripper") -> None:
-        """Say what the gripper is, as the node does to those who come later."""
+        """Publish the state of the gripper, as the node does for late subscribers."""
         values = {"closed": str(closed).lower(), "held": str(self._held if closed else 0)}
         self._hear[gripper](DiagnosticStatus(values=[KeyValue(key=key, value=value) for key, value in values.items()]))
 
@@ -63,7 +63,7 @@ class Cloth:
         return player
 
     def grasps(self) -> list[int]:
-        """Where in what was sent the grasps are."""
+        """Indices of the grasps among the received commands."""
         return [k for k, (_, what) in enumerate(self.sent) if isinstance(what, bool)]
 
     def _spin_once(self, timeout_sec: float) -> None:
@@ -102,7 +102,7 @@ def test_grasps_happen_at_script_positions(monkeypatch: pytest.MonkeyPatch, at: 
     sent, grasps = cloth.sent, cloth.grasps()
     assert [sent[k][1] for k in grasps] == [True, False]
     for k, place in zip(grasps, (0.0, 1.0), strict=True):
-        # The target before it, and those of the tenth of a second before that.
+        # The target before the grasp, and those of the tenth of a second before.
         assert sent[k - 1][1] == pytest.approx(place, abs=1e-3)
         near = [what for when, what in sent[:k] if sent[k][0] - 0.08 < when and not isinstance(what, bool)]
         assert len(near) >= 4
@@ -115,7 +115,7 @@ def test_grasp_report_has_particle_count(monkeypatch: pytest.MonkeyPatch, held: 
 
 
 def test_gripper_opens_after_grasp_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    # What is said after the opening is of an open gripper.
+    # The state after the opening is that of an open gripper.
     cloth = Cloth(monkeypatch, answers_after=2.5)
     player = cloth.play()
     closed, opened = (cloth.sent[k][0] for k in cloth.grasps())
@@ -126,7 +126,7 @@ def test_gripper_opens_after_grasp_answer(monkeypatch: pytest.MonkeyPatch) -> No
 def test_script_starts_after_node_reports_open_gripper(monkeypatch: pytest.MonkeyPatch) -> None:
     cloth = Cloth(monkeypatch, answers_after=2.5)
     player = gripper_player.GripperPlayer(cloth.node, [SCRIPT], target="/cloth_sim")
-    # What it was before somebody asked is no answer.
+    # The state before the request is no answer.
     cloth.say(False)
     assert player.wait_for_grippers(10.0)
     assert [what for _, what in cloth.sent] == [False]

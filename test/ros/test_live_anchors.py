@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Anchors that change while the cloth runs: an event like any other, refused with the reason, run again to the bit."""
+"""Anchors that change while the cloth runs: events, refusals with reasons, and bit-exact replay."""
 
 from __future__ import annotations
 

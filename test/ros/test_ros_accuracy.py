@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The live certificate: what the shadow says is so, it holds nobody up, and neither side outlives the other."""
+"""The accuracy monitor: correct verdicts, no delays, and a common end of node and worker."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_accuracy_diagnostics_match_the_windows(shadow: Shadow, wait_until: Call
     script = _script(simulation)
     for k, events in enumerate(script):
         if moved == 30:
-            # The second window waits until the first one is judged, so that none is left out.
+            # The second window waits for the verdict of the first, so that none is skipped.
             wait_until(lambda: shadow.describe(0.0)["accuracy_windows"] == "1", what="the first window")
             ends.append((k, simulation.state.copy()))
         before = simulation.frame
@@ -101,7 +101,7 @@ def test_verdict_equals_certificate_of_the_window() -> None:
     told = judge(scene, start, [()] * 30, simulation.state.digest())
     assert told["verdict"] == "kept"
     assert (told["start"], told["end"]) == (0.0, pytest.approx(1.0))
-    # Where the judge's run does not end in the state that the simulation reached, nothing is said of its accuracy.
+    # If the worker's run does not end in the state of the simulation, there is no verdict.
     assert "otherwise" in judge(scene, start, [()] * 30, "0" * 32)["trouble"]
 
 
@@ -127,13 +127,13 @@ def test_whole_windows_are_skipped_when_worker_lags(shadow: Shadow, wait_until: 
     (child,) = wait_until(lambda: _shadows_of(os.getpid()), what="the process")
     child.send_signal(signal.SIGSTOP)
     simulation = Simulation(Scene.from_parameters(SMALL))
-    # None of these calls waits, or the test would never end.
+    # None of these calls may wait, or the test would never end.
     for _ in range(30 * 8):
         _frame(shadow, simulation)
     assert int(shadow.describe(simulation.time)["accuracy_windows_left_out"]) >= 5
     child.send_signal(signal.SIGCONT)
     wait_until(lambda: shadow.describe(simulation.time)["accuracy"] == "running", what="an answer")
-    # What waited is the newest.
+    # The newest window waited.
     wait_until(
         lambda: shadow.describe(simulation.time).get("accuracy_window_s") == "7.000 to 8.000", what="the newest window"
     )

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bad input: each has a clear message, and the node goes on, or refuses to start."""
+"""Bad input: a clear message for each; the node goes on or refuses to start."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from cloth_sim_ros.ros.outputs import LATCHED
 TARGET = "/cloth_sim/gripper/target"
 
 
-#: What the node is started with, and what it says.
+#: Arguments of the node, and its message.
 REFUSED = [
     (["-p", "cloth.size:=[-1.0, 1.0]"], "cloth.size is -1.0 m; it must be at least 1e-06 m"),
     (["-p", "cloth.resolution:=[1, 1]"], "cloth.resolution is 1; it must be at least 2"),
@@ -57,7 +57,7 @@ def test_node_refuses_to_start(ros_domain: int, start_process: Callable[..., Any
     arguments = [
         ["--ros-args", *(word.replace("FILE", str(tmp_path / "file")) for word in words)] for words, _ in REFUSED
     ]
-    # One after the other in one process: what takes long is its start.
+    # In one process, because its start takes long.
     script = (
         "import sys\nfrom cloth_sim_ros.ros.main import main\n"
         f"for arguments in {arguments!r}:\n    print('status', main(arguments), flush=True)"
@@ -68,7 +68,7 @@ def test_node_refuses_to_start(ros_domain: int, start_process: Callable[..., Any
     assert len(parts) == len(REFUSED) + 1
     for part, (_, message) in zip(parts, REFUSED, strict=False):
         assert message in part
-        # That and nothing else: no words of a library's about what led there.
+        # No other line: no messages of libraries.
         assert len(part.strip().splitlines()) == 1, part
     assert "Traceback" not in process.output
 
@@ -86,7 +86,7 @@ def test_gripper_error_lists_known_grippers(ros_domain: int, start_process: Call
 
 
 def test_gripper_finds_the_node_beside_another_of_its_name(ros_domain: int, start_process: Callable[..., Any]) -> None:
-    # As one that was killed stays in the graph for some seconds: a name without services.
+    # A killed node stays in the graph for some seconds, as a name without services.
     with Client("cloth_sim"):
         start_cloth(start_process, "grippers:=[left, right]")
         gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", "--gripper", "middle"])
@@ -95,7 +95,7 @@ def test_gripper_finds_the_node_beside_another_of_its_name(ros_domain: int, star
 
 
 def test_gripper_without_a_node_gives_up(ros_domain: int, start_process: Callable[..., Any]) -> None:
-    # Of a name that no test gives its node: one that an earlier test killed stays in the graph for some seconds.
+    # A name that no other test uses, because killed nodes stay in the graph for some seconds.
     gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", "--node", "/nowhere", "--wait", "0.5"])
     assert gripper.wait() == 1
     assert "no node /nowhere came within 0.5 s" in gripper.output
@@ -114,7 +114,7 @@ def test_gripper_plays_one_script_for_each_gripper(start_process: Callable[..., 
 def test_gripper_waits_for_the_node_and_not_for_its_middleware(
     ros_domain: int, start_process: Callable[..., Any]
 ) -> None:
-    # A node with the right subscriptions that never spins: only its middleware meets publishers and acknowledges.
+    # A node with the right subscriptions that never spins: its middleware matches publishers and acknowledges.
     with Client("cloth_sim") as idle:
         idle.node.create_subscription(PoseStamped, TARGET, lambda _: None, 10)
         idle.node.create_subscription(Bool, "/cloth_sim/gripper/grasp", lambda _: None, 10)
@@ -187,7 +187,7 @@ def check_commands(client: Client, process: Any) -> None:
         (lambda: client.publisher(PointStamped, "/cloth_sim/gripper/point").publish(point), "point of 'gripper' is"),
         (lambda: grasp.publish(b"\x00\x01\x00\x00"), "4 bytes are no Bool"),
     ):
-        # Each kind is logged again only after a while, so that a flood can't fill the log.
+        # Each kind is logged at most once a second.
         def told(send: Callable[[], None] = send, message: str = message) -> bool:
             send()
             return message in process.output
@@ -212,7 +212,7 @@ def check_parameters(client: Client) -> None:
 def test_unstable_motion_stops_time_and_not_the_node(
     ros_domain: int, start_process: Callable[..., Any], tmp_path: Path
 ) -> None:
-    # A state of a cloth that flies apart: it is told in its frame; a reset would be another start of the same.
+    # The state of a diverging cloth: its frame reports the instability; a reset would start the same state again.
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": (6, 7)}))
     simulation.advance()
     simulation.state.v[:] = 1e200

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A session's own commands drive a node again: exactly, frame by frame, and as `ros2 bag play` plays them."""
+"""Commands of a session that drive a node again: frame by frame, and as `ros2 bag play` plays them."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from cloth_sim_ros.simulation.events import Grasp, Target
 COMMANDS = ("/cloth_sim/gripper/target", "/cloth_sim/gripper/grasp")
 CLOTH = {"cloth.resolution": [6, 7]}
 CORNER = 41
-#: Seconds, and where the gripper is to be then: to the corner, up and away, there it stays.
+#: Time [s] and position [m] of the gripper: to the corner, up and away, then at rest.
 WAY = ((0.0, (0.6, -0.2, 0.4)), (0.3, (0.5, 0.0, 0.5)), (0.5, (0.5, 0.0, 0.5)), (1.2, (0.3, -0.3, 0.9)))
 CLOSED_AT, END, PACE = 0.4, 1.5, 0.01
 
 
 @attrs.frozen
 class Run:
-    """How a grasp ended, and the session that shows it."""
+    """Final position of a grasp and its session."""
 
     path: Path
     held: list[int]
@@ -59,7 +59,7 @@ def cloth_node(client: Client, folder: Path, **parameters: Any) -> ClothNode:
 
 
 def end(client: Client, cloth: ClothNode) -> Run:
-    """Let the cloth come to its last target, stop it, and see how it ended."""
+    """Wait until the gripper has reached its last target, stop the node, and return the result."""
     client.spin_until(
         lambda: np.allclose(cloth.simulation.grippers.poses()[0, :3], WAY[-1][1], atol=1e-9),
         what="the gripper at its last target",
@@ -77,7 +77,7 @@ def end(client: Client, cloth: ClothNode) -> Run:
 
 
 def grasp_live(client: Client, folder: Path) -> Run:
-    """Grasp the corner of a live cloth, as a robot would, and record it."""
+    """Grasp the corner of a live cloth as a robot would, and record a session."""
     cloth = cloth_node(client, folder)
     target, grasp = client.publisher(type(pose(0, 0, 0)), COMMANDS[0]), client.publisher(Bool, COMMANDS[1])
     times, places = zip(*WAY, strict=True)
@@ -119,10 +119,10 @@ def check_profiles_let_them_be_played(live: Run) -> None:
 
 
 def check_the_frames_of_wall_time_are_those_of_the_clock(client: Client, live: Run, folder: Path) -> None:
-    """Every frame's events, sent over the topics to a cloth that follows /clock, make the same state bit for bit."""
+    """The events of each frame, sent over topics to a cloth that follows /clock, give the same state bit for bit."""
     with SessionReader(live.path) as reader:
         records = list(reader.frames())
-    # A busy machine leaves frames out.
+    # A busy machine skips frames.
     assert len(records) > 20
     with ClockedCloth(client, {**CLOTH, "record.folder": str(folder)}) as cloth:
         for record in records:
@@ -158,7 +158,7 @@ def check_same_grasp(live: Run, again: Run, sent: int) -> None:
     np.testing.assert_allclose(again.corner, live.corner, atol=0.01)
     for topic in COMMANDS:
         first, second = (list(commands_in(run.path, topic)) for run in (live, again))
-        # Targets are best effort: on a busy machine a few may be lost. What arrived came in order, byte for byte.
+        # Targets are best effort: on a busy machine a few may be missing. The others arrive in order, byte for byte.
         following = iter(first)
         assert all(command in following for command in second)
         assert len(second) > 0.8 * len(first)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`cloth_sim --check scene.yaml`: what would run, how fast, what sets its step; refused in the node's own words."""
+"""`cloth_sim --check scene.yaml`: cloth, speed and step limit; refusals with the node's messages."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cloth_sim_ros.ros import main as node_main
 from cloth_sim_ros.ros.step_setters import in_words, step_setters
 from cloth_sim_ros.scene import parameter_file
 
-#: As a machine without ROS has it.
+#: The environment of a machine without ROS.
 WITHOUT_ROS = (
     "import sys; sys.modules['rclpy'] = None; from cloth_sim_ros.ros.main import main; sys.exit(main(sys.argv[1:]))"
 )
@@ -35,7 +35,7 @@ def check(*arguments: str) -> int:
 
 
 def sliver_mesh(folder: Path, *, moved: float) -> str:
-    """A mesh of 21 x 21 particles 50 mm apart, one of which, 220, is moved along its row."""
+    """A mesh of 21 x 21 particles 50 mm apart; particle 220 is displaced along its row."""
     x, y = np.meshgrid(np.arange(21) * 0.05, np.arange(21) * 0.05)
     x[10, 10] += moved
     lines = [f"v {a} {b} 0.0" for a, b in zip(x.ravel(), y.ravel(), strict=True)]
@@ -173,7 +173,7 @@ def test_longest_topic_name_is_accepted(tmp_path: Path, capsys: pytest.CaptureFi
     folder = tmp_path / "not" / "there"
     values = {"cloth.resolution": [3, 3], "grippers": ["a" * 229], "record.enabled": True, "record.folder": str(folder)}
     assert check(written(tmp_path, values)) == 0
-    # What would be recorded into is not made.
+    # The recording folder is not created.
     assert not folder.parent.exists()
     assert "grippers: aaa" in capsys.readouterr().out
 
@@ -191,7 +191,7 @@ def test_relative_file_names_resolve_as_in_the_node(
     )
     assert check(written(tmp_path, {"cloth.mesh": "nowhere.obj"})) == 1
     assert capsys.readouterr().err.endswith(f" that it is started in, {here}: give the whole path\n")
-    # Another fault is told without it.
+    # Another fault has no hint.
     assert check(written(tmp_path, {"cloth.mesh": "nowhere.obj", "rate": -1.0})) == 1
     assert "the node looks" not in capsys.readouterr().err
 
@@ -212,7 +212,7 @@ def test_cost_of_few_short_edges_is_printed(tmp_path: Path, capsys: pytest.Captu
     assert "220-221 (2 mm)" in said
     assert "set it: without them steps would be" in said
     assert "median of the mesh 50 mm" in said
-    # Without the sliver there is no few to blame, and the limit is longer by what was told.
+    # Without the sliver no few particles limit the step, and the limit is larger by the printed ratio.
     simulation = Simulation(Scene.from_parameters(values))
     found = step_setters(simulation.plan, simulation.state.x)
     whole = Simulation(Scene.from_parameters(values | {"cloth.mesh": sliver_mesh(tmp_path, moved=0.0)}))

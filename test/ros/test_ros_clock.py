@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated time: the cloth follows /clock exactly, stands when it stands, and survives its jumps."""
+"""Simulated time: the cloth follows /clock exactly, stands with it, and survives its jumps."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SECOND = 1_000_000_000
 
 
 class ClockedClient(Client):
-    """A client that sets the time of everyone."""
+    """A client that publishes /clock."""
 
     def set_time(self, seconds: float) -> None:
         message = Clock()
@@ -28,7 +28,7 @@ class ClockedClient(Client):
         self.publisher(Clock, "/clock").publish(message)
 
     def advance_to(self, seconds: float) -> None:
-        """Set the time, and wait for the last cloud that is due by it."""
+        """Set the time, and wait for the last cloud due at it."""
         last = int(seconds * 60.0 + 1e-6) * SECOND // 60
         self.set_time(seconds)
         self.spin_until(lambda: self.clouds and stamp_of(self.clouds[-1]) == last, what=f"the cloud of {seconds} s")
@@ -63,13 +63,13 @@ def cloud_subscription(client: ClockedClient) -> tuple[Any, ...]:
 
 
 def check_frames_are_due_when_the_clock_reaches_them(client: ClockedClient) -> None:
-    # However seldom /clock comes, every frame is computed, and has the stamp at which it was due.
+    # Even if /clock comes rarely, every frame is computed, with the stamp of its tick.
     client.advance_to(100.0)
     for seconds in (100.1, 100.11, 100.5, 101.0):
         client.advance_to(seconds)
     stamps = [stamp_of(cloud) for cloud in client.clouds]
     assert stamps == [(6000 + number) * SECOND // 60 for number in range(61)]
-    # They are the frames that the simulation has without ROS; the gripper closed in the first, on nothing.
+    # They equal the frames of the simulation without ROS; the gripper closed on nothing in the first.
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": (10, 10)}))
     for cloud in client.clouds:
         simulation.advance()

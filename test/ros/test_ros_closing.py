@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A closed node is gone: from the graph, its threads, its descriptors, at once and without a garbage collection."""
+"""A closed node: its graph entities, threads and descriptors end at once, without garbage collection."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What decides over commands without a graph: stamps, the queue, the throttled log, the script of a gripper."""
+"""Commands without a graph: stamps, the event queue, the throttled log and gripper scripts."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_stamps() -> None:
     assert gate.accept(NOW + SECOND, NOW + 5) == NOW + SECOND, "repeated, not older"
     with pytest.raises(StampError, match=r"1\.000 s ahead"):
         gate.accept(NOW + SECOND + 6, NOW + 5)
-    # After a second of silence an older stamp counts: a bag is played once more.
+    # After a second of silence an older stamp is accepted: a bag is played again.
     assert gate.accept(7, NOW + SECOND + 5) == 7
     gate.forget()
     assert gate.accept(3, NOW) == 3
@@ -117,7 +117,7 @@ def test_stopped_time_is_answered_with_the_reason(monkeypatch: pytest.MonkeyPatc
     with monkeypatch.context() as patch:
         patch.setattr(simulation, "_move", fail)
         stepper.step(0)
-        # The node must outlive whoever asks for more of it, as often as that is.
+        # The node must survive any number of such requests.
         for _ in range(2):
             queue.put(asked, answer=told.append)
             queue.put(Grasp("gripper", True), answer=told.append)

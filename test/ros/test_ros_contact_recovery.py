@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a node and `cloth_sim --check` say of contacts that an event compresses, and what they refuse."""
+"""Contacts that an event compresses: messages and refusals of the node and `cloth_sim --check`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LYING: dict[str, Any] = {
 
 
 def lying(gap: float, **values: Any) -> dict[str, Any]:
-    """A cloth that lies flat, so far [m] above a table."""
+    """A flat cloth at a height [m] above a table."""
     return {**LYING, "cloth.position": [0.0, 0.0, gap], **values}
 
 
@@ -46,7 +46,7 @@ def logged(client: Client) -> list[str]:
 
 
 def fastest(cloth: ClockedCloth, thickness: float) -> float:
-    """Largest speed of a particle until contacts have regained their thickness, so much at most [m], in m/s."""
+    """Largest speed of a particle [m/s] until contacts have regained their thickness, at most a given one [m]."""
     simulation, speeds = cloth.simulation, []
     for _ in range(math.ceil(thickness / RECOVERY_SPEED * simulation.scene.rate)):
         cloth.tick()

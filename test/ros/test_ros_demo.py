@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The demonstration behind `make run`: it works, ends by itself, and is heard on this machine alone."""
+"""The demonstration of `make run`: it works, ends, and stays on this machine."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_demo_report_counts_are_consistent(tmp_path: Path, capsys: pytest.Captur
     path = maker.finish()
     with SessionReader(path) as session:
         stamps = [message.log_time for message in session.messages(["/cloth_sim/points"])]
-    # The first one had gone before the subscriber met the node; the last diagnostics came before the last clouds.
+    # The first cloud came before the subscriber was matched; the last diagnostics came before the last clouds.
     values = {"clouds_published": "2", "recording_file": str(path), "real_time_factor_overall": "1.0"}
     assert demo._report(demo.Seen(clouds=4, first=stamps[1], values=values)) == 0
     assert "frames published  5, received 4, lost since the first one 0" in capsys.readouterr().out
@@ -90,7 +90,7 @@ def test_demo_uses_localhost_and_a_reserved_domain(monkeypatch: pytest.MonkeyPat
     with demo._domain():
         assert os.environ[RANGE] == "LOCALHOST"
         first = int(os.environ[DOMAIN])
-        # Whoever else looks for a domain while it runs gets another one.
+        # Another process that reserves a domain meanwhile gets another one.
         with socket.socket() as other, pytest.raises(OSError, match="in use"):
             other.bind(("", 32768 + first))
         monkeypatch.delenv(DOMAIN)

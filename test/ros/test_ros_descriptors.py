@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Ranges of parameter descriptors: both ends are accepted, what lies just outside is refused."""
+"""Ranges of parameter descriptors: both ends are accepted, values just outside are refused."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DECLARED = {entry.name: entry for entry in Scene.declared(["table"])}
 RANGED = [name for name, entry in DECLARED.items() if entry.kind in ("double", "int")]
 ARRAYS = [name for name, entry in DECLARED.items() if entry.is_array and entry.element in ("double", "int")]
 NUMBERS = itertools.count()
-#: Other parameters by which a parameter has the whole of its range.
+#: Other parameters that give a parameter its full range.
 REQUIRED: dict[str, dict[str, Any]] = {
     "material.bending_modulus": {"bending.model": "crossed"},
     "material.stretch_modulus": {"material.shear_modulus": 0.0, "bending.stiffness": 0.0},
@@ -45,7 +45,7 @@ def ends(entry: Parameter) -> tuple[Any, Any]:
 
 
 def is_accepted(entry: Parameter, value: Any) -> bool:
-    """True if a cloth of some grid takes a value."""
+    """Return true if a cloth accepts a value."""
     for required in ({}, REQUIRED.get(entry.name, {})):
         with contextlib.suppress(ParameterError):
             Scene.from_parameters({"cloth.resolution": [5, 5], **required, entry.name: value})
@@ -79,7 +79,7 @@ def test_values_just_outside_a_range_are_refused(node: Node, name: str) -> None:
     for value in outside:
         with pytest.raises(ParameterError, match=name):
             entry.check(value)
-    # What rclpy takes for equal to an end it leaves to the check above.
+    # rclpy accepts values that it considers equal to an end; the check above covers them.
     for value in (outside[-2], outside[-1]):
         with pytest.raises(Exception, match="out of range"):
             declare(node, entry, value)

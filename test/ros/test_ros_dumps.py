@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A parameter dump given to a node of another name: one sentence with a remedy, wherever it is read."""
+"""Parameter dumps given to a node of another name: one sentence with a remedy from each reader."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def dumped(client: Client) -> dict[str, Any]:
 
 def warnings_in(output: str) -> list[str]:
     lines = [line for line in output.splitlines() if "[WARN]" in line or line.startswith("warning: ")]
-    # A machine that is busy with other work may be too slow for any cloth.
+    # A busy machine may be too slow for any cloth.
     return [line for line in lines if "real-time factor" not in line and "frames were late" not in line]
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""An environment in which no node can start: one sentence with the remedy, for the node and for the gripper client."""
+"""Environments in which no node can start: one sentence with the remedy, from node and gripper client."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_unwritable_log_folder_gives_one_sentence(
 def test_missing_log_folder_is_created(tmp_path: Path) -> None:
     check_environment({"ROS_LOG_DIR": "~/log", "HOME": str(tmp_path)}, [])
     assert (tmp_path / "log").is_dir()
-    # Without a file of a log there is no folder to look at.
+    # Without a log file there is no folder to check.
     check_environment({}, ["cloth_sim", "--ros-args", "--disable-external-lib-logs"])
 
 
@@ -56,7 +56,7 @@ def test_security_without_keystore_gives_one_sentence(tmp_path: Path) -> None:
     (keys / "enclaves" / "towel").mkdir(parents=True)
     check_environment(with_keys, ["cloth_sim", "--ros-args", "--enclave", "/towel"])
     check_environment({**with_keys, "ROS_SECURITY_ENCLAVE_OVERRIDE": "/towel"}, ["cloth_sim"])
-    # rcl itself goes on without security, or does not look at any of it.
+    # rcl continues without security, or ignores the setting.
     for variables in ({"ROS_SECURITY_STRATEGY": "Permissive"}, {"ROS_SECURITY_ENABLE": "false"}):
         check_environment({**secure, **variables}, [])
 
@@ -79,7 +79,7 @@ def test_secured_environment_gives_no_traceback(
     assert process.wait() == 1
     (line,) = process.output.strip().splitlines()
     assert line.startswith(f"{command}: ROS_SECURITY_ENABLE is true and ROS_SECURITY_STRATEGY is Enforce, but ")
-    # Of no keys: a middleware with security refuses them, one without says what it lacks.
+    # Without keys: a middleware with security refuses to start, one without reports the missing support.
     (tmp_path / "enclaves").mkdir()
     process = start_process(["-m", COMMANDS[command]], env={**variables, "ROS_SECURITY_KEYSTORE": str(tmp_path)})
     assert process.wait() == 1

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""State `failed`: an exception in a frame stops time at the last good frame, is reported, and ends with a reset."""
+"""State `failed`: an exception in a frame stops time at the last good frame until a reset."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from cloth_sim_ros.verify.run import verify
 
 SMALL = {"cloth.resolution": [5, 6], "integrator": "symplectic_euler", "tolerance": 0.0}
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-#: Methods that a frame runs, by where in it they are.
+#: Methods that a frame calls, by stage of the frame.
 PLACES = {
     "integrate": (SymplecticEuler, "advance"),
     "event": (Grippers, "set_target"),
@@ -107,7 +107,7 @@ REASON = "ZeroDivisionError: a bug of the test"
 
 
 def poke(client: Client) -> None:
-    """Let the next frame have an event."""
+    """Add an event to the next frame."""
     client.publisher(PoseStamped, "/cloth_sim/gripper/target").publish(pose(0.3, -0.2, 0.4))
 
 
@@ -150,7 +150,7 @@ def test_exception_in_a_frame_is_a_state_left_by_reset(
 
 
 def check_it_is_reported(client: Client, witness: Witness, cloth: ClothNode, folder: Path) -> None:
-    """Reports, answers, the state of the last good frame, and no clouds."""
+    """Check reports, answers, the state of the last good frame, and that no clouds are published."""
     assert witness.states[-1].id == State.TRANSITION_STATE_ERRORPROCESSING
     witness.wait_for_report(DiagnosticStatus.ERROR, f"failed: {REASON}")
     client.spin_until(lambda: not cloth._recording.busy, what="the end of the recording")
@@ -182,7 +182,7 @@ def test_parameters_of_a_failed_frame_are_set_back(client: Client, monkeypatch: 
         client.spin_until(lambda: cloth.node.get_parameter("gravity").value[2] == -9.81, what="the old gravity")
         assert cloth.simulation.scene.gravity[2] == -9.81
         monkeypatch.undo()
-        # A remedy may be set while failed; it takes effect with the reset.
+        # A parameter may be set while failed; it takes effect with the reset.
         cloth.node.set_parameters([Parameter("gravity", value=[0.0, 0.0, -2.0])])
         assert client.call(Trigger, "/cloth_sim/reset").success
         assert cloth.simulation.scene.gravity[2] == -2.0

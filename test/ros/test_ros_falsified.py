@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A node's sessions: all that they hold is compared or listed, and what is falsified in them is found or listed."""
+"""A node's sessions: all content is compared or listed, and falsified content is found or listed."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.verify.main import describe
 from cloth_sim_ros.verify.run import Verdict, verify
 
-#: What sessions of other makers lack; the rest is falsified without ROS in test/verify.
+#: Falsifications of content that only a node records; test/verify has the others, without ROS.
 WAYS = {
-    name: way
-    for name, way in falsifications("left", busy=False).items()
-    if way.needs != FRAME or name in ("clouds moved and published 1 ns later", "received target inserted")
+    name: alteration
+    for name, alteration in falsifications("left", busy=False).items()
+    if alteration.needs != FRAME or name in ("clouds moved and published 1 ns later", "received target inserted")
 }
 SECOND = 1_000_000_000
 CORNER = (0.5, 0.0, 0.5)
@@ -54,7 +54,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def call(cloth: ClockedCloth, kind: Any, name: str, request: Any = None) -> None:
-    """Ask for what happens with the next frame."""
+    """Call a service that takes effect with the next frame."""
     answer = cloth.client.node.create_client(kind, f"/cloth_sim/{name}")
     cloth.client.spin_until(answer.service_is_ready, what=name)
     future = answer.call_async(request or kind.Request())
@@ -69,7 +69,7 @@ def change(cloth: ClockedCloth, **values: Any) -> None:
 
 
 def play(client: Client, folder: Path, **more: Any) -> None:
-    """Everything that a node records, in a few frames."""
+    """Cause every kind of record of a node, in a few frames."""
     values = {**SCENE, "record.enabled": True, "record.folder": str(folder), **more}
     with ClockedCloth(client, values) as cloth:
         act(cloth)
@@ -84,13 +84,13 @@ def act(cloth: ClockedCloth) -> None:
         if k == 1:
             cloth.grasp("left", True)
         cloth.tick()
-    # Refused: not finite, too far ahead, older than the newest, in a frame that nobody knows.
+    # Refused: not finite, too far ahead, older than the newest, in an unknown frame.
     cloth.target("left", (float("nan"), 0.0, 0.0))
     cloth.target("left", CORNER, stamp=cloth.now + 5 * SECOND)
     cloth.target("left", CORNER, stamp=cloth.now - SECOND // 2)
     cloth.send("right/target", pose(0.1, 0.2, 0.3, frame_id="nowhere"))
     cloth.tick(2)
-    # Waits for its stamp.
+    # This one waits for its stamp.
     cloth.target("left", (0.4, 0.0, 0.5), stamp=cloth.now + 3 * SECOND // 60)
     cloth.tick(5)
     call(cloth, SetBool, "pause", SetBool.Request(data=True))
@@ -139,7 +139,7 @@ def test_every_message_of_a_node_is_compared_or_listed(session: Path) -> None:
     assert verdict.compared["command"] + left == commands
     assert verdict.clouds == told["/cloth_sim/points"] == told["/cloth_sim/frame"] == verdict.frames
     assert verdict.compared["marker message"] == told["/cloth_sim/obstacles"]
-    # Inactive until /clock has come, and finalized: the node's clock and end decide these.
+    # The states inactive (until /clock has come) and finalized depend on the node's clock and end.
     assert verdict.compared["state"] == told["/cloth_sim/state"] - 2
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of the speed before it turns out: the estimate, the resolution that would hold, and when it is told."""
+"""The performance estimate: real-time factor, recommended resolution, and log lines."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_the_estimate_is_steps_times_particles_times_cost() -> None:
     found = forecast(period=0.01, step=0.003, particles=1000, cost=1e-8)
     assert (found.steps, found.seconds) == (4, pytest.approx(4e-5))
     assert found.factor == pytest.approx(250.0)
-    # A step beyond the frame is one step; the very step of the frame is no second one.
+    # A step longer than the frame is one step; a step equal to the frame is one too.
     assert forecast(period=0.01, step=1.0, particles=1, cost=1e-8).steps == 1
     assert forecast(period=0.3, step=0.1, particles=1, cost=1e-8).steps == 3
 
@@ -69,7 +69,7 @@ def test_recommended_resolution_reaches_real_time_by_estimate(material: dict[str
     better.tell()
     assert log.warnings == []
     assert better.newest is not None
-    # With the room that it leaves, and not much more than what is asked for by springs alone.
+    # With the margin, and not much more than springs alone require.
     assert better.newest.factor * ROOM >= 0.95
 
 
@@ -121,7 +121,7 @@ TABLE: dict[str, Any] = {
 
 
 def forecast_log(cost: float, **values: Any) -> tuple[str, list[str]]:
-    """Log of a cloth that has a factor of `cost` at best, and the warnings among it."""
+    """Log of a cloth with a real-time factor of `cost` at best, and its warnings."""
     forecast, simulation, log = forecaster(**values)
     forecast.tell()
     assert forecast.newest is not None
@@ -146,6 +146,6 @@ def test_estimate_includes_contact_before_it_begins() -> None:
     line, warnings = forecast_log(9.0, **TABLE, **{"gripper.mode": "pinch"})
     assert "about 2 in contact, about 0.6 while a gripper pinches (" in line
     assert "Real time is not held while a gripper pinches:" in line
-    # Neither of a cloth that touches nothing, nor of one whose step is fixed.
+    # No such line for a cloth without contact, or with a fixed step.
     assert "contact" not in forecast_log(2.0, **{"cloth.resolution": [8, 8]})[0]
     assert "contact" not in forecast_log(2.0, **TABLE, step=1e-4)[0]

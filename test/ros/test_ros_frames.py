@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of TF: poses in them, and grippers and obstacles that follow them."""
+"""TF frames: poses in them, and grippers and obstacles that follow them."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ NEWEST = 5 * SECOND + 7
 
 
 def stub_tf2(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, int]]:
-    """A tf2_ros that knows one transform: base is turned a quarter about z and stands at x = 1."""
+    """A tf2_ros with one transform: base is rotated by 90 degrees about z, at x = 1 m."""
     asked: list[tuple[str, str, int]] = []
 
     class TransformException(Exception):
@@ -152,12 +152,12 @@ def test_a_gripper_follows_a_frame_of_its_own(monkeypatch: pytest.MonkeyPatch) -
     assert isinstance(target, Target)
     assert target.gripper == "right"
     assert not log.lines
-    # The other follows what is set for all.
+    # The other gripper follows the frame that is set for all.
     _, grippers, log = companions(None, gripper__frame="{gripper}_tool", right__frame="base", **two)
     assert [event.gripper for event in grippers.events(NOW) if isinstance(event, Target)] == ["right"]
     assert len(log.lines) == 1
     assert "'left_tool' does not exist" in log.lines[0]
-    # An empty one follows none.
+    # With an empty name it follows none.
     _, grippers, log = companions(None, gripper__frame="base", right__frame="", **two)
     assert [event.gripper for event in grippers.events(NOW) if isinstance(event, Target)] == ["left"]
 
@@ -173,13 +173,13 @@ def test_frame_loss_and_recovery_are_logged(
         raise FrameError(f"{frame_id} is gone")
 
     monkeypatch.setattr(own._frames, "newest", lost)
-    monkeypatch.setattr(own._log, "_seconds", 0.0)  # nothing is left to the throttle of the log
+    monkeypatch.setattr(own._log, "_seconds", 0.0)  # no throttling of the log
     for second in range(60):
         assert own.events(NOW + second * SECOND) == []
     assert log.lines == ["'gripper' can't follow frame 'base': base is gone"]
     own.events(NOW + 60 * SECOND)
     assert len(log.lines) == 2
-    # The clock is set back: what was told then says nothing of now.
+    # The clock is set back: earlier warnings do not count.
     own.events(NOW)
     assert len(log.lines) == 3
     monkeypatch.setattr(own._frames, "newest", newest)

@@ -34,7 +34,7 @@ NUMBERS = [0.0, -0.0, 0.5, -0.5, 1.0, 1e-300, 9999.0, 1e4, 1e9, 1e308, np.inf, -
 
 
 def random_pose(random: np.random.Generator, kind: Any) -> Any:
-    """A pose or point, near the cloth as often as senseless."""
+    """A pose or point, near the cloth or invalid."""
     message = kind()
     message.header.frame_id = str(random.choice(["", "world", "base", "/world", "ü" * 50]))
     stamp = int(random.choice([0, 0, 1, 2**31 - 1, -5]))
@@ -51,7 +51,7 @@ def random_pose(random: np.random.Generator, kind: Any) -> Any:
 
 
 def random_bytes(random: np.random.Generator, message: Any) -> bytes:
-    """The bytes of a message, some of them changed, or cut off, or all of them noise."""
+    """The bytes of a message: some changed, or truncated, or all random."""
     data = bytearray(serialize_message(message))
     for place in random.integers(0, len(data), random.integers(1, 6)):
         data[place] = random.integers(0, 256)
@@ -71,7 +71,7 @@ def send_commands(client: Client, count: int) -> None:
         message = Bool(data=bool(random.integers(2))) if kind is Bool else random_pose(random, kind)
         publisher.publish(random_bytes(random, message) if random.random() < 0.4 else message)
         if sent % _BATCH == 0:
-            # As fast as the node follows, no faster: a queue that is full would only drop.
+            # Not faster than the node: a full queue would only drop messages.
             client.wait_for_clouds(1)
 
 
@@ -96,11 +96,11 @@ def test_random_commands(ros_domain: int, start_process: Callable[..., Any], cou
         "no Po.*Stamped",
     ):
         assert re.search(reason, process.output)
-    # A few kinds of message, each once a second at most; the run takes its time where the machine is busy.
+    # A few kinds of message, each at most once a second; the run takes longer on a busy machine.
     assert len(process.output.splitlines()) < count / 5
 
 
-#: Parameters that change the cloth while it runs, and values of all sorts for them.
+#: Live parameters, and values of all kinds for them.
 LIVE = [entry for entry in Scene.declared() if entry.live]
 VALUES = {
     "double": st.floats() | st.sampled_from([0.0, 1e-9, 1e9, 1.0]),
@@ -112,7 +112,7 @@ VALUES = {
 
 
 def allowed(entry: Any) -> st.SearchStrategy[Any]:
-    """Values that an entry by itself does not refuse."""
+    """Values that the entry's own check accepts."""
     if entry.choices:
         return st.sampled_from(entry.choices)
     if entry.element == "double":

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Grippers whose targets are faster than they may follow: warnings, and limits that are set while the cloth runs."""
+"""Grippers at their speed limit: warnings, and limits that change while the cloth runs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TWO = {"grippers": ["left", "right"]}
 
 
 def sideways(distance: float) -> np.ndarray:
-    """A place at a distance [m] from the corner."""
+    """A position at a distance [m] from the corner."""
     return np.add(CORNER, (0.0, distance, 0.0))
 
 
@@ -38,7 +38,7 @@ def client(ros_domain: int) -> Iterator[Client]:
 
 
 def monitored(**values: Any) -> tuple[Simulation, Callable[..., list[str]]]:
-    """A cloth held at a corner by each gripper; what is logged in a frame with a target for each."""
+    """A cloth with a grasped corner for each gripper, and the log of a frame with a target for each."""
     cloth = Simulation(Scene.from_parameters({"cloth.resolution": [5, 5], **values}))
     names = cloth.scene.gripper_names
     log = Log()
@@ -63,7 +63,7 @@ def test_speed_limit_is_warned_of_once() -> None:
     ]
     for _ in range(4):
         assert follow(gripper=1.1) == []
-    # It has arrived; another jump is news.
+    # It has arrived; another jump is warned of again.
     assert follow(gripper=1.1) == []
     assert len(follow(gripper=0.1)) == 1
 

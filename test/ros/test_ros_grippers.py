@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Grippers over topics: targets at any rate and in any order, grasps of nothing, everything, twice, by several."""
+"""Grippers over topics: targets at any rate and order, grasps of none, all, twice, by several."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CORNER = np.array([0.5, 0.0, 0.5])
 
 
 def off_corner(x: float, y: float, z: float) -> np.ndarray:
-    """A place beside the corner at the lower right."""
+    """A position beside the lower right corner."""
     return np.add(CORNER, (x, y, z))
 
 
@@ -42,17 +42,17 @@ def test_targets_at_any_rate(client: Client, rate: int) -> None:
         stamps = iter([start + round(k * SECOND / rate) for k in range(seconds * rate)])
         coming, newest, places = next(stamps), CORNER, [cloth.place("gripper")]
         for _ in range(60 * seconds):
-            # Sent in time for their frame, as they would be: each up to a millisecond ahead.
+            # Sent in time for their frame: each up to a millisecond ahead.
             while coming is not None and coming <= cloth.now:
                 newest = where((coming - start) / SECOND)
                 cloth.target("gripper", newest, stamp=coming)
                 coming = next(stamps, None)
             cloth.tick()
-            # Whatever the rate, at each frame the gripper is where the newest target is.
+            # At any rate, the gripper is at the newest target in each frame.
             np.testing.assert_allclose(cloth.place("gripper"), newest, rtol=0.0, atol=1e-12)
             places.append(cloth.place("gripper"))
         assert cloth.refused == (0, 0)
-        # 0.1 m/s at rates above 60 Hz: no frame moves it further than that; slower ones jump by what they skip.
+        # 0.1 m/s at rates above 60 Hz: no frame moves it further; lower rates jump by the skipped distance.
         steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
         assert steps.max() < 0.13 / min(rate, 60) * 1.2
         corner = cloth.simulation.positions[41]
@@ -71,10 +71,10 @@ def test_out_of_order_repeated_and_early_stamps(client: Client) -> None:
         ):
             cloth.target("gripper", (x, 0.0, 0.0), stamp=stamp)
         cloth.tick()
-        # An older one is dropped; of two with one stamp the later one counts.
+        # An older target is dropped; of two with equal stamps the later one counts.
         assert cloth.place("gripper")[0] == 0.4
         assert cloth.refused == (0, 1)
-        # One that is ahead waits for its frame, and what was sent before it and comes after it is still used.
+        # A target ahead of time waits for its frame; older ones that arrive after it are still used.
         third = cloth.now + 2 * SECOND // 60
         cloth.target("gripper", (0.9, 0.0, 0.0), stamp=third)
         cloth.tick(2)
@@ -115,7 +115,7 @@ def test_targets_and_points_of_a_gripper_share_stamp_order(client: Client) -> No
 
 
 def test_grasp_in_same_frame_as_target_uses_previous_pose(client: Client) -> None:
-    # The order of a frame: the newest target, then the grasps; the way to the target is then gone closed.
+    # The order of a frame: the newest target, then the grasps; the gripper moves to the target closed.
     with ClockedCloth(client) as cloth:
         cloth.target("gripper", CORNER)
         cloth.tick()
@@ -139,7 +139,7 @@ def test_several_grippers_hold_the_same_particle(client: Client) -> None:
             cloth.grasp(name, True)
         cloth.tick()
         assert [cloth.held(name) for name in ("left", "right", "third")] == [[41], [41], [41]]
-        # Two pull apart, the third stays: the corner stays in the middle, and the two feel opposite forces.
+        # Two pull apart, the third stays: the corner stays in the middle, and the two have opposite forces.
         for k in range(1, 31):
             for name, side in (("left", -1.0), ("right", 1.0)):
                 cloth.target(name, off_corner(0.0, side * 0.1 * k / 30, 0.0))
@@ -151,7 +151,7 @@ def test_several_grippers_hold_the_same_particle(client: Client) -> None:
         assert left > 1.0
         assert left == pytest.approx(-right, rel=0.02)
         assert abs(wrenches["third"].wrench.force.y) < 0.05 * left
-        # One lets go: the corner goes towards the other, which still holds it.
+        # One releases: the corner moves towards the other, which still holds it.
         cloth.grasp("left", False)
         cloth.grasp("third", False)
         cloth.tick(60)
@@ -168,7 +168,7 @@ def test_closing_on_no_and_all_particles_and_twice(client: Client) -> None:
         cloth.tick()
         assert cloth.is_closed("gripper")
         assert cloth.held("gripper") == []
-        # Closed on nothing it stays so wherever it goes; only opened and closed again it takes hold.
+        # Closed on nothing, it stays empty; it grasps only after opening and closing again.
         cloth.target("gripper", (0.0, 0.0, 1.0))
         cloth.tick(2)
         cloth.grasp("gripper", True)
@@ -182,7 +182,7 @@ def test_closing_on_no_and_all_particles_and_twice(client: Client) -> None:
         before = cloth.simulation.positions
         cloth.target("gripper", (0.0, -0.2, 1.0))
         cloth.tick()
-        # Closed a second time, elsewhere: what it holds, and how, stays.
+        # A second closing elsewhere changes nothing.
         cloth.grasp("gripper", True)
         cloth.tick(60)
         assert cloth.held("gripper") == everything
@@ -217,10 +217,10 @@ def test_grasped_from_two_sides(client: Client) -> None:
             cloth.target("right", (0.7 + 0.05 * k / 60, 0.0, 0.0))
             cloth.tick()
         cloth.tick(60)
-        # Pulled alike from either side, it is stretched and stays where it was.
+        # Pulled equally from both sides, it is stretched and stays in place.
         np.testing.assert_allclose(cloth.simulation.positions.mean(axis=0), middle, atol=1e-6)
         assert np.ptp(cloth.simulation.positions[:, 0]) > 1.04
-        # Through each other: whatever becomes of it, it stays finite, and no thread half as long again when let go.
+        # Through each other: the cloth stays finite, and no thread is longer than 1.5 times its length after release.
         for k in range(1, 61):
             cloth.target("left", (-0.75 + 1.5 * k / 60, 0.0, 0.0))
             cloth.target("right", (0.75 - 1.5 * k / 60, 0.0, 0.0))
@@ -250,7 +250,7 @@ def test_gripper_timeout_releases_and_allows_new_grasp(client: Client) -> None:
         cloth.tick()
         cloth.grasp("gripper", True)
         cloth.tick()
-        # As long as targets come, however seldom within the time, it holds.
+        # It holds while targets come within the timeout.
         for _ in range(5):
             cloth.target("gripper", CORNER)
             cloth.tick(24)
@@ -260,13 +260,13 @@ def test_gripper_timeout_releases_and_allows_new_grasp(client: Client) -> None:
         assert cloth.held("gripper") == [41]
         cloth.tick(2)
         assert not cloth.is_closed("gripper")
-        # It is heard again, and takes hold again.
+        # Targets come again, and it grasps again.
         cloth.target("gripper", cloth.simulation.positions[41])
         cloth.tick()
         cloth.grasp("gripper", True)
         cloth.tick()
         assert cloth.held("gripper") == [41]
-        # Refused targets are no sign of life.
+        # Refused targets do not reset the timeout.
         for _ in range(4):
             cloth.target("gripper", (np.nan, 0.0, 0.0))
             cloth.tick(10)

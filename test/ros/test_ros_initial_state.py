@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`initial_state: session.mcap@frame`: the very state of that frame, however the session was recorded."""
+"""`initial_state: session.mcap@frame`: the exact state of the frame, for all kinds of recordings."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ FRAMES = 40
 
 
 def script() -> list[list[Event]]:
-    """A grasp that holds something in frame 25; a parameter changes in between."""
+    """Events of a grasp that holds particles in frame 25, with a change of a parameter."""
     events = list(carried_corner(Scene.from_parameters(GRID), FRAMES / 60.0))
     events[12] = [*events[12], SetParameters({"air.drag": 0.5})]
     return events
@@ -35,7 +35,7 @@ def script() -> list[list[Event]]:
 
 def recorded(folder: Path, *, split: Sequence[int] = (), cut: bool = False, scene: Scene | None = None) -> Any:
     """A session, and its state before frame 1 and after each frame."""
-    # A chunk of a frame or two, so that a file that is cut off holds nearly all of them.
+    # Chunks of one or two frames, so that a truncated file holds nearly all of them.
     options = WriterOptions(chunk_bytes=1 << 10, sync_seconds=0.0)
     maker = SessionMaker(folder, scene or Scene.from_parameters(GRID), options=options)
     states = [maker.simulation.state.copy()]
@@ -57,7 +57,7 @@ def start_from(name: str, **values: Any) -> Simulation:
 
 
 def assert_same_motion(simulation: Simulation, state: State) -> None:
-    """Bit for bit, grips and the integrator's memory included; the frame number begins anew."""
+    """Compare bit for bit, with grips and controller state; frame numbers start again."""
     expected = state.copy()
     expected.frame = 0
     assert simulation.state.digest() == expected.digest()
@@ -70,7 +70,7 @@ def test_the_cloth_starts_at_that_frame_bit_for_bit(tmp_path: Path, frame: int) 
     assert states[25].memory["grip.particles"].size > 0
     simulation = start_from(f"{path}@{frame}")
     assert_same_motion(simulation, states[frame])
-    # And it goes on: the same commands move it the same way.
+    # The same commands move it in the same way.
     original = Simulation(simulation.scene, states[frame])
     for events in script()[frame : frame + 3]:
         original.advance(events)

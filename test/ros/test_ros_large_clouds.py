@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Fast DDS profile for large clouds: read without complaint, its segment as large as it says."""
+"""The Fast DDS profile for large clouds: read without errors, with a segment of the given size."""
 
 from __future__ import annotations
 
@@ -58,5 +58,5 @@ def test_the_profile_says_what_is_tested() -> None:
     root = ElementTree.parse(PROFILE).getroot()
     sizes = [element.text for element in root.iterfind(".//d:segment_size", names)]
     assert sizes == [str(SEGMENT)]
-    # A message larger than this is sent in pieces; it must not be larger than the segment.
+    # A larger message is split; the limit must not exceed the segment.
     assert [element.text for element in root.iterfind(".//d:maxMessageSize", names)] == [str(SEGMENT)]

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Commands that come while a frame takes too long, and executors that are late or gone."""
+"""Commands during late frames, and executors that are late or do not spin."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ RATE = 50.0
 
 
 class Executor:
-    """Serves the pacer's guard condition, a turn at a time, and hands over commands first, as an executor does."""
+    """Serves the pacer's guard condition one spin at a time and delivers commands first, like an executor."""
 
     def __init__(self, *, delay: float = 0.0) -> None:
-        """Delay: before each turn [s]."""
+        """Delay: time before each spin [s]."""
         self._delay = delay
         self.sent = self.received = 0
         self._seen = 0
@@ -55,7 +55,7 @@ class Executor:
 
 @pytest.fixture
 def start_pacer() -> Iterator[Callable[..., None]]:
-    """`start_pacer(executor, on_frame_tick)`: frames beside the executor, until the test ends."""
+    """`start_pacer(executor, on_frame_tick)`: frames in the timer thread until the test ends."""
     pacers = list[WallPacer]()
 
     def start(executor: Executor, on_frame_tick: Callable[[Due], None]) -> None:
@@ -74,7 +74,7 @@ def start_pacer() -> Iterator[Callable[..., None]]:
         (2.6 / RATE, 0.0, 12),
         (1.3 / RATE, 1.4 / RATE, 12),
         (2.6 / RATE, 1.4 / RATE, 12),
-        # Each frame, or two turns together, take longer than frames wait for an executor that takes no turn.
+        # Each frame, or two spins together, take longer than EXECUTOR_TIMEOUT.
         (1.2 * EXECUTOR_TIMEOUT, 1.4 / RATE, 5),
         (1.3 / RATE, 0.6 * EXECUTOR_TIMEOUT, 5),
     ],
@@ -94,7 +94,7 @@ def test_frame_after_a_long_one_takes_waiting_commands(
 
     start_pacer(executor, on_frame_tick)
     executor.spin(lambda: len(left) >= count)
-    # The first of a silence may run beside the executor.
+    # The first frame after a silence may run in the timer thread.
     assert left[2:count] == [0] * (count - 2)
 
 
@@ -107,7 +107,7 @@ def test_frames_wait_for_a_stopped_executor_once_at_most(
     def on_frame_tick(tick: Due) -> None:
         threads.append(threading.get_ident())
         skipped.append(tick.skipped)
-        # Late: each frame asks for the executor's next turn.
+        # Late frames: each requests the next spin of the executor.
         threading.Event().wait(1.3 / RATE)
 
     def is_executors_frame() -> bool:
@@ -115,12 +115,12 @@ def test_frames_wait_for_a_stopped_executor_once_at_most(
 
     start_pacer(executor, on_frame_tick)
     executor.spin(is_executors_frame)
-    # A frame fell due while that one ran, and nobody takes turns any more.
+    # A tick came while that frame ran, and the executor does not spin any more.
     count = len(threads)
     wait_until(lambda: len(threads) >= count + 150, what="frames without the executor")
     assert threading.get_ident() not in threads[count:]
     assert skipped[count] >= EXECUTOR_TIMEOUT * RATE - 2
-    # It comes back, and is asked first again.
+    # The executor spins again, and frames wait for it again.
     executor.spin(is_executors_frame)
     count = len(threads)
     executor.spin(lambda: len(threads) >= count + 10)

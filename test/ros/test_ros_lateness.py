@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Frames that come late are told of when that begins and ends, not one by one."""
+"""The deadline monitor: late frames are logged when they start and end, not one by one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def lateness() -> tuple[Lateness, Log]:
 
 
 def run(monitor: Lateness, windows: int, *, late: int, seconds: float) -> None:
-    """Let windows of frames pass, of each of which so many are late."""
+    """Add windows of frames, with a number of late ones in each."""
     for _ in range(windows):
         for number in range(WINDOW):
             monitor.add(late=int(number < late), skipped=0, seconds=seconds)
@@ -67,7 +67,7 @@ def test_skipped_ticks_count_as_late() -> None:
 
 
 def pass_window(monitor: Lateness, *, seconds: float, skipped: int) -> None:
-    """Let a window of frames pass, each with due times left out before it."""
+    """Add a window of frames, each with skipped ticks before it."""
     for _ in range(WINDOW // (1 + skipped)):
         monitor.add(late=1 + skipped, skipped=skipped, seconds=seconds)
 
@@ -84,14 +84,14 @@ def test_slow_cloth_names_its_factor_and_the_remedy() -> None:
 
 def test_first_contact_is_measured_anew_and_told_if_it_is_worse() -> None:
     monitor, log = lateness()
-    # In time so far: what came before the contact does not count.
+    # On time so far: frames before the contact do not count.
     run(monitor, 1, late=0, seconds=0.003)
     for _ in range(WINDOW // 2):
         monitor.add(late=0, skipped=0, seconds=0.003)
     monitor.begin_contact("'table'")
     pass_window(monitor, seconds=0.025, skipped=1)
     assert "the real-time factor is 0.5 since the cloth touches 'table':" in log.lines[0]
-    # No worse than that: it is known. Much worse: it is told, before a minute is over.
+    # The same factor is not logged again; a much smaller one is, before a minute has passed.
     monitor.begin_contact("'floor'")
     pass_window(monitor, seconds=0.025, skipped=1)
     assert len(log.lines) == 1

@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The launch file, run as `ros2 launch` runs it, and several cloths by name, namespace, remaps and parameter files.
+"""The launch file, and several cloths by name, namespace, remapping and parameter file.
 
-`launch` is no package of pip: where it is missing, stand-ins for the few classes that the file uses build the command
-line that launch_ros builds (its Node action: name, namespace, parameters, each in its place).
+`launch` is not on PyPI. If it is missing, stubs of the classes that the file uses build the command line of launch_ros
+(its Node action: name, namespace, parameters, in this order).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ LAUNCH = ROOT / "launch" / "cloth_sim.launch.py"
 
 
 class Substitution:
-    """A text that is known only once the arguments are there."""
+    """A text that is resolved from the launch arguments."""
 
     def __init__(self, resolve: Callable[[dict[str, str]], str]) -> None:
         self._resolve = resolve
@@ -43,19 +43,19 @@ class Substitution:
 
 
 def text_of(value: Any, given: dict[str, str]) -> str:
-    """A text, a substitution, or a list of them, as launch resolves them."""
+    """Resolve a text, a substitution, or a list of them, like launch."""
     if isinstance(value, Substitution):
         return value.perform(SimpleNamespace(launch_configurations=given))
     return "".join(text_of(item, given) for item in value) if isinstance(value, list) else str(value)
 
 
 class Launched:
-    """The launch file, run for launch arguments `name:=value` with stand-ins for what it imports.
+    """The launch file, run with launch arguments `name:=value` and stubs for its imports.
 
     Attributes:
         declared: options of each declared argument.
         nodes: options of each node.
-        words: what is logged.
+        words: log messages.
     """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, **given: str) -> None:
@@ -104,7 +104,7 @@ class Launched:
 
 
 def command_line(monkeypatch: pytest.MonkeyPatch, **given: str) -> list[str]:
-    """The node's command line for launch arguments `name:=value`, as launch_ros builds it."""
+    """Return the node's command line for launch arguments `name:=value`, like launch_ros."""
     launched = Launched(monkeypatch, **given)
     assert given.keys() <= launched.declared.keys()
     assert all(options["description"] for options in launched.declared.values())
@@ -122,7 +122,7 @@ def command_line(monkeypatch: pytest.MonkeyPatch, **given: str) -> list[str]:
 
 
 def write_parameters(path: Path, **nodes: dict[str, Any]) -> Path:
-    """A parameter file of several nodes."""
+    """Write a parameter file of several nodes."""
     path.write_text(yaml.safe_dump({name: {"ros__parameters": content} for name, content in nodes.items()}))
     return path
 
@@ -172,7 +172,7 @@ def test_each_packaged_scene_is_a_launch_argument(monkeypatch: pytest.MonkeyPatc
         path = Path(text_of(cloth["parameters"][0], {}))
         assert path == ROOT / "config" / f"{scene}.yaml"
         Simulation(Scene.from_file(path))
-        # A node has no folder of its own: what a scene's file names beside itself is given by its whole path.
+        # Relative names in a scene's file are passed as full paths: a node resolves them in its working directory.
         further = [value for values in cloth["parameters"][1:] for value in values.items()]
         given = read(path)
         assert [(name, text_of(value, {})) for name, value in further] == [
@@ -194,7 +194,7 @@ def test_rviz_shows_the_cloth_that_is_launched(monkeypatch: pytest.MonkeyPatch) 
     assert topics["MarkerArray"]["Durability Policy"] == "Transient Local"
     assert {topic["Reliability Policy"] for topic in topics.values()} == {"Reliable"}
     (tool,) = (entry["Topic"]["Value"] for entry in manager["Tools"] if entry["Class"].endswith("PublishPoint"))
-    # Those of the configuration, led to those of the node.
+    # The topics of the configuration, remapped to those of the node.
     assert dict(rviz["remappings"]) == {
         topics["PointCloud2"]["Value"]: "/left_arm/towel/points",
         topics["Marker"]["Value"]: "/left_arm/towel/mesh",
@@ -233,7 +233,7 @@ def test_two_cloths_are_launched_from_one_parameter_file(
         assert {name: (cloud.height, cloud.width) for name, cloud in clouds.items()} == {
             "towel": (5, 6), "sheet": (7, 4),
         }  # fmt: skip
-        # What one is told the other does not hear.
+        # Commands of one cloth do not reach the other.
         target = client.publisher(PoseStamped, "/left_arm/towel/finger/target")
         grasp = client.publisher(Bool, "/left_arm/towel/finger/grasp")
 
@@ -252,7 +252,7 @@ def test_two_cloths_are_launched_from_one_parameter_file(
 
 
 def close(client: Client, target: Any, grasp: Any) -> bool:
-    """Send a target, then a grasp: best effort may lose the first before the node has met its publisher."""
+    """Send a target, then a grasp. The target is best effort and may be missed until the publisher is matched."""
     target.publish(pose(0.5, 0.0, 0.5))
     for _ in range(10):
         client.executor.spin_once(timeout_sec=0.02)

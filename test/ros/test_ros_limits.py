@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files, space and lives that end: recordings and saved states are whole or not there, and the node goes on."""
+"""Limits of files, disk and memory: recordings and saved states are complete or absent; the node goes on."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cloth_sim_ros.ros.recording import RecordingUnavailableError, SessionRecord
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
-#: Saves a state where a file may have 1000 bytes at most, and dies at the first that is too much.
+#: Program that saves a state with a file size limit of 1000 bytes, and is killed when it exceeds the limit.
 SAVE_AND_DIE = """
 import resource, signal, sys
 from cloth_sim_ros.ros.recording import SessionRecording
@@ -51,7 +51,7 @@ def test_node_without_descriptors_tells_and_goes_on(
         def record(begin: bool) -> Any:
             return client.call(SetBool, "/cloth_sim/record", SetBool.Request(data=begin))
 
-        # Each service's client is met while there are descriptors left.
+        # The client of each service is matched while descriptors are available.
         assert client.call(Trigger, "/cloth_sim/save_state").success
         assert record(True).success
         assert record(False).success

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A live cloth, end to end: node, gripper and subscriber as processes of their own, and what the session holds."""
+"""A live cloth end to end: node, gripper and subscriber as processes, and the session."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from cloth_sim_ros.simulation.gripper_script import GripperScript
 
 PERIOD = 16_666_667
 SUBSCRIBER = Path(__file__).parents[1] / "support" / "plain_subscriber.py"
-#: A grasp of the corner at the lower right: approach, close, lift and carry, release.
+#: A grasp of the lower right corner: approach, close, lift and carry, release.
 SCRIPT = {
     "rate": 200.0,
     "steps": [
@@ -40,7 +40,7 @@ SCRIPT = {
 
 @dataclass
 class Session:
-    """What came of one run."""
+    """Results of one run."""
 
     received: list[bytes]
     path: Path
@@ -57,7 +57,7 @@ def session(ros_domain: int, start_process: Callable[..., Any], tmp_path: Path) 
     subscriber = start_process([sys.executable, SUBSCRIBER, "/cloth_sim/points", received])
     subscriber.wait_for_output("ready")
     cloth = start_cloth(start_process, "record.enabled:=true", f"record.folder:={tmp_path / 'sessions'}")
-    # On a busy machine they find each other after seconds.
+    # On a busy machine discovery takes seconds.
     subscriber.wait_for_output("receives")
     gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", script])
     assert gripper.wait() == 0, gripper.output
@@ -84,11 +84,11 @@ def check_received_at_60_hz_none_lost(session: Session) -> None:
         reader = make_reader(file)
         assert reader.get_header().profile == "ros2"
         recorded = [message.data for _, _, message in reader.iter_messages(topics=["/cloth_sim/points"])]
-    # The subscriber may meet the node a few frames after the first; from then on it has all of them, bit for bit.
+    # The subscriber may be matched a few frames after the first; from then on it has all of them, bit for bit.
     assert recorded[-len(session.received) :] == session.received
     stamps = np.array([decode_cloud(data).stamp for data in session.received])
     assert np.ptp(stamps) > 120 * PERIOD
-    # Where a frame was late its due time is left out: stamps stay on the grid of the period (1 % where clocks drift).
+    # Missed ticks are skipped: stamps stay on the grid of the period (1 % with clock drift).
     assert np.all(np.abs(np.diff(stamps) - np.rint(np.diff(stamps) / PERIOD) * PERIOD) <= PERIOD / 100)
 
 
@@ -109,7 +109,7 @@ def check_corner_follows_the_gripper_and_falls(session: Session) -> None:
             corner = recorded.cloud.xyz[-1].astype(float)
             if held:
                 assert target is not None
-                # Within the grip's own give, in the very frame in which the target took effect.
+                # Within the compliance of the grip, in the frame in which the target took effect.
                 assert np.linalg.norm(corner - target) < 0.02
                 followed.append(corner)
             elif followed:
@@ -152,7 +152,7 @@ def check_runs_again(session: Session) -> None:
             frame = simulation.advance([events.from_dict(dict(event)) for event in record.events])
             assert (frame.index, simulation.state.digest()) == (record.frame, record.digest)
         clouds = list(reader.clouds())
-        # The client asks nothing that would change the cloth: it opens once before it begins.
+        # The client changes nothing before the script: it only opens the gripper.
         grasps = [event["closed"] for record in reader.frames() for event in record.events if event["kind"] == "grasp"]
     assert grasps == [False, True, False]
     assert simulation.frame > 120

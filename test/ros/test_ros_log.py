@@ -42,7 +42,7 @@ def test_left_out_messages_are_counted_after_the_last(client: Client) -> None:
     throttled.settle()
     throttled.settle()
     assert log.lines == ["a0", "a4 (3 more of this kind since the last message)"]
-    # A single one that was left out is said as it is, and the next kind begins anew.
+    # A single omitted message is logged as it is, and another kind has its own period.
     throttled.warn("a", "a5")
     now[0] = 2.0
     throttled.settle()
@@ -121,7 +121,7 @@ def test_debug_lines_come_and_go_with_the_level(client: Client, capfd: pytest.Ca
         try:
             assert debug_lines() == []
             set_level(DEBUG)
-            # The node looks at the level four times a second.
+            # The node reads the level four times a second.
             lines = client.spin_until(debug_lines, what="DEBUG lines") + debug_lines()
         finally:
             set_level(INFO)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Several cloths in one graph, and everyone's end and return in any order."""
+"""Several cloths in one graph, and restarts of all processes in any order."""
 
 from __future__ import annotations
 
@@ -109,8 +109,8 @@ def test_processes_may_die_during_a_grasp(ros_domain: int, start_process: Callab
     subscriber = start_process([sys.executable, SUBSCRIBER, "/cloth_sim/points", tmp_path / "received"])
 
     def start_gripper() -> Any:
-        # Its start is no part of what is waited for below: on a busy machine it takes as long as all the rest, and
-        # where it fails its own words say why.
+        # The waits below do not include the start, which takes long on a busy machine. If it fails, its own
+        # message says why.
         started = start_process(["-m", "cloth_sim_ros.ros.gripper_main", script])
         started.wait_for_output("playing")
         return started

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The node and `--check` on mesh files: what was merged, sizes, and clouds in double precision."""
+"""The node and `--check` on mesh files: merges, sizes, and clouds in double precision."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from support.ros_client import Client
 from cloth_sim_ros.ros.main import main as cloth_sim
 
 AROUND, ALONG = 12, 4
-#: Where maps have their coordinates [m].
+#: Magnitude of map coordinates [m].
 DISTANCE = 400_000.0
 
 
 def tube(x: float) -> str:
-    """OBJ text of a tube about a line at x [m] whose last column closes on the first but for sin(2 pi)."""
+    """Return OBJ text of a tube about a line at x [m]; its last column equals the first except for sin(2 pi)."""
     angles = [2.0 * pi * k / AROUND for k in range(AROUND + 1)]
     lines = [f"v {x + 0.3 * cos(a)!r} {0.3 * sin(a)!r} {0.15 * row!r}" for row in range(ALONG) for a in angles]
     width = AROUND + 1

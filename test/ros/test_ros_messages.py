@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages that are laid out in bytes: rclpy reads in them what was meant."""
+"""Messages written as bytes: rclpy deserializes the intended fields."""
 
 from __future__ import annotations
 

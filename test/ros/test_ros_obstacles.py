@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Obstacles in the graph: targets, markers, wrenches and diagnostics, and their coming and going by parameters."""
+"""Obstacles in the graph: targets, markers, wrenches, diagnostics, and addition and removal by parameters."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cloth_sim_ros.verify.run import verify
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 FLOOR: dict[str, Any] = {"floor.shape": "plane", "floor.position": [0.0, 0.0, -1.0]}
 BALL: dict[str, Any] = {"ball.shape": "sphere", "ball.size": [0.1], "ball.position": [0.3, 0.4, 0.5]}
-#: A flat cloth that lies on a block all but for its border.
+#: A flat cloth that lies on a block except for its border.
 LYING: dict[str, Any] = {
     "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
     "cloth.position": [0.0, 0.0, 0.0529],
@@ -41,14 +41,14 @@ def client(ros_domain: int) -> Iterator[Client]:
 
 
 def change(cloth: ClockedCloth, **values: Any) -> SetParametersResult:
-    """Set parameters at once, as `ros2 param` does one by one."""
+    """Set parameters together, which `ros2 param` does one by one."""
     parameters = [Parameter(name.replace("__", "."), value=value) for name, value in values.items()]
     result: SetParametersResult = cloth.node.node.set_parameters_atomically(parameters)
     return result
 
 
 def shown(client: Client, arrays: list[MarkerArray], count: int) -> MarkerArray:
-    """Wait for so many marker arrays; the newest."""
+    """Wait for a number of marker arrays, and return the newest."""
     client.spin_until(lambda: len(arrays) >= count, what=f"{count} marker arrays")
     return arrays[-1]
 
@@ -92,7 +92,7 @@ def test_obstacles_come_and_go_with_their_topics(client: Client, capfd: pytest.C
         assert change(cloth, obstacles=["floor"]).successful
         cloth.tick()
         assert [marker.ns for marker in shown(client, arrays, 1).markers] == ["/cloth_sim/floor"]
-        # Its shape first, or with the rest: then it may be named.
+        # The shape first, or with the others; then `obstacles` may name it.
         with pytest.raises(Exception, match=r"there is no parameter 'ball.size'"):
             change(cloth, ball__size=[0.1])
         refused = change(cloth, obstacles=["floor", "ball"])

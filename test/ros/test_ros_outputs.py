@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the node publishes besides the cloud: the surface for RViz, the topology for those who come late, profiles."""
+"""Outputs besides the cloud: surface marker for RViz, latched topology, and profiles."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def client(ros_domain: int) -> Iterator[Client]:
 
 
 def profile(client: Client, topic: str) -> Any:
-    """What the one publisher of a topic offers, as the graph has it."""
+    """Return the profile that the publisher of a topic offers in the graph."""
     found = client.spin_until(lambda: client.node.get_publishers_info_by_topic(topic), what=f"a publisher of {topic}")
     (info,) = found
     return info.qos_profile
@@ -60,13 +60,13 @@ def test_surface_marker_is_built_for_subscribers_only(client: Client) -> None:
             assert (message.type, message.action) == (Marker.TRIANGLE_LIST, Marker.ADD)
             assert message.header.frame_id == "map"
             assert message.header.stamp == cloud.header.stamp
-            # RViz takes corners three by three, as they are: no scale, no turn, no shift, and it is not to vanish.
+            # RViz takes the corners in threes: unit scale, no rotation, no offset, no lifetime.
             assert (message.scale.x, message.scale.y, message.scale.z) == (1.0, 1.0, 1.0)
             assert (message.pose.position.x, message.pose.orientation.w) == (0.0, 1.0)
             assert (message.lifetime.sec, message.lifetime.nanosec) == (0, 0)
             corners = np.array([(p.x, p.y, p.z) for p in message.points])
             np.testing.assert_array_equal(corners.astype(np.float32), positions(cloud)[triangles.ravel()])
-        # One surface a node, replaced by each next one.
+        # One surface per node, which each new one replaces.
         assert {(message.ns, message.id) for message in markers} == {("/cloth_sim", 0)}
         client.node.destroy_subscription(looking)
         client.spin_until(lambda: not cloth.node._outputs._mesh.heard, what="the subscriber gone")
@@ -116,7 +116,7 @@ def test_profiles_are_reliable_and_overridable_one_by_one(client: Client) -> Non
             assert profile(client, f"/cloth_sim/{topic}").reliability == ReliabilityPolicy.RELIABLE, topic
         assert profile(client, "/diagnostics").reliability == ReliabilityPolicy.RELIABLE
         assert profile(client, "/cloth_sim/topology").durability == DurabilityPolicy.TRANSIENT_LOCAL
-        # Who takes the newest alone gets it; who insists on all of them is not served, as the user wants it.
+        # A best-effort subscriber receives messages; a reliable one does not, as the override requires.
         best, all_of_them = [], []
         effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
         client.node.create_subscription(PointCloud2, "/cloth_sim/points", best.append, effort)
@@ -125,7 +125,7 @@ def test_profiles_are_reliable_and_overridable_one_by_one(client: Client) -> Non
         cloth.tick(3)
         client.spin_until(lambda: best, what="a cloud by best effort")
         assert all_of_them == []
-    # The next cloth in this process begins with the defaults.
+    # The next cloth in this process has the defaults.
     with ClockedCloth(client, name="other"):
         assert profile(client, "/other/points").reliability == ReliabilityPolicy.RELIABLE
 
@@ -169,7 +169,7 @@ def test_frames_of_one_stamp_belong_together(client: Client) -> None:
 
 def test_diagnostics_keys_match_the_docs(client: Client) -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "ros.md").read_text()
-    # What the accuracy says, test_ros_accuracy.py looks at.
+    # test_ros_accuracy.py tests the entries of the accuracy monitor.
     section = page.split("## Diagnostics\n")[1].split("\n### ")[0]
     cells = [line.split("|") for line in section.splitlines() if line.startswith("| `")]
     documented = {name for cell in cells for name in re.findall(r"`(\w+)`", cell[1])}
@@ -187,13 +187,13 @@ def test_diagnostics_keys_match_the_docs(client: Client) -> None:
         status = client.spin_until(lambda: seen and seen[0], what="diagnostics")
         values = {entry.key: entry.value for entry in status.values}
         assert status.name == "cloth_sim: cloth"
-        # Of a recording, and of contact, there is only something to say where there is any.
+        # Entries of a recording and of contact exist only with a recording or contact.
         contact = {"contacts", "smallest_gap_m", "self_contacts", "self_smallest_gap_m", "halted"}
         contact |= {"energy_rubbed_j", "energy_recovered_j"}
         assert set(values) == documented - {"recording_file", "recording_dropped"} - contact
         assert (values["frame"], values["paused"], values["recording"]) == ("30", "false", "off")
         assert (values["commands_received"], values["commands_refused"]) == ("1", "0")
-        # It hangs, and its own weight stretches it: what it gains it has from its height, and the balance closes.
+        # It hangs and is stretched by its weight: its energy comes from its height, and the balance closes.
         turned_over = 0.2 * 9.81 * (0.5 - float(cloth.simulation.positions[:, 2].mean() - 0.5))
         assert abs(float(values["energy_balance_j"])) < 1e-3 * max(turned_over, 1e-2)
         assert float(values["energy_dissipated_j"]) > 0.0

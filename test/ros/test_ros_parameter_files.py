@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A parameter file means the same without ROS as to ROS's own parser, or is refused there."""
+"""Parameter files: the same meaning without ROS as with ROS's parser, or a refusal."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rclpy.node import Node
 from cloth_sim_ros.scene import parameter_file
 from cloth_sim_ros.scene.parameters import ParameterError
 
-#: What rclpy declares by itself.
+#: Parameters that rclpy declares itself.
 _OF_ROS = ("use_sim_time", "start_type_description_service")
 
 
@@ -25,7 +25,7 @@ def sections(*named: tuple[str, str]) -> str:
 
 
 def of_ros(path: Path, *, name: str, namespace: str) -> dict[str, Any] | None:
-    """What a node of rclpy is given by a file; None if it does not start."""
+    """Return the parameters that an rclpy node gets from a file; None if the node does not start."""
     context = Context()
     try:
         rclpy.init(args=["--ros-args", "--params-file", str(path)], context=context)
@@ -48,7 +48,7 @@ def of_ros(path: Path, *, name: str, namespace: str) -> dict[str, Any] | None:
     return {entry: list(value) if isinstance(value, array) else value for entry, value in values.items()}
 
 
-#: Read alike.
+#: Files that both readers read alike.
 ALIKE = [
     sections(("/**", "{a: 1, b: 2}"), ("/**", "{b: 3}")),
     sections(("/**", "{cloth: {a: 1, b: 2}, c: 1, cloth: {b: 3, d: 4}}")),
@@ -63,7 +63,7 @@ ALIKE = [
         ("/*", "{a: 1}"), ("'*'", "{b: 1}"), ("/*/towel", "{c: 1}"), ("/**/towel", "{d: 1}"), ("/ns/**", "{e: 1}")
     ),
     sections(("/**/*", "{a: 1}"), ("/*/*", "{b: 1}"), ("'**'", "{c: 1}"), ("/**/ns/towel", "{d: 1}")),
-    # Of values of several types the first of a fixed order counts, if the name is not nested.
+    # Among values of several types the first in a fixed order counts, if the name is not nested.
     sections(("/**", "{a: 1.0, a: 2, b: 3, b: 4.0, c: x, c: [1, 2], d: [1], d: [], e: {f: 1, f: 2.0}}")),
     sections(("/**", "{a: 1}"), ("towel", "{a: 2.5}")),
     sections(("/**", "{a.b: 1, a: {b: 2.0}, a.b: 3}")),
@@ -82,7 +82,7 @@ ALIKE = [
     "# nothing\n",
     "{}",
 ]
-#: Refused by both.
+#: Files that both readers refuse.
 REFUSED = [
     "[a]",
     "/**:\n  ros__parameters:\n",
@@ -119,7 +119,7 @@ def test_file_has_same_meaning_without_ros(tmp_path: Path, text: str, namespace:
     except ParameterError as error:
         if "sets nothing for the node" not in str(error):
             raise
-        # But for its namesakes.
+        # Except other nodes of the same name.
         found = {}
     typed = {name: (value, type(value)) for name, value in found.items()}
     assert typed == {name: (value, type(value)) for name, value in expected.items()}

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every parameter of a running node: described, ranged, set from the next frame on, or refused with the reason."""
+"""Parameters of a running node: descriptions, ranges, changes at the next frame, and refusals."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_descriptor(name: str) -> None:
     if entry.length is not None:
         assert f"{entry.length} entries" in descriptor.additional_constraints
     if entry.kind in ("double", "int"):
-        # A number that has no limits is one that nobody thought about.
+        # Every number must have limits.
         (limits,) = descriptor.floating_point_range if entry.kind == "double" else descriptor.integer_range
         assert (limits.from_value, limits.to_value) == (entry.min_accepted, entry.most)
         assert limits.step == 0
@@ -64,7 +64,7 @@ def test_every_bad_value_is_refused_with_the_reason(client: Client) -> None:
                 (result,) = cloth.node.node.set_parameters([Parameter(name, value=value)])
                 assert not result.successful, f"{name} took {value!r}"
                 assert result.reason
-                # rclpy refuses wrong types, and what is read-only, in its own words.
+                # rclpy refuses wrong types and read-only parameters with its own messages.
                 words = (name, "read-only", "Wrong parameter type")
                 assert any(word in result.reason for word in words), f"{name}: {result.reason}"
         cloth.tick()
@@ -96,7 +96,7 @@ def test_every_live_parameter_takes_effect_at_the_next_frame(client: Client) -> 
                 [Parameter(name, value=list(value) if entry.is_array else value)]
             )
             if not result.successful:
-                # Of this cloth's bending model, or together with the rest, it makes no sense: that is said.
+                # A value that does not fit the bending model or other parameters is refused with the reason.
                 assert result.reason
                 continue
             assert cloth.simulation.scene.parameters()[name] != value, "not before its frame"
@@ -141,7 +141,7 @@ def test_misspelt_qos_override_gives_a_warning(client: Client, capfd: pytest.Cap
 
 
 def test_a_file_of_all_parameters_starts_the_same_cloth(client: Client, tmp_path: Path) -> None:
-    # As `ros2 param dump` writes them: every parameter, also those at their default.
+    # Like `ros2 param dump`: every parameter, also those at their defaults.
     scene = Scene.from_parameters(
         {"cloth.resolution": [5, 6], "material.density": 0.123456789012345678, "grippers": ["left", "right"],
          "cloth.anchors": ["top_left", "3"], "tolerance": 2e-5, "gravity": [0.0, 1e-7, -9.80665]}
@@ -154,7 +154,7 @@ def test_a_file_of_all_parameters_starts_the_same_cloth(client: Client, tmp_path
     node.destroy_node()
 
 
-#: Plain scalars of which YAML 1.1 and ROS's own parser make something, not always the same.
+#: Plain scalars that YAML 1.1 and ROS's parser interpret, not always alike.
 PLAIN = [
     "1e-5", "1.0e-5", "-.5", "5.", "+3.0", "1E3", "1e3", "0x10", "010", "08", "-7", "0", "1_000", "1_000.0", "12:30",
     "2026-11-21", ".inf", "y", "n", "Y", "yes", "On", "off", "TRUE", "tRUE", "left", "'1e3'", "'y'", "1.2.3", "e5",
@@ -186,7 +186,7 @@ def test_written_values_are_read_back_with_and_without_ros(client: Client, tmp_p
 
 
 def reading(client: Client, path: Path) -> Node:
-    """A node that was given a parameter file."""
+    """A node with a parameter file."""
     arguments = ["--ros-args", "--params-file", str(path)]
     options: dict[str, Any] = {"cli_args": arguments, "automatically_declare_parameters_from_overrides": True}
     return Node("cloth_sim", context=client.context, **options)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Grippers that pinch, over topics and services: closing answers when it holds, pads are shown, sessions run again."""
+"""Pinching grippers over topics and services: answers to closing, pad markers, and replay."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.verify.run import verify
 
 LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-#: A sheet whose corner the pads just hold.
+#: A sheet of which the pads just hold a corner.
 PINCH: dict[str, Any] = {
     "gripper.mode": "pinch",
     "gripper.pad_size": [0.15, 0.02, 0.15],
@@ -37,7 +37,7 @@ CORNER = np.array([0.15, 0.0, 0.0])
 
 
 def off_corner(x: float, y: float, z: float) -> np.ndarray:
-    """A place beside the corner at the lower right."""
+    """A position beside the lower right corner."""
     return np.add(CORNER, (x, y, z))
 
 
@@ -48,21 +48,21 @@ def client(ros_domain: int) -> Iterator[Client]:
 
 
 def calling(client: Client, service: str, request: Any) -> Any:
-    """The future of a call; the service is there."""
+    """Return the future of a service call; the service exists."""
     caller = client.node.create_client(SetBool, service)
     client.spin_until(caller.service_is_ready, what=f"the service {service}")
     return caller.call_async(request)
 
 
 def close_to_the_end(cloth: ClockedCloth, client: Client, *, closed: bool = True) -> tuple[Any, int]:
-    """Call ~/gripper/close, let frames be due until it answers; the answer, and the frames."""
+    """Call ~/gripper/close and run frames until it answers; return the answer and the frames."""
     future = calling(client, "/cloth_sim/gripper/close", SetBool.Request(data=closed))
     client.spin_until(lambda: len(cloth.node._queue), what="the event")
     frames = 0
     while not future.done() and frames < 60:
         cloth.tick()
         frames += 1
-        # What the last frame answered may still be on its way.
+        # The answer of the last frame may still be in transit.
         for _ in range(5):
             client.executor.spin_once(timeout_sec=0.002)
     client.spin_until(future.done, what="an answer")
@@ -85,12 +85,12 @@ def test_closing_answer_waits_for_pads_and_wrench_is_contact(client: Client) -> 
         client.spin_until(lambda: states and states[-1].message == "closed, holds 4 particles", what="its state")
         assert not [state for state in states if state.message.startswith("closed, holds nothing")]
         cloth.tick()
-        # Out of its plane: pushed up within it, a plane sheet would rather slip through the pads than bend.
+        # Out of its plane: pushed within its plane, a flat sheet would slip through the pads instead of bending.
         for k in range(31):
             cloth.target("gripper", off_corner(0.0, -0.003 * k, 0.001 * k))
             cloth.tick()
         cloth.tick(60)
-        # What hangs below the pads, and a part of what hangs beside them, pulls at them.
+        # The cloth below the pads, and a part of that beside them, pulls at them.
         assert -0.2 * 0.3 * 0.3 * 9.81 < wrenches[-1].wrench.force.z < -1e-3
         there = off_corner(0.0, -0.09, 0.03)
         assert np.linalg.norm(cloth.simulation.positions[-1] - there) < 1e-3

@@ -34,7 +34,7 @@ def client(ros_domain: int) -> Iterator[Client]:
 
 
 def requested(client: Client, topic: str) -> Any:
-    """The profile of a topic's only subscription, as the graph has it."""
+    """Return the profile of a topic's only subscription in the graph."""
     endpoints = client.spin_until(lambda: client.node.get_subscriptions_info_by_topic(topic), what=f"one of {topic}")
     (info,) = endpoints
     return info.qos_profile
@@ -70,13 +70,13 @@ def test_inputs_may_be_overridden(client: Client, capfd: pytest.CaptureFixture[s
         qos = requested(client, "/cloth_sim/gripper/target")
         assert (qos.reliability, qos.durability) == (ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
         assert requested(client, "/cloth_sim/gripper/grasp").reliability == ReliabilityPolicy.BEST_EFFORT
-        # Parameters of what was not overridden tell the defaults, as `ros2 param dump` has them.
+        # Without overrides, the parameters hold the defaults, as in `ros2 param dump`.
         assert cloth.node.node.get_parameter(f"{GRASP}.depth").value == 100
         publisher = client.node.create_publisher(PoseStamped, "/cloth_sim/gripper/target", LATCHED)
         client.spin_until(publisher.get_subscription_count, what="the subscription of targets")
         publisher.publish(pose(0.5, 0.0, 0.5))
         client.spin_until(lambda: cloth.node._commands.received == 1, what="a target")
-        # One that does not fit is told, with the policy that it lacks.
+        # An incompatible publisher is warned of, with the policy that it lacks.
         lacks = QoSProfile(depth=1)
         client.node.create_publisher(PoseStamped, "/cloth_sim/gripper/target", lacks)
         warnings: list[str] = []
@@ -105,7 +105,7 @@ def test_latched_target_is_heard_by_a_node_that_starts_later(client: Client) -> 
             f"{POINTS} has reliability best_effort and durability transient_local",
         ),
         (
-            # Alone it does not fit the topic's default.
+            # Alone it contradicts the topic's default.
             {"qos_overrides./cloth_sim/topology.publisher.reliability": "best_effort"},
             "set reliability reliable or durability volatile",
         ),

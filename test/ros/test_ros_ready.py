@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What can be found of a node is answered: its services and subscriptions come when it begins to serve them."""
+"""Discoverable entities of a node are served: services and subscriptions exist from the start on."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SERVICES = {
     *(f"{NAME}/{leaf}" for leaf in ("reset", "pause", "step", "record", "save_state", "gripper/close")),
     *(f"{NAME}/{leaf}_parameters" for leaf in ("describe", "get", "list", "set")),
 }
-#: rclpy's own, which it makes with the node itself.
+#: Entities that rclpy creates with the node itself.
 RCLPY = {f"{NAME}/get_type_description"}
 
 
@@ -30,7 +30,7 @@ def client(ros_domain: int) -> Iterator[Client]:
 
 
 def offered(client: Client) -> set[str]:
-    """Names of the services and subscriptions that others see of the node."""
+    """Names of the node's services and subscriptions in the graph."""
     services = client.node.get_service_names_and_types_by_node("cloth_sim", "/")
     subscriptions = client.node.get_subscriber_names_and_types_by_node("cloth_sim", "/")
     return {name for name, _ in [*services, *subscriptions] if name.startswith(NAME)}
@@ -40,7 +40,7 @@ def test_discoverable_services_are_served(client: Client) -> None:
     cloth = ClothNode(context=client.context, parameter_overrides=[Parameter("cloth.resolution", value=[5, 5])])
     try:
         client.spin_until(lambda: "cloth_sim" in client.node.get_node_names(), what="the node")
-        # rclpy's own comes after ours would.
+        # rclpy's entity appears after the node's would.
         client.spin_until(lambda: offered(client) >= RCLPY, what="the node's services")
         assert offered(client) == RCLPY
         client.executor.add_node(cloth.node)

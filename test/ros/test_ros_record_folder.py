@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where a running node writes to, and what it says where it can't."""
+"""The recording folder of a running node, and messages if it can't be written."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_record_folder_change_applies_and_bad_one_warns_once(
 ) -> None:
     pytest.importorskip("mcap")
     (tmp_path / "file").write_text("")
-    # Without a /clock no frame comes that what is set could wait for.
+    # Without /clock no frame comes for which a change could wait.
     first = f"record.folder:={tmp_path / 'first'}"
     process = start_cloth(start_process, "use_sim_time:=true", "cloth.resolution:=[5, 5]", first, wait="Hz of /clock")
     with Client() as client:
@@ -51,7 +51,7 @@ def test_record_folder_change_applies_and_bad_one_warns_once(
             assert words in saved.message, saved.message
             assert "Errno" not in saved.message
             assert words in recorded.message, recorded.message
-        # It goes on as before.
+        # The node goes on as before.
         set_folder(str(tmp_path / "third"))
         assert save().success
         process.wait_for_output("nothing is recorded: cannot record into")

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings around failures that follow each other at once."""
+"""Recordings around failures in quick succession."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cloth_sim_ros.ros.recording_control import RecordingControl
 
 
 class OpeningRecording:
-    """A recording whose files are made when the test says so."""
+    """A recording whose state the test controls."""
 
     def __init__(self) -> None:
         self.running = self.busy = False
@@ -20,10 +20,10 @@ class OpeningRecording:
         self._listeners: list[Callable[[Any], None]] = []
 
     def discard(self) -> None:
-        """Nothing of a frame is kept."""
+        """Drop nothing: frames record nothing here."""
 
     def begin(self, _stamp: int) -> None:
-        """Begin; the file is not open yet."""
+        """Start; the file is not open yet."""
         self.running = self.busy = True
         self.begun += 1
 
@@ -33,11 +33,11 @@ class OpeningRecording:
         self.running = False
 
     def tell(self, listener: Callable[[Any], None]) -> None:
-        """Have a listener told of the next state."""
+        """Call a listener at the next state."""
         self._listeners.append(listener)
 
     def become(self, state: str) -> None:
-        """Tell listeners of a state."""
+        """Set a state and call the listeners."""
         self.busy = state == "recording"
         listeners, self._listeners = self._listeners, []
         for listener in listeners:
@@ -55,7 +55,7 @@ def test_failure_of_an_opening_recording_is_resumed() -> None:
     for _ in range(2):
         control.fail("ValueError: first", 0)
         recording.become("closed")
-        # After the reset a recording begins; the next failure comes before its file is open.
+        # After the reset a recording starts; the next failure comes before its file is open.
         control.follow()
     assert (recording.begun, recording.running) == (3, True)
     control.fail("ValueError: again", 0)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Refusals of a node: all faults of its parameters at once, a line each, and names of frames that tf2 does not take."""
+"""Refusals of a node: all faults of its parameters at once, and frame names that tf2 refuses."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cloth_sim_ros.ros import main as node_main
 from cloth_sim_ros.scene import parameter_file
 from cloth_sim_ros.scene.parameters import ParameterError
 
-#: A fault of each kind, and the beginning of what is said of it.
+#: A fault of each kind, and the start of its message.
 FAULTS = {
     "rate:=0.0": "rate is 0.0 Hz; it must be at least 0.1 Hz",
     "tolerance:=fine": "tolerance is 'fine', of type str; it must be double",

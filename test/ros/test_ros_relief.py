@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What gives way where the machine is too slow: `overload` relaxes the tolerance within bounds, by recorded events."""
+"""The tolerance governor: `overload` relaxes the tolerance within bounds, by recorded events."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PERIOD = 1.0 / 64.0
 
 
 class Machine:
-    """A cloth on a machine that takes as long for a frame as it is told, whatever the frame holds."""
+    """A cloth on a machine with given frame times."""
 
     def __init__(self, **values: Any) -> None:
         self.lines: list[str] = []
@@ -41,9 +41,9 @@ class Machine:
     info = error = warning
 
     def run(self, load: float, *, windows: int = 1, steps: int = 100, moved: bool = True) -> list[float]:
-        """Let windows of frames pass that take a share of their period; the factors that came into force."""
+        """Run windows of frames with a load, and return the factors that came into force."""
         found = []
-        # By the last frame a window is half a second or five frames long.
+        # A window ends after half a second or five frames.
         for _ in range(windows * max(FEWEST, int(np.ceil(0.5 / (PERIOD * max(load, 1.0)))))):
             events = self.relief.events()
             found += [event.factor for event in events]
@@ -194,20 +194,20 @@ def test_a_node_relaxes_and_its_session_runs_again(
 
 
 class SlowWatch:
-    """Stands for the module time: a frame takes as long as it is told."""
+    """A stub of the module time with a given frame time."""
 
     def __init__(self) -> None:
         self.frame = 0.1
         self._now = 0.0
 
     def monotonic(self) -> float:
-        """Every frame looks at it twice."""
+        """Return the time; each frame reads it twice."""
         self._now += self.frame
         return self._now
 
 
 class HandPacer:
-    """Frames when the test says so."""
+    """A pacer whose ticks the test triggers."""
 
     period = 16_666_667
 
@@ -215,14 +215,14 @@ class HandPacer:
         self.on_due = on_due
 
     def start(self) -> None:
-        """Nothing: nobody waits."""
+        """Do nothing: no thread waits."""
 
     def stop(self) -> None:
-        """Nothing: nothing runs."""
+        """Do nothing: no frame runs."""
 
 
 def frames(cloth: ClothNode, count: int) -> None:
-    """Let frames be due now."""
+    """Run frames that are due now."""
     for _ in range(count):
         due = cloth.node.get_clock().now().nanoseconds
         cloth._pacer.on_due(Due(stamp=due, lateness=0, skipped=0, now=due))  # type: ignore[union-attr]

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Node, gripper and subscribers killed, stalled and started again amid a grasp: nobody waits for the dead."""
+"""Node, gripper and subscribers killed, stalled and restarted during a grasp; no process waits for a dead one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ STEPS = [
 
 
 class Actors:
-    """The processes of a grasp, each killed and started again by name."""
+    """The processes of a grasp, killed and restarted by name."""
 
     def __init__(self, start_process: Callable[..., Any], folder: Path) -> None:
         self._start = start_process
@@ -67,12 +67,12 @@ class Actors:
 
     @property
     def received(self) -> int:
-        """Bytes that the subscriber has written."""
+        """Number of bytes that the subscriber has written."""
         return (self._folder / "received").stat().st_size
 
 
 def is_lifted(client: Client, since: float = 0.0) -> bool:
-    """Whether the newest cloud, of after ``since`` (s), has the corner up."""
+    """Return true if the newest cloud after ``since`` [s] has the corner lifted."""
     if not client.clouds:
         return False
     stamp = client.clouds[-1].header.stamp
@@ -94,7 +94,7 @@ def grasp(ros_domain: int, start_process: Callable[..., Any], tmp_path: Path) ->
 
 def lifted_again(actors: Actors, client: Client) -> None:
     """A new gripper finds the cloth and lifts it."""
-    # Clouds of a node that was killed may still be on their way.
+    # Clouds of a killed node may still be in transit.
     since = actors.node_started
     client.spin_until(lambda: is_lifted(client, since), what="the corner lifted again", limit=2 * LIMIT)
     before = actors.received
@@ -103,7 +103,7 @@ def lifted_again(actors: Actors, client: Client) -> None:
 
 def test_the_node_dies_first_and_its_callers_go_on(grasp: tuple[Actors, Client], tmp_path: Path) -> None:
     actors, client = grasp
-    # A service call that is under way when the node dies is never answered, and blocks nobody.
+    # A pending service call of a dead node is never answered, and blocks no process.
     asked = client.node.create_client(SetBool, "/cloth_sim/gripper/close")
     client.spin_until(asked.service_is_ready, what="the service")
     actors.signal("node", signal.SIGSTOP)
@@ -142,7 +142,7 @@ def test_all_processes_die_and_return_in_reverse(grasp: tuple[Actors, Client], t
 
 def test_stalled_processes_do_not_block_others(grasp: tuple[Actors, Client]) -> None:
     actors, client = grasp
-    # A reliable subscriber that takes nothing any more: the node publishes on, and it gets what is newest afterwards.
+    # A suspended reliable subscriber: the node goes on publishing, and the subscriber receives the newest cloud later.
     actors.signal("subscriber", signal.SIGSTOP)
     frames = len(client.clouds)
     client.wait_for_clouds(120)
@@ -150,14 +150,14 @@ def test_stalled_processes_do_not_block_others(grasp: tuple[Actors, Client]) -> 
     before = actors.received
     actors.signal("subscriber", signal.SIGCONT)
     client.spin_until(lambda: actors.received > before, what="the subscriber to receive on")
-    # The node itself: frames are left out, the grasp stays.
+    # The node itself: frames are skipped, the grasp stays.
     actors.signal("node", signal.SIGSTOP)
     for _ in range(60):
         client.executor.spin_once(timeout_sec=0.02)
     actors.signal("node", signal.SIGCONT)
     client.wait_for_clouds(30)
     assert is_lifted(client)
-    # The gripper: silent for long, then its target is where it was.
+    # The gripper: after a long silence its target is unchanged.
     actors.signal("gripper", signal.SIGSTOP)
     client.wait_for_clouds(60)
     actors.signal("gripper", signal.SIGCONT)
@@ -176,7 +176,7 @@ def test_delayed_gripper_closes_at_the_cloth(
     with Client() as client:
         client.watch()
         actors.start("gripper")
-        # By its script it closes a second from now, and moves away after that.
+        # Its script closes in a second and moves away afterwards.
         actors.wait_for_output("gripper", "playing")
         actors.signal("gripper", signal.SIGSTOP)
         # Until well after the lift.
@@ -193,14 +193,14 @@ def test_subscribers_come_and_go_amid_a_grasp(grasp: tuple[Actors, Client]) -> N
         client.wait_for_clouds(20)
         assert is_lifted(client)
     hear_again(actors, client)
-    # A node that ends while a subscriber is dead but not yet missed does not wait for it.
+    # A node does not wait at its end for a dead subscriber that discovery still lists.
     actors.kill("subscriber")
     assert actors.interrupt("node") == 0
     assert "Traceback" not in actors.output("node")
 
 
 def test_half_made_port_blocks_no_process(ros_domain: int, start_process: Callable[..., Any]) -> None:
-    # The last port of the domain, which no test comes to.
+    # The last port of the domain, which no test reaches.
     port = Path("/dev/shm") / f"fastrtps_port{7400 + 250 * ros_domain + 249}"
     port.write_bytes(b"")
     stuck = start_process([sys.executable, "-c", "pass"])
@@ -209,11 +209,11 @@ def test_half_made_port_blocks_no_process(ros_domain: int, start_process: Callab
 
 
 def hear_again(actors: Actors, client: Client) -> None:
-    """A subscriber that is started now receives.
+    """Check that a subscriber started now receives clouds.
 
-    Fast DDS leaves one deaf now and then whose predecessor was killed while the two sides were finding each other
-    (eProsima/Fast-DDS issues 5053 and 5469; the client of this test hears all clouds meanwhile). Whoever meets that
-    starts it again, so the test does. It is killed: a deaf one may hang in the middleware and hear no signal.
+    In Fast DDS a subscriber sometimes receives nothing if its predecessor was killed during discovery. See issues 5053
+    and 5469 of eProsima/Fast-DDS; the client of this test receives all clouds meanwhile. The test restarts it, as a
+    user would. It is killed, because it may hang in the middleware and ignore signals.
     """
     for _ in range(5):
         before, until = actors.received, time.monotonic() + 15.0
@@ -227,7 +227,7 @@ def hear_again(actors: Actors, client: Client) -> None:
 
 
 def check_sessions(folder: Path, count: int) -> None:
-    """Every file of a killed node is read to where it goes, and runs again."""
+    """Check that every file of a killed node is readable to its end and replays."""
     pytest.importorskip("mcap")
     from cloth_sim_ros.verify.run import verify
 

@@ -56,7 +56,7 @@ def check_grasp(client: Client) -> None:
     client.node.create_subscription(WrenchStamped, "/cloth_sim/gripper/wrench", wrenches.append, 10)
 
     def closes(where: tuple[float, float, float], expected: str) -> bool:
-        # Best effort: what is sent before the node has met the publisher is lost, so it is sent again.
+        # Best effort: messages before the publisher is matched are missed, so the target is sent again.
         target.publish(pose(*where))
         client.wait_for_clouds(3)
         answer = client.call(SetBool, close, SetBool.Request(data=True))
@@ -74,7 +74,7 @@ def check_grasp(client: Client) -> None:
     client.spin_until(
         lambda: np.linalg.norm(positions(client.clouds[-1])[-1] - (0.5, -0.3, 0.9)) < 0.05, what="the corner lifted"
     )
-    # The cloth hangs from the gripper too: it pulls down, by less than its weight of 2 N.
+    # The cloth hangs from the gripper too and pulls down by less than its weight of 2 N.
     client.spin_until(lambda: wrenches and -2.0 < wrenches[-1].wrench.force.z < -0.05, what="a wrench of the weight")
     assert wrenches[-1].header.frame_id == "world"
 
@@ -114,7 +114,7 @@ def check_recording(client: Client, folder: Path) -> None:
     assert (ended.success, ended.message) == (True, str(path))
     assert not client.call(SetBool, "/cloth_sim/record", SetBool.Request(data=False)).success
     assert path.parent == folder
-    # The next one goes elsewhere.
+    # The next recording goes into another folder.
     value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(folder / "other"))
     request = SetParameters.Request(parameters=[Parameter(name="record.folder", value=value)])
     assert client.call(SetParameters, "/cloth_sim/set_parameters", request).results[0].successful
@@ -160,7 +160,7 @@ def check_parameters(client: Client) -> None:
             assert (limits.from_value, limits.to_value) == (entry.min_accepted, entry.most)
     rate = next(descriptor for descriptor in descriptors if descriptor.name == "rate")
     assert rate.description.endswith("[Hz]")
-    # The weight turns: the cloth falls up, from the next frame on.
+    # Gravity is reversed: the cloth falls up from the next frame on.
     value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=[0.0, 0.0, 9.81])
     request = SetParameters.Request(parameters=[Parameter(name="gravity", value=value)])
     assert client.call(SetParameters, "/cloth_sim/set_parameters", request).results[0].successful
@@ -175,7 +175,7 @@ def check_parameters(client: Client) -> None:
         result = answer.results[0] if kind is SetParameters else answer.result
         assert not result.successful
         assert result.reason == "there is no parameter 'gravitation'; did you mean 'gravity'?"
-    # Right by itself, wrong for this cloth: refused when its frame comes, and shown as it is.
+    # Valid by itself, invalid for this cloth: refused in its frame, and the parameter shows the old value.
     value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=0.5)
     request = SetParameters.Request(parameters=[Parameter(name="step", value=value)])
     client.call(SetParameters, "/cloth_sim/set_parameters", request)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is said to a node about simulated time, and is wrong or missing."""
+"""Simulated time of a node: invalid and missing messages on /clock."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from support.ros_client import Client, stamp_of, start_cloth
 from cloth_sim_ros.ros.sim_time import ClockSilence
 
 SMALL = "cloth.resolution:=[5, 5]"
-#: A second later than any that the first cloud was waited for [s].
+#: A second later than the time at which the first cloud was due [s].
 SOME = 100_000
 #: Last second that a stamp can hold.
 LAST = 2**31 - 1
-#: Times that are none: sec, nanosec, and what is said.
+#: Invalid times: sec, nanosec, and the message.
 NO_TIMES = [
     (-1, 0, "its time is -1.000 s (sec -1, nanosec 0), and must be at least 0 and below 2147483648 s"),
     (LAST, 2**32 - 1, f"(sec {LAST}, nanosec {2**32 - 1}), and must be at least 0 and below 2147483648 s"),
@@ -36,13 +36,13 @@ def test_clock_message_without_valid_time_is_ignored(ros_domain: int, start_proc
             clock.publish(Clock(clock=Time(sec=sec, nanosec=nanosec)))
 
         def shows(sec: int) -> bool:
-            # /clock is best effort, and a queue of one: what was lost is said again.
+            # /clock is best effort with depth one: missed messages are repeated.
             set_time(sec)
             client.executor.spin_once(timeout_sec=0.02)
             return bool(client.clouds) and stamp_of(client.clouds[-1]) == sec * 1_000_000_000
 
         client.node.create_subscription(PointCloud2, "/cloth_sim/points", client.clouds.append, 1000)
-        # A frame's cloud is sent once: those until the two have met are lost, and a clock that stands brings no other.
+        # Each cloud is sent once: those before the match are missed, and a standing clock causes no other.
         seconds = itertools.count(1)
         client.spin_until(lambda: shows(next(seconds)) or client.clouds, what="a cloud")
         client.spin_until(lambda: shows(SOME), what="the last cloud before times that are none")
@@ -56,7 +56,7 @@ def test_clock_message_without_valid_time_is_ignored(ros_domain: int, start_proc
             client.spin_until(told, what=f"'{words}' in the log")
             assert len(client.clouds) == before
         client.spin_until(lambda: shows(SOME + 1), what="the cloud of the next second")
-        # The last time that is one.
+        # The last valid time.
         client.spin_until(lambda: shows(LAST), what="the cloud of the last second")
         client.spin_until(lambda: shows(12), what="the cloud after it")
     assert process.interrupt() == 0

@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A node that is grasped all the time: memory, descriptors and threads stay flat, frames don't come later and later.
+"""A node under continuous grasping: memory, descriptors, threads and late frames do not grow.
 
-`make test` runs a minute of it, `make soak` an hour (CLOTH_SIM_ROS_SOAK_SECONDS); both print the figures, the hour
-holds late frames flat as well.
+`make test` runs it for a minute, `make soak` for an hour (CLOTH_SIM_ROS_SOAK_SECONDS). Both print the figures; the hour
+also checks late frames.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ WARM_UP = 20.0
 
 @attrs.frozen
 class Sample:
-    """One look at the process."""
+    """One sample of the process."""
 
     elapsed: float
     memory: float
@@ -65,7 +65,7 @@ class Watch:
 
 
 def led_by_the_corner(phase: float) -> tuple[PoseStamped, bool]:
-    """Target and grip at a phase of the cycle, 0 to 1: to the corner, close, a loop, let go."""
+    """Return target and grip at a phase of the cycle, 0 to 1: to the corner, close, a loop, release."""
     if phase < 0.15:
         return pose(0.5, 0.0, 0.5), False
     turn = min(1.0, (phase - 0.15) / 0.7)
@@ -75,7 +75,7 @@ def led_by_the_corner(phase: float) -> tuple[PoseStamped, bool]:
 
 
 def soak(start_process: Callable[..., Any], folder: Path, seconds: float) -> tuple[Watch, Any]:
-    """Grasp for so long, recording; the samples and the process, stopped."""
+    """Grasp and record for a time [s]; return the samples and the stopped process."""
     cloth = start_cloth(start_process, "record.enabled:=true", f"record.folder:={folder}", "gripper.radius:=0.3")
     with Client("soak") as client:
         client.watch()
@@ -100,7 +100,7 @@ def soak(start_process: Callable[..., Any], folder: Path, seconds: float) -> tup
 
 
 def growth(samples: list[Sample], name: str) -> float:
-    """By how much a straight line through the samples rises from the first to the last."""
+    """Return the rise of a straight line through the samples from the first to the last."""
     at = np.array([sample.elapsed for sample in samples])
     values = np.array([float(getattr(sample, name)) for sample in samples])
     slope = np.polyfit(at, values, 1)[0]
@@ -122,12 +122,12 @@ def check(watch: Watch) -> list[int]:
         "memory_growth_MB": growth(samples, "memory"),
         "descriptors": samples[-1].descriptors,
         "threads": samples[-1].threads,
-        # Late frames of a busy machine are not the node's: what it carried beside, runnable processes.
+        # Late frames may be caused by other load of the machine: its number of runnable processes.
         "load_first_half": float(np.mean([sample.load for sample in samples[:half]])),
         "load_second_half": float(np.mean([sample.load for sample in samples[half:]])),
     }
     print("\n" + json.dumps(figures, indent=1))
-    # A cloud of 900 points is 11 kB: a leak of one a frame would be 27 MB in a minute.
+    # A cloud of 900 points has 11 kB: a leak of one per frame would be 27 MB in a minute.
     assert figures["memory_growth_MB"] < 5.0, figures
     assert {sample.descriptors for sample in samples[1:]} <= {n + samples[0].descriptors for n in (-1, 0, 1)}, figures
     assert len({sample.threads for sample in samples}) == 1, figures
@@ -145,6 +145,6 @@ def test_a_minute_of_grasping(start_process: Callable[..., Any], tmp_path: Path)
 def test_an_hour_of_grasping(start_process: Callable[..., Any], tmp_path: Path) -> None:
     watch, _ = soak(start_process, tmp_path / "sessions", float(os.environ.get("CLOTH_SIM_ROS_SOAK_SECONDS", "3600")))
     late = check(watch)
-    # No trend: the second half has not clearly more late frames than the first (Poisson, four sigma). An hour alone on
-    # a machine tells that; within a minute it is what else runs there.
+    # No trend: the second half has not clearly more late frames than the first (Poisson, four sigma). This needs an
+    # hour alone on a machine; within a minute other processes decide.
     assert late[1] <= late[0] + 4.0 * np.sqrt(late[0] + 1.0) + 4.0, late

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Subscribers that are suspended, killed, or come and go: all others receive what the node publishes."""
+"""Subscribers that are suspended, killed, or restarted: all others receive the published messages."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from cloth_sim_ros.ros.outputs import Output
 from cloth_sim_ros.session.reader import SessionReader
 
 SUBSCRIBER = Path(__file__).resolve().parents[1] / "support" / "stalling_subscriber.py"
-#: Clouds that may be under way when the first or the last one is looked at.
+#: Clouds that may be in transit at the first or the last check.
 MIN_CLOUDS = 5
 pytestmark = pytest.mark.skipif(
     os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp") != "rmw_fastrtps_cpp", reason="Fast DDS's shared memory"
@@ -57,7 +57,7 @@ def start_recording_cloth(start_process: Callable[..., Any], cells: int, folder:
 
 
 def check_received(node: Any, client: Client, folder: Path) -> None:
-    """End the node, and compare what the client received with what was published meanwhile."""
+    """End the node, and compare received and published clouds."""
     received = {stamp_of(cloud) for cloud in client.clouds}
     assert node.interrupt() == 0, node.output
     (session,) = folder.glob("*.mcap")
@@ -76,7 +76,7 @@ def test_suspended_subscribers_leave_others_their_clouds(
         client.watch()
         stalled = Stalled(start_process, efforts, "/cloth_sim/points")
         stalled.send_signal(signal.SIGSTOP)
-        # Far more than Fast DDS' own segment holds, and longer than it takes to give a subscriber up.
+        # Far more than Fast DDS's default segment holds, and longer than its lease of a subscriber.
         client.wait_for_clouds(60 * 4)
         stalled.send_signal(signal.SIGCONT)
         client.wait_for_clouds(30)
@@ -141,7 +141,7 @@ def test_suspended_rviz_leaves_others_clouds_and_meshes(
 
 
 class Recorded:
-    """A tape that does not run."""
+    """A record sink that does not run."""
 
     running = False
 
@@ -150,12 +150,12 @@ class Recorded:
 
 
 class SlowNode(Node):
-    """A node whose middleware takes its time to publish."""
+    """A node with a slow middleware."""
 
     seconds = 0.0
 
     def create_publisher(self, *arguments: Any, **options: Any) -> Any:
-        """As rclpy's, with a delay in its publish."""
+        """Create rclpy's publisher with a delay in `publish`."""
         publisher = super().create_publisher(*arguments, **options)
         publish = publisher.publish
 

@@ -31,7 +31,7 @@ def client(ros_domain: int) -> Iterator[Client]:
 
 
 class Standing(ClockedCloth):
-    """A cloth whose clock stands, and is published again and again as a paused Gazebo does, unless it is silent."""
+    """A cloth whose /clock stands; the time is published repeatedly, as by a paused Gazebo, unless silent."""
 
     def __init__(self, client: Client, **options: Any) -> None:
         super().__init__(client, **options)
@@ -52,11 +52,11 @@ class Standing(ClockedCloth):
         self.client.spin_until(poll, what=expectation)
 
     def stand(self, at: int | None) -> None:
-        """Let it stand until the node says so."""
+        """Keep the time until the node reports that /clock stands."""
         self.until(lambda: self.states and self.states[-1] == "inactive", at=at, expectation="inactive")
 
     def ask(self, kind: Any, name: str, data: bool | None = None, *, at: int | None = None) -> Any:
-        """Call a service while the clock stands; an answer by `no frame was due` is none."""
+        """Call a service while the clock stands; an answer with `no frame was due` fails."""
         caller = self.client.node.create_client(kind, f"/cloth_sim/{name}")
         self.until(caller.service_is_ready, at=at, expectation=f"the service {name}")
         future = caller.call_async(kind.Request() if data is None else kind.Request(data=data))
@@ -125,7 +125,7 @@ def test_users_pause_survives_a_standing_clock(client: Client) -> None:
         assert cloth.ask(SetBool, "pause", True).success
         cloth.wait_for_report(DiagnosticStatus.OK, "paused; /clock stands at ")
         frame = cloth.simulation.frame
-        # A single frame is what a user who paused may ask for.
+        # A user who paused may request a single frame.
         assert cloth.ask(Trigger, "step").success
         assert cloth.simulation.frame == frame + 1
         cloth.publish_clock(cloth.now + SECOND)

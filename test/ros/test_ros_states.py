@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What holds until it changes, heard by those who come later; and the cloth's and the grippers' TF frames."""
+"""Latched states for late subscribers, and the TF frames of the cloth and the grippers."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def client(ros_domain: int) -> Iterator[Client]:
 
 
 class Heard:
-    """The newest message of a latched topic, for one who comes now."""
+    """The newest message of a latched topic for a new subscriber."""
 
     def __init__(self, client: Client, kind: Any, topic: str) -> None:
         self.messages: list[Any] = []
@@ -68,7 +68,7 @@ def test_gripper_state_reaches_late_subscribers(client: Client) -> None:
             assert (status.name, status.hardware_id) == ("cloth_sim: left", "none")
         assert len(first.messages) == 2, "said once for each grasp, not each frame"
         assert gripper_state(client, "right").values["closed"] == "false"
-        # A closing that changes nothing is answered all the same.
+        # A closing without a change is published too.
         cloth.grasp("left", True)
         cloth.tick()
         client.spin_until(lambda: len(first.messages) == 3, what="an answer")
@@ -144,7 +144,7 @@ def test_states_are_recorded_from_the_beginning_of_a_recording(client: Client, t
 
 @pytest.fixture
 def tf2_msgs(monkeypatch: pytest.MonkeyPatch) -> type:
-    """What stands for tf2_msgs, which PyPI does not have: messages travel as another type, and are read as bytes."""
+    """A stub of tf2_msgs, which is not on PyPI: messages use another type and are read as bytes."""
     kind = type("TFMessage", (PoseArray,), {"__module__": "tf2_msgs.msg"})
     module, messages = ModuleType("tf2_msgs"), ModuleType("tf2_msgs.msg")
     messages.TFMessage = kind  # type: ignore[attr-defined]
@@ -154,7 +154,7 @@ def tf2_msgs(monkeypatch: pytest.MonkeyPatch) -> type:
 
 
 def read(data: bytes) -> dict[str, Any]:
-    """The transforms of a message by the name of their frame."""
+    """Return the transforms of a message by frame name."""
     types = pytest.importorskip("rosbags.typesys")
     store = types.get_typestore(types.Stores.ROS2_JAZZY)
     message = store.deserialize_cdr(data, "tf2_msgs/msg/TFMessage")
@@ -184,7 +184,7 @@ def test_grippers_and_cloth_are_frames(client: Client, tf2_msgs: type) -> None:
         cloth.tick(2)
         client.spin_until(lambda: len(got) >= 2, what="/tf")
         found = read(got[-1])
-        # The right one is nowhere yet.
+        # The right gripper has no pose yet.
         assert set(found) == {"cloth_sim/cloth", "cloth_sim/left"}
         assert {transform.header.frame_id for transform in found.values()} == {"base"}
         place = found["cloth_sim/left"].transform.translation
@@ -196,7 +196,7 @@ def test_grippers_and_cloth_are_frames(client: Client, tf2_msgs: type) -> None:
         centre = weights @ simulation.positions
         place = read(got[-1])["cloth_sim/cloth"].transform.translation
         np.testing.assert_allclose((place.x, place.y, place.z), centre, atol=1e-3)
-        # Off again: nothing more is sent.
+        # Off again: no further messages.
         cloth.node.node.set_parameters([Parameter("tf.publish", value=False)])
         cloth.tick()
         sent = cloth.node._broadcaster._output

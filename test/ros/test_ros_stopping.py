@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Signals: the node ends in order, its recording closed, however it is asked to."""
+"""Signals: the node ends in order and closes its recording."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from cloth_sim_ros.ros.node import ClothNode
 from cloth_sim_ros.ros.shut_down import unless_shut_down
 from cloth_sim_ros.ros.stopping import StopRequestedError, StopSignals
 
-#: What issue and launch files promise is 2 s; the rest is for a busy machine.
+#: The launch file allows 2 s; the remainder is for a busy machine.
 LIMIT = 10.0
 
 
@@ -52,7 +52,7 @@ def test_a_signal_closes_the_recording(
 
 
 def test_context_shutdown_during_a_frame_is_no_error(ros_domain: int) -> None:
-    # As rclpy's own signal handlers do in a process that has several nodes.
+    # Like rclpy's signal handlers in a process with several nodes.
     context = rclpy.Context()
     rclpy.init(context=context)
     node = rclpy.create_node("speaks", context=context)
@@ -65,7 +65,7 @@ def test_context_shutdown_during_a_frame_is_no_error(ros_domain: int) -> None:
         raise AssertionError("a publisher without a context speaks")
 
 
-#: A node whose frames, from the twentieth on, are in the engine for ever.
+#: A node whose frames never return from the engine, from the twentieth on.
 ENDLESS = """
 import sys
 import numpy as np
@@ -115,7 +115,7 @@ def test_a_signal_amid_a_frame_of_the_engine(
     ["cloth_sim_ros.ros.stopping", "rclpy.node", "numpy.linalg", "cloth_sim_ros.simulation.simulation"],
 )
 def test_a_signal_while_starting_ends_in_order(ros_domain: int, start_process: Callable[..., Any], loaded: str) -> None:
-    # Python says what it has loaded: a moment of the start that is the same on every machine.
+    # Python prints loaded modules: a reproducible moment of the start.
     environment = {"PYTHONPROFILEIMPORTTIME": "1"}
     process = start_process(["-m", "cloth_sim_ros.ros.main"], env=environment)
     process.wait_for_output(f" {loaded}\n")
@@ -142,7 +142,7 @@ def test_signal_raises_nothing_in_a_callback(signals: StopSignals) -> None:
         os.kill(os.getpid(), signal.SIGINT)
         return "done"
 
-    # What is done soon is done; what would begin afterwards does not.
+    # A job that ends soon is completed; no further job starts.
     assert aside.run(interrupted) == "done"
     assert not aside.left
     with pytest.raises(StopRequestedError, match="SIGINT"):
@@ -206,7 +206,7 @@ def test_a_gripper_that_waits_ends_at_once(ros_domain: int, start_process: Calla
 
 
 def test_context_shutdown_during_closing_is_no_error(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As rclpy's own signal handler ends it: nobody is left to be told, and the recording is closed all the same."""
+    """The context is shut down as by rclpy's signal handler; the recording is closed nevertheless."""
     context = rclpy.Context()
     context.init()
     cloth = ClothNode(context=context)
@@ -226,7 +226,7 @@ def test_context_shutdown_during_closing_is_no_error(ros_domain: int, monkeypatc
 def test_stopping_node_logs_no_warning(
     ros_domain: int, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """A namesake that the last report would be the first to see: nobody could act on the warning."""
+    """A duplicate node name that only the last report would detect causes no warning."""
     context = rclpy.Context()
     context.init()
     cloth = ClothNode(context=context)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Stops for want of room are told once each, and contacts are noticed when they begin."""
+"""Warnings of stopped bodies, once each, and detection of first contacts."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_repeated_stop_is_warned_of_once() -> None:
     frame = cloth.advance()
     node, nothing = SimpleNamespace(), SimpleNamespace()
     topics = ObstacleTopics(node, cloth, nothing, nothing, ThrottledLog(log, seconds=0.0))  # type: ignore[arg-type]
-    # Two are stopped together, and commanded on into the cloth in every frame or every other one.
+    # Two bodies are stopped together; commands push them into the cloth in every or every other frame.
     for index in range(1, 200):
         stopped = ("iron", "gripper") if index % 2 else ()
         topics.send(attrs.evolve(frame, index=index, halted=stopped), 0)

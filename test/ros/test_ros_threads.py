@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A node in an executor of several threads: services run beside frames, and none of them sees half of one."""
+"""A node in a multi-threaded executor: services run concurrently with frames and see only complete ones."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def client(ros_domain: int) -> Iterator[Client]:
 
 @contextlib.contextmanager
 def threaded(client: Client, values: dict[str, Any]) -> Iterator[ClothNode]:
-    """A cloth in an executor of several threads, spun by one more."""
+    """A cloth in a multi-threaded executor that a further thread spins."""
     cloth = ClothNode(
         context=client.context,
         parameter_overrides=[Parameter(name, value=value) for name, value in values.items()],
@@ -70,7 +70,7 @@ def test_a_service_waits_for_the_frame_under_way(
             if not asked.is_set():
                 return advance(*arguments)
             done.append("begins")
-            # Long enough to be met by the service, which the client calls from here on; it must not be.
+            # Long enough for the service, which the client calls from here on, to collide with the frame.
             saved.wait(0.3)
             frame = advance(*arguments)
             done.append("ends")
@@ -135,7 +135,7 @@ def test_change_refused_by_another_callback_is_not_applied(client: Client) -> No
     )
     scene = declare(node)
     refusing = [True]
-    # Of several callbacks the one that was added first is asked last.
+    # rclpy calls the callback that was added first last.
     node.add_on_set_parameters_callback(
         lambda _: SetParametersResult(successful=not refusing[0], reason="not by my leave")
     )

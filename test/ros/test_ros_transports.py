@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The node's Fast DDS transports: sized from the cloud, bounded, and left alone where the user chose some."""
+"""The node's Fast DDS transports: size from the cloud, bounds, and the user's choice."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 
 @pytest.fixture(autouse=True)
 def fast_dds(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Fast DDS, nothing chosen by a user, and much room."""
+    """Fast DDS without settings of the user, and with much shared memory."""
     for name in (PROFILES, "FASTDDS_BUILTIN_TRANSPORTS", "RMW_FASTRTPS_USE_QOS_FROM_XML"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(rclpy.utilities, "get_rmw_implementation_identifier", lambda: "rmw_fastrtps_cpp")
@@ -29,7 +29,7 @@ def fast_dds(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 def set_room(monkeypatch: pytest.MonkeyPatch, free: int) -> None:
-    """Let the shared memory have so much room [bytes]."""
+    """Set the free shared memory [bytes]."""
     monkeypatch.setattr(os, "statvfs", lambda _: types.SimpleNamespace(f_bavail=free, f_frsize=1))
 
 
@@ -37,7 +37,7 @@ def test_segment_holds_what_a_suspended_subscriber_pins() -> None:
     small, medium, large = (segment_bytes({"cloth.resolution": [cells, cells]}) for cells in (10, 64, 128))
     cloud, mesh = 100 * 12, 2 * 9 * 9 * 72
     assert small >= 3 * 60 * (cloud + mesh)
-    # A queue has 512 places for buffers of 65,500 bytes; and what is being sent.
+    # A queue of 512 buffers of 65,500 bytes, and the messages being sent.
     assert medium >= 512 * 65_500 + 64 * 64 * 12 + 2 * 63 * 63 * 72
     assert small < medium < large
 

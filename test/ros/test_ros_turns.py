@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a frame costs the executor: few turns, and few things to look at in each."""
+"""Executor cost of a frame: number of spins, and entities in the wait set of each."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_uncommanded_frame_takes_at_most_one_spin(client: Client, beside: bool, 
         while cloth.simulation.frame < begun + 200:
             client.executor.spin_once(timeout_sec=1.0)
             turns += 1
-        # There is little else: the node looks after itself four times a second.
+        # Little else: maintenance runs four times a second.
         assert turns < most * 200
     finally:
         client.executor.remove_node(cloth.node)
@@ -50,7 +50,7 @@ def test_wait_set_of_a_spin_is_small(client: Client) -> None:
     bare = len(list(client.node.waitables))
     with ClockedCloth(client, AT_REST) as cloth:
         assert len(list(cloth.node.node.timers)) == 1
-        # Nothing of the topics that it offers; of the clock and the grasps it hears, and of what every node has.
+        # Nothing for published topics; entries for the clock, the grasps, and the entities of every node.
         assert len(list(cloth.node.node.waitables)) <= bare + 3
 
 

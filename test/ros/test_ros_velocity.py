@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Velocities in the cloud, on request and while it runs; the recording runs again with them and without."""
+"""Velocities in the cloud, switched while the cloth runs; the recording replays with and without them."""
 
 from __future__ import annotations
 

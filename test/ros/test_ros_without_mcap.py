@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A robot without the libraries that sessions need: the cloth lives, and says that it can't record."""
+"""A robot without the session libraries: the cloth runs and reports that it can't record."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_node_without_mcap_runs_and_reports_no_recording(
         client.node.create_subscription(DiagnosticArray, "/diagnostics", lambda m: seen.extend(m.status), 10)
         status = client.spin_until(lambda: seen and seen[-1], what="diagnostics")
         assert REASON in {entry.key: entry.value for entry in status.values}["recording"]
-        # All else works, saving states included.
+        # Everything else works, including saved states.
         assert client.call(Trigger, "/cloth_sim/save_state").success
         client.wait_for_clouds(5)
     assert process.interrupt() == 0

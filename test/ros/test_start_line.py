@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The line that a node logs at its start."""
+"""The node's first log line."""
 
 from __future__ import annotations
 

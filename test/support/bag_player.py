@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What `ros2 bag play` does with a session, without rosbag2: another reader, recorded profiles, recorded pace.
+"""Player of sessions like `ros2 bag play`, without rosbag2.
 
-Publishers offer what the file says of each topic; messages go out as the bytes that they are, by log time; with `clock`
-the time of the bag is published on /clock, 40 times a second, as its option `--clock` does.
+Another reader reads the file. Publishers offer the recorded profiles, and messages are published as recorded bytes by
+log time. With `clock` the time of the bag is published on /clock at 40 Hz, as by the option `--clock`.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from rosbags.rosbag2 import Reader
 from rosgraph_msgs.msg import Clock
 
 _CLOCK_PERIOD = 1.0 / 40.0
-#: A turn of the node takes no longer than this, unless the machine is busy [s].
+#: Longest spin of the node unless the machine is busy [s].
 _LONG = 0.02
 
 
 def message_class(name: str) -> Any:
-    """The class of a message type, e.g. ``std_msgs/msg/Bool``."""
+    """Return the class of a message type, e.g. ``std_msgs/msg/Bool``."""
     package, _, kind = name.split("/")
     return getattr(importlib.import_module(f"{package}.msg"), kind)
 
 
 def qos_of(connection: Connection) -> QoSProfile:
-    """The profile that a player offers for a recorded topic: all recorded ones alike, else there would be none."""
+    """Return the profile for a recorded topic; all its recorded profiles must be equal."""
     (recorded,) = {*connection.ext.offered_qos_profiles}  # type: ignore[union-attr]
     reliable = recorded.reliability is QosReliability.RELIABLE
     latched = recorded.durability is QosDurability.TRANSIENT_LOCAL
@@ -47,14 +47,14 @@ def qos_of(connection: Connection) -> QoSProfile:
 def play(
     path: Path, client: Any, *, topics: Iterable[str], clock: bool = False, spin: Callable[[float], None] | None = None
 ) -> int:
-    """Play topics of a session to whoever listens; how many messages went out.
+    """Play topics of a session; return the number of published messages.
 
     Args:
         path: the session's file.
-        client: whose node publishes; it spins in between.
-        topics: what is played.
-        clock: publish the bag's time.
-        spin: waits so many seconds; the client's executor where left out.
+        client: the client whose node publishes; it spins in between.
+        topics: topics to play.
+        clock: true to publish the bag's time.
+        spin: waits for a time [s]; by default the client's executor spins.
     """
     node, wanted = client.node, set(topics)
     spin = spin or (lambda seconds: client.executor.spin_once(timeout_sec=seconds))
@@ -67,7 +67,7 @@ def play(
             )
             for connection in connections
         }
-        # What `--delay` is for: publishers and subscriptions meet.
+        # Like `--delay`: wait until publishers and subscriptions are matched.
         for topic, publisher in publishers.items():
             client.spin_until(publisher.get_subscription_count, what=f"a subscriber of {topic} that takes its profile")
         ticker = node.create_publisher(Clock, "/clock", 10) if clock else None
@@ -95,11 +95,11 @@ def play(
             else:
                 asked = time.monotonic()
                 spin(0.001)
-                # The node shares this thread. What a busy machine makes of it is not the player's time: another process
-                # would play on, and all that is late would come at once.
+                # The node shares this thread. Exclude its delays on a busy machine from the player's time; otherwise
+                # all late messages would be sent at once.
                 begun += max(0.0, time.monotonic() - asked - _LONG)
         if ticker is not None:
-            # So that what came last has its frame, too.
+            # So that the last messages have their frame too.
             tick(time.monotonic() - begun + 0.1)
             spin(0.05)
         for publisher in [*publishers.values(), *([ticker] if ticker else [])]:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A node whose time a test sets by /clock: what arrives over topics then takes effect in a frame that is known."""
+"""A node whose time a test sets by /clock, so that commands take effect in known frames."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ SECOND = 1_000_000_000
 
 
 class ClockedCloth:
-    """A cloth in this process that follows /clock, and a client that publishes it; to be used with `with`.
+    """A cloth in this process that follows /clock, and a client that publishes it; a context manager.
 
     Args:
         client: its context and executor are shared.
-        begin: seconds at which /clock begins.
-        name: of the node.
-        parameters: by full name; grids are small and frames quick unless they say otherwise.
+        begin: first time of /clock [s].
+        name: name of the node.
+        parameters: by full name; the default is a small grid with fast frames.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class ClockedCloth:
 
     @property
     def now(self) -> int:
-        """Time of the newest frame that was due [ns]."""
+        """Time of the newest tick [ns]."""
         return int(self._number * SECOND / self._rate)
 
     def publish_clock(self, time: int) -> None:
@@ -69,7 +69,7 @@ class ClockedCloth:
         self._clock.publish(message)
 
     def tick(self, count: int = 1) -> None:
-        """Let so many frames be due, one after the other, and wait for each."""
+        """Run a number of frames, and wait for each."""
         for _ in range(count):
             frame = self.simulation.frame
             self.publish_clock(self.now)
@@ -77,7 +77,7 @@ class ClockedCloth:
             self.client.spin_until(lambda frame=frame: self.simulation.frame > frame, what=f"frame {frame + 1}")
 
     def send(self, leaf: str, message: Any) -> None:
-        """Publish a command and wait until the node has taken it."""
+        """Publish a command, and wait until the node has received it."""
         kind = type(message)
         publisher = self.client.publisher(kind, f"{self.node.node.get_fully_qualified_name()}/{leaf}")
         commands = self.node._commands
@@ -101,20 +101,20 @@ class ClockedCloth:
         self.send(f"{gripper}/grasp", Bool(data=closed))
 
     def place(self, gripper: str) -> np.ndarray:
-        """Where a gripper is [m]."""
+        """Return the position of a gripper [m], shape (3,)."""
         return self.simulation.grippers.poses()[self._index(gripper), :3]
 
     def held(self, gripper: str) -> list[int]:
-        """Particles that a gripper holds."""
+        """Return the particles that a gripper holds."""
         return [int(particle) for particle in self.simulation.grippers.held(self._index(gripper))]
 
     def is_closed(self, gripper: str) -> bool:
-        """Whether a gripper is closed."""
+        """Return true if a gripper is closed."""
         return self.simulation.grippers.is_closed(self._index(gripper))
 
     @property
     def refused(self) -> tuple[int, int]:
-        """Commands that were refused, and those that were older than the newest."""
+        """Numbers of refused commands, and of commands older than the newest."""
         return self.node._commands.refused, self.node._commands.outdated
 
     def _index(self, gripper: str) -> int:

@@ -1,12 +1,12 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A log that keeps what it is told."""
+"""A logger that stores its lines."""
 
 from __future__ import annotations
 
 
 class Log:
-    """Takes the place of rclpy's."""
+    """A stub of rclpy's logger."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []

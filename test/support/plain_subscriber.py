@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A subscriber as anyone would write it: rclpy and sensor_msgs alone. Run as `plain_subscriber.py topic file`.
+"""A plain subscriber with rclpy and sensor_msgs only: `plain_subscriber.py topic file`.
 
-Appends each message to the file: its length (8 bytes, little endian), then its bytes as they came. SIGINT ends it at
-once: how the middleware of a subscriber shuts down, which may hang on a busy machine, is nobody's promise here.
+It appends each message to the file: its length (8 bytes, little endian), then its bytes. SIGINT ends it at once,
+because the shutdown of the middleware may hang on a busy machine and is not tested here.
 """
 
 import os

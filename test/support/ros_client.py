@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A ROS client for tests: publishes, subscribes, calls; everything with a limit, nothing with a fixed sleep."""
+"""A ROS client for tests: publishers, subscriptions and service calls with time limits."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
-#: As long as a process is waited for: a machine that is busy with other work may be twenty times as slow.
+#: Longest wait [s], as for a process: a busy machine may be twenty times as slow.
 LIMIT = 60.0
-#: The node's last word before its first frame.
+#: The node's last log text before its first frame.
 STARTED = "wall time, grippers"
 
 
 class Client:
-    """A node of its own context, to be used with `with`."""
+    """A node with its own context; a context manager."""
 
     def __init__(self, name: str = "test_client") -> None:
         self.context = rclpy.Context()
@@ -54,18 +54,18 @@ class Client:
         return value
 
     def watch(self, node: str = "/cloth_sim", depth: int = 1000) -> None:
-        """Collect clouds, from the first one on."""
+        """Subscribe to clouds, and wait for the first one."""
         self.node.create_subscription(PointCloud2, f"{node}/points", self.clouds.append, QoSProfile(depth=depth))
         self.spin_until(lambda: self.clouds, what="the first cloud")
 
     def wait_for_clouds(self, count: int) -> PointCloud2:
-        """Spin until so many more clouds have come; the newest."""
+        """Spin until a number of further clouds have come, and return the newest."""
         goal = len(self.clouds) + count
         self.spin_until(lambda: len(self.clouds) >= goal, what=f"{count} clouds")
         return self.clouds[-1]
 
     def publisher(self, kind: Any, topic: str) -> Any:
-        """A publisher that has met its subscriber."""
+        """Return a publisher that has matched its subscriber."""
         if topic not in self._publishers:
             publisher = self.node.create_publisher(kind, topic, QoSProfile(depth=1000))
             self._publishers[topic] = publisher
@@ -83,17 +83,17 @@ class Client:
 
 
 def positions(cloud: PointCloud2) -> np.ndarray:
-    """Points of a cloud, (n, 3)."""
+    """Return the points of a cloud [m], shape (n, 3)."""
     return np.frombuffer(bytes(cloud.data), dtype="<f4").reshape(-1, 3)
 
 
 def stamp_of(cloud: PointCloud2) -> int:
-    """Header stamp [ns]."""
+    """Return the header stamp [ns]."""
     return int(cloud.header.stamp.sec) * 1_000_000_000 + int(cloud.header.stamp.nanosec)
 
 
 def pose(x: float, y: float, z: float, *, frame_id: str = "", stamp: int = 0, w: float = 1.0) -> PoseStamped:
-    """A target."""
+    """Return a target at x, y, z [m]."""
     message = PoseStamped()
     message.header.frame_id = frame_id
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
@@ -109,7 +109,7 @@ def start_cloth(
     arguments: Sequence[str] = (),
     **options: Any,
 ) -> Any:
-    """Start the node as a process and wait for its first frame; parameters as `name:=value`, and more ROS arguments."""
+    """Start the node as a process with parameters `name:=value` and ROS arguments, and wait for its first frame."""
     command: list[str | Path] = ["-m", "cloth_sim_ros.ros.main", "--ros-args", *arguments]
     for parameter in parameters:
         command += ["-p", parameter]

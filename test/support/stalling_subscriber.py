@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A subscriber that a test suspends: `stalling_subscriber.py effort topic...`, effort r (reliable) or b (best effort).
+"""A subscriber that a test suspends: `stalling_subscriber.py effort topic...`.
 
-Prints `receives` after some clouds.
+`effort` is r (reliable) or b (best effort). It prints `receives` after ten clouds.
 """
 
 import itertools
@@ -19,7 +19,7 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker
 
 KINDS = {"points": PointCloud2, "mesh": Marker, "wrench": WrenchStamped, "diagnostics": DiagnosticArray}
-#: Clouds after which both sides surely have met.
+#: Number of clouds after which both sides are matched.
 ENOUGH = 10
 
 
