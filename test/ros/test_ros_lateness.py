@@ -82,7 +82,7 @@ def test_slow_cloth_names_its_factor_and_the_remedy() -> None:
     )
 
 
-def test_first_contact_is_measured_anew_and_told_if_it_is_worse() -> None:
+def test_first_contact_restarts_window_and_logs_slowdown() -> None:
     monitor, log = lateness()
     # On time so far: frames before the contact do not count.
     run(monitor, 1, late=0, seconds=0.003)
