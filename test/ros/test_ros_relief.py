@@ -119,7 +119,7 @@ def test_stability_limited_steps_keep_the_tolerance() -> None:
     ],
     ids=["not asked for", "no tolerance", "fixed step"],
 )
-def test_scene_without_tolerance_is_not_relaxed(values: dict[str, Any], told: tuple[str, str, str]) -> None:
+def test_inactive_governor_changes_nothing(values: dict[str, Any], told: tuple[str, str, str]) -> None:
     machine = Machine(**values)
     assert machine.run(3.0, windows=3) == []
     assert machine.in_force() == told

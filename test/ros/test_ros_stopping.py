@@ -135,7 +135,7 @@ def signals() -> Iterator[StopSignals]:
         signal.signal(number, handler)
 
 
-def test_signal_raises_nothing_in_a_callback(signals: StopSignals) -> None:
+def test_signal_raises_nothing_in_a_job(signals: StopSignals) -> None:
     aside = Aside(signals.name)
 
     def interrupted() -> str:
