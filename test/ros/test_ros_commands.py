@@ -104,8 +104,8 @@ def test_unstable_motion_stops_time_and_keeps_the_commands(monkeypatch: pytest.M
     np.testing.assert_array_equal(simulation.positions, before)
 
 
-@pytest.mark.parametrize("asked", [Step(), Pause(False)], ids=["step", "go on"])
-def test_stopped_time_is_answered_with_the_reason(monkeypatch: pytest.MonkeyPatch, asked: Event) -> None:
+@pytest.mark.parametrize("event", [Step(), Pause(False)], ids=["step", "go on"])
+def test_stopped_time_is_answered_with_the_reason(monkeypatch: pytest.MonkeyPatch, event: Event) -> None:
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": (5, 5)}))
     queue = EventQueue()
     stepper = Stepper(simulation, queue)
@@ -119,7 +119,7 @@ def test_stopped_time_is_answered_with_the_reason(monkeypatch: pytest.MonkeyPatc
         stepper.step(0)
         # The node must survive any number of such requests.
         for _ in range(2):
-            queue.put(asked, answer=told.append)
+            queue.put(event, answer=told.append)
             queue.put(Grasp("gripper", True), answer=told.append)
             frame = stepper.step(0)
             assert not frame.moved
@@ -128,7 +128,7 @@ def test_stopped_time_is_answered_with_the_reason(monkeypatch: pytest.MonkeyPatc
     reasons = [(outcome.frame is None, outcome.reason) for outcome in told if outcome.grasp is None]
     assert reasons == [(True, "time is stopped: the motion became non-finite")] * 2
     assert sum(outcome.grasp is not None for outcome in told) == 2
-    queue.put(asked, answer=told.append)
+    queue.put(event, answer=told.append)
     assert stepper.step(0).moved
     assert stepper.trouble == ""
     assert told[-1].frame is not None

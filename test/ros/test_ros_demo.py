@@ -105,15 +105,15 @@ def test_demo_keeps_network_settings_of_the_user(monkeypatch: pytest.MonkeyPatch
         assert (os.environ[RANGE], os.environ[DOMAIN]) == ("SUBNET", "42")
 
 
-@pytest.mark.parametrize(("given", "expected"), [({}, "LOCALHOST"), ({RANGE: "SUBNET"}, "SUBNET")])
-def test_make_passes_discovery_range_and_no_other_ros(given: dict[str, str], expected: str) -> None:
+@pytest.mark.parametrize(("environment", "expected"), [({}, "LOCALHOST"), ({RANGE: "SUBNET"}, "SUBNET")])
+def test_make_passes_discovery_range_and_no_other_ros(environment: dict[str, str], expected: str) -> None:
     if shutil.which("make") is None:
         pytest.skip("make is not installed")
     foreign = {"AMENT_PREFIX_PATH": "/opt/ros/other", "PYTHONPATH": "/opt/ros/other", "ROS_DISTRO": "other"}
     plain = {name: value for name, value in os.environ.items() if name != RANGE}
     done = subprocess.run(
         ["make", "--no-print-directory", "--eval", "shown: ; @env", "shown"],
-        cwd=ROOT, env={**plain, **foreign, **given}, check=True, capture_output=True, text=True,
+        cwd=ROOT, env={**plain, **foreign, **environment}, check=True, capture_output=True, text=True,
     )  # fmt: skip
     passed = dict(line.split("=", 1) for line in done.stdout.splitlines() if "=" in line)
     assert passed[RANGE] == expected

@@ -143,9 +143,9 @@ def test_every_message_of_a_node_is_compared_or_listed(session: Path) -> None:
     assert verdict.compared["state"] == told["/cloth_sim/state"] - 2
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_falsified_session_of_a_node_is_found_or_listed(session: Path, tmp_path: Path, way: str) -> None:
-    falsification = WAYS[way]
+@pytest.mark.parametrize("corruption", WAYS)
+def test_falsified_session_of_a_node_is_found_or_listed(session: Path, tmp_path: Path, corruption: str) -> None:
+    falsification = WAYS[corruption]
     with SessionReader(session) as reader:
         if not any(True for _ in reader.messages([falsification.needs])):
             pytest.skip("without tf2_msgs a node sends no transforms")

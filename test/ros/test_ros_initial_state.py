@@ -107,10 +107,10 @@ def test_frames_beyond_the_end_are_refused(tmp_path: Path) -> None:
         start_from(f"{path}@{FRAMES + 1}")
 
 
-@pytest.mark.parametrize("number", ["", "x", "-1", "1.5", "٣", "9" * 5000])
-def test_invalid_frame_number_is_refused(number: str) -> None:
+@pytest.mark.parametrize("frame", ["", "x", "-1", "1.5", "٣", "9" * 5000])
+def test_invalid_frame_number_is_refused(frame: str) -> None:
     with pytest.raises(ParameterError, match=r"is no frame number; write session\.mcap@120"):
-        session_state(f"session.mcap@{number}")
+        session_state(f"session.mcap@{frame}")
 
 
 def test_a_session_of_another_cloth_is_refused_with_the_reason(tmp_path: Path) -> None:

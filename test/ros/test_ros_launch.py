@@ -156,10 +156,10 @@ def test_every_argument_reaches_the_node(
     assert "[INFO]" not in process.output
 
 
-@pytest.mark.parametrize("given", ["", "true", "False"])
-def test_launch_keeps_use_sim_time_of_parameter_file(monkeypatch: pytest.MonkeyPatch, given: str) -> None:
-    launched = Launched(monkeypatch, params_file="own.yaml", use_sim_time=given, rviz="true")
-    expected = [{"use_sim_time": given == "true"}] if given else []
+@pytest.mark.parametrize("use_sim_time", ["", "true", "False"])
+def test_launch_keeps_use_sim_time_of_parameter_file(monkeypatch: pytest.MonkeyPatch, use_sim_time: str) -> None:
+    launched = Launched(monkeypatch, params_file="own.yaml", use_sim_time=use_sim_time, rviz="true")
+    expected = [{"use_sim_time": use_sim_time == "true"}] if use_sim_time else []
     cloth, rviz = launched.nodes
     assert cloth["parameters"] == ["own.yaml", *expected]
     assert rviz["parameters"] == expected

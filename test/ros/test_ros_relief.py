@@ -111,7 +111,7 @@ def test_stability_limited_steps_keep_the_tolerance() -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "told"),
+    ("values", "expected"),
     [
         ({"overload": "slow"}, ("0.0001", "0.0001", "as it was set")),
         ({"tolerance": 0.0}, ("none", "none", "none is set")),
@@ -119,10 +119,10 @@ def test_stability_limited_steps_keep_the_tolerance() -> None:
     ],
     ids=["not asked for", "no tolerance", "fixed step"],
 )
-def test_inactive_governor_changes_nothing(values: dict[str, Any], told: tuple[str, str, str]) -> None:
+def test_inactive_governor_changes_nothing(values: dict[str, Any], expected: tuple[str, str, str]) -> None:
     machine = Machine(**values)
     assert machine.run(3.0, windows=3) == []
-    assert machine.in_force() == told
+    assert machine.in_force() == expected
     assert machine.lines == []
 
 

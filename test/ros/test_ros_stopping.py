@@ -31,7 +31,7 @@ LIMIT = 10.0
 @pytest.mark.parametrize(
     "numbers",
     [[signal.SIGTERM], [signal.SIGINT, signal.SIGINT]],
-    ids=lambda numbers: "+".join(number.name for number in numbers),
+    ids=lambda numbers: "+".join(signum.name for signum in numbers),
 )
 def test_a_signal_closes_the_recording(
     ros_domain: int, start_process: Callable[..., Any], tmp_path: Path, numbers: list[signal.Signals]

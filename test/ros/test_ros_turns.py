@@ -26,10 +26,10 @@ def client(ros_domain: int) -> Iterator[Client]:
         yield client
 
 
-@pytest.mark.parametrize(("beside", "most"), [(False, 1.5), (True, 0.5)], ids=["in the executor", "beside it"])
-def test_uncommanded_frame_takes_at_most_one_spin(client: Client, beside: bool, most: float) -> None:
+@pytest.mark.parametrize(("in_timer_thread", "most"), [(False, 1.5), (True, 0.5)], ids=["in the executor", "beside it"])
+def test_uncommanded_frame_takes_at_most_one_spin(client: Client, in_timer_thread: bool, most: float) -> None:
     overrides = [Parameter(name, value=value) for name, value in (AT_REST | {"rate": 500.0}).items()]
-    cloth = ClothNode(context=client.context, parameter_overrides=overrides, stopped=str if beside else None)
+    cloth = ClothNode(context=client.context, parameter_overrides=overrides, stopped=str if in_timer_thread else None)
     client.executor.add_node(cloth.node)
     cloth.start()
     try:
