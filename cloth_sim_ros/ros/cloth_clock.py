@@ -83,7 +83,7 @@ class ClothTime:
     def describe(self) -> str:
         """Return the state of a cloth whose time stands, as the end of a sentence."""
         if self._newest is None:
-            return f"has said nothing on {self._topic}, its simulated time,"
+            return f"has published nothing on {self._topic}, its simulated time,"
         return f"stands at {self._newest / SECOND:.3f} s of simulated time (~/state: {self._label or 'not known'})"
 
     def _take(self, message: Any) -> None:

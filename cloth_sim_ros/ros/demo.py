@@ -42,7 +42,7 @@ from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 _NODE = "/cloth_sim"
 #: Longest wait for the first cloud: a busy machine loads slowly [s].
 _START_LIMIT = 60.0
-#: The cloth settles for this long after the script has ended [s].
+#: Settling time of the cloth after the script has ended [s].
 _SETTLING = 1.0
 _STOP_LIMIT = 10.0
 
@@ -85,7 +85,7 @@ def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--params",
         default=config_file("fold.yaml"),
-        help="parameter file of the cloth; its folded towel where left out",
+        help="parameter file of the cloth (default: the folded towel)",
     )
     parser.add_argument(
         "--script",

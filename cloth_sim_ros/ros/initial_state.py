@@ -85,7 +85,7 @@ def _run(reader: SessionReader, state: State, number: int, name: str) -> bytes:
         if repeatable and simulation.state.digest() != record.digest:
             raise ParameterError(
                 f"initial_state '{name}': from frame {record.frame} on the session does not run here as it was "
-                "recorded (cloth_verify says why); save the state with ~/save_state where it does"
+                "recorded (cloth_verify gives the reason); save the state with ~/save_state on the recording machine"
             )
     if simulation.frame != number:
         raise ParameterError(

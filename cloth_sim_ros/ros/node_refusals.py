@@ -90,7 +90,7 @@ def hint_at_folder(error: str, values: Mapping[str, Any], path: str | Path) -> s
         name = value.rpartition("@")[0] if ".mcap@" in value else value
         if os.path.exists(name):
             continue
-        start = f"; the node looks for relative names in the folder that it is started in, {Path.cwd()}"
+        start = f"; the node resolves relative names in its working directory, {Path.cwd()}"
         beside = Path(path).absolute().parent
         if os.path.exists(beside / name):
             return f"{start}: start it in {beside}, or give {parameter} as {beside / value}"

@@ -164,7 +164,7 @@ def test_restarted_cloth_ends_the_script(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_cloth_without_time_times_out(monkeypatch: pytest.MonkeyPatch) -> None:
     cloth = SlowCloth(monkeypatch, 1.0, stands_at=-1.0)
-    with pytest.raises(gripper_player.GripperError, match="/cloth_sim has said nothing on /cloth_sim/clock"):
+    with pytest.raises(gripper_player.GripperError, match="/cloth_sim has published nothing on /cloth_sim/clock"):
         cloth.player.play(standing=3.0)
     assert not cloth.sent
 

@@ -186,7 +186,7 @@ def test_relative_file_names_resolve_as_in_the_node(
     monkeypatch.chdir(here)
     assert check(str(config / "stack.yaml")) == 1
     assert capsys.readouterr().err.endswith(
-        f"; the node looks for relative names in the folder that it is started in, {here}: start it in {config}, or "
+        f"; the node resolves relative names in its working directory, {here}: start it in {config}, or "
         f"give cloth.mesh as {config / 'stack.obj'}\n"
     )
     assert check(written(tmp_path, {"cloth.mesh": "nowhere.obj"})) == 1
