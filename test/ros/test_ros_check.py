@@ -190,7 +190,7 @@ def test_relative_file_names_resolve_as_in_the_node(
         f"give cloth.mesh as {config / 'stack.obj'}\n"
     )
     assert check(written(tmp_path, {"cloth.mesh": "nowhere.obj"})) == 1
-    assert capsys.readouterr().err.endswith(f" that it is started in, {here}: give the whole path\n")
+    assert capsys.readouterr().err.endswith(f" in its working directory, {here}: give the whole path\n")
     # Another fault has no hint.
     assert check(written(tmp_path, {"cloth.mesh": "nowhere.obj", "rate": -1.0})) == 1
     assert "the node looks" not in capsys.readouterr().err
