@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the rules of step control remember from one advance to the next: each its own few numbers, all in the state."""
+"""Controller state: the numbers that step control keeps in ``State.memory`` between advances."""
 
 from __future__ import annotations
 
@@ -17,35 +17,35 @@ from cloth_sim_ros.physics.constants import CONSTANTS
 
 
 class HasMemory(Protocol):
-    """A state, as far as this module knows it."""
+    """A state with named arrays."""
 
     memory: dict[str, np.ndarray]
 
 
 class Remembered:
-    """Numbers that lie in ``State.memory`` under the name of their rule."""
+    """Numbers of one controller, stored as an array in ``State.memory`` under `key`."""
 
-    #: Name in ``State.memory``.
+    #: Key in ``State.memory``.
     key: str
-    #: Names of its numbers, in order: attrs sets it.
+    #: Field names, in the order of the array; attrs sets it.
     __match_args__: ClassVar[tuple[str, ...]]
 
     @classmethod
     def of(cls, state: HasMemory) -> Self:
-        """Read them; fresh ones where the state has none."""
+        """Return the numbers of a state, or defaults if it has none."""
         stored = state.memory.get(cls.key)
         return cls() if stored is None or not stored.size else cls(*stored.tolist())
 
     def store(self, state: HasMemory) -> None:
-        """Write them into a state."""
+        """Write the numbers into a state."""
         state.memory[self.key] = np.array(_values(self.__class__)(self))  # type: ignore[arg-type]
 
     @classmethod
     def check(cls, array: np.ndarray) -> None:
-        """Refuse numbers that could not have been written.
+        """Refuse an array that `store` cannot have written.
 
         Raises:
-            ValueError: naming the number and what is wrong with it.
+            ValueError: naming the number and its fault.
         """
         names = cls.__match_args__
         if not array.size:
@@ -64,7 +64,7 @@ class Remembered:
 
 @cache
 def _values(rule: Any) -> Callable[[Any], Any]:
-    """Return what reads all numbers of a rule, in order."""
+    """Return a function that reads all fields of a controller, in order."""
     names = rule.__match_args__
     if len(names) > 1:
         return attrgetter(*names)
@@ -72,17 +72,17 @@ def _values(rule: Any) -> Callable[[Any], Any]:
 
 
 def number(default: float, *, least: float = -math.inf) -> Any:
-    """Declare a number and the least that it can be."""
+    """Declare a field with its default and its minimum."""
     return attrs.field(default=default, metadata={"least": least})
 
 
 @attrs.define
 class Stability(Remembered):
-    """What the rule of stability remembers."""
+    """State of `StabilityRule`."""
 
     key = "control.stability"
 
-    #: Squared frequency [1/s^2] and damping rate [1/s] at the end of the last advance; negative when unknown.
+    #: Bounds of squared frequency [1/s^2] and damping rate [1/s] at the end of the last advance; negative if unknown.
     omega2: float = number(-1.0)
     damping: float = number(-1.0)
     #: Longest stable step since the last restart [s].
@@ -91,166 +91,165 @@ class Stability(Remembered):
 
 @attrs.define
 class Hinges(Remembered):
-    """What is remembered of hinges, by scenes that have some alone."""
+    """State of `MultirateRule`; only scenes with hinges have it."""
 
     key = "control.hinges"
 
-    #: Bounds of their squared frequency [1/s^2] and damping rate [1/s] at the end of the last advance, and of the
-    #: squared frequency across springs; negative when unknown.
+    #: Bounds of the hinges' squared frequency [1/s^2] and damping rate [1/s] at the end of the last advance, and of the
+    #: squared frequency across springs [1/s^2]; negative if unknown.
     omega2: float = number(-1.0)
     damping: float = number(-1.0)
     across2: float = number(-1.0)
-    #: Steps that an impulse of them stands for.
+    #: Multirate ratio: steps per evaluation of hinges.
     every: float = number(1.0, least=1.0)
-    #: Judgements since runs were combined last.
+    #: Error estimates since runs were last combined.
     since: float = number(CONSTANTS.wait, least=0.0)
 
 
 @attrs.define
 class Error(Remembered):
-    """What the rule of the error remembers."""
+    """State of `ErrorRule`."""
 
     key = "control.error"
 
-    #: Runs that are combined.
+    #: Number of runs that are combined.
     columns: float = number(1.0, least=1.0)
-    #: Step counts relative to what stability needs.
+    #: Refinement: step counts relative to those that stability needs.
     refine: float = number(1.0, least=1.0)
-    #: Frames until the next judgement by a further run; 0 judges now.
+    #: Frames until a further run estimates the error again; 0 means now.
     wait: float = number(0.0, least=0.0)
-    #: What `wait` restarts from.
+    #: Estimate period: `frames_until_estimate` after the next estimate.
     interval: float = number(1.0, least=1.0)
-    #: Error of a frame when last judged, at least rounding's [m].
+    #: Last error estimate of a frame, at least the rounding error [m].
     error: float = number(0.0, least=0.0)
-    #: That error relative to the difference of the last two combinations, and that difference [m].
+    #: That error relative to the difference of the last two combinations, and this difference [m].
     ratio: float = number(1.0, least=0.0)
     difference: float = number(0.0, least=0.0)
-    #: What predictions are multiplied by: how far they were off lately.
+    #: Factor on predicted errors, from the ratio of recent estimates to their predictions.
     margin: float = number(1.0, least=1.0)
-    #: Largest change of a velocity over the part that was judged [m/s]: how violent it was.
+    #: Largest velocity change over the part whose error was estimated [m/s].
     activity: float = number(0.0, least=0.0)
-    #: Length of the frames [s]; another length is judged anew.
+    #: Length of the frames [s]; a frame of another length needs a new estimate.
     part: float = number(0.0, least=0.0)
 
 
 @attrs.define
 class Touch(Remembered):
-    """What is remembered of contact, by scenes with obstacles alone."""
+    """State of `ContactStepLimit`; only scenes with contact have it."""
 
     key = "control.contact"
 
-    #: Largest energy per mass that contact held in the frame that was judged last, in U^2/2.
+    #: Largest contact energy per mass in the last frame with an error estimate, in U^2/2.
     held: float = number(0.0, least=0.0)
 
 
 @attrs.define
 class Precision(Remembered):
-    """What is known of single precision."""
+    """Measured effect of single precision on positions."""
 
     key = "control.precision"
 
-    #: What it changes over a part [m], when last measured; negative when unknown.
+    #: Change of positions over a part [m] at the last measurement; negative if unknown.
     rounding: float = number(-1.0)
 
 
 @attrs.define
 class Noise(Remembered):
-    """What is known of the energy that rounding in single precision puts into the motion; where it was measured."""
+    """Measured energy input of single-precision rounding; absent until it was measured."""
 
     key = "control.noise"
 
-    #: Its power, the largest that was measured [W]; negative when unknown.
+    #: Largest measured power [W]; negative if unknown.
     power: float = number(-1.0)
-    #: How often it was measured.
+    #: Number of measurements.
     samples: float = number(0.0, least=0.0)
-    #: Kinetic energy when last judged, or half of what is remembered of the time before [J].
+    #: Kinetic energy at the last error estimate, or half of the previous value if that is larger [J].
     kinetic: float = number(0.0, least=0.0)
 
 
 @attrs.define
 class Energy(Remembered):
-    """What the rule of the energy remembers."""
+    """State of `EnergyRule`."""
 
     key = "control.energy"
 
-    #: Least bound of the squared frequency since the last restart [1/s^2]: the sheet at its softest; negative at first.
+    #: Smallest bound of the squared frequency since the last restart [1/s^2]; negative at first.
     softest: float = number(-1.0)
-    #: Energy that steps made since then and did not lose again [J].
+    #: Energy drift: energy that steps have created since then and not lost again [J].
     made: float = number(0.0, least=0.0)
 
 
 @attrs.define
 class Fallback(Remembered):
-    """What the rule of the fallback remembers."""
+    """State of the fallback."""
 
     key = "control.fallback"
 
-    #: Frames in a row that had to be finished by implicit steps.
+    #: Consecutive frames that fallback steps had to finish.
     fallen: float = number(0.0, least=0.0)
 
 
 @attrs.define
 class Implicit(Remembered):
-    """What the implicit method remembers."""
+    """State of the implicit method."""
 
     key = "control.implicit"
 
-    #: Length of its steps [s]; 0 when unknown.
+    #: Step size [s]; 0 if unknown.
     step: float = number(0.0, least=0.0)
 
 
 @attrs.define
 class Choice(Remembered):
-    """What the choice of integrator rests on."""
+    """State of the choice between explicit and implicit steps."""
 
     key = "control.choice"
 
-    #: 0 explicit, 1 implicit.
+    #: 1 if the implicit method is in use, else 0.
     implicit: float = number(0.0, least=0.0)
-    #: Cost of an implicit frame when last run [ns]; 0 unknown.
+    #: Cost of the last implicit frame [ns]; 0 if unknown.
     cost: float = number(0.0, least=0.0)
     #: Frames until the next comparison.
     wait: float = number(0.0)
-    #: Cost of an explicit frame at the stability limit when last compared [ns].
+    #: Cost of an explicit frame at the stability limit at the last comparison [ns].
     explicit: float = number(0.0, least=0.0)
-    #: Whether explicit steps missed the tolerance as well: implicit ones that miss it are then accepted until the next
-    #: comparison.
+    #: 1 if explicit steps missed the tolerance too, else 0. Implicit steps that miss it are then accepted until the
+    #: next comparison.
     vain: float = number(0.0, least=0.0)
 
 
 @attrs.define
 class Sleep(Remembered):
-    """What the rule of sleep remembers."""
+    """State of the sleep rule."""
 
     key = "control.sleep"
 
-    #: Calm frames since it is watched.
+    #: Consecutive quiet frames.
     frames: float = number(0.0, least=0.0)
-    #: Furthest that a particle got in the second that was watched last [m].
+    #: Largest displacement of a particle in the last observed second [m].
     moved: float = number(0.0, least=0.0)
-    #: How long it slept, or sleeps, since then [s]; the frame at which it wakes by itself.
+    #: Time asleep since then [s]; the frame at which the sheet wakes without an event.
     slept: float = number(0.0, least=0.0)
     until: float = number(0.0, least=0.0)
-    #: What sleep has left out since something touched the sheet, at most [m].
+    #: Upper bound of the drift that sleep has omitted since the last external change [m].
     used: float = number(0.0, least=0.0)
 
 
-#: Name of friction's anchors, shape (obstacles, 4, particles); two rows more with friction between layers.
+#: Key of friction anchors, shape (obstacles, 4, particles); two rows more with friction between layers.
 ANCHORS = "contact.anchors"
-#: Of these rows: sides of the cloth on which a layer may lie.
+#: Number of these rows: one for each side of the cloth.
 LAYER_SIDES = 2
-#: Name of where the pads of pinching grippers are, shape (pinches, 2): half the way between their faces [m], its rate.
+#: Key of the jaw states of parallel grippers, shape (grippers, 2): half opening [m] and its rate [m/s].
 PINCHED = "contact.pinched"
-#: Name of the thickness of contacts [m] where some have a reduced one, shape (obstacles + 1, particles + 1): of each
-#: obstacle, pads included, with each particle, and in the last row of the cloth with itself; the last column is of
-#: obstacles' edges.
+#: Key of contact thicknesses [m], present while some are reduced, shape (obstacles + 1, particles + 1). Rows: each
+#: obstacle, jaws included; the last row is self-contact. Columns: each particle; the last one is obstacle edges.
 THICKNESS = "contact.thickness"
-#: Name of whether it was told of each that its pads came to rest, shape (pinches,).
+#: Key of flags, shape (grippers,): True once the jaws are reported to be at rest.
 SETTLED = "contact.settled"
-#: Names of what lies beside it, shape (3, particle_count): positions [m] at the start of the watched second, and
-#: velocities [m/s] that a sheet fell asleep with.
+#: Keys of the arrays of sleep, shape (3, particle_count): positions [m] at the start of the observed second, and
+#: velocities [m/s] at which the sheet fell asleep.
 SLEEP_ARRAYS = (SLEEP_FROM, SLEEP_VELOCITY) = ("control.sleep_from", "control.sleep_velocity")
-#: What step control remembers.
+#: Controller states that belong to step control.
 RULES: tuple[type[Remembered], ...] = (
     Stability,
     Hinges,
@@ -263,15 +262,17 @@ RULES: tuple[type[Remembered], ...] = (
     Implicit,
     Choice,
 )
-#: Names under which versions up to 0.1 kept what other rules remembered: it is not taken over.
+#: Keys of versions up to 0.1; their content is dropped.
 BEFORE = ("stepper", "automatic", "sleep")
 
 
 def restart(state: HasMemory, *, entirely: bool = False) -> None:
-    """Forget everything: after an event the next advance judges its step, and `auto` its integrator, anew.
+    """Reset step control after an event: the next advance estimates its error, and `auto` compares integrators again.
 
-    A fixed step above the limit is refused where nothing is remembered, not even that something was forgotten: at the
-    start of a run, and after a restart ``entirely``, for new parameters. Later it is made smaller.
+    Args:
+        state: its controller states become empty arrays.
+        entirely: remove the arrays too. A fixed step above the limit is then refused, as at the start of a run;
+            otherwise it is made smaller.
     """
     for rule in RULES:
         if entirely:

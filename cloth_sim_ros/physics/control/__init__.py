@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Choosing steps, orders and integrators by four rules: stability, error, energy, fallback.
+"""Step control: step sizes, orders and integrators by rules of stability, error, energy and fallback.
 
-Begin with `explicit` (one advance, attempted until the rules hold; `calm` is the short way that most frames go);
-`stability`, `error`, `energy` and `fallback` are the rules, `precision` says where single precision does, `automatic`
-chooses the integrator. What they remember is in `physics.remembered`, their tuned numbers in `physics.constants`.
+Start with `explicit`: one advance, repeated until all rules hold; `fast_path` serves most frames. The rules are
+`stability`, `error`, `energy` and `fallback`. `precision` selects single precision, `automatic` the integrator. Their
+states are in `physics.controller_state`, their tuned numbers in `physics.constants`.
 """

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The choice of integrator and step, from the scene's stiffness, the tolerance and the frame time."""
+"""Choice between explicit and implicit steps by stiffness, tolerance and frame time."""
 
 from __future__ import annotations
 
@@ -37,7 +37,13 @@ INTEGRATORS = ("auto", "leapfrog", "extrapolated", "implicit", "symplectic_euler
 def make_integrator(
     name: str, *, step: float | None = None, tolerance: float | None = None, work: float = WORK_LIMIT
 ) -> Integrator:
-    """Return an integrator by its name; with a fixed step no tolerance is held.
+    """Return an integrator by its name.
+
+    Args:
+        name: one of `INTEGRATORS`.
+        step: fixed step [s]; the tolerance is then ignored.
+        tolerance: of positions [m]; None for none.
+        work: work limit of a frame, as a multiple of real time; 0 for no limit.
 
     Raises:
         ValueError: for an unknown name.
@@ -61,15 +67,14 @@ def make_integrator(
 
 
 class Automatic(Integrator):
-    """Explicit steps where they can hold real time, the implicit method where it is cheaper then.
+    """Explicit steps while they achieve real time, otherwise the implicit method if it is cheaper.
 
-    Explicit is the extrapolated leapfrog, which is the plain leapfrog while the tolerance is loose or none is set.
-    Costs are estimates from the step limit, the particle count and the width of the implicit matrix; no clock is
-    read.
+    The explicit method is the extrapolated leapfrog, which is the plain leapfrog for a loose tolerance or none. Costs
+    are estimates from step limit, particle count and width of the implicit matrix; no clock is read.
 
     Args:
-        tolerance: of positions [m], see docs/time_stepping.md; None holds the stability limit alone.
-        work: most work of a frame, in real time by the plan's estimated cost; 0 for no limit.
+        tolerance: of positions [m], see docs/time_stepping.md; None for the stability limit alone.
+        work: work limit of a frame, as a multiple of real time by the plan's estimated cost; 0 for no limit.
     """
 
     name = "auto"
@@ -82,7 +87,7 @@ class Automatic(Integrator):
 
     @cached_property
     def _implicit(self) -> Implicit:
-        """The implicit method, which most scenes never come to."""
+        """The implicit method, created at its first use: most scenes never need it."""
         from cloth_sim_ros.physics.integrators.implicit import Implicit
 
         return Implicit(tolerance=self.tolerance, work=self.work)
@@ -108,19 +113,19 @@ class Automatic(Integrator):
                 spent = error.evaluations
             if done is None:
                 if plan.contact is not None:
-                    # A fold stays hard for a while: what the attempt took tells when the next one is worth it.
+                    # A fold stays stiff for some frames: the cost of the attempt decides when the next one pays.
                     memory.cost = max(memory.cost, spent * _iteration(plan))
-                # Explicit steps only need to be short enough.
+                # Explicit steps have a solution at any small enough step size.
                 state.restore(start)
                 memory.implicit, memory.wait = 0.0, CONSTANTS.wait
         if done is None:
             done = self._explicit.advance(plan, state, t, duration, book)
             if missed and done.flagged and within_reach(plan):
-                # Both miss it: the cheaper one does for a while.
+                # Both methods miss the tolerance: the cheaper one is used until the next comparison.
                 memory.implicit = memory.vain = 1.0
         elif memory.implicit:
             cost = done.evaluations * _iteration(plan)
-            # A single frame that had to be repeated is no reason to change.
+            # The mean avoids a change because of one repeated frame.
             memory.cost = 0.5 * (memory.cost + cost) if memory.cost else cost
         memory.store(state)
         if missed:
@@ -129,20 +134,20 @@ class Automatic(Integrator):
             why = "too stiff for explicit steps in real time"
         else:
             why = "explicit steps are cheaper" if memory.cost else "explicit steps are affordable"
-        # `_replace` takes longer, and every frame comes here.
+        # `_replace` is slower, and every frame runs this line.
         return Advance(*done[:-1], reason=f"auto: {why}; {done.reason}")
 
     def _within_work(self, cost: float, duration: float) -> bool:
-        """Whether a frame of a cost [ns] fits the work limit."""
+        """True if a frame of a cost [ns] fits the work limit."""
         return self.work == 0.0 or cost <= self.work * duration * 1e9
 
     def _choose(self, memory: Choice, plan: Plan, state: State, t: float, duration: float) -> None:
-        """Compare costs, from time to time and whenever the implicit method turns out dear."""
+        """Compare the costs of both methods periodically, and at once if the implicit method becomes expensive."""
         if memory.wait > 0.0 and not (memory.implicit and memory.cost > CONSTANTS.trust * memory.explicit):
             return
         memory.explicit, memory.vain = _explicit_frame(plan, state, t, duration), 0.0
         if plan.contact is not None and not memory.implicit:
-            # What made implicit steps dear there may be over.
+            # The contact that made implicit steps expensive may have ended.
             memory.cost *= 0.5
         better = memory.explicit > CONSTANTS.aim * duration * 1e9 and within_reach(plan)
         if better:
@@ -154,10 +159,10 @@ class Automatic(Integrator):
 
 
 def _explicit_frame(plan: Plan, state: State, t: float, duration: float) -> float:
-    """Estimated cost of a frame by explicit steps at the stability limit [ns].
+    """Return the estimated cost of a frame by explicit steps at the stability limit [ns].
 
-    What accuracy asks for on top of that is not counted: a motion that makes explicit steps smaller than stability
-    does is too lively for large implicit ones.
+    The estimate ignores accuracy: a motion that requires explicit steps below the stability limit is too fast for large
+    implicit steps.
     """
     known = Stability.of(state)
     rates = (known.omega2, known.damping) if known.omega2 >= 0.0 else plan.rates(state.x)
@@ -168,14 +173,14 @@ def _explicit_frame(plan: Plan, state: State, t: float, duration: float) -> floa
 
 
 def _first(plan: Plan) -> float:
-    """Estimated cost of a first frame by the implicit method [ns]."""
+    """Return the estimated cost of the first frame by the implicit method [ns]."""
     from cloth_sim_ros.physics.integrators.implicit_run import EXPECTED_ITERATIONS
 
     return EXPECTED_ITERATIONS * _iteration(plan)
 
 
 def _iteration(plan: Plan) -> float:
-    """Estimated cost of one iteration of the implicit method [ns]; most scenes never ask."""
+    """Return the estimated cost of one iteration of the implicit method [ns]; most scenes never need it."""
     from cloth_sim_ros.physics.integrators.stage_matrix import iteration_cost
 
     return iteration_cost(plan.model)

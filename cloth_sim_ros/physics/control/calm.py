@@ -1,10 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""An advance of the kind that most frames are: by one run, in one part, by the choice of the frame before, not judged.
+"""Fast path of an advance: one run with the previous choice, without an error estimate.
 
-It is the first attempt that `explicit` would make, without what only further ones need: for a small cloth that takes as
-long as a part of its steps. It decides nothing of its own. Where the attempt is not accepted nothing has changed, and
-`explicit` goes on from the run that is there.
+It equals the first attempt of `explicit`, without the preparations for further attempts. For a small cloth these would
+cost a fraction of its steps. It makes no decision of its own. A rejected attempt leaves the state unchanged, and
+`explicit` reuses its run.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Hinges, Noise, Precision, Stability, Touch
 from cloth_sim_ros.physics.state import State
 
-#: Rules that a calm advance does not ask, and that keep what they remember.
+#: Keys of controllers whose state the fast path leaves unchanged.
 _NOT_ASKED = (Precision.key, Energy.key)
 
 
 def attempt(
     options: Options, plan: Plan, state: State, t: float, duration: float, book: Book | None
 ) -> Advance | Ran | None:
-    """Advance a state that is calm.
+    """Advance a state by the fast path if it applies.
 
     Args:
-        options: what is asked for.
+        options: settings of the integrator.
         plan: equations of motion.
-        state: advanced in place where the attempt is accepted.
+        state: advanced in place if the attempt is accepted.
         t: time at the start [s].
         duration: time to advance [s].
-        book: notes the motion.
+        book: work accumulator; None for none.
 
     Returns:
-        What was done; or the run of an attempt that was not accepted; None where there was none.
+        The result; the run of a rejected attempt; or None without an attempt.
     """
     if options.tolerance is None or not _is_known(plan, state):
         return None
@@ -64,7 +64,7 @@ def attempt(
     every, least = 1, 1.0
     bent = Hinges.of(state) if plan.bends else None
     if bent is not None and bent.every > 1.0:
-        # Whether damping takes the fastest waves out matters to combinations alone.
+        # The damping of the fastest waves is relevant to combinations alone.
         hinges = HingeRule(plan, bent, allowed=not near > 0.0)
         hinges.keep(longest, duration)
         every, least = hinges.within(longest, duration)
@@ -136,9 +136,7 @@ def attempt(
 
 
 def _is_known(plan: Plan, state: State) -> bool:
-    """Whether the state has what each rule remembers, so that those that are not asked need not begin to; and explicit
-    steps held in the frame before.
-    """
+    """True if the state has every controller state and explicit steps finished the previous frame."""
     memory = state.memory
     for key in _NOT_ASKED:
         stored = memory.get(key)
@@ -161,18 +159,18 @@ def _fits(
     near: float,
     every: int,
 ) -> bool:
-    """Whether an attempt that is judged fits the frame's work: else there is something to decide.
+    """True if an attempt with an error estimate fits the work limit of the frame; otherwise `explicit` must decide.
 
     Args:
-        options: what is asked for.
+        options: settings of the integrator.
         plan: equations of motion.
         duration: of the advance [s].
-        limits: longest stable step, contact aside and with it [s].
-        most: the first of them, the longest since the last restart [s].
-        refine: steps relative to those that stability needs.
-        steps: of the attempt.
+        limits: longest stable step without and with contact [s].
+        most: largest stable step without contact since the last restart [s].
+        refine: refinement of the steps.
+        steps: number of steps of the attempt.
         near: estimated time that contact adds to a force evaluation [ns].
-        every: steps for which hinges are asked for once.
+        every: multirate ratio.
     """
     bare, limit = limits
     cap, _ = work_cap(plan, whole_work(plan, options.work, duration, near, every), duration, most, 0.0, near, limit)
@@ -182,7 +180,7 @@ def _fits(
 
 
 def _narrows(plan: Plan, state: State, duration: float, budget: float, choice: Choice) -> bool:
-    """Whether the run calculates in single precision."""
+    """True if the run uses single precision."""
     precision = Precision.of(state)
     if precision.rounding < 0.0:
         return False

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What an explicit advance is asked for, what it chooses, and both in the words that diagnostics show."""
+"""Settings and step choice of an explicit advance, and their text for diagnostics."""
 
 from __future__ import annotations
 
@@ -11,38 +11,50 @@ import attrs
 
 
 class Options(Protocol):
-    """What the loop needs to know of its integrator."""
+    """Settings of an explicit integrator."""
 
     name: str
     tolerance: float | None
     step: float | None
     columns: int
-    #: Most work of a frame, in real time by the plan's estimated cost; 0 for no limit.
+    #: Work limit of a frame, as a multiple of real time by the plan's estimated cost; 0 for no limit.
     work: float
 
     def step_limit(self, omega2: float, damping_rate: float) -> float:
-        """Largest stable step [s]."""
+        """Return the largest stable step [s] for a squared frequency [1/s^2] and a damping rate [1/s]."""
 
 
 # Without slots: then attrs sets a frozen class's members in half the time.
 @attrs.frozen(slots=False)
 class Choice:
-    """Runs and refinement of an attempt, and whether another run judges it."""
+    """Number of runs and refinement of an attempt; True if a further run estimates its error."""
 
     columns: int
     refine: float
     judge: bool
 
     def likely(self, tolerance: float | None, *, missed: bool) -> int:
-        """Return how many runs are likely to be asked for; `missed`: an error was too large, and time is to spare."""
+        """Return the expected number of runs.
+
+        Args:
+            tolerance: of positions [m]; None for none.
+            missed: True if a previous error was too large and a thread is idle.
+        """
         if tolerance is None or not self.judge:
             return self.columns
-        # Two runs and their judge seldom do then: either a third is combined, or more of them tell what would do.
+        # Two runs and the estimating run rarely suffice then: a third is combined, or more runs find the next choice.
         return self.columns + (2 if missed and self.columns == 2 else 1)
 
 
 def binds(options: Options, choice: Choice, steps: int, step: float) -> str:
-    """Return what bound a first run of so many steps of that length [s], one of `base.BINDING`."""
+    """Return the limiting factor of a first run, one of `base.LIMITING_FACTORS`.
+
+    Args:
+        options: settings of the integrator.
+        choice: of the attempt.
+        steps: number of steps of its first run.
+        step: their length [s].
+    """
     if options.step is not None and step > 0.99 * options.step:
         return "step"
     if options.tolerance is not None and choice.refine > 1.0:
@@ -51,19 +63,19 @@ def binds(options: Options, choice: Choice, steps: int, step: float) -> str:
 
 
 def reason(options: Options, choice: Choice, steps: int, step: float) -> str:
-    """Return the choice in words."""
+    """Return the choice in words, see `limiting_factor`."""
     bound = binds(options, choice, steps, step)
     refined = choice.refine > 1.0
     return _words(options.name, options.tolerance, options.step, bound, choice.columns, refined, steps == 1, step)
 
 
 def asides(every: int, narrow: bool) -> str:
-    """Return in words what else was chosen: how often hinges were asked for, and the precision."""
+    """Return multirate ratio and precision in words; empty for a ratio of 1 in double precision."""
     words = f"; bending every {every} steps" if every > 1 else ""
     return f"{words}; in single precision" if narrow else words
 
 
-# Most frames are stepped as the one before.
+# Most frames have the choice of the previous one.
 @lru_cache(maxsize=64)
 def _words(
     name: str,

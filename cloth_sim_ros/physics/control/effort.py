@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all stretches of an advance share: what they work with, and the work that they have done."""
+"""Context of an advance: rules, limits and work counters that its intervals share."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cloth_sim_ros.physics.state import State
 
 @attrs.define(kw_only=True, eq=False)
 class Effort:
-    """Of one advance."""
+    """Rules, limits and work counters of one advance, shared by its intervals."""
 
     options: Options
     plan: Plan
@@ -36,41 +36,47 @@ class Effort:
     touch: TouchRule
     #: Length of the advance [s].
     duration: float
-    #: Most force evaluations, and what the calls of one part cost, in force evaluations.
+    #: Limit of force evaluations, and the cost of the engine calls of one part, in force evaluations.
     cap: float
     part_cost: float
-    #: Whether anything may touch the cloth.
+    #: True if contact is possible during the advance.
     touches: bool
-    #: Force evaluations; what the calls of all parts cost, in force evaluations; attempts that did not hold.
+    #: Force evaluations; cost of the engine calls of all parts, in force evaluations; rejected attempts.
     evaluations: int = 0
     calls: float = 0.0
     rejected: int = 0
-    #: Whether nothing finer is tried any more, whether explicit steps are given up, and whether a run was in single
-    #: precision.
+    #: True if the work limit allows no finer steps; if explicit steps are abandoned; if a run used single precision.
     spent: bool = False
     lost: bool = False
     narrow: bool = False
-    #: Whether what was left over finishes the advance.
+    #: True while the reserve finishes the advance.
     finishing: bool = False
-    #: A run that is there from the start.
+    #: A run that exists at the start of the advance.
     ran: Ran | None = None
 
     def affords(self, work: float) -> bool:
-        """Whether so many force evaluations more fit the cap."""
+        """True if further work, in force evaluations, fits the limit."""
         return self.evaluations + self.calls + work <= self.cap
 
     @property
     def gives_way(self) -> bool:
-        """Whether something else finishes the advance where explicit steps are given up."""
+        """True if a fallback can finish the advance after explicit steps are abandoned."""
         return self.may_finish or within_reach(self.plan)
 
     @property
     def may_finish(self) -> bool:
-        """Whether explicit steps do that themselves, by what was left over."""
+        """True if explicit steps within the reserve are the fallback."""
         return self.touches and self.options.tolerance is not None and not self.finishing
 
     def makes_energy(self, columns: Columns, choice: Choice, times: tuple[float, float], step: float) -> bool:
-        """Whether a choice of runs between two times [s] makes energy from nowhere; that of one swings by its step."""
+        """True if a choice of runs creates energy.
+
+        Args:
+            columns: runs.
+            choice: the runs to combine.
+            times: start and end [s].
+            step: step size of a single run [s], with which its energy oscillates; 0 for several step sizes.
+        """
         state, contact, end = self.state, self.plan.contact, self.state.share()
         columns.pass_on(choice.columns, end)
         work, evaluations = put_in(self.plan, state, columns, times[0], choice.columns)
@@ -81,20 +87,29 @@ class Effort:
         return exceeds
 
     def fewer(self, columns: int, needed: Callable[[int], float]) -> int:
-        """Return how many runs to combine. Where the cloth touches it is as many as fit: fewer of them do better than
-        implicit steps, and take less.
+        """Return the number of runs to combine.
+
+        With contact it is reduced until the work fits, because fewer runs are cheaper and more accurate than implicit
+        steps.
         """
         while self.touches and columns > 1 and not self.affords(needed(columns)):
             columns -= 1
         return columns
 
     def fitted(self, choice: Choice, work: Callable[[int, float], float], ahead: float, kept: int = 0) -> Choice:
-        """Return what fits the cap of a choice whose work is told, with so much ahead, and so much of it done already
-        where it stays as it is. Explicit steps are given up where the longest stable ones exceed the cap by more than
-        implicit ones take to finish the frame.
+        """Clamp a choice to the remaining work.
+
+        Explicit steps are abandoned if the longest stable ones exceed the limit by more than the cost of implicit steps
+        that finish the frame.
+
+        Args:
+            choice: wanted runs and refinement.
+            work: returns the force evaluations of a number of runs at a refinement.
+            ahead: force evaluations reserved for later intervals.
+            kept: force evaluations already done, reusable for the same refinement.
         """
         if self.options.tolerance is None:
-            # A fixed order, and no error to judge.
+            # The order is fixed, and there is no error estimate.
             return choice
         columns = self.fewer(choice.columns, lambda count: ahead + work(count, 1.0))
         choice = Choice(columns, choice.refine, choice.judge or columns < choice.columns)
@@ -103,7 +118,7 @@ class Effort:
             return choice
         left = self.cap - self.evaluations - self.calls - ahead
         refine = max(1.0, choice.refine * left / needed)
-        # Whole numbers of steps and parts may take more than their share.
+        # Rounding up steps and parts may exceed the remaining work.
         while refine > 1.0 and work(choice.columns, refine) > left + FINISHED:
             refine = max(1.0, 0.5 * refine)
         self.spent = True

@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What runs may have missed in the last half step of a stretch.
+"""Check for a force jump in the last half step of an interval.
 
-They see forces at the middle of their steps. A force that changes at once in the last half step is seen by none of
-them, and halving a stretch where it does leads right there. So accelerations over that half step are compared.
+Runs evaluate forces at the middle of their steps, so none of them samples the last half step. Halving an interval at a
+force jump moves the jump there. Therefore this check compares accelerations over that half step.
 """
 
 from __future__ import annotations
@@ -15,15 +15,22 @@ from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import PINCHED
 from cloth_sim_ros.physics.state import State
 
-#: Places in the half step, from its end to its begin, and weights of the fourth difference.
+#: Fractions of the half step, measured back from its end, and weights of the fourth difference.
 _WEIGHTS = ((0.25, -4.0), (0.5, 6.0), (0.75, -4.0), (1.0, 1.0))
-#: Force evaluations that it takes.
+#: Force evaluations of the check.
 EVALUATIONS = 1 + len(_WEIGHTS)
 
 
 def missed_velocity(plan: Plan, state: State, t: float, half_step: float) -> float:
-    """Return what a change of forces within the last half step [s] before a state at time t may make of a velocity
-    [m/s]: by the fourth difference of the accelerations, which a smooth motion has next to nothing of.
+    """Return the velocity change that a force jump in the last half step may cause [m/s].
+
+    It is the fourth difference of the accelerations times the half step; for smooth motion it is nearly zero.
+
+    Args:
+        plan: equations of motion.
+        state: at the end of the half step.
+        t: its time [s].
+        half_step: length [s].
     """
     x, v, pads = state.x, state.v, state.memory.get(PINCHED)
     here, there, difference = np.empty_like(x), np.empty_like(x), np.empty_like(x)

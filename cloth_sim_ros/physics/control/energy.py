@@ -1,14 +1,14 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The rule of the energy: what a run of leapfrog steps makes of it, beside what the leapfrog's own energy does.
+"""Energy rule: bounds the energy that leapfrog steps create.
 
-The leapfrog does not keep the energy E of its positions and velocities but, for linear springs exactly, E - h^2/8 v'Kv:
-E swings by that with the motion and comes back. What makes this energy grow is an instability: a spring that was
-pushed nearly to a point within the run turned faster than the step follows. Smaller steps follow it.
+The leapfrog conserves E - h^2/8 v'Kv, for linear springs exactly, and not the physical energy E. E oscillates around
+the conserved energy. Growth of the conserved energy is an instability: a spring that was compressed nearly to a point
+turns faster than the step resolves. Smaller steps resolve it.
 
-The swing itself is harmless while the step stays. Where it changes, E goes on from where the swing has brought it, for
-good. So the first run, which may begin with all fast waves at once and in step, may not swing far either; nor may one
-that tries longer steps than those before.
+The oscillation is harmless while the step size is constant. A change of step size makes the current deviation of E
+permanent. The first run may start with all fast waves in phase; therefore its oscillation is bounded too. So is that of
+a run that tries longer steps than the previous ones.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import Energy
 from cloth_sim_ros.physics.state import State
 
-#: Rounding of a sum of energies, relative to it; coordinates of a sheet at rest are off by so many roundings.
+#: Relative rounding error of a sum of energies; rounding error of coordinates of a sheet at rest, in units of epsilon.
 _ROUNDING, _ROUNDINGS = 1e-12, 8.0
 
-#: A time [s] and the state then: what contact remembers, anchors and pads, is part of its energy.
+#: A time [s] and its state, with the friction anchors and jaws that contribute to the energy.
 Moment = tuple[float, State]
 
 
 class EnergyRule:
-    """Judges the runs of one advance.
+    """Energy check of the runs of one advance.
 
     Args:
         plan: equations of motion.
-        memory: of the rule.
-        settled: refinement of the steps of the advance before, where longer ones may be tried.
+        memory: state of the rule.
+        settled: refinement of the previous advance if this one tries longer steps, else 0.
     """
 
     def __init__(self, plan: Plan, memory: Energy, settled: float = 0.0) -> None:
@@ -44,13 +44,14 @@ class EnergyRule:
         self._begins = memory.softest < 0.0
 
     def looks(self, before: float, after: float, *, varied: bool, refine: float) -> bool:
-        """Whether the energy of a run whose error is unknown is looked at: a single run's only where it begins, and
-        where stiffness changed or may have.
+        """Return True if the energy of a run with unknown error must be checked.
+
+        A single run needs the check only at the start, and after a change of stiffness.
 
         Args:
             before: bound of the squared frequency at its start [1/s^2].
             after: the same at its end.
-            varied: whether it is a combination of runs, or other stretches of the advance take other steps.
+            varied: True for a combination of runs, or if other intervals of the advance have other step sizes.
             refine: refinement of its steps.
         """
         memory = self.memory
@@ -60,13 +61,13 @@ class EnergyRule:
         return varied or self._starts(refine) or stiffened
 
     def exceeds(self, start: Moment, end: Moment, step: float, work: float, *, refine: float) -> bool:
-        """Book a run with steps of a length [s]; return whether it made more energy than it may.
+        """Add the energy that a run created to the drift; return True if it exceeds the limit.
 
         Args:
-            start: where it began.
-            end: where it ended.
-            step: length of its steps [s].
-            work: done by grippers and moving air over the run [J].
+            start: time and state at its start.
+            end: time and state at its end.
+            step: step size [s].
+            work: external work over the run [J].
             refine: refinement of its steps.
         """
         memory = self.memory
@@ -85,11 +86,11 @@ class EnergyRule:
         return False
 
     def _starts(self, refine: float) -> bool:
-        """Whether a run is a first one, as one is whose steps are longer than those before."""
+        """True for a first run, and for one with longer steps than the previous run."""
         return self._begins or refine < self._settled
 
     def _noise(self, x: Array) -> float:
-        """Energy [J] of a sheet at rest that rounding of its coordinates leaves: w^2 / 2 times their squares."""
+        """Return the energy [J] that rounding of coordinates causes in a sheet at rest: m w^2 / 2 times its square."""
         place = _ROUNDINGS * float(np.finfo(np.float64).eps) * max(float(x.max()), -float(x.min()))
         omega2, _ = self._plan.rates(x)
         return 0.5 * self._plan.model.mass * omega2 * place * place
@@ -114,7 +115,15 @@ class EnergyRule:
 
 
 def own_energy(plan: Plan, t: float, x: Array, v: Array, step: float) -> float:
-    """Return the leapfrog's own energy [J] at steps of a length [s]; v'Kv by the forces half a step ahead and back."""
+    """Return the energy that the leapfrog conserves at a step size [J]; half steps forward and back give v'Kv.
+
+    Args:
+        plan: equations of motion.
+        t: time [s].
+        x: positions [m], shape (3, n).
+        v: velocities [m/s], shape (3, n).
+        step: step size [s].
+    """
     still, ahead, back = np.zeros_like(v), np.empty_like(v), np.empty_like(v)
     plan.accelerations(t, x + 0.5 * step * v, still, ahead)
     plan.accelerations(t, x - 0.5 * step * v, still, back)
@@ -122,14 +131,20 @@ def own_energy(plan: Plan, t: float, x: Array, v: Array, step: float) -> float:
 
 
 def put_in(plan: Plan, state: State, columns: Columns, t: float, count: int) -> tuple[float, int]:
-    """Return the work [J] that grippers, obstacles and moving air did over T_K, K = count, from a state at t [s] on,
-    and the force evaluations that it took to tell.
+    """Return the external work over T_K [J], and the force evaluations of its computation.
+
+    Args:
+        plan: equations of motion.
+        state: at the start.
+        columns: runs.
+        t: time at the start [s].
+        count: K, the number of combined runs.
     """
     x, v = columns.combine(count)
     moved = plan.contact is not None and not plan.contact.force.steady()
     if not (moved or plan.supply(t, state.x, state.v) or plan.supply(t, x, v)):
         return columns.work(count), 0
-    # The work of air and of obstacles is noted on demand alone.
+    # Runs record the work of air and obstacles on demand alone.
     narrow, every = columns.narrow, columns.every
     noted = Columns(
         plan, state, t, columns.duration, columns.counts, powers=True, touches=moved, narrow=narrow, every=every

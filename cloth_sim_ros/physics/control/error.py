@@ -1,10 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The rule of the error: how many runs are combined and how fine their steps are (Hairer, Norsett, Wanner, Solving
-Ordinary Differential Equations I, II.9).
+"""Error rule: number of combined runs and refinement of their steps.
 
-The error of a combination T_K of K runs is its distance from T_(K+1). That takes a run more, so between two judgements
-it is predicted; a prediction that a judgement does not confirm is trusted less, and the next part is judged too.
+See Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.9. The error estimate of a combination T_K is
+its distance from T_(K+1), which costs a further run. Between two estimates the error is predicted. If an estimate does
+not confirm the prediction, the next part is estimated too.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from cloth_sim_ros.physics.powers import in_order, power, root
 from cloth_sim_ros.physics.remembered import Error
 from cloth_sim_ros.physics.state import State
 
-#: Roundings of the largest coordinate that a run leaves: what a combination makes of them is no error of its steps.
+#: Rounding error of a run, in units of epsilon times the largest coordinate. A combination amplifies it.
 _ROUNDINGS = 4.0
-#: The error of a single run is taken to grow by this power of a change of its velocities, as its x''' might.
+#: The predicted error of a single run grows with this power of the velocity change, as x''' may.
 _LIVELIER = 3
 
 
 @attrs.define
 class Sums:
-    """What the parts of a frame add up to."""
+    """Sums of errors over the parts of a frame."""
 
-    #: Errors of T_1, T_2, ... [m], as many as every part had.
+    #: Errors of T_1, T_2, ... [m], as many as all parts have in common.
     errors: list[float] = attrs.field(factory=list)
-    #: Error of the runs that were combined, and what it would have been taken for [m].
+    #: Estimated error of the chosen combination, and its prediction [m].
     error: float = 0.0
     predicted: float = 0.0
-    #: Error of one run less where none was judged [m].
+    #: Error of the combination of one run less, in frames without an estimate [m].
     before: float = 0.0
     #: Largest change of a velocity over a part [m/s].
     activity: float = 0.0
@@ -45,7 +45,14 @@ class Sums:
     parts: int = 0
 
     def add(self, errors: Sequence[float], columns: int, predicted: float, activity: float) -> None:
-        """Add a part that was judged."""
+        """Add the estimates of a part.
+
+        Args:
+            errors: of T_1, T_2, ... [m].
+            columns: number of combined runs.
+            predicted: predicted error [m].
+            activity: largest velocity change over the part [m/s].
+        """
         known = self.errors or [0.0] * len(errors)
         self.errors = [in_order(pair) for pair in zip(known, errors, strict=False)]
         self.error += errors[columns - 1]
@@ -55,13 +62,13 @@ class Sums:
 
 
 class ErrorRule:
-    """Chooses runs and steps for parts of one length.
+    """Number of runs and refinement for an interval.
 
     Args:
-        memory: of the rule.
-        stability: what steps must be finer than.
-        budget: error that a part may have [m].
-        most: most runs that may be combined.
+        memory: state of the rule.
+        stability: rule that bounds step sizes.
+        budget: error budget of the interval [m].
+        most: maximum number of combined runs.
         state: at the start.
     """
 
@@ -70,30 +77,30 @@ class ErrorRule:
         self._x = state.x
 
     def of_stretch(self, memory: Error, budget: float, state: State, stability: StabilityRule) -> ErrorRule:
-        """Return the same rule for a shorter stretch."""
+        """Return the rule for a shorter interval."""
         return ErrorRule(memory, stability, budget, self._most, state)
 
     @cached_property
     def _rounding(self) -> float:
-        """What rounding leaves of a run [m]; frames that are not judged never ask."""
+        """Rounding error of a run [m]; frames without an estimate do not need it."""
         coordinate = max(float(self._x.max()), -float(self._x.min()))
         return _ROUNDINGS * float(np.finfo(np.float64).eps) * coordinate
 
     def floor(self, columns: int) -> float:
-        """Return what rounding alone leaves between T_(K+1) and T_K, K = columns [m]."""
+        """Return the distance of T_(K+1) from T_K that rounding alone causes [m], K = n_runs."""
         return self._rounding * amplification(columns + 1)
 
     def predicted(self, columns: int, difference: float, activity: float) -> float:
-        """Return the error [m] of a part that is not judged.
+        """Return the predicted error of a part [m].
 
         Args:
-            columns: runs that were combined.
-            difference: distance of T_K from T_(K-1) [m]; nothing for a single run.
-            activity: largest change of a velocity over the part [m/s].
+            columns: K, the number of combined runs.
+            difference: distance of T_K from T_(K-1) [m]; 0 for a single run.
+            activity: largest velocity change over the part [m/s].
         """
         memory = self.memory
         if columns > 1:
-            # Where combinations part more, they gain less on one another: at a kink of a force nothing.
+            # The larger the difference of combinations, the smaller the gain of the next one; at a force jump it is 0.
             parted = max(1.0, difference / memory.difference) if memory.difference else float("inf")
             return min(1.0, memory.margin * memory.ratio * parted) * difference
         return predicted_of_one(memory, activity)
@@ -102,7 +109,7 @@ class ErrorRule:
         """Return the runs and the refinement that meet the budget with the fewest force evaluations.
 
         Args:
-            errors: of T_1, T_2, ... at the present refinement [m]; that of T_K falls as h^(K + 1).
+            errors: of T_1, T_2, ... at the present refinement [m]; that of T_K decreases as h^(K + 1).
             refine: present refinement.
         """
         best = (1, refine, float("inf"))
@@ -115,18 +122,18 @@ class ErrorRule:
         return best[0], best[1]
 
     def judged(self, columns: int, refine: float, sums: Sums) -> None:
-        """Remember a frame that was judged and accepted, and choose what the next one is run by.
+        """Record the estimates of an accepted frame, and choose runs and refinement of the next one.
 
         Args:
-            columns: runs that were combined.
+            columns: number of combined runs.
             refine: their refinement.
-            sums: what its parts added up to.
+            sums: errors of its parts.
         """
         memory, errors, error = self.memory, sums.errors, sums.error
         off = error / sums.predicted if sums.predicted > 0.0 else float("inf")
         known = memory.activity > 0.0 and memory.columns == columns
         wanted, finer = self.choose(errors, refine)
-        # Steps grow by a factor of two at most: a motion that turns back is calm for a moment.
+        # Steps grow by a factor of two at most, because a motion that reverses is slow for a moment.
         finer = max(min(finer, CONSTANTS.finer * refine), 0.5 * refine, 1.0)
         scaled, far = refine / finer, error <= CONSTANTS.far * self.budget
         memory.columns, memory.refine, memory.activity = float(wanted), finer, sums.activity
@@ -142,33 +149,36 @@ class ErrorRule:
         memory.wait = memory.interval
 
     def halved(self, columns: int, refine: float) -> None:
-        """Remember a frame that was cut into stretches: the next one is judged at the mean of its steps."""
+        """Record a frame that was divided into intervals; the next one starts with an estimate at their mean step."""
         self.memory = Error(columns=float(columns), refine=refine, part=self.memory.part)
 
     def passed(self, columns: int, sums: Sums) -> None:
-        """Remember a frame that was not judged; where a run less would do, the next one is."""
+        """Record a frame without an estimate; the next one gets an estimate if one run less may suffice."""
         memory = self.memory
         less = columns > 1 and sums.before <= CONSTANTS.aim * self.budget
         memory.wait = 0.0 if less else max(0.0, memory.wait - 1.0)
 
     def refined(self, refine: float) -> None:
-        """Remember that the energy of a fixed step asked for finer ones."""
+        """Record a refinement that the energy rule required for a fixed step."""
         memory = self.memory
         memory.refine = refine
         memory.wait = memory.interval = min(CONSTANTS.wait, 2.0 * memory.interval)
 
 
 def predicted_of_one(memory: Error, activity: float) -> float:
-    """Return the error [m] of a part of a single run that is not judged, by the largest change of a velocity over it
-    [m/s].
+    """Return the predicted error of a single run over a part [m].
+
+    Args:
+        memory: state of the error rule.
+        activity: largest velocity change over the part [m/s].
     """
     livelier = max(1.0, activity / memory.activity) if memory.activity else float("inf")
     if livelier > CONSTANTS.trust:
-        # Another motion than the one that was judged, as where a particle hits something.
+        # The motion differs from the one with the last estimate, for example after an impact.
         return float("inf")
     return memory.margin * memory.error * power(livelier, _LIVELIER)
 
 
 def is_of(memory: Error, duration: float) -> bool:
-    """Whether what is remembered is of frames of a length [s]."""
+    """Return True if the state of the rule belongs to frames of a duration [s]."""
     return abs(memory.part - duration) <= 1e-6 * duration

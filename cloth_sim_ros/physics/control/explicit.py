@@ -1,8 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One advance by explicit steps, within the cap of a frame's work; what explicit steps can't follow within it,
-implicit ones finish.
-"""
+"""One advance by explicit steps within the work limit of a frame, with a fallback."""
 
 from __future__ import annotations
 
@@ -35,7 +33,7 @@ from cloth_sim_ros.physics.state import State
 
 
 def advance(options: Options, plan: Plan, state: State, t: float, duration: float, book: Book | None) -> Advance:
-    """Advance a state by one duration, see `ExplicitAdvance`."""
+    """Advance a state by a duration: by the fast path, else by `ExplicitAdvance`."""
     done = calm.attempt(options, plan, state, t, duration, book)
     if isinstance(done, Advance):
         return done
@@ -43,16 +41,16 @@ def advance(options: Options, plan: Plan, state: State, t: float, duration: floa
 
 
 class ExplicitAdvance:
-    """Advances a state by one duration; made anew for each.
+    """One advance of a state by a duration.
 
     Args:
-        options: what is asked for.
+        options: settings of the integrator.
         plan: equations of motion.
         state: advanced in place.
         t: time at the start [s].
         duration: time to advance [s].
-        book: notes the motion.
-        ran: a run that is there from the start.
+        book: work accumulator; None for none.
+        ran: run of a rejected fast path; None for none.
     """
 
     def __init__(
@@ -71,36 +69,36 @@ class ExplicitAdvance:
         self._memory = memory = Stability.of(state)
         stability = StabilityRule(plan, memory, state, duration)
         refuse_boundless(memory.omega2, memory.damping)
-        #: Longest stable step, contact aside [s].
+        #: Longest stable step without contact [s].
         self._bare = limit = options.step_limit(memory.omega2, memory.damping)
         error, precision, noise = Error.of(state), Precision.of(state), Noise.of(state)
         if not is_of(error, duration):
-            # What was known is of frames of another length.
+            # The recorded errors belong to frames of another length.
             error = Error(columns=error.columns, refine=error.refine, part=duration)
             precision, noise = Precision(), Noise()
         columns, settled = options.columns, 0.0
         if options.tolerance is not None:
             columns = min(int(error.columns), columns)
         elif error.wait <= 0.0:
-            # What the energy asked for is tried with larger steps from time to time.
+            # Larger steps than the energy rule required are tried periodically.
             settled, error.refine = error.refine, max(1.0, 0.5 * error.refine)
         judge = options.tolerance is not None and error.wait <= 0.0
         budget = math.inf if options.tolerance is None else CONSTANTS.share * duration * options.tolerance
-        # A fixed step that goes on was stable once.
+        # A fixed step of a running simulation was stable at its start.
         once = options.step if options.step is not None and self._known else 0.0
         memory.longest = max(memory.longest, min(max(limit, once), duration))
         self._fallen = Fallback.of(state).fallen
         allowed = options.tolerance is not None and stability.damped
         touch = TouchRule(options, plan, Touch() if plan.contact is None else Touch.of(state), memory)
         met = touch.look_ahead(t, duration, state)
-        # Contact's waves may be as fast as any, and damped by nothing.
+        # Waves of contact may have any frequency, without damping.
         hinges = HingeRule(plan, Hinges.of(state), allowed=allowed and not met > 0.0)
         longest = min(CONSTANTS.safety * limit, duration)
         if judge:
             hinges.choose(state.x, longest, duration, columns)
         else:
             hinges.keep(longest, duration)
-        # What is known of the error holds for as many steps an impulse alone.
+        # The recorded error is valid for the same multirate ratio only.
         judge = judge or (options.tolerance is not None and hinges.every != hinges.memory.every)
         self._effort = Effort(
             options=options,
@@ -122,30 +120,35 @@ class ExplicitAdvance:
         self._stability = stability
         self._whole = Stretch(self._effort, t, duration, Choice(columns, error.refine, judge), rule, stability)
         self._limit = self._whole.limit
-        #: Force evaluations that the frame may take in all.
+        #: Limit of force evaluations of the frame.
         self._most = whole_work(plan, options.work, duration, met, hinges.every)
         work, self._left_over = work_cap(plan, self._most, duration, memory.longest, self._fallen, met, self._limit)
         self._allow(work)
 
     def _allow(self, work: float) -> None:
-        """Let the stretch take so many force evaluations more."""
+        """Grant the interval further work, in force evaluations."""
         effort = self._effort
         effort.cap = effort.evaluations + effort.calls + work
         if self._options.tolerance is not None:
-            # A judged attempt has to fit.
+            # An attempt with an error estimate must fit.
             self._whole.most = work / SUMS[2]
 
     def run(self) -> Advance:
-        """Do it."""
+        """Advance the state and return the result.
+
+        Raises:
+            UnstableError: if no step within the work limit is stable.
+            StepLimitError: if a fixed step exceeds the limit at the start.
+        """
         options, state, effort, whole = self._options, self._state, self._effort, self._whole
         if options.step is not None and options.step > self._limit and not self._known:
             refuse_unstable(options.step, self._limit, options.name)
-        # Even the longest stable steps may exceed the frame's work.
+        # Even the longest stable steps may exceed the work limit of the frame.
         effort.lost = self._duration / self._bare > effort.cap and effort.gives_way
         fits = whole.affords(whole.choice.columns, whole.choice.refine)
         if options.tolerance is not None and not fits:
-            # What the last frame would have needed is beyond the cap: it is tried with as many runs as fit, and with
-            # steps that leave room for a retry.
+            # The previous choice exceeds the limit: the attempt has as many runs as fit, and steps that leave work for
+            # a second attempt.
             columns = whole.choice.columns
             while columns > 1 and not whole.affords(columns, 1.0):
                 columns -= 1
@@ -189,14 +192,18 @@ class ExplicitAdvance:
         )
 
     def _cover(self) -> float | None:
-        """Return the error [m], None where explicit steps are given up; the state is that of the start then."""
+        """Integrate the interval.
+
+        Returns:
+            The error [m]; None if explicit steps are abandoned. The state is then that of the start.
+        """
         whole = self._whole
         if self._book is not None:
             self._book.restart()
         try:
             error = whole.cover()
         except NoRoomError:
-            # What moves has squeezed the cloth to nothing amid the frame: no step is short enough.
+            # Moving bodies left the cloth no space within the frame: no step is short enough.
             self._state.go_back(whole.start)
             if not within_reach(self._plan):
                 raise
@@ -209,7 +216,7 @@ class ExplicitAdvance:
         return error
 
     def _cover_anyhow(self) -> float | None:
-        """The same by a single run of the longest steps that hold, with what was left over for that."""
+        """Integrate by a single run of the longest stable steps, within the reserve; see `_integrate`."""
         effort = self._effort
         effort.finishing, effort.spent, effort.lost = True, True, False
         self._whole = Stretch(effort, self._t, self._duration, Choice(1, 1.0, True), self._whole.rule, self._stability)
@@ -217,11 +224,11 @@ class ExplicitAdvance:
         return self._cover()
 
     def _mean_refinement(self) -> float:
-        """Steps that the first runs took, relative to those that stability asks for."""
+        """Return the number of steps of the first runs relative to the number that stability requires."""
         return max(1.0, self._whole.first * self._whole.longest / self._duration)
 
     def _reason(self, flagged: int) -> str:
-        """The choice in words."""
+        """Return the choice in words."""
         whole, effort = self._whole, self._effort
         words = reason(self._options, whole.choice, whole.first, whole.finest)
         if whole.pieces > 1:
@@ -234,9 +241,9 @@ class ExplicitAdvance:
         return words
 
     def _finish(self) -> Advance:
-        """Let implicit steps finish the frame."""
+        """Finish the frame by implicit steps."""
         effort = self._effort
-        # That something was known stays, see `restart`.
+        # The key of the state must stay, see `reset_step_control`.
         self._memory.store(self._state)
         if self._book is not None:
             self._book.restart()

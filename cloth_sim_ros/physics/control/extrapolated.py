@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Extrapolated leapfrog: high order and error control on top of the cheapest loop."""
+"""Extrapolated leapfrog with error control, of order 2 to 5."""
 
 from __future__ import annotations
 
@@ -21,24 +21,26 @@ from cloth_sim_ros.physics.state import State
 
 
 class Extrapolated(Integrator):
-    """Runs each frame by leapfrog with several step counts and combines the ends so that the leading errors cancel.
+    """Extrapolation of leapfrog runs: combines runs with several step counts so that leading errors cancel.
 
-    One column is the leapfrog itself, of order 2; K columns have order K + 1. The columns are ordinary leapfrog runs,
-    so they cost what the fused loop costs, and the stable step is the leapfrog's. With a tolerance the columns and
-    steps are chosen by the error: the difference of the combinations of K + 1 and of K columns estimates the error of
-    the latter. A further column is run at least every 16 frames, or 64 where the error is far below its budget, after
-    every event and whenever the motion becomes livelier; in between the difference of the columns at hand is scaled by
-    what the last judgement said. Without damping, modes near the step limit grow slowly under extrapolation: there the
-    estimate grows with them and makes the steps smaller.
+    One run is the leapfrog itself, of order 2; K combined runs have order K + 1. Runs have the cost and the stable step
+    of the leapfrog. With a tolerance, number of runs and steps follow the error. The difference of the combinations of
+    K + 1 and K runs is the error estimate of the latter.
 
-    Order 2 to 5. Force evaluations a step of the first column: 1, 2.25, 3.75, 5.75 for 1, 2, 3, 4 columns. For
-    damping up to critical.
+    A further run gives an estimate at least every 16 frames, or every 64 if the error is far below its budget. Events
+    and faster motion cause an estimate too. Between estimates the error is predicted from the difference of the present
+    runs.
+
+    Without damping, modes near the step limit grow slowly under extrapolation. The error estimate grows with them and
+    reduces the steps.
+
+    Force evaluations per step of the first run: 1, 2.25, 3.75, 5.75 for 1, 2, 3, 4 runs. For damping up to critical.
 
     Args:
-        tolerance: of positions [m], see docs/time_stepping.md; None takes fixed columns and steps.
-        step: largest step of the first column without a tolerance [s]; None takes 0.96 of the stability limit.
-        columns: most columns, 1 to 4; without a tolerance, the columns.
-        work: most work of a frame, in real time by the plan's estimated cost; 0 for no limit.
+        tolerance: of positions [m], see docs/time_stepping.md; None for a fixed number of runs and fixed steps.
+        step: largest step of the first run without a tolerance [s]; None takes 0.96 of the stability limit.
+        columns: maximum number of runs, 1 to 4; without a tolerance, their number.
+        work: work limit of a frame, as a multiple of real time by the plan's estimated cost; 0 for no limit.
 
     Raises:
         ValueError: for a value out of range, or a step together with a tolerance.

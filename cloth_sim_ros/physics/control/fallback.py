@@ -1,11 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The rule of the fallback: the cap of a frame's work, and the steps that finish a frame which explicit ones can't
-follow within it.
+"""Fallback rule: work limit of a frame, and implicit steps that finish it.
 
-A sheet may be too violent for what its work may cost, and a force of the caller's own may grow beyond all bounds. A
-motion that meets such a place is kicked by whatever the step makes of it. The implicit method's safe steps only go
-where the energy falls.
+A motion may be too fast for the work limit, and a user's force may grow without bound. Explicit steps then add
+arbitrary energy. The descent steps of the implicit method only decrease it.
 """
 
 from __future__ import annotations
@@ -20,26 +18,27 @@ from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.remembered import Fallback, restart
 from cloth_sim_ros.physics.state import State
 
-#: Force evaluations that finishing a frame is counted with: ten a step. Of the cap they are left over, by half at most.
+#: Force evaluations reserved to finish a frame: ten per step, at most half of the limit.
 FINISHED = 10.0 * CONSTANTS.last_steps
 
 
 def within_reach(plan: Plan) -> bool:
-    """Whether the implicit method comes into question for a sheet of this size: a frame of a larger one would take half
-    a minute and gigabytes.
+    """Return True if the sheet is small enough for the implicit method.
+
+    A frame of a larger sheet would take half a minute and gigabytes of memory.
     """
     return plan.model.particle_count <= CONSTANTS.implicit
 
 
 def whole_work(plan: Plan, work: float, duration: float, met: float = 0.0, every: int = 1) -> float:
-    """Return the force evaluations that the work of an advance is worth; infinite where it has no limit.
+    """Return the force evaluations of an advance within a work limit; infinite without a limit.
 
     Args:
         plan: equations of motion.
-        work: limit in real time by the plan's estimated cost; 0 for none.
+        work: limit as a multiple of real time by the plan's estimated cost; 0 for none.
         duration: of the advance [s].
         met: estimated time that contact adds to a force evaluation [ns].
-        every: force evaluations in which hinges are asked for once.
+        every: multirate ratio.
     """
     if work == 0.0:
         return math.inf
@@ -55,21 +54,20 @@ def work_cap(
     met: float = 0.0,
     limit: float = math.inf,
 ) -> tuple[float, float]:
-    """Return the most force evaluations of an advance by explicit steps, and those beside that are left over to finish
-    it; counts, never a clock.
+    """Return the limit of force evaluations by explicit steps, and the reserve of the fallback; no clock is read.
 
-    What could not be followed in the frames before is tried with half the effort in each further one. Where the cloth
-    touches, explicit steps by single runs finish a frame, for which that is left over twice: implicit steps would take
-    longer, for contact couples what is far apart in their matrix, and they follow no friction.
+    Each consecutive fallback halves the limit of the next frame. With contact, single runs of explicit steps finish a
+    frame, and the reserve is twice their work. Implicit steps would be slower, because contact couples distant
+    particles in their matrix, and they have no friction.
 
     Args:
         plan: equations of motion.
-        whole: force evaluations that its work is worth, see `whole_work`.
+        whole: force evaluations of the frame, see `evaluation_budget`.
         duration: of the advance [s].
-        longest: longest stable step since the last restart, contact aside [s].
-        fallen: frames in a row that could not be followed.
+        longest: longest stable step since the last restart, without contact [s].
+        fallen: consecutive frames with a fallback.
         met: estimated time that contact adds to a force evaluation [ns].
-        limit: longest step that contact lets expect [s].
+        limit: predicted step limit with contact [s].
     """
     if whole == math.inf:
         return math.inf, math.inf
@@ -79,13 +77,16 @@ def work_cap(
         single = CONSTANTS.trust * SUMS[2] * duration / (CONSTANTS.safety * limit) if limit else math.inf
         kept = max(min(single, 0.5 * whole), runs)
         return math.ldexp(max(whole - kept, kept), -int(fallen)), kept
-    # Where implicit steps are out of reach, explicit ones are all that there is.
+    # Without implicit steps, explicit ones get all of the work.
     return max(most - FINISHED, 0.5 * most) if within_reach(plan) else max(most, runs), FINISHED
 
 
 def part_cost(plan: Plan, met: float = 0.0) -> float:
-    """Return what the calls of one part of a frame cost, in force evaluations, to which contact adds so much
-    [ns]: a run and what is asked of its result, four calls.
+    """Return the cost of the engine calls of one part, in force evaluations: four calls for a run and its result.
+
+    Args:
+        plan: equations of motion.
+        met: estimated time that contact adds to a force evaluation [ns].
     """
     return 4e3 * CONSTANTS.call / (plan.step_cost * plan.model.particle_count + met)
 
@@ -93,23 +94,23 @@ def part_cost(plan: Plan, met: float = 0.0) -> float:
 def finish(
     plan: Plan, state: State, t: float, duration: float, book: Book | None, *, instead_of: str, most: float
 ) -> Advance:
-    """Advance by a few implicit steps; at least one is flagged.
+    """Advance by a few implicit steps; the result is flagged.
 
     Args:
         plan: equations of motion.
         state: advanced in place.
         t: time at the start [s].
         duration: time to advance [s].
-        book: notes the motion.
-        instead_of: name of the integrator whose steps were given up.
-        most: force evaluations that are left of the frame's work: what can't be solved within them is taken as a step
-            that has no solution is, 64 evaluations in all at least.
+        book: work accumulator; None for none.
+        instead_of: name of the integrator whose steps were abandoned.
+        most: remaining force evaluations of the frame. Steps without a solution within them become descent steps; these
+            take at least 64 evaluations in all.
 
     Raises:
         UnstableError: if the motion does not stay finite.
     """
     if plan.contact is not None:
-        # Pads are still where the steps that were given up had laid them.
+        # The abandoned steps have moved the jaws.
         plan.contact.take(state)
     if not math.isfinite(plan.energy(t, state.x, state.v)):
         raise UnstableError(f"{instead_of}: not finite even by the smallest steps, from a motion without finite energy")
@@ -117,7 +118,7 @@ def finish(
 
     fallen = Fallback.of(state).fallen
     done = Implicit(duration / CONSTANTS.last_steps).advance(plan, state, t, duration, book, most=most)
-    # What was known of the motion is true no longer.
+    # The controller states no longer describe the motion.
     restart(state)
     Fallback(min(64.0, fallen + 1.0)).store(state)
     why = f"{instead_of}: finer steps exceed the frame's work limit"

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Leapfrog with a midpoint velocity."""
+"""Leapfrog with a predicted midpoint velocity."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from cloth_sim_ros.physics.state import State
 
 
 class Leapfrog(Integrator):
-    """Drift, kick, drift; velocity-dependent forces are evaluated at a midpoint velocity, so that the order stays 2.
+    """Drift, kick, drift; velocity-dependent forces use a predicted midpoint velocity, so that the order stays 2.
 
-    With h the step: ``x_m = x + h/2 v``, ``a_k = a(t + h/2, x_m, v + h/4 (a_(k-1) + a_(k-2)))``, ``v' = v + h a_k``,
-    ``x' = x_m + h/2 v'``. Each advance starts with one extra evaluation, which stands for both accelerations before it,
-    so that no history crosses its boundary.
+    A step of size h first computes ``x_m = x + h/2 v`` and ``a_k = a(t + h/2, x_m, v + h/4 (a_(k-1) + a_(k-2)))``.
+    Then ``v' = v + h a_k`` and ``x' = x_m + h/2 v'``. Each advance starts with one extra evaluation in place of both previous accelerations, so it
+    needs no history of the previous advance.
 
-    Order 2. One force evaluation a step. Time-reversible and symplectic without damping. An oscillator of angular
-    frequency w and damping rate c is stable for h^2 w^2 / 4 + h c / 2 <= 1 (characteristic polynomial; without damping
-    h w <= 2).
+    Order 2. One force evaluation per step. Time-reversible and symplectic without damping. For an oscillator of angular
+    frequency w and damping rate c the step limit is ``h^2 w^2 / 4 + h c / 2 <= 1`` (characteristic polynomial). Without
+    damping it is ``h w <= 2``.
 
     Args:
-        step: fixed largest step [s]; None takes 0.96 of the stability limit.
-        tolerance: of positions [m], see docs/time_stepping.md: the step follows the error, which a
-            second run with smaller steps judges every few frames.
-        work: most work of a frame, in real time by the plan's estimated cost; 0 for no limit.
+        step: largest fixed step [s]; None takes 0.96 of the stability limit.
+        tolerance: of positions [m], see docs/time_stepping.md. A second run with smaller steps estimates the error
+            every few frames, and the step follows it.
+        work: work limit of a frame, as a multiple of real time by the plan's estimated cost; 0 for no limit.
 
     Raises:
         ValueError: if one of them is not positive, or both are set.

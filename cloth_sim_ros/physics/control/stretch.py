@@ -1,10 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One stretch of time by explicit steps: attempted until the rules of stability, error and energy all hold.
+"""Adaptive interval: attempts by explicit steps until stability, error and energy rules hold.
 
-All of a stretch is run by one choice of runs and steps. Where a finer choice did not bring what the order of the error
-promises, the motion is not smooth there: a spring turned about a point, a force switched on. Then the stretch is
-halved, so that fine steps are taken around that moment alone.
+One choice of runs and steps applies to the whole interval. If a refinement reduces the error less than its order
+predicts, the motion is not smooth: a spring turned over, or a force changed suddenly. Then the interval is halved, so
+that fine steps are limited to that moment.
 """
 
 from __future__ import annotations
@@ -24,25 +24,26 @@ from cloth_sim_ros.physics.powers import root
 from cloth_sim_ros.physics.remembered import Error
 from cloth_sim_ros.physics.state import State
 
-#: A stretch whose first run takes fewer steps is not halved: half of them could not tell runs apart.
+#: Minimum steps of the first run for halving; with fewer steps the runs of a half would not differ enough.
 _FEWEST_HALVED = 2 * UNDAMPED_STEPS
-#: Halvings of an advance: a ten thousandth of a microsecond is never what a motion is about.
+#: Maximum halvings of an advance; the shortest interval of a frame is then below a nanosecond.
 _MOST_HALVINGS = 24
 
 
 class Stretch:
-    """Advances the state of an effort over one stretch of time.
+    """Advances the state of a context over one interval.
 
     Args:
-        effort: what is worked with.
+        effort: context of the advance.
         t: time at the start [s].
         duration: length [s].
-        choice: what is tried first.
-        rule: the rule of the error, with the budget of this stretch.
-        stability: the rule of stability for this length.
-        ahead: force evaluations that the rest of the advance needs at least.
-        halvings: how often the advance was halved for it.
-        most: steps of a first run; of more it is halved untried, for they need not be as short for long.
+        choice: first choice of runs and refinement.
+        rule: error rule with the budget of this interval.
+        stability: stability rule for this length.
+        ahead: force evaluations reserved for the rest of the advance.
+        halvings: number of halvings that led to this interval.
+        most: maximum steps of the first run. If it needs more, the interval is halved before the first attempt, because
+            short steps are rarely necessary for long.
     """
 
     def __init__(
@@ -62,26 +63,29 @@ class Stretch:
         self.choice, self.rule = choice, rule
         self._stability, self._ahead, self._halvings, self.most = stability, ahead, halvings, most
         self.limit, self.start = effort.touch.limit_ahead(t, duration, effort.state), effort.state
-        #: Steps of the runs that make up the result, those of the first run alone, the smallest step [s], and stretches
-        #: that it was cut into.
+        #: Steps of the runs that make up the result, those of the first run, the smallest step [s], and the number of
+        #: intervals after halving.
         self.steps, self.first, self.finest, self.pieces = 0, 0, math.inf, 1
-        #: Attempts that did not hold, and whether it is halved next.
+        #: Rejected attempts; True if the interval must be halved next.
         self._rejected, self._halve = 0, False
         self._kept: Columns | None = None
         self._sums, self._counts_first, self._held = Sums(), 0, 0.0
-        #: Steps that an impulse of hinges stands for.
+        #: Multirate ratio.
         self.every, self._stability.impulses = effort.hinges.within(self.longest, duration)
 
     @property
     def longest(self) -> float:
-        """Longest steps that stability allows [s]."""
+        """Largest step that stability allows [s]."""
         return min(CONSTANTS.safety * self.limit, self._duration)
 
     def cover(self) -> float | None:
-        """Do it; return the sum of errors [m], or None where explicit steps are given up.
+        """Integrate the interval.
+
+        Returns:
+            The sum of its errors [m]; None if explicit steps are abandoned.
 
         Raises:
-            UnstableError: where nothing is left to try.
+            UnstableError: if no choice is left.
         """
         effort = self._effort
         state, memory, book = effort.state, effort.stability, effort.book
@@ -115,22 +119,22 @@ class Stretch:
         return None
 
     def _halves(self, *, untried: bool = False) -> float | None:
-        """Cover both halves, each by what it needs."""
+        """Integrate both halves, each with its own choice; return as `integrate`."""
         effort, half, spent, self.finest = self._effort, 0.5 * self._duration, 0.0, math.inf
         most = min(self.most, self.first) if self.first else self.most
         self.steps = self.first = self.pieces = 0
         for k in range(2):
-            # What the first half does not spend is left to the second.
+            # The second half gets the unused budget of the first one.
             budget = max(0.5 * self.rule.budget, (self.rule.budget - spent) * k)
             stability = StabilityRule(effort.plan, effort.stability, effort.state, half)
             rule = self.rule.of_stretch(Error(part=half), budget, effort.state, stability)
-            # The other half may go on by steps as long as they were, but takes as many as this one at least.
+            # Reserve of the other half: its steps may be as long as before, but it takes at least as many as this one.
             finer = max(1.0, self.choice.refine * min(1.0, half / self.longest))
             later = finer * max(1.0, half / (CONSTANTS.safety * effort.stability.longest))
             ahead = self._ahead + later * SUMS[self.choice.columns + 1] * (k == 0)
             now, deeper = self._t + k * half, self._halvings + 1
             child = Stretch(effort, now, half, self.choice, rule, stability, ahead=ahead, halvings=deeper, most=most)
-            # It begins with the steps that were too long for the whole.
+            # The half starts with the steps that were too long for the whole.
             longest = min(child.longest, self.longest) if untried else child.longest
             child.choice = Choice(self.choice.columns, max(1.0, self.choice.refine * longest / self.longest), True)
             error = child.cover()
@@ -142,7 +146,7 @@ class Stretch:
         return spent
 
     def _attempt(self, start: State) -> float | None:
-        """Run all parts; return the sum of their errors, or None if something else has to be tried from the start."""
+        """Run all parts; return the sum of their errors [m], or None for a further attempt from the start."""
         options, choice, rule = self._effort.options, self.choice, self.rule
         longest = self.longest
         self.every, self._stability.impulses = self._effort.hinges.within(longest, self._duration)
@@ -167,12 +171,12 @@ class Stretch:
         return self._sums.error
 
     def _parts(self, columns: int, steps: int) -> int:
-        """Into how many parts it is cut."""
+        """Return the number of parts of the interval."""
         alone = columns == 1 and self._effort.options.tolerance is None
         return 1 if alone else self._stability.parts(columns, steps, self._duration)
 
     def _part(self, part: int, length: float, start: State) -> bool:
-        """Run one part; return whether it holds."""
+        """Run one part; return True if all rules hold."""
         effort, choice = self._effort, self.choice
         state, options, memory = effort.state, effort.options, effort.stability
         t = self._t + part * length
@@ -181,15 +185,15 @@ class Stretch:
         finite = (told := columns.told(choice.columns)).finite
         effort.evaluations += columns.evaluations - before
         effort.calls += effort.part_cost
-        # Steps that contact turned out to be too stiff for are not worth a judgement.
+        # If contact is too stiff for the steps, an error estimate is a waste.
         if finite and effort.touch.acts(columns, choice.columns) and not self._within(columns):
             return False
         accepted = True
         if finite and options.tolerance is not None:
             accepted = self._judge(columns, told.activity, (part + 1) * length / self._duration)
         if not finite:
-            # Contact that stops nothing any more: by finer steps it would have reached no further. Steps that ended on
-            # a surface, where the limit is none, were too long.
+            # Contact did not stop a particle; with finer steps it would not have got that far. If the run ended on a
+            # surface, the limit is zero, and the steps were too long.
             reached, own = columns.reached(self.choice.columns), columns.own(self.choice.columns)
             limit = effort.touch.limit(reached, own) or 0.5 * self.finest
             finer, self.limit = 2.0 if self.finest <= limit else 1.0, min(self.limit, limit)
@@ -198,11 +202,11 @@ class Stretch:
             return False
         choice, told = self.choice, columns.told(self.choice.columns)
         after = math.inf if effort.touch.acts(columns, choice.columns) else told.omega2
-        # Where the error vouches for nothing, energy might come from nowhere.
+        # Without a reliable error estimate the steps may create energy.
         unknown = options.tolerance is None or self._sums.error > self.rule.budget
         varied = choice.columns > 1 or self._halvings > 0
         if unknown and effort.energy.looks(memory.omega2, after, varied=varied, refine=choice.refine):
-            # A combination's energy does not swing, and from steps of one length to another the swing stays behind.
+            # The energy of a combination does not oscillate; a change of step size makes the deviation permanent.
             step = 0.0 if varied else self.finest
             if effort.makes_energy(columns, choice, (t, t + length), step):
                 return self._instead(2.0, "making energy from nowhere")
@@ -215,7 +219,7 @@ class Stretch:
         return True
 
     def _within(self, columns: Columns) -> bool:
-        """Whether a part's steps are within the limit that the motion came to; if not, choose what to try next."""
+        """Return True if the steps of a part are within the limit that the motion encountered; else choose a retry."""
         limit = self._effort.touch.limit_met(columns, self.choice.columns) or 0.5 * self.finest
         exceed, told = self._effort.hinges.exceed, columns.told(self.choice.columns)
         if self.finest <= limit and (self.every == 1 or not exceed(self.every * self.finest, told)):
@@ -224,12 +228,12 @@ class Stretch:
         return self._instead(1.0, "not within their stability limit")
 
     def _columns(self, part: int, t: float, length: float, start: State) -> Columns:
-        """The runs of a part; those of the first are kept over attempts with the same steps."""
+        """Return the tableau of a part; that of the first part is reused by attempts with the same steps."""
         effort, kept = self._effort, self._kept
         counts = step_counts(self._counts_first, len(RATIOS), self.every)
         missed = self._rejected + self._halvings > 0 and effort.plan.threads(self.every) == 1
         if effort.options.tolerance is not None:
-            # What it changes was measured over a whole advance, and does not shrink with the stretch.
+            # The measured effect belongs to a whole advance, and does not decrease with the interval.
             effort.narrow = self._halvings == 0 and effort.precision.narrows(effort.state, self.choice)
         same = kept is not None and (kept.counts, kept.duration, kept.every) == (counts, length, self.every)
         if same and part == 0 and kept is not None and effort.narrow >= kept.narrow:
@@ -254,12 +258,12 @@ class Stretch:
         return columns
 
     def _judge(self, columns: Columns, activity: float, passed: float) -> bool:
-        """Add a part's error to the stretch's; return whether it still fits, or choose what to try next.
+        """Add the error of a part to that of the interval; return True if it fits, else choose a retry.
 
         Args:
-            columns: runs of the part.
-            activity: largest change of a velocity over it [m/s].
-            passed: share of the stretch that has passed at its end.
+            columns: tableau of the part.
+            activity: largest velocity change over it [m/s].
+            passed: elapsed fraction of the interval at its end.
         """
         effort, choice, rule, sums = self._effort, self.choice, self.rule, self._sums
         difference = columns.difference(choice.columns - 1) if choice.columns > 1 else 0.0
@@ -267,14 +271,14 @@ class Stretch:
         held = columns.held(choice.columns)
         self._held = max(self._held, held)
         if effort.touch.is_harder(held):
-            # Harder contact than in any part of what was judged, or the first one.
+            # The contact is harder than in the frame of the last estimate, or the first one.
             predicted = math.inf
         if not choice.judge:
             sums.error += predicted
             sums.before += difference
             if sums.error <= rule.budget:
                 return True
-            # All parts are judged then: one choice holds for the whole of a stretch. Runs that are kept cost nothing.
+            # All parts need an estimate, because one choice applies to the whole interval. Existing runs are reused.
             kept = columns.evaluations if columns is self._kept else 0
             self.choice = effort.fitted(Choice(choice.columns, choice.refine, True), self.work, self._ahead, kept)
             return False
@@ -285,14 +289,14 @@ class Stretch:
             ahead = self._ahead + (1.0 - passed) * self.work(choice.columns, choice.refine)
             while len(errors) < effort.options.columns and sums.error + errors[-1] > aim:
                 fits = effort.affords(ahead + columns.counts[len(errors) + 1])
-                # Runs that gain nothing on one another, as at a kink, are not helped by a further one.
+                # If runs do not gain on one another, as at a force jump, a further run does not either.
                 vain = len(errors) > 1 and errors[-1] > errors[-2]
                 if not fits or vain or (columns.narrow and not effort.precision.tells(len(errors) + 2)):
                     break
                 errors.append(self._difference(columns, len(errors) + 1))
         if not accepted:
-            # A combination of more runs that are there may do. Of a motion that is not smooth all further ones have to
-            # vouch for it: one estimate may be small by chance.
+            # A combination of more existing runs may suffice. If the motion is not smooth, all further estimates must
+            # confirm it, because one of them may be small by chance.
             within = [sums.error + error <= rule.budget for error in errors]
             beyond = len(errors) if self._halvings else 0
             enough = [k for k, fit in enumerate(within, start=1) if fit and all(within[k - 1 : beyond])]
@@ -301,15 +305,15 @@ class Stretch:
                 accepted = True
         sums.add(errors, choice.columns, predicted, activity)
         if accepted or sums.error <= CONSTANTS.trust * sums.parts * rule.floor(choice.columns):
-            return True  # no step gets below rounding
+            return True  # no step reduces the error below rounding
         taken = max(choice.refine, self._stability.impulses)
         wanted, refine = rule.choose([each / passed for each in sums.errors], taken)
-        # A single estimate tells nothing of that.
+        # A single estimate does not show whether the motion is smooth.
         gained = len(sums.errors) == 1 or CONSTANTS.trust * min(sums.errors) < sums.errors[0]
         return not self._seek(wanted, refine, smooth=gained)
 
     def _to_the_end(self, error: float) -> float | None:
-        """Return a stretch's error [m] with what its last half step may have missed, None where that is too much."""
+        """Return the error of an interval [m] including its last half step; None for a further attempt."""
         effort = self._effort
         end = self._t + self._duration
         missed = missed_velocity(effort.plan, effort.state, end, 0.5 * self.finest) / self._slowest
@@ -321,8 +325,12 @@ class Stretch:
         return None if self._seek(self.choice.columns, refine, smooth=False) else error
 
     def _seek(self, columns: int, refine: float, *, smooth: bool) -> bool:
-        """Choose runs and refinement to try next, those wanted if they can be afforded; return whether any is.
-        `smooth`: combinations gained on one another, as they do where the motion is smooth.
+        """Choose runs and refinement of the next attempt; return False if none fits the work limit.
+
+        Args:
+            columns: wanted number of runs.
+            refine: wanted refinement.
+            smooth: True if combinations gained on one another, as in a smooth motion.
         """
         self._effort.precision.missed += 1
         finer = min(refine, CONSTANTS.finer * max(self.choice.refine, self._stability.asks(columns)))
@@ -338,44 +346,48 @@ class Stretch:
 
     @property
     def _slowest(self) -> float:
-        """Angular frequency [1/s] at which an error of a velocity becomes one of positions.
+        """Angular frequency [1/s] that converts an error of velocity into one of position.
 
-        Over a whole advance that of a slow wave has become one, so what is left is that of the fastest. A short part of
-        it shows only the beginning: there every velocity is taken to be kept.
+        Over a whole advance the velocity errors of slow waves have become position errors, so the fastest wave counts.
+        An interval after halving is too short for that; there each velocity error lasts for the whole advance.
         """
         slowest = 1.0 / self._effort.duration
         return slowest if self._halvings else max(self._stability.omega, slowest)
 
     def _beyond_order(self, refine: float) -> bool:
-        """Whether more is wanted than the order of the error promised when steps were made finer the last time."""
+        """Return True if the last refinement reduced the error less than its order predicts."""
         return bool(self._halvings + self._rejected) and refine > CONSTANTS.trust * self.choice.refine
 
     def _can_halve(self) -> bool:
-        """Whether the stretch has steps enough to be halved, and halves fit the cap as it did."""
+        """Return True if the interval has enough steps for halving, and its halves fit the work limit."""
         enough = self.first >= _FEWEST_HALVED and self._halvings < _MOST_HALVINGS
         return enough and self.affords(self.choice.columns, self.choice.refine)
 
     def _difference(self, columns: Columns, count: int) -> float:
-        """Return the error of a combination [m], the run that it takes counted."""
+        """Return the error estimate of a combination [m], and count its further run."""
         before, error = columns.evaluations, columns.difference(count)
         self._effort.evaluations += columns.evaluations - before
         return error
 
     def affords(self, columns: int, refine: float) -> bool:
-        """Whether one more attempt fits what is left of the frame's work."""
+        """Return True if a further attempt fits the remaining work of the frame."""
         return self._effort.affords(self._ahead + self.work(columns, refine))
 
     def work(self, columns: int, refine: float) -> float:
-        """Force evaluations of an attempt that is judged, the calls that it takes included."""
+        """Return the work of an attempt with an error estimate, in force evaluations, engine calls included."""
         steps = steps_for(self._duration, self.longest / max(refine, self._stability.asks(columns)))
         calls = self._parts(columns, steps) * (columns + 1 + self._effort.part_cost)
         return steps * SUMS[columns + 1] + calls
 
     def _instead(self, finer: float, why: str) -> bool:
-        """Try finer steps from the start, or give explicit ones up; return False.
+        """Choose finer steps for a retry from the start, or abandon explicit steps; return False.
+
+        Args:
+            finer: factor on the refinement.
+            why: failure of the present steps, for the error message.
 
         Raises:
-            UnstableError: where nothing is left to try.
+            UnstableError: if no choice is left.
         """
         effort, choice, options = self._effort, self.choice, self._effort.options
         refine = finer * choice.refine
@@ -384,8 +396,7 @@ class Stretch:
             return False
         columns = effort.fewer(choice.columns, lambda count: self._ahead + self.work(count, refine))
         if self.affords(columns, refine):
-            # What is known of the error is of as many steps an impulse of hinges. Without a tolerance there is no error
-            # estimate, and nothing to judge.
+            # The recorded error is valid for the same multirate ratio. Without a tolerance there is no error estimate.
             changed = choice.judge or columns < choice.columns or self.every != effort.hinges.every
             self.choice = Choice(columns, refine, changed and options.tolerance is not None)
             if options.tolerance is None and finer > 1.0:
@@ -395,6 +406,6 @@ class Stretch:
         if not effort.lost:
             raise UnstableError(
                 f"{options.name}: steps of {self.finest:.3g} s are {why}, and finer ones exceed the frame's "
-                f"work limit of {options.work:g} times real time; raise 'work_limit' or take a softer cloth"
+                f"work limit of {options.work:g} times real time; raise 'work_limit' or reduce the cloth's stiffness"
             )
         return False

@@ -1,10 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A symmetric positive definite band matrix, factorised from both ends at once by two threads.
+"""Symmetric positive definite band matrix, factorised from both ends by two threads.
 
-The upper and the lower part of the block rows are eliminated independently, the lower one in reverse order; what is
-left is a matrix of as many block rows as the band is wide. The parts are fixed by the size alone, so that one and two
-threads give the same bits.
+The upper and the lower block rows are eliminated independently, the lower ones in reverse order. A matrix with as many
+block rows as the band is wide remains. The size alone determines the parts; one and two threads give the same bits.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from cloth_sim_ros.physics.integrators.base import UnstableError
 
 _Index = NDArray[np.int64]
 
-#: Multiplications from which a factorisation is worth two threads, and numbers of a matrix from which a solution is.
+#: Minimum multiplications of a factorisation, and minimum matrix entries of a solution, for a second thread.
 _FACTOR_ASIDE, _SOLVE_ASIDE = 8_000_000, 2_000_000
 
 
@@ -35,7 +34,7 @@ def _helper() -> ThreadPoolExecutor:
 
 
 class _Here(Executor):
-    """Runs what it is given at once, where waking a thread would take longer."""
+    """Executor that runs a task in the calling thread, for tasks shorter than waking a thread."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         done: Future[Any] = Future()
@@ -47,24 +46,23 @@ _HERE = _Here()
 
 
 def _side(aside: bool) -> Executor:
-    """Return what runs the lower part: the second thread where there is enough to do for both, and one to be had."""
+    """Return the executor of the lower part: the second thread if it pays and is available, else the caller's."""
     return _helper() if aside and available() > 1 else _HERE
 
 
 class BandMatrix:
-    """Blocks of 3x3 by particle pairs and single particles.
+    """Band matrix of 3x3 blocks for particle pairs and single particles.
 
     Args:
-        places: block row of each particle, -1 for those that do not move, shape (n,).
+        places: block row of each particle, -1 for fixed ones, shape (n,).
         width: block half bandwidth.
-        pairs: particle pairs of each group of blocks that will be added, each of shape (m, 2); those that lie outside
-            the band are left out.
+        pairs: particle pairs of each group of blocks, each of shape (m, 2); pairs outside the band are ignored.
     """
 
     def __init__(self, places: _Index, width: int, pairs: list[_Index]) -> None:
         self._places, self.width = places, width
         self.count = int(places.max(initial=-1)) + 1
-        # Two ends only where both are longer than what they share.
+        # Two ends only if each is longer than the shared part.
         self._shared = width if self.count >= 4 * width else 0
         self._upper = (self.count - self._shared) // 2 if self._shared else self.count
         self._lower = self.count - self._shared - self._upper
@@ -75,13 +73,13 @@ class BandMatrix:
         self._made = False
 
     def _make(self) -> None:
-        """Make what the first factorisation needs: its cost is known before, from the size alone."""
+        """Allocate the arrays of the factorisation; its cost is known before, from the size alone."""
         last, places = self.count - 1, self._places
         above = places < self._upper + self._shared
         below = places >= self._upper
         self._maps = (np.where(above, places, -1), np.where(below, last - places, -1))
         self._chosen = [self._split(ends) for ends in self._pairs]
-        # What is shared is counted once, in the upper part.
+        # The upper part alone assembles the diagonal of the shared rows.
         self._owned = (self._maps[0], np.where(self._maps[1] < self._lower, self._maps[1], -1))
         upper, lower = (band.rows(own + self._shared, self.width) for own in (self._upper, self._lower))
         self._rows = upper, lower
@@ -89,7 +87,7 @@ class BandMatrix:
         self._made = True
 
     def _split(self, pairs: _Index) -> tuple[_Index, _Index]:
-        """Which pairs go to the upper and to the lower part."""
+        """Return the indices of the pairs of the upper and of the lower part."""
         ends = self._places[pairs]
         near = (np.abs(ends[:, 0] - ends[:, 1]) <= self.width) | (ends < 0).any(axis=1)
         near &= (ends >= 0).any(axis=1)
@@ -129,7 +127,7 @@ class BandMatrix:
         return band.factor(rows, (self._upper, self._lower)[part])
 
     def solve(self, right: Array) -> None:
-        """Replace ``right`` (3, n) by the solution; zero for particles that do not move."""
+        """Replace ``right`` (3, n) by the solution; zero for fixed particles."""
         moving = self._places >= 0
         y = np.zeros((self.count, 3))
         y[self._places[moving]] = right[:, moving].T

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What an integrator is."""
+"""Interface of integrators, result of an advance, and errors of integration."""
 
 from __future__ import annotations
 
@@ -16,28 +16,27 @@ from cloth_sim_ros.physics.state import State
 class UnstableError(RuntimeError):
     """The motion became non-finite, or no step was small enough for it."""
 
-    #: Force evaluations that were spent on finding out, where they are told.
+    #: Force evaluations of the failed attempt, if known.
     evaluations = 0
 
 
 class MissedError(UnstableError):
-    """The tolerance can't be held, and a result that misses it is not wanted."""
+    """The tolerance can't be held, and the caller rejects a result that misses it."""
 
 
-#: What may bind a step: `accuracy` (the tolerance), `stability` (the step limit), `frame` (a frame is one step
-#: already), `step` (the user's fixed step), `work` (the cap of a frame's work), `rest` (the sheet sleeps: there is
-#: none).
+#: Factors that may limit the step: `accuracy` (the tolerance), `stability` (the step limit), `frame` (one step covers
+#: the frame), `step` (the user's fixed step), `work` (the work limit of a frame), `rest` (the sheet sleeps: no step).
 BINDING = ("accuracy", "stability", "frame", "step", "work", "rest")
-#: Most work of a frame, where nothing else is asked for: in real time by the plan's estimated cost.
+#: Default work limit of a frame, as a multiple of real time by the plan's estimated cost.
 WORK_LIMIT = 10.0
-#: What positions are held within, where nothing else is asked for [m]: see `tolerance` of the scene.
+#: Default tolerance of positions [m]; see the scene's `tolerance`.
 TOLERANCE = 1e-3
 
 
 class Advance(NamedTuple):
-    """What an integrator did over one stretch of time."""
+    """Result of one advance: steps, force evaluations, error estimate and limiting factor."""
 
-    #: Steps of the runs that make up the result.
+    #: Total steps of the runs that make up the result.
     steps: int
     #: Force evaluations, those of rejected steps included.
     evaluations: int
@@ -45,27 +44,27 @@ class Advance(NamedTuple):
     step: float
     #: Largest step that is stable by the bounds at the start [s]; infinite for a method that is stable at any step.
     limit: float
-    #: Attempts thrown away: the motion stiffened while they ran, or their error was too large.
+    #: Rejected attempts: the motion stiffened during the attempt, or the error was too large.
     rejected: int = 0
     #: Name of the integrator that ran.
     integrator: str = ""
-    #: What bound the step, one of `BINDING`.
+    #: Factor that limited the step, one of `LIMITING_FACTORS`.
     binds: str = ""
-    #: Estimated largest particle position error [m] made over the stretch; None where no tolerance is set.
+    #: Estimated largest position error of a particle over the advance [m]; None without a tolerance.
     error: float | None = None
-    #: Times that the smallest step was accepted although its error was above the tolerance's share.
+    #: Number of steps that were accepted although their error exceeds the error budget.
     flagged: int = 0
-    #: The choice in words.
+    #: The choice of integrator and step, in words.
     reason: str = ""
 
 
 class Integrator(ABC):
-    """Advances a state over a stretch of time, in as many steps as it needs, ending exactly on its end."""
+    """Advances a state by a given duration, in as many steps as necessary; the last step ends exactly at its end."""
 
     name: str
     #: Order of the error in the step, damping and nonlinearity included.
     order: int
-    #: What it is for, in a line: damping and stiffness.
+    #: Intended use in one line: damping and stiffness.
     suits: str = ""
 
     @abstractmethod
@@ -76,8 +75,15 @@ class Integrator(ABC):
     def advance(self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None) -> Advance:
         """Advance ``state`` from time t [s] by duration [s].
 
-        Its arrays of positions and velocities are replaced, not written into: who holds them holds the state before.
-        What a controller remembers from one call to the next lies in ``state.memory``.
+        The arrays of positions and velocities are replaced, not overwritten, so references to the old ones stay valid.
+        Controllers keep their state between calls in ``state.memory``.
+
+        Args:
+            plan: equations of motion.
+            state: advanced in place.
+            t: time at the start [s].
+            duration: time to advance [s].
+            book: accumulates work and wrenches of the motion; None for none.
 
         Raises:
             UnstableError: if the motion does not stay finite.
@@ -85,7 +91,7 @@ class Integrator(ABC):
 
 
 def check_step(step: float | None) -> float | None:
-    """Return a fixed step as it is, None for none.
+    """Return a fixed step [s] unchanged, None for none.
 
     Raises:
         ValueError: if it is not finite and above 0.
@@ -96,18 +102,18 @@ def check_step(step: float | None) -> float | None:
 
 
 def check_work(work: float) -> float:
-    """Return a work limit as it is.
+    """Return a work limit (multiple of real time) unchanged.
 
     Raises:
         ValueError: if it is not finite and at least 0.
     """
     if not (math.isfinite(work) and work >= 0.0):
-        raise ValueError(f"work limit is {work}; it must be finite and at least 0, which is none")
+        raise ValueError(f"work limit is {work}; it must be finite and at least 0 (0: no limit)")
     return work
 
 
 def check_tolerance(tolerance: float | None) -> float | None:
-    """Return a tolerance as it is, None for none.
+    """Return a tolerance [m] unchanged, None for none.
 
     Raises:
         ValueError: if it is not finite and above 0.
@@ -122,25 +128,23 @@ class StepLimitError(UnstableError, ValueError):
 
 
 class NoRoomError(UnstableError, ValueError):
-    """The cloth is within an obstacle, or passes through itself or one: at the start, or as it was squeezed by what
-    moves.
-    """
+    """The cloth intersects itself or an obstacle, at the start or because moving bodies squeezed it."""
 
 
 def refuse_boundless(omega2: float, damping: float) -> None:
-    """Refuse a motion that no step follows.
+    """Refuse a motion without a stable step.
 
     Args:
         omega2: bound of the squared frequency [1/s^2].
         damping: bound of the damping rate [1/s].
 
     Raises:
-        UnstableError: if a bound, or the square of the second, is beyond all numbers.
+        UnstableError: if a bound, or the square of the damping rate, is not finite.
     """
     if not omega2 + damping * damping < math.inf:
         raise UnstableError(
             f"no step is short enough: the highest frequency is bounded by {math.sqrt(omega2):.3g} 1/s, the damping "
-            f"rate by {damping:.3g} 1/s; take less stiffness, damping or drag, or larger masses"
+            f"rate by {damping:.3g} 1/s; reduce stiffness, damping or drag, or increase masses"
         )
 
 
@@ -153,5 +157,5 @@ def refuse_unstable(step: float, limit: float, name: str) -> None:
     if step > limit:
         raise StepLimitError(
             f"step {step} s is above the stability limit {limit:.6g} s of '{name}'; "
-            "take a smaller step, or 0 to let it choose"
+            "set a smaller step, or 0 for automatic steps"
         )

@@ -1,11 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Extrapolation: one stretch of time run with several step counts, and the combinations that cancel their leading
-errors.
+"""Extrapolation tableau: leapfrog runs with several step counts, and their combinations.
 
-The predicted midpoint velocity makes the leapfrog's error a series in h^2, h^3, h^4, ... (without damping in h^2,
-h^4, ...; docs/time_stepping.md). K columns with step counts n_1 < ... < n_K are combined with the weights w that solve
-``sum w = 1, sum w n^-p = 0`` for p = 2, ..., K: the combination T_K has order K + 1.
+The predicted midpoint velocity makes the leapfrog's error a series in h^2, h^3, h^4, ... Without damping it is a series
+in h^2, h^4, ... (docs/time_stepping.md). K runs with step counts n_1 < ... < n_K are combined with weights w that
+solve ``sum w = 1`` and ``sum w n^-p = 0``, p = 2 to K. The combination T_K has order K + 1.
 """
 
 from __future__ import annotations
@@ -26,17 +25,21 @@ from cloth_sim_ros.physics.powers import in_order
 from cloth_sim_ros.physics.runs import Run, Told
 from cloth_sim_ros.physics.state import State
 
-#: Step counts of the columns, relative to the first. Wider ones cost more, narrower ones amplify rounding and what
-#: high modes do: the sums of |w| of the first 1 to 5 columns are 1, 4.6, 17.7, 32 and 70.
+#: Step counts of the runs, relative to the first. Wider ratios cost more; closer ones amplify rounding and high modes:
+#: the sums of |w| for 1 to 5 runs are 1, 4.6, 17.7, 32 and 70.
 RATIOS = (1.0, 1.25, 1.5, 2.0, 2.5)
-#: What the first 0, 1, 2, ... of them take together.
+#: Sums of the first 0, 1, 2, ... ratios.
 SUMS = tuple(sum(RATIOS[:columns]) for columns in range(len(RATIOS) + 1))
 
 
 @lru_cache(maxsize=256)
 def step_counts(first: int, columns: int, every: int = 1) -> tuple[int, ...]:
-    """Return the columns' step counts for a first column of so many steps; each is larger than the one before, and a
-    multiple of `every`, as the first is.
+    """Return the step counts of the runs, strictly increasing multiples of the multirate ratio.
+
+    Args:
+        first: step count of the first run.
+        columns: number of runs.
+        every: multirate ratio.
     """
     counts = [first // every]
     for ratio in RATIOS[1:columns]:
@@ -46,61 +49,61 @@ def step_counts(first: int, columns: int, every: int = 1) -> tuple[int, ...]:
 
 @lru_cache(maxsize=16)
 def amplification(columns: int) -> float:
-    """Return by how much a combination of so many columns amplifies rounding: the sum of |w|."""
-    # Twenty steps are the fewest whose counts keep the ratios.
+    """Return the amplification of rounding by a combination of some runs: the sum of |w|."""
+    # Twenty is the smallest first count whose step counts have exactly the ratios.
     return in_order(abs(weight) for weight in weights(step_counts(20, columns)))
 
 
 @lru_cache(maxsize=1024)
 def weights(counts: tuple[int, ...]) -> tuple[float, ...]:
-    """Return the weights of T_K for K columns of these step counts n: exact ratios of whole numbers, rounded once.
+    """Return the weights of T_K for K runs of step counts n: exact ratios of integers, rounded once.
 
-    Divided differences of 1, n, ..., n^(K - 2) vanish, and that of n^K is the sum of the n. So the weights that solve
-    ``sum w = 1, sum w n^-p = 0`` are ``w_i = n_i^K / (sum of n * product of n_i - n_j over the others)``.
+    Divided differences of 1, n, ..., n^(K - 2) vanish, and that of n^K is the sum of the n. Therefore the weights are
+    ``w_i = n_i^K / (sum of n * product of n_i - n_j over j != i)``.
     """
     size, total = len(counts), sum(counts)
     return tuple(n**size / (total * math.prod(n - other for other in counts if other != n)) for n in counts)
 
 
 def larger_rates(*rates: tuple[float, float]) -> tuple[float, float]:
-    """Return the largest squared frequency and the largest damping rate of some pairs of both."""
+    """Return the largest squared frequency [1/s^2] and the largest damping rate [1/s] of some pairs."""
     if rates.count(rates[0]) == len(rates):
         return rates[0]
     return max(omega2 for omega2, _ in rates), max(damping for _, damping in rates)
 
 
 class Ran(NamedTuple):
-    """A single run that was made already, and from what."""
+    """A single run that already exists, with its request."""
 
     #: Positions at the start, time [s] and length [s].
     x: Array
     t: float
     duration: float
-    #: Number of steps, whether it calculated in single precision, and how often it asked for hinges.
+    #: Number of steps, True for single precision, and the multirate ratio.
     steps: int
     narrow: bool
     every: int
-    #: What the plan returned for it.
+    #: Return value of `Plan.runs` for it.
     made: tuple[list[Run], tuple[Array, Array, Told] | None]
 
 
 class Columns:
-    """The runs of one stretch of time, made as they are asked for.
+    """Leapfrog runs over one interval and their combinations T_K; runs are computed on demand.
 
     Args:
         plan: equations of motion.
         start: state at the start; it is not changed.
         t: time at the start [s].
-        duration: length of the stretch [s].
-        counts: step counts of the columns that may be asked for.
-        powers: whether runs note what damping takes and wind gives.
-        touches: whether they note what obstacles do.
-        narrow: whether they calculate in single precision.
+        duration: length of the interval [s].
+        counts: step counts of the available runs.
+        powers: runs record the work of damping and wind.
+        touches: runs record the work of obstacles.
+        narrow: runs use single precision.
         omega: highest angular frequency [1/s], see `difference`.
-        touched: the same where contact is [1/s]: one over the time for which what it throws off is looked ahead.
-        ran: a run that is there, which is taken where it is the one that is missing.
-        every: steps for which hinges are asked for once.
-        likely: how many runs are likely to be asked for: no bit depends on it.
+        touched: the same with contact [1/s]: the inverse of the time over which a rebounding particle is followed.
+        ran: an existing run, used if it equals the requested one.
+        every: multirate ratio.
+        likely: expected number of runs, for prefetching; results do not depend on it.
     """
 
     def __init__(
@@ -126,7 +129,7 @@ class Columns:
         self.narrow, self.every = narrow, every
         self._omega, self._touched, self._ran = omega, touched, ran
         self._likely = likely
-        #: Force evaluations of the runs that were asked for, and how many these are. More may be there.
+        #: Force evaluations of the requested runs, and their number. Prefetched runs are not included.
         self.evaluations, self._asked = 0, 0
         self._runs: list[Run] = []
         self._combined: dict[int, tuple[Array, Array]] = {}
@@ -134,7 +137,7 @@ class Columns:
         self._met: dict[int, tuple[float, float, tuple[float, float]]] = {}
 
     def combine(self, columns: int) -> tuple[Array, Array]:
-        """Return positions and velocities of T_K, K = columns."""
+        """Return positions [m] and velocities [m/s] of T_K, K = n_runs, each of shape (3, n)."""
         known = self._combined.get(columns)
         if known is None:
             self._make(columns)
@@ -146,7 +149,7 @@ class Columns:
         return known
 
     def told(self, columns: int) -> Told:
-        """Return how lively T_K, K = columns, is, and the bounds at its end."""
+        """Return the summary of T_K, K = n_runs: activity, spectral bounds and contact at its end."""
         told = self._told.get(columns)
         if told is None:
             x, v = self.combine(columns)
@@ -169,11 +172,11 @@ class Columns:
         return told
 
     def difference(self, columns: int) -> float:
-        """Return how far T_(K+1) is from T_K, K = columns [m]: the error of T_K.
+        """Return the distance of T_(K+1) from T_K, K = n_runs [m]: the error estimate of T_K.
 
-        That is the largest distance of a particle's positions, or of its velocities over the highest angular frequency:
-        the error of a wave that swings may lie in its velocity alone when it is looked at. What contact throws off
-        flies on with the error of its velocity.
+        It is the largest distance of a particle's positions, or of its velocities over the highest angular frequency.
+        The error of an oscillation may be in its velocity alone. After contact a particle keeps its velocity error;
+        then the velocities are divided by the lower frequency of contact.
         """
         (x, v), (y, w) = self.combine(columns + 1), self.combine(columns)
         omega = self._touched if self.held(columns + 1) else self._omega
@@ -181,7 +184,7 @@ class Columns:
         return max(largest_distance(x, y), largest_distance(v, w) / omega, of_pads)
 
     def pads(self, columns: int) -> Array | None:
-        """Return where pads are at the end of T_K, K = columns; None where no gripper pinches."""
+        """Return the jaw states at the end of T_K, K = n_runs; None without parallel grippers."""
         contact = self._plan.contact
         if contact is None or not contact.force.pads:
             return None
@@ -189,7 +192,7 @@ class Columns:
         return contact.combined_pads(self._runs[:columns], weights(self.counts[:columns]))
 
     def _difference_of_pads(self, columns: int) -> float:
-        """Return the same of half the ways between pads and their rates."""
+        """Return the difference of half openings [m], or of their rates over the frequency of contact."""
         finer, here = self.pads(columns + 1), self.pads(columns)
         if finer is None or here is None:
             return 0.0
@@ -197,24 +200,23 @@ class Columns:
         return max(float(away[:, 0].max()), float(away[:, 1].max()) / self._touched)
 
     def reached(self, columns: int) -> float:
-        """Return the energy per mass that contact had to take up in the runs of T_K, or would have had to, had they
-        gone on as they came in; in U^2/2.
+        """Return the energy per mass, in U^2/2, that contact had to absorb in the runs of T_K.
+
+        For an approach that the runs did not complete, it is the energy that contact would have had to absorb.
         """
         return self._touched_in(columns)[0]
 
     def own(self, columns: int) -> tuple[float, float]:
-        """Return squared frequency [1/s^2] and damping rate [1/s] at which the cloth's contact with itself had to be
-        followed in the runs of T_K, K = columns.
-        """
+        """Return squared frequency [1/s^2] and damping rate [1/s] of self-contact in the runs of T_K, K = n_runs."""
         return self._touched_in(columns)[2]
 
     def held(self, columns: int) -> float:
-        """Return the largest energy per mass that contact held in the runs of T_K, K = columns, in U^2/2."""
+        """Return the largest contact energy per mass in the runs of T_K, K = n_runs, in U^2/2."""
         contact = self._plan.contact
         return 0.0 if contact is None else contact.held(self._touched_in(columns)[1])
 
     def _touched_in(self, columns: int) -> tuple[float, float, tuple[float, float]]:
-        """Return what the runs of T_K met, see `Run.met`: asked for again and again, and read once."""
+        """Return the contact summary of the runs of T_K, see `Run.contact_summary`; cached."""
         if self._plan.contact is None:
             return 0.0, math.inf, (0.0, 0.0)
         met = self._met.get(columns)
@@ -225,7 +227,7 @@ class Columns:
         return met
 
     def pass_on(self, columns: int, state: State) -> None:
-        """Let a state end as T_K, K = columns, does: its positions, velocities, pads and friction's anchors."""
+        """Write the end of T_K, K = n_runs, into a state: positions, velocities, jaws and friction anchors."""
         state.x, state.v = self.combine(columns)
         contact = self._plan.contact
         if contact is None:
@@ -234,21 +236,22 @@ class Columns:
         contact.pass_on(state, self._t + self.duration, self._runs[:columns], weights(self.counts[:columns]))
 
     def work(self, columns: int) -> float:
-        """Return the work [J] that grippers did over T_K, K = columns; obstacles, air and contacts that regain their
-        thickness too where these are noted.
+        """Return the external work [J] over T_K, K = n_runs.
+
+        It is the work of grippers, and, if recorded, of obstacles, moving air and growing contact thickness.
         """
         book = Book(self._plan.gripper_count, powers=self._powers, obstacle_count=self._plan.obstacle_count)
         self.note(columns, book)
         return book.work + book.given + book.recovered
 
     def note(self, columns: int, book: Book) -> None:
-        """Note T_K, K = columns: what was noted along the runs is extrapolated as the state is."""
+        """Accumulate T_K, K = n_runs; integrals along the runs are extrapolated with the weights of the state."""
         self._make(columns)
         runs, counts = self._runs[:columns], self.counts[:columns]
         note_runs(book, self._plan, self._start, self._t, self.duration, runs, counts, weights(counts))
 
     def _make(self, columns: int) -> None:
-        """Make the runs that are missing; all at once, and combined, where none is there yet."""
+        """Compute the missing runs; if there is none yet, the engine combines them in the same call."""
         if columns > self._asked:
             self.evaluations += sum(self.counts[self._asked : columns]) + columns - self._asked
             self._asked = columns
@@ -265,13 +268,14 @@ class Columns:
             self._combined[columns] = x, v
 
     def _run(self, made: int, columns: int) -> tuple[list[Run], tuple[Array, Array, Told] | None]:
-        """Make runs from one on, and those that are likely to be asked for next where another thread can take them
-        meanwhile: of what nobody asks for nothing is seen, nor counted.
+        """Compute runs, and prefetch the runs that are expected next if a second thread is idle.
+
+        A prefetched run changes neither results nor counts before it is requested.
         """
         plan, steps = self._plan, self.counts[made:columns]
         ahead = self._likely
         if made and plan.threads(self.every) == 1:
-            # Where an error is too large it often takes the next two runs to tell what would do.
+            # If the error is too large, the next two runs are often necessary for the next choice.
             ahead = columns + 1
         more = self.counts[made : max(columns, ahead)]
         abreast = plan.abreast(len(more), sum(more), self.every) if len(more) > 1 else 1
@@ -289,7 +293,7 @@ class Columns:
         )
 
     def _made(self, steps: tuple[int, ...]) -> tuple[list[Run], tuple[Array, Array, Told] | None] | None:
-        """What was returned for the run that is there, where it is the one of these steps."""
+        """Return the result of the precomputed run if it equals the request, else None."""
         ran = self._ran
         if ran is None or steps != (ran.steps,) or ran.x is not self._start.x:
             return None

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Equal steps within the stability limit: the loop that the explicit integrators without error control share."""
+"""Advance by equal steps within the stability limit, without error control."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from cloth_sim_ros.physics.integrators.base import Advance, Integrator, NoRoomEr
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
 
-#: How often an advance is repeated with a smaller step before it is given up.
+#: Maximum number of attempts of an advance, each with a smaller step.
 ATTEMPTS = 12
 
 
 def steps_for(duration: float, step: float) -> int:
-    """Return the least number of equal steps of at most ``step`` that make the duration, up to rounding."""
+    """Return the smallest number of equal steps of at most ``step`` [s] that cover a duration [s], up to rounding."""
     return max(1, math.ceil(duration / step * (1.0 - 1e-12)))
 
 
@@ -34,18 +34,19 @@ def advance_fixed(
     step: float | None,
     book: Book | None,
 ) -> Advance:
-    """Run an explicit method with equal steps; without a given step take a safe part of its limit, less if the motion
-    stiffens.
+    """Run an explicit method with equal steps.
+
+    Without a given step it takes a safe fraction of the step limit, and a smaller one if the motion stiffens.
 
     Args:
-        integrator: gives the limit and the name.
-        run: advances the state by so many steps of h; returns its force evaluations.
+        integrator: defines step limit and name.
+        run: called with step size h [s] and number of steps; advances the state, returns its force evaluations.
         plan: equations of motion.
         state: advanced in place.
         t: time at the start [s].
         duration: time to advance [s].
         step: the user's largest step [s], or None.
-        book: begun anew with every attempt.
+        book: work accumulator, reset before every attempt; None for none.
 
     Raises:
         ValueError: if the given step is above the limit.
@@ -53,7 +54,7 @@ def advance_fixed(
     """
 
     def limit_at(now: float, ahead: float) -> float:
-        """The step limit now [s], with contact that comes within so many seconds."""
+        """Step limit at a time [s], including contact predicted over a duration [s]."""
         if plan.contact is not None:
             plan.contact.take(state)
         omega2, damping = plan.rates(state.x)
@@ -89,8 +90,8 @@ def advance_fixed(
         rejected += 1
         if rejected == ATTEMPTS:
             raise UnstableError(
-                f"no step down to {h:.3g} s kept the motion within its stability limit; take less stiffness "
-                "or damping, or integrator auto"
+                f"no step down to {h:.3g} s kept the motion within its stability limit; reduce stiffness "
+                "or damping, or set integrator auto"
             )
     binds = "step" if step is not None else ("frame" if steps == 1 else "stability")
     why = (

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""An implicit method for stiff sheets and stiff damping."""
+"""Implicit Runge-Kutta method for stiff sheets and stiff damping."""
 
 from __future__ import annotations
 
@@ -23,21 +23,23 @@ class Implicit(Integrator):
     """Two-stage singly diagonally implicit Runge-Kutta (Alexander, SIAM J. Numer. Anal. 14, 1977), gamma = 1 -
     1/sqrt(2).
 
-    Stages at t + gamma h and t + h, the second being the new state: stiffly accurate. Order 2, L-stable, and
-    algebraically stable, so that no step makes energy from nowhere. Each stage solves ``M (v - V) = d f(t, X + d v,
-    v)``, d = gamma h, by Newton's iteration with a matrix M + d^2 K + d D that is assembled from the forces and
-    factorised anew each time: stiff springs that turn by a thousandth make an old one useless. Compression's negative
-    stiffness is left out of the matrix, not of the force.
+    The stages are at t + gamma h and t + h; the second one is the new state (stiffly accurate). The method has order 2,
+    is L-stable and algebraically stable, therefore no step creates energy.
 
-    The error of a step is estimated as ``0.0404 h^2 |v2' - v1'| / (1 - gamma)``: the leading error of the method with
-    x''' from the stages' accelerations. In-plane waves that the step does not resolve are damped out, not followed.
+    Each stage solves ``M (v - V) = d f(t, X + d v, v)``, d = gamma h, by Newton's iteration. Its matrix
+    ``M + d^2 K + d D`` is assembled and factorised in every iteration: stiff springs that turn by a thousandth make an
+    old one useless.
+    The negative stiffness of compressed springs is omitted in the matrix, but not in the force.
 
-    Order 2. Two to six force evaluations and factorisations a step. Any stiffness, any damping.
+    The error estimate of a step is ``0.0404 h^2 |v2' - v1'| / (1 - gamma)``, the leading error of the method. The
+    stages' accelerations give its x'''. In-plane waves that the step does not resolve are damped.
+
+    Two to six force evaluations and factorisations per step. Any stiffness, any damping.
 
     Args:
-        step: fixed largest step [s].
-        tolerance: of positions [m], see docs/time_stepping.md. Without either a frame is one step.
-        work: most work of a frame, in real time by the estimated cost; 0 for no limit.
+        step: largest fixed step [s].
+        tolerance: of positions [m], see docs/time_stepping.md. Without step and tolerance a frame is one step.
+        work: work limit of a frame, as a multiple of real time by the estimated cost; 0 for no limit.
 
     Raises:
         ValueError: if one of them is not positive, or both are set.
@@ -69,13 +71,20 @@ class Implicit(Integrator):
         strict: bool = False,
         most: float = math.inf,
     ) -> Advance:
-        """Advance a state; where it is `strict`, no further than a step that would be flagged.
+        """Advance a state, see `Integrator.advance`.
 
-        ``most`` is what eight or more fixed steps may take, in force evaluations. What Newton's iteration would take
-        beyond it is left out: such a step is taken by descent, which has a result in any case, and is flagged.
+        Args:
+            plan: equations of motion.
+            state: advanced in place.
+            t: time at the start [s].
+            duration: time to advance [s].
+            book: accumulates work and wrenches of the motion; None for none.
+            strict: raise instead of taking a step that would be flagged.
+            most: limit of force evaluations for eight or more fixed steps. Newton's iteration stops there, and a
+                descent finishes the step; it always has a result, and the step is flagged.
 
         Raises:
-            MissedError: where it is strict, with contact, and a step has no solution that can be found.
+            ToleranceMissedError: if strict, with contact, and no solution of a step is found.
         """
         from cloth_sim_ros.physics.integrators.implicit_run import ImplicitAdvance
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What grippers, obstacles, moving air and growing contacts do over a step of the implicit method."""
+"""External work over a step of the implicit method: grippers, obstacles, air, contact recovery."""
 
 from __future__ import annotations
 
@@ -15,25 +15,34 @@ from cloth_sim_ros.physics.powers import in_order
 
 @attrs.frozen
 class Step:
-    """One step: positions and velocities at its end, its last acceleration, and its estimated error [m]."""
+    """One step: positions [m] and velocities [m/s] at its end, last acceleration [m/s^2], error estimate [m]."""
 
     x: Array
     v: Array
     a: Array
     error: float
-    #: Times, weights, positions and velocities of the points at which its forces act.
+    #: Times [s], weights [s], positions and velocities of the points at which its forces act.
     stages: tuple[tuple[float, float, Array, Array], ...]
-    #: Whether contact acts by the force of the last of these alone, all the way that obstacles go and contacts grow.
+    #: True if the contact force of the last point acts during the whole step, while obstacles move and contacts grow.
     whole: bool = False
 
 
 def pushed(plan: Plan, t: float, h: float, done: Step) -> Array:
-    """Return what obstacles did over a step of a length h [s] from time t on that moves by their force at its end, as
-    `Touching.rates` has rates.
+    """Return impulse and work of obstacles over a step whose contact force is that at its end.
 
-    Implicit Euler's impulse is h f. The work is f'w, w being the way of the obstacle: contact's energy, convex as it
-    is, grows by at most f'(w - h u), and the kinetic energy by at most h f'u. So no energy comes from nowhere, however
-    far w is. Forces on the way would be those of gaps that no step has followed, without limit.
+    The impulse of the implicit Euler method is h f, and the work is f'w with the displacement w of the obstacle. The
+    contact energy is convex; it grows by at most f'(w - h u), and the kinetic energy by at most h f'u. Therefore the
+    step creates no energy for any w. Forces inside the step would belong to gaps that no step has resolved; they are
+    unbounded.
+
+    Args:
+        plan: equations of motion.
+        t: time at the start of the step [s].
+        h: its length [s].
+        done: the step.
+
+    Returns:
+        Rows as of `ContactBinding.wrench_rates`.
     """
     contact = plan.contact
     assert contact is not None
@@ -46,17 +55,18 @@ def pushed(plan: Plan, t: float, h: float, done: Step) -> Array:
 
 
 def recovered(plan: Plan, h: float, done: Step) -> float:
-    """Return what contacts that regain their thickness did over such a step [J].
+    """Return the work of contacts that regain their thickness over such a step [J].
 
-    It is the power at its end, all the time: contact's energy d_i^2 b(g / d_i) is convex in gap and thickness together,
-    because 2 b b'' > b'^2, so that this is no less than what a growing thickness adds; see `pushed`.
+    It is the power at the end of the step times its length. The contact energy d_i^2 b(g / d_i) is convex in gap and
+    thickness together, because 2 b b'' > b'^2. Therefore this is an upper bound of the added energy, see
+    `obstacle_work_rates`.
     """
     moment, _, x, v = done.stages[-1]
     return 0.0 if plan.contact is None else h * plan.contact.recovering(moment, x, v)
 
 
 def work(plan: Plan, t: float, h: float, done: Step) -> float:
-    """Return the work of grippers, obstacles, moving air and growing contacts over a step [J], as a book notes it."""
+    """Return the work of grippers, obstacles, moving air and growing contacts over a step [J]; see `accumulate`."""
     total = 0.0
     for moment, weight, x, v in done.stages:
         total += weight * plan.supply(moment, x, v)
@@ -71,7 +81,7 @@ def work(plan: Plan, t: float, h: float, done: Step) -> float:
 
 
 def note(book: books.Book, plan: Plan, t: float, h: float, done: Step) -> None:
-    """Note a step of a length h [s] that began at time t."""
+    """Accumulate a step of length h [s] that starts at time t [s]."""
     for moment, weight, x, v in done.stages:
         books.note(book, plan, moment, x, v, weight, touches=not done.whole)
     if done.whole and book.obstacle_count:

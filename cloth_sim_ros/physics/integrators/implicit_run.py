@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One advance of the implicit method, attempted until its stages converge and its error is small enough."""
+"""One advance of the implicit method: Newton's iteration, step size control, descent steps."""
 
 from __future__ import annotations
 
@@ -26,41 +26,41 @@ from cloth_sim_ros.physics.state import State
 
 #: The diagonal coefficient of Alexander's two-stage method: 1 - 1/sqrt(2).
 GAMMA = 1.0 - math.sqrt(0.5)
-#: The predicted next correction has to be this much smaller still: the prediction is one of order of magnitude.
+#: Safety margin of the predicted next correction, because the prediction has the right order of magnitude only.
 _MARGIN = 0.1
-#: Part of a step's budget at which its iteration ends.
+#: Fraction of a step's error budget at which its iteration ends.
 _CONVERGED = 0.2
-#: Part of a correction that the next one may be from `_SLOW_FROM` on.
+#: Largest ratio of successive corrections from iteration `_SLOW_FROM` on.
 _SLOW = 0.5
-#: Iterations before corrections are shortened where a whole one overshoots, and the least part of one that is tried.
+#: Iterations with full corrections before the line search begins, and the smallest fraction that it tries.
 _PATIENCE, _LEAST_SHARE = 4, 1e-3
-#: Attempts after which an advance is given up.
+#: Maximum number of attempts of an advance.
 _ATTEMPTS = 12
-#: Steps of an advance from which one that has no result is neither tried again nor halved: 8 us in a frame of 60 Hz,
-#: in which an obstacle comes nearer by a millimetre at 120 m/s.
+#: Maximum number of steps of an advance. Steps that fail at this number are neither repeated nor halved: they are 8 us
+#: long in a frame of 60 Hz, in which an obstacle at 120 m/s moves by a millimetre.
 _MOST_STEPS = 2048
-#: Without a tolerance: that distance [m].
+#: Size of the last correction without a tolerance [m].
 CONVERGED_DISTANCE = 1e-9
-#: Iterations of an advance, until one was run: two stages of five.
+#: Expected iterations of the first advance: two stages of five.
 EXPECTED_ITERATIONS = 10
-#: Most relative growth of a contact in a step: by more, corrections below the tolerance may leave the cloth
-#: where contact holds any energy.
+#: Largest relative growth of a contact thickness in a step. Beyond it corrections below the tolerance may correspond
+#: to an arbitrary contact energy.
 _GROWTH = 0.1
-#: A stage that takes more iterations is given up, and the step made smaller.
+#: Maximum number of iterations of a stage; beyond it the step becomes smaller.
 MOST_ITERATIONS = 30
-#: So is one whose corrections shrink slowly from this iteration on: compression's negative stiffness,
-#: which the matrix leaves out, makes the iteration converge linearly at best.
+#: From this iteration on, slow convergence ends a stage too. The matrix omits the negative stiffness of compressed
+#: springs, so the iteration may converge linearly or not at all.
 _SLOW_FROM = 6
-#: Iterations of a last resort: eight of them take all but a few thousandths of what can be lowered.
+#: Iterations of a descent step: eight of them leave a few thousandths of the possible decrease.
 _LAST_ITERATIONS = 8
-#: Energy that a step may make, relative to what it moves: the error of a good one is of either sign.
+#: Energy that a step may create, relative to the energy that it moves: the error of a good step has either sign.
 _GAIN = 1e-4
 #: Rounding of a sum of energies, relative to it.
 _ROUNDING = 1e-12
 
 
 class Options(Protocol):
-    """What is asked of the method, see `Implicit`."""
+    """Settings of the implicit method, see `Implicit`."""
 
     name: str
     step: float | None
@@ -69,7 +69,7 @@ class Options(Protocol):
 
 
 class ImplicitAdvance:
-    """Advances a state by one duration; made anew for each."""
+    """One advance of a state by a duration."""
 
     def __init__(
         self,
@@ -90,18 +90,23 @@ class ImplicitAdvance:
         self._memory = Memory.of(state)
         self._matrix = stage_matrix(plan.model)
         self._evaluations, self._strict = 0, strict
-        #: Force evaluations of a safe advance, and of what is kept for the last resorts of the steps that are left.
+        #: Limit of force evaluations of an advance by safe steps, and the reserve for descents in its remaining steps.
         self._allowed, self._kept = most, 0
         self._most = math.inf
         if integrator.work and integrator.step is None:
             self._most = integrator.work * duration * 1e9 / iteration_cost(plan.model)
-        #: By how much obstacles are later than time says where velocities are sought [s].
+        #: Time offset of obstacles while a descent computes velocities [s].
         self._ahead = 0.0
-        #: Whether nothing finer is tried any more.
+        #: True once the work limit allows no finer steps.
         self._spent = False
 
     def run(self) -> Advance:
-        """Do it."""
+        """Advance the state and return the result.
+
+        Raises:
+            UnstableError: if the motion does not stay finite.
+            ToleranceMissedError: if strict, with contact, and no solution of a step is found.
+        """
         state, memory, integrator = self._state, self._memory, self._integrator
         least = 1 if integrator.step is None else steps_for(self._duration, integrator.step)
         contact = self._plan.contact
@@ -113,7 +118,7 @@ class ImplicitAdvance:
         while True:
             if self._book is not None:
                 self._book.restart()
-            # What has no solution within reach has none for smaller steps either, down to those of an explicit method.
+            # If no solution is found at this step size, smaller steps find none either, down to explicit step sizes.
             self._safe = steps >= CONSTANTS.last_steps
             before = self._evaluations
             error = self._steps(steps)
@@ -153,7 +158,7 @@ class ImplicitAdvance:
 
     @property
     def _divides(self) -> bool:
-        """Whether a step that has no result is taken in halves."""
+        """True if a step without a result is repeated as two halves."""
         return self._safe and self._plan.contact is not None
 
     def _binds(self, steps: int, least: int) -> str:
@@ -162,13 +167,13 @@ class ImplicitAdvance:
         return "work" if self._spent else ("frame" if steps == least else "accuracy")
 
     def _steps_next(self, steps: int, least: int, error: float) -> int:
-        """Steps for the next advance, after one with so many: half as many at least."""
+        """Return the number of steps of the next advance: at least half of the present one."""
         if self._integrator.tolerance is None:
             return max(least, steps // 2)
         if self._unsolved:
             return steps
         wanted = math.ceil(steps * math.sqrt(max(error, 1e-30) / (CONSTANTS.aim * self._budget)))
-        # What no step can hold is not remembered: the motion may be calm again in the next frame.
+        # A violent frame does not increase the number of steps of the next one, which may be quiet.
         return max(1, steps // 2, min(wanted, steps) if self._spent else wanted)
 
     def _reason(self, h: float, steps: int) -> str:
@@ -180,7 +185,7 @@ class ImplicitAdvance:
         return f"implicit: order 2, step {h:.3g} s set by the tolerance {tolerance:g} m"
 
     def _steps(self, steps: int) -> float | None:
-        """Take equal steps; return the sum of their errors, or None if a stage did not converge."""
+        """Take equal steps; return the sum of their errors [m], or None if a step has no result."""
         h = self._duration / steps
         self._close = _CONVERGED * self._budget / steps if math.isfinite(self._budget) else CONVERGED_DISTANCE
         self._curvature, self._unsolved, self._taken, self._finest = math.inf, 0, 0, h
@@ -199,8 +204,10 @@ class ImplicitAdvance:
         return total
 
     def _cover(self, t: float, h: float, guess: Array) -> tuple[float, Array] | None:
-        """Take a step, with obstacles in two halves where it has no result; return its error [m] and its last
-        acceleration, None where none of the smallest has one.
+        """Take a step; with contact, repeat it as two halves if it has no result.
+
+        Returns:
+            Its error [m] and its last acceleration [m/s^2]; None if even the smallest step has no result.
         """
         state, contact = self._state, self._plan.contact
         if contact is not None:
@@ -208,15 +215,15 @@ class ImplicitAdvance:
         done, unsolved = self._step(t, h, guess), 0
         if self._safe and (done is None or self._makes_energy(t, h, done)):
             if self._strict and self._divides:
-                # Such a step flags the frame, or has no result and is halved: explicit steps do instead.
+                # Such a step would flag the frame, or be halved. Explicit steps replace it.
                 raise self._given_up(MissedError(f"implicit: a step of {h:.3g} s has no solution that can be found"))
-            # Better unsolved than unstable.
+            # A descent step is inaccurate, but stable.
             unsolved = 1
             done = self._safe_step(t, h, guess)
         if done is None or not (np.isfinite(done.x).all() and np.isfinite(done.v).all()):
             if not self._divides or h * _MOST_STEPS < 1.5 * self._duration:
                 return None
-            # Where an obstacle went further than the cloth had room, half the way may leave it some.
+            # If an obstacle moved too far for the cloth to evade, half its displacement may be small enough.
             half = 0.5 * h
             first = self._cover(t, half, guess)
             second = None if first is None else self._cover(t + half, half, first[1])
@@ -231,13 +238,13 @@ class ImplicitAdvance:
         return done.error, done.a
 
     def _step(self, t: float, h: float, guess: Array) -> Step | None:
-        """Take one step of the method; None if a stage does not converge."""
+        """Return one step of the Runge-Kutta method; None if a stage does not converge."""
         x, v, d = self._state.x, self._state.v, GAMMA * h
         first = self._stage(t + d, x, v, d, guess)
         if first is None:
             return None
         k1x, k1v = first
-        # The second stage starts from where the first one's slopes lead.
+        # The second stage starts from the end of the first one's slopes.
         base_x, base_v = x + (h - d) * k1x, v + (h - d) * k1v
         second = self._stage(t + h, base_x, base_v, d, k1v)
         if second is None:
@@ -251,29 +258,31 @@ class ImplicitAdvance:
         return Step(end, base_v + d * k2v, k2v, error, stages)
 
     def _safe_step(self, t: float, h: float, guess: Array) -> Step | None:
-        """Take a step by the implicit Euler method that lowers what it minimises, and makes no energy; None where an
-        obstacle goes through the cloth, wherever that goes.
+        """Return an implicit Euler step that decreases its objective and creates no energy.
+
+        Returns:
+            The step; None if an obstacle intersects the cloth for every result.
         """
         x, v = self._state.x, self._state.v
-        # With grippers where they are halfway: pulled from where they end, it would gain more than they put in.
+        # Grippers are at their middle position: with the end position the cloth would gain more than their work.
         u = self._descend(t + 0.5 * h, x, v, h, guess)
         end = x + h * u
         if self._crosses(t, h, end):
             return None
         error = 0.5 * h * _largest(u - (v + h * guess))
-        # Simpson's rule along the straight way that it goes: a gripper may turn back within such a step.
+        # Simpson's rule along the straight path of the step: a gripper may reverse within it.
         sixth = h / 6.0
         stages = ((t, sixth, x, u), (t + 0.5 * h, 4.0 * sixth, x + 0.5 * h * u, u), (t + h, sixth, end, u))
         moved = Step(end, u, (u - v) / h, error, stages, whole=self._plan.contact is not None)
         gain, kinetic = self._gain(t, h, moved)
         if gain > 0.0:
-            # What was minimised leaves no more potential energy than there was energy: slower is enough.
+            # The minimisation bounds the potential energy by the total energy before: a lower speed suffices.
             slower = math.sqrt(max(0.0, 1.0 - gain / kinetic)) if kinetic > 0.0 else 0.0
             moved = attrs.evolve(moved, v=slower * u, a=(slower * u - v) / h)
         return moved
 
     def _crosses(self, t: float, h: float, end: Array) -> bool:
-        """Whether a step would take anything through anything, or so near to it that no further step is sure not to."""
+        """True if a step causes an intersection, or ends too close for a later step to exclude one."""
         contact = self._plan.contact
         if contact is None:
             return False
@@ -284,14 +293,14 @@ class ImplicitAdvance:
         return not gain <= _GAIN * (kinetic + abs(work(self._plan, t, h, done)))
 
     def _gain(self, t: float, h: float, done: Step) -> tuple[float, float]:
-        """Energy after a step less what there was and what grippers and air put in, and the kinetic energy then [J]."""
+        """Return the energy that a step created, external work subtracted, and the kinetic energy at its end [J]."""
         before = self._plan.energy(t, self._state.x, self._state.v)
         after = self._plan.energy(t + h, done.x, done.v)
         kinetic = self._plan.energies(t + h, done.x, done.v)[0]
         return after - before - work(self._plan, t, h, done) - _ROUNDING * abs(before), kinetic
 
     def _stage(self, t: float, x: Array, v: Array, d: float, guess: Array) -> tuple[Array, Array] | None:
-        """Solve a = a(t, x + d u, u), u = v + d a; return u and a, or None if it does not converge."""
+        """Solve a = a(t, x + d u, u), u = v + d a; return u [m/s] and a [m/s^2], or None without convergence."""
         moving = self._plan.model.inverse_masses > 0.0
         u = v + d * guess * moving
         last = math.inf
@@ -309,15 +318,16 @@ class ImplicitAdvance:
                 self._curvature = max(
                     0.5 * self._curvature if self._curvature < math.inf else 0.0, size / (last * last)
                 )
-            # Newton's iteration converges quadratically: the next correction would be about curvature * size^2.
+            # Newton's iteration converges quadratically: the next correction is about curvature * size^2.
             if size <= self._close or self._curvature * size * size <= _MARGIN * self._close:
                 return u, (u - v) / d
             last = size
         return None
 
     def _descend(self, t: float, x: Array, v: Array, d: float, guess: Array) -> Array:
-        """Return velocities u of a stage that lower what it minimises, with obstacles where they end: the cloth has to
-        be clear of them there.
+        """Return velocities u [m/s] of a stage that decrease its objective, with obstacles at their end positions.
+
+        The cloth must be clear of obstacles there.
         """
         contact = self._plan.contact
         if contact is None:
@@ -331,8 +341,10 @@ class ImplicitAdvance:
             contact.place_ahead(0.0)
 
     def _descended(self, t: float, x: Array, v: Array, d: float, guess: Array) -> Array:
-        """Return the same, from the best of some starts: rest, and those that go along with an obstacle that moves,
-        which stays as far away as it is.
+        """Return velocities that decrease the objective, from the best of several starts.
+
+        Starts are the extrapolated motion, the present velocities, rest, and motions with each moving obstacle, which
+        keep their distance from it.
         """
         moving = self._plan.model.inverse_masses > 0.0
         starts = [v + d * guess * moving, v.copy(), np.zeros_like(v)]
@@ -352,7 +364,7 @@ class ImplicitAdvance:
         return u
 
     def _correction(self, t: float, x: Array, v: Array, d: float, u: Array) -> Array:
-        """Newton's correction of a stage's velocities."""
+        """Return Newton's correction of a stage's velocities [m/s], shape (3, n)."""
         masses = self._plan.model.masses
         place, a = x + d * u, np.empty_like(x)
         self._plan.accelerations(t, place, u, a)
@@ -361,7 +373,7 @@ class ImplicitAdvance:
         if self._plan.contact is not None:
             thickness = self._plan.contact.thickness
             if not np.isfinite(a).all():
-                # Beyond an obstacle's surface there is no way back.
+                # Inside an obstacle there is no correction.
                 return np.full_like(a, np.nan)
         correction = masses * (v + d * a - u) * (self._plan.model.inverse_masses > 0.0)
         self._matrix.update(t, place, d, self._state.memory.get(PINCHED), thickness)
@@ -369,9 +381,9 @@ class ImplicitAdvance:
         return correction
 
     def _share(self, t: float, x: Array, v: Array, d: float, u: Array, correction: Array) -> float:
-        """Return how much of a correction to take: the largest power of 1/2 that lowers what the stage minimises.
+        """Return the fraction of a correction to take: the largest power of 1/2 that decreases the stage's objective.
 
-        That is ``1/2 |u - v|^2_M + E(x + d u) + d/2 u'D u`` while the damping matrix D is nearly constant.
+        The objective is ``1/2 |u - v|^2_M + E(x + d u) + d/2 u'D u`` while the damping matrix D is nearly constant.
         """
         share, before = 1.0, self._merit(t, x, v, d, u)
         before += _ROUNDING * abs(before)
@@ -383,7 +395,7 @@ class ImplicitAdvance:
         place = x + d * u
         if self._safe and self._crosses(t - 0.5 * d - self._ahead, d, place):
             return math.inf
-        # Moving air pushes with a force that is nearly constant, and has no energy of its own.
+        # The force of moving air is nearly constant and has no potential.
         slip = 0.5 * self._plan.dissipation(t, place, u) - self._plan.supply(t, place, u)
         return self._plan.energy(t, place, u - v) + d * slip
 

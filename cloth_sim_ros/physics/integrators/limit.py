@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The leapfrog's step limit."""
+"""Step limit of the leapfrog."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import math
 def leapfrog_limit(omega2: float, damping_rate: float) -> float:
     """Return the largest stable step [s]: the positive root of ``h^2 w^2 / 4 + h c / 2 = 1``.
 
-    On x'' = -w^2 x - c x' a root of the characteristic polynomial reaches the unit circle at -1 alone, there.
+    At this step a root of the characteristic polynomial for x'' = -w^2 x - c x' leaves the unit circle, at -1.
 
     Args:
         omega2: squared highest angular frequency [1/s^2].
@@ -18,6 +18,6 @@ def leapfrog_limit(omega2: float, damping_rate: float) -> float:
     """
     if omega2 == 0.0 and damping_rate == 0.0:
         return math.inf
-    # Written without cancellation.
+    # This form avoids cancellation.
     half = 0.5 * damping_rate
     return 2.0 / (half + math.sqrt(half * half + omega2))

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The linear systems of an implicit step: M + d^2 K + d D, assembled from the forces and factorised within a band."""
+"""Linear system of an implicit stage: the band matrix M + d^2 K + d D."""
 
 from __future__ import annotations
 
@@ -19,27 +19,26 @@ from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.parts import Listed
 from cloth_sim_ros.physics.plan import compile
 
-#: Pairs whose stiffness is below this share of the largest at either end do not widen the band: what of them lies
-#: outside is left to the iteration, which then converges by about this factor a step.
+#: Pairs do not widen the band if their stiffness is below this fraction of the largest one at both ends. Newton's
+#: iteration then converges by about this factor per step.
 _NEGLIGIBLE = 0.05
 
 
 class StageMatrix:
-    """Matrix of one model, positive definite by construction: compression's negative stiffness is left out.
+    """Matrix of one model, positive definite because the negative stiffness of compressed springs is omitted.
 
-    Springs and joints enter it as they are; of hinges, panels and forces in numpy it takes the particle blocks that
-    bound
-    them, which slows the iteration. Particles that move are numbered so that coupled ones lie close together (reverse
-    Cuthill-McKee), row by row on a grid.
+    Springs and joints enter exactly. Hinges, panels and forces in numpy enter by particle blocks that bound them, which
+    slows the iteration. Free particles are numbered by reverse Cuthill-McKee, or row by row on a grid, for a narrow
+    band.
     """
 
     def __init__(self, model: Model) -> None:
         self._model = model
         count = model.particle_count
         springs, others = _split(model)
-        #: Springs and joints alone, as lists; all else.
+        #: Springs and joints as lists; all other forces.
         self._springs = compile(Model(model.masses, springs))
-        # Anchored particles may lie within obstacles, where nothing is finite.
+        # Anchored particles may lie inside obstacles, where forces are not finite.
         self._others = compile(Model(model.masses, others, anchors=model.anchors))
         parts = [part for force in springs for part in force.parts(count) or () if isinstance(part, Listed)]
         self._pairs = [np.ascontiguousarray(part.particles) for part in parts]
@@ -49,12 +48,12 @@ class StageMatrix:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Block rows, and blocks in a row."""
+        """Number of block rows, and blocks per row."""
         return self._matrix.count, self._matrix.width + 1
 
     def _band_pairs(self, parts: list[Listed]) -> NDArray[np.int64]:
-        """The pairs that the band has to hold: all but those that are negligible beside others at both their ends."""
-        # A spring's k [N/m] and a joint's, wherever their ends are: the order does not depend on the state.
+        """Return the pairs that the band must contain: those that are not negligible at one of their ends."""
+        # Stiffness k [N/m] of springs and joints at any position: the order does not depend on the state.
         rigidities = [part.numbers[:, 1 if part.kind == "spring" else 0] for part in parts]
         ends = np.concatenate([np.empty((0, 2), dtype=np.int64), *self._pairs])
         size = np.concatenate([np.empty(0), *rigidities])
@@ -66,9 +65,14 @@ class StageMatrix:
     def update(
         self, t: float, x: Array, d: float, pinched: Array | None = None, thickness: Array | None = None
     ) -> None:
-        """Factorise M + d^2 K + d D at time t and positions x (3, n), d [s]; K and D are stiffness and damping. Pads of
-        grippers are where `pinched` says, see `Touching.pinched_shape`; contacts are as thick as `thickness` says, see
-        `Touching.thickness_shape`.
+        """Factorise M + d^2 K + d D with stiffness K and damping D.
+
+        Args:
+            t: time [s].
+            x: positions [m], shape (3, n).
+            d: coefficient of the stage [s].
+            pinched: jaw states, see `ContactBinding.jaws_shape`; None without jaws.
+            thickness: contact thicknesses [m], see `ContactBinding.thickness_shape`; None if none is reduced.
 
         Raises:
             UnstableError: if an entry is not finite.
@@ -95,7 +99,7 @@ _MATRICES: WeakKeyDictionary[Model, StageMatrix] = WeakKeyDictionary()
 
 
 def stage_matrix(model: Model) -> StageMatrix:
-    """Return the matrix of a model, made when it is first asked for."""
+    """Return the matrix of a model; the first call builds it."""
     if model not in _MATRICES:
         _MATRICES[model] = StageMatrix(model)
     return _MATRICES[model]
@@ -104,12 +108,12 @@ def stage_matrix(model: Model) -> StageMatrix:
 def iteration_cost(model: Model) -> float:
     """Return the estimated cost of one iteration of the implicit method [ns]."""
     rows, width = stage_matrix(model).size
-    # Half of the products of 3 x 3 blocks within the band.
+    # Symmetry halves the products of 3 x 3 blocks in the band.
     return CONSTANTS.factor * 4.5 * rows * width * width + CONSTANTS.own * model.particle_count
 
 
 def _split(model: Model) -> tuple[list[Force], list[Force]]:
-    """The springs and joints of a model, a grid's as lists, and its other forces."""
+    """Return springs and joints of a model, those of a grid as lists, and its other forces."""
     springs: list[Force] = []
     others: list[Force] = []
     for force in model.forces:
@@ -121,7 +125,7 @@ def _split(model: Model) -> tuple[list[Force], list[Force]]:
 
 
 def _order(pairs: NDArray[np.int64], moving: NDArray[np.bool_]) -> tuple[NDArray[np.int64], int]:
-    """Return the block row of each particle, -1 for anchored ones, and the largest distance of coupled ones."""
+    """Return the block row of each particle, -1 for anchored ones, and the largest row distance of a pair."""
     places = np.where(moving, np.cumsum(moving) - 1, -1).astype(np.int64)
     ends = places[pairs]
     ends = ends[(ends >= 0).all(axis=1)]

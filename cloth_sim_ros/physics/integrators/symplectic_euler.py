@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Symplectic Euler: the known baseline."""
+"""Symplectic Euler method, a baseline of order 1."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from cloth_sim_ros.physics.state import State
 class SymplecticEuler(Integrator):
     """``v' = v + h a(t, x, v)``, ``x' = x + h v'``.
 
-    Order 1. One force evaluation a step. Stable for ``h^2 w^2 / 4 + h c / 2 <= 1`` (characteristic polynomial: the
-    damping sees the velocity of the step before).
+    Order 1. One force evaluation per step. Stable for ``h^2 w^2 / 4 + h c / 2 <= 1`` (characteristic polynomial; the
+    damping force uses the velocity of the previous step).
 
     Args:
         step: fixed largest step [s]; None takes 0.96 of the stability limit.
