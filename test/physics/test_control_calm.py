@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Calm frames: the short way that most of them go gives the bits, the decisions and the counts of the long one."""
+"""Fast path: it gives the bits, decisions and counts of the full advance."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _SCENES: dict[str, dict[str, Any]] = {
 
 
 def _told(values: dict[str, Any], frames: int) -> list[Any]:
-    """What each frame of a carried corner came to."""
+    """Return digest, advance, wrenches and energy of each frame while a gripper carries a corner."""
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": (12, 12), "gripper.radius": 0.1, **values}))
     x, y, z = simulation.positions[-1].tolist()
     told = []
@@ -70,13 +70,13 @@ def _told(values: dict[str, Any], frames: int) -> list[Any]:
 
 
 @pytest.mark.parametrize("name", _SCENES)
-def test_the_short_way_gives_what_the_long_one_does(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fast_path_equals_full_advance(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     short = _told(_SCENES[name], 120)
     monkeypatch.setattr(calm, "attempt", lambda *_: None)
     assert _told(_SCENES[name], 120) == short
 
 
-def test_most_frames_go_the_short_way_and_the_run_of_one_that_does_not_is_taken_over(
+def test_fast_path_serves_most_frames_and_passes_on_its_run(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     attempt, came = calm.attempt, []

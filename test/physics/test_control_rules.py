@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The rules of step control where they were once missing: what each promises, on motions with a known end."""
+"""Rules of step control, each on a motion with a known solution."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from cloth_sim_ros.physics.plan import compile
 from cloth_sim_ros.physics.remembered import Error, Fallback, Stability
 from cloth_sim_ros.simulation.events import Grasp, Target
 
-#: Growth of an undamped wave by a step that is let pass.
+#: Allowed growth of an undamped wave per step.
 UNDAMPED_GROWTH = 1e-5
 TOLERANCES = [1e-3, 1e-5, 1e-7, 1e-9]
 
 
 def critical() -> tuple[Model, State]:
-    """A mass on a spring, critically damped, let go stretched by a fifth."""
+    """Return a critically damped mass on a spring, released at a stretch of a fifth."""
     stiffness, mass = 100.0, 0.1
     spring = PairSprings([[0, 1]], 1.0, stiffness, 2.0 * math.sqrt(stiffness * mass))
     return Model([mass, mass], [spring], anchors=[0]), State([[0.0, 0.0, 0.0], [1.2, 0.0, 0.0]])
 
 
 def taut() -> tuple[Model, State]:
-    """Seven particles between two anchors, stretched by a tenth, undamped, struck sideways."""
+    """Return an undamped chain of seven particles, stretched by a tenth, with a transverse impulse."""
     springs = PairSprings(np.stack([np.arange(6), np.arange(1, 7)], axis=1), 0.1, 200.0, 0.0)
     places, speeds = np.zeros((7, 3)), np.zeros((7, 3))
     places[:, 0] = 0.11 * np.arange(7)
@@ -45,7 +45,7 @@ def taut() -> tuple[Model, State]:
 
 
 def end_of(model: Model, state: State) -> np.ndarray:
-    """Positions after a second, by another method."""
+    """Return positions after one second by an independent method, shape (3, n)."""
     plan, shape = compile(model), state.x.shape
 
     def slope(t: float, y: np.ndarray) -> np.ndarray:
@@ -60,7 +60,7 @@ def end_of(model: Model, state: State) -> np.ndarray:
 
 
 @pytest.mark.parametrize("made", [critical, taut])
-def test_small_systems_keep_every_tolerance_and_tighter_ones_give_less(made) -> None:
+def test_small_systems_satisfy_every_tolerance(made) -> None:
     known, before = end_of(*made()), math.inf
     for tolerance in TOLERANCES:
         model, state = made()
@@ -73,20 +73,20 @@ def test_small_systems_keep_every_tolerance_and_tighter_ones_give_less(made) -> 
 
 
 def thrown(work_limit: float = 3.0) -> Simulation:
-    """A sheet whose hinges are stiff where they fold shut."""
+    """Return a sheet with hinges that become stiff when folded."""
     values = {"work_limit": work_limit, "material.stretch_modulus": 5e3, "cloth.resolution": [9, 9]}
     values |= {"bending.model": "crossed", "material.bending_modulus": 1e-5, "gripper.max_speed": 0.0}
     return Simulation(Scene.from_parameters(values))
 
 
-def test_no_frame_takes_more_work_than_its_limit_and_one_that_would_says_so() -> None:
+def test_frame_work_stays_below_limit_and_excess_is_flagged() -> None:
     simulation, rng, said = thrown(0.5), np.random.default_rng(2), []
     plan, period = simulation.plan, simulation.scene.period
     worth = simulation.scene.work_limit * period * 1e9 / plan.model.particle_count
     simulation.advance([Target("gripper", simulation.positions[-1]), Grasp("gripper", True)])
     for _ in range(40):
         done = simulation.advance([Target("gripper", simulation.positions[-1] + rng.normal(size=3) * 0.3)]).advance
-        # Hinges are asked for in one of so many force evaluations.
+        # The multirate ratio lowers the cost of a force evaluation.
         every = int(found[1]) if (found := re.search(r"bending every (\d)", done.reason)) else 1
         assert done.evaluations <= worth / plan.cost(every)
         if done.flagged:
@@ -97,7 +97,7 @@ def test_no_frame_takes_more_work_than_its_limit_and_one_that_would_says_so() ->
 
 
 @pytest.mark.parametrize("most", [0.0, 64.0, 80.0, 110.0])
-def test_what_finishes_a_frame_takes_what_is_left_of_its_work_at_most(most: float) -> None:
+def test_implicit_finish_stays_within_remaining_work(most: float) -> None:
     simulation = thrown()
     free = simulation.model.inverse_masses > 0.0
     for seed in range(3):
@@ -108,13 +108,13 @@ def test_what_finishes_a_frame_takes_what_is_left_of_its_work_at_most(most: floa
             limit: finish(simulation.plan, state, 0.0, 1 / 60, None, instead_of="extrapolated", most=limit).evaluations
             for limit, state in ends.items()
         }
-        # Eight steps by their last resort of eight iterations are the least that finishes a frame.
+        # Eight steps of eight descent iterations are the minimum that finishes a frame.
         assert taken[most] <= max(most, 64.0) < taken[math.inf]
         assert np.isfinite(ends[most].x).all()
 
 
-def test_what_grows_between_two_judgements_is_judged() -> None:
-    """A mass that falls freely, without any error, until its slack spring jerks it."""
+def test_jerk_between_estimates_is_detected() -> None:
+    """A mass falls freely, without any error, until its slack spring becomes taut."""
     spring = PairSprings([[0, 1]], 0.5, 40.0, 0.05)
     model, state = Model([0.1, 0.1], [spring, Gravity()], anchors=[0]), State([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
     known = end_of(model, State(state.positions))
@@ -123,7 +123,7 @@ def test_what_grows_between_two_judgements_is_judged() -> None:
 
 
 class _Floor(Force):
-    """A stiff floor at z = 0 that a particle meets at once: its stiffness jumps."""
+    """Stiff floor at z = 0, with a jump of stiffness."""
 
     name = "floor"
 
@@ -138,27 +138,27 @@ class _Floor(Force):
 
 
 def bounce(height: float) -> float:
-    """Where a particle is a second after it was let go at a height [m] above that floor."""
+    """Return the height [m] of a particle one second after its release at a height [m] above that floor."""
     g, w, fall = 9.81, 1e3, math.sqrt(2.0 * height / 9.81)
-    # Half a swing about -g/w^2 that it enters, and leaves, at the speed of the fall.
+    # Half an oscillation about -g/w^2, entered and left at the speed of the fall.
     swing = 2.0 / w * (math.pi - math.atan2(fall * w, 1.0))
     since = (1.0 - fall - swing) % (2.0 * fall + swing)
     return g * fall * since - 0.5 * g * since * since
 
 
-def test_a_hit_costs_fine_steps_around_it_alone() -> None:
+def test_impact_costs_fine_steps_only_around_it() -> None:
     plan, state = compile(Model([1.0], [Gravity(), _Floor()])), State([[0.0, 0.0, 0.3]])
     integrator = make_integrator("extrapolated", tolerance=1e-6)
     done = [integrator.advance(plan, state, k / 60, 1 / 60) for k in range(60)]
     growth = max(1.0, abs(bounce(0.3 + 1e-6) - bounce(0.3)) / 1e-6)
     assert abs(state.x[2, 0] - bounce(0.3)) < 1e-6 * growth
     assert not any(advance.flagged for advance in done)
-    # In 58 of 60 frames nothing happens. Steps as fine in all of the two others take 400,000, and runs that are added
-    # though the one before gained nothing 31,000.
+    # Two of 60 frames contain an impact. Equally fine steps in all of both would take 400,000 evaluations, and further
+    # runs without a gain 31,000.
     assert sum(each.evaluations for each in done) < 25_000
 
 
-def test_combined_runs_of_undamped_springs_are_cut_into_parts() -> None:
+def test_undamped_combinations_are_divided_into_parts() -> None:
     model, state = taut()
     plan, counts = compile(model), []
     run = plan.runs
@@ -176,7 +176,7 @@ def test_combined_runs_of_undamped_springs_are_cut_into_parts() -> None:
     assert all(steps[0] <= 6 for steps in combined)
 
 
-def test_the_table_of_constants_is_small_and_says_what_each_is() -> None:
+def test_constants_are_few_and_described() -> None:
     import attrs
 
     fields = attrs.fields(type(CONSTANTS))
@@ -185,10 +185,10 @@ def test_the_table_of_constants_is_small_and_says_what_each_is() -> None:
 
 
 @pytest.mark.parametrize("columns", [1, 2, 3, 4])
-def test_combinations_of_a_few_steps_let_undamped_waves_grow_slowly_at_most(columns: int) -> None:
-    """By the eigenvalues of what a combination does to a wave, for every wave that the sheet may have.
+def test_undamped_wave_growth_of_short_combinations_is_bounded(columns: int) -> None:
+    """Check the eigenvalues of the stability function of a combination for every wave of the sheet.
 
-    Frames of four steps and more are cut into parts of four to six.
+    Frames of four steps and more are divided into parts of four to six.
     """
     for first in range(4, UNDAMPED_STEPS + 1):
         counts = step_counts(first, columns)
@@ -203,7 +203,7 @@ def test_combinations_of_a_few_steps_let_undamped_waves_grow_slowly_at_most(colu
             assert growth < UNDAMPED_GROWTH, (first, part, growth)
 
 
-def test_a_state_that_goes_on_by_frames_of_another_length_is_judged_anew() -> None:
+def test_changed_frame_length_causes_a_new_estimate() -> None:
     model, state = taut()
     plan, integrator = compile(model), make_integrator("extrapolated", tolerance=1e-4)
     for frame in range(3):
@@ -216,7 +216,7 @@ def test_a_state_that_goes_on_by_frames_of_another_length_is_judged_anew() -> No
     assert Error.of(state).part == 1 / 30
 
 
-def test_a_tolerance_below_rounding_is_flagged_as_such_and_ends() -> None:
+def test_tolerance_below_rounding_is_flagged_and_ends() -> None:
     model, state = critical()
     state.x += 1e4
     done = make_integrator("extrapolated", tolerance=1e-12).advance(compile(model), state, 0.0, 1 / 60)
@@ -225,7 +225,7 @@ def test_a_tolerance_below_rounding_is_flagged_as_such_and_ends() -> None:
     assert done.evaluations < 10_000
 
 
-def test_a_motion_that_got_twice_as_lively_is_not_predicted() -> None:
+def test_doubled_activity_is_not_predicted() -> None:
     model, state = critical()
     stability = StabilityRule(compile(model), Stability(), state, 1 / 60)
     rule = ErrorRule(Error(error=1e-12, activity=1.0), stability, 1e-6, 4, state)
@@ -233,9 +233,9 @@ def test_a_motion_that_got_twice_as_lively_is_not_predicted() -> None:
     assert rule.predicted(1, 0.0, 2.1) == math.inf
 
 
-def test_what_could_not_be_followed_is_tried_with_half_the_effort() -> None:
+def test_each_fallback_halves_the_work_cap() -> None:
     plan = compile(critical()[0])
-    # Beside what is left over for the steps that finish a frame; of little work, half is.
+    # The cap excludes the reserve of the fallback, which is at most half of the work.
     whole = whole_work(plan, 10.0, 1 / 60)
     caps = [work_cap(plan, whole, 1 / 60, 1e-3, fallen)[0] + FINISHED for fallen in (0.0, 1.0, 2.0)]
     assert caps == [caps[0], caps[0] / 2, caps[0] / 4]

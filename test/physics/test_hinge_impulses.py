@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hinges asked for once in several steps: order, bits, what damping takes, and where it is done."""
+"""Multirate hinge impulses: order, bits, dissipation and scope."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _GRID: dict[str, Any] = {
 }
 
 
-#: Hinges that pull and damp as much as can be told from springs.
+#: Hinges with forces and damping comparable to those of springs.
 _STIFF = {"material.bending_modulus": 3e-3, "material.damping": 1.0}
 
 
@@ -39,7 +39,7 @@ def _scene(kind: str, **values: Any) -> Scene:
 
 
 def _moving(kind: str, frames: int = 25, **values: Any) -> tuple[Plan, np.ndarray, np.ndarray, float]:
-    """A plan, and positions and velocities of its cloth after some frames, crumpled: flat, hinges do nothing."""
+    """Return a plan, and positions, velocities and time of its cloth after some frames, crumpled to load the hinges."""
     simulation = Simulation(_scene(kind, **values))
     for _ in range(frames):
         simulation.advance([])
@@ -56,7 +56,7 @@ def _end(moving: Any, steps: int, every: int, **options: Any) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["altitude", "crossed", "mesh"])
-def test_impulses_keep_the_second_order(kind: str) -> None:
+def test_impulses_have_order_two(kind: str) -> None:
     moving = _moving(kind, **_STIFF)
     steps = 720
     fine = [_end(moving, factor * steps, 1)[0] for factor in (8, 16)]
@@ -68,37 +68,37 @@ def test_impulses_keep_the_second_order(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["altitude", "mesh"])
 @pytest.mark.parametrize("narrow", [False, True])
-def test_impulses_have_the_same_bits_by_any_number_of_threads(kind: str, narrow: bool) -> None:
+def test_impulses_have_equal_bits_for_any_thread_count(kind: str, narrow: bool) -> None:
     moving = _moving(kind)
     one = _end(moving, 90, 9, narrow=narrow, threads=1)
     for threads in (2, 3, 7):
         assert np.array_equal(_end(moving, 90, 9, narrow=narrow, threads=threads), one)
-    # What runs before leave behind makes no difference.
+    # Previous runs have no effect on the result.
     _end(moving, 45, 3, narrow=narrow)
     _end(moving, 45, 1, narrow=narrow)
     assert np.array_equal(_end(moving, 90, 9, narrow=narrow, threads=1), one)
 
 
 @pytest.mark.parametrize("kind", ["altitude", "mesh"])
-def test_what_damping_takes_is_that_of_all_steps(kind: str) -> None:
+def test_dissipation_includes_all_steps(kind: str) -> None:
     plan, x, v, t = _moving(kind, **_STIFF)
     lost = {}
     for every in (1, 3, 9):
         (run,), _ = plan.runs(t, _PERIOD, (x, v), [2880], every=every, powers=True)
         lost[every] = run.powers[0]
-    # Of single steps in place of all of them three thousandths would be missing.
+    # The dissipation of one step per impulse would be too small by three thousandths.
     assert lost[3] == pytest.approx(lost[1], rel=1e-5)
     assert lost[9] == pytest.approx(lost[1], rel=1e-4)
 
 
 @pytest.mark.parametrize(("steps", "every"), [(36, 2), (36, 0), (36, -3), (36, 5), (36, 3.0)])
-def test_impulses_that_fit_no_run_are_refused(steps: int, every: int) -> None:
+def test_ratios_that_do_not_divide_a_run_are_refused(steps: int, every: int) -> None:
     with pytest.raises(ValueError, match=rf"hinges every {every} steps of \[{steps}\]"):
         _end(_moving("altitude", 1), steps, every)
 
 
 class _Held(Force):
-    """Every particle is held where it is by a spring without damping, in numpy."""
+    """Undamped springs in numpy that hold every particle at its initial position."""
 
     name = "held"
 
@@ -116,7 +116,7 @@ class _Held(Force):
 
 
 @pytest.mark.parametrize(("stiffness", "apart"), [(1e-3, True), (3000.0, False)])
-def test_a_force_in_numpy_counts_as_a_wave_that_nothing_damps(stiffness: float, apart: bool) -> None:
+def test_numpy_force_counts_as_undamped_transverse_wave(stiffness: float, apart: bool) -> None:
     model = _scene("altitude", **{"material.bending_modulus": 1e-5}).model()
     at = Simulation(_scene("altitude")).state.x.copy()
     held = compile(Model(model.masses, [*model.forces, _Held(stiffness, at)], anchors=model.anchors))
@@ -137,7 +137,7 @@ def _said(**values: Any) -> list[str]:
     return said
 
 
-def test_frames_take_impulses_and_say_so() -> None:
+def test_frames_use_and_report_multirate_steps() -> None:
     said = _said()
     assert all("; bending every " in words for words in said[4:])
 
@@ -160,12 +160,12 @@ def test_frames_take_impulses_and_say_so() -> None:
     ],
     ids=["undamped", "no tolerance", "fixed step", "contact", "implicit"],
 )
-def test_nothing_else_takes_impulses(values: dict[str, Any]) -> None:
+def test_excluded_scenes_use_no_multirate_steps(values: dict[str, Any]) -> None:
     assert not any("bending every" in words for words in _said(**values))
 
 
-def test_a_hung_sheet_ends_where_it_does_without() -> None:
-    """Over two seconds, within the tolerance."""
+def test_hanging_sheet_matches_single_rate_within_tolerance() -> None:
+    """The comparison covers two seconds."""
     ends = []
     for tolerance in (1e-3, 1e-6):
         simulation = Simulation(_scene("crossed", **{"material.bending_modulus": 1e-5, "tolerance": tolerance}))

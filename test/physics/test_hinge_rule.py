@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Impulses of hinges by the rule let no wave grow: by the eigenvalues of the steps of a single wave, in numpy."""
+"""Multirate rule: no wave grows, by the eigenvalues of steps of a single wave in numpy."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ WAVES = np.unique([*np.linspace(0.0, 1.0, 61), *np.geomspace(1e-4, 1.0, 30), *(1
 
 
 def growth(h: float, every: int, along: tuple[float, float], bent: tuple[float, float]) -> float:
-    """Return by how much a wave x'' = -a x - b x' grows over `every` steps of the leapfrog, at most.
+    """Return the largest growth factor of a wave x'' = -a x - b x' over `every` steps of the leapfrog.
 
     Args:
-        h: length of a step [s].
-        every: steps of an impulse.
-        along: squared frequency [1/s^2] and damping rate [1/s] of what is asked for in each step.
-        bent: of what is asked for in the middle one.
+        h: step size [s].
+        every: multirate ratio.
+        along: squared frequency [1/s^2] and damping rate [1/s] of the force in each step.
+        bent: the same of the force in the middle step.
     """
     steps = np.zeros((6, 6))
     for k in range(6):
@@ -45,7 +45,7 @@ def growth(h: float, every: int, along: tuple[float, float], bent: tuple[float, 
 
 
 def rule(decay: float, told: tuple[float, float, float], every: int = 1, bent: float = 0.9) -> HingeRule:
-    """The rule of a plan whose hinges take that part of a step."""
+    """Return the rule of a plan whose hinges take a fraction `bent` of the cost of a step."""
 
     def cost(steps: int) -> float:
         return 1.0 - bent * (steps - 1) / steps
@@ -55,7 +55,7 @@ def rule(decay: float, told: tuple[float, float, float], every: int = 1, bent: f
 
 
 def along_grows(h: float, every: int, decay: float, bent: tuple[float, float]) -> float:
-    """The most that any wave grows along springs of a highest frequency of 1/s; hinges add to its stiffness."""
+    """Return the largest growth of a longitudinal wave for springs of highest frequency 1/s, with hinge stiffness."""
     most = 0.0
     for square in WAVES:
         for part in (1.0, 0.3):
@@ -66,12 +66,12 @@ def along_grows(h: float, every: int, decay: float, bent: tuple[float, float]) -
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_no_wave_along_springs_grows(seed: int) -> None:
+def test_longitudinal_waves_do_not_grow(seed: int) -> None:
     rng = np.random.default_rng(seed)
     decay, every = 10.0 ** rng.uniform(-3.0, 0.0), int(rng.choice([3, 5, 7, 9]))
     own = 0.0 if seed % 2 else 10.0 ** rng.uniform(-1.5, 1.7)
     h = leapfrog_limit(1.0, decay) * rng.uniform(0.3, 0.96)
-    # Hinges as strong as the rule lets them be for steps of that length.
+    # The stiffest hinges that the rule allows at this step size.
     low, high = 1e-9, 1.0
     for _ in range(60):
         middle = math.sqrt(low * high)
@@ -82,7 +82,7 @@ def test_no_wave_along_springs_grows(seed: int) -> None:
 
 
 @pytest.mark.parametrize(("decay", "own", "times"), [(0.2, 0.0, 2.5), (0.05, 10.0, 6.0), (0.2, 40.0, 6.0)])
-def test_waves_along_springs_grow_where_hinges_are_stronger(decay: float, own: float, times: float) -> None:
+def test_longitudinal_waves_grow_beyond_the_hinge_limit(decay: float, own: float, times: float) -> None:
     h = 0.96 * leapfrog_limit(1.0, decay)
     low, high = 1e-9, 1.0
     for _ in range(60):
@@ -94,54 +94,54 @@ def test_waves_along_springs_grow_where_hinges_are_stronger(decay: float, own: f
 
 @pytest.mark.parametrize("every", [3, 5, 9])
 @pytest.mark.parametrize("own", [0.0, 0.3, 3.0])
-def test_no_wave_across_springs_grows(every: int, own: float) -> None:
+def test_transverse_waves_do_not_grow(every: int, own: float) -> None:
     for across in np.geomspace(1e-4, 0.3, 12):
         for bent in np.geomspace(1e-5, 0.1, 10):
-            # Waves along springs are damped by as much as can be: these do not count.
+            # Strong damping along springs leaves the transverse limit alone.
             at = rule(1e9, (bent, own * bent, across))
             h = 1.0 / at.least(every, 1.0)
             for square in np.linspace(0.0, across, 20):
                 assert growth(h, every, (square, 0.0), (bent, own * bent)) <= 1.0 + 1e-9
 
 
-def test_waves_across_springs_grow_where_they_swing_half_a_turn_between_impulses() -> None:
+def test_transverse_waves_grow_beyond_half_a_period() -> None:
     at = rule(1e9, (1e-3, 0.0, 0.1))
     h = 1.7 / at.least(3, 1.0)
     assert max(growth(h, 3, (square, 0.0), (1e-3, 0.0)) for square in np.linspace(0.0, 0.1, 400)) > 1.0 + 1e-4
 
 
-def test_what_costs_least_is_chosen() -> None:
+def test_ratio_of_least_cost_is_chosen() -> None:
     soft = rule(1e9, (1e-6, 0.0, 0.0))
     soft.choose(np.zeros((3, 1)), 1e-3, 36e-3, 1)
     assert soft.every == MOST
-    # Four impulses of seven steps are fewer steps than four of nine.
+    # 28 steps are four impulses of seven steps, but too few for four of nine.
     few = rule(1e9, (1e-6, 0.0, 0.0))
     few.choose(np.zeros((3, 1)), 1e-3, 28e-3, 1)
     assert few.every == 7
-    # Stiffer hinges ask for impulses so close together that steps would have to be shorter.
+    # Stiffer hinges require impulses so frequent that steps would become shorter.
     stiff = rule(1e9, (3e6, 0.0, 0.0))
     stiff.choose(np.zeros((3, 1)), 1e-3, 36e-3, 1)
     assert stiff.every == 1
-    # Hinges that take little are not worth more steps.
+    # Cheap hinges do not justify further steps.
     cheap = rule(1e9, (1e-6, 0.0, 0.0), bent=0.01)
     cheap.choose(np.zeros((3, 1)), 1e-3, 37e-3, 1)
     assert cheap.every == 1
 
 
-def test_impulses_stay_while_that_pays() -> None:
+def test_ratio_is_kept_while_it_pays() -> None:
     kept = rule(1e9, (1e-6, 0.0, 0.0), every=3)
     kept.keep(1e-3, 36e-3)
     assert kept.every == 3
     stiff = rule(1e9, (3e6, 0.0, 0.0), every=3)
     stiff.keep(1e-3, 36e-3)
     assert stiff.every == 1
-    # Four of them are no longer there.
+    # 34 steps are fewer than four impulses of nine steps.
     few = rule(1e9, (1e-6, 0.0, 0.0), every=9)
     few.keep(1e-3, 34e-3)
     assert few.every == 1
 
 
-def test_where_runs_are_combined_each_step_has_its_impulse_for_a_while() -> None:
+def test_combined_runs_set_the_ratio_to_one_for_some_estimates() -> None:
     at = rule(1e9, (1e-6, 0.0, 0.0), every=9)
     at.choose(np.zeros((3, 1)), 1e-3, 36e-3, 2)
     assert at.every == 1
@@ -152,7 +152,7 @@ def test_where_runs_are_combined_each_step_has_its_impulse_for_a_while() -> None
     assert chosen == [1] * 15 + [MOST] * 5
 
 
-def test_a_stretch_has_four_impulses_at_least() -> None:
+def test_interval_has_at_least_four_impulses() -> None:
     soft = rule(1e9, (1e-6, 0.0, 0.0), every=9)
     assert soft.within(1e-3, 36e-3) == (9, pytest.approx(0.0, abs=1.0))
     assert soft.within(1e-3, 35e-3)[0] == 7
@@ -160,14 +160,14 @@ def test_a_stretch_has_four_impulses_at_least() -> None:
     assert soft.within(1e-3, 11e-3) == (1, 1.0)
 
 
-def test_springs_without_damping_allow_no_impulses() -> None:
+def test_undamped_springs_set_the_ratio_to_one() -> None:
     undamped = rule(0.0, (1e-6, 0.0, 0.0), every=9)
     undamped.choose(np.zeros((3, 1)), 1e-3, 36e-3, 1)
     assert undamped.every == 1
     assert undamped.within(1.0, 45.0) == (1, 1.0)
 
 
-def test_what_turns_out_unstable_is_told() -> None:
+def test_unstable_bounds_are_reported_and_reset_the_ratio() -> None:
     at = rule(0.2, (1e-3, 0.0, 0.0), every=3)
     told: Any = SimpleNamespace(hinges=(1e-3, 0.0, 0.0))
     longest = 3.0 / at.least(3, 1.0)

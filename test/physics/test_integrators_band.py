@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The implicit method's band matrix against a dense one."""
+"""Band matrix of the implicit method against a dense matrix."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cloth_sim_ros.physics.integrators.base import UnstableError
 
 
 def system(count: int, width: int) -> tuple[BandMatrix, np.ndarray, np.ndarray, list[np.ndarray], np.ndarray]:
-    """A matrix, its dense equal and the places of its particles, every fifth of which is held."""
+    """Return a band matrix, its dense equal, the free particles, blocks and masses; every fifth particle is fixed."""
     random = np.random.default_rng(count + width)
     places = np.full(count, -1)
     moving = np.arange(count) % 5 != 2
@@ -31,7 +31,7 @@ def system(count: int, width: int) -> tuple[BandMatrix, np.ndarray, np.ndarray, 
 
 
 @pytest.mark.parametrize(("count", "width"), [(6, 2), (9, 6), (40, 3), (41, 4), (120, 7)])
-def test_band_solution_equals_the_dense_one(count: int, width: int) -> None:
+def test_band_solution_equals_dense_solution(count: int, width: int) -> None:
     matrix, dense, moving, blocks, masses = system(count, width)
     matrix.update(blocks, masses, np.zeros((6, count)))
     right = np.random.default_rng(1).normal(size=(3, count))
@@ -42,7 +42,7 @@ def test_band_solution_equals_the_dense_one(count: int, width: int) -> None:
     assert right.T.ravel() == pytest.approx(expected, abs=1e-11)
 
 
-def test_one_thread_and_two_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_band_solution_has_equal_bits_on_one_and_two_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     solutions = []
     for enough in (0, 10**9):
         monkeypatch.setattr(band_matrix, "_FACTOR_ASIDE", enough)
@@ -55,7 +55,7 @@ def test_one_thread_and_two_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) 
     assert solutions[0] == solutions[1]
 
 
-def test_a_matrix_is_made_anew_each_time() -> None:
+def test_band_update_is_repeatable() -> None:
     matrix, _, _, blocks, masses = system(41, 4)
     solutions = []
     for _ in range(2):
@@ -66,7 +66,7 @@ def test_a_matrix_is_made_anew_each_time() -> None:
     assert solutions[0] == solutions[1]
 
 
-def test_a_matrix_that_is_not_positive_is_refused() -> None:
+def test_indefinite_band_matrix_is_refused() -> None:
     matrix, _, _, blocks, masses = system(40, 3)
     with pytest.raises(UnstableError, match="not positive definite"):
         matrix.update(blocks, -100.0 * masses, np.zeros((6, 40)))

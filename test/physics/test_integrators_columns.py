@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Combinations of runs: their weights, and that it matters to no bit how and when the runs are made."""
+"""Extrapolation tableau: weights, and equal bits for any order of computation."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def columns(simulation, **options):
 
 @pytest.mark.parametrize("first", [1, 2, 7, 40, 1001])
 @pytest.mark.parametrize("number", [1, 2, 3, 4, 5])
-def test_the_weights_keep_a_constant_and_cancel_each_power_of_the_step(first, number):
+def test_weights_preserve_constants_and_cancel_step_powers(first, number):
     counts = step_counts(first, number)
     assert len(set(counts)) == number and sorted(counts) == list(counts)
     found = weights(counts)
@@ -55,7 +55,7 @@ def test_the_weights_keep_a_constant_and_cancel_each_power_of_the_step(first, nu
 
 
 @every_scene
-def test_runs_made_together_or_as_they_are_asked_for_are_the_same(values):
+def test_runs_on_demand_equal_runs_in_one_call(values):
     simulation = started(values)
     together, by_and_by = columns(simulation), columns(simulation)
     found = together.combine(4)
@@ -70,7 +70,7 @@ def test_runs_made_together_or_as_they_are_asked_for_are_the_same(values):
 
 @every_scene
 @pytest.mark.parametrize("likely", [0, 2, 3, 9])
-def test_runs_made_ahead_beside_others_change_nothing(values, likely, monkeypatch):
+def test_prefetched_runs_change_no_result(values, likely, monkeypatch):
     simulation = started(values)
     by_turns = columns(simulation)
     monkeypatch.setattr(simulation.plan, "abreast", lambda *_: 2)
@@ -78,13 +78,13 @@ def test_runs_made_ahead_beside_others_change_nothing(values, likely, monkeypatc
     for runs in (1, 2, 4):
         assert np.array_equal(at_once.combine(runs), by_turns.combine(runs))
         assert at_once.told(runs) == by_turns.told(runs)
-        # What was made ahead is not counted before it is asked for.
+        # A prefetched run is counted only after its request.
         assert at_once.evaluations == by_turns.evaluations == sum(step_counts(60, 4)[:runs]) + runs
     assert at_once.difference(1) == by_turns.difference(1)
 
 
 @every_scene
-def test_a_cloth_moves_the_same_by_one_thread_and_by_two(values, monkeypatch):
+def test_motion_is_equal_on_one_and_two_threads(values, monkeypatch):
     found = []
     for threads in (1, 2):
         monkeypatch.setattr("cloth_sim_ros.physics.plan.available", lambda threads=threads: threads)
@@ -105,7 +105,7 @@ def test_a_cloth_moves_the_same_by_one_thread_and_by_two(values, monkeypatch):
 
 
 @every_scene
-def test_the_start_stays_as_it_is(values):
+def test_runs_leave_the_start_state_unchanged(values):
     simulation = started(values)
     before = simulation.state.x.copy(), simulation.state.v.copy()
     columns(simulation).combine(3)
@@ -114,7 +114,7 @@ def test_the_start_stays_as_it_is(values):
 
 
 @every_scene
-def test_what_is_told_is_so(values):
+def test_summary_equals_direct_computation(values):
     simulation = started(values)
     runs = columns(simulation)
     told, (x, v) = runs.told(2), runs.combine(2)
@@ -125,7 +125,7 @@ def test_what_is_told_is_so(values):
 
 
 @every_scene
-def test_the_error_of_a_wave_counts_where_it_lies_in_the_velocity_alone(values):
+def test_velocity_error_counts_over_the_angular_frequency(values):
     simulation = started(values)
     runs = columns(simulation, omega=1e-3)
     away = np.linalg.norm(runs.combine(2)[1] - runs.combine(1)[1], axis=0).max()
@@ -134,17 +134,17 @@ def test_the_error_of_a_wave_counts_where_it_lies_in_the_velocity_alone(values):
 
 @every_scene
 @pytest.mark.parametrize("number", [1, 3])
-def test_a_motion_that_is_not_finite_is_told(values, number):
+def test_summary_reports_motion_that_is_not_finite(values, number):
     simulation = started(values)
     simulation.state.v[1, 20] = 1e200
     assert not columns(simulation).told(number).finite
 
 
 @every_scene
-def test_single_precision_changes_what_it_rounds(values):
+def test_single_precision_changes_runs_by_rounding(values):
     simulation = started(values)
     narrow, wide = columns(simulation, narrow=True), columns(simulation)
     away = np.abs(narrow.combine(1)[0] - wide.combine(1)[0]).max()
     assert 0.0 < away < 1e-5
-    # The error is that of its steps; rounding is multiplied by the second's weight.
+    # The error is that of the steps; rounding is multiplied by the weight of the second run.
     assert narrow.difference(1) == pytest.approx(wide.difference(1), abs=4.0 * weights(step_counts(60, 2))[1] * away)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Error control: tolerances held, limits followed, memory kept in the state, events that judge anew."""
+"""Error control: tolerances, step limits, controller state and events."""
 
 from __future__ import annotations
 
@@ -36,9 +36,7 @@ def scene(request: pytest.FixtureRequest) -> tuple[Problem, Reference]:
 
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-7])
-def test_achieved_error_is_below_the_tolerance_and_not_far_below(
-    scene: tuple[Problem, Reference], tolerance: float
-) -> None:
+def test_achieved_error_is_close_below_the_tolerance(scene: tuple[Problem, Reference], tolerance: float) -> None:
     done = measure(*scene, "auto", tolerance, energy=False)
     assert done.error <= tolerance
     assert done.flagged == 0
@@ -46,12 +44,12 @@ def test_achieved_error_is_below_the_tolerance_and_not_far_below(
         assert done.error >= 0.01 * tolerance
 
 
-def test_an_implicit_run_holds_its_tolerance(scene: tuple[Problem, Reference]) -> None:
+def test_implicit_run_satisfies_its_tolerance(scene: tuple[Problem, Reference]) -> None:
     if scene[0].name == "mesh":
         assert 1e-5 < measure(*scene, "implicit", 1e-3, energy=False).error <= 1e-3
 
 
-def test_what_binds_is_named() -> None:
+def test_limiting_factor_is_named() -> None:
     scene = problem("curtain16")
     plan, state = scene.build()
     loose = Extrapolated(tolerance=1e-2).advance(plan, state, 0.0, PERIOD)
@@ -68,8 +66,8 @@ def test_what_binds_is_named() -> None:
     assert tight[-1] == "accuracy"
 
 
-def test_the_memory_lies_in_the_state_alone() -> None:
-    """A run that is taken up from a saved state by new objects goes on with the same bits."""
+def test_controller_state_is_in_the_state_alone() -> None:
+    """New objects continue a run from a saved state with the same bits."""
     whole, whole_state = problem("curtain16").build()
     cut, cut_state = problem("curtain16").build()
     integrator = make_integrator("auto", tolerance=1e-6)
@@ -81,7 +79,7 @@ def test_the_memory_lies_in_the_state_alone() -> None:
 
 
 @pytest.mark.parametrize("name", INTEGRATORS)
-def test_a_book_changes_no_bit_and_notes_the_whole_time(name: str) -> None:
+def test_accumulator_changes_no_bit_and_covers_the_whole_time(name: str) -> None:
     def run(book: Book | None) -> State:
         sheet = RawSheet(resolution=6)
         state = State(sheet.flat(hung=False))
@@ -93,7 +91,7 @@ def test_a_book_changes_no_bit_and_notes_the_whole_time(name: str) -> None:
     book, fine = Book(0, powers=True), Book(0, powers=True)
     noted = run(book)
     assert noted.digest() == run(None).digest()
-    # What damping took over the last frame, a quadrature by itself at a thousand points of a fine run.
+    # Dissipation over the last frame by an independent quadrature at a thousand points of a fine run.
     sheet = RawSheet(resolution=6)
     plan, state = sheet.plan(sheet.index[0]), State(sheet.flat(hung=False))
     for frame in range(4):
@@ -104,7 +102,7 @@ def test_a_book_changes_no_bit_and_notes_the_whole_time(name: str) -> None:
     assert book.lost == pytest.approx(fine.lost, rel=0.2 if name == "symplectic_euler" else 0.02)
 
 
-def test_a_fixed_step_above_the_limit_is_refused_with_the_limit_named() -> None:
+def test_fixed_step_above_the_limit_is_refused() -> None:
     sheet = RawSheet(resolution=6, rest=0.5)
     plan, state = sheet.plan(sheet.index[0]), State(sheet.flat(hung=False))
     limit = Leapfrog().step_limit(*plan.rates(state.x))
@@ -113,7 +111,7 @@ def test_a_fixed_step_above_the_limit_is_refused_with_the_limit_named() -> None:
     assert Leapfrog(0.99 * limit).advance(plan, state, 0.0, PERIOD).steps >= PERIOD / limit
 
 
-def test_a_fixed_step_is_made_smaller_where_springs_that_were_pushed_to_a_point_make_energy() -> None:
+def test_fixed_step_shrinks_if_inverted_springs_create_energy() -> None:
     sheet = RawSheet(resolution=8, k_d0=0.0, gravity=(0.0, 0.0, 0.0))
     plan, state = sheet.plan([]), State(sheet.flat(hung=True))
     state.x[:, [27, 36]] = state.x[:, [36, 27]]
@@ -125,8 +123,8 @@ def test_a_fixed_step_is_made_smaller_where_springs_that_were_pushed_to_a_point_
     assert any("made energy" in advance.reason for advance in done)
 
 
-def test_steps_follow_a_sheet_that_stiffens() -> None:
-    """Stretched three times, border springs turn stiff sideways: steps must shrink within the run, not blow up."""
+def test_steps_shrink_with_a_stiffening_sheet() -> None:
+    """Border springs stretched by a factor of three become stiff sideways: steps must shrink within the run."""
     sheet = RawSheet(resolution=8, k_d0=0.05, gravity=(0.0, 0.0, 0.0))
     plan, state = sheet.plan(sheet.index[0]), State(sheet.flat(hung=True))
     state.v[2] = 30.0 * state.x[2]
@@ -136,7 +134,7 @@ def test_steps_follow_a_sheet_that_stiffens() -> None:
 
 
 class _Cliff(Force):
-    """A force that jumps when the particle passes x = 0: no step is small enough for it."""
+    """Force with a jump at x = 0, for which no step is small enough."""
 
     name = "cliff"
 
@@ -148,7 +146,7 @@ class _Cliff(Force):
 
 
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-9])
-def test_a_force_that_jumps_amid_the_steps_is_found_and_its_error_is_stated(tolerance: float) -> None:
+def test_force_jump_is_located_and_its_error_stated(tolerance: float) -> None:
     begin = -0.00741
     plan = compile(Model([1.0], [_Cliff()]))
     state = State([[begin, 0.0, 0.0]], [[1.0, 0.0, 0.0]])
@@ -156,15 +154,15 @@ def test_a_force_that_jumps_amid_the_steps_is_found_and_its_error_is_stated(tole
     since = PERIOD + begin
     assert done.error is not None
     assert abs(state.x[0, 0] - (since + 0.5e6 * since * since)) < 2.0 * done.error
-    # It is found by halving: steps as fine everywhere would be a million.
+    # Halving locates it: equally fine steps everywhere would take a million evaluations.
     assert done.evaluations < 100_000
     assert "stretches" in done.reason
-    # No step is small enough: what is left is flagged.
+    # No step is small enough, so the remaining error is flagged.
     assert done.flagged == 1
     assert done.error > tolerance * PERIOD
 
 
-def test_a_motion_that_is_not_finite_is_refused_and_leaves_the_state() -> None:
+def test_motion_that_is_not_finite_is_refused() -> None:
     plan = compile(Model([1.0, 1.0], [PairSprings([[0, 1]], 1.0, 10.0)]))
     state = State([[0, 0, 0], [1, 0, 0]], [[0, 0, 0], [1e200, 0, 0]])
     with pytest.raises(UnstableError):
@@ -177,14 +175,14 @@ def test_step_and_tolerance_together_are_refused() -> None:
             make(1e-3, tolerance=1e-3)
 
 
-def test_events_judge_the_step_anew() -> None:
+def test_events_cause_a_new_estimate() -> None:
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": [8, 8], "tolerance": 1e-3}))
     for _ in range(10):
         simulation.advance()
     assert Error.of(simulation.state).wait > 0
     corner = simulation.positions[-1]
     simulation.advance([Target("gripper", corner), Grasp("gripper", True)])
-    assert Error.of(simulation.state).interval <= 2  # judged in this frame, so the interval begins anew
+    assert Error.of(simulation.state).interval <= 2  # an estimate in this frame resets the period
     simulation.advance([SetParameters({"tolerance": 1e-5})])
     frame = simulation.advance()
     assert frame.tolerance == 1e-5
@@ -192,7 +190,7 @@ def test_events_judge_the_step_anew() -> None:
     assert frame.advance.reason.startswith("auto: explicit steps are affordable")
 
 
-def test_auto_takes_the_implicit_method_where_explicit_steps_cannot_hold_real_time() -> None:
+def test_auto_selects_implicit_steps_for_stiff_sheets() -> None:
     sheet = RawSheet(resolution=12, stiffness=1e6, k_d0=0.2)
     plan, state = sheet.plan(sheet.index[0]), State(sheet.flat(hung=True))
     done = make_integrator("auto", tolerance=1e-3).advance(plan, state, 0.0, PERIOD)
@@ -202,7 +200,7 @@ def test_auto_takes_the_implicit_method_where_explicit_steps_cannot_hold_real_ti
 
 
 @pytest.mark.parametrize("place", [0.0, 100.0])
-def test_rounding_of_a_sheet_at_rest_is_no_energy_that_steps_made(place):
+def test_rounding_of_a_resting_sheet_is_not_created_energy(place):
     still = {
         "gravity": [0.0, 0.0, 0.0],
         "air.drag": 0.0,
@@ -217,8 +215,8 @@ def test_rounding_of_a_sheet_at_rest_is_no_energy_that_steps_made(place):
         assert (done.rejected, done.binds) == (0, "stability")
 
 
-def test_a_motion_that_calms_down_goes_back_to_fewer_runs() -> None:
-    """The curtain's fall asks for two runs a frame for a while; what follows does not."""
+def test_slower_motion_returns_to_fewer_runs() -> None:
+    """The curtain's fall requires two runs per frame for some time; the motion after it does not."""
     scene = curtain(16)
     plan, state = scene.build()
     integrator = make_integrator("auto", tolerance=3.5e-4)
@@ -230,7 +228,7 @@ def test_a_motion_that_calms_down_goes_back_to_fewer_runs() -> None:
     assert columns[40:] == [1] * 20
 
 
-def test_auto_tells_where_implicit_steps_found_no_way():
+def test_auto_reports_failed_implicit_steps():
     class Stuck:
         def advance(self, *_: object, strict: bool) -> None:
             assert strict
@@ -250,13 +248,13 @@ _TABLE = {"obstacles": ["table"], "table.shape": "plane"}
 
 
 def _loose(**more: object) -> Simulation:
-    """A small sheet without anchors."""
+    """Return a small sheet without anchors."""
     values = {"cloth.resolution": [4, 4], "cloth.position": [0.0, 0.0, 0.55], "cloth.anchors": []}
     return Simulation(Scene.from_parameters({**values, **more}))
 
 
-def test_strict_implicit_steps_end_where_they_would_be_flagged() -> None:
-    """A sheet that hits a table edge-on at 10 m/s."""
+def test_strict_implicit_steps_raise_instead_of_flagging() -> None:
+    """A sheet hits a table edge-on at 10 m/s."""
     implicit, simulation = Implicit(tolerance=1e-3), _loose(**_TABLE)
     simulation.state.v[2] = -10.0
     lenient = implicit.advance(simulation.plan, simulation.state.share(), 0.0, PERIOD)
@@ -267,7 +265,7 @@ def test_strict_implicit_steps_end_where_they_would_be_flagged() -> None:
 
 
 @pytest.mark.parametrize("table", [False, True])
-def test_with_contact_auto_remembers_what_a_missed_frame_cost_and_halves_it(*, table: bool) -> None:
+def test_auto_halves_the_cost_of_missed_frames_with_contact(*, table: bool) -> None:
     class Missed:
         def advance(self, *_: object, strict: bool) -> None:
             assert strict

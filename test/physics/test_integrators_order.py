@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The order that each integrator claims, measured on a soft, smooth, damped, nonlinear sheet."""
+"""Order of each integrator, measured on a soft, smooth, damped, nonlinear sheet."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DURATION = 0.04
 
 
 def soft_sheet() -> tuple[Plan, State]:
-    """6 x 6, 15 % stretched, swung and sheared: neither direction nor length of any spring is constant."""
+    """Return a sheet of 6 x 6, stretched by 15 % and sheared: direction and length of every spring change."""
     sheet = RawSheet(resolution=6, stiffness=0.1, k_d0=0.3, drag=1.0)
     positions = 1.15 * sheet.flat(hung=True)
     velocities = np.zeros_like(positions)
@@ -63,7 +63,7 @@ def measured_order(make: Callable[[float], Integrator], counts: list[int], exact
     ],
     ids=["symplectic_euler", "leapfrog", "columns_1", "columns_2", "columns_3", "columns_4"],
 )
-def test_order_is_the_claimed_one(
+def test_measured_order_equals_claimed_order(
     make: Callable[[float], Integrator], counts: list[int], order: int, margin: float, exact: np.ndarray
 ) -> None:
     assert make(DURATION / counts[0]).order == order

@@ -22,13 +22,13 @@ from cloth_sim_ros.physics.state import State
 class Leapfrog(Integrator):
     """Drift, kick, drift; velocity-dependent forces use a predicted midpoint velocity, so that the order stays 2.
 
-    A step of size h first computes ``x_m = x + h/2 v`` and ``a_k = a(t + h/2, x_m, v + h/4 (a_(k-1) + a_(k-2)))``.
-    Then ``v' = v + h a_k`` and ``x' = x_m + h/2 v'``. Each advance starts with one extra evaluation in place of both previous accelerations, so it
+    Drift: ``x_m = x + h/2 v``. Kick: ``a_k = a(t + h/2, x_m, v + h/4 (a_(k-1) + a_(k-2)))``, ``v' = v + h a_k``. Drift:
+    ``x' = x_m + h/2 v'``. Each advance starts with one extra evaluation in place of both previous accelerations, so it
     needs no history of the previous advance.
 
-    Order 2. One force evaluation per step. Time-reversible and symplectic without damping. For an oscillator of angular
-    frequency w and damping rate c the step limit is ``h^2 w^2 / 4 + h c / 2 <= 1`` (characteristic polynomial). Without
-    damping it is ``h w <= 2``.
+    Order 2. One force evaluation per step. Time-reversible and symplectic without damping. Stable for
+    ``h^2 w^2 / 4 + h c / 2 <= 1`` with angular frequency w and damping rate c (characteristic polynomial). Without
+    damping this is ``h w <= 2``.
 
     Args:
         step: largest fixed step [s]; None takes 0.96 of the stability limit.

@@ -27,8 +27,8 @@ class Implicit(Integrator):
     is L-stable and algebraically stable, therefore no step creates energy.
 
     Each stage solves ``M (v - V) = d f(t, X + d v, v)``, d = gamma h, by Newton's iteration. Its matrix
-    ``M + d^2 K + d D`` is assembled and factorised in every iteration: stiff springs that turn by a thousandth make an
-    old one useless.
+    ``M + d^2 K + d D`` is assembled and factorised in every iteration. An old one is useless once stiff springs have
+    turned by a thousandth.
     The negative stiffness of compressed springs is omitted in the matrix, but not in the force.
 
     The error estimate of a step is ``0.0404 h^2 |v2' - v1'| / (1 - gamma)``, the leading error of the method. The
