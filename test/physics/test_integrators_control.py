@@ -13,7 +13,7 @@ from support.reference_runs import measure
 
 from cloth_sim_ros.physics.book import Book, note
 from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.control.automatic import INTEGRATORS, Automatic, Choice, make_integrator
+from cloth_sim_ros.physics.control.automatic import INTEGRATORS, Automatic, make_integrator
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.forces.force import Array, Force
@@ -22,7 +22,7 @@ from cloth_sim_ros.physics.integrators.base import MissedError, UnstableError
 from cloth_sim_ros.physics.integrators.implicit import Implicit
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.remembered import Error
+from cloth_sim_ros.physics.remembered import Choice, Error
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp, SetParameters, Target
