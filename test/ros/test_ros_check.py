@@ -193,7 +193,7 @@ def test_relative_file_names_resolve_as_in_the_node(
     assert capsys.readouterr().err.endswith(f" in its working directory, {here}: give the whole path\n")
     # Another fault has no hint.
     assert check(written(tmp_path, {"cloth.mesh": "nowhere.obj", "rate": -1.0})) == 1
-    assert "the node looks" not in capsys.readouterr().err
+    assert "the node resolves" not in capsys.readouterr().err
 
 
 def test_missing_or_invalid_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
