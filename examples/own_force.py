@@ -10,8 +10,7 @@ from cloth_sim_ros import Drag, Force, Gravity, Model, PairSprings, State, simul
 class Floor(Force):
     """f_z = k d - c s v_z on particles at depth d = -z > 0; k [N/m], c [N s/m].
 
-    The fraction s rises from 0 to 1 over the first centimetre, because a force that jumps reduces the order of every
-    integrator.
+    The fraction s rises from 0 to 1 over the first centimetre: a jump would reduce every integrator's order.
     """
 
     name = "floor"

@@ -35,8 +35,8 @@ class Frame:
     #: Names of obstacles and pinching grippers that stopped because they would have crushed the cloth. A stopped body
     #: keeps its pose of the frame's start until its next target.
     halted: tuple[str, ...] = ()
-    #: Name and end pose, position [m] and quaternion x, y, z, w, of each gripper that did not reach its target: its
-    #: speed limit slowed it, or it is in `stopped`.
+    #: Name and end pose, position [m] and quaternion x, y, z, w, of each gripper that did not reach its target because
+    #: of its speed limit or a stop.
     lagging: tuple[tuple[str, tuple[float, ...]], ...] = ()
     #: Contacts with a reduced thickness after the frame's events; None without such contacts or events.
     recovery: ContactRecovery | None = None
