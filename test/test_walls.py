@@ -179,10 +179,14 @@ def test_measuring_folders_import_only_what_they_may(folder: str) -> None:
 
 
 @pytest.mark.parametrize("folder", BESIDE)
-def test_measuring_folders_answer_before_they_load_what_is_heavy(folder: str) -> None:
+def test_measuring_folders_load_heavy_libraries_late(folder: str) -> None:
     if not (ROOT / folder).is_dir():
         pytest.skip(f"there is no {folder}")
     assert not loaded_by([f"{folder}.__main__"]) & (ROS | LATE | {"numpy", "scipy"})
+    paths = [path.relative_to(ROOT).with_suffix("") for path in sorted((ROOT / folder).rglob("*.py"))]
+    modules = [".".join(path.parts) for path in paths if path.parts[1] != "ros" and not path.stem.startswith("__")]
+    # Problems that scipy solves for comparison import it at the top.
+    assert not loaded_by(modules) & (ROS | LATE - {"scipy.sparse", "scipy.optimize"})
 
 
 def test_the_package_and_its_tests_need_no_measuring_folder() -> None:

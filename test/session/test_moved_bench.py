@@ -43,14 +43,12 @@ def test_old_options_are_passed_on(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize("arguments", [[], ["--help"], ["fly"]])
-def test_without_a_known_subcommand_both_targets_are_named(
-    arguments: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unknown_subcommand_names_both_targets(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(arguments) == 2
     assert "run `make bench` or `make validate` in a clone" in capsys.readouterr().err
 
 
-def test_deleted_comparison_with_older_trees_is_said_to_be_deleted(capsys: pytest.CaptureFixture[str]) -> None:
+def test_engine_subcommand_is_said_to_be_deleted(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["engine"]) == 2
     assert "is deleted" in capsys.readouterr().err
 
