@@ -58,7 +58,7 @@ class Extrapolated(Integrator):
         work: float = WORK_LIMIT,
     ) -> None:
         if not 1 <= columns <= MOST_COLUMNS:
-            raise ValueError(f"columns is {columns}; it must be 1 to {MOST_COLUMNS}")
+            raise ValueError(f"columns is {columns}; it must be from 1 to {MOST_COLUMNS}")
         if tolerance is not None and step is not None:
             raise ValueError(
                 f"step {step} s and tolerance {tolerance} m are both set: a fixed step holds no tolerance; set one"
