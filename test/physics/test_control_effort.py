@@ -16,7 +16,7 @@ from cloth_sim_ros.physics.integrators.columns import SUMS
 STEPS = 100
 
 
-def effort(*, cap: float, evaluations: int) -> Any:
+def effort(*, cap: float, evaluations: int) -> Effort:
     """Return the context of a sheet without contact, small enough for implicit steps."""
     beside: dict[str, Any] = dict.fromkeys(("state", "book", "stability", "energy", "precision", "hinges", "touch"))
     plan = SimpleNamespace(model=SimpleNamespace(particle_count=900))

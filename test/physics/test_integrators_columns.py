@@ -37,7 +37,7 @@ def started(values):
     return simulation
 
 
-def columns(simulation, **options):
+def columns(simulation, **options) -> Columns:
     return Columns(simulation.plan, simulation.state, 0.0, 1 / 60, step_counts(60, 4), **options)
 
 
