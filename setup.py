@@ -133,8 +133,8 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.11,<3.14",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    # What lies beside the code and is not Python: the engine's sources.
-    package_data={"": [*engine.PATTERNS]},
+    # Files beside the code that are not Python: the sources of the engine.
+    package_data={ENGINE: list(engine.PATTERNS)},
     ext_modules=extensions(),
     cmdclass={"build_ext": BuildEngine},
     data_files=[

@@ -29,7 +29,7 @@ from pathlib import Path
 
 ENGINE = Path(__file__).resolve().parent
 UNIT = "library.cpp"  # the only translation unit
-PATTERNS = ("*.cpp", "*.hpp", "*.map")  # what a library is made from
+PATTERNS = ("**/*.cpp", "**/*.hpp", "**/*.map")  # the sources of a library, in every folder below this one
 AT_A_TIME = 2  # a compile takes some 500 MB
 COMPILERS = ("g++", "clang++", "c++")
 
@@ -46,7 +46,7 @@ ARITHMETIC = [
     "-fno-trapping-math",
     "-fno-tree-slp-vectorize",
 ]
-LANGUAGE = ["-std=c++20", "-fPIC", "-shared", "-pthread", "-fvisibility=hidden", "-fvisibility-inlines-hidden"]
+LANGUAGE = ["-std=c++20", "-I.", "-fPIC", "-shared", "-pthread", "-fvisibility=hidden", "-fvisibility-inlines-hidden"]
 # -Wno-psabi: GCC notes that functions which pass vectors changed in GCC 4.6; they are all inside one library.
 WARNINGS = ["-Wall", "-Wextra", "-Wno-psabi"]
 LINKED = ["-Wl,--version-script=library.map"]
@@ -149,7 +149,7 @@ def describe(compiler: Sequence[str]) -> str:
 
 
 def source_files(sources: Path = ENGINE) -> list[Path]:
-    """The files that a library is made from."""
+    """The sources of a library, sorted by path."""
     return sorted(path for pattern in PATTERNS for path in sources.glob(pattern))
 
 
@@ -158,7 +158,7 @@ def fingerprint(arguments: Sequence[str], version: str, sources: Path = ENGINE) 
     digest = hashlib.sha256("\0".join([*arguments, version]).encode())
     for path in source_files(sources):
         content = path.read_bytes()
-        digest.update(f"\0{path.name}\0{len(content)}\0".encode() + content)
+        digest.update(f"\0{path.relative_to(sources).as_posix()}\0{len(content)}\0".encode() + content)
     return digest.hexdigest()[:40]
 
 

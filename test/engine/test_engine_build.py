@@ -23,6 +23,7 @@ SMALL = """
 #include <cmath>
 #include <map>
 #include <stdexcept>
+#include "core/small.hpp"
 #define CLOTH_PUBLIC extern "C" __attribute__((visibility("default")))
 CLOTH_PUBLIC int cloth_bytes() { return CLOTH_VECTOR_BYTES; }
 CLOTH_PUBLIC double cloth_sum(double a, double b, double c) { return a * b + c; }
@@ -37,17 +38,23 @@ CLOTH_PUBLIC int cloth_at(int n)
 {
     std::map<int, int> values;  // whose code the compilers keep as functions of their own
     for (int k = 0; k < 3; ++k) values[k * n] = k;
-    try { return values.at(n > 5 ? -1 : n); } catch (const std::out_of_range&) { return -1; }
+    try { return values.at(n > 5 ? -1 : n); } catch (const std::out_of_range&) { return missing; }
 }
 """
+
+
+def write_unit(sources: Path, text: str = SMALL) -> None:
+    """Write the translation unit, and the header in a folder that it includes."""
+    for name, content in ((build.UNIT, text), ("core/small.hpp", "inline constexpr int missing = -1;\n")):
+        (sources / name).parent.mkdir(parents=True, exist_ok=True)
+        (sources / name).write_text(content)
 
 
 @pytest.fixture
 def sources(tmp_path: Path) -> Path:
     """A small engine, with the real one's list of what a library shows."""
     folder = tmp_path / "sources"
-    folder.mkdir()
-    (folder / build.UNIT).write_text(SMALL)
+    write_unit(folder)
     shutil.copy(build.ENGINE / "library.map", folder)
     return folder
 
@@ -187,6 +194,32 @@ def test_is_built_again_only_when_something_changed(sources: Path, tmp_path: Pat
     assert [path.name for path in folder.iterdir()] == [build.file_name(here())]
 
 
+def test_every_source_changes_build_id(tmp_path: Path) -> None:
+    copy = tmp_path / "engine"
+    shutil.copytree(build.ENGINE, copy, ignore=shutil.ignore_patterns("*.so", "__pycache__"))
+    (copy / "laws" / "air").mkdir(parents=True)
+    (copy / "laws" / "air" / "law.hpp").write_text("// a law\n")
+    prints = {build.fingerprint([], "", copy)}
+    files = [path for path in copy.rglob("*") if path.suffix in (".cpp", ".hpp", ".map")]
+    for path in files:
+        with path.open("a") as source:
+            source.write("\n")
+        prints.add(build.fingerprint([], "", copy))
+    assert len(prints) == 1 + len(files)
+    moved = copy / "laws" / "law.hpp"
+    (copy / "laws" / "air" / "law.hpp").rename(moved)
+    assert build.fingerprint([], "", copy) not in prints
+
+
+def test_sources_are_those_that_the_compiler_reads(compiler: str) -> None:
+    flags = [flag for flag in build.flags(here()) if not flag.startswith("-Wl")]
+    done = subprocess.run([compiler, *flags, "-MM", build.UNIT], cwd=build.ENGINE, check=True, capture_output=True)
+    names = done.stdout.decode().replace("\\\n", " ").split()[1:]
+    read = {(build.ENGINE / name).resolve() for name in names}
+    sources = {path.resolve() for path in build.source_files() if path.suffix in (".cpp", ".hpp")}
+    assert read == sources, "what is included is part of the build id, and what is part of it is included"
+
+
 def test_another_version_of_the_compiler_builds_again(
     sources: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -224,7 +257,7 @@ def test_a_compiler_that_fails_is_told_with_what_it_said(
 def test_an_error_in_the_sources_leaves_the_old_library(sources: Path, tmp_path: Path) -> None:
     (library,) = build.build(tmp_path / "out", names=[here()], sources=sources)
     before = library.read_bytes()
-    (sources / build.UNIT).write_text(SMALL + "int unused(int n) { }\n")
+    write_unit(sources, SMALL + "int unused(int n) { }\n")
     with pytest.raises(build.BuildError, match="Werror"):
         build.build(tmp_path / "out", names=[here()], sources=sources)
     assert library.read_bytes() == before
@@ -267,7 +300,7 @@ def project(tmp_path: Path) -> Path:
         shutil.copytree(ROOT / name, folder / name, ignore=built)
     for name in ("setup.py", "setup.cfg", "package.xml"):
         shutil.copy(ROOT / name, folder)
-    (folder / "cloth_sim_ros" / "engine" / build.UNIT).write_text(SMALL)
+    write_unit(folder / "cloth_sim_ros" / "engine")
     return folder
 
 
@@ -281,14 +314,17 @@ def test_in_place_the_libraries_lie_beside_the_sources(project: Path) -> None:
 def test_a_source_distribution_holds_all_that_the_engine_is_made_from(project: Path, tmp_path: Path) -> None:
     pytest.importorskip("setuptools")
     engine = project / "cloth_sim_ros" / "engine"
-    (engine / "law.hpp").write_text("// a law\n")
+    for folder in (engine, engine / "laws", engine / "laws" / "air"):
+        folder.mkdir(exist_ok=True)
+        (folder / "law.hpp").write_text("// a law\n")
     subprocess.run(
         [sys.executable, "setup.py", "-q", "sdist", "--dist-dir", tmp_path / "dist"], cwd=project, check=True
     )
     (archive,) = (tmp_path / "dist").glob("*.tar.gz")
     with tarfile.open(archive) as packed:
-        names = {Path(name).name for name in packed.getnames() if "/engine/" in name}
-    assert names >= {"build.py", "law.hpp", *(path.name for path in build.source_files(engine))}
+        names = {name.partition("/engine/")[2] for name in packed.getnames() if "/engine/" in name}
+    assert names >= {"build.py", *(path.relative_to(engine).as_posix() for path in build.source_files(engine))}
+    assert names >= {"law.hpp", "laws/law.hpp", "laws/air/law.hpp", "core/small.hpp"}
     assert not [name for name in names if name.endswith(".so")]
 
 
@@ -317,6 +353,10 @@ def test_colcon_builds_the_engine(project: Path, tmp_path: Path, options: list[s
     for name in build.names_here()[:1] if options else build.names_for():
         assert (engine / build.file_name(name)).is_file()
     assert ctypes.CDLL(str(engine / build.file_name(build.names_here()[0]))).cloth_at(1) == 1
+    if not options:  # the installed sources build the same library
+        relative = [path.relative_to(engine).as_posix() for path in build.source_files(engine)]
+        assert relative == ["core/small.hpp", build.UNIT, "library.map"]
+        assert build.build(engine, sources=engine, say=pytest.fail)
 
 
 def make_engine(project: Path, *arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
@@ -334,7 +374,7 @@ def test_make_builds_once_and_then_says_nothing(project: Path, tmp_path: Path) -
     assert make_engine(project, "--every").returncode == 0
     found = {path.name for path in (project / "cloth_sim_ros" / "engine").glob("*.so")}
     assert found == {build.file_name(name) for name in build.names_here()}
-    (project / "cloth_sim_ros" / "engine" / build.UNIT).write_text("no C++\n")
+    write_unit(project / "cloth_sim_ros" / "engine", "no C++\n")
     failed = make_engine(project)
     assert failed.returncode == 1
     assert "cloth_sim_ros: the compiler could not build the engine" in failed.stdout
