@@ -36,7 +36,7 @@ class BuildEngine(build_ext):
             folder = os.path.join(self.build_lib, *ENGINE.split("."))
         try:
             engine.build(
-                Path(folder).absolute(), names=names, say=lambda text: self.announce(f"{NAME}: {text}", level=2)
+                Path(folder).absolute(), names=names, on_message=lambda text: self.announce(f"{NAME}: {text}", level=2)
             )
         except engine.BuildError as error:
             raise SystemExit(str(error)) from None

@@ -98,7 +98,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "cloth_plan_uniform": ("i", ("h", _fixed(3), _fixed(3), "d")),
     "cloth_plan_air": ("i", ("h", _fixed(5))),
     "cloth_plan_order": ("i", ("h", _particles(1))),
-    "cloth_plan_held": (
+    "cloth_plan_grips": (
         "i",
         (
             "h",
@@ -111,7 +111,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
             _given(1, 2),
         ),
     ),
-    "cloth_plan_paths": ("i", ("h", _PATHS)),
+    "cloth_plan_gripper_paths": ("i", ("h", _PATHS)),
     "cloth_plan_contact": (
         "i",
         (
@@ -128,22 +128,22 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
         ),
     ),
     "cloth_plan_contact_paths": ("i", ("h", _obstacles(binding.PATH_NUMBERS))),
-    "cloth_plan_pinches": ("i", ("h", "i", _given(2, 1), _given(binding.DRIVE_NUMBERS, 1))),
+    "cloth_plan_jaws": ("i", ("h", "i", _given(2, 1), _given(binding.DRIVE_NUMBERS, 1))),
     "cloth_plan_mesh": ("i", ("h", "i", "i", _given(3, 2), "i", _given(3, 4))),
     "cloth_plan_faces": ("i", ("h", "i", _given(3, 1), "d")),
     "cloth_plan_features": ("i", ("h", "i", "i", _given(3, 2), "i", _given(2, 4), "d")),
-    "cloth_features_rest": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
-    "cloth_outlook": ("i", ("h", "d", "d", "d", "d", _X, _X, _fixed(8))),
-    "cloth_own_ahead": ("i", ("h", "d", "d", "d", _X, _X, _fixed(3))),
-    "cloth_features_cross": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
-    "cloth_pads_cross": ("i", ("h", "d", _X, _pinches(1), _pinches(1))),
-    "cloth_features_pierce": ("i", ("h", "d", _X, _fixed(3))),
+    "cloth_features_culled": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
+    "cloth_predict_contact": ("i", ("h", "d", "d", "d", "d", _X, _X, _fixed(8))),
+    "cloth_predict_surface_contact": ("i", ("h", "d", "d", "d", _X, _X, _fixed(3))),
+    "cloth_ccd_features": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
+    "cloth_ccd_jaws": ("i", ("h", "d", _X, _pinches(1), _pinches(1))),
+    "cloth_feature_intersection": ("i", ("h", "d", _X, _fixed(3))),
     "cloth_plan_self": ("i", ("h", "i", _given(3, 1), "d")),
     "cloth_self_friction": ("i", ("h", "d", "d")),
-    "cloth_self_rubbed": ("i", ("h", "d", _X, _X, _fixed(1))),
-    "cloth_contact_pinched": ("i", ("h", _pinches(binding.PINCH_NUMBERS))),
+    "cloth_self_friction_power": ("i", ("h", "d", _X, _X, _fixed(1))),
+    "cloth_plan_jaw_states": ("i", ("h", _pinches(binding.PINCH_NUMBERS))),
     "cloth_contact_anchors": ("i", ("h", lambda _, plan: _anchors(plan))),
-    "cloth_contact_settle": (
+    "cloth_combine_anchors": (
         "i",
         (
             "h",
@@ -156,42 +156,42 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
             lambda _, plan: _anchors(plan),
         ),
     ),
-    "cloth_pinch_accelerations": ("i", ("h", "d", _X, _X, _pinches(1))),
-    "cloth_contact_rates": ("i", ("h", "d", _X, _X, "d", _obstacles(binding.BOOKED_NUMBERS))),
+    "cloth_jaw_accelerations": ("i", ("h", "d", _X, _X, _pinches(1))),
+    "cloth_contact_wrenches": ("i", ("h", "d", _X, _X, "d", _obstacles(binding.BOOKED_NUMBERS))),
     "cloth_contact_gaps": ("i", ("h", "d", _X, _obstacles(2))),
     "cloth_contact_bounds": ("i", ("h", "d", _X, _B, _B)),
-    "cloth_contact_ahead": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
-    "cloth_contact_crosses": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
+    "cloth_predict_obstacle_contact": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
+    "cloth_ccd_obstacles": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
     "cloth_contact_thickness": ("i", ("h", _contacts, _contacts, "d")),
     "cloth_contact_gap_rows": ("i", ("h", "d", _X, _contacts)),
-    "cloth_contact_grown": ("i", ("h", "d", _X, _X, _fixed(1))),
+    "cloth_contact_growth_power": ("i", ("h", "d", _X, _X, _fixed(1))),
     "cloth_contact_limits": ("i", ("h", "d", _fixed(2))),
-    "cloth_self_keeps": ("i", ("h", "i")),
+    "cloth_self_cache_pairs": ("i", ("h", "i")),
     "cloth_self_bounds": ("i", ("h", "d", _X, _B, _B)),
     "cloth_self_gaps": ("i", ("h", _X, _fixed(2))),
-    "cloth_self_pierced": ("i", ("h", _X, _fixed(5))),
-    "cloth_self_rests": ("i", ("h", "d", _X, _X, _fixed(1))),
-    "cloth_self_crosses": ("i", ("h", _X, _X, _fixed(1))),
+    "cloth_self_intersection": ("i", ("h", _X, _fixed(5))),
+    "cloth_self_culled": ("i", ("h", "d", _X, _X, _fixed(1))),
+    "cloth_ccd_self": ("i", ("h", _X, _X, _fixed(1))),
     "cloth_frame": ("i", ("h", "f")),
     "cloth_accelerations": ("i", ("h", "d", _X, _X, _X)),
     "cloth_energy": ("i", ("h", "d", _X, _X, _fixed(2))),
     "cloth_powers": ("i", ("h", "d", _X, _X, _fixed(2))),
-    "cloth_grip_rates": (
+    "cloth_grip_wrenches": (
         "i",
         ("h", "d", _X, _X, "d", lambda _, plan: binding.BOOKED_NUMBERS * plan["grippers"]),
     ),
-    "cloth_rates": ("i", ("h", _X, _B, _B, "i", _fixed(5))),
+    "cloth_spectral_bounds": ("i", ("h", _X, _B, _B, "i", _fixed(5))),
     "cloth_bounds": ("i", ("h", _X, _B, _B)),
     "cloth_eigenvalues": ("i", (_given(6, 1), "i", _given(1, 1))),
-    "cloth_product": ("i", ("h", "d", _X, _X, _X, _X, _X)),
+    "cloth_derivative_product": ("i", ("h", "d", _X, _X, _X, _X, _X)),
     "cloth_pair_blocks": ("i", ("h", "i", _X, "d", "d", lambda a, plan: 6 * plan["lists"][a[1]])),
     "cloth_paths": (
         "i",
         ("i", "d", "d", *(_given(size, 0) for size in (7, 6, 6, 7, binding.PATH_NUMBERS, 6, 6, 1))),
     ),
-    "cloth_turn": ("i", (_fixed(4), _fixed(4), _fixed(3))),
+    "cloth_rotation_vector": ("i", (_fixed(4), _fixed(4), _fixed(3))),
     "cloth_pose": ("i", (_fixed(binding.PATH_NUMBERS), "d", _fixed(18))),
-    "cloth_lengths": ("i", ("i", "i", _given(4, 1), _given(3, 4), "i", _given(1, 1), _given(4, 1))),
+    "cloth_hinge_lengths": ("i", ("i", "i", _given(4, 1), _given(3, 4), "i", _given(1, 1), _given(4, 1))),
     "cloth_combine": ("i", ("i", "a", _given(1, 0), "i", _given(1, 3))),
     "cloth_distance": ("i", (_given(3, 2), _given(3, 2), "i", _fixed(1))),
     "cloth_weighted_dot": ("i", (_given(1, 3), _given(3, 3), _given(3, 3), "i", _fixed(1))),
@@ -274,15 +274,15 @@ class Traced:
             }
         elif name == "cloth_plan_list":
             plan["lists"].append(arguments[2])
-        elif name == "cloth_plan_held":
+        elif name == "cloth_plan_grips":
             plan["grippers"] = arguments[1]
         elif name == "cloth_plan_contact":
-            plan["obstacles"], plan["met"] = arguments[1], binding.TOUCHED_NUMBERS
+            plan["obstacles"], plan["met"] = arguments[1], binding.CONTACT_SUMMARY_NUMBERS
         elif name == "cloth_plan_self":
-            plan["met"] = binding.TOUCHED_NUMBERS
+            plan["met"] = binding.CONTACT_SUMMARY_NUMBERS
         elif name == "cloth_self_friction":
             plan["sides"] = LAYER_SIDES
-        elif name == "cloth_plan_pinches":
+        elif name == "cloth_plan_jaws":
             plan["pinches"] = arguments[1]
 
     def _part(self, kind: Any, value: Any, arguments: tuple[Any, ...], plan: dict[str, Any]) -> Callable[[], bytes]:
@@ -325,10 +325,10 @@ class Traced:
             "v0": 3 * n,
             "out": 6 * n * runs,
             "result": 6 * n,
-            "notes": runs * (binding.BOOKED_NUMBERS * (plan["grippers"] + plan["obstacles"]) + 2 + plan["met"]),
-            "told": binding.TOLD_NUMBERS,
+            "records": runs * (binding.BOOKED_NUMBERS * (plan["grippers"] + plan["obstacles"]) + 2 + plan["met"]),
+            "summary": binding.SUMMARY_NUMBERS,
             "anchors": runs * _anchors(plan),
-            "pinched": runs * binding.PINCH_NUMBERS * plan["pinches"],
+            "jaw_states": runs * binding.PINCH_NUMBERS * plan["pinches"],
         }
         names = [name for name, *_ in binding.Frame._fields_]
         raw = bytes(frame)

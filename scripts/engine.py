@@ -50,7 +50,9 @@ def sanitize(tests: list[str]) -> int:
     names = list(dict.fromkeys([libraries[0], libraries[-1]]))  # the widest and the simplest vectors that run here
     try:
         preload = preloaded()
-        build.build(SANITIZED, names=names, sanitize=True, say=lambda text: compiler.say(f"cloth_sim_ros: {text}"))
+        build.build(
+            SANITIZED, names=names, sanitize=True, on_message=lambda text: compiler.say(f"cloth_sim_ros: {text}")
+        )
     except (build.BuildError, RuntimeError) as error:
         compiler.say(str(error))
         return 1
@@ -93,7 +95,8 @@ def main() -> int:
     try:
         names = build.names_here()
         build.build(
-            names=names if arguments.every else names[:1], say=lambda text: compiler.say(f"cloth_sim_ros: {text}")
+            names=names if arguments.every else names[:1],
+            on_message=lambda text: compiler.say(f"cloth_sim_ros: {text}"),
         )
     except build.BuildError as error:
         compiler.say(str(error))

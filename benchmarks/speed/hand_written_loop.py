@@ -9,7 +9,7 @@ import ctypes
 import numpy as np
 from support.feature_variants import swinging
 
-from cloth_sim_ros.engine.binding import TOLD_NUMBERS, Frame, check, library
+from cloth_sim_ros.engine.binding import SUMMARY_NUMBERS, Frame, check, library
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
@@ -46,7 +46,7 @@ class HandMadeLoop:
         #: Steps of the newest frame.
         self.steps = 0
         self._counts = np.zeros(1, dtype=np.int64)
-        self._told = np.zeros(TOLD_NUMBERS)
+        self._told = np.zeros(SUMMARY_NUMBERS)
         #: Positions and velocities of the run that is made, and of the one before, which the next one starts from.
         self._ends = np.empty((1, 2, *self.x.shape)), np.empty((1, 2, *self.x.shape))
         self._frame = Frame(duration=self._period, runs=1, steps=self._counts.ctypes.data, bands=1, combined=1)

@@ -15,7 +15,7 @@ import attrs
 
 from cloth_sim_ros.batch.errors import StudyError
 from cloth_sim_ros.batch.recording import RunRecording
-from cloth_sim_ros.batch.sampling import MOST_RUNS, sample
+from cloth_sim_ros.batch.sampling import MAX_RUNS, sample
 from cloth_sim_ros.batch.study import POLICY, TARGET, Study
 from cloth_sim_ros.batch.study_run import Motion, RunError
 from cloth_sim_ros.scene.parameters import ParameterError
@@ -65,11 +65,11 @@ def draw(study: Study, cores: int) -> tuple[list[tuple[Any, ...]], Forecast]:
     Raises:
         StudyError: if there are too many runs, values are invalid, or the policy raises.
     """
-    if study.runs > MOST_RUNS:
+    if study.runs > MAX_RUNS:
         few = attrs.evolve(study, runs=_TRIED)
         expected = attempt(study, _sample(few))
         raise StudyError(
-            f"runs is {study.runs}; at most {MOST_RUNS} are possible. They would take "
+            f"runs is {study.runs}; at most {MAX_RUNS} are possible. They would take "
             f"{expected.in_words(study.runs, cores)}; split the study, or reduce runs"
         )
     samples = _sample(study)
@@ -142,7 +142,7 @@ def _measure(study: Study, run: int, named: dict[str, Any]) -> Forecast:
 
 
 def _sample(study: Study) -> list[tuple[Any, ...]]:
-    runs = min(study.runs, MOST_RUNS)
+    runs = min(study.runs, MAX_RUNS)
     return sample(study.factors, runs=runs, seed=study.seed, sampling=study.sampling)
 
 

@@ -19,7 +19,7 @@ from cloth_sim_ros.batch.errors import StudyError
 from cloth_sim_ros.batch.factors import Factor
 
 #: Limit of the number of runs of a study.
-MOST_RUNS = 10_000_000
+MAX_RUNS = 10_000_000
 #: Sampling methods.
 SAMPLINGS = ("sobol", "latin_hypercube", "random", "grid")
 

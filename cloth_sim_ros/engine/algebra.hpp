@@ -45,8 +45,8 @@ CLOTH_INLINE V norm2(Vec3<V> a) {
     return dot(a, a);
 }
 template <class V>
-CLOTH_INLINE V norm2_plus(Vec3<V> a, scalar<V> more) {
-    return fma(a.z, a.z, fma(a.y, a.y, fma(a.x, a.x, splat<V>(more))));
+CLOTH_INLINE V norm2_plus(Vec3<V> a, scalar<V> addend) {
+    return fma(a.z, a.z, fma(a.y, a.y, fma(a.x, a.x, splat<V>(addend))));
 }
 template <class V>
 CLOTH_INLINE Vec3<V> cross(Vec3<V> a, Vec3<V> b) {
@@ -54,7 +54,7 @@ CLOTH_INLINE Vec3<V> cross(Vec3<V> a, Vec3<V> b) {
 }
 /// a x b - c x d.
 template <class V>
-CLOTH_INLINE Vec3<V> crosses(Vec3<V> a, Vec3<V> b, Vec3<V> c, Vec3<V> d) {
+CLOTH_INLINE Vec3<V> cross_difference(Vec3<V> a, Vec3<V> b, Vec3<V> c, Vec3<V> d) {
     const auto part = [](V p, V q, V r, V s, V t, V u, V v, V w) CLOTH_INLINED {
         return fma(p, q, fma(-r, s, fma(-t, u, v * w)));
     };

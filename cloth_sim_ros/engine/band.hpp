@@ -50,12 +50,12 @@ inline void add_pair(const Band& a, std::int64_t i, std::int64_t j, const double
 }
 
 /// Add a mass and the block (xx, yy, zz, xy, xz, yz; `apart` numbers from one to the next) to the diagonal of row i.
-inline void add_single(const Band& a, std::int64_t i, double mass, const double* block, std::int64_t apart) {
-    const double xy = block[3 * apart], xz = block[4 * apart], yz = block[5 * apart];
+inline void add_diagonal(const Band& a, std::int64_t i, double mass, const double* block, std::int64_t component_stride) {
+    const double xy = block[3 * component_stride], xz = block[4 * component_stride], yz = block[5 * component_stride];
     double *x = a.row(i, 0), *y = a.row(i, 1), *z = a.row(i, 2);
     x[0] += mass + block[0];
-    y[1] += mass + block[apart];
-    z[2] += mass + block[2 * apart];
+    y[1] += mass + block[component_stride];
+    z[2] += mass + block[2 * component_stride];
     x[1] += xy;
     y[0] += xy;
     x[2] += xz;
@@ -67,7 +67,7 @@ inline void add_single(const Band& a, std::int64_t i, double mass, const double*
 /// Set numbers below 1e-120 to zero. Where masses dominate the matrix, the factor's entries decay along a row until
 /// they are denormal, and arithmetic on denormal numbers takes about a hundred times as long.
 template <class V>
-inline V without_traces(V a) {
+inline V flush_tiny(V a) {
     constexpr double tiny = 1e-120;
     return select(absolute(a) < splat<V>(tiny), V{}, a);
 }
@@ -110,7 +110,7 @@ struct Corner {
 /// Replace R rows (one or two block rows) from block row `top` on, at the columns of their own blocks. Return whether
 /// they could be eliminated, where they are to be.
 template <int R>
-inline bool do_corner(const Band& a, std::int64_t top, std::int64_t above, bool eliminated, Corner<R>& corner) {
+inline bool factor_corner(const Band& a, std::int64_t top, std::int64_t above, bool eliminated, Corner<R>& corner) {
     using V = vec<double>;
     constexpr int L = lanes<double>, N = (R + L - 1) / L, C = N * L;
     const std::int64_t from = std::max<std::int64_t>(0, top - a.width);
@@ -129,7 +129,7 @@ inline bool do_corner(const Band& a, std::int64_t top, std::int64_t above, bool 
             if (!(b[q][q] > 0.0)) return false;
             const double inverse = 1.0 / root(b[q][q]);
             b[q][q] = inverse;
-            for (int c = q + 1; c < C; ++c) b[q][c] = without_traces(b[q][c] * inverse);
+            for (int c = q + 1; c < C; ++c) b[q][c] = flush_tiny(b[q][c] * inverse);
             for (int r = q + 1; r < R; ++r)
                 for (int c = r; c < C; ++c) b[r][c] = fma(-b[q][r], b[q][c], b[r][c]);
         }
@@ -142,7 +142,7 @@ inline bool do_corner(const Band& a, std::int64_t top, std::int64_t above, bool 
 
 /// The same rows at the columns that follow, from column `j` of the matrix on.
 template <int R, int N>
-inline void do_columns(
+inline void factor_columns(
     const Band& a, std::int64_t top, std::int64_t above, bool eliminated, const Corner<R>& corner, std::int64_t j) {
     using V = vec<double>;
     constexpr int L = lanes<double>;
@@ -163,7 +163,7 @@ inline void do_columns(
         for (int n = 0; n < N; ++n) {
             V x = V{} - tile.sum[r][n];
             if (eliminated) {
-                x = without_traces(x * splat<V>(corner.u[r][r]));
+                x = flush_tiny(x * splat<V>(corner.u[r][r]));
 #pragma GCC unroll 8
                 for (int below = r + 1; below < R; ++below)
                     tile.sum[below][n] = fma(splat<V>(corner.u[r][below]), x, tile.sum[below][n]);
@@ -174,16 +174,16 @@ inline void do_columns(
 
 /// R rows from block row `top` on; those above `inner` count. Return whether they could be eliminated.
 template <int R>
-inline bool do_rows(const Band& a, std::int64_t top, std::int64_t inner) {
+inline bool factor_rows(const Band& a, std::int64_t top, std::int64_t inner) {
     constexpr int L = lanes<double>, N = 2;
     static_assert(N * L + 2 <= band_padding);
     const std::int64_t above = std::min(top, inner);
     const bool eliminated = top < inner;
     Corner<R> corner;
-    if (!do_corner<R>(a, top, above, eliminated, corner)) return false;
+    if (!factor_corner<R>(a, top, above, eliminated, corner)) return false;
     const std::int64_t end = 3 * std::min(a.count, top + R / 3 + a.width);
     for (std::int64_t j = 3 * top + (R + L - 1) / L * L; j < end; j += N * L)
-        do_columns<R, N>(a, top, above, eliminated, corner, j);
+        factor_columns<R, N>(a, top, above, eliminated, corner, j);
     return true;
 }
 
@@ -195,8 +195,8 @@ inline bool factor(const Band& a, std::int64_t inner) {
         const std::int64_t end = eliminated ? inner : a.count;
         std::int64_t top = eliminated ? 0 : inner;
         for (; top + 2 <= end; top += 2)
-            if (!do_rows<6>(a, top, inner)) return false;
-        if (top < end && !do_rows<3>(a, top, inner)) return false;
+            if (!factor_rows<6>(a, top, inner)) return false;
+        if (top < end && !factor_rows<3>(a, top, inner)) return false;
     }
     return true;
 }
@@ -205,21 +205,21 @@ inline bool factor(const Band& a, std::int64_t inner) {
 inline void forward(const Band& a, std::int64_t inner, double* y) {
     for (std::int64_t i = 0; i < inner; ++i) {
         const double *u0 = a.row(i, 0), *u1 = a.row(i, 1), *u2 = a.row(i, 2);
-        double* __restrict own = y + 3 * i;
-        const double y0 = own[0] * u0[0];
-        const double y1 = fma(-u0[1], y0, own[1]) * u1[1];
-        const double y2 = fma(-u1[2], y1, fma(-u0[2], y0, own[2])) * u2[2];
+        double* __restrict y_i = y + 3 * i;
+        const double y0 = y_i[0] * u0[0];
+        const double y1 = fma(-u0[1], y0, y_i[1]) * u1[1];
+        const double y2 = fma(-u1[2], y1, fma(-u0[2], y0, y_i[2])) * u2[2];
         const std::int64_t length = 3 * (1 + std::min(a.width, a.count - 1 - i));
         for (std::int64_t j = 3; j < length; ++j)
-            own[j] = fma(-y2, u2[j], fma(-y1, u1[j], fma(-y0, u0[j], own[j])));
-        own[0] = y0;
-        own[1] = y1;
-        own[2] = y2;
+            y_i[j] = fma(-y2, u2[j], fma(-y1, u1[j], fma(-y0, u0[j], y_i[j])));
+        y_i[0] = y0;
+        y_i[1] = y1;
+        y_i[2] = y2;
     }
 }
 
 /// Eight partial sums, in as many vectors as they take: their order is the same at any width.
-struct Partial {
+struct PartialSums {
     using V = vec<double>;
     static constexpr int L = lanes<double>, vectors = 8 / L;
     static_assert(L * vectors == 8);
@@ -242,27 +242,27 @@ struct Partial {
 inline void backward(const Band& a, std::int64_t inner, double* y) {
     for (std::int64_t i = inner - 1; i >= 0; --i) {
         const double *u0 = a.row(i, 0), *u1 = a.row(i, 1), *u2 = a.row(i, 2);
-        double* own = y + 3 * i;
+        double* y_i = y + 3 * i;
         const std::int64_t length = 3 * (1 + std::min(a.width, a.count - 1 - i));
-        Partial s0, s1, s2;
+        PartialSums s0, s1, s2;
         std::int64_t j = 3;
         for (; j + 8 <= length; j += 8) {
-            s0.add_product(u0 + j, own + j);
-            s1.add_product(u1 + j, own + j);
-            s2.add_product(u2 + j, own + j);
+            s0.add_product(u0 + j, y_i + j);
+            s1.add_product(u1 + j, y_i + j);
+            s2.add_product(u2 + j, y_i + j);
         }
         if (j < length) {
-            double rest[8] = {};
-            std::copy(own + j, own + length, rest);
-            s0.add_product(u0 + j, rest);
-            s1.add_product(u1 + j, rest);
-            s2.add_product(u2 + j, rest);
+            double tail[8] = {};
+            std::copy(y_i + j, y_i + length, tail);
+            s0.add_product(u0 + j, tail);
+            s1.add_product(u1 + j, tail);
+            s2.add_product(u2 + j, tail);
         }
-        const double x2 = (own[2] - s2.total()) * u2[2];
-        const double x1 = fma(-u1[2], x2, own[1] - s1.total()) * u1[1];
-        own[0] = fma(-u0[1], x1, fma(-u0[2], x2, own[0] - s0.total())) * u0[0];
-        own[1] = x1;
-        own[2] = x2;
+        const double x2 = (y_i[2] - s2.total()) * u2[2];
+        const double x1 = fma(-u1[2], x2, y_i[1] - s1.total()) * u1[1];
+        y_i[0] = fma(-u0[1], x1, fma(-u0[2], x2, y_i[0] - s0.total())) * u0[0];
+        y_i[1] = x1;
+        y_i[2] = x2;
     }
 }
 
@@ -272,21 +272,21 @@ inline void join(
     for (std::int64_t i = 0; i < middle.count; ++i)
         for (std::int64_t j = i; j < middle.count; ++j) {
             // In reverse order the pair (i, j) is stored transposed, as (count - 1 - j, count - 1 - i).
-            const std::int64_t other = inner_lower + middle.count - 1 - j, at = 3 * (j - i);
+            const std::int64_t lower_row = inner_lower + middle.count - 1 - j, at = 3 * (j - i);
             for (int r = 0; r < 3; ++r)
                 for (int c = 0; c < 3; ++c)
-                    middle.row(i, r)[at + c] = upper.row(inner_upper + i, r)[at + c] + lower.row(other, c)[at + r];
+                    middle.row(i, r)[at + c] = upper.row(inner_upper + i, r)[at + c] + lower.row(lower_row, c)[at + r];
         }
 }
 
 /// The sum of so many numbers.
 inline double sum(const double* values, std::int64_t count) {
-    Partial partial;
+    PartialSums partial;
     std::int64_t i = 0;
     for (; i + 8 <= count; i += 8) partial.add(values + i);
-    double rest[8] = {};
-    std::copy(values + i, values + count, rest);
-    partial.add(rest);
+    double tail[8] = {};
+    std::copy(values + i, values + count, tail);
+    partial.add(tail);
     return partial.total();
 }
 

@@ -17,38 +17,38 @@ enum {
     CLOTH_BAND_OK = 0,
     CLOTH_BAND_NOT_POSITIVE = 1,
     CLOTH_BAND_NO_MEMORY = 2,
-    CLOTH_BAND_CHOSEN = 3,  ///< an index of a pair that is not there
-    CLOTH_BAND_PAIRS = 4,   ///< a particle that is not there
-    CLOTH_BAND_PLACES = 5,  ///< a block row that is not there, or two that lie further apart than the band is wide
+    CLOTH_BAND_BAD_SELECTION = 3,  ///< an index of a pair that is not there
+    CLOTH_BAND_BAD_PARTICLE = 4,   ///< a particle that is not there
+    CLOTH_BAND_BAD_BLOCK_ROW = 5,  ///< a block row that is not there, or two that lie further apart than the band is wide
 };
 
 CLOTH_API std::int64_t cloth_band_stride(std::int64_t width) { return cloth::band_stride(width); }
 
 CLOTH_API int cloth_band_assemble(
-    double* rows, std::int64_t count, std::int64_t width, const std::int64_t* places, std::int64_t particles,
-    const std::int64_t* pairs, const double* blocks, std::int64_t pair_count, const std::int64_t* chosen,
-    std::int64_t chosen_count) {
+    double* rows, std::int64_t count, std::int64_t width, const std::int64_t* block_rows, std::int64_t particles,
+    const std::int64_t* pairs, const double* blocks, std::int64_t pair_count, const std::int64_t* selected,
+    std::int64_t selected_count) {
     const cloth::Band a{rows, count, width};
-    for (std::int64_t k = 0; k < chosen_count; ++k) {
-        const std::int64_t e = chosen[k];
-        if (e < 0 || e >= pair_count) return CLOTH_BAND_CHOSEN;
+    for (std::int64_t k = 0; k < selected_count; ++k) {
+        const std::int64_t e = selected[k];
+        if (e < 0 || e >= pair_count) return CLOTH_BAND_BAD_SELECTION;
         const std::int64_t p = pairs[2 * e], q = pairs[2 * e + 1];
-        if (p < 0 || p >= particles || q < 0 || q >= particles) return CLOTH_BAND_PAIRS;
-        const std::int64_t i = places[p], j = places[q];
-        if (i >= count || j >= count) return CLOTH_BAND_PLACES;
-        if (i >= 0 && j >= 0 && (i == j || i - j > width || j - i > width)) return CLOTH_BAND_PLACES;
+        if (p < 0 || p >= particles || q < 0 || q >= particles) return CLOTH_BAND_BAD_PARTICLE;
+        const std::int64_t i = block_rows[p], j = block_rows[q];
+        if (i >= count || j >= count) return CLOTH_BAND_BAD_BLOCK_ROW;
+        if (i >= 0 && j >= 0 && (i == j || i - j > width || j - i > width)) return CLOTH_BAND_BAD_BLOCK_ROW;
         cloth::add_pair(a, i, j, blocks + 6 * e);
     }
     return CLOTH_BAND_OK;
 }
 
 CLOTH_API int cloth_band_assemble_diagonal(
-    double* rows, std::int64_t count, std::int64_t width, const std::int64_t* places, std::int64_t particles,
+    double* rows, std::int64_t count, std::int64_t width, const std::int64_t* block_rows, std::int64_t particles,
     const double* masses, const double* blocks) {
     const cloth::Band a{rows, count, width};
     for (std::int64_t p = 0; p < particles; ++p) {
-        if (places[p] >= count) return CLOTH_BAND_PLACES;
-        if (places[p] >= 0) cloth::add_single(a, places[p], masses[p], blocks + p, particles);
+        if (block_rows[p] >= count) return CLOTH_BAND_BAD_BLOCK_ROW;
+        if (block_rows[p] >= 0) cloth::add_diagonal(a, block_rows[p], masses[p], blocks + p, particles);
     }
     return CLOTH_BAND_OK;
 }
@@ -81,9 +81,9 @@ CLOTH_API int cloth_band_join(
 CLOTH_API int cloth_cuthill_mckee(
     std::int64_t count, const std::int64_t* pairs, std::int64_t pair_count, std::int64_t* order) {
     for (std::int64_t e = 0; e < 2 * pair_count; ++e)
-        if (pairs[e] < 0 || pairs[e] >= count) return CLOTH_BAND_PAIRS;
+        if (pairs[e] < 0 || pairs[e] >= count) return CLOTH_BAND_BAD_PARTICLE;
     try {
-        cloth::CuthillMcKee(count, pairs, pair_count).write(order);
+        cloth::CuthillMcKee(count, pairs, pair_count).write_order(order);
     } catch (const std::bad_alloc&) {
         return CLOTH_BAND_NO_MEMORY;
     }

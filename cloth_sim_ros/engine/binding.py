@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the interface that this file is written against.
-ABI = 14
+ABI = 15
 #: What `cloth_engine` calls return.
 _TROUBLES = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE, _BUSY = 4, 5
@@ -30,14 +30,14 @@ AT_WORK = (
     "once more for a second call at the same time"
 )
 #: Runs of one frame at most; see frame.hpp.
-MOST_RUNS = 8
+MAX_RUNS = 8
 #: Numbers that a frame tells of its combination; see `told` in frame.hpp.
-TOLD_NUMBERS = 9
+SUMMARY_NUMBERS = 9
 #: Numbers of a gripper's path, and what is booked for each gripper; see held.hpp.
 PATH_NUMBERS, BOOKED_NUMBERS = 26, 8
 #: Shapes of obstacles; see contact_shapes.hpp. What a run tells of contact beside what it books; see contact.hpp.
 SHAPES = {"plane": 0, "box": 1, "sphere": 2, "capsule": 3, "cylinder": 4, "mesh": 5}
-TOUCHED_NUMBERS = 7
+CONTACT_SUMMARY_NUMBERS = 7
 #: Numbers of an anchor of friction; see contact_friction.hpp.
 ANCHOR_NUMBERS = 4
 #: Numbers of where a gripper's pads are, and of what drives them; see contact_pinch.hpp and library.cpp.
@@ -72,22 +72,22 @@ class Frame(ctypes.Structure):
         ("runs", ctypes.c_int64),
         ("steps", ctypes.c_void_p),
         ("weights", ctypes.c_void_p),
-        ("narrow", ctypes.c_int64),
+        ("single_precision", ctypes.c_int64),
         ("bands", ctypes.c_int64),
         ("x0", ctypes.c_void_p),
         ("v0", ctypes.c_void_p),
         ("out", ctypes.c_void_p),
         ("result", ctypes.c_void_p),
-        ("notes", ctypes.c_void_p),
-        ("powers", ctypes.c_int64),
-        ("told", ctypes.c_void_p),
-        ("rates", ctypes.c_int64),
-        ("books", ctypes.c_int64),
+        ("records", ctypes.c_void_p),
+        ("record_powers", ctypes.c_int64),
+        ("summary", ctypes.c_void_p),
+        ("bounds_level", ctypes.c_int64),
+        ("record_obstacles", ctypes.c_int64),
         ("anchors", ctypes.c_void_p),
-        ("pinched", ctypes.c_void_p),
-        ("every", ctypes.c_int64),
+        ("jaw_states", ctypes.c_void_p),
+        ("multirate", ctypes.c_int64),
         ("combined", ctypes.c_int64),
-        ("abreast", ctypes.c_int64),
+        ("concurrency", ctypes.c_int64),
     )
 
 
@@ -106,56 +106,56 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_plan_air": (_INT, _P, _P),
     "cloth_plan_order": (_INT, _P, _P),
     "cloth_plan_callback": (_INT, _P, CALLBACK),
-    "cloth_plan_held": (_INT, _P, _I, _I, _P, _P, _P, _P, _P),
-    "cloth_plan_paths": (_INT, _P, _P),
+    "cloth_plan_grips": (_INT, _P, _I, _I, _P, _P, _P, _P, _P),
+    "cloth_plan_gripper_paths": (_INT, _P, _P),
     "cloth_plan_contact": (_INT, _P, _I, _P, _P, _P, _P, _P, _D, _D, _D),
     "cloth_plan_contact_paths": (_INT, _P, _P),
-    "cloth_plan_pinches": (_INT, _P, _I, _P, _P),
-    "cloth_contact_pinched": (_INT, _P, _P),
-    "cloth_pinch_accelerations": (_INT, _P, _D, _P, _P, _P),
+    "cloth_plan_jaws": (_INT, _P, _I, _P, _P),
+    "cloth_plan_jaw_states": (_INT, _P, _P),
+    "cloth_jaw_accelerations": (_INT, _P, _D, _P, _P, _P),
     "cloth_frame": (_INT, _P, ctypes.POINTER(Frame)),
     "cloth_accelerations": (_INT, _P, _D, _P, _P, _P),
     "cloth_energy": (_INT, _P, _D, _P, _P, _P),
     "cloth_powers": (_INT, _P, _D, _P, _P, _P),
-    "cloth_grip_rates": (_INT, _P, _D, _P, _P, _D, _P),
-    "cloth_contact_rates": (_INT, _P, _D, _P, _P, _D, _P),
+    "cloth_grip_wrenches": (_INT, _P, _D, _P, _P, _D, _P),
+    "cloth_contact_wrenches": (_INT, _P, _D, _P, _P, _D, _P),
     "cloth_contact_gaps": (_INT, _P, _D, _P, _P),
     "cloth_contact_bounds": (_INT, _P, _D, _P, _P, _P),
-    "cloth_contact_ahead": (_INT, _P, _D, _D, _P, _P, _P),
+    "cloth_predict_obstacle_contact": (_INT, _P, _D, _D, _P, _P, _P),
     "cloth_contact_anchors": (_INT, _P, _P),
-    "cloth_contact_settle": (_INT, _P, _D, _P, _P, _I, _P, _P, _P),
-    "cloth_contact_crosses": (_INT, _P, _D, _D, _P, _P, _P),
+    "cloth_combine_anchors": (_INT, _P, _D, _P, _P, _I, _P, _P, _P),
+    "cloth_ccd_obstacles": (_INT, _P, _D, _D, _P, _P, _P),
     "cloth_contact_thickness": (_INT, _P, _P, _P, _D),
     "cloth_contact_gap_rows": (_INT, _P, _D, _P, _P),
-    "cloth_contact_grown": (_INT, _P, _D, _P, _P, _P),
+    "cloth_contact_growth_power": (_INT, _P, _D, _P, _P, _P),
     "cloth_contact_limits": (_INT, _P, _D, _P),
     "cloth_plan_mesh": (_INT, _P, _I, _I, _P, _I, _P),
     "cloth_plan_faces": (_INT, _P, _I, _P, _D),
     "cloth_plan_features": (_INT, _P, _I, _I, _P, _I, _P, _D),
-    "cloth_features_rest": (_INT, _P, _D, _D, _P, _P, _P),
-    "cloth_outlook": (_INT, _P, _D, _D, _D, _D, _P, _P, _P),
-    "cloth_own_ahead": (_INT, _P, _D, _D, _D, _P, _P, _P),
-    "cloth_features_cross": (_INT, _P, _D, _D, _P, _P, _P),
-    "cloth_pads_cross": (_INT, _P, _D, _P, _P, _P),
-    "cloth_features_pierce": (_INT, _P, _D, _P, _P),
+    "cloth_features_culled": (_INT, _P, _D, _D, _P, _P, _P),
+    "cloth_predict_contact": (_INT, _P, _D, _D, _D, _D, _P, _P, _P),
+    "cloth_predict_surface_contact": (_INT, _P, _D, _D, _D, _P, _P, _P),
+    "cloth_ccd_features": (_INT, _P, _D, _D, _P, _P, _P),
+    "cloth_ccd_jaws": (_INT, _P, _D, _P, _P, _P),
+    "cloth_feature_intersection": (_INT, _P, _D, _P, _P),
     "cloth_plan_self": (_INT, _P, _I, _P, _D),
     "cloth_self_friction": (_INT, _P, _D, _D),
-    "cloth_self_rubbed": (_INT, _P, _D, _P, _P, _P),
-    "cloth_self_keeps": (_INT, _P, _I),
+    "cloth_self_friction_power": (_INT, _P, _D, _P, _P, _P),
+    "cloth_self_cache_pairs": (_INT, _P, _I),
     "cloth_self_bounds": (_INT, _P, _D, _P, _P, _P),
     "cloth_self_gaps": (_INT, _P, _P, _P),
-    "cloth_self_pierced": (_INT, _P, _P, _P),
-    "cloth_self_rests": (_INT, _P, _D, _P, _P, _P),
-    "cloth_self_crosses": (_INT, _P, _P, _P, _P),
-    "cloth_rates": (_INT, _P, _P, _P, _P, _I, _P),
+    "cloth_self_intersection": (_INT, _P, _P, _P),
+    "cloth_self_culled": (_INT, _P, _D, _P, _P, _P),
+    "cloth_ccd_self": (_INT, _P, _P, _P, _P),
+    "cloth_spectral_bounds": (_INT, _P, _P, _P, _P, _I, _P),
     "cloth_bounds": (_INT, _P, _P, _P, _P),
     "cloth_eigenvalues": (_INT, _P, _I, _P),
-    "cloth_product": (_INT, _P, _D, _P, _P, _P, _P, _P),
+    "cloth_derivative_product": (_INT, _P, _D, _P, _P, _P, _P, _P),
     "cloth_pair_blocks": (_INT, _P, _I, _P, _D, _D, _P),
     "cloth_paths": (_INT, _I, _D, _D, *(_P,) * 8),
-    "cloth_turn": (_INT, _P, _P, _P),
+    "cloth_rotation_vector": (_INT, _P, _P, _P),
     "cloth_pose": (_INT, _P, _D, _P),
-    "cloth_lengths": (_INT, _INT, _I, _P, _P, _I, _P, _P),
+    "cloth_hinge_lengths": (_INT, _INT, _I, _P, _P, _I, _P, _P),
     "cloth_combine": (_INT, _I, _P, _P, _I, _P),
     "cloth_distance": (_INT, _P, _P, _I, _P),
     "cloth_weighted_dot": (_INT, _P, _P, _P, _I, _P),
@@ -165,7 +165,14 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
 #: Calls that take a microsecond: to give the interpreter lock away for them would cost more, and let other threads that
 #: step cloths wait for it once more.
 _BRIEF = frozenset(
-    ("cloth_paths", "cloth_plan_paths", "cloth_plan_held", "cloth_turn", "cloth_pose", "cloth_plan_contact_paths")
+    (
+        "cloth_paths",
+        "cloth_plan_gripper_paths",
+        "cloth_plan_grips",
+        "cloth_rotation_vector",
+        "cloth_pose",
+        "cloth_plan_contact_paths",
+    )
 )
 
 

@@ -5,8 +5,8 @@
 setup.py and `make` load this file by its path, before anything is installed: the standard library alone, and no import
 of the package. By hand: `python cloth_sim_ros/engine/build.py`, with `--help` for more.
 
-A library carries the fingerprint of what it was made from (sources, flags, compiler) as its linker's build id, so that
-no other file says whether it is up to date.
+The build id of a library is the fingerprint of its sources, flags and compiler. A library is up to date if its build
+id is the present fingerprint.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from pathlib import Path
 ENGINE = Path(__file__).resolve().parent
 UNIT = "library.cpp"  # the only translation unit
 PATTERNS = ("**/*.cpp", "**/*.hpp", "**/*.map")  # the sources of a library, in every folder below this one
-AT_A_TIME = 2  # a compile takes some 500 MB
+MAX_COMPILERS = 2  # running at once: each takes some 500 MB
 COMPILERS = ("g++", "clang++", "c++")
 
-# -fno-fast-math comes first: to both compilers it also means errno for square roots, and to clang contraction.
-# Contraction off is what makes the results the same everywhere: fma stands where it is written and nowhere else.
-# Nobody looks at errno or traps; without them a square root is one instruction, and loops become vectors. No result
-# changes with either.
-# Among statements in a row GCC 12 takes products that are added and subtracted in turn for one fused instruction, with
-# contraction off too (vfmaddsub, vfmsubadd): it shall not look for vectors there. Loops are written in vectors anyway.
+# -fno-fast-math comes first: both compilers let it imply errno for square roots, and clang lets it imply contraction.
+# Contraction is off, because results have to be the same everywhere: the code writes each fma that it needs.
+# The engine reads neither errno nor traps. Without them a square root is one instruction and loops are vectorized; no
+# result changes.
+# GCC 12 fuses sums and differences that alternate in straight-line code (vfmaddsub, vfmsubadd) although contraction is
+# off. Therefore its vectorizer of straight-line code is off; the loops are written in vectors.
 ARITHMETIC = [
     "-fno-fast-math",
     "-ffp-contract=off",
@@ -47,14 +47,14 @@ ARITHMETIC = [
     "-fno-tree-slp-vectorize",
 ]
 LANGUAGE = ["-std=c++20", "-I.", "-fPIC", "-shared", "-pthread", "-fvisibility=hidden", "-fvisibility-inlines-hidden"]
-# -Wno-psabi: GCC notes that functions which pass vectors changed in GCC 4.6; they are all inside one library.
+# -Wno-psabi: GCC notes that it passes vectors differently since GCC 4.6. All these functions are inside one library.
 WARNINGS = ["-Wall", "-Wextra", "-Wno-psabi"]
 LINKED = ["-Wl,--version-script=library.map"]
 PLAIN = ["-Werror", "-Wl,-z,defs"]
-# The baseline emulates fma and is slow whatever the compiler does: half the time to compile it is worth more.
+# The baseline emulates fma and is slow at any level of optimization. -O1 halves the time to compile it.
 OPTIMIZED = {"baseline": "-O1"}
-# The sanitizers' own code gives false warnings, so these are no errors here. Of debugging information there are lines
-# alone: with variables the compiler takes six times as long.
+# Warnings are no errors here, because the code that the sanitizers insert gives false ones. Debugging information has
+# line numbers only: variables would make the compiler six times as slow.
 SANITIZED = ["-O1", "-g1", "-fno-omit-frame-pointer", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 
 INSTRUCTION_SETS = {
@@ -67,7 +67,7 @@ MACHINES = {"x86_64": ("baseline", "avx2", "avx512"), "aarch64": ("neon",)}
 
 
 class BuildError(RuntimeError):
-    """The engine can't be built; the message says why, and what to do."""
+    """The engine can't be built; the message states cause and remedy."""
 
 
 class NoCompilerError(BuildError):
@@ -75,7 +75,7 @@ class NoCompilerError(BuildError):
 
 
 def names_for(machine: str | None = None) -> tuple[str, ...]:
-    """The libraries that are built for a machine (as `uname -m` names it; this one if None)."""
+    """Names of the libraries that are built for a machine, as `uname -m` names it; for this machine if None."""
     machine = machine or platform.machine()
     try:
         return MACHINES[machine]
@@ -85,9 +85,9 @@ def names_for(machine: str | None = None) -> tuple[str, ...]:
 
 
 def names_here() -> list[str]:
-    """The libraries that this machine can run, the one that it loads first; all of `names_for` on a stranger's machine.
+    """Names of the libraries that this machine can run, the one that it loads first; all of `names_for` if unknown.
 
-    Where the package is used in place no other machine loads them, so no other need be built.
+    A package that is used in place needs no other: no other machine loads it.
     """
     return list(runpy.run_path(str(ENGINE / "instruction_set.py"))["libraries"]()) or list(names_for())
 
@@ -98,7 +98,7 @@ def file_name(name: str) -> str:
 
 
 def flags(name: str, *, sanitize: bool = False) -> list[str]:
-    """What the compiler is told for a library; CXXFLAGS is not read, for it could change results."""
+    """Compiler flags of a library; CXXFLAGS is not read, because it could change results."""
     purpose = SANITIZED if sanitize else [OPTIMIZED.get(name, "-O3"), *PLAIN]
     return [*LANGUAGE, *purpose, *ARITHMETIC, *INSTRUCTION_SETS[name], *WARNINGS, *LINKED]
 
@@ -128,12 +128,12 @@ def find_compiler(environ: Mapping[str, str] = os.environ) -> list[str]:
 
 
 def describe(compiler: Sequence[str]) -> str:
-    """What a compiler says of itself.
+    """Output of a compiler's `--version`.
 
     Raises:
         BuildError: if it does not run.
     """
-    english = {**os.environ, "LC_ALL": "C"}  # the same words, and so the same fingerprint, in every language
+    english = {**os.environ, "LC_ALL": "C"}  # the fingerprint must not depend on the language
     try:
         done = subprocess.run(
             [*compiler, "--version"], env=english, check=False, capture_output=True, text=True, errors="replace"
@@ -154,7 +154,7 @@ def source_files(sources: Path = ENGINE) -> list[Path]:
 
 
 def fingerprint(arguments: Sequence[str], version: str, sources: Path = ENGINE) -> str:
-    """40 hexadecimal digits that stand for the sources, the flags and the compiler."""
+    """Hash of the sources, the flags and the compiler, 40 hexadecimal digits."""
     digest = hashlib.sha256("\0".join([*arguments, version]).encode())
     for path in source_files(sources):
         content = path.read_bytes()
@@ -162,17 +162,17 @@ def fingerprint(arguments: Sequence[str], version: str, sources: Path = ENGINE) 
     return digest.hexdigest()[:40]
 
 
-def is_current(library: Path, made_from: str) -> bool:
-    """Whether a library is there and carries this fingerprint."""
+def is_current(library: Path, build_id: str) -> bool:
+    """Return whether a library exists and has this build id."""
     try:
-        return bytes.fromhex(made_from) in library.read_bytes()
+        return bytes.fromhex(build_id) in library.read_bytes()
     except OSError:
         return False
 
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold the folder alone, so that of two builds at a time the second finds the work done."""
+    """Lock a folder, so that the second of two builds at the same time finds the work done."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)
@@ -187,16 +187,16 @@ def build(
     names: Sequence[str] | None = None,
     sanitize: bool = False,
     sources: Path = ENGINE,
-    say: Callable[[str], None] = lambda text: None,
+    on_message: Callable[[str], None] = lambda text: None,
 ) -> list[Path]:
-    """Make the libraries in a folder, those that are not up to date; return all of them.
+    """Build the libraries of a folder that are not up to date; return the paths of all.
 
     Args:
-        folder: where they shall be; made if it is missing.
-        names: which; those for this machine if None.
-        sanitize: with the address and the undefined-behaviour sanitizer, for tests.
-        sources: the folder of the sources.
-        say: is told what is built.
+        folder: of the libraries; created if it is missing.
+        names: of the libraries; all for this machine if None.
+        sanitize: add the address and the undefined-behaviour sanitizer, for tests.
+        sources: folder of the sources.
+        on_message: called with a line of progress before a compile.
 
     Raises:
         BuildError: if a library can't be built.
@@ -210,26 +210,26 @@ def build(
         return list(libraries.values())
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder):
-        wanted = [name for name in names if not is_current(libraries[name], prints[name])]
-        # What was built beside the sources needs no second compile.
-        ready = {name for name in wanted if is_current(sources / file_name(name), prints[name])}
+        outdated = [name for name in names if not is_current(libraries[name], prints[name])]
+        # A library beside the sources that is up to date is copied.
+        ready = {name for name in outdated if is_current(sources / file_name(name), prints[name])}
         for name in sorted(ready):
             replace(libraries[name], partial(shutil.copy2, sources / file_name(name)))
-        wanted = [name for name in wanted if name not in ready]
-        if wanted:
-            say(f"building the engine with {compiler[0]}: {', '.join(wanted)} ...")
+        outdated = [name for name in outdated if name not in ready]
+        if outdated:
+            on_message(f"building the engine with {compiler[0]}: {', '.join(outdated)} ...")
 
         def compile_one(name: str) -> None:
             command = [*compiler, *flags(name, sanitize=sanitize), f"-Wl,--build-id=0x{prints[name]}", UNIT]
             replace(libraries[name], lambda target: run([*command, "-o", str(target)], name, version, sources))
 
-        with ThreadPoolExecutor(AT_A_TIME) as pool:
-            list(pool.map(compile_one, wanted))
+        with ThreadPoolExecutor(MAX_COMPILERS) as pool:
+            list(pool.map(compile_one, outdated))
     return list(libraries.values())
 
 
 def replace(library: Path, make: Callable[[Path], object]) -> None:
-    """Have a library made under another name and take its place whole: a process that has the old one keeps it."""
+    """Build a library under another name, then rename it: a process that has loaded the old one keeps it."""
     target = library.with_name(f"{library.name}.{os.getpid()}.new").absolute()
     try:
         make(target)
@@ -239,7 +239,11 @@ def replace(library: Path, make: Callable[[Path], object]) -> None:
 
 
 def run(command: list[str], name: str, version: str, sources: Path) -> None:
-    """Run the compiler; raises BuildError with what it said."""
+    """Run the compiler.
+
+    Raises:
+        BuildError: with the compiler's output, if it fails.
+    """
     done = subprocess.run(command, cwd=sources, check=False, capture_output=True, text=True, errors="replace")
     if done.returncode:
         raise BuildError(
@@ -253,9 +257,9 @@ def main() -> int:
     """Command line; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "--only", action="append", choices=INSTRUCTION_SETS, help="which; by default this machine's all"
+        "--only", action="append", choices=INSTRUCTION_SETS, help="name of a library; by default all for this machine"
     )
-    parser.add_argument("--folder", type=Path, default=ENGINE, help="where the libraries shall be")
+    parser.add_argument("--folder", type=Path, default=ENGINE, help="folder of the libraries")
     parser.add_argument("--sanitize", action="store_true", help="with the address and undefined-behaviour sanitizers")
     arguments = parser.parse_args()
     try:
@@ -263,7 +267,7 @@ def main() -> int:
             arguments.folder.absolute(),
             names=arguments.only,
             sanitize=arguments.sanitize,
-            say=lambda text: print(f"cloth_sim_ros: {text}", flush=True),
+            on_message=lambda text: print(f"cloth_sim_ros: {text}", flush=True),
         )
     except BuildError as error:
         print(error, file=sys.stderr)

@@ -9,68 +9,68 @@
 namespace cloth {
 
 /// The largest speed of particles, anchored ones included.
-inline double fastest_of(const double* v, std::int64_t n) {
+inline double max_speed(const double* v, std::int64_t n) {
     using V = vec<double>;
-    V most{};
+    V max_square{};
     double square = 0.0;
     std::int64_t i = 0;
     for (; i + lanes<double> <= n; i += lanes<double>)
-        most = larger(norm2(Vec3<V>{load(v + i), load(v + n + i), load(v + 2 * n + i)}), most);
+        max_square = larger(norm2(Vec3<V>{load(v + i), load(v + n + i), load(v + 2 * n + i)}), max_square);
     for (; i < n; ++i) square = larger(norm2(Vec3<double>{v[i], v[n + i], v[2 * n + i]}), square);
-    for (int k = 0; k < lanes<double>; ++k) square = larger<double>(most[k], square);
+    for (int k = 0; k < lanes<double>; ++k) square = larger<double>(max_square[k], square);
     return root(square);
 }
 
 /// A ball about all particles, anchored ones included.
-struct Extent {
-    Vec3<double> middle;
+struct BoundingBall {
+    Vec3<double> center;
     double radius;
     bool finite = true;  ///< whether all positions are: a place that is no number is beyond no ball
 
-    Extent(const double* x, std::int64_t n) {
+    BoundingBall(const double* x, std::int64_t n) {
         double low[3], high[3];
         for (int c = 0; c < 3; ++c) {
             low[c] = high[c] = x[c * n];
             range(x + c * n, n, low[c], high[c]);
         }
-        const Vec3<double> least{low[0], low[1], low[2]}, most{high[0], high[1], high[2]};
-        middle = 0.5 * (least + most);
-        radius = 0.5 * root(norm2(most - least));
+        const Vec3<double> lower{low[0], low[1], low[2]}, upper{high[0], high[1], high[2]};
+        center = 0.5 * (lower + upper);
+        radius = 0.5 * root(norm2(upper - lower));
     }
     /// How far all particles are from an obstacle at least [m]; roundings may take `blurred` from that.
-    double away(const Obstacle& obstacle, const Placed<double>& placed) const {
-        const Vec3<double> way = middle - placed.place;
-        if (obstacle.shape == Shape::plane) return dot(placed.rotation[2], way) - radius;
-        return root(norm2(way)) - radius - obstacle.radius;
+    double distance_to(const Obstacle& obstacle, const PosedObstacle<double>& posed) const {
+        const Vec3<double> offset = center - posed.position;
+        if (obstacle.shape == Shape::plane) return dot(posed.rotation[2], offset) - radius;
+        return root(norm2(offset)) - radius - obstacle.radius;
     }
-    double blurred(const Placed<double>& placed) const {
-        return 64.0 * std::numeric_limits<double>::epsilon() * (root(norm2(middle)) + root(norm2(placed.place)) + radius);
+    double rounding_margin(const PosedObstacle<double>& posed) const {
+        return 64.0 * std::numeric_limits<double>::epsilon() * (root(norm2(center)) + root(norm2(posed.position)) + radius);
     }
     /// The largest speed as seen from an obstacle, of particles that are no faster than `fastest`.
-    double seen(double fastest, const Placed<double>& placed) const {
-        return fastest + root(norm2(placed.speed)) +
-               root(norm2(placed.spin)) * (root(norm2(middle - placed.place)) + radius);
+    double max_relative_speed(double fastest, const PosedObstacle<double>& posed) const {
+        return fastest + root(norm2(posed.velocity)) +
+               root(norm2(posed.spin)) * (root(norm2(center - posed.position)) + radius);
     }
 
 private:
-    void range(const double* from, std::int64_t n, double& least, double& most) {
+    void range(const double* from, std::int64_t n, double& min, double& max) {
         using V = vec<double>;
-        V low = splat<V>(least), high = splat<V>(most), none{};
-        double rest = 0.0;
+        V low = splat<V>(min), high = splat<V>(max), nan_check{};
+        double finite_check = 0.0;
         std::int64_t i = 0;
         for (; i + lanes<double> <= n; i += lanes<double>) {
             const V a = load(from + i);
             low = smaller(a, low);
             high = larger(a, high);
-            none = none + (a - a);
+            nan_check = nan_check + (a - a);
         }
         for (; i < n; ++i) {
-            least = smaller(from[i], least), most = larger(from[i], most);
-            rest += from[i] - from[i];
+            min = smaller(from[i], min), max = larger(from[i], max);
+            finite_check += from[i] - from[i];
         }
-        for (int k = 0; k < lanes<double>; ++k) rest += none[k];
-        finite = finite && rest == 0.0;
-        for (int k = 0; k < lanes<double>; ++k) least = smaller<double>(low[k], least), most = larger<double>(high[k], most);
+        for (int k = 0; k < lanes<double>; ++k) finite_check += nan_check[k];
+        finite = finite && finite_check == 0.0;
+        for (int k = 0; k < lanes<double>; ++k) min = smaller<double>(low[k], min), max = larger<double>(high[k], max);
     }
 };
 

@@ -6,24 +6,24 @@
 
 /// Squared frequency and damping rate of the cloth's contact with itself and with points and edges of obstacles, and how
 /// many pairs were looked at for it.
-static void own_ahead(cloth::Plan& plan, double t, double duration, double expected, const double* x, const double* v,
+static void predict_surface_contact(cloth::Plan& plan, double t, double duration, double expected, const double* x, const double* v,
                       double* out) {
     std::fill(out, out + 3, 0.0);
-    const auto add = [&](const cloth::SelfRates& r, auto&& pairs) {
+    const auto add = [&](const cloth::ContactBounds& r, auto&& pairs) {
         out[0] += r.omega2;
         out[1] += r.damping;
         if (r.omega2 < std::numeric_limits<double>::infinity()) out[2] += static_cast<double>(pairs());
     };
     if (plan.self)
-        add(cloth::self_ahead(plan, t, duration, expected, x, v),
+        add(cloth::predict_self_contact(plan, t, duration, expected, x, v),
             [&] { return plan.self->triangles.size() + plan.self->edges.size(); });
     if (!plan.features) return;
-    add(cloth::feature_ahead(plan, t, duration, expected, x, v), [&] {
+    add(cloth::predict_feature_contact(plan, t, duration, expected, x, v), [&] {
         // What is not there was not looked at: its lists are of another call.
         std::size_t pairs = 0;
         for (std::int64_t k = 0; k < plan.contacts.count(); ++k) {
-            const cloth::NearFeatures& near = plan.features->obstacles[k];
-            if (plan.features->has(plan.contacts, k)) pairs += near.triangles.size() + near.edges.size();
+            const cloth::FeatureVerletList& neighbors = plan.features->obstacles[k];
+            if (plan.features->has(plan.contacts, k)) pairs += neighbors.triangles.size() + neighbors.edges.size();
         }
         return pairs;
     });
@@ -33,20 +33,20 @@ static void own_ahead(cloth::Plan& plan, double t, double duration, double expec
 /// Particles stand where cloth_plan_order put them.
 CLOTH_API int cloth_plan_faces(cloth::Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest) {
     return guarded(plan, [&] {
-        cloth::FeatureContact contact;
+        cloth::FeatureContactModel contact;
         cloth::Surface& s = contact.surface;
         s.count = plan->count;
         s.shortest = shortest;
         s.masses.resize(plan->count);
-        double total = 0.0, moving = 0.0;
+        double total = 0.0, n_free = 0.0;
         for (std::int64_t i = 0; i < plan->count; ++i) {
             s.masses[plan->rank[i]] = plan->masses[i];
             if (!(plan->inverse[i] > 0.0)) continue;
             total += plan->masses[i];
-            moving += 1.0;
+            n_free += 1.0;
         }
-        if (!(moving > 0.0)) return;
-        contact.mass = total / moving;
+        if (!(n_free > 0.0)) return;
+        contact.mass = total / n_free;
         for (std::int64_t t = 0; t < count; ++t) {
             const std::int64_t* const c = triangles + 3 * t;
             if (!(plan->inverse[c[0]] > 0.0 && plan->inverse[c[1]] > 0.0 && plan->inverse[c[2]] > 0.0)) continue;
@@ -54,20 +54,20 @@ CLOTH_API int cloth_plan_faces(cloth::Plan* plan, std::int64_t count, const std:
             s.triangles.push_back({corner(0), corner(1), corner(2)});
         }
         if (s.triangles.empty()) return;
-        s.join();
+        s.build_topology();
         plan->features = std::move(contact);
     });
 }
 /// Points (points, 3) [m] and edges (edges, 2) of an obstacle in its own frame, and the radius about them [m]; see Features.
 /// None where the cloth has no surface that can be pushed.
-CLOTH_API int cloth_plan_features(cloth::Plan* plan, std::int64_t obstacle, std::int64_t points, const double* places,
+CLOTH_API int cloth_plan_features(cloth::Plan* plan, std::int64_t obstacle, std::int64_t points, const double* positions,
                                   std::int64_t edges, const std::int64_t* ends, double radius) {
     return guarded(plan, [&] {
         if (!plan->features) return;
         cloth::Features features;
         features.radius = radius;
         for (std::int64_t k = 0; k < points; ++k) {
-            features.points.push_back({places[3 * k], places[3 * k + 1], places[3 * k + 2]});
+            features.points.push_back({positions[3 * k], positions[3 * k + 1], positions[3 * k + 2]});
             features.reach = cloth::larger(cloth::root(cloth::norm2(features.points.back())), features.reach);
         }
         for (std::int64_t k = 0; k < edges; ++k)
@@ -75,52 +75,52 @@ CLOTH_API int cloth_plan_features(cloth::Plan* plan, std::int64_t obstacle, std:
         plan->features->obstacles[obstacle].features = std::move(features);
     });
 }
-/// Whether runs over a duration may leave them out, see FeatureRest.
-CLOTH_API int cloth_features_rest(cloth::Plan* plan, double t, double duration, const double* x, const double* v,
+/// Whether runs over a duration may leave them out, see FeatureCulling.
+CLOTH_API int cloth_features_culled(cloth::Plan* plan, double t, double duration, const double* x, const double* v,
                                   std::int64_t* out) {
     return guarded(plan, [&] {
-        const cloth::FeatureRest rest(*plan, t, duration, x, v);
-        *out = plan->features_act() ? 0 : 1;
+        const cloth::FeatureCulling culling(*plan, t, duration, x, v);
+        *out = plan->is_feature_active() ? 0 : 1;
     });
 }
-/// What contact may come to within a duration, eight numbers: energy and visits as cloth_contact_ahead has them; squared
+/// What contact may come to within a duration, eight numbers: energy and visits as cloth_predict_obstacle_contact has them; squared
 /// frequency and damping rate as cloth_contact_limits has them, of so many times the energy as `trust` says; and what
-/// cloth_own_ahead has.
-CLOTH_API int cloth_outlook(cloth::Plan* plan, double t, double duration, double trust, double expected, const double* x,
+/// cloth_predict_surface_contact has.
+CLOTH_API int cloth_predict_contact(cloth::Plan* plan, double t, double duration, double energy_factor, double expected, const double* x,
                             const double* v, double* out) {
     return guarded(plan, [&] {
-        cloth::Visits visits;
-        out[0] = cloth::contact_ahead(*plan, t, duration, x, v, &visits);
+        cloth::VisitCounts visits;
+        out[0] = cloth::predict_contact_energy(*plan, t, duration, x, v, &visits);
         out[1] = static_cast<double>(visits.all);
-        out[2] = static_cast<double>(visits.rough);
-        const cloth::ContactLimits limits(plan->contacts, trust * out[0]);
+        out[2] = static_cast<double>(visits.with_friction);
+        const cloth::ContactLimits limits(plan->contacts, energy_factor * out[0]);
         out[3] = limits.omega2;
         out[4] = limits.damping;
-        own_ahead(*plan, t, duration, expected, x, v, out + 5);
+        predict_surface_contact(*plan, t, duration, expected, x, v, out + 5);
     });
 }
-/// The same of contact of the cloth's triangles and edges alone: squared frequency and damping rate, see self_ahead and
-/// feature_ahead, and the number of pairs that were looked at.
-CLOTH_API int cloth_own_ahead(cloth::Plan* plan, double t, double duration, double expected, const double* x,
+/// The same of contact of the cloth's triangles and edges alone: squared frequency and damping rate, see predict_self_contact and
+/// predict_feature_contact, and the number of pairs that were looked at.
+CLOTH_API int cloth_predict_surface_contact(cloth::Plan* plan, double t, double duration, double expected, const double* x,
                               const double* v, double* out) {
-    return guarded(plan, [&] { own_ahead(*plan, t, duration, expected, x, v, out); });
+    return guarded(plan, [&] { predict_surface_contact(*plan, t, duration, expected, x, v, out); });
 }
 /// Whether any passes through the cloth on straight ways from x0 at time t to x1, a duration later.
-CLOTH_API int cloth_features_cross(cloth::Plan* plan, double t, double duration, const double* x0, const double* x1,
+CLOTH_API int cloth_ccd_features(cloth::Plan* plan, double t, double duration, const double* x0, const double* x1,
                                    std::int64_t* out) {
-    return guarded(plan, [&] { *out = plan->features && cloth::features_cross(*plan, t, duration, x0, x1) ? 1 : 0; });
+    return guarded(plan, [&] { *out = plan->features && cloth::ccd_features(*plan, t, duration, x0, x1) ? 1 : 0; });
 }
-/// Of each pinch, whether its pads do, see pads_cross.
-CLOTH_API int cloth_pads_cross(cloth::Plan* plan, double t, const double* x, const double* ways, std::int64_t* out) {
+/// Of each pinch, whether its pads do, see ccd_jaws.
+CLOTH_API int cloth_ccd_jaws(cloth::Plan* plan, double t, const double* x, const double* half_openings, std::int64_t* out) {
     return guarded(plan, [&] {
-        std::fill(out, out + plan->contacts.pinches.size(), std::int64_t{0});
-        if (plan->features) cloth::pads_cross(*plan, t, x, ways, out);
+        std::fill(out, out + plan->contacts.parallel_jaws.size(), std::int64_t{0});
+        if (plan->features) cloth::ccd_jaws(*plan, t, x, half_openings, out);
     });
 }
-/// What passes through the cloth, see features_pierce: three numbers.
-CLOTH_API int cloth_features_pierce(cloth::Plan* plan, double t, const double* x, std::int64_t* out) {
+/// What passes through the cloth, see find_feature_intersection: three numbers.
+CLOTH_API int cloth_feature_intersection(cloth::Plan* plan, double t, const double* x, std::int64_t* out) {
     return guarded(plan, [&] {
         std::fill(out, out + 3, std::int64_t{-1});
-        if (plan->features) cloth::features_pierce(*plan, t, x, out);
+        if (plan->features) cloth::find_feature_intersection(*plan, t, x, out);
     });
 }

@@ -14,82 +14,82 @@ namespace cloth {
 /// as `what(law, obstacle, from, meeting)`. Nothing meets where particles have no place. With `whole` contacts have the
 /// whole thickness.
 template <class V, class F>
-inline void for_each_feature_meeting(Plan& plan, double t, const double* const (&x)[2], const double* const (&v)[2],
-                                     F&& what, bool whole = false) {
-    FeatureContact& contact = *plan.features;
+inline void for_each_feature_contact(Plan& plan, double t, const double* const (&x)[2], const double* const (&v)[2],
+                                     F&& visit, bool ignore_reduction = false) {
+    FeatureContactModel& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
     FeatureLaw<V> law(contacts.thickness, contacts.damping, contact.mass);
-    Array<double> room[4];
-    FeatureMeeting<V> m;
+    Array<double> quads[4];
+    FeatureContact<V> m;
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
-        NearFeatures& near = contact.obstacles[k];
+        FeatureVerletList& neighbors = contact.obstacles[k];
         if (!contact.has(contacts, k)) continue;
-        if (room[0].empty())
-            for (int a = 0; a < 4; ++a) room[a] = quads_of(plan, a < 2 ? x[a] : v[a - 2]);
-        const Pose pose = contacts.pose(k, t);
-        if (!near.find(contact.surface, room[0].data(), pose, law.thickness(), 0.0)) continue;
-        law.reduce(whole ? whole_thickness<double>() : contacts.reduced.scaling(k, plan.count, plan.count + 1, t));
+        if (quads[0].empty())
+            for (int a = 0; a < 4; ++a) quads[a] = quads_of(plan, a < 2 ? x[a] : v[a - 2]);
+        const Pose pose = contacts.obstacle_pose(k, t);
+        if (!neighbors.find(contact.surface, quads[0].data(), pose, law.thickness(), 0.0)) continue;
+        law.reduce(ignore_reduction ? full_thickness<double>() : contacts.reduced.scaling(k, plan.count, plan.count + 1, t));
         const auto of = [&](int a) {
-            return [value = Quads{room[a].data()}, slope = Quads{room[a + 1].data()}](Index c) {
+            return [value = Quads{quads[a].data()}, slope = Quads{quads[a + 1].data()}](Index c) {
                 if constexpr (std::is_same_v<V, double>)
                     return value(c);
                 else
                     return with_slope(value(c), slope(c));
             };
         };
-        const FeaturesAt from{near.features, pose, pose.place - pose_at(contacts.path(k), t).place};
-        for_each_feature_meeting<V>(contact, near, pose, law, of(0), of(2), m,
-                                    [&](const FeatureMeeting<V>& one) { what(law, k, from, one); });
+        const FeaturesAt from{neighbors.features, pose, pose.position - pose_at(contacts.path(k), t).position};
+        for_each_feature_contact<V>(contact, neighbors, pose, law, of(0), of(2), m,
+                                    [&](const FeatureContact<V>& term) { visit(law, k, from, term); });
     }
 }
 
 inline double feature_energy(Plan& plan, double t, const double* x) {
     double total = 0.0;
-    for_each_feature_meeting<double>(plan, t, {x, nullptr}, {nullptr, nullptr},
+    for_each_feature_contact<double>(plan, t, {x, nullptr}, {nullptr, nullptr},
                                      [&](const auto& law, auto, const auto&, const auto& m) { total += law.energy(m); });
     return total;
 }
-/// Wrench on each obstacle about its place, work on the cloth and loss, as rates: added to (obstacles, booked_numbers).
-inline void feature_rates(Plan& plan, double t, const double* x, const double* v, double weight, double* rates) {
-    for_each_feature_meeting<double>(
+/// Wrench on each obstacle about its place, work on the cloth and loss, as rates: added to (obstacles, record_numbers).
+inline void add_feature_wrenches(Plan& plan, double t, const double* x, const double* v, double weight, double* wrenches) {
+    for_each_feature_contact<double>(
         plan, t, {x, nullptr}, {v, nullptr}, [&](const auto& law, std::int64_t k, const FeaturesAt& from, const auto& m) {
-            double* const to = rates + k * booked_numbers;
+            double* const to = wrenches + k * record_numbers;
             law.forces(m, [](Index, Vec3<double>) {},
-                       [&](Index point, Vec3<double> force) { FeatureRun::book(to, from, point, force, weight); });
-            to[booked_numbers - 1] += weight * law.lost(m);
+                       [&](Index point, Vec3<double> force) { FeatureRun::accumulate(to, from, point, force, weight); });
+            to[record_numbers - 1] += weight * law.dissipation(m);
         });
 }
 /// Power of the growth of contacts with a reduced thickness [W].
-inline double feature_grown(Plan& plan, double t, const double* x, const double* v) {
-    double grown = 0.0;
-    for_each_feature_meeting<double>(plan, t, {x, nullptr}, {v, nullptr},
-                                     [&](const auto& law, auto, const auto&, const auto& m) { grown += law.grown(m); });
-    return grown;
+inline double feature_growth_power(Plan& plan, double t, const double* x, const double* v) {
+    double power = 0.0;
+    for_each_feature_contact<double>(plan, t, {x, nullptr}, {v, nullptr},
+                                     [&](const auto& law, auto, const auto&, const auto& m) { power += law.growth_power(m); });
+    return power;
 }
 /// Add what moves pads outward [N], by the pinch.
-inline void feature_openings(Plan& plan, double t, const double* x, const double* v, std::vector<double>& felt) {
+inline void add_feature_jaw_forces(Plan& plan, double t, const double* x, const double* v, std::vector<double>& jaw_forces) {
     const Contacts& contacts = plan.contacts;
-    for_each_feature_meeting<double>(
+    for_each_feature_contact<double>(
         plan, t, {x, nullptr}, {v, nullptr}, [&](const auto& law, std::int64_t k, const FeaturesAt& from, const auto& m) {
-            if (!contacts.pinch_of(k)) return;
+            if (!contacts.jaw_of(k)) return;
             law.forces(m, [](Index, Vec3<double>) {}, [&](Index, Vec3<double> force) {
-                felt[contacts.obstacles[k].pinch] += contacts.obstacles[k].side * dot(from.pose.rotation[1], force);
+                jaw_forces[contacts.obstacles[k].parallel_jaw] += contacts.obstacles[k].jaw_side * dot(from.pose.rotation[1], force);
             });
         });
 }
 /// Add blocks that bound stiffness and damping: of a gap k |w_c| n n' at corner c. What counts with the other sign, and
 /// what fades, only softens.
 inline void add_feature_bounds(Plan& plan, double t, const double* x, double* stiff, double* damp) {
-    std::vector<std::int64_t> own(plan.count);
-    for (std::int64_t i = 0; i < plan.count; ++i) own[plan.rank[i]] = i;
-    for_each_feature_meeting<double>(
+    std::vector<std::int64_t> particle_of_rank(plan.count);
+    for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
+    for_each_feature_contact<double>(
         plan, t, {x, nullptr}, {nullptr, nullptr}, [&](const auto& law, auto, const auto&, const auto& m) {
             for (const auto& g : m.gaps) {
                 if (g.sign < 0.0) continue;
-                const double share = law.mass() * (m.edges ? m.faded : 1.0);
-                const double k = share * law.law().stiffness(g.gap), c = share * law.law().damping(g.gap);
+                const double mass = law.mass() * (m.edges ? m.fade_factor : 1.0);
+                const double k = mass * law.law().stiffness(g.gap), c = mass * law.law().damping(g.gap);
                 for (int corner = 0; corner < g.corners; ++corner) {
-                    const std::int64_t i = own[g.corner[corner]];
+                    const std::int64_t i = particle_of_rank[g.corner[corner]];
                     if (stiff) add_block(stiff, plan.count, i, outer(k * g.weight[corner], g.normal, 0.0));
                     if (damp) add_block(damp, plan.count, i, outer(c * g.weight[corner], g.normal, 0.0));
                 }
@@ -99,34 +99,34 @@ inline void add_feature_bounds(Plan& plan, double t, const double* x, double* st
 /// Add (df/dx) dx + (df/dv) dv to out, by the law itself on numbers with derivatives.
 inline void add_feature_product(Plan& plan, double t, const double* x, const double* v, const double* dx,
                                 const double* dv, double* out) {
-    std::vector<std::int64_t> own(plan.count);
-    for (std::int64_t i = 0; i < plan.count; ++i) own[plan.rank[i]] = i;
-    for_each_feature_meeting<Dual>(
+    std::vector<std::int64_t> particle_of_rank(plan.count);
+    for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
+    for_each_feature_contact<Dual>(
         plan, t, {x, dx}, {v, dv}, [&](const auto& law, auto, const auto&, const auto& m) {
             law.forces(m,
                        [&](Index c, Vec3<Dual> force) {
-                           out[own[c]] += force.x.slope;
-                           out[plan.count + own[c]] += force.y.slope;
-                           out[2 * plan.count + own[c]] += force.z.slope;
+                           out[particle_of_rank[c]] += force.x.slope;
+                           out[plan.count + particle_of_rank[c]] += force.y.slope;
+                           out[2 * plan.count + particle_of_rank[c]] += force.z.slope;
                        },
                        [](Index, Vec3<Dual>) {});
         });
 }
 /// Least gap to each obstacle's features, where it is below that of particles, into column 1 of (obstacles, 2).
 inline void feature_gaps(Plan& plan, double t, const double* x, double* out) {
-    for_each_feature_meeting<double>(plan, t, {x, nullptr}, {nullptr, nullptr},
+    for_each_feature_contact<double>(plan, t, {x, nullptr}, {nullptr, nullptr},
                                      [&](const auto&, std::int64_t k, const auto&, const auto& m) {
-                                         out[2 * k + 1] = smaller(m.least(), out[2 * k + 1]);
+                                         out[2 * k + 1] = smaller(m.min_gap(), out[2 * k + 1]);
                                      },
                                      true);
 }
 /// The least gap of each obstacle's points and edges within half the thickness, in units of the whole one, into the last
 /// column of (obstacles + 1, n + 1).
 inline void feature_gap_column(Plan& plan, double t, const double* x, double* out) {
-    for_each_feature_meeting<double>(plan, t, {x, nullptr}, {nullptr, nullptr},
+    for_each_feature_contact<double>(plan, t, {x, nullptr}, {nullptr, nullptr},
                                      [&](const auto&, std::int64_t k, const auto&, const auto& m) {
                                          double& to = out[k * (plan.count + 1) + plan.count];
-                                         to = smaller(2.0 * m.least(), to);
+                                         to = smaller(2.0 * m.min_gap(), to);
                                      },
                                      true);
 }
@@ -134,250 +134,250 @@ inline void feature_gap_column(Plan& plan, double t, const double* x, double* ou
 /// Squared frequency and damping rate that contact with features comes to where it takes up what it holds, and what comes
 /// into contact within a duration [s] as it moves at time t, times `expected`. Infinite where a ball or an edge with a
 /// radius is within the cloth, and where particles have no place.
-inline SelfRates feature_ahead(Plan& plan, double t, double duration, double expected, const double* x, const double* v) {
-    FeatureContact& contact = *plan.features;
+inline ContactBounds predict_feature_contact(Plan& plan, double t, double duration, double expected, const double* x, const double* v) {
+    FeatureContactModel& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
     // Mostly particles keep everything out.
     if (!contact.has_any(contacts)) return {};
     FeatureLaw<double> law = contact.law(contacts);
-    const double endless = std::numeric_limits<double>::infinity();
-    const Array<double> places = quads_of(plan, x), speeds = quads_of(plan, v);
-    const Quads at{places.data()}, moving{speeds.data()};
-    FeatureDemand demand(contact.mass);
-    FeatureMeeting<double> m;
+    const double infinite = std::numeric_limits<double>::infinity();
+    const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, v);
+    const Quads at{positions.data()}, velocity{velocities.data()};
+    FeatureStiffnessBound bound(contact.mass);
+    FeatureContact<double> m;
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
-        NearFeatures& near = contact.obstacles[k];
+        FeatureVerletList& neighbors = contact.obstacles[k];
         if (!contact.has(contacts, k)) continue;
-        const Pose pose = contacts.driven(k, t, duration);
-        demand.meet(contacts, k);
+        const Pose pose = contacts.driven_pose(k, t, duration);
+        bound.set_obstacle(contacts, k);
         law.reduce(contacts.reduced.scaling(k, plan.count, plan.count + 1, t));
-        Spread spread;
-        for (std::int64_t i = 0; i < plan.count; ++i) spread.take(load4(speeds.data() + 4 * i));
-        spread.take(quad<double>{pose.speed.x, pose.speed.y, pose.speed.z, 0.0});
-        const double speed = spread.most() + root(norm2(pose.spin)) * near.features.reach;
+        MotionBound motion;
+        for (std::int64_t i = 0; i < plan.count; ++i) motion.include(load4(velocities.data() + 4 * i));
+        motion.include(quad<double>{pose.velocity.x, pose.velocity.y, pose.velocity.z, 0.0});
+        const double speed = motion.diameter() + root(norm2(pose.spin)) * neighbors.features.reach;
         // A later call sees farther pairs.
-        const double beyond = smaller(speed * duration, 2.0 * contact.surface.shortest);
-        if (!near.find(contact.surface, places.data(), pose, law.thickness(), beyond)) return {endless, endless};
-        for_each_feature_meeting<double>(contact, near, pose, law, at, moving, m,
-                                         [&](const auto& one) { demand.take(contact.surface, one); }, &demand, duration);
+        const double margin = smaller(speed * duration, 2.0 * contact.surface.shortest);
+        if (!neighbors.find(contact.surface, positions.data(), pose, law.thickness(), margin)) return {infinite, infinite};
+        for_each_feature_contact<double>(contact, neighbors, pose, law, at, velocity, m,
+                                         [&](const auto& term) { bound.include(contact.surface, term); }, &bound, duration);
     }
-    demand.close();
-    if (demand.gap <= 0.0) return {endless, endless};
-    return demand.rates(law, expected);
+    bound.flush();
+    if (bound.gap <= 0.0) return {infinite, infinite};
+    return bound.bounds(law, expected);
 }
 
 /// Whether features of an obstacle that moves from a pose to another one pass through the cloth, or it through them, on
 /// straight ways of its particles meanwhile, quads: each pair is followed by its gap, which no way is shorter than.
-inline bool feature_crosses(FeatureContact& contact, std::int64_t k, double thickness, const Pose& first, const Pose& last,
+inline bool ccd_obstacle_features(FeatureContactModel& contact, std::int64_t k, double thickness, const Pose& start_pose, const Pose& end_pose,
                             const double* from, const double* to) {
     const Surface& s = contact.surface;
     const Quads start{from}, end{to};
-    NearFeatures& near = contact.obstacles[k];
-    const Features& features = near.features;
-    const FeaturesAt begin{features, first}, finish{features, last};
-    Spread spread;
-    for (std::int64_t i = 0; i < s.count; ++i) spread.take(load4(to + 4 * i) - load4(from + 4 * i));
-    const Vec3<double> way = last.place - first.place;
-    spread.take(quad<double>{way.x, way.y, way.z, 0.0});
-    const double most = spread.most() + turned(first, last, features.reach);
-    if (!near.find(s, from, first, thickness, most)) return true;
+    FeatureVerletList& neighbors = contact.obstacles[k];
+    const Features& features = neighbors.features;
+    const FeaturesAt begin{features, start_pose}, finish{features, end_pose};
+    MotionBound motion;
+    for (std::int64_t i = 0; i < s.count; ++i) motion.include(load4(to + 4 * i) - load4(from + 4 * i));
+    const Vec3<double> displacement = end_pose.position - start_pose.position;
+    motion.include(quad<double>{displacement.x, displacement.y, displacement.z, 0.0});
+    const double max_motion = motion.diameter() + rotation_displacement(start_pose, end_pose, features.reach);
+    if (!neighbors.find(s, from, start_pose, thickness, max_motion)) return true;
     // Positions along the way, and by how much the sides approach at most from its start to its end.
-    const auto meets = [&](int corners, const Index* own, Index a, Index b, auto&& square) {
-        Vec3<double> ways[3];
-        for (int c = 0; c < corners; ++c) ways[c] = end(own[c]) - start(own[c]);
-        const Vec3<double> pa = begin.place(a), pb = begin.place(b), wa = finish.place(a) - pa, wb = finish.place(b) - pb;
+    const auto intersects = [&](int corners, const Index* corner, Index a, Index b, auto&& square) {
+        Vec3<double> displacements[3];
+        for (int c = 0; c < corners; ++c) displacements[c] = end(corner[c]) - start(corner[c]);
+        const Vec3<double> pa = begin.position(a), pb = begin.position(b), wa = finish.position(a) - pa, wb = finish.position(b) - pb;
         double length = 0.0;
-        for (int c = 0; c < corners; ++c) length = larger(root(norm2(ways[c] - wa)), length);
+        for (int c = 0; c < corners; ++c) length = larger(root(norm2(displacements[c] - wa)), length);
         length += root(norm2(wb - wa));
-        double part = 0.0;
-        for (int tries = 0; part < 1.0; ++tries) {
+        double fraction = 0.0;
+        for (int iteration = 0; fraction < 1.0; ++iteration) {
             Vec3<double> at[3];
-            for (int c = 0; c < corners; ++c) at[c] = start(own[c]) + part * ways[c];
-            const double gap = root(square(at, pa + part * wa, pb + part * wb)) - features.radius;
-            if (!(gap > 1e-3 * thickness) || tries > 1000) return true;
+            for (int c = 0; c < corners; ++c) at[c] = start(corner[c]) + fraction * displacements[c];
+            const double gap = root(square(at, pa + fraction * wa, pb + fraction * wb)) - features.radius;
+            if (!(gap > 1e-3 * thickness) || iteration > 1000) return true;
             if (!(length > 0.0)) return false;
-            part += gap / length;
+            fraction += gap / length;
         }
         return false;
     };
-    for (std::size_t pair = 0; pair < near.triangles.size(); ++pair) {
-        const Index point = near.triangles.first[pair];
+    for (std::size_t pair = 0; pair < neighbors.triangles.size(); ++pair) {
+        const Index point = neighbors.triangles.first[pair];
         const auto square = [](const Vec3<double>* at, Vec3<double> p, Vec3<double>) {
             return near_triangle(p, at[0], at[1], at[2]).square;
         };
-        if (meets(3, s.triangles[near.triangles.second[pair]].data(), point, point, square)) return true;
+        if (intersects(3, s.triangles[neighbors.triangles.second[pair]].data(), point, point, square)) return true;
     }
-    for (std::size_t pair = 0; pair < near.edges.size(); ++pair) {
-        const auto& side = features.edges[near.edges.first[pair]];
+    for (std::size_t pair = 0; pair < neighbors.edges.size(); ++pair) {
+        const auto& edge = features.edges[neighbors.edges.first[pair]];
         const auto square = [](const Vec3<double>* at, Vec3<double> p, Vec3<double> q) {
             return near_segments(at[0], at[1], p, q).square;
         };
-        if (meets(2, s.edges[near.edges.second[pair]].data(), side[0], side[1], square)) return true;
+        if (intersects(2, s.edges[neighbors.edges.second[pair]].data(), edge[0], edge[1], square)) return true;
     }
     return false;
 }
 /// Whether any does on the way from x0 at time t to x1, `duration` [s] later.
-inline bool features_cross(Plan& plan, double t, double duration, const double* x0, const double* x1) {
-    FeatureContact& contact = *plan.features;
+inline bool ccd_features(Plan& plan, double t, double duration, const double* x0, const double* x1) {
+    FeatureContactModel& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
     const Array<double> from = quads_of(plan, x0), to = quads_of(plan, x1);
     const double thickness = contact.law(contacts).thickness();
     for (std::int64_t k = 0; k < contacts.count(); ++k)
-        if (contact.has(contacts, k) && feature_crosses(contact, k, thickness, contacts.pose(k, t),
-                                                        contacts.pose(k, t + duration), from.data(), to.data()))
+        if (contact.has(contacts, k) && ccd_obstacle_features(contact, k, thickness, contacts.obstacle_pose(k, t),
+                                                        contacts.obstacle_pose(k, t + duration), from.data(), to.data()))
             return true;
     return false;
 }
 /// Of each pinch, whether a pad does that moves at time t from half a way between the faces [m] to where it is, the cloth
 /// being at x.
-inline void pads_cross(Plan& plan, double t, const double* x, const double* ways, std::int64_t* out) {
-    FeatureContact& contact = *plan.features;
+inline void ccd_jaws(Plan& plan, double t, const double* x, const double* half_openings, std::int64_t* out) {
+    FeatureContactModel& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
     const Array<double> at = quads_of(plan, x);
     const double thickness = contact.law(contacts).thickness();
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
-        const std::int64_t pinch = contacts.obstacles[k].pinch;
-        if (pinch < 0 || !contact.has(contacts, k)) continue;
-        const Pose before = contacts.shifted(pose_at(contacts.path(k), t), k, ways[pinch], 0.0);
-        if (feature_crosses(contact, k, thickness, before, contacts.pose(k, t), at.data(), at.data())) out[pinch] = 1;
+        const std::int64_t jaw = contacts.obstacles[k].parallel_jaw;
+        if (jaw < 0 || !contact.has(contacts, k)) continue;
+        const Pose previous_pose = contacts.shifted_pose(pose_at(contacts.path(k), t), k, half_openings[jaw], 0.0);
+        if (ccd_obstacle_features(contact, k, thickness, previous_pose, contacts.obstacle_pose(k, t), at.data(), at.data())) out[jaw] = 1;
     }
 }
 
 /// Leaves the features of obstacles that don't get near the cloth out of a frame. If a run ends with a larger speed than was
 /// counted with, all runs of the frame are made again with all of them.
-class FeatureRest {
+class FeatureCulling {
 public:
-    FeatureRest(Plan& plan, double t, double duration, const double* x0, const double* v0) : plan_(plan) {
+    FeatureCulling(Plan& plan, double t, double duration, const double* x0, const double* v0) : plan_(plan) {
         if (!plan.features) return;
-        FeatureContact& contact = *plan.features;
+        FeatureContactModel& contact = *plan.features;
         const Contacts& contacts = plan.contacts;
         const Surface& s = contact.surface;
-        std::fill(contact.acts.begin(), contact.acts.end(), 0);
+        std::fill(contact.is_active.begin(), contact.is_active.end(), 0);
         if (s.triangles.empty() || !contact.has_any(contacts)) return;
         const double thickness = contact.law(contacts).thickness();
-        speed_ = 2.0 * fastest(v0) + slack;
-        Array<double> places;
+        speed_limit_ = 2.0 * max_particle_speed(v0) + speed_margin;
+        Array<double> positions;
         for (std::int64_t k = 0; k < contacts.count(); ++k) {
-            NearFeatures& near = contact.obstacles[k];
-            const Features& features = near.features;
+            FeatureVerletList& neighbors = contact.obstacles[k];
+            const Features& features = neighbors.features;
             if (!contact.has(contacts, k)) continue;
             const double* const path = contacts.path(k);
-            double way = 0.0, turn = 0.0, power = 1.0;
+            double path_length = 0.0, path_angle = 0.0, power = 1.0;
             for (int order = 0; order < 3; ++order) {
                 power *= duration;
                 const double *const a = path + 4 + 3 * order, *const r = path + 17 + 3 * order;
-                way += power * root(norm2(Vec3<double>{a[0], a[1], a[2]}));
-                turn += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
+                path_length += power * root(norm2(Vec3<double>{a[0], a[1], a[2]}));
+                path_angle += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
             }
-            const Pose pose = contacts.pose(k, t);
+            const Pose pose = contacts.obstacle_pose(k, t);
             // Pads turn about their gripper. The cloth may push them back faster than they are driven.
-            const double lever = root(norm2(pose.place - pose_at(path, t).place));
-            if (contacts.pinch_of(k)) way += 2.0 * contacts.pad_speed(k) * duration;
-            const double beyond = speed_ * duration + way + turn * (lever + features.reach);
-            if (places.empty()) {
-                places = quads_of(plan, x0);
-                measure(s, places.data());
+            const double lever = root(norm2(pose.position - pose_at(path, t).position));
+            if (contacts.jaw_of(k)) path_length += 2.0 * contacts.max_jaw_speed(k) * duration;
+            const double margin = speed_limit_ * duration + path_length + path_angle * (lever + features.reach);
+            if (positions.empty()) {
+                positions = quads_of(plan, x0);
+                measure_cloth(s, positions.data());
             }
             // No point of the obstacle's ball is nearer to the cloth's.
-            const double apart = root(norm2(middle_ - pose.place)) - radius_ - features.reach - features.radius;
-            if (apart > thickness + beyond) continue;
-            const bool found = near.find(s, places.data(), pose, thickness, beyond);
-            contact.acts[k] = !found || near.triangles.size() || near.edges.size();
+            const double distance = root(norm2(center_ - pose.position)) - radius_ - features.reach - features.radius;
+            if (distance > thickness + margin) continue;
+            const bool is_valid = neighbors.find(s, positions.data(), pose, thickness, margin);
+            contact.is_active[k] = !is_valid || neighbors.triangles.size() || neighbors.edges.size();
         }
         for (std::int64_t k = 0; k < contacts.count(); ++k)
-            whole_ = whole_ && (contact.acts[k] || !contact.has(contacts, k));
+            covers_all_ = covers_all_ && (contact.is_active[k] || !contact.has(contacts, k));
     }
     /// Whether a run that ended with velocities v has to be made again.
-    bool missed(const double* v) const { return plan_.features && !whole_ && !(fastest(v) <= speed_); }
-    void wake() {
+    bool is_violated(const double* v) const { return plan_.features && !covers_all_ && !(max_particle_speed(v) <= speed_limit_); }
+    void disable() {
         if (!plan_.features) return;
-        plan_.features->wake(plan_.contacts);
-        whole_ = true;
+        plan_.features->activate_all(plan_.contacts);
+        covers_all_ = true;
     }
 
 private:
     /// Speed that particles may gain [m/s].
-    static constexpr double slack = 0.25;
+    static constexpr double speed_margin = 0.25;
 
     /// A ball about all of the cloth's edges.
-    void measure(const Surface& s, const double* x) {
+    void measure_cloth(const Surface& s, const double* x) {
         const Quads at{x};
-        Bounds box(at(s.edges[0][0]));
+        AxisBox box(at(s.edges[0][0]));
         for (const auto& e : s.edges) {
-            box.take(at(e[0]));
-            box.take(at(e[1]));
+            box.include(at(e[0]));
+            box.include(at(e[1]));
         }
-        middle_ = box.middle();
+        center_ = box.center();
         radius_ = 0.5 * root(norm2(box.high - box.low));
     }
-    double fastest(const double* v) const {
+    double max_particle_speed(const double* v) const {
         const std::int64_t n = plan_.count;
         double square = 0.0;
         for (std::int64_t i = 0; i < n; ++i) {
-            const double now = norm2(Vec3<double>{v[i], v[n + i], v[2 * n + i]});
-            square = now <= square ? square : now;  // a speed that is no number stays
-            if (!(now < std::numeric_limits<double>::infinity())) return now;
+            const double square_i = norm2(Vec3<double>{v[i], v[n + i], v[2 * n + i]});
+            square = square_i <= square ? square : square_i;  // a speed that is no number stays
+            if (!(square_i < std::numeric_limits<double>::infinity())) return square_i;
         }
         return root(square);
     }
     Plan& plan_;
-    Vec3<double> middle_{};
-    double speed_ = 0.0, radius_ = 0.0;
-    bool whole_ = true;
+    Vec3<double> center_{};
+    double speed_limit_ = 0.0, radius_ = 0.0;
+    bool covers_all_ = true;
 };
 
 /// What passes through the cloth at time t, three numbers: the obstacle, and two particles of the edge that is within it or
 /// of the triangle that its feature comes through; -1 where nothing does.
-inline void features_pierce(Plan& plan, double t, const double* x, std::int64_t* out) {
-    const FeatureContact& contact = *plan.features;
+inline void find_feature_intersection(Plan& plan, double t, const double* x, std::int64_t* out) {
+    const FeatureContactModel& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
     const Surface& s = contact.surface;
-    const Array<double> places = quads_of(plan, x);
-    const Quads at{places.data()};
-    std::vector<std::int64_t> own(plan.count);
-    for (std::int64_t i = 0; i < plan.count; ++i) own[plan.rank[i]] = i;
+    const Array<double> positions = quads_of(plan, x);
+    const Quads at{positions.data()};
+    std::vector<std::int64_t> particle_of_rank(plan.count);
+    for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
     std::fill(out, out + 3, std::int64_t{-1});
-    const double origin[3] = {}, least = 1e-3 * contacts.thickness;
+    const double origin[3] = {}, min_step = 1e-3 * contacts.thickness;
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
         const Features& features = contact.obstacles[k].features;
         if (!contact.has(contacts, k)) continue;
-        const Pose pose = contacts.pose(k, t);
+        const Pose pose = contacts.obstacle_pose(k, t);
         const FeaturesAt from{features, pose};
-        const auto tell = [&](Index a, Index b) { out[0] = k, out[1] = own[a], out[2] = own[b]; };
+        const auto report = [&](Index a, Index b) { out[0] = k, out[1] = particle_of_rank[a], out[2] = particle_of_rank[b]; };
         // An edge of the cloth that enters the obstacle, by steps as long as the gap is.
         const Obstacle& obstacle = contacts.obstacles[k];
-        const Placed<double> placed(pose, origin, obstacle);
+        const PosedObstacle<double> posed(pose, origin, obstacle);
         for (const auto& e : s.edges) {
             const Vec3<double> a = at(e[0]), b = at(e[1]);
             const double length = root(norm2(b - a));
-            for (double way = 0.0; way < length;) {
+            for (double distance = 0.0; distance < length;) {
                 const double gap = with_shape(obstacle.shape, [&](auto shape) {
-                    return stand<shape.value, true, double>(placed, obstacle.size, a + (way / length) * (b - a), {}).gap;
+                    return contact_kinematics<shape.value, true, double>(posed, obstacle.size, a + (distance / length) * (b - a), {}).gap;
                 });
-                if (!(gap > 0.0)) return tell(e[0], e[1]);
-                way += larger(gap, least);
+                if (!(gap > 0.0)) return report(e[0], e[1]);
+                distance += larger(gap, min_step);
             }
         }
         // A feature that comes through a triangle.
         for (const auto& c : s.triangles) {
             const Vec3<double> p[3] = {at(c[0]), at(c[1]), at(c[2])};
-            Bounds box(p[0]);
-            box.take(p[1]);
-            box.take(p[2]);
-            box = box.grown(features.radius);
+            AxisBox box(p[0]);
+            box.include(p[1]);
+            box.include(p[2]);
+            box = box.expanded(features.radius);
             for (std::size_t j = 0; features.radius > 0.0 && j < features.points.size(); ++j) {
-                const Vec3<double> q = from.place(static_cast<Index>(j));
-                if (box.meets(Bounds(q)) &&
+                const Vec3<double> q = from.position(static_cast<Index>(j));
+                if (box.overlaps(AxisBox(q)) &&
                     !(near_triangle(q, p[0], p[1], p[2]).square > features.radius * features.radius))
-                    return tell(c[0], c[1]);
+                    return report(c[0], c[1]);
             }
-            for (const auto& side : features.edges) {
-                const Vec3<double> q = from.place(side[0]), r = from.place(side[1]);
-                Bounds other(q);
-                other.take(r);
-                if (!box.meets(other) || !(volume(p[0], p[1], p[2], q) * volume(p[0], p[1], p[2], r) < 0.0)) continue;
+            for (const auto& edge : features.edges) {
+                const Vec3<double> q = from.position(edge[0]), r = from.position(edge[1]);
+                AxisBox edge_box(q);
+                edge_box.include(r);
+                if (!box.overlaps(edge_box) || !(volume(p[0], p[1], p[2], q) * volume(p[0], p[1], p[2], r) < 0.0)) continue;
                 const double u = volume(q, r, p[0], p[1]), v = volume(q, r, p[1], p[2]), w = volume(q, r, p[2], p[0]);
-                if ((u > 0.0 && v > 0.0 && w > 0.0) || (u < 0.0 && v < 0.0 && w < 0.0)) return tell(c[0], c[1]);
+                if ((u > 0.0 && v > 0.0 && w > 0.0) || (u < 0.0 && v < 0.0 && w < 0.0)) return report(c[0], c[1]);
             }
         }
     }

@@ -21,22 +21,22 @@ public:
 
     /// Thickness d [m] and damping kappa [s/m].
     ContactLaw(double thickness, double damping)
-        : inverse_(of(1.0 / thickness)), strength_(of(0.5 * speed * speed / thickness)), half_(of(0.5 * damping)),
-          share_(of(damping * speed)), rate_(of(0.5 * speed / thickness)) {}
+        : inverse_(of(1.0 / thickness)), strength_(of(0.5 * speed * speed / thickness)), half_damping_(of(0.5 * damping)),
+          damping_speed_(of(damping * speed)), damping_scale_(of(0.5 * speed / thickness)) {}
 
     /// Accelerations [m/s^2] away from a surface, damping included and without it, and b.
-    struct Answer {
+    struct ContactForce {
         V push, elastic, shape;
     };
     /// At a gap [m] that closes at a speed [m/s]; nothing is finite at no gap.
-    CLOTH_INLINE Answer answer(V gap, V closing) const {
+    CLOTH_INLINE ContactForce force(V gap, V closing) const {
         const Terms t = terms(gap);
-        const V inverse = one() / (t.square * t.under), part = t.under * inverse;
-        const V u = half_ * closing * (t.square * t.square * inverse);
-        const V elastic = strength_ * (t.n * part);
-        return {elastic * (u + root(fma(u, u, one()))), elastic, t.r * t.r * (t.r * t.r) * (t.s * part)};
+        const V inverse = unit() / (t.square * t.denominator), quotient = t.denominator * inverse;
+        const V u = half_damping_ * closing * (t.square * t.square * inverse);
+        const V elastic = strength_ * (t.n * quotient);
+        return {elastic * (u + root(fma(u, u, unit()))), elastic, t.r * t.r * (t.r * t.r) * (t.s * quotient)};
     }
-    CLOTH_INLINE V push(V gap, V closing) const { return answer(gap, closing).push; }
+    CLOTH_INLINE V push(V gap, V closing) const { return force(gap, closing).push; }
     /// The same without damping.
     CLOTH_INLINE V elastic(V gap) const {
         const Terms t = terms(gap);
@@ -53,32 +53,32 @@ public:
     CLOTH_INLINE V stiffness(V gap) const {
         const Terms t = terms(gap);
         const V two = of(2.0);
-        return strength_ * inverse_ * (two * (t.r * t.r) * fma(fma(of(3.0), t.s, two), t.s, one()) / (t.s * t.square));
+        return strength_ * inverse_ * (two * (t.r * t.r) * fma(fma(of(3.0), t.s, two), t.s, unit()) / (t.s * t.square));
     }
     /// Largest slope of the push over the closing speed: a damping rate [1/s].
     CLOTH_INLINE V damping(V gap) const {
         const Terms t = terms(gap);
-        return rate_ * (share_ * t.n / t.under);
+        return damping_scale_ * (damping_speed_ * t.n / t.denominator);
     }
 
 private:
     /// n = (1 - s)^3 (1 + 3 s) = s^2 |b'|, and s^2 + kappa U n.
     struct Terms {
-        V s, r, n, square, under;
+        V s, r, n, square, denominator;
     };
     static CLOTH_INLINE V of(double a) { return splat<V>(scalar<V>(a)); }
-    static CLOTH_INLINE V one() { return of(1.0); }
+    static CLOTH_INLINE V unit() { return of(1.0); }
     CLOTH_INLINE Terms terms(V gap) const {
         Terms t;
-        t.s = larger(smaller(gap * inverse_, one()), V{});
-        t.r = one() - t.s;
-        t.n = t.r * t.r * t.r * fma(of(3.0), t.s, one());
+        t.s = larger(smaller(gap * inverse_, unit()), V{});
+        t.r = unit() - t.s;
+        t.n = t.r * t.r * t.r * fma(of(3.0), t.s, unit());
         t.square = t.s * t.s;
-        t.under = fma(share_, t.n, t.square);
+        t.denominator = fma(damping_speed_, t.n, t.square);
         return t;
     }
 
-    V inverse_, strength_, half_, share_, rate_;
+    V inverse_, strength_, half_damping_, damping_speed_, damping_scale_;
 };
 
 /// A contact of a reduced thickness d / scale, which grows at a relative rate `growth` [1/s]. It is the law of thickness d
@@ -93,7 +93,7 @@ struct Scaling {
     CLOTH_INLINE V closing(V gap, V speed) const { return scale * fma(growth, gap, speed); }
 };
 template <class V>
-inline Scaling<V> whole_thickness() {
+inline Scaling<V> full_thickness() {
     return {splat<V>(scalar<V>(1.0)), V{}};
 }
 
@@ -102,9 +102,9 @@ inline Scaling<V> whole_thickness() {
 inline double stopping_gap(double b) {
     double s = 0.0;
     for (int k = 0; k < 64; ++k) {
-        const double r = 1.0 - s, cube = r * r * r, rest = cube * r - b * s;
-        if (!(rest > 0.0)) break;
-        s += rest / (4.0 * cube + b);
+        const double r = 1.0 - s, cube = r * r * r, residual = cube * r - b * s;
+        if (!(residual > 0.0)) break;
+        s += residual / (4.0 * cube + b);
     }
     return s;
 }

@@ -16,7 +16,7 @@ namespace cloth {
 /// along the sheet's border; `parity`: 0 or 1 keeps only cells of which row + column is even or odd, -1 keeps all.
 struct GridFamily {
     bool present = false;
-    double stiffness = 0.0, rest = 1.0, damping = 0.0, border = 1.0;
+    double stiffness = 0.0, rest_length = 1.0, damping = 0.0, border = 1.0;
     int parity = -1;
 };
 
@@ -56,7 +56,7 @@ struct Grid {
 template <class T>
 inline std::int64_t row_pitch(std::int64_t columns) {
     constexpr std::int64_t line = 64 / sizeof(T);
-    return ((columns + reach + line - 1) / line | 1) * line;
+    return ((columns + row_reach + line - 1) / line | 1) * line;
 }
 template <class T>
 inline std::int64_t row_length(std::int64_t columns) {
@@ -66,53 +66,53 @@ inline std::int64_t row_length(std::int64_t columns) {
 /// Entries of inverse masses, freedom and weights; rows that are alike share one. One more stands for rows beyond the
 /// sheet: all zeros.
 template <class T>
-struct Tables {
+struct GridTables {
     std::int64_t pitch = 0;
     Array<T> numbers;
     std::vector<std::int64_t> entry;  ///< where each row's entry begins
-    std::int64_t beyond = 0;
+    std::int64_t outside = 0;
 
-    Tables() = default;
-    Tables(const Grid& grid, const double* inverse) : pitch(row_pitch<T>(grid.columns)) {
-        const std::int64_t size = table_slots * pitch, slack = 64 / sizeof(T);
-        numbers.assign(slack, T(0));
-        std::map<std::string, std::int64_t> known;
-        std::vector<T> one(size);
-        const auto keep = [&] {
-            const std::string key(reinterpret_cast<const char*>(one.data()), size * sizeof(T));
-            const auto [place, added] = known.try_emplace(key, static_cast<std::int64_t>(numbers.size()));
-            if (added) numbers.insert(numbers.end(), one.begin(), one.end());
-            return place->second;
+    GridTables() = default;
+    GridTables(const Grid& grid, const double* inverse) : pitch(row_pitch<T>(grid.columns)) {
+        const std::int64_t size = table_slots * pitch, padding = 64 / sizeof(T);
+        numbers.assign(padding, T(0));
+        std::map<std::string, std::int64_t> entries;
+        std::vector<T> slots(size);
+        const auto store_entry = [&] {
+            const std::string key(reinterpret_cast<const char*>(slots.data()), size * sizeof(T));
+            const auto [it, added] = entries.try_emplace(key, static_cast<std::int64_t>(numbers.size()));
+            if (added) numbers.insert(numbers.end(), slots.begin(), slots.end());
+            return it->second;
         };
-        beyond = keep();
+        outside = store_entry();
         for (std::int64_t row = 0; row < grid.rows; ++row) {
-            std::fill(one.begin(), one.end(), T(0));
+            std::fill(slots.begin(), slots.end(), T(0));
             for (std::int64_t column = 0; column < grid.columns; ++column) {
                 const double mass = inverse[row * grid.columns + column];
-                one[inverse_mass * pitch + column] = static_cast<T>(mass);
-                one[freedom * pitch + column] = mass > 0.0 ? T(1) : T(0);
+                slots[inverse_mass * pitch + column] = static_cast<T>(mass);
+                slots[freedom * pitch + column] = mass > 0.0 ? T(1) : T(0);
                 for (int f = 0; f < family_count; ++f)
-                    one[(weights + f) * pitch + column] = static_cast<T>(grid.weight(f, row, column));
+                    slots[(weights + f) * pitch + column] = static_cast<T>(grid.weight(f, row, column));
             }
-            entry.push_back(keep());
+            entry.push_back(store_entry());
         }
-        numbers.insert(numbers.end(), slack, T(0));
+        numbers.insert(numbers.end(), padding, T(0));
     }
     const T* of(std::int64_t row) const {
         const bool inside = row >= 0 && row < static_cast<std::int64_t>(entry.size());
-        return numbers.data() + (inside ? entry[row] : beyond);
+        return numbers.data() + (inside ? entry[row] : outside);
     }
 };
 
 /// Positions (and velocities) in padded rows, with room for the neighbours of border particles; in single precision
 /// positions are about the first particle.
 template <class T>
-struct Padded {
+struct PaddedRows {
     std::int64_t pitch, stride;
     Array<T> numbers;
-    Padded(const Grid& grid, const double* x, const double* v)
+    PaddedRows(const Grid& grid, const double* x, const double* v)
         : pitch(row_pitch<T>(grid.columns)), stride((v ? 6 : 3) * pitch) {
-        numbers.assign((grid.rows + 2 * reach) * stride + 32, T(0));
+        numbers.assign((grid.rows + 2 * row_reach) * stride + 32, T(0));
         const std::int64_t n = grid.count();
         for (std::int64_t row = 0; row < grid.rows; ++row)
             for (int c = 0; c < (v ? 6 : 3); ++c) {
@@ -123,9 +123,9 @@ struct Padded {
             }
     }
     T* at(std::int64_t row, int component) {
-        return numbers.data() + 16 + (row + reach) * stride + component * pitch;
+        return numbers.data() + 16 + (row + row_reach) * stride + component * pitch;
     }
-    const T* at(std::int64_t row, int component) const { return const_cast<Padded*>(this)->at(row, component); }
+    const T* at(std::int64_t row, int component) const { return const_cast<PaddedRows*>(this)->at(row, component); }
 };
 
 }  // namespace cloth

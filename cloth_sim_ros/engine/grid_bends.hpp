@@ -24,7 +24,7 @@ namespace cloth {
 
 /// One row of elements: positions and velocities that damping sees begin here, three rows each, and forces go there.
 template <class T>
-struct BendPlace {
+struct HingeRow {
     const T *x[3], *v[3];
     T* f[3];
     const T* numbers;
@@ -33,15 +33,15 @@ struct BendPlace {
 
 /// What laws are told of elements of one way at columns j and on.
 template <class Law, class T>
-struct BendSight {
+struct HingeOperands {
     using V = vec<T>;
     Vec3<V> d[Law::corners - 1], u[Law::corners] = {};
     typename Law::template Params<V> params;
 
-    CLOTH_INLINE BendSight(const BendPlace<T>& at, const Lie& lie, int way, std::ptrdiff_t j, bool damped) {
+    CLOTH_INLINE HingeOperands(const HingeRow<T>& at, const Stencil& stencil, int index, std::ptrdiff_t j, bool damped) {
         const auto differ = [&](const T* const(&rows)[3], Vec3<V>* to) CLOTH_INLINED {
             const auto point = [&](int c) CLOTH_INLINED {
-                const T* const from = rows[lie.row[c]] + lie.column[c] + j;
+                const T* const from = rows[stencil.row[c]] + stencil.column[c] + j;
                 return Vec3<V>{load(from), load(from + at.pitch), load(from + 2 * at.pitch)};
             };
             const Vec3<V> first = point(0);
@@ -49,60 +49,60 @@ struct BendSight {
         };
         differ(at.x, d);
         if (damped) differ(at.v, u);
-        V number[3];
-        for (int p = 0; p < Law::params; ++p) number[p] = load(at.numbers + (way * Law::params + p) * at.pitch + j);
-        params = law_params<Law, V>(number, nullptr);
+        V values[3];
+        for (int p = 0; p < Law::params; ++p) values[p] = load(at.numbers + (index * Law::params + p) * at.pitch + j);
+        params = law_params<Law, V>(values, nullptr);
     }
 };
 
 /// Whether elements have a corner in this row and column.
 template <class Law>
 constexpr bool has_corner(int row, int column) {
-    for (int k = 0; k < lies<Law>; ++k)
+    for (int k = 0; k < n_stencils<Law>; ++k)
         for (int c = 0; c < Law::corners; ++c)
-            if (lie_of<Law>(k).row[c] == row && lie_of<Law>(k).column[c] == column) return true;
+            if (stencil_of<Law>(k).row[c] == row && stencil_of<Law>(k).column[c] == column) return true;
     return false;
 }
 
 /// Add the forces of a row's elements, and note what damping takes if Watched. All ways are taken, those that are missing with zeros: in one piece the particles'
 /// numbers are loaded once for all of them, and their forces are added up before any is stored.
-template <class Law, class T, bool Damped, bool Watched>
-CLOTH_SCHEDULED void add_bends(const BendPlace<T>& place, Powers* powers) {
+template <class Law, class T, bool Damped, bool Record>
+CLOTH_SCHEDULED void accumulate_hinges(const HingeRow<T>& row, PowerSums* powers) {
     using V = vec<T>;
     constexpr int C = Law::corners;
-    const BendPlace<T> at = place;
-    Vec3<V> last[3][3] = {};
+    const HingeRow<T> at = row;
+    Vec3<V> previous[3][3] = {};
     for (std::ptrdiff_t j = 0; j < at.length; j += lanes<T>) {
         Vec3<V> sum[3][3] = {};
-        const auto take = [&]<int K>(std::integral_constant<int, K>) CLOTH_INLINED {
-            constexpr Lie lie = lie_of<Law>(K);
-            const BendSight<Law, T> sight(at, lie, K, j, Damped);
+        const auto add_stencil = [&]<int K>(std::integral_constant<int, K>) CLOTH_INLINED {
+            constexpr Stencil stencil = stencil_of<Law>(K);
+            const HingeOperands<Law, T> operands(at, stencil, K, j, Damped);
             Vec3<V> f[C];
-            Law::force(sight.params, sight.d, sight.u, f + 1, Damped);
-            if constexpr (Watched) {
-                const V lost = Law::lost(sight.params, sight.d, sight.u);
-                for (int k = 0; k < lanes<T>; ++k) powers->lost[(j + k) & 15] += static_cast<double>(lost[k]);
+            Law::force(operands.params, operands.d, operands.u, f + 1, Damped);
+            if constexpr (Record) {
+                const V dissipation = Law::dissipation(operands.params, operands.d, operands.u);
+                for (int k = 0; k < lanes<T>; ++k) powers->dissipation[(j + k) & 15] += static_cast<double>(dissipation[k]);
             }
             f[0] = -f[1];
             for (int c = 2; c < C; ++c) f[0] = f[0] - f[c];
-            for (int c = 0; c < C; ++c) sum[lie.row[c]][lie.column[c]] = sum[lie.row[c]][lie.column[c]] + f[c];
+            for (int c = 0; c < C; ++c) sum[stencil.row[c]][stencil.column[c]] = sum[stencil.row[c]][stencil.column[c]] + f[c];
         };
         const auto put = [&]<int R>(std::integral_constant<int, R>) CLOTH_INLINED {
             T* const to = at.f[R] + j;
             Vec3<V> f{load(to), load(to + at.pitch), load(to + 2 * at.pitch)};
-            const auto moved = [&]<int N>(std::integral_constant<int, N>) CLOTH_INLINED {
-                const Vec3<V> now = sum[R][N], before = last[R][N];
-                last[R][N] = now;
-                return Vec3<V>{shift<N>(before.x, now.x), shift<N>(before.y, now.y), shift<N>(before.z, now.z)};
+            const auto shifted = [&]<int N>(std::integral_constant<int, N>) CLOTH_INLINED {
+                const Vec3<V> current = sum[R][N], before = previous[R][N];
+                previous[R][N] = current;
+                return Vec3<V>{shift<N>(before.x, current.x), shift<N>(before.y, current.y), shift<N>(before.z, current.z)};
             };
             if constexpr (has_corner<Law>(R, 0)) f = f + sum[R][0];
-            if constexpr (has_corner<Law>(R, 1)) f = f + moved(std::integral_constant<int, 1>{});
-            if constexpr (has_corner<Law>(R, 2)) f = f + moved(std::integral_constant<int, 2>{});
+            if constexpr (has_corner<Law>(R, 1)) f = f + shifted(std::integral_constant<int, 1>{});
+            if constexpr (has_corner<Law>(R, 2)) f = f + shifted(std::integral_constant<int, 2>{});
             store(to, f.x), store(to + at.pitch, f.y), store(to + 2 * at.pitch, f.z);
         };
         [&]<int... K>(std::integer_sequence<int, K...>) CLOTH_INLINED {
-            (take(std::integral_constant<int, K>{}), ...);
-        }(std::make_integer_sequence<int, lies<Law>>{});
+            (add_stencil(std::integral_constant<int, K>{}), ...);
+        }(std::make_integer_sequence<int, n_stencils<Law>>{});
         put(std::integral_constant<int, 0>{});
         if constexpr (C == 4) put(std::integral_constant<int, 1>{});
         put(std::integral_constant<int, 2>{});
@@ -113,28 +113,28 @@ CLOTH_SCHEDULED void add_bends(const BendPlace<T>& place, Powers* powers) {
 /// caller's `own`. `ring` has this row's sums, the next one's and those of the one after; the last is begun here. What
 /// damping takes is noted in `powers` if there are any. Hinges are left out where they are `sparse`.
 template <class T>
-inline void take_bends(const std::vector<RowTable<T>>& tables, std::int64_t row, const RowPlace<T>& at, T* const* ring,
-                       bool own, Powers* powers, bool sparse) {
-    std::fill(ring[2], ring[2] + 3 * at.pitch, T(0));
+inline void add_hinge_row(const std::vector<RowTable<T>>& tables, std::int64_t row, const RowView<T>& at, T* const* hinge_rows,
+                       bool owned, PowerSums* powers, bool multirate) {
+    std::fill(hinge_rows[2], hinge_rows[2] + 3 * at.pitch, T(0));
     for (const RowTable<T>& table : tables) {
-        if (!table.has(row) || (sparse && table.kind != Kind::spring)) continue;
-        BendPlace<T> place;
+        if (!table.has(row) || (multirate && table.kind != Kind::spring)) continue;
+        HingeRow<T> row_data;
         for (int k = 0; k < 3; ++k) {
-            place.x[k] = at.row[k] + position * at.pitch;
-            place.v[k] = at.row[k] + seen * at.pitch;
-            place.f[k] = ring[k];
+            row_data.x[k] = at.row[k] + position * at.pitch;
+            row_data.v[k] = at.row[k] + damping_velocity * at.pitch;
+            row_data.f[k] = hinge_rows[k];
         }
-        place.numbers = table.of(row);
-        place.pitch = at.pitch;
-        place.length = at.length;
+        row_data.numbers = table.of(row);
+        row_data.pitch = at.pitch;
+        row_data.length = at.length;
         const auto add = [&](auto law) {
             using Law = decltype(law);
             if (table.damped && powers)
-                add_bends<Law, T, true, true>(place, powers);
+                accumulate_hinges<Law, T, true, true>(row_data, powers);
             else if (table.damped)
-                add_bends<Law, T, true, false>(place, nullptr);
+                accumulate_hinges<Law, T, true, false>(row_data, nullptr);
             else
-                add_bends<Law, T, false, false>(place, nullptr);
+                accumulate_hinges<Law, T, false, false>(row_data, nullptr);
         };
         switch (table.kind) {
             case Kind::spring: add(Spring{}); break;
@@ -142,8 +142,8 @@ inline void take_bends(const std::vector<RowTable<T>>& tables, std::int64_t row,
             default: add(Altitude{});
         }
     }
-    for (std::ptrdiff_t j = 0; own && j < 3 * at.pitch; j += lanes<T>)
-        store(at.ring[0] + j, load(at.ring[0] + j) + load(ring[0] + j));
+    for (std::ptrdiff_t j = 0; owned && j < 3 * at.pitch; j += lanes<T>)
+        store(at.force_rows[0] + j, load(at.force_rows[0] + j) + load(hinge_rows[0] + j));
 }
 
 }  // namespace cloth

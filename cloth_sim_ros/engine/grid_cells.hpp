@@ -11,9 +11,9 @@ namespace cloth {
 
 /// The cell that each panel of a list covers, row * columns + column of its upper left particle; empty if one covers no
 /// cell, two cover the same one, or more than a third of the cells have none.
-inline std::vector<std::int64_t> cell_places(const Grid& grid, const List& list) {
-    std::vector<std::int64_t> places;
-    std::vector<char> taken(grid.count(), 0);
+inline std::vector<std::int64_t> cell_slots(const Grid& grid, const List& list) {
+    std::vector<std::int64_t> slots;
+    std::vector<char> occupied(grid.count(), 0);
     for (std::int64_t e = 0; e < list.count; ++e) {
         const std::int64_t* const p = list.corners.data() + 4 * e;
         const std::int64_t first = *std::min_element(p, p + 4), below = first + grid.columns;
@@ -23,12 +23,12 @@ inline std::vector<std::int64_t> cell_places(const Grid& grid, const List& list)
                    (p[3] == a && p[1] == b);
         };
         const bool inside = first / grid.columns + 1 < grid.rows && first % grid.columns + 1 < grid.columns;
-        if (!inside || !opposite(first, below + 1) || !opposite(first + 1, below) || taken[first]) return {};
-        taken[first] = 1;
-        places.push_back(first);
+        if (!inside || !opposite(first, below + 1) || !opposite(first + 1, below) || occupied[first]) return {};
+        occupied[first] = 1;
+        slots.push_back(first);
     }
     const std::int64_t all = (grid.rows - 1) * (grid.columns - 1);
-    return 3 * list.count >= 2 * all ? places : std::vector<std::int64_t>{};
+    return 3 * list.count >= 2 * all ? slots : std::vector<std::int64_t>{};
 }
 
 /// The part of each cell's panel that a corner has, in padded rows: 1/4, or 0 where there is none. Rows that are alike
@@ -37,10 +37,10 @@ template <class T>
 class CellTable {
 public:
     CellTable() = default;
-    CellTable(const Grid& grid, const std::vector<std::int64_t>& places) {
+    CellTable(const Grid& grid, const std::vector<std::int64_t>& slots) {
         const std::int64_t pitch = row_pitch<T>(grid.columns);
         std::vector<T> all(grid.rows * grid.columns, T(0));
-        for (const std::int64_t place : places) all[place] = T(0.25);
+        for (const std::int64_t slot : slots) all[slot] = T(0.25);
         for (std::int64_t row = 0; row < grid.rows; ++row) {
             const T* const from = all.data() + row * grid.columns;
             if (row == 0 || !std::equal(from, from + grid.columns, from - grid.columns)) {

@@ -13,7 +13,7 @@ namespace cloth {
 /// Call `what(family, params, row, numbers)` with a vector of numbers for each column's spring, and add those up with
 /// the springs' weights.
 template <class F>
-inline double grid_sum(const Grid& grid, const Tables<double>& tables, F&& what) {
+inline double grid_sum(const Grid& grid, const GridTables<double>& tables, F&& evaluate) {
     using V = vec<double>;
     const std::int64_t length = row_length<double>(grid.columns);
     Array<double> sums(length);
@@ -21,12 +21,12 @@ inline double grid_sum(const Grid& grid, const Tables<double>& tables, F&& what)
     for (int f = 0; f < family_count; ++f) {
         const GridFamily& family = grid.families[f];
         if (!family.present) continue;
-        const typename Spring::Params<V> params{splat<V>(family.stiffness), splat<V>(family.stiffness / family.rest),
+        const typename Spring::Params<V> params{splat<V>(family.stiffness), splat<V>(family.stiffness / family.rest_length),
                                                 splat<V>(family.damping)};
         for (std::int64_t row = 0; row < grid.rows; ++row) {
             const double* const weight = tables.of(row) + (weights + f) * tables.pitch;
             for (std::int64_t j = 0; j < length; j += lanes<double>)
-                store<double>(sums.data() + j, what(f, params, row, j) * load(weight + j));
+                store<double>(sums.data() + j, evaluate(f, params, row, j) * load(weight + j));
             for (std::int64_t j = 0; j < grid.columns; ++j) total += sums[j];
         }
     }
@@ -34,12 +34,12 @@ inline double grid_sum(const Grid& grid, const Tables<double>& tables, F&& what)
 }
 
 template <class T>
-inline Vec3<vec<T>> padded_point(const Padded<T>& p, std::int64_t row, std::int64_t column, int first) {
+inline Vec3<vec<T>> padded_point(const PaddedRows<T>& p, std::int64_t row, std::int64_t column, int first) {
     return {load(p.at(row, first) + column), load(p.at(row, first + 1) + column), load(p.at(row, first + 2) + column)};
 }
 
-inline double grid_energy(const Grid& grid, const Tables<double>& tables, const double* x) {
-    const Padded<double> p(grid, x, nullptr);
+inline double grid_energy(const Grid& grid, const GridTables<double>& tables, const double* x) {
+    const PaddedRows<double> p(grid, x, nullptr);
     return grid_sum(grid, tables, [&](int f, const auto& params, std::int64_t row, std::int64_t j) {
         const Ends e = family_ends[f];
         const auto d = padded_point(p, row + e.row1, j + e.column1, 0) - padded_point(p, row + e.row0, j + e.column0, 0);
@@ -47,14 +47,14 @@ inline double grid_energy(const Grid& grid, const Tables<double>& tables, const 
     });
 }
 
-inline double grid_lost(const Grid& grid, const Tables<double>& tables, const double* x, const double* v) {
+inline double grid_dissipation(const Grid& grid, const GridTables<double>& tables, const double* x, const double* v) {
     if (!grid.damped()) return 0.0;
-    const Padded<double> p(grid, x, v);
+    const PaddedRows<double> p(grid, x, v);
     return grid_sum(grid, tables, [&](int f, const auto& params, std::int64_t row, std::int64_t j) {
         const Ends e = family_ends[f];
         const auto d = padded_point(p, row + e.row1, j + e.column1, 0) - padded_point(p, row + e.row0, j + e.column0, 0);
         const auto u = padded_point(p, row + e.row1, j + e.column1, 3) - padded_point(p, row + e.row0, j + e.column0, 3);
-        return Spring::lost(params, &d, &u);
+        return Spring::dissipation(params, &d, &u);
     });
 }
 
@@ -72,12 +72,12 @@ inline void add_grid_product(const Grid& grid, const double* x, const double* v,
                 if (weight == 0.0) continue;
                 const std::int64_t i = (row + e.row0) * grid.columns + column + e.column0;
                 const std::int64_t k = (row + e.row1) * grid.columns + column + e.column1;
-                const auto way = [=](const double* a) {
+                const auto difference = [=](const double* a) {
                     return Vec3<double>{a[k] - a[i], a[n + k] - a[n + i], a[2 * n + k] - a[2 * n + i]};
                 };
-                const Vec3<Dual> d = with_slope(way(x), way(dx)), u = with_slope(way(v), way(dv));
+                const Vec3<Dual> d = with_slope(difference(x), difference(dx)), u = with_slope(difference(v), difference(dv));
                 const typename Spring::Params<Dual> params{
-                    {weight * family.stiffness, 0.0}, {weight * family.stiffness / family.rest, 0.0},
+                    {weight * family.stiffness, 0.0}, {weight * family.stiffness / family.rest_length, 0.0},
                     {weight * family.damping, 0.0}};
                 Vec3<Dual> g;
                 Spring::force(params, &d, &u, &g, true);

@@ -9,29 +9,29 @@
 namespace cloth {
 
 template <class T>
-using TakeRow = void (*)(const RowPlace<T>&, const GridConstants<T>&, const Motion<T>&, bool);
+using StepRow = void (*)(const RowView<T>&, const GridConstants<T>&, const StepFactors<T>&, bool);
 
 template <class T, Mode M>
-inline TakeRow<T> row_taker(unsigned shape) {
-    constexpr unsigned edges = 1u << right | 1u << down, left = 1u << diagonal, other = 1u << antidiagonal;
-    constexpr unsigned bends = 1u << right2 | 1u << down2;
+inline StepRow<T> select_row_step(unsigned shape) {
+    constexpr unsigned edges = 1u << right | 1u << down, with_diagonal = 1u << diagonal, with_antidiagonal = 1u << antidiagonal;
+    constexpr unsigned long_springs = 1u << right2 | 1u << down2;
     switch (shape & ~edges) {
-        case 0: return take_row<T, edges, M>;
-        case left: return take_row<T, edges | left, M>;
-        case other: return take_row<T, edges | other, M>;
-        case left | other: return take_row<T, edges | left | other, M>;
-        case bends: return take_row<T, edges | bends, M>;
-        case bends | left: return take_row<T, edges | bends | left, M>;
-        case bends | other: return take_row<T, edges | bends | other, M>;
-        default: return take_row<T, edges | bends | left | other, M>;
+        case 0: return step_row<T, edges, M>;
+        case with_diagonal: return step_row<T, edges | with_diagonal, M>;
+        case with_antidiagonal: return step_row<T, edges | with_antidiagonal, M>;
+        case with_diagonal | with_antidiagonal: return step_row<T, edges | with_diagonal | with_antidiagonal, M>;
+        case long_springs: return step_row<T, edges | long_springs, M>;
+        case long_springs | with_diagonal: return step_row<T, edges | long_springs | with_diagonal, M>;
+        case long_springs | with_antidiagonal: return step_row<T, edges | long_springs | with_antidiagonal, M>;
+        default: return step_row<T, edges | long_springs | with_diagonal | with_antidiagonal, M>;
     }
 }
 template <class T>
-inline TakeRow<T> row_taker(unsigned shape, Mode mode) {
+inline StepRow<T> select_row_step(unsigned shape, Mode mode) {
     switch (mode) {
-        case Mode::still: return row_taker<T, Mode::still>(shape);
-        case Mode::drag: return row_taker<T, Mode::drag>(shape);
-        default: return row_taker<T, Mode::damped>(shape);
+        case Mode::position_only: return select_row_step<T, Mode::position_only>(shape);
+        case Mode::drag: return select_row_step<T, Mode::drag>(shape);
+        default: return select_row_step<T, Mode::damped>(shape);
     }
 }
 
@@ -42,10 +42,10 @@ inline GridConstants<T> grid_constants(const Plan& plan) {
     for (int f = 0; f < family_count; ++f) {
         const GridFamily& family = plan.grid->families[f];
         if (!family.present) continue;
-        c.families[f] = {T(family.stiffness), T(family.stiffness / family.rest), T(family.damping)};
+        c.families[f] = {T(family.stiffness), T(family.stiffness / family.rest_length), T(family.damping)};
     }
     c.drag = T(plan.drag);
-    for (int k = 0; k < 3; ++k) c.push[k] = T(plan.push(k));
+    for (int k = 0; k < 3; ++k) c.body_acceleration[k] = T(plan.body_acceleration(k));
     return c;
 }
 

@@ -10,14 +10,14 @@
 
 namespace {
 
-enum Status : int { well = 0, failed = 1, no_memory = 2, callback_failed = 3, not_finite = 4, busy = 5 };
+enum Status : int { ok = 0, failed = 1, no_memory = 2, callback_failed = 3, not_finite = 4, busy = 5 };
 
 template <class F>
-int guarded(F&& work) {
+int guarded(F&& call) {
     try {
-        const cloth::Ieee rounding;
-        work();
-        return well;
+        const cloth::FpuGuard rounding;
+        call();
+        return ok;
     } catch (const std::bad_alloc&) {
         return no_memory;
     } catch (...) {
@@ -26,10 +26,10 @@ int guarded(F&& work) {
 }
 /// A plan serves one call at a time: what it keeps from one to the next would be overwritten.
 template <class F>
-int guarded(const cloth::Plan* plan, F&& work) {
-    if (plan->at_work.test_and_set(std::memory_order_acquire)) return busy;
-    const int status = guarded(work);
-    plan->at_work.clear(std::memory_order_release);
+int guarded(const cloth::Plan* plan, F&& call) {
+    if (plan->busy.test_and_set(std::memory_order_acquire)) return busy;
+    const int status = guarded(call);
+    plan->busy.clear(std::memory_order_release);
     return status;
 }
 

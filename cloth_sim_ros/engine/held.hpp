@@ -14,16 +14,16 @@ namespace cloth {
 inline constexpr int path_numbers = 26;
 /// Force and torque of the cloth on a gripper about its pose, the work it does on the cloth, and what its joints' damping
 /// takes: all as time integrals.
-inline constexpr int booked_numbers = 8;
+inline constexpr int record_numbers = 8;
 
 struct Pose {
-    Vec3<double> place, speed, rotation[3], spin;
+    Vec3<double> position, velocity, rotation[3], spin;
 };
 
 /// sin(a)/a, (1 - cos a)/a^2 and (a - sin a)/a^3 by their power series in a^2, which meet rounding up to a = 2 pi.
-struct TurnFactors {
+struct RotationFactors {
     double first, second, third;
-    explicit TurnFactors(double square) {
+    explicit RotationFactors(double square) {
         // Without a turn the series give these bits too. Most grippers move without a turn, and each step needs each
         // pose, so leaving early saves time.
         first = 1.0, second = 0.5, third = 1.0 / 6.0;
@@ -47,27 +47,27 @@ inline Pose pose_at(const double* path, double t) {
     const auto slope = [&](Vec3<double> a, Vec3<double> b, Vec3<double> c) {
         return a + s * (2.0 * b + (3.0 * s) * c);
     };
-    pose.place = at(1) + cubic(at(4), at(7), at(10));
-    pose.speed = slope(at(4), at(7), at(10));
-    const Vec3<double> r = cubic(at(17), at(20), at(23)), rate = slope(at(17), at(20), at(23));
-    const TurnFactors f(norm2(r));
+    pose.position = at(1) + cubic(at(4), at(7), at(10));
+    pose.velocity = slope(at(4), at(7), at(10));
+    const Vec3<double> r = cubic(at(17), at(20), at(23)), rotation_rate = slope(at(17), at(20), at(23));
+    const RotationFactors f(norm2(r));
     const double x = path[13], y = path[14], z = path[15], w = path[16];
     // Columns of the first orientation, each turned by Rodrigues' formula.
     const Vec3<double> start[3] = {{1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w), 2.0 * (x * z - y * w)},
                                    {2.0 * (x * y - z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + x * w)},
                                    {2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)}};
     for (int j = 0; j < 3; ++j) {
-        const Vec3<double> side = cross(r, start[j]);
-        pose.rotation[j] = start[j] + f.first * side + f.second * cross(r, side);
+        const Vec3<double> perpendicular = cross(r, start[j]);
+        pose.rotation[j] = start[j] + f.first * perpendicular + f.second * cross(r, perpendicular);
     }
     // Angular velocity: left Jacobian of the rotation group times dr/dt.
-    const Vec3<double> side = cross(r, rate);
-    pose.spin = rate + f.second * side + f.third * cross(r, side);
+    const Vec3<double> perpendicular = cross(r, rotation_rate);
+    pose.spin = rotation_rate + f.second * perpendicular + f.third * cross(r, perpendicular);
     return pose;
 }
 
 /// What is held; particles ascend, and grips of one particle keep the caller's order.
-struct Held {
+struct Grips {
     std::int64_t grippers = 0;
     std::vector<std::int64_t> particle, gripper;
     std::vector<Vec3<double>> offset;
@@ -76,60 +76,60 @@ struct Held {
     std::int64_t count() const { return static_cast<std::int64_t>(particle.size()); }
 
     struct Point {
-        Vec3<double> arm, place, speed;
+        Vec3<double> arm, position, velocity;
     };
     Point point(const Pose& pose, std::int64_t grip) const {
         const Vec3<double> o = offset[grip];
         Point p;
         p.arm = o.x * pose.rotation[0] + o.y * pose.rotation[1] + o.z * pose.rotation[2];
-        p.place = pose.place + p.arm;
-        p.speed = pose.speed + cross(pose.spin, p.arm);
+        p.position = pose.position + p.arm;
+        p.velocity = pose.velocity + cross(pose.spin, p.arm);
         return p;
     }
     /// Force on the particle of a grip [N].
     Vec3<double> force(std::int64_t grip, const Point& point, Vec3<double> x, Vec3<double> v) const {
         const typename Joint::Params<double> params{stiffness[grip], damping[grip]};
-        const Vec3<double> d = x - point.place, u = v - point.speed;
+        const Vec3<double> d = x - point.position, u = v - point.velocity;
         Vec3<double> f;
         Joint::force(params, &d, &u, &f, true);
         return f;
     }
     /// Add to a grip's sums what the force on its particle does over dt.
-    void book(double* sums, std::int64_t grip, const Point& point, Vec3<double> f, Vec3<double> v, double dt) const {
-        const Vec3<double> on = -f, torque = cross(point.arm, on), slip = v - point.speed;
-        const double now[booked_numbers] = {on.x,     on.y,     on.z,
+    void accumulate(double* sums, std::int64_t grip, const Point& point, Vec3<double> f, Vec3<double> v, double dt) const {
+        const Vec3<double> reaction = -f, torque = cross(point.arm, reaction), slip = v - point.velocity;
+        const double rates[record_numbers] = {reaction.x,     reaction.y,     reaction.z,
                                              torque.x, torque.y, torque.z,
-                                             dot(f, point.speed), damping[grip] * norm2(slip)};
-        for (int i = 0; i < booked_numbers; ++i) sums[i] += dt * now[i];
+                                             dot(f, point.velocity), damping[grip] * norm2(slip)};
+        for (int i = 0; i < record_numbers; ++i) sums[i] += dt * rates[i];
     }
 };
 
 /// Poses of what moves on paths at the steps of a run, for one thread: those that it asked for last are kept. A sweep takes
 /// no more steps at a time.
-class Poses {
+class PoseCache {
 public:
-    static constexpr std::int64_t kept = 4;
+    static constexpr std::int64_t capacity = 4;
 
-    Poses(const std::vector<double>& paths, double t, double step)
-        : paths_(paths), t_(t), step_(step), all_(kept * (paths.size() / path_numbers)) {}
+    PoseCache(const std::vector<double>& paths, double t, double step)
+        : paths_(paths), t_(t), step_(step), entries_(capacity * (paths.size() / path_numbers)) {}
     /// At the middle of a step, or with step -1 at the run's start.
     const Pose& at(std::int64_t path, std::int64_t step) {
-        One& one = all_[kept * path + (step + 1) % kept];
-        if (one.step != step) {
+        Entry& entry = entries_[capacity * path + (step + 1) % capacity];
+        if (entry.step != step) {
             const double t = step < 0 ? t_ : t_ + (step + 0.5) * step_;
-            one = {pose_at(paths_.data() + path * path_numbers, t), step};
+            entry = {pose_at(paths_.data() + path * path_numbers, t), step};
         }
-        return one.pose;
+        return entry.pose;
     }
 
 private:
-    struct One {
+    struct Entry {
         Pose pose;
         std::int64_t step = -2;
     };
     const std::vector<double>& paths_;
     double t_, step_;
-    std::vector<One> all_;
+    std::vector<Entry> entries_;
 };
 
 }  // namespace cloth

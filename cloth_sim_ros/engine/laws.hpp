@@ -6,7 +6,7 @@
 //
 // A law of `corners` particles sees them from the first one: d[i] = x[i + 1] - x[0] and u[i] = v[i + 1] - v[0], and gives
 // the forces on corners 1 and up; the first one takes minus their sum, so that no law makes momentum. Air is the
-// exception (`own_velocities`): it sees the velocity of each corner and gives the force on each.
+// exception (`absolute_velocities`): it sees the velocity of each corner and gives the force on each.
 //
 // Of bounds `stiff` and `damp` of corner i bound a square of a sum over the corners, by Cauchy and Schwarz
 // (sum of a_i)^2 <= (sum of w_j |g_j|) (sum of a_i^2 / (w_i |g_i|)), with weights w of 1 here; `norm` has the |g_i|, so
@@ -20,23 +20,23 @@
 namespace cloth {
 
 /// Added to squared lengths: a spring between coincident ends has no direction and no force, and divides by no zero.
-inline constexpr double shortest_square = 1e-30;
+inline constexpr double min_length2 = 1e-30;
 /// Largest stiffness across a spring relative to that along it that counts: that of a tenth of the rest length.
-inline constexpr double most_across = 9.0;
+inline constexpr double max_transverse_ratio = 9.0;
 
 /// What bounds the stiffness and the damping of an element at one of its corners, see above.
 template <class V>
 struct Bound {
     Sym3<V> stiff, damp;
-    V norm, rest;
+    V norm, isotropic;
     /// The part of `stiff` across a spring, which nothing damps.
-    V across{};
+    V transverse{};
 };
 
 /// S1, a damped spring of rest length l0 > 0: F = -k (|d| - l0) d^ - c (u . d^) d^ on the far end, k = k_s / l0.
 struct Spring {
     static constexpr int corners = 2, params = 3;
-    static constexpr bool own_velocities = false;
+    static constexpr bool absolute_velocities = false;
     /// Its force lies along d, see `factor`.
     static constexpr bool central = true;
     /// k_s [N], k [N/m], c [N s/m].
@@ -48,7 +48,7 @@ struct Spring {
     /// q in F = -q d on the far end.
     template <class V>
     static CLOTH_INLINE V factor(const Params<V>& p, Vec3<V> d, Vec3<V> u, bool damped) {
-        const V inverse = inverse_root(norm2_plus(d, scalar<V>(shortest_square)));
+        const V inverse = inverse_root(norm2_plus(d, scalar<V>(min_length2)));
         V slope = -p.ks;
         if (damped) slope = fma(p.c * dot(u, d), inverse, slope);
         return fma(slope, inverse, p.k);
@@ -64,46 +64,46 @@ struct Spring {
         return select(p.k > V{}, splat<V>(0.5) * stretch * stretch / p.k, V{});
     }
     template <class V>
-    static CLOTH_INLINE V lost(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u) {
+    static CLOTH_INLINE V dissipation(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u) {
         const V rate = dot(u[0], d[0]);
-        return p.c * rate * rate / norm2_plus(d[0], scalar<V>(shortest_square));
+        return p.c * rate * rate / norm2_plus(d[0], scalar<V>(min_length2));
     }
     /// Twice k dd' + |k - k_s / |d|| (I - dd') at both ends. Compression's transverse part is negative and makes nothing
     /// unstable, but a spring pushed nearly to a point turns as fast as a stretched one: it counts by its size.
     template <class V>
     static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>* d, Bound<V>* b) {
         const Axis<V> at = axis(p, d[0]);
-        b[0] = b[1] = {outer(at.along, at.unit, at.across), outer(at.damping, at.unit, V{}), splat<V>(1), V{}, at.across};
+        b[0] = b[1] = {outer(at.axial, at.unit, at.transverse), outer(at.damping, at.unit, V{}), splat<V>(1), V{}, at.transverse};
     }
     /// The same as numbers: along dd' + across I, and damping dd'.
     template <class V>
     struct Axis {
         Vec3<V> unit;
-        V along, across, damping;
+        V axial, transverse, damping;
     };
     template <class V>
     static CLOTH_INLINE Axis<V> axis(const Params<V>& p, Vec3<V> d) {
-        const V inverse = inverse_root(norm2_plus(d, scalar<V>(shortest_square)));
-        const V two = splat<V>(2), along = two * p.k;
-        const V across = smaller(absolute(fma(-two * p.ks, inverse, along)), splat<V>(most_across) * along);
-        return {inverse * d, along - across, across, two * p.c};
+        const V inverse = inverse_root(norm2_plus(d, scalar<V>(min_length2)));
+        const V two = splat<V>(2), axial = two * p.k;
+        const V transverse = smaller(absolute(fma(-two * p.ks, inverse, axial)), splat<V>(max_transverse_ratio) * axial);
+        return {inverse * d, axial - transverse, transverse, two * p.c};
     }
     /// The spring's part of an implicit step's matrix, `stiffness` k dd' + tension's part across + `damping` c dd'.
     /// Compression's transverse stiffness is negative and left out.
     template <class V>
     static CLOTH_INLINE Sym3<V> matrix(const Params<V>& p, const Vec3<V>* d, V stiffness, V damping) {
-        const V inverse = inverse_root(norm2_plus(d[0], scalar<V>(shortest_square)));
+        const V inverse = inverse_root(norm2_plus(d[0], scalar<V>(min_length2)));
         // Between coincident ends any direction may be the spring's.
         const V tension = select(norm2(d[0]) > V{}, larger(fma(-p.ks, inverse, p.k), V{}), p.k);
-        const V across = stiffness * tension;
-        return outer(stiffness * p.k + damping * p.c - across, inverse * d[0], across);
+        const V transverse = stiffness * tension;
+        return outer(stiffness * p.k + damping * p.c - transverse, inverse * d[0], transverse);
     }
 };
 
 /// S4, a joint: F = -k s - c ds/dt on the far end, s its place seen from the near one.
 struct Joint {
     static constexpr int corners = 2, params = 2;
-    static constexpr bool own_velocities = false;
+    static constexpr bool absolute_velocities = false;
     /// k [N/m], c [N s/m].
     template <class V>
     struct Params {
@@ -120,7 +120,7 @@ struct Joint {
         return splat<V>(0.5) * p.k * norm2(d[0]);
     }
     template <class V>
-    static CLOTH_INLINE V lost(const Params<V>& p, const Vec3<V>*, const Vec3<V>* u) {
+    static CLOTH_INLINE V dissipation(const Params<V>& p, const Vec3<V>*, const Vec3<V>* u) {
         return p.c * norm2(u[0]);
     }
     template <class V>
@@ -137,11 +137,11 @@ struct Joint {
 template <class Areas>
 struct Hinge {
     static constexpr int corners = 4, params = 3;
-    static constexpr bool own_velocities = false;
+    static constexpr bool absolute_velocities = false;
     /// h0 [m], k [N/m], c [N s/m].
     template <class V>
     struct Params {
-        V rest, k, c;
+        V rest_length, k, c;
     };
     template <class V>
     struct Length {
@@ -171,7 +171,7 @@ struct Hinge {
     template <class V>
     static CLOTH_INLINE void force(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u, Vec3<V>* f, bool damped) {
         const Length<V> l = length(d);
-        V tension = p.k * (p.rest - l.h);
+        V tension = p.k * (p.rest_length - l.h);
         if (damped) {
             const V rate = dot(l.gradient[0], u[0]) + dot(l.gradient[1], u[1]) + dot(l.gradient[2], u[2]);
             tension = fma(-p.c, rate, tension);
@@ -185,11 +185,11 @@ struct Hinge {
         Areas::of(d, square, limit, area);
         const auto defined = square > limit;
         const V h = dot(d[0], cross(d[1], d[2])) * inverse_root(select(defined, square, splat<V>(1)));
-        const V away = h - p.rest;
-        return select(defined, splat<V>(0.5) * p.k * away * away, V{});
+        const V deviation = h - p.rest_length;
+        return select(defined, splat<V>(0.5) * p.k * deviation * deviation, V{});
     }
     template <class V>
-    static CLOTH_INLINE V lost(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u) {
+    static CLOTH_INLINE V dissipation(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* u) {
         const Length<V> l = length(d);
         const V rate = dot(l.gradient[0], u[0]) + dot(l.gradient[1], u[1]) + dot(l.gradient[2], u[2]);
         return p.c * rate * rate;
@@ -206,13 +206,13 @@ struct Hinge {
             total = total + b[i].norm;
         }
         Areas::curvature(d, l, g, curvature);
-        const V strain = p.k * absolute(l.h - p.rest);
+        const V strain = p.k * absolute(l.h - p.rest_length);
         for (int i = 0; i < 4; ++i) {
-            const auto some = b[i].norm > V{};
-            const V share = select(some, total / select(some, b[i].norm, splat<V>(1)), V{});
+            const auto has_norm = b[i].norm > V{};
+            const V share = select(has_norm, total / select(has_norm, b[i].norm, splat<V>(1)), V{});
             b[i].stiff = outer(p.k * share, g[i], V{});
             b[i].damp = outer(p.c * share, g[i], V{});
-            b[i].rest = strain * curvature[i];
+            b[i].isotropic = strain * curvature[i];
         }
     }
 };
@@ -221,17 +221,17 @@ struct Hinge {
 /// h'' = (6V)''/M - 2 M'h'/M - h M''/M, with |(6V)''| <= sum of |opposite edge| |u_i||u_j|, |M'h'| <= |G||g|/M |u|^2 and
 /// |M M''| <= most[i] |u_i|^2 summed.
 template <class V, class L>
-CLOTH_INLINE void length_curvature(const Vec3<V>* p, const L& l, const Vec3<V>* g, const V* most, V* bound) {
+CLOTH_INLINE void length_curvature(const Vec3<V>* p, const L& l, const Vec3<V>* g, const V* max_area_curvature, V* bound) {
     const Vec3<V> zero{}, x[4] = {zero, p[0], p[1], p[2]};
     const Vec3<V> area0 = -(l.area[0] + l.area[1] + l.area[2]);
     const V areas = norm2(area0) + norm2(l.area[0]) + norm2(l.area[1]) + norm2(l.area[2]);
     const V weights = norm2(g[0]) + norm2(g[1]) + norm2(g[2]) + norm2(g[3]);
-    const V every = splat<V>(2) * root(areas * weights) / l.square;
+    const V mixed = splat<V>(2) * root(areas * weights) / l.square;
     const V inverse = inverse_root(l.square), turn = absolute(l.h) / l.square;
     for (int i = 0; i < 4; ++i) {
         const Vec3<V> o = x[(i + 1) & 3], q = x[(i + 2) & 3] - o, r = x[(i + 3) & 3] - o;
         const V sides = root(norm2(q)) + root(norm2(r)) + root(norm2(r - q));
-        bound[i] = every + sides * inverse + turn * most[i];
+        bound[i] = mixed + sides * inverse + turn * max_area_curvature[i];
     }
 }
 
@@ -240,14 +240,14 @@ CLOTH_INLINE void length_curvature(const Vec3<V>* p, const L& l, const Vec3<V>* 
 struct CrossedAreas {
     static constexpr double parallel = 0.1;
     /// Squared M [m^4] below which there is no edge.
-    static constexpr double least = 1e-30;
+    static constexpr double min_square = 1e-30;
 
     template <class V>
     static CLOTH_INLINE void of(const Vec3<V>* d, V& square, V& limit, Vec3<V>* area) {
         const Vec3<V> a = d[0], w = d[2] - d[1], n = cross(a, w);
         const V length2 = norm2(a), share = splat<V>(parallel * parallel) * length2;
         square = fma(share, length2, norm2(n));
-        limit = splat<V>(least);
+        limit = splat<V>(min_square);
         area[0] = fma(splat<V>(2) * share, a, cross(w, n));
         area[2] = cross(n, a);
         area[1] = -area[2];
@@ -258,11 +258,11 @@ struct CrossedAreas {
     static CLOTH_INLINE void curvature(const Vec3<V>* d, const L& l, const Vec3<V>* g, V* bound) {
         const Vec3<V> a = d[0], w = d[2] - d[1];
         const V length2 = norm2(a);
-        V most[4];
-        most[0] = splat<V>(2) * (length2 + norm2(w) + root(norm2(cross(a, w)))) +
+        V max_area_curvature[4];
+        max_area_curvature[0] = splat<V>(2) * (length2 + norm2(w) + root(norm2(cross(a, w)))) +
                   splat<V>(12 * parallel * parallel) * length2;
-        most[1] = most[2] = most[3] = most[0];
-        length_curvature(d, l, g, most, bound);
+        max_area_curvature[1] = max_area_curvature[2] = max_area_curvature[3] = max_area_curvature[0];
+        length_curvature(d, l, g, max_area_curvature, bound);
     }
 };
 
@@ -279,9 +279,9 @@ struct AltitudeAreas {
         const Vec3<V> a = p[0], b = p[1], c = p[2];
         const Vec3<V> n1 = cross(b, c), n2 = cross(c, a), n3 = cross(a, b), n0 = -(n1 + n2 + n3);
         const Vec3<V> m1 = n1 - n0, m2 = n2 - n0, m3 = n3 - n0;
-        area[0] = crosses(b, m3, c, m2);
-        area[1] = crosses(c, m1, a, m3);
-        area[2] = crosses(a, m2, b, m1);
+        area[0] = cross_difference(b, m3, c, m2);
+        area[1] = cross_difference(c, m1, a, m3);
+        area[2] = cross_difference(a, m2, b, m1);
         square = norm2(n0) + norm2(n1) + norm2(n2) + norm2(n3);
         const V size = splat<V>(sine) * (norm2(a) + norm2(b) + norm2(c));
         limit = size * size;
@@ -290,14 +290,14 @@ struct AltitudeAreas {
     template <class V, class L>
     static CLOTH_INLINE void curvature(const Vec3<V>* p, const L& l, const Vec3<V>* g, V* bound) {
         const Vec3<V> zero{}, x[4] = {zero, p[0], p[1], p[2]};
-        V squares[4], most[4], all{};
+        V squares[4], max_area_curvature[4], all{};
         for (int i = 0; i < 4; ++i) {
             const Vec3<V> o = x[(i + 1) & 3], q = x[(i + 2) & 3] - o, r = x[(i + 3) & 3] - o;
             squares[i] = norm2(q) + norm2(r) + norm2(r - q) + splat<V>(2) * root(norm2(cross(q, r)));
             all = all + squares[i];
         }
-        for (int i = 0; i < 4; ++i) most[i] = all - squares[i];
-        length_curvature(p, l, g, most, bound);
+        for (int i = 0; i < 4; ++i) max_area_curvature[i] = all - squares[i];
+        length_curvature(p, l, g, max_area_curvature, bound);
     }
 };
 
@@ -310,9 +310,9 @@ using Altitude = Hinge<AltitudeAreas>;
 template <int Corners>
 struct Panel {
     static constexpr int corners = Corners, params = 0;
-    static constexpr bool own_velocities = true;
+    static constexpr bool absolute_velocities = true;
     /// Panels of less area [m^2] have no normal, and feel nothing.
-    static constexpr double least = 1e-30;
+    static constexpr double min_area = 1e-30;
     /// c_n and c_t [N s/m^3], and the air's velocity [m/s]: the same for all panels of a list.
     template <class V>
     struct Params {
@@ -321,39 +321,39 @@ struct Panel {
     };
     /// 2 N, and a corner's shares of the drag along that and along the surface.
     template <class V>
-    struct Shares {
+    struct DragShares {
         Vec3<V> n;
         V across, along;
     };
 
     /// Of a panel with 2 N = a x b, of which a corner has the part `one`: 1 / corners, or 0 where there is no panel.
     template <class V>
-    static CLOTH_INLINE Shares<V> shares(const Params<V>& p, V one, Vec3<V> a, Vec3<V> b) {
-        Shares<V> r;
+    static CLOTH_INLINE DragShares<V> shares(const Params<V>& p, V corner_share, Vec3<V> a, Vec3<V> b) {
+        DragShares<V> r;
         r.n = cross(a, b);
         const V square = norm2(r.n);
-        const auto some = square > splat<V>(scalar<V>(4 * least));
-        const V twice = root(select(some, square, splat<V>(1)));
-        const V half = select(some, splat<V>(0.5) * one, V{});
+        const auto has_area = square > splat<V>(scalar<V>(4 * min_area));
+        const V twice = root(select(has_area, square, splat<V>(1)));
+        const V half = select(has_area, splat<V>(0.5) * corner_share, V{});
         r.across = half * (p.normal - p.tangential) / twice;
         r.along = half * p.tangential * twice;
         return r;
     }
     template <class V>
-    static CLOTH_INLINE Shares<V> shares(const Params<V>& p, const Vec3<V>* d) {
-        const V one = splat<V>(scalar<V>(1) / Corners);
-        return Corners == 3 ? shares(p, one, d[0], d[1]) : shares(p, one, d[1], d[Corners - 2] - d[0]);
+    static CLOTH_INLINE DragShares<V> shares(const Params<V>& p, const Vec3<V>* d) {
+        const V corner_share = splat<V>(scalar<V>(1) / Corners);
+        return Corners == 3 ? shares(p, corner_share, d[0], d[1]) : shares(p, corner_share, d[1], d[Corners - 2] - d[0]);
     }
     /// Add what the air does to a corner to its force, u its velocity relative to it. Along: whether there is any drag
     /// along the surface.
-    template <bool Along = true, class V>
-    static CLOTH_INLINE Vec3<V> add(const Shares<V>& s, Vec3<V> u, Vec3<V> f) {
+    template <bool Tangential = true, class V>
+    static CLOTH_INLINE Vec3<V> add(const DragShares<V>& s, Vec3<V> u, Vec3<V> f) {
         const Vec3<V> across = fma(-(s.across * dot(u, s.n)), s.n, f);
-        return Along ? fma(-s.along, u, across) : across;
+        return Tangential ? fma(-s.along, u, across) : across;
     }
     template <class V>
     static CLOTH_INLINE void force(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* v, Vec3<V>* f, bool) {
-        const Shares<V> s = shares(p, d);
+        const DragShares<V> s = shares(p, d);
         for (int i = 0; i < Corners; ++i) f[i] = add(s, v[i] - p.wind, Vec3<V>{});
     }
     template <class V>
@@ -362,8 +362,8 @@ struct Panel {
     }
     /// v'Bv: what still air would take.
     template <class V>
-    static CLOTH_INLINE V lost(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* v) {
-        const Shares<V> s = shares(p, d);
+    static CLOTH_INLINE V dissipation(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* v) {
+        const DragShares<V> s = shares(p, d);
         V sum{};
         for (int i = 0; i < Corners; ++i) {
             const V through = dot(v[i], s.n);
@@ -373,11 +373,11 @@ struct Panel {
     }
     /// w'Bv: what the wind puts in.
     template <class V>
-    static CLOTH_INLINE V given(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* v) {
-        const Shares<V> s = shares(p, d);
-        const V blown = s.across * dot(p.wind, s.n);
+    static CLOTH_INLINE V external_power(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* v) {
+        const DragShares<V> s = shares(p, d);
+        const V normal_part = s.across * dot(p.wind, s.n);
         V sum{};
-        for (int i = 0; i < Corners; ++i) sum = sum + (blown * dot(v[i], s.n) + s.along * dot(p.wind, v[i]));
+        for (int i = 0; i < Corners; ++i) sum = sum + (normal_part * dot(v[i], s.n) + s.along * dot(p.wind, v[i]));
         return sum;
     }
     /// With L the longest way between two corners |dN| <= L/2 sum |dx|: a cloth at rest in a wind w feels at most
@@ -395,7 +395,7 @@ struct Panel {
     /// The damping is exact.
     template <class V>
     static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>* d, Bound<V>* b) {
-        const Shares<V> s = shares(p, d);
+        const DragShares<V> s = shares(p, d);
         const V strength = turning(p, d);
         for (int i = 0; i < Corners; ++i) b[i] = {Sym3<V>{}, outer(s.across, s.n, s.along), V{}, strength};
     }

@@ -16,7 +16,7 @@
 using cloth::Plan;
 
 /// Number of this interface: the binding refuses another.
-CLOTH_API int cloth_engine_abi() { return 14; }
+CLOTH_API int cloth_engine_abi() { return 15; }
 /// The instruction set that this library was built for.
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)
@@ -55,7 +55,7 @@ CLOTH_API int cloth_plan_grid(Plan* plan, std::int64_t rows, std::int64_t column
             grid.families[f] = {row[0] != 0.0, row[1], row[2], row[3], row[4], static_cast<int>(row[5])};
         }
         plan->grid = grid;
-        plan->tables = cloth::Tables<double>(grid, plan->inverse.data());
+        plan->tables = cloth::GridTables<double>(grid, plan->inverse.data());
     });
 }
 CLOTH_API int cloth_plan_list(Plan* plan, int kind, std::int64_t count, const std::int64_t* corners, const double* params,
@@ -83,39 +83,39 @@ CLOTH_API int cloth_plan_order(Plan* plan, const std::int64_t* rank) {
 CLOTH_API int cloth_plan_callback(Plan* plan, cloth::Callback callback) {
     return guarded(plan, [&] { plan->callback = callback; });
 }
-/// What grippers hold; cloth_plan_paths tells how they move.
-CLOTH_API int cloth_plan_held(Plan* plan, std::int64_t grippers, std::int64_t count, const std::int64_t* particles,
+/// What grippers hold; cloth_plan_gripper_paths tells how they move.
+CLOTH_API int cloth_plan_grips(Plan* plan, std::int64_t grippers, std::int64_t count, const std::int64_t* particles,
                               const std::int64_t* owners, const double* offsets, const double* stiffness,
                               const double* damping) {
     return guarded(plan, [&] {
         std::vector<std::int64_t> order(count);
         std::iota(order.begin(), order.end(), std::int64_t{0});
         std::stable_sort(order.begin(), order.end(), [&](auto a, auto b) { return particles[a] < particles[b]; });
-        cloth::Held held;
-        held.grippers = grippers;
-        held.paths.assign(grippers * cloth::path_numbers, 0.0);
+        cloth::Grips grips;
+        grips.grippers = grippers;
+        grips.paths.assign(grippers * cloth::path_numbers, 0.0);
         for (std::int64_t k : order) {
-            held.particle.push_back(particles[k]);
-            held.gripper.push_back(owners[k]);
-            held.offset.push_back({offsets[3 * k], offsets[3 * k + 1], offsets[3 * k + 2]});
-            held.stiffness.push_back(stiffness[k]);
-            held.damping.push_back(damping[k]);
+            grips.particle.push_back(particles[k]);
+            grips.gripper.push_back(owners[k]);
+            grips.offset.push_back({offsets[3 * k], offsets[3 * k + 1], offsets[3 * k + 2]});
+            grips.stiffness.push_back(stiffness[k]);
+            grips.damping.push_back(damping[k]);
         }
-        plan->held = std::move(held);
+        plan->grips = std::move(grips);
     });
 }
 
 /// Paths of the grippers, if all their numbers are finite.
-CLOTH_API int cloth_plan_paths(Plan* plan, const double* paths) {
-    int status = well;
-    const int other = guarded(plan, [&] {
-        const double* const end = paths + plan->held.grippers * cloth::path_numbers;
+CLOTH_API int cloth_plan_gripper_paths(Plan* plan, const double* paths) {
+    int status = ok;
+    const int call_status = guarded(plan, [&] {
+        const double* const end = paths + plan->grips.grippers * cloth::path_numbers;
         if (std::all_of(paths, end, [](double a) { return std::isfinite(a); }))
-            plan->held.paths.assign(paths, end);
+            plan->grips.paths.assign(paths, end);
         else
             status = not_finite;
     });
-    return other ? other : status;
+    return call_status ? call_status : status;
 }
 
 /// Obstacles: shapes, sizes, radii and friction at rest and in motion as rows of 3, 1 and 2, paths as those of grippers;
@@ -137,14 +137,14 @@ CLOTH_API int cloth_plan_contact(Plan* plan, std::int64_t count, const std::int6
         plan->contacts.anchors.assign(plan->anchor_count(), 0.0);
         if (!plan->features) return;
         plan->features->obstacles.assign(count, {});
-        plan->features->acts.assign(count, 0);
+        plan->features->is_active.assign(count, 0);
     });
 }
 /// The mesh that an obstacle is: vertices (vertices, 3) [m] in its own frame, triangles (triangles, 3).
-CLOTH_API int cloth_plan_mesh(Plan* plan, std::int64_t obstacle, std::int64_t vertices, const double* places,
+CLOTH_API int cloth_plan_mesh(Plan* plan, std::int64_t obstacle, std::int64_t vertices, const double* positions,
                               std::int64_t triangles, const std::int64_t* corners) {
     return guarded(plan, [&] {
-        plan->contacts.obstacles[obstacle].mesh = std::make_shared<cloth::Mesh>(vertices, places, triangles, corners);
+        plan->contacts.obstacles[obstacle].mesh = std::make_shared<cloth::Mesh>(vertices, positions, triangles, corners);
     });
 }
 /// New paths for the same obstacles.
@@ -155,51 +155,51 @@ CLOTH_API int cloth_plan_contact_paths(Plan* plan, const double* paths) {
 /// Which obstacles are pads of grippers that pinch, two of each, that on the closing axis' positive side first. Numbers of
 /// each: present, closed, mass [kg], force [N], speed [m/s], half the way between the faces of open pads and half a pad's
 /// extent [m]. Pads are open at first.
-CLOTH_API int cloth_plan_pinches(Plan* plan, std::int64_t count, const std::int64_t* pads, const double* numbers) {
+CLOTH_API int cloth_plan_jaws(Plan* plan, std::int64_t count, const std::int64_t* pads, const double* numbers) {
     return guarded(plan, [&] {
         cloth::Contacts& contacts = plan->contacts;
-        contacts.pinches.clear();
+        contacts.parallel_jaws.clear();
         for (std::int64_t k = 0; k < count; ++k) {
             const double* const a = numbers + 7 * k;
-            contacts.pinches.push_back({a[0] != 0.0, a[1] != 0.0, a[2], a[3], a[4], a[5], a[6]});
-            for (int side = 0; side < 2; ++side) {
-                cloth::Obstacle& pad = contacts.obstacles[pads[2 * k + side]];
-                pad.pinch = k;
-                pad.side = side ? -1.0 : 1.0;
+            contacts.parallel_jaws.push_back({a[0] != 0.0, a[1] != 0.0, a[2], a[3], a[4], a[5], a[6]});
+            for (int k_jaw = 0; k_jaw < 2; ++k_jaw) {
+                cloth::Obstacle& pad = contacts.obstacles[pads[2 * k + k_jaw]];
+                pad.parallel_jaw = k;
+                pad.jaw_side = k_jaw ? -1.0 : 1.0;
             }
         }
-        if (contacts.pinched.size() == contacts.pinches.size() * cloth::pinch_numbers) return;
-        contacts.pinched.clear();
-        for (const cloth::Pinch& pinch : contacts.pinches)
-            contacts.pinched.insert(contacts.pinched.end(), {pinch.open, 0.0});
+        if (contacts.jaw_states.size() == contacts.parallel_jaws.size() * cloth::jaw_state_size) return;
+        contacts.jaw_states.clear();
+        for (const cloth::ParallelJaw& jaw : contacts.parallel_jaws)
+            contacts.jaw_states.insert(contacts.jaw_states.end(), {jaw.max_half_opening, 0.0});
     });
 }
-/// Where pads are at the start of runs, (pinches, pinch_numbers).
-CLOTH_API int cloth_contact_pinched(Plan* plan, const double* pinched) {
-    return guarded(plan, [&] { std::copy_n(pinched, plan->contacts.pinched.size(), plan->contacts.pinched.data()); });
+/// Where pads are at the start of runs, (pinches, jaw_state_size).
+CLOTH_API int cloth_plan_jaw_states(Plan* plan, const double* jaw_states) {
+    return guarded(plan, [&] { std::copy_n(jaw_states, plan->contacts.jaw_states.size(), plan->contacts.jaw_states.data()); });
 }
 /// Accelerations of half the ways between pads.
-CLOTH_API int cloth_pinch_accelerations(Plan* plan, double t, const double* x, const double* v, double* out) {
+CLOTH_API int cloth_jaw_accelerations(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
-        std::vector<double> felt(plan->contacts.pinches.size(), 0.0);
-        if (plan->features) cloth::feature_openings(*plan, t, x, v, felt);
-        cloth::pinch_accelerations(*plan, t, x, v, felt, out);
+        std::vector<double> jaw_forces(plan->contacts.parallel_jaws.size(), 0.0);
+        if (plan->features) cloth::add_feature_jaw_forces(*plan, t, x, v, jaw_forces);
+        cloth::jaw_accelerations(*plan, t, x, v, jaw_forces, out);
     });
 }
 
 CLOTH_API int cloth_frame(Plan* plan, const cloth::Frame* frame) {
-    int status = well;
-    const int other = guarded(plan, [&] {
-        if (cloth::make_frame(*plan, *frame) != cloth::Done::well) status = callback_failed;
+    int status = ok;
+    const int call_status = guarded(plan, [&] {
+        if (cloth::execute_frame(*plan, *frame) != cloth::RunStatus::ok) status = callback_failed;
     });
-    return other ? other : status;
+    return call_status ? call_status : status;
 }
 CLOTH_API int cloth_accelerations(Plan* plan, double t, const double* x, const double* v, double* out) {
-    int status = well;
-    const int other = guarded(plan, [&] {
-        if (cloth::accelerations(*plan, t, x, v, out) != cloth::Done::well) status = callback_failed;
+    int status = ok;
+    const int call_status = guarded(plan, [&] {
+        if (cloth::accelerations(*plan, t, x, v, out) != cloth::RunStatus::ok) status = callback_failed;
     });
-    return other ? other : status;
+    return call_status ? call_status : status;
 }
 
 /// Kinetic and potential energy [J] into two numbers; v may be null.
@@ -214,24 +214,24 @@ CLOTH_API int cloth_energy(Plan* plan, double t, const double* x, const double* 
 CLOTH_API int cloth_powers(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
         out[0] = out[1] = 0.0;
-        cloth::powers(*plan, t, x, v, out[0], out[1]);
+        cloth::total_powers(*plan, t, x, v, out[0], out[1]);
     });
 }
-/// Adds to (grippers, booked_numbers) times the weight.
-CLOTH_API int cloth_grip_rates(const Plan* plan, double t, const double* x, const double* v, double weight, double* out) {
+/// Adds to (grippers, record_numbers) times the weight.
+CLOTH_API int cloth_grip_wrenches(const Plan* plan, double t, const double* x, const double* v, double weight, double* out) {
     return guarded(plan, [&] {
-        const std::size_t size = plan->held.grippers * cloth::booked_numbers;
-        std::vector<double> rates(size, 0.0);
-        cloth::grip_rates(*plan, t, x, v, rates.data());
-        for (std::size_t k = 0; k < size; ++k) out[k] += weight * rates[k];
+        const std::size_t size = plan->grips.grippers * cloth::record_numbers;
+        std::vector<double> wrenches(size, 0.0);
+        cloth::add_grip_wrenches(*plan, t, x, v, wrenches.data());
+        for (std::size_t k = 0; k < size; ++k) out[k] += weight * wrenches[k];
     });
 }
-/// Adds to (obstacles, booked_numbers) times the weight.
-CLOTH_API int cloth_contact_rates(Plan* plan, double t, const double* x, const double* v, double weight,
+/// Adds to (obstacles, record_numbers) times the weight.
+CLOTH_API int cloth_contact_wrenches(Plan* plan, double t, const double* x, const double* v, double weight,
                                   double* out) {
     return guarded(plan, [&] {
-        cloth::contact_rates(*plan, t, x, v, weight, out);
-        if (plan->features) cloth::feature_rates(*plan, t, x, v, weight, out);
+        cloth::add_contact_wrenches(*plan, t, x, v, weight, out);
+        if (plan->features) cloth::add_feature_wrenches(*plan, t, x, v, weight, out);
     });
 }
 /// Number of particles in contact, and the least gap [m], of each obstacle.
@@ -247,33 +247,33 @@ CLOTH_API int cloth_contact_bounds(Plan* plan, double t, const double* x, double
         if (plan->features) cloth::add_feature_bounds(*plan, t, x, stiff, damp);
     });
 }
-/// Energy per mass that contact may have to take up from time t on, see contact_ahead, and the visits that it made: of
+/// Energy per mass that contact may have to take up from time t on, see predict_contact_energy, and the visits that it made: of
 /// all obstacles, of those with friction. Three numbers.
-CLOTH_API int cloth_contact_ahead(const Plan* plan, double t, double duration, const double* x, const double* v,
+CLOTH_API int cloth_predict_obstacle_contact(const Plan* plan, double t, double duration, const double* x, const double* v,
                                   double* out) {
     return guarded(plan, [&] {
-        cloth::Visits visits;
-        out[0] = cloth::contact_ahead(*plan, t, duration, x, v, &visits);
+        cloth::VisitCounts visits;
+        out[0] = cloth::predict_contact_energy(*plan, t, duration, x, v, &visits);
         out[1] = static_cast<double>(visits.all);
-        out[2] = static_cast<double>(visits.rough);
+        out[2] = static_cast<double>(visits.with_friction);
     });
 }
 /// Anchors that runs start with, as `Contacts` has them.
 CLOTH_API int cloth_contact_anchors(Plan* plan, const double* anchors) {
     return guarded(plan, [&] { plan->contacts.anchors.assign(anchors, anchors + plan->contacts.anchors.size()); });
 }
-/// Anchors after runs that ended with some of their own, see settle_anchors.
-CLOTH_API int cloth_contact_settle(Plan* plan, double t, const double* x, const double* v, std::int64_t runs,
+/// Anchors after runs that ended with some of their own, see combine_anchors.
+CLOTH_API int cloth_combine_anchors(Plan* plan, double t, const double* x, const double* v, std::int64_t runs,
                                    const double* weights, const double* ends, double* out) {
     return guarded(plan, [&] {
-        cloth::settle_anchors(*plan, t, x, v, runs, weights, ends, out);
-        cloth::settle_self(*plan, t, x, v, runs, weights, ends, out);
+        cloth::combine_anchors(*plan, t, x, v, runs, weights, ends, out);
+        cloth::combine_self_anchors(*plan, t, x, v, runs, weights, ends, out);
     });
 }
 /// Whether a particle meets an obstacle on its straight way from x0 at time t to x1.
-CLOTH_API int cloth_contact_crosses(const Plan* plan, double t, double duration, const double* x0, const double* x1,
+CLOTH_API int cloth_ccd_obstacles(const Plan* plan, double t, double duration, const double* x0, const double* x1,
                                     std::int64_t* out) {
-    return guarded(plan, [&] { *out = cloth::contact_crosses(*plan, t, duration, x0, x1) ? 1 : 0; });
+    return guarded(plan, [&] { *out = cloth::ccd_obstacles(*plan, t, duration, x0, x1) ? 1 : 0; });
 }
 /// Reduced thickness of contacts at a time, (obstacles + 1, n + 1), and the rates at which they regain the whole one, see
 /// ReducedThickness. None where the numbers are null. Obstacles that are laid anew have the whole thickness.
@@ -287,7 +287,7 @@ CLOTH_API int cloth_contact_thickness(Plan* plan, const double* at_start, const 
         contacts.reduced.at_start.resize(size + cloth::lanes<double>, contacts.thickness);
         contacts.reduced.rates.assign(rates, rates + size);
         contacts.reduced.rates.resize(size + cloth::lanes<double>, 0.0);
-        contacts.reduced.whole = contacts.thickness;
+        contacts.reduced.full = contacts.thickness;
         contacts.reduced.start = start;
     });
 }
@@ -302,26 +302,26 @@ CLOTH_API int cloth_contact_gap_rows(Plan* plan, double t, const double* x, doub
     });
 }
 /// Power of contacts that regain their thickness [W].
-CLOTH_API int cloth_contact_grown(Plan* plan, double t, const double* x, const double* v, double* out) {
+CLOTH_API int cloth_contact_growth_power(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
-        *out = cloth::contact_grown(*plan, t, x, v);
-        if (plan->self) *out += cloth::self_grown(*plan, t, x, v);
-        if (plan->features) *out += cloth::feature_grown(*plan, t, x, v);
+        *out = cloth::contact_growth_power(*plan, t, x, v);
+        if (plan->self) *out += cloth::self_growth_power(*plan, t, x, v);
+        if (plan->features) *out += cloth::feature_growth_power(*plan, t, x, v);
     });
 }
 /// Squared frequency and damping rate of contact that has taken up so much.
-CLOTH_API int cloth_contact_limits(const Plan* plan, double reached, double* out) {
+CLOTH_API int cloth_contact_limits(const Plan* plan, double energy, double* out) {
     return guarded(plan, [&] {
-        const cloth::ContactLimits limits(plan->contacts, reached);
+        const cloth::ContactLimits limits(plan->contacts, energy);
         out[0] = limits.omega2;
         out[1] = limits.damping;
     });
 }
-CLOTH_API int cloth_rates(Plan* plan, const double* x, const double* stiff, const double* damp, std::int64_t hinges,
+CLOTH_API int cloth_spectral_bounds(Plan* plan, const double* x, const double* stiff, const double* damp, std::int64_t hinges,
                          double* out) {
     return guarded(plan, [&] {
-        const cloth::Rates r = cloth::rates_of(*plan, x, stiff, damp, hinges != 0);
-        const double numbers[5] = {r.omega2, r.damping, r.hinges2, r.hinge_damping, r.across2};
+        const cloth::SpectralBounds r = cloth::spectral_bounds(*plan, x, stiff, damp, hinges != 0);
+        const double numbers[5] = {r.omega2, r.damping, r.hinge_omega2, r.hinge_damping, r.transverse_omega2};
         std::copy(numbers, numbers + 5, out);
     });
 }
@@ -331,7 +331,7 @@ CLOTH_API int cloth_bounds(const Plan* plan, const double* x, double* stiff, dou
 CLOTH_API int cloth_eigenvalues(const double* blocks, std::int64_t n, double* out) {
     return guarded([&] { cloth::eigenvalues(blocks, n, out); });
 }
-CLOTH_API int cloth_product(Plan* plan, double t, const double* x, const double* v, const double* dx,
+CLOTH_API int cloth_derivative_product(Plan* plan, double t, const double* x, const double* v, const double* dx,
                             const double* dv, double* out) {
     return guarded(plan, [&] { cloth::add_product(*plan, t, x, v, dx, dv, out); });
 }
@@ -344,20 +344,20 @@ CLOTH_API int cloth_pair_blocks(const Plan* plan, std::int64_t list, const doubl
 /// before (count, 6), and targets (count, 7): the paths, the twists at their end, the displacements and turns, and by how
 /// much each displacement differs from that of the frame before [m], at most, along an axis.
 CLOTH_API int cloth_paths(std::int64_t count, double t, double duration, const double* poses, const double* twists,
-                          const double* before, const double* targets, double* paths, double* last, double* turns,
+                          const double* previous, const double* targets, double* paths, double* end_twists, double* motions,
                           double* changes) {
     return guarded([&] {
         for (std::int64_t k = 0; k < count; ++k) {
-            const double *const was = before + 6 * k, *const now = turns + 6 * k;
-            cloth::path_to(t, duration, poses + 7 * k, twists + 6 * k, was, targets + 7 * k,
-                           paths + k * cloth::path_numbers, last + 6 * k, turns + 6 * k);
+            const double *const previous_motion = previous + 6 * k, *const motion = motions + 6 * k;
+            cloth::path_to(t, duration, poses + 7 * k, twists + 6 * k, previous_motion, targets + 7 * k,
+                           paths + k * cloth::path_numbers, end_twists + 6 * k, motions + 6 * k);
             changes[k] = 0.0;
-            for (int i = 0; i < 3; ++i) changes[k] = std::max(changes[k], std::abs(now[i] - was[i]));
+            for (int i = 0; i < 3; ++i) changes[k] = std::max(changes[k], std::abs(motion[i] - previous_motion[i]));
         }
     });
 }
 /// Rotation vector [rad] from one unit quaternion x, y, z, w to another.
-CLOTH_API int cloth_turn(const double* start, const double* end, double* out) {
+CLOTH_API int cloth_rotation_vector(const double* start, const double* end, double* out) {
     return guarded([&] { cloth::rotation_vector(start, end, out); });
 }
 /// 18 numbers of a gripper's pose on its path: place, speed, rotation matrix by rows, spin.
@@ -365,8 +365,8 @@ CLOTH_API int cloth_pose(const double* path, double t, double* out) {
     return guarded([&] {
         const cloth::Pose p = cloth::pose_at(path, t);
         const auto put = [&](int at, cloth::Vec3<double> a) { out[at] = a.x, out[at + 1] = a.y, out[at + 2] = a.z; };
-        put(0, p.place);
-        put(3, p.speed);
+        put(0, p.position);
+        put(3, p.velocity);
         for (int j = 0; j < 3; ++j) out[6 + j] = p.rotation[j].x, out[9 + j] = p.rotation[j].y, out[12 + j] = p.rotation[j].z;
         put(15, p.spin);
     });
@@ -391,15 +391,15 @@ CLOTH_API int cloth_weighted_dot(const double* m, const double* a, const double*
 }
 /// Signed lengths h [m] of hinges (count, 4) of kind crossed or altitude, NaN where undefined, and, where `squares` is not
 /// null, |dh/dx|^2 of their four corners (count, 4).
-CLOTH_API int cloth_lengths(int kind, std::int64_t count, const std::int64_t* corners, const double* x, std::int64_t n,
+CLOTH_API int cloth_hinge_lengths(int kind, std::int64_t count, const std::int64_t* corners, const double* x, std::int64_t n,
                             double* lengths, double* squares) {
     return guarded([&] {
         const std::vector<double> params(3 * count, 0.0);
         const cloth::List list(static_cast<cloth::Kind>(kind), count, corners, params.data(), nullptr);
-        const auto all = [&](auto law) {
+        const auto evaluate = [&](auto law) {
             using Law = decltype(law);
             for (std::int64_t e = 0; e < count; ++e) {
-                const cloth::Seen<Law> s(list, e, x, nullptr, n);
+                const cloth::ElementState<Law> s(list, e, x, nullptr, n);
                 double square, limit;
                 cloth::Vec3<double> area[3];
                 Law::areas(s.d, square, limit, area);
@@ -411,9 +411,9 @@ CLOTH_API int cloth_lengths(int kind, std::int64_t count, const std::int64_t* co
             }
         };
         if (list.kind == cloth::Kind::crossed)
-            all(cloth::Crossed{});
+            evaluate(cloth::Crossed{});
         else
-            all(cloth::Altitude{});
+            evaluate(cloth::Altitude{});
     });
 }
 

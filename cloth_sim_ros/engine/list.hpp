@@ -16,20 +16,20 @@ enum class Kind : int { spring, joint, crossed, altitude, panel3, panel4 };
 
 /// Call `what` with the law of a kind.
 template <class F>
-inline auto with_law(Kind kind, F&& what) {
+inline auto with_law(Kind kind, F&& visit) {
     switch (kind) {
-        case Kind::spring: return what(Spring{});
-        case Kind::joint: return what(Joint{});
-        case Kind::crossed: return what(Crossed{});
-        case Kind::altitude: return what(Altitude{});
-        case Kind::panel3: return what(Panel<3>{});
-        default: return what(Panel<4>{});
+        case Kind::spring: return visit(Spring{});
+        case Kind::joint: return visit(Joint{});
+        case Kind::crossed: return visit(Crossed{});
+        case Kind::altitude: return visit(Altitude{});
+        case Kind::panel3: return visit(Panel<3>{});
+        default: return visit(Panel<4>{});
     }
 }
 
 /// Elements that are neighbours in a list are this far apart in the order in which they are taken: forces on one
 /// particle are not added right after each other, which would wait for memory.
-inline constexpr std::int64_t apart_by = 16, chunk = 64;
+inline constexpr std::int64_t interleave_stride = 16, chunk = 64;
 
 /// Elements as they are taken: padded to whole vectors by elements without strength on a particle that is none.
 template <class T>
@@ -60,7 +60,7 @@ public:
     /// The elements with particles renumbered by `rank`, in order of their lowest particle, spread: those that a particle
     /// from `first` to before `last` is a corner of. `nobody` is the number of a particle that is none.
     template <class T>
-    Elements<T> taken(const std::int64_t* rank, std::int64_t nobody, std::int64_t first, std::int64_t last) const {
+    Elements<T> select(const std::int64_t* rank, std::int64_t dummy, std::int64_t first, std::int64_t last) const {
         std::vector<std::int64_t> lowest(count), order(count);
         for (std::int64_t e = 0; e < count; ++e) {
             lowest[e] = rank[corners[e * width]];
@@ -68,31 +68,31 @@ public:
         }
         std::iota(order.begin(), order.end(), std::int64_t{0});
         std::stable_sort(order.begin(), order.end(), [&](auto a, auto b) { return lowest[a] < lowest[b]; });
-        std::vector<std::int64_t> spread;
-        spread.reserve(count);
-        const auto touched = [&](std::int64_t e) {
+        std::vector<std::int64_t> interleaved;
+        interleaved.reserve(count);
+        const auto in_range = [&](std::int64_t e) {
             for (int c = 0; c < width; ++c)
                 if (rank[corners[e * width + c]] >= first && rank[corners[e * width + c]] < last) return true;
             return false;
         };
-        for (std::int64_t begin = 0; begin < count; begin += chunk * apart_by) {
-            const std::int64_t most = std::min(chunk * apart_by, count - begin), rows = (most + apart_by - 1) / apart_by;
+        for (std::int64_t begin = 0; begin < count; begin += chunk * interleave_stride) {
+            const std::int64_t n_in_chunk = std::min(chunk * interleave_stride, count - begin), rows = (n_in_chunk + interleave_stride - 1) / interleave_stride;
             for (std::int64_t i = 0; i < rows; ++i)
-                for (std::int64_t j = 0; j < apart_by; ++j)
-                    if (j * rows + i < most && touched(order[begin + j * rows + i]))
-                        spread.push_back(order[begin + j * rows + i]);
+                for (std::int64_t j = 0; j < interleave_stride; ++j)
+                    if (j * rows + i < n_in_chunk && in_range(order[begin + j * rows + i]))
+                        interleaved.push_back(order[begin + j * rows + i]);
         }
-        const std::int64_t count = static_cast<std::int64_t>(spread.size());
+        const std::int64_t count = static_cast<std::int64_t>(interleaved.size());
         Elements<T> r;
         r.count = (count + 15) / 16 * 16;
         for (int c = 0; c < width; ++c) {
-            r.corner[c].assign(r.count, static_cast<std::uint32_t>(4 * nobody));
+            r.corner[c].assign(r.count, static_cast<std::uint32_t>(4 * dummy));
             for (std::int64_t k = 0; k < count; ++k)
-                r.corner[c][k] = static_cast<std::uint32_t>(4 * rank[corners[spread[k] * width + c]]);
+                r.corner[c][k] = static_cast<std::uint32_t>(4 * rank[corners[interleaved[k] * width + c]]);
         }
         for (int p = 0; p < numbers; ++p) {
             r.param[p].assign(r.count, T(0));
-            for (std::int64_t k = 0; k < count; ++k) r.param[p][k] = static_cast<T>(params[spread[k] * numbers + p]);
+            for (std::int64_t k = 0; k < count; ++k) r.param[p][k] = static_cast<T>(params[interleaved[k] * numbers + p]);
         }
         return r;
     }
@@ -121,19 +121,19 @@ inline typename Law::template Params<V> law_params(const V* numbers, const doubl
 
 /// What a law says of one element of a list at x and v, (3, n) by component: its corners seen as laws see them.
 template <class Law>
-struct Seen {
+struct ElementState {
     Vec3<double> d[Law::corners - 1], u[Law::corners];
     typename Law::template Params<double> params;
-    Seen(const List& list, std::int64_t e, const double* x, const double* v, std::int64_t n)
+    ElementState(const List& list, std::int64_t e, const double* x, const double* v, std::int64_t n)
         : params(law_params<Law, double>(list.params.data() + e * list.numbers, list.common)) {
         const std::int64_t* const p = list.corners.data() + e * list.width;
         const auto at = [n](const double* a, std::int64_t i) { return Vec3<double>{a[i], a[n + i], a[2 * n + i]}; };
         for (int c = 1; c < Law::corners; ++c) {
             d[c - 1] = at(x, p[c]) - at(x, p[0]);
-            if constexpr (!Law::own_velocities)
+            if constexpr (!Law::absolute_velocities)
                 if (v) u[c - 1] = at(v, p[c]) - at(v, p[0]);
         }
-        if constexpr (Law::own_velocities)
+        if constexpr (Law::absolute_velocities)
             if (v)
                 for (int c = 0; c < Law::corners; ++c) u[c] = at(v, p[c]);
     }

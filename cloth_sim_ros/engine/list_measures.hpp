@@ -14,7 +14,7 @@ inline double list_energy(const List& list, const double* x, std::int64_t n) {
         using Law = decltype(law);
         double total = 0.0;
         for (std::int64_t e = 0; e < list.count; ++e) {
-            const Seen<Law> s(list, e, x, nullptr, n);
+            const ElementState<Law> s(list, e, x, nullptr, n);
             total += Law::energy(s.params, s.d);
         }
         return total;
@@ -22,14 +22,14 @@ inline double list_energy(const List& list, const double* x, std::int64_t n) {
 }
 
 /// Power that damping takes out, and power that the wind puts in [W].
-inline void list_power(const List& list, const double* x, const double* v, std::int64_t n, double& lost, double& given) {
+inline void list_power(const List& list, const double* x, const double* v, std::int64_t n, double& dissipation, double& external) {
     if (!list.damped) return;
     with_law(list.kind, [&](auto law) {
         using Law = decltype(law);
         for (std::int64_t e = 0; e < list.count; ++e) {
-            const Seen<Law> s(list, e, x, v, n);
-            lost += Law::lost(s.params, s.d, s.u);
-            if constexpr (Law::own_velocities) given += Law::given(s.params, s.d, s.u);
+            const ElementState<Law> s(list, e, x, v, n);
+            dissipation += Law::dissipation(s.params, s.d, s.u);
+            if constexpr (Law::absolute_velocities) external += Law::external_power(s.params, s.d, s.u);
         }
     });
 }
@@ -46,20 +46,20 @@ inline void add_block(double* blocks, std::int64_t n, std::int64_t i, const Sym3
 /// Add blocks that bound stiffness [N/m] and damping [N s/m], each (6, n); and to `across` (n), which may be null, the
 /// part of the stiffness that lies across springs.
 inline void add_list_bounds(const List& list, const double* x, std::int64_t n, double* stiff, double* damp,
-                            double* across = nullptr) {
+                            double* transverse = nullptr) {
     with_law(list.kind, [&](auto law) {
         using Law = decltype(law);
         for (std::int64_t e = 0; e < list.count; ++e) {
-            const Seen<Law> s(list, e, x, nullptr, n);
+            const ElementState<Law> s(list, e, x, nullptr, n);
             Bound<double> bound[Law::corners];
             Law::bounds(s.params, s.d, bound);
             for (int i = 0; i < Law::corners; ++i) {
                 const std::int64_t p = list.corners[e * list.width + i];
                 const Sym3<double>& k = bound[i].stiff;
-                const double rest = bound[i].rest;
-                if (stiff) add_block(stiff, n, p, {k.xx + rest, k.yy + rest, k.zz + rest, k.xy, k.xz, k.yz});
+                const double isotropic = bound[i].isotropic;
+                if (stiff) add_block(stiff, n, p, {k.xx + isotropic, k.yy + isotropic, k.zz + isotropic, k.xy, k.xz, k.yz});
                 if (damp && list.damped) add_block(damp, n, p, bound[i].damp);
-                if (across) across[p] += bound[i].across;
+                if (transverse) transverse[p] += bound[i].transverse;
             }
         }
     });
@@ -72,10 +72,10 @@ inline void pair_blocks(const List& list, const double* x, std::int64_t n, doubl
     for (std::int64_t e = 0; e < list.count; ++e) {
         Sym3<double> b;
         if (list.kind == Kind::spring) {
-            const Seen<Spring> s(list, e, x, nullptr, n);
+            const ElementState<Spring> s(list, e, x, nullptr, n);
             b = Spring::matrix(s.params, s.d, stiffness, damping);
         } else {
-            const Seen<Joint> s(list, e, x, nullptr, n);
+            const ElementState<Joint> s(list, e, x, nullptr, n);
             b = outer(0.0, Vec3<double>{}, stiffness * s.params.k + damping * s.params.c);
         }
         const double numbers[6] = {b.xx, b.yy, b.zz, b.xy, b.xz, b.yz};
@@ -94,28 +94,28 @@ inline void add_list_product(const List& list, const double* x, const double* v,
                              std::int64_t n, double* out) {
     with_law(list.kind, [&](auto law) {
         using Law = decltype(law);
-        constexpr int C = Law::corners, given = Law::own_velocities ? C : C - 1;
+        constexpr int C = Law::corners, n_velocities = Law::absolute_velocities ? C : C - 1;
         for (std::int64_t e = 0; e < list.count; ++e) {
-            const Seen<Law> s(list, e, x, v, n), along(list, e, dx, dv, n);
+            const ElementState<Law> s(list, e, x, v, n), along(list, e, dx, dv, n);
             Vec3<Dual> d[C - 1], u[C], f[C];
             for (int c = 0; c < C - 1; ++c) d[c] = with_slope(s.d[c], along.d[c]);
-            for (int c = 0; c < given; ++c) u[c] = with_slope(s.u[c], along.u[c]);
+            for (int c = 0; c < n_velocities; ++c) u[c] = with_slope(s.u[c], along.u[c]);
             Dual numbers[3];
             for (int p = 0; p < Law::params; ++p) numbers[p] = {list.params[e * list.numbers + p], 0.0};
             Law::force(law_params<Law, Dual>(numbers, list.common), d, u, f, list.damped);
-            Vec3<double> rest{};
+            Vec3<double> reaction{};
             const auto add = [&](int corner, Vec3<double> g) {
                 const std::int64_t p = list.corners[e * list.width + corner];
                 out[p] += g.x;
                 out[n + p] += g.y;
                 out[2 * n + p] += g.z;
             };
-            for (int c = 0; c < given; ++c) {
+            for (int c = 0; c < n_velocities; ++c) {
                 const Vec3<double> g = slope_of(f[c]);
-                add(Law::own_velocities ? c : c + 1, g);
-                rest = rest - g;
+                add(Law::absolute_velocities ? c : c + 1, g);
+                reaction = reaction - g;
             }
-            if (!Law::own_velocities) add(0, rest);
+            if (!Law::absolute_velocities) add(0, reaction);
         }
     });
 }

@@ -29,11 +29,11 @@ inline Energy energy_of(Plan& plan, double t, const double* x, const double* v) 
         weight += plan.masses[i] * dot(gravity, particle(x, n, i));
     }
     e.potential -= weight;
-    const Held& held = plan.held;
-    for (std::int64_t grip = 0; grip < held.count(); ++grip) {
-        const Pose pose = pose_at(held.paths.data() + held.gripper[grip] * path_numbers, t);
-        const Vec3<double> d = particle(x, n, held.particle[grip]) - held.point(pose, grip).place;
-        const typename Joint::Params<double> params{held.stiffness[grip], held.damping[grip]};
+    const Grips& grips = plan.grips;
+    for (std::int64_t grip = 0; grip < grips.count(); ++grip) {
+        const Pose pose = pose_at(grips.paths.data() + grips.gripper[grip] * path_numbers, t);
+        const Vec3<double> d = particle(x, n, grips.particle[grip]) - grips.point(pose, grip).position;
+        const typename Joint::Params<double> params{grips.stiffness[grip], grips.damping[grip]};
         e.potential += Joint::energy(params, &d);
     }
     if (plan.contacts.count()) e.potential += contact_energy(plan, t, x);
@@ -42,37 +42,37 @@ inline Energy energy_of(Plan& plan, double t, const double* x, const double* v) 
     return e;
 }
 
-inline void other_powers(const Plan& plan, const double* x, const double* v, double& lost, double& given) {
+inline void grid_and_field_powers(const Plan& plan, const double* x, const double* v, double& dissipation, double& external) {
     const std::int64_t n = plan.count;
-    if (plan.grid) lost += grid_lost(*plan.grid, plan.tables, x, v);
+    if (plan.grid) dissipation += grid_dissipation(*plan.grid, plan.tables, x, v);
     const Vec3<double> wind{plan.wind[0], plan.wind[1], plan.wind[2]};
-    const bool blows = norm2(wind) > 0.0;
-    if (plan.drag == 0.0 && !blows) return;
-    double slowed = 0.0, pushed = 0.0;
+    const bool has_wind = norm2(wind) > 0.0;
+    if (plan.drag == 0.0 && !has_wind) return;
+    double drag_sum = 0.0, wind_power = 0.0;
     for (std::int64_t i = 0; i < n; ++i) {
         const Vec3<double> u = particle(v, n, i);
-        slowed += plan.masses[i] * norm2(u);
-        if (blows) pushed += plan.masses[i] * dot(wind, u);
+        drag_sum += plan.masses[i] * norm2(u);
+        if (has_wind) wind_power += plan.masses[i] * dot(wind, u);
     }
-    lost += plan.drag * slowed;
-    given += pushed;
+    dissipation += plan.drag * drag_sum;
+    external += wind_power;
 }
 
-inline void powers(Plan& plan, double t, const double* x, const double* v, double& lost, double& given) {
-    if (plan.self) lost += self_lost(plan, t, x, v);
-    for (const List& list : plan.lists) list_power(list, x, v, plan.count, lost, given);
-    other_powers(plan, x, v, lost, given);
+inline void total_powers(Plan& plan, double t, const double* x, const double* v, double& dissipation, double& external) {
+    if (plan.self) dissipation += self_dissipation(plan, t, x, v);
+    for (const List& list : plan.lists) list_power(list, x, v, plan.count, dissipation, external);
+    grid_and_field_powers(plan, x, v, dissipation, external);
 }
 
-/// Wrench, work and loss rates of the joints at time t: (grippers, booked_numbers), summed up.
-inline void grip_rates(const Plan& plan, double t, const double* x, const double* v, double* rates) {
-    const Held& held = plan.held;
-    for (std::int64_t grip = 0; grip < held.count(); ++grip) {
-        const Pose pose = pose_at(held.paths.data() + held.gripper[grip] * path_numbers, t);
-        const auto point = held.point(pose, grip);
-        const Vec3<double> at = particle(x, plan.count, held.particle[grip]);
-        const Vec3<double> moving = particle(v, plan.count, held.particle[grip]);
-        held.book(rates + held.gripper[grip] * booked_numbers, grip, point, held.force(grip, point, at, moving), moving,
+/// Wrench, work and loss rates of the joints at time t: (grippers, record_numbers), summed up.
+inline void add_grip_wrenches(const Plan& plan, double t, const double* x, const double* v, double* wrenches) {
+    const Grips& grips = plan.grips;
+    for (std::int64_t grip = 0; grip < grips.count(); ++grip) {
+        const Pose pose = pose_at(grips.paths.data() + grips.gripper[grip] * path_numbers, t);
+        const auto point = grips.point(pose, grip);
+        const Vec3<double> position = particle(x, plan.count, grips.particle[grip]);
+        const Vec3<double> velocity = particle(v, plan.count, grips.particle[grip]);
+        grips.accumulate(wrenches + grips.gripper[grip] * record_numbers, grip, point, grips.force(grip, point, position, velocity), velocity,
                   1.0);
     }
 }
@@ -89,9 +89,9 @@ inline void add_product(Plan& plan, double t, const double* x, const double* v, 
     for (int axis = 0; axis < 3; ++axis) {
         if (plan.drag > 0.0)
             for (std::int64_t i = 0; i < n; ++i) out[axis * n + i] -= plan.drag * plan.masses[i] * dv[axis * n + i];
-        for (std::int64_t grip = 0; grip < plan.held.count(); ++grip) {
-            const std::int64_t at = axis * n + plan.held.particle[grip];
-            out[at] -= plan.held.stiffness[grip] * dx[at] + plan.held.damping[grip] * dv[at];
+        for (std::int64_t grip = 0; grip < plan.grips.count(); ++grip) {
+            const std::int64_t at = axis * n + plan.grips.particle[grip];
+            out[at] -= plan.grips.stiffness[grip] * dx[at] + plan.grips.damping[grip] * dv[at];
         }
     }
 }

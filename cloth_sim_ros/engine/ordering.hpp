@@ -16,7 +16,7 @@ class CuthillMcKee {
     using Index = std::int64_t;
 
     Index degree(Index p) const { return first_[p + 1] - first_[p]; }
-    auto before() const {
+    auto by_degree() const {
         return [this](Index a, Index b) { return degree(a) != degree(b) ? degree(a) < degree(b) : a < b; };
     }
 
@@ -24,46 +24,46 @@ public:
 
     /// Particles 0 ... count - 1 and the pairs of them that are coupled; repeated ones and loops do not matter.
     CuthillMcKee(Index count, const Index* pairs, Index pair_count)
-        : count_(count), first_(count + 1), level_(count), rank_(count), seen_(count), taken_(count) {
-        std::vector<Index> place(count + 1);
-        for (Index e = 0; e < 2 * pair_count; ++e) ++place[pairs[e] + 1];
-        std::partial_sum(place.begin(), place.end(), place.begin());
-        std::vector<Index> next(place), ends(2 * pair_count);
+        : count_(count), first_(count + 1), level_(count), rank_(count), visited_round_(count), ordered_(count) {
+        std::vector<Index> offset(count + 1);
+        for (Index e = 0; e < 2 * pair_count; ++e) ++offset[pairs[e] + 1];
+        std::partial_sum(offset.begin(), offset.end(), offset.begin());
+        std::vector<Index> next(offset), ends(2 * pair_count);
         for (Index e = 0; e < 2 * pair_count; ++e) ends[next[pairs[e]]++] = pairs[e ^ 1];
         for (Index p = 0; p < count; ++p) {
-            const auto begin = ends.begin() + place[p], end = ends.begin() + place[p + 1];
+            const auto begin = ends.begin() + offset[p], end = ends.begin() + offset[p + 1];
             std::sort(begin, end);
-            for (auto other = begin; other != end; ++other)
-                if (*other != p && (other == begin || *other != *(other - 1))) near_.push_back(*other);
-            first_[p + 1] = Index(near_.size());
+            for (auto it = begin; it != end; ++it)
+                if (*it != p && (it == begin || *it != *(it - 1))) neighbors_.push_back(*it);
+            first_[p + 1] = Index(neighbors_.size());
         }
         for (Index p = 0; p < count; ++p)
-            std::sort(near_.begin() + first_[p], near_.begin() + first_[p + 1], before());
+            std::sort(neighbors_.begin() + first_[p], neighbors_.begin() + first_[p + 1], by_degree());
     }
 
     /// Write the particles in their order.
-    void write(Index* order) {
+    void write_order(Index* order) {
         std::vector<Index> starts(count_), best, trial;
         std::iota(starts.begin(), starts.end(), 0);
-        std::sort(starts.begin(), starts.end(), before());
+        std::sort(starts.begin(), starts.end(), by_degree());
         Index written = count_;
         for (Index start : starts) {
-            if (taken_[start]) continue;
+            if (ordered_[start]) continue;
             best.clear();
             // From the far end of the part that was reached last, levels are more and narrower: the best of some tries.
-            Index least = 0;
+            Index min_width = 0;
             for (int sweep = 0; sweep < tries; ++sweep) {
-                const Index wide = visit(start, trial);
-                if (sweep == 0 || wide < least) {
+                const Index width = visit(start, trial);
+                if (sweep == 0 || width < min_width) {
                     best = trial;
-                    least = wide;
+                    min_width = width;
                 }
                 const Index deepest = level_[trial.back()];
                 for (Index p : trial)
-                    if (level_[p] == deepest && (level_[start] != deepest || before()(p, start))) start = p;
+                    if (level_[p] == deepest && (level_[start] != deepest || by_degree()(p, start))) start = p;
             }
             for (Index p : best) {
-                taken_[p] = true;
+                ordered_[p] = true;
                 order[--written] = p;
             }
         }
@@ -78,27 +78,27 @@ private:
         ++round_;
         rank_[start] = 0;
         level_[start] = 0;
-        seen_[start] = round_;
-        Index wide = 0;
+        visited_round_[start] = round_;
+        Index width = 0;
         for (Index k = 0; k < Index(visited.size()); ++k) {
             const Index p = visited[k];
             for (Index e = first_[p]; e < first_[p + 1]; ++e) {
-                const Index q = near_[e];
-                if (seen_[q] != round_) {
-                    seen_[q] = round_;
+                const Index q = neighbors_[e];
+                if (visited_round_[q] != round_) {
+                    visited_round_[q] = round_;
                     level_[q] = level_[p] + 1;
                     rank_[q] = Index(visited.size());
                     visited.push_back(q);
                 }
-                wide = std::max(wide, rank_[q] - k);
+                width = std::max(width, rank_[q] - k);
             }
         }
-        return wide;
+        return width;
     }
 
     Index count_, round_ = 0;
-    std::vector<Index> first_, near_, level_, rank_, seen_;
-    std::vector<char> taken_;
+    std::vector<Index> first_, neighbors_, level_, rank_, visited_round_;
+    std::vector<char> ordered_;
 };
 
 }  // namespace cloth

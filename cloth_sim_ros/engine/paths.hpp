@@ -16,7 +16,7 @@ namespace cloth {
 inline double arctangent(double y, double x) {
     const bool swapped = std::abs(y) > x;
     double t = swapped ? x / y : y / x, doubled = 1.0;
-    for (int turn = 0; turn < 3; ++turn) {
+    for (int halving = 0; halving < 3; ++halving) {
         t = t / (1.0 + root(1.0 + t * t));
         doubled = 2.0 * doubled;
     }
@@ -53,33 +53,33 @@ inline void rotation_vector(const double* start, const double* end, double* out)
 /// and its end velocity `last`. The end velocity is the mean velocity times way . before / |way|^2, held within 0 to 1,
 /// where `before` is the last frame's displacement. So a steady stream of targets is followed without ripple, and a
 /// jump arrives at rest without overshoot.
-inline void cubic_path(const double* way, const double* start, const double* before, double duration, double* cubic,
-                       double* last) {
-    const double square = way[0] * way[0] + way[1] * way[1] + way[2] * way[2];
-    const double shared = way[0] * before[0] + way[1] * before[1] + way[2] * before[2];
-    double kept = square > 0.0 ? shared / square : 0.0;
-    kept = kept > 0.0 ? kept : 0.0;
-    kept = kept < 1.0 ? kept : 1.0;
+inline void cubic_path(const double* displacement, const double* start, const double* previous, double duration, double* cubic,
+                       double* end_velocity) {
+    const double square = displacement[0] * displacement[0] + displacement[1] * displacement[1] + displacement[2] * displacement[2];
+    const double product = displacement[0] * previous[0] + displacement[1] * previous[1] + displacement[2] * previous[2];
+    double velocity_ratio = square > 0.0 ? product / square : 0.0;
+    velocity_ratio = velocity_ratio > 0.0 ? velocity_ratio : 0.0;
+    velocity_ratio = velocity_ratio < 1.0 ? velocity_ratio : 1.0;
     for (int i = 0; i < 3; ++i) {
-        const double mean = way[i] / duration, first = start[i], end = mean * kept;
+        const double mean = displacement[i] / duration, first = start[i], end = mean * velocity_ratio;
         cubic[i] = first;
         cubic[3 + i] = (3.0 * mean - 2.0 * first - end) / duration;
         cubic[6 + i] = (first + end - 2.0 * mean) / (duration * duration);
-        last[i] = end;
+        end_velocity[i] = end;
     }
 }
 
 /// The path over one frame, path_numbers, from pose and twist to a target; the twist at its end, 6 numbers; the frame's
 /// displacement [m] and turn [rad], 6 numbers. `before` has those of the frame before.
-inline void path_to(double t, double duration, const double* pose, const double* twist, const double* before,
-                    const double* target, double* path, double* last, double* turn) {
-    for (int i = 0; i < 3; ++i) turn[i] = target[i] - pose[i];
-    rotation_vector(pose + 3, target + 3, turn + 3);
+inline void path_to(double t, double duration, const double* pose, const double* twist, const double* previous,
+                    const double* target, double* path, double* end_twist, double* motion) {
+    for (int i = 0; i < 3; ++i) motion[i] = target[i] - pose[i];
+    rotation_vector(pose + 3, target + 3, motion + 3);
     path[0] = t;
     for (int i = 0; i < 3; ++i) path[1 + i] = pose[i];
-    cubic_path(turn, twist, before, duration, path + 4, last);
+    cubic_path(motion, twist, previous, duration, path + 4, end_twist);
     for (int i = 0; i < 4; ++i) path[13 + i] = pose[3 + i];
-    cubic_path(turn + 3, twist + 3, before + 3, duration, path + 17, last + 3);
+    cubic_path(motion + 3, twist + 3, previous + 3, duration, path + 17, end_twist + 3);
 }
 
 }  // namespace cloth

@@ -11,48 +11,48 @@ namespace cloth {
 
 /// Call `what` with the friction law and each stance of a meeting.
 template <class V, class X, class U, class F>
-inline void for_each_stance(const Plan& plan, const SelfLaw<V>& law, const Meeting<V>& m, X&& at, U&& moving, F&& what) {
-    if (!plan.rubs()) return;
-    const LayerFriction<V> friction(plan.self->rough, plan.contacts.frequency, law);
-    friction.each(plan.self->surface, m, plan.layer_anchors(), at, moving,
-                  [&](int, const Layer<V>&, const LayerAnchor&, const Stance<V>& on) { what(friction, on); });
+inline void for_each_layer_contact(const Plan& plan, const SelfLaw<V>& law, const Contact<V>& m, X&& at, U&& velocity, F&& visit) {
+    if (!plan.has_self_friction()) return;
+    const SelfFriction<V> friction(plan.self->friction, plan.contacts.frequency, law);
+    friction.for_each_layer(plan.self->surface, m, plan.layer_anchors(), at, velocity,
+                  [&](int, const Layer<V>&, const LayerAnchor&, const AnchorKinematics<V>& on) { visit(friction, on); });
 }
 template <class X, class U>
-inline double layer_energy(const Plan& plan, const SelfLaw<double>& law, const Meeting<double>& m, X&& at, U&& moving) {
+inline double layer_energy(const Plan& plan, const SelfLaw<double>& law, const Contact<double>& m, X&& at, U&& velocity) {
     double energy = 0.0;
-    for_each_stance<double>(plan, law, m, at, moving, [&](const auto& friction, const Stance<double>& on) {
-        energy += on.mass * friction.rub(on).energy;
+    for_each_layer_contact<double>(plan, law, m, at, velocity, [&](const auto& friction, const AnchorKinematics<double>& on) {
+        energy += on.mass * friction.force(on).energy;
     });
     return energy;
 }
 /// Power that friction takes [W].
 template <class X, class U>
-inline double layer_lost(const Plan& plan, const SelfLaw<double>& law, const Meeting<double>& m, X&& at, U&& moving) {
-    double lost = 0.0;
-    for_each_stance<double>(plan, law, m, at, moving, [&](const auto& friction, const Stance<double>& on) {
-        lost += on.mass * friction.rub(on).lost;
+inline double layer_dissipation(const Plan& plan, const SelfLaw<double>& law, const Contact<double>& m, X&& at, U&& velocity) {
+    double dissipation = 0.0;
+    for_each_layer_contact<double>(plan, law, m, at, velocity, [&](const auto& friction, const AnchorKinematics<double>& on) {
+        dissipation += on.mass * friction.force(on).dissipation;
     });
-    return lost;
+    return dissipation;
 }
 template <class X, class U>
-inline void add_layer_bounds(const Plan& plan, const SelfLaw<double>& law, const Meeting<double>& m, X&& at, U&& moving,
+inline void add_layer_bounds(const Plan& plan, const SelfLaw<double>& law, const Contact<double>& m, X&& at, U&& velocity,
                              double* stiff, double* damp) {
-    const double rate = FrictionLaw<double>::damping_share / plan.contacts.frequency;
-    for_each_stance<double>(plan, law, m, at, moving, [&](const auto& friction, const Stance<double>& on) {
+    const double damping_ratio = FrictionLaw<double>::damping_per_frequency / plan.contacts.frequency;
+    for_each_layer_contact<double>(plan, law, m, at, velocity, [&](const auto& friction, const AnchorKinematics<double>& on) {
         friction.bounds(on, [&](Index c, double k) {
-            const Sym3<double> all{k, k, k, 0.0, 0.0, 0.0}, part{rate * k, rate * k, rate * k, 0.0, 0.0, 0.0};
-            if (stiff) add_block(stiff, plan.count, plan.own[c], all);
-            if (damp) add_block(damp, plan.count, plan.own[c], part);
+            const Sym3<double> stiffness{k, k, k, 0.0, 0.0, 0.0}, damping{damping_ratio * k, damping_ratio * k, damping_ratio * k, 0.0, 0.0, 0.0};
+            if (stiff) add_block(stiff, plan.count, plan.particle_of_rank[c], stiffness);
+            if (damp) add_block(damp, plan.count, plan.particle_of_rank[c], damping);
         });
     });
 }
 /// Add the derivative of the forces to out, (3, n).
 template <class X, class U>
-inline void add_layer_product(const Plan& plan, const SelfLaw<Dual>& law, const Meeting<Dual>& m, X&& at, U&& moving,
+inline void add_layer_product(const Plan& plan, const SelfLaw<Dual>& law, const Contact<Dual>& m, X&& at, U&& velocity,
                               double* out) {
-    for_each_stance<Dual>(plan, law, m, at, moving, [&](const auto& friction, const Stance<Dual>& on) {
-        friction.forces(on, friction.rub(on), [&](Index c, Vec3<Dual> force) {
-            const std::int64_t i = plan.own[c];
+    for_each_layer_contact<Dual>(plan, law, m, at, velocity, [&](const auto& friction, const AnchorKinematics<Dual>& on) {
+        friction.forces(on, friction.force(on), [&](Index c, Vec3<Dual> force) {
+            const std::int64_t i = plan.particle_of_rank[c];
             out[i] += force.x.slope;
             out[plan.count + i] += force.y.slope;
             out[2 * plan.count + i] += force.z.slope;
@@ -60,56 +60,56 @@ inline void add_layer_product(const Plan& plan, const SelfLaw<Dual>& law, const 
     });
 }
 template <class X, class U>
-inline void add_layer_loads(const Plan& plan, const SelfLaw<double>& law, const Meeting<double>& m, X&& at, U&& moving,
+inline void add_layer_loads(const Plan& plan, const SelfLaw<double>& law, const Contact<double>& m, X&& at, U&& velocity,
                             LayerLoad& load) {
-    for_each_stance<double>(plan, law, m, at, moving, [&](const auto& friction, const Stance<double>& on) {
+    for_each_layer_contact<double>(plan, law, m, at, velocity, [&](const auto& friction, const AnchorKinematics<double>& on) {
         friction.bounds(on, [&](Index c, double k) { load.add(plan.self->surface, c, k); });
     });
 }
 
-/// Anchors on a layer after runs that ended with some of their own, as `settle_anchors` has them for obstacles: what no
+/// Anchors on a layer after runs that ended with some of their own, as `combine_anchors` has them for obstacles: what no
 /// run moved stays as it is; the rest is combined as places, and dragged back onto the cone. `ends` of each run lie
 /// `stride` numbers apart.
 template <class X, class U>
-inline void settle_layers(const Plan& plan, const SelfLaw<double>& law, const Meeting<double>& m, X&& at, U&& moving,
+inline void combine_layer_anchors(const Plan& plan, const SelfLaw<double>& law, const Contact<double>& m, X&& at, U&& velocity,
                           std::int64_t runs, const double* weights, const double* ends, std::int64_t stride,
                           double* out) {
     const Surface& s = plan.self->surface;
     const std::int64_t n = plan.count;
-    const LayerFriction<double> friction(plan.self->rough, plan.contacts.frequency, law);
-    const auto ended = [&](std::int64_t run, int side, Index i) {
-        return LayerAnchors{ends + run * stride, plan.own.data(), n}(side, i);
+    const SelfFriction<double> friction(plan.self->friction, plan.contacts.frequency, law);
+    const auto ended = [&](std::int64_t run, int face, Index i) {
+        return LayerAnchors{ends + run * stride, plan.particle_of_rank.data(), n}(face, i);
     };
-    const auto combined = [&](int side, Index i) {
-        const LayerAnchor last = ended(runs - 1, side, i);
-        bool all = last.bond != no_bond, same = true;
+    const auto combined = [&](int face, Index i) {
+        const LayerAnchor last_anchor = ended(runs - 1, face, i);
+        bool all_bonded = last_anchor.bond != no_bond, same = true;
         for (std::int64_t run = 0; run < runs; ++run) {
-            const LayerAnchor one = ended(run, side, i);
-            all = all && one.bond != no_bond;
-            same = same && one.triangle == last.triangle && one.second == last.second && one.third == last.third &&
-                   one.bond == last.bond;
+            const LayerAnchor anchor = ended(run, face, i);
+            all_bonded = all_bonded && anchor.bond != no_bond;
+            same = same && anchor.triangle == last_anchor.triangle && anchor.second == last_anchor.second && anchor.third == last_anchor.third &&
+                   anchor.bond == last_anchor.bond;
         }
-        if (!all || same) return last;
+        if (!all_bonded || same) return last_anchor;
         Vec3<double> sum{};
         for (std::int64_t run = 0; run < runs; ++run) {
-            const LayerAnchor one = ended(run, side, i);
-            const auto& t = s.triangles[one.triangle];
+            const LayerAnchor anchor = ended(run, face, i);
+            const auto& t = s.triangles[anchor.triangle];
             const Vec3<double> a = at(t[0]), e = at(t[1]) - a, g = at(t[2]) - a;
-            sum = fma(weights[run], fma(one.second, e, fma(one.third, g, a)), sum);
+            sum = fma(weights[run], fma(anchor.second, e, fma(anchor.third, g, a)), sum);
         }
-        return friction.weighed(s, last.triangle, sum, at);
+        return friction.barycentric_anchor(s, last_anchor.triangle, sum, at);
     };
-    friction.each(s, m, combined, at, moving,
-                  [&](int side, const Layer<double>& layer, const LayerAnchor& anchor, const Stance<double>& on) {
-                      const auto rubbed = friction.rub(on);
-                      LayerAnchor kept = anchor;
-                      if (rubbed.slides)
-                          kept = friction.dragged(s, on, layer, Vec3<double>{}, rubbed.stretch, at);
+    friction.for_each_layer(s, m, combined, at, velocity,
+                  [&](int face, const Layer<double>& layer, const LayerAnchor& anchor, const AnchorKinematics<double>& on) {
+                      const auto friction_force = friction.force(on);
+                      LayerAnchor result = anchor;
+                      if (friction_force.slides)
+                          result = friction.drag_anchor(s, on, layer, Vec3<double>{}, friction_force.stretch, at);
                       else if (anchor.bond == no_bond)
-                          kept = {layer.triangle, on.foot[1], on.foot[2], sticks};
+                          result = {layer.triangle, on.foot[1], on.foot[2], sticks};
                       else
-                          kept.bond = sticks;
-                      keep_anchor(out, n, side, plan.own[on.corner[0]], kept);
+                          result.bond = sticks;
+                      write_anchor(out, n, face, plan.particle_of_rank[on.corner[0]], result);
                   });
 }
 

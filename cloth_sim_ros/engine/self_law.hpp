@@ -16,7 +16,7 @@ CLOTH_INLINE double value_of(Dual a) { return a.value; }
 
 /// A gap between points of the surface: its vector is the sum of weights times corners' places, weights adding up to zero.
 template <class V>
-struct Gap {
+struct GapTerm {
     double sign;  ///< 1 or -1: factor of this gap's energy in the sum
     Index corner[4];
     V weight[4];
@@ -34,16 +34,16 @@ CLOTH_INLINE V energy_to_stop(V closing, V shape) {
 
 /// What adds to one energy: gaps, and for edges how it fades as they become parallel.
 template <class V>
-struct Meeting {
-    std::vector<Gap<V>> gaps;
+struct Contact {
+    std::vector<GapTerm<V>> gaps;
     double mass = 0.0;
     /// Energy per mass in units of U^2/2, sum of the pushes, and the rate at which the energy grows [m^2/s^3].
     V shape{}, push{}, rate{};
     /// How its thickness is reduced; gaps, their speeds and these sums are in units of the whole one, see Scaling.
-    Scaling<V> scaling = whole_thickness<V>();
+    Scaling<V> scaling = full_thickness<V>();
     V lever{};  ///< sum of pushes times gaps [m^2/s^2], while it grows
     /// Of a pair of edges: what its energy is multiplied by, and the slope of that over the corners' places.
-    V faded{};
+    V fade_factor{};
     Vec3<V> slope[4];
     bool edges = false;
 
@@ -52,16 +52,16 @@ struct Meeting {
         shape = push = rate = lever = V{};
         edges = false;
     }
-    double least() const {
-        double least = 1e30;
-        for (const auto& g : gaps) least = smaller(value_of(g.gap), least);
-        return least;
+    double min_gap() const {
+        double min = 1e30;
+        for (const auto& g : gaps) min = smaller(value_of(g.gap), min);
+        return min;
     }
     /// The largest speed with which one of its gaps closes.
-    double closing() const {
-        double most = 0.0;
-        for (const auto& g : gaps) most = larger(value_of(g.closing), most);
-        return most;
+    double max_closing() const {
+        double max = 0.0;
+        for (const auto& g : gaps) max = larger(value_of(g.closing), max);
+        return max;
     }
 };
 
@@ -70,7 +70,7 @@ class SelfLaw {
 public:
     /// Edges keep half the thickness.
     SelfLaw(double thickness, double damping)
-        : thickness_(thickness), damping_(damping), whole_(thickness, damping), half_(0.5 * thickness, damping) {}
+        : thickness_(thickness), damping_(damping), particle_law_(thickness, damping), edge_law_(0.5 * thickness, damping) {}
 
     double thickness(bool edges) const { return edges ? 0.5 * thickness_ : thickness_; }
 
@@ -79,129 +79,129 @@ public:
         scalings_ = scalings && !scalings->empty() ? scalings->data() : nullptr;
     }
     bool reduced() const { return scalings_; }
-    Scaling<double> scaling(Index i) const { return scalings_ ? scalings_[i] : whole_thickness<double>(); }
+    Scaling<double> scaling(Index i) const { return scalings_ ? scalings_[i] : full_thickness<double>(); }
     /// Of a pair of edges: the thinnest of their ends.
-    Scaling<double> scaling(const std::array<Index, 2>& one, const std::array<Index, 2>& other) const {
-        Scaling<double> most = whole_thickness<double>();
-        if (!scalings_) return most;
-        for (const Index c : {one[0], one[1], other[0], other[1]})
-            if (scalings_[c].scale > most.scale) most = scalings_[c];
-        return most;
+    Scaling<double> scaling(const std::array<Index, 2>& edge1, const std::array<Index, 2>& edge2) const {
+        Scaling<double> result = full_thickness<double>();
+        if (!scalings_) return result;
+        for (const Index c : {edge1[0], edge1[1], edge2[0], edge2[1]})
+            if (scalings_[c].scale > result.scale) result = scalings_[c];
+        return result;
     }
 
     /// The energy of particle i with the surface, of which the triangles from `begin` to `end` are near. It counts
     /// triangles, less edges between two of them, and particles within the sheet: so a flat surface counts once, wherever
     /// it is cut into triangles (Euler's formula; Li et al., Convergent IPC, 2023).
     template <class X, class U>
-    void particle(const Surface& s, Index i, const Index* begin, const Index* end, X&& at, U&& moving,
-                  Meeting<V>& m) const {
+    void particle(const Surface& s, Index i, const Index* begin, const Index* end, X&& at, U&& velocity,
+                  Contact<V>& m) const {
         m.clear();
         m.mass = 0.5 * s.masses[i];
         m.scaling = splat_scaling(scaling(i));
-        const double within = thickness_ / value_of(m.scaling.scale), square_within = within * within;
+        const double range = thickness_ / value_of(m.scaling.scale), square_range = range * range;
         const Vec3<V> p = at(i);
         for (const Index* triangle = begin; triangle != end; ++triangle) {
             const auto& t = s.triangles[*triangle];
             const Vec3<V> x[3] = {at(t[0]), at(t[1]), at(t[2])};
             const OnTriangle<V> n = near_triangle(p, x[0], x[1], x[2]);
-            if (!(value_of(n.square) < square_within)) continue;
-            const V one = splat<V>(1.0);
-            take({1.0, {i, t[0], t[1], t[2]}, {one, -n.weight[0], -n.weight[1], -n.weight[2]}, n.away, n.square, V{}},
-                 moving, m);
+            if (!(value_of(n.square) < square_range)) continue;
+            const V unit = splat<V>(1.0);
+            add_gap({1.0, {i, t[0], t[1], t[2]}, {unit, -n.weight[0], -n.weight[1], -n.weight[2]}, n.away, n.square, V{}},
+                 velocity, m);
             for (int k = 0; k < 3; ++k) {
                 const int next = (k + 1) % 3;
-                const Index other = s.across[*triangle][k];
-                if (other >= 0 && (s.has(other, i) || *triangle < other)) {
+                const Index neighbor = s.neighbors[*triangle][k];
+                if (neighbor >= 0 && (s.has(neighbor, i) || *triangle < neighbor)) {
                     const OnSegment<V> e = near_segment(p, x[k], x[next]);
-                    if (value_of(e.square) < square_within)
-                        take({-1.0, {i, t[k], t[next], i}, {one, e.share - one, -e.share, V{}}, e.away, e.square, V{}},
-                             moving, m);
+                    if (value_of(e.square) < square_range)
+                        add_gap({-1.0, {i, t[k], t[next], i}, {unit, e.fraction - unit, -e.fraction, V{}}, e.away, e.square, V{}},
+                             velocity, m);
                 }
                 if (s.inner[t[k]] && s.first_about(t[k], i) == *triangle) {
                     const Vec3<V> away = p - x[k];
                     const V square = norm2(away);
-                    if (value_of(square) < square_within)
-                        take({1.0, {i, t[k], i, i}, {one, -one, V{}, V{}}, away, square, V{}}, moving, m);
+                    if (value_of(square) < square_range)
+                        add_gap({1.0, {i, t[k], i, i}, {unit, -unit, V{}, V{}}, away, square, V{}}, velocity, m);
                 }
             }
         }
-        for (const Gap<V>& g : m.gaps) {
-            const V push = splat<V>(g.sign) * whole_.elastic(g.gap);
+        for (const GapTerm<V>& g : m.gaps) {
+            const V push = splat<V>(g.sign) * particle_law_.elastic(g.gap);
             m.push = m.push + push;
             m.rate = m.rate + push * g.closing;
-            m.shape = m.shape + splat<V>(g.sign) * whole_.shape(g.gap);
+            m.shape = m.shape + splat<V>(g.sign) * particle_law_.shape(g.gap);
             if (scalings_) m.lever = m.lever + push * g.gap;
         }
     }
     /// The energy of two edges, from a to b and from c to e. It fades as they become parallel, where the nearest points
     /// jump: by (2 - q) q, q = sin^2 of their angle over `parallel`, up to 1.
     template <class X, class U>
-    void edges(const Surface& s, const std::array<Index, 2>& one_edge, const std::array<Index, 2>& other, X&& at,
-               U&& moving, Meeting<V>& m) const {
+    void edges(const Surface& s, const std::array<Index, 2>& edge1, const std::array<Index, 2>& edge2, X&& at,
+               U&& velocity, Contact<V>& m) const {
         m.clear();
-        const Index corner[4] = {one_edge[0], one_edge[1], other[0], other[1]};
+        const Index corner[4] = {edge1[0], edge1[1], edge2[0], edge2[1]};
         const Vec3<V> x[4] = {at(corner[0]), at(corner[1]), at(corner[2]), at(corner[3])};
         const OnSegments<V> n = near_segments(x[0], x[1], x[2], x[3]);
-        m.scaling = splat_scaling(scaling(one_edge, other));
+        m.scaling = splat_scaling(scaling(edge1, edge2));
         const double thickness = 0.5 * thickness_ / value_of(m.scaling.scale);
         if (!(value_of(n.square) < thickness * thickness)) return;
         m.edges = true;
         m.mass = 0.25 * (s.masses[corner[0]] + s.masses[corner[1]] + s.masses[corner[2]] + s.masses[corner[3]]);
-        const V one = splat<V>(1.0);
-        take({1.0, {corner[0], corner[1], corner[2], corner[3]},
-              {one - n.first, n.first, n.second - one, -n.second}, n.away, n.square, V{}}, moving, m);
-        fade(x[1] - x[0], x[3] - x[2], m);
-        const Gap<V>& g = m.gaps[0];
-        const V shape = half_.shape(g.gap);
-        m.push = m.faded * half_.elastic(g.gap);
-        m.shape = m.faded * shape;
+        const V unit = splat<V>(1.0);
+        add_gap({1.0, {corner[0], corner[1], corner[2], corner[3]},
+              {unit - n.first, n.first, n.second - unit, -n.second}, n.away, n.square, V{}}, velocity, m);
+        apply_fade(x[1] - x[0], x[3] - x[2], m);
+        const GapTerm<V>& g = m.gaps[0];
+        const V shape = edge_law_.shape(g.gap);
+        m.push = m.fade_factor * edge_law_.elastic(g.gap);
+        m.shape = m.fade_factor * shape;
         m.rate = m.push * g.closing;
         m.lever = m.push * g.gap;
         const V energy = splat<V>(0.5 * ContactLaw<V>::speed * ContactLaw<V>::speed) * shape;
         for (int k = 0; k < 4; ++k) {
             m.slope[k] = energy * m.slope[k];
-            m.rate = m.rate + dot(m.slope[k], moving(corner[k]));
+            m.rate = m.rate + dot(m.slope[k], velocity(corner[k]));
         }
     }
     /// What damping multiplies the forces of one energy by: Q of `ContactLaw`, with the speed at which its gaps close on
     /// the whole, rate over push. So what is lost, (Q - 1) rate, is never below zero.
-    V damped(const Meeting<V>& m) const { return damped(m.push, m.rate, m.edges); }
+    V damped(const Contact<V>& m) const { return damped(m.push, m.rate, m.edges); }
     V damped(V push, V rate, bool edges) const {
         if (!(value_of(push) > 0.0)) return splat<V>(1.0);
-        return quotient<V>(push, rate, edges);
+        return damping_factor<V>(push, rate, edges);
     }
     /// The same of pushes above zero, a vector of them where W is one.
     template <class W>
-    CLOTH_INLINE W quotient(W push, W rate, bool edges) const {
-        const W one = splat<W>(1.0);
+    CLOTH_INLINE W damping_factor(W push, W rate, bool edges) const {
+        const W unit = splat<W>(1.0);
         const double gamma = 0.5 * ContactLaw<V>::speed / thickness(edges);
-        const W under = push * (one + splat<W>(damping_ / gamma) * push);
-        const W u = splat<W>(0.5 * damping_) * rate / under;
-        return u + root(fma(u, u, one));
+        const W denominator = push * (unit + splat<W>(damping_ / gamma) * push);
+        const W u = splat<W>(0.5 * damping_) * rate / denominator;
+        return u + root(fma(u, u, unit));
     }
     /// Call `what` with each corner of a meeting and the force on it.
     template <class F>
-    void forces(const Meeting<V>& m, F&& what) const {
-        const V scale = splat<V>(m.mass) * damped(m), part = splat<V>(1.0) / m.scaling.scale;
-        for (const Gap<V>& g : m.gaps) {
-            const V push = part * (m.edges ? m.push : splat<V>(g.sign) * whole_.elastic(g.gap));
+    void forces(const Contact<V>& m, F&& visit) const {
+        const V scale = splat<V>(m.mass) * damped(m), inverse_scale = splat<V>(1.0) / m.scaling.scale;
+        for (const GapTerm<V>& g : m.gaps) {
+            const V push = inverse_scale * (m.edges ? m.push : splat<V>(g.sign) * particle_law_.elastic(g.gap));
             for (int k = 0; k < 4; ++k) {
                 if (!m.edges && k && g.corner[k] == g.corner[0]) continue;
                 Vec3<V> force = (push * g.weight[k]) * g.normal;
-                if (m.edges) force = force - (part * part) * m.slope[k];
-                what(g.corner[k], scale * force);
+                if (m.edges) force = force - (inverse_scale * inverse_scale) * m.slope[k];
+                visit(g.corner[k], scale * force);
             }
         }
     }
-    double energy(const Meeting<V>& m) const {
+    double energy(const Contact<V>& m) const {
         return m.mass * 0.5 * ContactLaw<V>::speed * ContactLaw<V>::speed * value_of(m.shape) * unscaled(m);
     }
     /// Power that damping takes [W].
-    double lost(const Meeting<V>& m) const {
+    double dissipation(const Contact<V>& m) const {
         return m.mass * (value_of(damped(m)) - 1.0) * value_of(m.rate) * unscaled(m);
     }
     /// Power of its growth [W].
-    double grown(const Meeting<V>& m) const {
+    double growth_power(const Contact<V>& m) const {
         return m.mass * value_of(m.scaling.growth) * unscaled(m) *
                growing(value_of(damped(m)) * value_of(m.lever), value_of(m.shape));
     }
@@ -209,11 +209,11 @@ public:
     static double growing(double lever, double shape) {
         return fma(ContactLaw<double>::speed * ContactLaw<double>::speed, shape, lever);
     }
-    const ContactLaw<V>& law(bool edges) const { return edges ? half_ : whole_; }
+    const ContactLaw<V>& law(bool edges) const { return edges ? edge_law_ : particle_law_; }
 
 private:
     static Scaling<V> splat_scaling(Scaling<double> s) { return {splat<V>(s.scale), splat<V>(s.growth)}; }
-    static double unscaled(const Meeting<V>& m) {
+    static double unscaled(const Contact<V>& m) {
         const double scale = value_of(m.scaling.scale);
         return 1.0 / (scale * scale);
     }
@@ -223,24 +223,24 @@ private:
     /// Complete a gap and add it. On entry g.normal is the vector across the gap [m] and g.gap its squared length
     /// [m^2].
     template <class U>
-    void take(Gap<V> g, U&& moving, Meeting<V>& m) const {
+    void add_gap(GapTerm<V> g, U&& velocity, Contact<V>& m) const {
         g.gap = root(g.gap);
         g.normal = (splat<V>(1.0) / g.gap) * g.normal;
         Vec3<V> speed{};
         for (int k = 0; k < 4; ++k)
-            if (!k || g.corner[k] != g.corner[0]) speed = fma(g.weight[k], moving(g.corner[k]), speed);
+            if (!k || g.corner[k] != g.corner[0]) speed = fma(g.weight[k], velocity(g.corner[k]), speed);
         g.closing = m.scaling.closing(g.gap, -dot(g.normal, speed));
         g.gap = m.scaling.gap(g.gap);
         m.gaps.push_back(g);
     }
-    void fade(Vec3<V> u, Vec3<V> v, Meeting<V>& m) const {
-        const V one = splat<V>(1.0), two = splat<V>(2.0);
-        const V uu = norm2(u), vv = norm2(v), uv = dot(u, v), over = one / (uu * vv);
+    void apply_fade(Vec3<V> u, Vec3<V> v, Contact<V>& m) const {
+        const V unit = splat<V>(1.0), two = splat<V>(2.0);
+        const V uu = norm2(u), vv = norm2(v), uv = dot(u, v), over = unit / (uu * vv);
         const V square = norm2(cross(u, v)) * over, q = square * splat<V>(1.0 / parallel);
         for (auto& slope : m.slope) slope = {};
-        m.faded = one;
+        m.fade_factor = unit;
         if (!(value_of(q) < 1.0)) return;
-        m.faded = (two - q) * q;
+        m.fade_factor = (two - q) * q;
         // d(sin^2)/du = 2 (v.v u - u.v v) / (u.u v.v) - 2 sin^2 u / u.u.
         const V steep = (two - two * q) * splat<V>(1.0 / parallel);
         const auto along = [&](Vec3<V> a, V bb, Vec3<V> b, V aa) {
@@ -251,7 +251,7 @@ private:
     }
 
     double thickness_, damping_;
-    ContactLaw<V> whole_, half_;
+    ContactLaw<V> particle_law_, edge_law_;
     const Scaling<double>* scalings_ = nullptr;
 };
 

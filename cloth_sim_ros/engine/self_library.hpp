@@ -13,36 +13,36 @@ CLOTH_API int cloth_plan_self(cloth::Plan* plan, std::int64_t count, const std::
         s.count = plan->count;
         s.shortest = shortest;
         s.masses.resize(plan->count);
-        s.moves.resize(plan->count);
+        s.is_free.resize(plan->count);
         s.inverse.resize(plan->count);
         for (std::int64_t i = 0; i < plan->count; ++i) {
             s.masses[plan->rank[i]] = plan->masses[i];
-            s.moves[plan->rank[i]] = plan->inverse[i] > 0.0;
+            s.is_free[plan->rank[i]] = plan->inverse[i] > 0.0;
             s.inverse[plan->rank[i]] = plan->inverse[i];
         }
         for (std::int64_t t = 0; t < count; ++t) {
             const auto corner = [&](int k) { return static_cast<cloth::Index>(plan->rank[triangles[3 * t + k]]); };
             s.triangles.push_back({corner(0), corner(1), corner(2)});
         }
-        s.join();
+        s.build_topology();
         plan->self = std::move(self);
     });
 }
 /// Coefficients of friction between layers, at rest and in motion. The next cloth_plan_contact makes room for its anchors.
-CLOTH_API int cloth_self_friction(cloth::Plan* plan, double still, double sliding) {
+CLOTH_API int cloth_self_friction(cloth::Plan* plan, double at_rest, double sliding) {
     return guarded(plan, [&] {
-        plan->self->rough = {still, sliding};
-        plan->own.resize(plan->count);
-        for (std::int64_t i = 0; i < plan->count; ++i) plan->own[plan->rank[i]] = i;
+        plan->self->friction = {at_rest, sliding};
+        plan->particle_of_rank.resize(plan->count);
+        for (std::int64_t i = 0; i < plan->count; ++i) plan->particle_of_rank[plan->rank[i]] = i;
     });
 }
 /// Power that friction between layers takes [W].
-CLOTH_API int cloth_self_rubbed(cloth::Plan* plan, double t, const double* x, const double* v, double* out) {
-    return guarded(plan, [&] { *out = cloth::self_rubbed(*plan, t, x, v); });
+CLOTH_API int cloth_self_friction_power(cloth::Plan* plan, double t, const double* x, const double* v, double* out) {
+    return guarded(plan, [&] { *out = cloth::self_friction_power(*plan, t, x, v); });
 }
 /// Whether pairs that may come near are kept from one evaluation to the next. No bit depends on it.
-CLOTH_API int cloth_self_keeps(cloth::Plan* plan, std::int64_t keeps) {
-    return guarded(plan, [&] { plan->self->keeps = keeps != 0; });
+CLOTH_API int cloth_self_cache_pairs(cloth::Plan* plan, std::int64_t caches) {
+    return guarded(plan, [&] { plan->self->caches = caches != 0; });
 }
 /// Adds blocks that bound stiffness and damping.
 CLOTH_API int cloth_self_bounds(cloth::Plan* plan, double t, const double* x, double* stiff, double* damp) {
@@ -52,18 +52,18 @@ CLOTH_API int cloth_self_bounds(cloth::Plan* plan, double t, const double* x, do
 CLOTH_API int cloth_self_gaps(cloth::Plan* plan, const double* x, double* out) {
     return guarded(plan, [&] { cloth::self_gaps(*plan, x, out); });
 }
-/// The first edge that passes through a triangle, see self_pierced.
-CLOTH_API int cloth_self_pierced(cloth::Plan* plan, const double* x, std::int64_t* out) {
-    return guarded(plan, [&] { cloth::self_pierced(*plan, x, out); });
+/// The first edge that passes through a triangle, see find_self_intersection.
+CLOTH_API int cloth_self_intersection(cloth::Plan* plan, const double* x, std::int64_t* out) {
+    return guarded(plan, [&] { cloth::find_self_intersection(*plan, x, out); });
 }
-/// Whether runs over a duration may leave it out, see SelfRest.
-CLOTH_API int cloth_self_rests(cloth::Plan* plan, double duration, const double* x, const double* v, std::int64_t* out) {
+/// Whether runs over a duration may leave it out, see SelfCulling.
+CLOTH_API int cloth_self_culled(cloth::Plan* plan, double duration, const double* x, const double* v, std::int64_t* out) {
     return guarded(plan, [&] {
-        const cloth::SelfRest rest(*plan, duration, x, v);
-        *out = plan->self_rests ? 1 : 0;
+        const cloth::SelfCulling culling(*plan, duration, x, v);
+        *out = plan->self_culled ? 1 : 0;
     });
 }
 /// Whether anything passes through anything on straight ways from x0 to x1.
-CLOTH_API int cloth_self_crosses(cloth::Plan* plan, const double* x0, const double* x1, std::int64_t* out) {
-    return guarded(plan, [&] { *out = cloth::self_crosses(*plan, x0, x1) ? 1 : 0; });
+CLOTH_API int cloth_ccd_self(cloth::Plan* plan, const double* x0, const double* x1, std::int64_t* out) {
+    return guarded(plan, [&] { *out = cloth::ccd_self(*plan, x0, x1) ? 1 : 0; });
 }

@@ -18,31 +18,31 @@ namespace cloth {
 /// each other, than that distance. No point of a side moves further, relative to the first corner, than the side's
 /// corners.
 template <class F>
-inline bool may_pass(double square, const Index* corner, bool edges, F&& way) {
-    const Vec3<double> own = way(corner[0]);
-    const auto away = [&](int k) { return root(norm2(way(corner[k]) - own)); };
-    const double other = larger(away(2), away(3));
-    const double most = edges ? away(1) + other : larger(away(1), other);
+inline bool may_intersect(double square, const Index* corner, bool edges, F&& displacement) {
+    const Vec3<double> reference = displacement(corner[0]);
+    const auto relative_motion = [&](int k) { return root(norm2(displacement(corner[k]) - reference)); };
+    const double second_motion = larger(relative_motion(2), relative_motion(3));
+    const double most = edges ? relative_motion(1) + second_motion : larger(relative_motion(1), second_motion);
     return !(most < root(square));
 }
 
 /// The least of some numbers, 1e30 at most.
-inline double least_of(const std::vector<double>& all) {
+inline double min_of(const std::vector<double>& values) {
     using V = vec<double>;
-    V least = splat<V>(1e30);
+    V lane_min = splat<V>(1e30);
     std::size_t k = 0;
-    for (; k + lanes<double> <= all.size(); k += lanes<double>) least = smaller(load(all.data() + k), least);
-    double one = 1e30;
-    for (int lane = 0; lane < lanes<double>; ++lane) one = smaller<double>(least[lane], one);
-    for (; k < all.size(); ++k) one = smaller(all[k], one);
-    return one;
+    for (; k + lanes<double> <= values.size(); k += lanes<double>) lane_min = smaller(load(values.data() + k), lane_min);
+    double min = 1e30;
+    for (int lane = 0; lane < lanes<double>; ++lane) min = smaller<double>(lane_min[lane], min);
+    for (; k < values.size(); ++k) min = smaller(values[k], min);
+    return min;
 }
 
 /// The cloth's contact with itself over a run, by one thread.
 class SelfRun {
 public:
     SelfRun(SelfContact& self, double thickness, double damping, double step)
-        : self_(self), law_(thickness, damping), wide_(thickness, damping), thickness_(thickness), damping_(damping), step_(step) {}
+        : self_(self), law_(thickness, damping), vector_law_(thickness, damping), thickness_(thickness), damping_(damping), step_(step) {}
 
     /// Let contacts have the thickness that a plan says, over a run.
     void reduce(const Plan& plan, const Run& run) {
@@ -50,149 +50,149 @@ public:
         run_ = &run;
     }
     /// Let layers rub, from anchors at the start on; their springs have a frequency [1/s].
-    void rub(double frequency, const LayerAnchors& anchors) {
+    void enable_friction(double frequency, const LayerAnchors& anchors) {
         frequency_ = frequency;
-        layers_.emplace(self_.surface, self_.rough, frequency, law_, step_, anchors);
+        friction_.emplace(self_.surface, self_.friction, frequency, law_, step_, anchors);
     }
     /// Add the forces of a step at positions x and velocities v to f, all quads, and what damping and friction take [W] to
     /// `lost`.
-    void add(std::int64_t step, const double* x, const double* v, double* f, double* lost) {
-        if (!look(x)) return;
+    void add(std::int64_t step, const double* x, const double* v, double* f, double* dissipation) {
+        if (!update_neighbors(x)) return;
         if (plan_) {
-            self_scalings(*plan_, middle_of(*run_, step), scalings_);
+            self_scalings(*plan_, midpoint_time(*run_, step), scalings_);
             law_.reduce(&scalings_);
         }
-        double grown = 0.0;
-        add_particles(v, f, lost, grown);
+        double growth_power = 0.0;
+        add_particles(v, f, dissipation, growth_power);
         const Surface& s = self_.surface;
-        const Quads at{x}, moving{v};
-        const auto push = [&](Index c, Vec3<double> force) {
+        const Quads at{x}, velocity{v};
+        const auto add_force = [&](Index c, Vec3<double> force) {
             f[4 * c] += force.x, f[4 * c + 1] += force.y, f[4 * c + 2] += force.z;
         };
         for (std::size_t k = 0; k < self_.edges.size(); ++k) {
-            law_.edges(s, s.edges[self_.edges.first[k]], s.edges[self_.edges.second[k]], at, moving, meeting_);
-            if (meeting_.gaps.empty()) {
-                demand_.come(self_.edge_corners(k), true, law_, at, moving, 2.0 * step_);
+            law_.edges(s, s.edges[self_.edges.first[k]], s.edges[self_.edges.second[k]], at, velocity, contact_);
+            if (contact_.gaps.empty()) {
+                bound_.add_approaching(self_.edge_corners(k), true, law_, at, velocity, 2.0 * step_);
                 continue;
             }
-            law_.forces(meeting_, push);
-            demand_.take(s, meeting_);
-            if (lost) *lost += law_.lost(meeting_);
-            if (lost && plan_) grown += law_.grown(meeting_);
+            law_.forces(contact_, add_force);
+            bound_.include(s, contact_);
+            if (dissipation) *dissipation += law_.dissipation(contact_);
+            if (dissipation && plan_) growth_power += law_.growth_power(contact_);
         }
-        grown_ += step_ * grown;
-        demand_.close();
-        if (layers_) add_layers(step, at, moving, push, lost);
+        growth_work_ += step_ * growth_power;
+        bound_.flush();
+        if (friction_) add_friction(step, at, velocity, add_force, dissipation);
     }
     /// The end of the run: whether nothing can have passed through anything on the way there.
-    bool finish(const double* x) { return look(x) && !passed_; }
-    double gap() const { return demand_.gap; }
-    SelfRates rates() const {
-        return demand_.rates(thickness_, damping_, 1.0, layers_ ? layers_->omega2() : 0.0, frequency_);
+    bool finish(const double* x) { return update_neighbors(x) && !intersected_; }
+    double gap() const { return bound_.gap; }
+    ContactBounds bounds() const {
+        return bound_.bounds(thickness_, damping_, 1.0, friction_ ? friction_->omega2() : 0.0, frequency_);
     }
     /// What friction took since the run began [J], where powers are asked for, and the anchors after so many steps.
-    double rubbed() const { return rubbed_; }
+    double friction_work() const { return friction_work_; }
     /// The same of what contacts gave that regained their thickness.
-    double grown() const { return grown_; }
-    void anchors(std::int64_t steps, const std::int64_t* own, double* to) const {
-        if (layers_) layers_->finish(steps, own, to);
+    double growth_work() const { return growth_work_; }
+    void anchors(std::int64_t steps, const std::int64_t* particle_of_rank, double* to) const {
+        if (friction_) friction_->finish(steps, particle_of_rank, to);
     }
 
 private:
     /// What particles meet, by the law of SelfLaw::particle: sums over each particle's gaps, then forces.
-    void add_particles(const double* v, double* f, double* lost, double& grown) {
+    void add_particles(const double* v, double* f, double* dissipation, double& growth_power) {
         SelfGaps& gaps = self_.gaps;
         if (!gaps.size) return;
-        gaps.evaluate(wide_, law_, v);
+        gaps.evaluate(vector_law_, law_, v);
         sums_.begin(self_.surface.count, gaps.size);
-        double coming = 0.0;
+        double approach_speed = 0.0;
         for (std::size_t k = 0; k < gaps.size; ++k) {
             const double gap = gaps.gap(k), closing = gaps.closing(k);
             if (gap < thickness_) {
-                sums_.take(k, gaps);
+                sums_.include(k, gaps);
             } else if (gap - thickness_ < 2.0 * step_ * closing) {
-                coming = larger(closing, coming);
+                approach_speed = larger(closing, approach_speed);
             }
         }
-        if (coming > 0.0) demand_.enter(false, coming);
-        double least = root(least_of(gaps.square));
+        if (approach_speed > 0.0) bound_.add_contact(false, approach_speed);
+        double min_gap = root(min_of(gaps.square));
         if (law_.reduced()) {
-            least = thickness_;
-            for (std::size_t k = 0; k < gaps.ends[0]; ++k) least = smaller(gaps.gap(k), least);
+            min_gap = thickness_;
+            for (std::size_t k = 0; k < gaps.ends[0]; ++k) min_gap = smaller(gaps.gap(k), min_gap);
         }
-        if (least < thickness_) demand_.gap = smaller(least, demand_.gap);
-        sums_.close(self_.surface, law_, lost, grown);
-        if (sums_.most > 0.0) demand_.reach(false, sums_.most);
-        sums_.push(self_.surface, gaps, f);
-        demand_.gather(self_.surface, f);
+        if (min_gap < thickness_) bound_.gap = smaller(min_gap, bound_.gap);
+        sums_.finalize(self_.surface, law_, dissipation, growth_power);
+        if (sums_.max_energy > 0.0) bound_.include_energy(false, sums_.max_energy);
+        sums_.add_forces(self_.surface, gaps, f);
+        bound_.gather_row_sums(self_.surface, f);
     }
     /// Friction of the particles that something is in contact with.
     template <class F>
-    void add_layers(std::int64_t step, const Quads& at, const Quads& moving, F&& push, double* lost) {
-        const PairList& pairs = self_.followed();
-        double rubbed = 0.0;
+    void add_friction(std::int64_t step, const Quads& at, const Quads& velocity, F&& add_force, double* dissipation) {
+        const PairList& pairs = self_.inner_pairs();
+        double friction_power = 0.0;
         for (std::size_t first = 0, last; first < pairs.size(); first = last) {
             const Index i = pairs.first[first];
-            bool meets = false;
+            bool in_contact = false;
             for (last = first; last < pairs.size() && pairs.first[last] == i; ++last)
-                meets = meets || self_.gaps.square[last] < thickness_ * thickness_;
-            if (!meets) continue;
+                in_contact = in_contact || self_.gaps.square[last] < thickness_ * thickness_;
+            if (!in_contact) continue;
             const Index* const triangles = pairs.second.data();
-            law_.particle(self_.surface, i, triangles + first, triangles + last, at, moving, meeting_);
-            layers_->add(step, meeting_, at, moving, push, lost ? &rubbed : nullptr);
+            law_.particle(self_.surface, i, triangles + first, triangles + last, at, velocity, contact_);
+            friction_->add(step, contact_, at, velocity, add_force, dissipation ? &friction_power : nullptr);
         }
-        layers_->close();
-        if (!lost) return;
-        *lost += rubbed;
-        rubbed_ += step_ * rubbed;
+        friction_->flush();
+        if (!dissipation) return;
+        *dissipation += friction_power;
+        friction_work_ += step_ * friction_power;
     }
     /// Find what is near, and look at the ways since the last time.
-    bool look(const double* x) {
-        if (passed_) return false;
+    bool update_neighbors(const double* x) {
+        if (intersected_) return false;
         const std::int64_t n = self_.surface.count;
-        double moved = 0.0, since = std::numeric_limits<double>::infinity();
-        if (before_.empty()) {
-            before_.assign(x, x + 4 * n);
+        double motion = 0.0, since = std::numeric_limits<double>::infinity();
+        if (previous_.empty()) {
+            previous_.assign(x, x + 4 * n);
         } else {
-            Spread spread;
-            for (std::int64_t i = 0; i < n; ++i) spread.take(load4(x + 4 * i) - load4(before_.data() + 4 * i));
-            since = moved = spread.most();
+            MotionBound bound;
+            for (std::int64_t i = 0; i < n; ++i) bound.include(load4(x + 4 * i) - load4(previous_.data() + 4 * i));
+            since = motion = bound.diameter();
         }
         // A pair with less than twice `moved` [m] to contact may come into contact in one of the next two steps.
-        passed_ = !self_.follow(x, thickness_, 2.0 * moved, since);
-        if (!passed_ && moved > 0.0) check(x, moved);
-        std::memcpy(before_.data(), x, 4 * n * sizeof(double));
-        return !passed_;
+        intersected_ = !self_.update(x, thickness_, 2.0 * motion, since);
+        if (!intersected_ && motion > 0.0) check_intersections(x, motion);
+        std::memcpy(previous_.data(), x, 4 * n * sizeof(double));
+        return !intersected_;
     }
     /// Whether anything may have passed through anything on the way from the last step to x; nothing has moved further than
     /// `moved` [m] relative to anything.
-    void check(const double* x, double moved) {
-        const Quads now{x}, earlier{before_.data()};
-        const auto way = [&](Index c) { return now(c) - earlier(c); };
+    void check_intersections(const double* x, double motion) {
+        const Quads current{x}, previous{previous_.data()};
+        const auto displacement = [&](Index c) { return current(c) - previous(c); };
         const SelfGaps& gaps = self_.gaps;
         // Mostly nothing is as near as that.
-        if (least_of(gaps.square) <= moved * moved)
+        if (min_of(gaps.square) <= motion * motion)
             for (std::size_t k = 0; k < gaps.square.size(); ++k)
-                if (gaps.square[k] <= moved * moved)
-                    passed_ = passed_ || may_pass(gaps.square[k], gaps.corners(k).data(), false, way);
+                if (gaps.square[k] <= motion * motion)
+                    intersected_ = intersected_ || may_intersect(gaps.square[k], gaps.corners(k).data(), false, displacement);
         for (std::size_t k = 0; k < self_.edges.size(); ++k)
-            if (self_.edge_squares[k] <= moved * moved)
-                passed_ = passed_ || may_pass(self_.edge_squares[k], self_.edge_corners(k).data(), true, way);
+            if (self_.edge_squares[k] <= motion * motion)
+                intersected_ = intersected_ || may_intersect(self_.edge_squares[k], self_.edge_corners(k).data(), true, displacement);
     }
     SelfContact& self_;
     SelfLaw<double> law_;
-    ContactLaw<vec<double>> wide_;
+    ContactLaw<vec<double>> vector_law_;
     double thickness_, damping_, step_;
-    Meeting<double> meeting_;
-    Demand demand_;
+    Contact<double> contact_;
+    StiffnessBound bound_;
     SelfSums sums_;
-    std::optional<LayerRun> layers_;
-    double frequency_ = 1.0, rubbed_ = 0.0, grown_ = 0.0;
+    std::optional<SelfFrictionRun> friction_;
+    double frequency_ = 1.0, friction_work_ = 0.0, growth_work_ = 0.0;
     const Plan* plan_ = nullptr;  ///< of contacts with a reduced thickness
     const Run* run_ = nullptr;
     std::vector<Scaling<double>> scalings_;
-    Array<double> before_;
-    bool passed_ = false;
+    Array<double> previous_;
+    bool intersected_ = false;
 };
 
 }  // namespace cloth

@@ -18,10 +18,10 @@ using Index = std::int32_t;
 struct Surface {
     std::int64_t count = 0;  ///< of particles
     std::vector<double> masses, inverse;  ///< [kg], and one over it, zero where anchored
-    std::vector<char> moves;
+    std::vector<char> is_free;
     std::vector<std::array<Index, 3>> triangles;
     /// Of each triangle, across its edges from corner 0 to 1, 1 to 2, 2 to 0: the next triangle, -1 at the border.
-    std::vector<std::array<Index, 3>> across;
+    std::vector<std::array<Index, 3>> neighbors;
     std::vector<std::array<Index, 2>> edges;
     /// Triangles about each particle in ascending order: from fan[start[i]] to before fan[start[i + 1]].
     std::vector<Index> fan, start;
@@ -41,32 +41,32 @@ struct Surface {
         return -1;
     }
     /// Edges and fans from triangles. An edge of more than two triangles counts as a border.
-    void join() {
-        struct Side {
-            Index low, high, triangle, which;
+    void build_topology() {
+        struct HalfEdge {
+            Index low, high, triangle, edge;
         };
-        std::vector<Side> sides;
+        std::vector<HalfEdge> half_edges;
         for (std::size_t t = 0; t < triangles.size(); ++t)
             for (int k = 0; k < 3; ++k) {
                 const Index a = triangles[t][k], b = triangles[t][(k + 1) % 3];
-                sides.push_back({std::min(a, b), std::max(a, b), static_cast<Index>(t), k});
+                half_edges.push_back({std::min(a, b), std::max(a, b), static_cast<Index>(t), k});
             }
-        std::stable_sort(sides.begin(), sides.end(), [](const Side& a, const Side& b) {
+        std::stable_sort(half_edges.begin(), half_edges.end(), [](const HalfEdge& a, const HalfEdge& b) {
             return a.low != b.low ? a.low < b.low : a.high < b.high;
         });
-        across.assign(triangles.size(), {-1, -1, -1});
+        neighbors.assign(triangles.size(), {-1, -1, -1});
         inner.assign(count, 1);
         edges.clear();
-        for (std::size_t first = 0, last; first < sides.size(); first = last) {
-            for (last = first; last < sides.size() && sides[last].low == sides[first].low &&
-                               sides[last].high == sides[first].high;)
+        for (std::size_t first = 0, last; first < half_edges.size(); first = last) {
+            for (last = first; last < half_edges.size() && half_edges[last].low == half_edges[first].low &&
+                               half_edges[last].high == half_edges[first].high;)
                 ++last;
-            edges.push_back({sides[first].low, sides[first].high});
+            edges.push_back({half_edges[first].low, half_edges[first].high});
             if (last - first == 2) {
-                across[sides[first].triangle][sides[first].which] = sides[first + 1].triangle;
-                across[sides[first + 1].triangle][sides[first + 1].which] = sides[first].triangle;
+                neighbors[half_edges[first].triangle][half_edges[first].edge] = half_edges[first + 1].triangle;
+                neighbors[half_edges[first + 1].triangle][half_edges[first + 1].edge] = half_edges[first].triangle;
             } else {
-                inner[sides[first].low] = inner[sides[first].high] = 0;
+                inner[half_edges[first].low] = inner[half_edges[first].high] = 0;
             }
         }
         start.assign(count + 1, 0);

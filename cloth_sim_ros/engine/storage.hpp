@@ -24,7 +24,7 @@ struct Aligned {
     template <class U>
     Aligned(const Aligned<U>&) {}
     T* allocate(std::size_t count) { return static_cast<T*>(::operator new(count * sizeof(T), alignment)); }
-    void deallocate(T* place, std::size_t) { ::operator delete(place, alignment); }
+    void deallocate(T* pointer, std::size_t) { ::operator delete(pointer, alignment); }
     template <class U>
     bool operator==(const Aligned<U>&) const {
         return true;
@@ -35,32 +35,32 @@ template <class T>
 using Array = std::vector<T, Aligned<T>>;
 
 /// Rounding to nearest and gradual underflow, whatever the caller has set; restored at the end.
-class Ieee {
+class FpuGuard {
 public:
-    Ieee() {
+    FpuGuard() {
 #if defined(__x86_64__)
-        kept_ = _mm_getcsr();
+        saved_ = _mm_getcsr();
         _mm_setcsr(0x1f80);
 #elif defined(__aarch64__)
-        __asm__ __volatile__("mrs %0, fpcr" : "=r"(kept_));
+        __asm__ __volatile__("mrs %0, fpcr" : "=r"(saved_));
         __asm__ __volatile__("msr fpcr, %0" : : "r"(std::uint64_t{0}));
 #endif
     }
-    ~Ieee() {
+    ~FpuGuard() {
 #if defined(__x86_64__)
-        _mm_setcsr(kept_);
+        _mm_setcsr(saved_);
 #elif defined(__aarch64__)
-        __asm__ __volatile__("msr fpcr, %0" : : "r"(kept_));
+        __asm__ __volatile__("msr fpcr, %0" : : "r"(saved_));
 #endif
     }
-    Ieee(const Ieee&) = delete;
-    Ieee& operator=(const Ieee&) = delete;
+    FpuGuard(const FpuGuard&) = delete;
+    FpuGuard& operator=(const FpuGuard&) = delete;
 
 private:
 #if defined(__x86_64__)
-    unsigned kept_;
+    unsigned saved_;
 #else
-    std::uint64_t kept_ = 0;
+    std::uint64_t saved_ = 0;
 #endif
 };
 

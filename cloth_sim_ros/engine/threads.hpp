@@ -31,22 +31,22 @@ inline void pause_briefly() {
 using Clock = std::chrono::steady_clock;
 
 /// Time that threads of the present run have waited for each other beyond a moment [ns].
-inline std::atomic<std::int64_t> waited{0};
+inline std::atomic<std::int64_t> wait_time_ns{0};
 
-inline std::int64_t since(Clock::time_point begin) {
+inline std::int64_t nanoseconds_since(Clock::time_point begin) {
     return std::chrono::duration_cast<std::chrono::nanoseconds>(Clock::now() - begin).count();
 }
 
 /// Wait until a condition that another thread makes true: at first without leaving the core.
 template <class F>
 inline void wait_until(F&& done) {
-    for (int tries = 0; tries < 4000; ++tries) {
+    for (int spin = 0; spin < 4000; ++spin) {
         if (done()) return;
         pause_briefly();
     }
     const auto begin = Clock::now();
     while (!done()) sched_yield();
-    waited.fetch_add(since(begin), std::memory_order_relaxed);
+    wait_time_ns.fetch_add(nanoseconds_since(begin), std::memory_order_relaxed);
 }
 
 /// Threads that wait for each other.
@@ -54,25 +54,25 @@ class Barrier {
 public:
     explicit Barrier(int threads) : threads_(threads) {}
     void wait() {
-        const std::int64_t turn = turn_.load(std::memory_order_acquire);
-        if (come_.fetch_add(1, std::memory_order_acq_rel) + 1 == threads_) {
-            come_.store(0, std::memory_order_relaxed);
-            turn_.store(turn + 1, std::memory_order_release);
+        const std::int64_t generation = generation_.load(std::memory_order_acquire);
+        if (arrived_.fetch_add(1, std::memory_order_acq_rel) + 1 == threads_) {
+            arrived_.store(0, std::memory_order_relaxed);
+            generation_.store(generation + 1, std::memory_order_release);
         } else {
-            wait_until([&] { return turn_.load(std::memory_order_acquire) != turn; });
+            wait_until([&] { return generation_.load(std::memory_order_acquire) != generation; });
         }
     }
 
 private:
     const int threads_;
-    std::atomic<int> come_{0};
-    std::atomic<std::int64_t> turn_{0};
+    std::atomic<int> arrived_{0};
+    std::atomic<std::int64_t> generation_{0};
 };
 
-class Pool {
+class ThreadPool {
 public:
-    static Pool& shared() {
-        static Pool* pool = new Pool;  // never destroyed: its threads may outlive static objects
+    static ThreadPool& shared() {
+        static ThreadPool* pool = new ThreadPool;  // never destroyed: its threads may outlive static objects
         return *pool;
     }
     /// Call job(0) to job(workers - 1) at once, each on a thread of its own. Call `alone` instead where the pool is
@@ -81,76 +81,76 @@ public:
     /// the next runs call `alone` too. They do so as long as that run took, and after each further one twice as many times
     /// as long: what is lost by trying stays small, and what is lost by not trying is no more than the cores were held. No
     /// bit of the result depends on this choice, so a clock may make it.
-    template <class Job, class Alone>
-    void run(int workers, Job&& job, Alone&& alone) {
+    template <class Job, class Serial>
+    void run(int workers, Job&& job, Serial&& serial) {
         // A call that works alone releases the lock, so that another call can use the threads.
         std::unique_lock lock(mutex_, std::defer_lock);
-        if (workers <= 1 || !lock.try_lock() || rests() || !grow(workers - 1)) {
+        if (workers <= 1 || !lock.try_lock() || is_backing_off() || !ensure_threads(workers - 1)) {
             if (lock) lock.unlock();
-            alone();
+            serial();
             return;
         }
         const auto begin = Clock::now();
-        waited.store(0, std::memory_order_relaxed);
-        const Work work = [&](int number) { job(number); };
-        for (int k = 0; k < workers - 1; ++k) threads_[k]->give(work);
+        wait_time_ns.store(0, std::memory_order_relaxed);
+        const Task task = [&](int thread) { job(thread); };
+        for (int k = 0; k < workers - 1; ++k) threads_[k]->assign(task);
         job(0);
         for (int k = 0; k < workers - 1; ++k) threads_[k]->wait();
         const auto end = Clock::now();
-        const auto took = end - begin;
-        const bool busy = std::chrono::nanoseconds(waited.load(std::memory_order_relaxed)) > took / 4;
-        times_ = busy ? std::min(std::max(2 * times_, 1), 1024) : times_ / 2;
-        rested_ = busy ? end + times_ * took : end;
+        const auto duration = end - begin;
+        const bool contended = std::chrono::nanoseconds(wait_time_ns.load(std::memory_order_relaxed)) > duration / 4;
+        backoff_factor_ = contended ? std::min(std::max(2 * backoff_factor_, 1), 1024) : backoff_factor_ / 2;
+        backoff_end_ = contended ? end + backoff_factor_ * duration : end;
     }
     /// Call job(number, worker) for each number below `jobs`, the last one first, each on whichever of so many threads is
     /// free. They do not wait for each other: one that the system is late to start has nothing to do then.
     template <class Job>
-    void share(int jobs, int workers, Job&& job) {
+    void for_each_job(int jobs, int workers, Job&& job) {
         std::unique_lock lock(mutex_, std::defer_lock);
-        const int others = workers > 1 && lock.try_lock() && grow(workers - 1) ? workers - 1 : 0;
-        std::atomic<int> left{jobs};
-        std::vector<std::exception_ptr> troubles(1 + others);
-        const Work work = [&](int worker) {
+        const int n_workers = workers > 1 && lock.try_lock() && ensure_threads(workers - 1) ? workers - 1 : 0;
+        std::atomic<int> remaining{jobs};
+        std::vector<std::exception_ptr> exceptions(1 + n_workers);
+        const Task task = [&](int worker) {
             try {
-                for (int k = --left; k >= 0; k = --left) job(k, worker);
+                for (int k = --remaining; k >= 0; k = --remaining) job(k, worker);
             } catch (...) {
-                troubles[worker] = std::current_exception();
+                exceptions[worker] = std::current_exception();
             }
         };
-        for (int k = 0; k < others; ++k) threads_[k]->give(work);
-        work(0);
-        for (int k = 0; k < others; ++k)
-            if (!threads_[k]->take_back(work)) threads_[k]->wait();
-        for (const std::exception_ptr& trouble : troubles)
-            if (trouble) std::rethrow_exception(trouble);
+        for (int k = 0; k < n_workers; ++k) threads_[k]->assign(task);
+        task(0);
+        for (int k = 0; k < n_workers; ++k)
+            if (!threads_[k]->revoke(task)) threads_[k]->wait();
+        for (const std::exception_ptr& exception : exceptions)
+            if (exception) std::rethrow_exception(exception);
     }
 
 private:
-    using Work = std::function<void(int)>;
+    using Task = std::function<void(int)>;
 
     /// Whether a run is to do without threads, after one that mostly waited.
-    bool rests() const { return times_ > 0 && Clock::now() < rested_; }
+    bool is_backing_off() const { return backoff_factor_ > 0 && Clock::now() < backoff_end_; }
 
     struct Worker {
         /// What is to be done; `begun` while it is; null once it has been.
-        std::atomic<const Work*> work{nullptr};
+        std::atomic<const Task*> task{nullptr};
         std::thread thread;
 
-        void give(const Work& what) {
-            work.store(&what, std::memory_order_release);
-            work.notify_one();
+        void assign(const Task& new_task) {
+            task.store(&new_task, std::memory_order_release);
+            task.notify_one();
         }
         /// Whether what was given has not been begun, and will not be.
-        bool take_back(const Work& what) {
-            const Work* given = &what;
-            return work.compare_exchange_strong(given, nullptr, std::memory_order_acq_rel);
+        bool revoke(const Task& assigned) {
+            const Task* expected = &assigned;
+            return task.compare_exchange_strong(expected, nullptr, std::memory_order_acq_rel);
         }
         void wait() {
-            wait_until([&] { return work.load(std::memory_order_acquire) == nullptr; });
+            wait_until([&] { return task.load(std::memory_order_acquire) == nullptr; });
         }
     };
 
-    bool grow(int count) {
+    bool ensure_threads(int count) {
         if (process_ != getpid()) {
             // A forked child has none of its parent's threads; what describes them is left behind.
             for (auto& worker : threads_) static_cast<void>(worker.release());
@@ -161,9 +161,9 @@ private:
             threads_.reserve(count);
             while (static_cast<int>(threads_.size()) < count) {
                 auto worker = std::make_unique<Worker>();
-                Worker* const own = worker.get();
-                const int number = static_cast<int>(threads_.size()) + 1;
-                worker->thread = std::thread([own, number] { serve(*own, number); });
+                Worker* const state = worker.get();
+                const int index = static_cast<int>(threads_.size()) + 1;
+                worker->thread = std::thread([state, index] { worker_loop(*state, index); });
                 worker->thread.detach();
                 threads_.push_back(std::move(worker));
             }
@@ -172,24 +172,24 @@ private:
         }
         return true;
     }
-    [[noreturn]] static void serve(Worker& own, int number) {
-        static const Work begun;
-        const Ieee rounding;
+    [[noreturn]] static void worker_loop(Worker& state, int index) {
+        static const Task running;
+        const FpuGuard rounding;
         for (;;) {
-            const Work* work = nullptr;
+            const Task* task = nullptr;
             // Runs of one frame follow each other closely: a thread that slept would be late for each.
-            for (int tries = 0; tries < 5000 && !work; ++tries) {
-                work = own.work.load(std::memory_order_acquire);
-                if (!work) pause_briefly();
+            for (int spin = 0; spin < 5000 && !task; ++spin) {
+                task = state.task.load(std::memory_order_acquire);
+                if (!task) pause_briefly();
             }
-            if (!work) {
-                own.work.wait(nullptr, std::memory_order_acquire);
+            if (!task) {
+                state.task.wait(nullptr, std::memory_order_acquire);
                 continue;
             }
-            const Work* given = work;
-            if (!own.work.compare_exchange_strong(given, &begun, std::memory_order_acq_rel)) continue;
-            (*work)(number);
-            own.work.store(nullptr, std::memory_order_release);
+            const Task* expected = task;
+            if (!state.task.compare_exchange_strong(expected, &running, std::memory_order_acq_rel)) continue;
+            (*task)(index);
+            state.task.store(nullptr, std::memory_order_release);
         }
     }
 
@@ -197,8 +197,8 @@ private:
     std::vector<std::unique_ptr<Worker>> threads_;
     /// Runs do without threads until `rested_`: `times_` as long as the one before took. That number doubles, from 1 to at
     /// most 1024, with each run that waits too long and halves with each that does not.
-    Clock::time_point rested_{};
-    int times_ = 0;
+    Clock::time_point backoff_end_{};
+    int backoff_factor_ = 0;
     pid_t process_ = getpid();
 };
 

@@ -30,28 +30,28 @@
 namespace cloth {
 
 template <class T>
-struct Wide {
+struct SimdVector {
     typedef T type __attribute__((vector_size(CLOTH_VECTOR_BYTES)));
     static constexpr int lanes = CLOTH_VECTOR_BYTES / sizeof(T);
 };
 /// One number a lane.
 template <class T>
-using vec = typename Wide<T>::type;
+using vec = typename SimdVector<T>::type;
 template <class T>
-inline constexpr int lanes = Wide<T>::lanes;
+inline constexpr int lanes = SimdVector<T>::lanes;
 /// No wider than so many bytes.
-template <class T, int Most>
-struct Narrow {
-    typedef T type __attribute__((vector_size(Most < CLOTH_VECTOR_BYTES ? Most : CLOTH_VECTOR_BYTES)));
+template <class T, int MaxBytes>
+struct CappedVector {
+    typedef T type __attribute__((vector_size(MaxBytes < CLOTH_VECTOR_BYTES ? MaxBytes : CLOTH_VECTOR_BYTES)));
 };
 
 template <class T>
-struct Four {
+struct QuadVector {
     typedef T type __attribute__((vector_size(4 * sizeof(T))));
 };
 /// x, y, z of one particle, and one number more that is not used.
 template <class T>
-using quad = typename Four<T>::type;
+using quad = typename QuadVector<T>::type;
 
 /// The same arithmetic for one number or a vector of them: V is double, float, vec<double> or vec<float>.
 template <class V>
@@ -191,13 +191,13 @@ CLOTH_INLINE bool any(M yes) {
 }
 /// Call `what` with the places of those numbers that are below a limit. A vector's worth of room lies behind them.
 template <class F>
-CLOTH_INLINE void each_below(const double* from, std::size_t size, double limit, F&& what) {
+CLOTH_INLINE void each_below(const double* from, std::size_t size, double limit, F&& visit) {
     using V = vec<double>;
-    const V most = splat<V>(limit);
+    const V bound = splat<V>(limit);
     for (std::size_t k = 0; k < size; k += lanes<double>) {
-        unsigned bits = bits_of(load(from + k) < most);
+        unsigned bits = bits_of(load(from + k) < bound);
         if (size - k < static_cast<std::size_t>(lanes<double>)) bits &= (1u << (size - k)) - 1u;
-        for (; bits; bits &= bits - 1u) what(k + static_cast<std::size_t>(std::countr_zero(bits)));
+        for (; bits; bits &= bits - 1u) visit(k + static_cast<std::size_t>(std::countr_zero(bits)));
     }
 }
 template <class V>
@@ -216,42 +216,42 @@ CLOTH_INLINE V larger(V a, V b) {
 
 /// The last N lanes of one vector, then the first of the next: what lies N places to the left.
 template <int N, class V>
-CLOTH_INLINE V shift(V last, V next) {
+CLOTH_INLINE V shift(V previous, V next) {
     using T = scalar<V>;
     constexpr int L = sizeof(V) / sizeof(T);
     return [&]<int... I>(std::integer_sequence<int, I...>) CLOTH_INLINED {
-        return V(__builtin_shufflevector(last, next, (L - N + I)...));
+        return V(__builtin_shufflevector(previous, next, (L - N + I)...));
     }(std::make_integer_sequence<int, L>{});
 }
 
 // Particles lie as quads, laws want vectors of x, of y and of z: `lanes` quads to three vectors, and back. Vectors are
 // taken as groups of four lanes, and each group of four rows is transposed.
 template <int L>
-constexpr int interleaved(int lane, int first) {
+constexpr int unpack_index(int lane, int first) {
     return (lane & ~3) + (lane & 2) + first + (lane & 1 ? L : 0);
 }
 template <int L>
-constexpr int half_of(int lane, int first) {
+constexpr int pair_index(int lane, int first) {
     return (lane & ~3) + (lane & 1) + first + (lane & 2 ? L : 0);
 }
 template <class V>
 CLOTH_INLINE void transpose(V& a, V& b, V& c, V& d) {
     constexpr int L = sizeof(V) / sizeof(scalar<V>);
     [&]<int... I>(std::integer_sequence<int, I...>) CLOTH_INLINED {
-        const V even_ab = __builtin_shufflevector(a, b, interleaved<L>(I, 0)...);
-        const V odd_ab = __builtin_shufflevector(a, b, interleaved<L>(I, 1)...);
-        const V even_cd = __builtin_shufflevector(c, d, interleaved<L>(I, 0)...);
-        const V odd_cd = __builtin_shufflevector(c, d, interleaved<L>(I, 1)...);
-        a = __builtin_shufflevector(even_ab, even_cd, half_of<L>(I, 0)...);
-        b = __builtin_shufflevector(odd_ab, odd_cd, half_of<L>(I, 0)...);
-        c = __builtin_shufflevector(even_ab, even_cd, half_of<L>(I, 2)...);
-        d = __builtin_shufflevector(odd_ab, odd_cd, half_of<L>(I, 2)...);
+        const V even_ab = __builtin_shufflevector(a, b, unpack_index<L>(I, 0)...);
+        const V odd_ab = __builtin_shufflevector(a, b, unpack_index<L>(I, 1)...);
+        const V even_cd = __builtin_shufflevector(c, d, unpack_index<L>(I, 0)...);
+        const V odd_cd = __builtin_shufflevector(c, d, unpack_index<L>(I, 1)...);
+        a = __builtin_shufflevector(even_ab, even_cd, pair_index<L>(I, 0)...);
+        b = __builtin_shufflevector(odd_ab, odd_cd, pair_index<L>(I, 0)...);
+        c = __builtin_shufflevector(even_ab, even_cd, pair_index<L>(I, 2)...);
+        d = __builtin_shufflevector(odd_ab, odd_cd, pair_index<L>(I, 2)...);
     }(std::make_integer_sequence<int, L>{});
 }
 
 /// Rows k, k + 4, k + 8, ... side by side.
 template <class V>
-CLOTH_INLINE V beside(const quad<scalar<V>>* rows, int k) {
+CLOTH_INLINE V join_rows(const quad<scalar<V>>* rows, int k) {
     constexpr int L = sizeof(V) / sizeof(scalar<V>);
     if constexpr (L == 4) {
         return rows[k];
@@ -267,22 +267,22 @@ CLOTH_INLINE V beside(const quad<scalar<V>>* rows, int k) {
 }
 
 template <class V>
-CLOTH_INLINE void apart(const quad<scalar<V>>* rows, V& x, V& y, V& z) {
+CLOTH_INLINE void deinterleave(const quad<scalar<V>>* rows, V& x, V& y, V& z) {
     if constexpr (sizeof(V) == 2 * sizeof(scalar<V>)) {
         x = V{rows[0][0], rows[1][0]};
         y = V{rows[0][1], rows[1][1]};
         z = V{rows[0][2], rows[1][2]};
     } else {
-        V none = beside<V>(rows, 3);
-        x = beside<V>(rows, 0);
-        y = beside<V>(rows, 1);
-        z = beside<V>(rows, 2);
+        V none = join_rows<V>(rows, 3);
+        x = join_rows<V>(rows, 0);
+        y = join_rows<V>(rows, 1);
+        z = join_rows<V>(rows, 2);
         transpose(x, y, z, none);
     }
 }
 
 template <class V>
-CLOTH_INLINE void together(V x, V y, V z, quad<scalar<V>>* rows) {
+CLOTH_INLINE void interleave(V x, V y, V z, quad<scalar<V>>* rows) {
     constexpr int L = sizeof(V) / sizeof(scalar<V>);
     if constexpr (L == 2) {
         rows[0] = quad<scalar<V>>{x[0], y[0], z[0], 0};

@@ -57,7 +57,7 @@ def pierced(owner: Owner, x: Array) -> list[int] | None:
         The edge's two particles, then the triangle's three.
     """
     out = np.empty(5, dtype=np.int64)
-    check(library().cloth_self_pierced(owner.handle, doubles("x", x, x.shape), address(out)))
+    check(library().cloth_self_intersection(owner.handle, doubles("x", x, x.shape), address(out)))
     found: list[int] = out.tolist()
     return None if found[0] < 0 else found
 

@@ -69,7 +69,7 @@ def rotation_vector(start: Sequence[float], end: Sequence[float]) -> list[float]
     """Return the rotation vector [rad], 3 numbers, of the shortest rotation from one unit quaternion to another."""
     out = np.empty(3)
     given = [np.array(orientation, dtype=np.float64) for orientation in (start, end)]
-    check(library().cloth_turn(*(doubles("orientation", array, (4,)) for array in given), address(out)))
+    check(library().cloth_rotation_vector(*(doubles("orientation", array, (4,)) for array in given), address(out)))
     found: list[float] = out.tolist()
     return found
 

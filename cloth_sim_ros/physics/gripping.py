@@ -57,7 +57,7 @@ class Gripping(Uncopyable):
         paths = np.ascontiguousarray(grips.paths, dtype=np.float64)
         if paths.shape != self._paths_shape:
             raise ValueError(f"paths have shape {paths.shape}; they must be {self._paths_shape}")
-        status = self._library.cloth_plan_paths(self._handle, doubles("paths", paths, self._paths_shape))
+        status = self._library.cloth_plan_gripper_paths(self._handle, doubles("paths", paths, self._paths_shape))
         if status == NOT_FINITE:
             raise ValueError(f"paths of grippers are {paths.tolist()}; all numbers must be finite")
         check(status)
@@ -71,7 +71,7 @@ class Gripping(Uncopyable):
             return
         # A snapshot from another process may contain read-only arrays.
         places = (address(array) if array.size and array.flags.writeable else array.ctypes.data for array in told)
-        check(self._library.cloth_plan_held(self._handle, self.count, len(told[0]), *places))
+        check(self._library.cloth_plan_grips(self._handle, self.count, len(told[0]), *places))
         self._told = told
 
     def _checked(self) -> tuple[NDArray[Any], ...]:
@@ -107,7 +107,7 @@ class Gripping(Uncopyable):
         self.sync()
         out = np.zeros((self.count, BOOKED_NUMBERS))
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
-        check(self._library.cloth_grip_rates(self._handle, t, *addresses, weight, out.ctypes.data))
+        check(self._library.cloth_grip_wrenches(self._handle, t, *addresses, weight, out.ctypes.data))
         return out
 
     def decay(self) -> float:

@@ -69,7 +69,7 @@ class Measures:
                 force.add_damping(x, blocks[1])
             stiff, damped = address(blocks[0]), address(blocks[1])
         out = np.empty(5)
-        check(self._library.cloth_rates(self._handle, place, stiff, damped, hinges, address(out)))
+        check(self._library.cloth_spectral_bounds(self._handle, place, stiff, damped, hinges, address(out)))
         found: list[float] = out.tolist()
         return found
 
@@ -147,7 +147,7 @@ class Measures:
         given = {"x": x, "v": v, "dx": dx, "dv": dv}
         addresses = [doubles(name, array, self._shape) for name, array in given.items()]
         addresses.append(writable("out", out, self._shape))
-        check(self._library.cloth_product(self._handle, t, *addresses))
+        check(self._library.cloth_derivative_product(self._handle, t, *addresses))
         for force in self._own:
             force.add_jacobian_product(t, x, v, dx, dv, out)
 

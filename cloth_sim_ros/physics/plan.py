@@ -20,10 +20,10 @@ import numpy as np
 from numpy import empty, zeros
 
 from cloth_sim_ros.engine.binding import (
+    CONTACT_SUMMARY_NUMBERS,
     FRAME,
-    MOST_RUNS,
-    TOLD_NUMBERS,
-    TOUCHED_NUMBERS,
+    MAX_RUNS,
+    SUMMARY_NUMBERS,
     Frame,
     address,
     check,
@@ -91,8 +91,8 @@ class Plan(Measures, Uncopyable):
         self._pair_counts = parts.pair_counts()
         self.turn = threading.Lock()
         # The engine's request is allocated once; each frame writes into it.
-        self._steps, self._weights = (ctypes.c_int64 * MOST_RUNS)(), (ctypes.c_double * MOST_RUNS)()
-        self._told = (ctypes.c_double * TOLD_NUMBERS)()
+        self._steps, self._weights = (ctypes.c_int64 * MAX_RUNS)(), (ctypes.c_double * MAX_RUNS)()
+        self._told = (ctypes.c_double * SUMMARY_NUMBERS)()
         self._steps_at, self._weights_at = addressof(self._steps), addressof(self._weights)
         self._frame = Frame()
         #: Numbers of steps in the request.
@@ -204,7 +204,7 @@ class Plan(Measures, Uncopyable):
         result, result_at, told_at = out[0], 0, 0
         met, ends, ends_at = 0, _NO_ENDS, _NOWHERE
         if self.contact is not None:
-            obstacles, met = self.contact.count, TOUCHED_NUMBERS if self.contact.force.acts else 0
+            obstacles, met = self.contact.count, CONTACT_SUMMARY_NUMBERS if self.contact.force.acts else 0
             ends = self.contact.ends(count)
             ends_at = [0 if array is None else address(array) for array in ends]
         notes = zeros((count, booked_size(grippers, obstacles) + met))
@@ -269,9 +269,9 @@ class Plan(Measures, Uncopyable):
         """Write new numbers of steps into the request."""
         self._asked = None
         count = len(steps)
-        if not (1 <= count <= MOST_RUNS and min(steps) >= 1 and max(steps) <= MOST_STEPS):
+        if not (1 <= count <= MAX_RUNS and min(steps) >= 1 and max(steps) <= MOST_STEPS):
             raise ValueError(
-                f"runs of {list(steps)} steps; there must be 1 to {MOST_RUNS}, each of 1 to {MOST_STEPS} steps"
+                f"runs of {list(steps)} steps; there must be 1 to {MAX_RUNS}, each of 1 to {MOST_STEPS} steps"
             )
         try:
             self._steps[:count] = list(steps)

@@ -106,7 +106,7 @@ class Touching(Uncopyable):
             boxes = np.arange(force.solid_count, self.count, dtype=np.int64)
             rows = [pads.numbers(*flags) for pads, flags in zip(force.pads, force.driven.tolist(), strict=True)]
             drives = np.array(rows).reshape(len(rows), DRIVE_NUMBERS)
-            check(self._library.cloth_plan_pinches(self._handle, len(rows), boxes.ctypes.data, drives.ctypes.data))
+            check(self._library.cloth_plan_jaws(self._handle, len(rows), boxes.ctypes.data, drives.ctypes.data))
         self._seen, self._moved, self._heard = force.changes, force.moves, force.commands
 
     def place_ahead(self, duration: float) -> None:
@@ -184,7 +184,7 @@ class Touching(Uncopyable):
             return None
         if pinched is None:
             pinched = np.array([pads.start for pads in self.force.pads])
-        check(self._library.cloth_contact_pinched(self._handle, doubles(PINCHED, pinched, self.pinched_shape)))
+        check(self._library.cloth_plan_jaw_states(self._handle, doubles(PINCHED, pinched, self.pinched_shape)))
         return pinched
 
     def narrows(self, duration: float, x: Array, v: Array) -> bool:
@@ -211,7 +211,7 @@ class Touching(Uncopyable):
         """Return the accelerations [m/s^2] of the jaws' half openings, shape (pinches,)."""
         out = np.empty(len(self.force.pads))
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
-        check(self._library.cloth_pinch_accelerations(self._handle, t, *addresses))
+        check(self._library.cloth_jaw_accelerations(self._handle, t, *addresses))
         return out
 
     def ended(
@@ -274,7 +274,7 @@ class Touching(Uncopyable):
             return 0.0
         out = np.empty(1)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
-        check(self._library.cloth_contact_grown(self._handle, t, *addresses))
+        check(self._library.cloth_contact_growth_power(self._handle, t, *addresses))
         return float(out[0])
 
     def settle(self, t: float, x: Array, v: Array, ends: Array, weights: Sequence[float]) -> Array:
@@ -290,7 +290,7 @@ class Touching(Uncopyable):
         out, factors = np.empty(self.anchors_shape), np.array(weights, dtype=np.float64)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
         places = factors.ctypes.data, doubles("ends", ends, (len(weights), *self.anchors_shape)), address(out)
-        check(self._library.cloth_contact_settle(self._handle, t, *addresses, len(weights), *places))
+        check(self._library.cloth_combine_anchors(self._handle, t, *addresses, len(weights), *places))
         return out
 
     def follow(self, t: float, h: float, state: State) -> None:
@@ -336,7 +336,7 @@ class Touching(Uncopyable):
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), self._told_at
         # Neighbours may push, too. The energy of present contacts is known exactly.
         factors = CONSTANTS.trust, CONSTANTS.trust if duration > 0.0 else 1.0
-        check(self._library.cloth_outlook(self._handle, t, duration, *factors, *addresses))
+        check(self._library.cloth_predict_contact(self._handle, t, duration, *factors, *addresses))
         energy, near, rough, omega2, damping, own_omega2, own_damping, pairs = self._told
         if not math.isfinite(energy):
             from cloth_sim_ros.physics.clear_start import check_outside
@@ -367,7 +367,7 @@ class Touching(Uncopyable):
         self.sync()
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), self._told_at
         expected = CONSTANTS.trust if duration > 0.0 else 1.0
-        check(self._library.cloth_own_ahead(self._handle, t, duration, expected, *addresses))
+        check(self._library.cloth_predict_surface_contact(self._handle, t, duration, expected, *addresses))
         return self._told[0], self._told[1], self._told[2]
 
     def rests(self, duration: float, x: Array, v: Array) -> bool:
@@ -377,12 +377,12 @@ class Touching(Uncopyable):
         self.sync()
         out = np.empty(1, dtype=np.int64)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
-        check(self._library.cloth_self_rests(self._handle, duration, *addresses))
+        check(self._library.cloth_self_culled(self._handle, duration, *addresses))
         return bool(out[0])
 
     def keep_pairs(self, keeps: bool) -> None:
         """Set whether candidate pairs of the cloth are reused between evaluations; no bit depends on it."""
-        check(self._library.cloth_self_keeps(self._handle, keeps))
+        check(self._library.cloth_self_cache_pairs(self._handle, keeps))
 
     def energy_ahead(self, t: float, duration: float, x: Array, v: Array) -> float:
         """Predict the energy per mass that contact may take up within a duration [s], in U^2/2; infinite inside an
@@ -396,7 +396,7 @@ class Touching(Uncopyable):
             return 0.0, 0.0, 0.0
         self.sync()
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), self._told_at
-        check(self._library.cloth_contact_ahead(self._handle, t, duration, *addresses))
+        check(self._library.cloth_predict_obstacle_contact(self._handle, t, duration, *addresses))
         return self._told[0], self._told[1], self._told[2]
 
     def limits(self, energy: float) -> tuple[float, float]:
@@ -430,7 +430,7 @@ class Touching(Uncopyable):
         self.sync()
         out = np.zeros((self.count, BOOKED_NUMBERS))
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
-        check(self._library.cloth_contact_rates(self._handle, t, *addresses, weight, out.ctypes.data))
+        check(self._library.cloth_contact_wrenches(self._handle, t, *addresses, weight, out.ctypes.data))
         return out
 
     def gaps(self, t: float, x: Array) -> Array:
@@ -489,7 +489,7 @@ class Touching(Uncopyable):
         self.sync()
         out = np.empty(1, dtype=np.int64)
         addresses = doubles("start", start, self._shape), doubles("end", end, self._shape), address(out)
-        check(self._library.cloth_contact_crosses(self._handle, t, duration, *addresses))
+        check(self._library.cloth_ccd_obstacles(self._handle, t, duration, *addresses))
         return bool(out[0]) or self.passes(t, duration, start, end)
 
     def check_clear(self, t: float, x: Array) -> None:
@@ -521,5 +521,5 @@ class Touching(Uncopyable):
         self.sync()
         out = np.empty(1, dtype=np.int64)
         addresses = doubles("start", start, self._shape), doubles("end", end, self._shape), address(out)
-        check(self._library.cloth_self_crosses(self._handle, *addresses))
+        check(self._library.cloth_ccd_self(self._handle, *addresses))
         return bool(out[0])

@@ -50,14 +50,14 @@ class TouchingFeatures(Uncopyable):
         """Return true if no feature gets near the cloth within a duration [s] from time t [s] on."""
         out = np.empty(1, dtype=np.int64)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
-        check(self._library.cloth_features_rest(self._handle, t, duration, *addresses))
+        check(self._library.cloth_features_culled(self._handle, t, duration, *addresses))
         return bool(out[0])
 
     def cross(self, t: float, duration: float, start: Array, end: Array) -> bool:
         """Return true if a feature passes through the cloth in a straight motion from time t over a duration [s]."""
         out = np.empty(1, dtype=np.int64)
         addresses = doubles("start", start, self._shape), doubles("end", end, self._shape), address(out)
-        check(self._library.cloth_features_cross(self._handle, t, duration, *addresses))
+        check(self._library.cloth_ccd_features(self._handle, t, duration, *addresses))
         return bool(out[0])
 
     def pads_cross(self, t: float, x: Array, ways: Array) -> NDArray[np.bool_]:
@@ -70,7 +70,7 @@ class TouchingFeatures(Uncopyable):
         """
         out = np.empty(len(ways), dtype=np.int64)
         addresses = doubles("x", x, self._shape), doubles("ways", ways, ways.shape), address(out)
-        check(self._library.cloth_pads_cross(self._handle, t, *addresses))
+        check(self._library.cloth_ccd_jaws(self._handle, t, *addresses))
         return out != 0
 
     def pierced(self, t: float, x: Array) -> tuple[int, int, int]:
@@ -78,7 +78,7 @@ class TouchingFeatures(Uncopyable):
         for none.
         """
         out = np.empty(3, dtype=np.int64)
-        check(self._library.cloth_features_pierce(self._handle, t, doubles("x", x, self._shape), address(out)))
+        check(self._library.cloth_feature_intersection(self._handle, t, doubles("x", x, self._shape), address(out)))
         obstacle, a, b = out.tolist()
         return obstacle, a, b
 

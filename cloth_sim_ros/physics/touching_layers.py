@@ -49,5 +49,7 @@ def check_anchors(contact: Contact, anchors: Array) -> None:
 def rubbed(handle: int, t: float, x: Array, v: Array) -> float:
     """Return the power that friction between layers dissipates at time t [W], with the present anchors."""
     out = np.empty(1)
-    check(library().cloth_self_rubbed(handle, t, doubles("x", x, x.shape), doubles("v", v, v.shape), address(out)))
+    check(
+        library().cloth_self_friction_power(handle, t, doubles("x", x, x.shape), doubles("v", v, v.shape), address(out))
+    )
     return float(out[0])

@@ -14,45 +14,45 @@
 
 static std::atomic<long> allocated{0}, failing{0};
 
-static void* given(std::size_t size, std::size_t alignment) {
+static void* allocate(std::size_t size, std::size_t alignment) {
     if (failing && ++allocated == failing) throw std::bad_alloc();
-    void* const place = alignment ? std::aligned_alloc(alignment, (size / alignment + 1) * alignment) : std::malloc(size + 1);
-    if (!place) throw std::bad_alloc();
-    return place;
+    void* const memory = alignment ? std::aligned_alloc(alignment, (size / alignment + 1) * alignment) : std::malloc(size + 1);
+    if (!memory) throw std::bad_alloc();
+    return memory;
 }
-void* operator new(std::size_t size) { return given(size, 0); }
-void* operator new(std::size_t size, std::align_val_t alignment) { return given(size, static_cast<std::size_t>(alignment)); }
-void operator delete(void* place) noexcept { std::free(place); }
-void operator delete(void* place, std::size_t) noexcept { std::free(place); }
-void operator delete(void* place, std::align_val_t) noexcept { std::free(place); }
-void operator delete(void* place, std::size_t, std::align_val_t) noexcept { std::free(place); }
+void* operator new(std::size_t size) { return allocate(size, 0); }
+void* operator new(std::size_t size, std::align_val_t alignment) { return allocate(size, static_cast<std::size_t>(alignment)); }
+void operator delete(void* memory) noexcept { std::free(memory); }
+void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
+void operator delete(void* memory, std::align_val_t) noexcept { std::free(memory); }
+void operator delete(void* memory, std::size_t, std::align_val_t) noexcept { std::free(memory); }
 
 #include "library.cpp"
 
 constexpr std::int64_t rows = 8, columns = 9, n = rows * columns, runs = 4;
 
 /// A sheet's springs: listed, or those along rows and columns of a grid with some more listed ones.
-static Plan* made(bool grid) {
+static Plan* make_plan(bool grid) {
     const std::vector<double> masses(n, 0.01), inverse(n, 100.0);
     Plan* const plan = cloth_plan_new(n, masses.data(), inverse.data());
-    std::vector<std::int64_t> near, far;
+    std::vector<std::int64_t> first, second;
     for (std::int64_t i = 0; i < n; ++i) {
-        if (i % columns + 1 < columns) near.push_back(i), far.push_back(i + 1);
-        if (i + columns < n) near.push_back(i), far.push_back(i + columns);
+        if (i % columns + 1 < columns) first.push_back(i), second.push_back(i + 1);
+        if (i + columns < n) first.push_back(i), second.push_back(i + columns);
     }
-    const auto count = static_cast<std::int64_t>(near.size());
-    near.insert(near.end(), far.begin(), far.end());
+    const auto count = static_cast<std::int64_t>(first.size());
+    first.insert(first.end(), second.begin(), second.end());
     std::vector<double> numbers(count, 5.0);
     numbers.resize(2 * count, 0.1);
     numbers.resize(3 * count, 0.01);
     double families[6 * cloth::family_count] = {1, 5.0, 0.1, 0.01, 1, 0, 1, 5.0, 0.1, 0.01, 1, 0};
     if (grid) cloth_plan_grid(plan, rows, columns, families);
-    cloth_plan_list(plan, static_cast<int>(cloth::Kind::spring), count, near.data(), numbers.data(), nullptr);
+    cloth_plan_list(plan, static_cast<int>(cloth::Kind::spring), count, first.data(), numbers.data(), nullptr);
     return plan;
 }
 
 /// A frame of four runs of the plan, made in turn or at once; what they end with, and the status.
-static int ended(Plan* plan, std::int64_t abreast, std::vector<double>& out) {
+static int run_frame(Plan* plan, std::int64_t concurrency, std::vector<double>& out) {
     static const std::int64_t steps[runs] = {9, 18, 27, 36};
     static const double weights[2] = {-0.5, 1.5};
     static std::vector<double> x(3 * n), v(3 * n), result(6 * n), notes(2 * runs);
@@ -64,41 +64,41 @@ static int ended(Plan* plan, std::int64_t abreast, std::vector<double>& out) {
     cloth::Frame frame{};
     frame.duration = 1e-2, frame.runs = runs, frame.steps = steps, frame.weights = weights, frame.bands = 2;
     frame.x0 = x.data(), frame.v0 = v.data(), frame.out = out.data(), frame.result = result.data();
-    frame.notes = notes.data(), frame.every = 1, frame.combined = 2, frame.abreast = abreast;
+    frame.records = notes.data(), frame.multirate = 1, frame.combined = 2, frame.concurrency = concurrency;
     return cloth_frame(plan, &frame);
 }
 
 int main() {
-    enum Came { told, unharmed, wrong, failed_later, done };
+    enum Outcome { reported, unharmed, wrong, failed_later, done };
     for (const bool grid : {false, true})
-        for (const std::int64_t abreast : {1, 2}) {
+        for (const std::int64_t concurrency : {1, 2}) {
             std::vector<double> expected(6 * n * runs), out(expected);
-            ended(made(grid), 1, expected);
-            int came[done] = {}, crashed = 0;
+            run_frame(make_plan(grid), 1, expected);
+            int outcomes[done] = {}, crashed = 0;
             for (long k = 1;; ++k) {
                 std::fflush(stdout);
                 const pid_t child = fork();
                 if (child == 0) {
                     alarm(20);
-                    Plan* const plan = made(grid);
+                    Plan* const plan = make_plan(grid);
                     failing = k;
-                    const int first = ended(plan, abreast, out);
+                    const int first = run_frame(plan, concurrency, out);
                     if (allocated < k) _exit(done);
                     for (int again = 0; again < 2; ++again) {
-                        if (ended(plan, abreast, out) != 0) _exit(failed_later);
+                        if (run_frame(plan, concurrency, out) != 0) _exit(failed_later);
                         if (out != expected) _exit(wrong);
                     }
-                    _exit(first ? told : unharmed);
+                    _exit(first ? reported : unharmed);
                 }
                 int status = 0;
                 waitpid(child, &status, 0);
                 if (WIFEXITED(status) && WEXITSTATUS(status) == done) break;
                 if (WIFEXITED(status))
-                    ++came[WEXITSTATUS(status)];
+                    ++outcomes[WEXITSTATUS(status)];
                 else
                     ++crashed;
             }
-            std::printf("%s, %s: %d told, %d crashed, %d wrong, %d failed later\n", grid ? "grid" : "list",
-                        abreast > 1 ? "at once" : "in turn", came[told], crashed, came[wrong], came[failed_later]);
+            std::printf("%s, %s: %d reported, %d crashed, %d wrong, %d failed later\n", grid ? "grid" : "list",
+                        concurrency > 1 ? "at once" : "in turn", outcomes[reported], crashed, outcomes[wrong], outcomes[failed_later]);
         }
 }

@@ -42,21 +42,21 @@ def test_bits_are_the_same(as_usual: dict[str, list[str]], way: Any) -> None:
         pytest.skip(f"{way.name}: {way.why_not}")
     if "CLOTH_SIM_ROS_ENGINE" in way.environment and not (bits.ENGINE / f"_{way.name}.so").exists():
         pytest.skip(f"{way.name}: not built")
-    told = bits.run_apart(way, FRAMES)
+    output = bits.run_apart(way, FRAMES)
     if "CLOTH_SIM_ROS_ENGINE" in way.environment:
-        assert told["engine"] == way.name
-    assert bits.compare(as_usual, told["digests"], way.name) == []
+        assert output["engine"] == way.name
+    assert bits.compare(as_usual, output["digests"], way.name) == []
 
 
-def test_scenes_move_and_use_both_precisions_and_all_integrators(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scenes_use_both_precisions_and_all_integrators(monkeypatch: pytest.MonkeyPatch) -> None:
     from cloth_sim_ros.physics.plan import Plan
     from cloth_sim_ros.simulation.simulation import Simulation
 
-    narrow, orders, integrators = set(), set(), set()
+    precisions, orders, integrators = set(), set(), set()
     runs, advance = Plan.runs, Simulation.advance
 
     def watched(self: Plan, t: float, duration: float, start: Any, steps: Any, **options: Any) -> Any:
-        narrow.add(bool(options.get("narrow")))
+        precisions.add(bool(options.get("narrow")))
         orders.add(len(steps))
         return runs(self, t, duration, start, steps, **options)
 
@@ -70,55 +70,53 @@ def test_scenes_move_and_use_both_precisions_and_all_integrators(monkeypatch: py
     for scene in bits.SCENES:
         digests = list(bits.frames_of(scene, 16))
         assert len(set(digests)) == len(digests)
-    assert narrow == {True, False}
+    assert precisions == {True, False}
     assert {1, 2, 3, 4} <= orders
     assert integrators == {"leapfrog", "extrapolated", "implicit"}
 
 
-def test_scenes_with_contact_touch_in_every_way() -> None:
-    touched, own, pinched = set(), set(), set()
+def test_contact_scenes_cover_every_contact() -> None:
+    contacts, self_contacts, pinched = set(), set(), set()
     for scene in (name for name in bits.SCENES if "contact.thickness" in bits.SCENES[name]):
         for _, simulation in bits_scenes.run(scene, 24):
             gaps, contact = simulation.gaps(), simulation.plan.contact
             names = [obstacle.name for obstacle in contact.force.obstacles]
-            touched |= {(scene, name) for name, (count, _) in zip(names, gaps.tolist(), strict=True) if count}
-            own |= {scene} if contact.own_gaps(simulation.state.x)[0] else set()
+            contacts |= {(scene, name) for name, (count, _) in zip(names, gaps.tolist(), strict=True) if count}
+            self_contacts |= {scene} if contact.own_gaps(simulation.state.x)[0] else set()
             pinched |= {scene} if simulation.held(0) and simulation.pinching else set()
-    by_scene = {scene: {name for other, name in touched if other == scene} for scene, _ in touched}
+    by_scene = {scene: {name for changed, name in contacts if changed == scene} for scene, _ in contacts}
     assert len(by_scene["obstacles"]) >= 3
     assert {"table"} <= by_scene["friction"] & by_scene["friction, implicit"]
     assert by_scene["pinch"] == {"gripper.left_pad", "gripper.right_pad"}
-    assert own == {"cloth on itself", "mesh on itself"}
+    assert self_contacts == {"cloth on itself", "mesh on itself"}
     assert pinched == {"pinch"}
 
 
-def test_a_trace_has_a_place_for_every_function_of_the_engine() -> None:
+def test_trace_describes_every_engine_function() -> None:
     import bits_trace
 
     from cloth_sim_ros.engine.binding import _SIGNATURES
 
-    untold = {"cloth_plan_callback"}  # it calls Python, which an emulator hasn't
-    assert _SIGNATURES.keys() - bits_trace.CALLS.keys() == untold
+    omitted = {"cloth_plan_callback"}  # it calls Python, which an emulator hasn't
+    assert _SIGNATURES.keys() - bits_trace.CALLS.keys() == omitted
     for name, (_, *arguments) in _SIGNATURES.items():
-        if name not in untold:
+        if name not in omitted:
             assert len(bits_trace.CALLS[name][1]) == len(arguments), name
 
 
-def test_the_first_frame_that_differs_is_told(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_first_differing_frame_is_reported(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     usual = {"one": ["a", "b", "c"], "two": ["d", "e", "f"]}
-    other = {"one": ["a", "x", "y"], "two": ["d", "e", "f"]}
-    assert bits.compare(usual, other, "there") == [bits.Difference("one", "there", 2)]
-    answers = iter([usual, usual, other])
+    changed = {"one": ["a", "x", "y"], "two": ["d", "e", "f"]}
+    assert bits.compare(usual, changed, "there") == [bits.Difference("one", "there", 2)]
+    answers = iter([usual, usual, changed])
     monkeypatch.setattr(bits, "run_apart", lambda *_, **__: {"engine": "any", "digests": next(answers)})
-    found = [(bits.Way(name, {}, why_not), "python") for name, why_not in
+    ways = [(bits.Way(name, {}, why_not), "python") for name, why_not in
              [("here", ""), ("absent", "no such thing"), ("same", ""), ("there", "")]]  # fmt: skip
-    assert bits.tell(found, 3) == 1
-    said = capsys.readouterr().out
-    assert "absent: left out, no such thing" in said
-    assert "same (any): 6 frames of 2 scenes, the same bits" in said
-    assert "  one: there differs from frame 2 on" in said
+    assert bits.tell(ways, 3) == 1
+    printed = capsys.readouterr().out
+    assert "absent: left out, no such thing" in printed
+    assert "same (any): 6 frames of 2 scenes, the same bits" in printed
+    assert "  one: there differs from frame 2 on" in printed
 
 
 @pytest.fixture
@@ -136,7 +134,7 @@ def replay(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("scene", [*_PLAIN, *_CONTACT])
-def test_a_trace_of_the_engine_is_made_again(replay: Path, tmp_path: Path, scene: str) -> None:
+def test_trace_replays_with_equal_bits(replay: Path, tmp_path: Path, scene: str) -> None:
     from cloth_sim_ros.engine.instruction_set import libraries
 
     trace = tmp_path / "trace"
@@ -163,7 +161,7 @@ def test_a_trace_of_the_engine_is_made_again(replay: Path, tmp_path: Path, scene
 
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="an x86-64 C library is switched")
-def test_the_plain_way_really_has_another_c_library_and_numpy() -> None:
+def test_plain_environment_changes_c_library_and_numpy() -> None:
     way = next(way for way in bits.ways() if way.name.startswith("plain"))
     if not way.environment["NPY_DISABLE_CPU_FEATURES"]:
         pytest.skip("numpy takes nothing of this processor that it could do without")
@@ -173,13 +171,13 @@ def test_the_plain_way_really_has_another_c_library_and_numpy() -> None:
         "print(json.dumps([bits.numpy_features(), [math.exp(v) * math.sin(v) * math.tan(v) for v in x.tolist()]]))"
     )
 
-    def told(environment: dict[str, str]) -> Any:
+    def output(environment: dict[str, str]) -> Any:
         done = subprocess.run(
             [sys.executable, "-c", script], cwd=ROOT, env={**os.environ, **environment}, capture_output=True, check=True
         )
         return json.loads(done.stdout)
 
-    (features, values), (fewer, others) = told({}), told(way.environment)
+    (features, values), (disabled, other_values) = output({}), output(way.environment)
     assert features
-    assert fewer == []
-    assert values != others
+    assert disabled == []
+    assert values != other_values

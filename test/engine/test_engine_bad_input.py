@@ -119,12 +119,12 @@ def test_a_familys_property_that_is_none_is_refused(name, bad):
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(0, 6), (-2, -3), (2.0, 3), (2, "3"), (None, 6), (2, 2), (3, 3)])
-def test_a_sheet_that_is_none_or_not_the_models_is_refused(rows, columns):
+def test_invalid_sheet_is_refused(rows, columns):
     with pytest.raises(ValueError, match="sheet of"):
         compile(Model(np.ones(N), [GridSprings(rows, columns, [GridFamily(**FAMILY)])]))
 
 
-HELD = {
+GRIPS = {
     "paths": np.zeros((1, PATH_NUMBERS)),
     "starts": np.array([0, 2]),
     "particles": np.array([2, 4]),
@@ -132,7 +132,7 @@ HELD = {
     "stiffness": np.array([7.0, 8.0]),
     "damping": np.array([0.1, 0.2]),
 }
-BAD_HELD = {
+BAD_GRIPS = {
     "paths": [np.zeros((0, PATH_NUMBERS)), np.zeros((1, 5)), np.full((1, PATH_NUMBERS), NAN), None],
     "starts": [np.array(s) for s in ([0], [0, 1], [0, 3], [0, -1], [1, 0], [1, 3], [0, 1, 2], [0.0, 2.0], [])],
     "particles": [np.array(p) for p in ([2, N], [-1, 2], [1.5, 2.0], [2], [1, 2, 3], [])],
@@ -142,15 +142,15 @@ BAD_HELD = {
 }
 
 
-@pytest.mark.parametrize(("name", "bad"), [(name, bad) for name, values in BAD_HELD.items() for bad in values])
+@pytest.mark.parametrize(("name", "bad"), [(name, bad) for name, values in BAD_GRIPS.items() for bad in values])
 def test_what_no_gripper_holds_is_refused(name, bad):
     grips, x = Grips(1), np.zeros((3, N))
     plan = compile(Model(np.ones(N), [grips]))
-    grips.hold(**HELD)
+    grips.hold(**GRIPS)
     plan.rates(x)
     # What is wrong with the numbers of particles and starts is told of both.
     words = "particles|starts" if name in ("particles", "starts") else name
-    grips.hold(**{**HELD, name: bad})
+    grips.hold(**{**GRIPS, name: bad})
     for ask in (
         lambda: plan.rates(x),
         lambda: plan.runs(0.0, 0.01, (x, x), [1]),
@@ -158,7 +158,7 @@ def test_what_no_gripper_holds_is_refused(name, bad):
     ):
         with pytest.raises(ValueError, match=words):
             ask()
-    grips.hold(**HELD)
+    grips.hold(**GRIPS)
     plan.rates(x)
 
 
@@ -191,7 +191,7 @@ def test_what_is_no_model_is_refused(masses, forces, anchors, words):
 
 def some_plan(listed):
     grips = Grips(1)
-    grips.hold(**HELD)
+    grips.hold(**GRIPS)
     families = [GridFamily(**{**FAMILY, "name": name}) for name in ("right", "down")]
     springs = PairSprings(PAIRS, 1.0, 2.0, 0.5) if listed else GridSprings(2, 4, families)
     return compile(Model(np.ones(N), [springs, grips, Drag(0.1)]))
@@ -244,28 +244,28 @@ CALLS = {
     "powers": (lambda p, x, v: p.powers(0.0, x, v), "x v", ""),
     "grip_rates": (lambda p, x, v: p.grip_rates(0.0, x, v), "x v", ""),
     "add_bounds": (lambda p, x, stiff, damped: p.add_bounds(x, stiff, damped), "x stiff damped", "stiff damped"),
-    "add_jacobian_product": (lambda p, *each: p.add_jacobian_product(0.0, *each), "x v dx dv out", "out"),
+    "add_jacobian_product": (lambda p, *key: p.add_jacobian_product(0.0, *key), "x v dx dv out", "out"),
 }
 
 
 @over_plans
 @pytest.mark.parametrize(
-    ("call", "name", "what"),
+    ("call", "name", "fault"),
     [
-        (call, name, what)
+        (call, name, fault)
         for call, (_, names, written) in CALLS.items()
         for name in names.split()
-        for what in [*strange((3, N)), *(["read-only"] if name in written.split() else [])]
-        if not (call == "energies" and name == "v" and what == "nothing")
+        for fault in [*strange((3, N)), *(["read-only"] if name in written.split() else [])]
+        if not (call == "energies" and name == "v" and fault == "nothing")
     ],
 )
-def test_arrays_that_do_not_fit_are_refused_by_name(plan, call, name, what):
+def test_misfit_arrays_are_refused_by_name(plan, call, name, fault):
     ask, names, _ = CALLS[call]
-    shapes = {each: (6, N) if each in ("stiff", "damped") else (3, N) for each in names.split()}
-    arrays = {each: good(shape) for each, shape in shapes.items()}
+    shapes = {key: (6, N) if key in ("stiff", "damped") else (3, N) for key in names.split()}
+    arrays = {key: good(shape) for key, shape in shapes.items()}
     ask(plan, *arrays.values())
     shape = shapes[name]
-    arrays[name] = read_only(shape) if what == "read-only" else strange(shape)[what]
+    arrays[name] = read_only(shape) if fault == "read-only" else strange(shape)[fault]
     with pytest.raises(ValueError, match=rf"^{name} (has|is)"):
         ask(plan, *arrays.values())
 
@@ -288,18 +288,18 @@ def test_arrays_that_do_not_fit_are_refused_by_name(plan, call, name, what):
         ({"duration": NAN}, "from time"),
     ],
 )
-def test_runs_that_are_none_are_refused(plan, options, words):
-    asked = {"t": 0.0, "duration": 0.01, "start": (good(), good()), "steps": [1], **options}
+def test_invalid_runs_are_refused(plan, options, words):
+    request = {"t": 0.0, "duration": 0.01, "start": (good(), good()), "steps": [1], **options}
     with pytest.raises(ValueError, match=words):
-        plan.runs(**asked)
+        plan.runs(**request)
 
 
 @over_plans
 @pytest.mark.parametrize("threads", [-5, 0, 1, 2, 7, 1000])
-def test_any_number_of_threads_gives_the_same_bits(plan, threads):
-    (found,), _ = plan.runs(0.0, 0.01, (good(), good()), [5], threads=threads)
+def test_bits_ignore_number_of_threads(plan, threads):
+    (actual,), _ = plan.runs(0.0, 0.01, (good(), good()), [5], threads=threads)
     (expected,), _ = plan.runs(0.0, 0.01, (good(), good()), [5])
-    assert found.x.tobytes() == expected.x.tobytes()
+    assert actual.x.tobytes() == expected.x.tobytes()
     at_once, _ = plan.runs(0.0, 0.01, (good(), good()), [5, 9, 7], abreast=threads)
     in_turn, _ = plan.runs(0.0, 0.01, (good(), good()), [5, 9, 7])
     assert [run.x.tobytes() for run in at_once] == [run.x.tobytes() for run in in_turn]
@@ -307,32 +307,32 @@ def test_any_number_of_threads_gives_the_same_bits(plan, threads):
 
 @over_plans
 @pytest.mark.parametrize("value", [NAN, INF, -INF, 1e300, 1e-320])
-@pytest.mark.parametrize("narrow", [False, True])
-def test_states_that_are_none_end_in_a_result_that_says_so(plan, value, narrow):
+@pytest.mark.parametrize("single", [False, True])
+def test_non_finite_state_gives_flagged_result(plan, value, single):
     x, v = good(), good()
     x[1, 3] = value
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        _, result = plan.runs(0.0, 0.01, (x, v), [2, 3], weights=[-1.0, 2.0], narrow=narrow)
+        _, result = plan.runs(0.0, 0.01, (x, v), [2, 3], weights=[-1.0, 2.0], narrow=single)
     if not abs(value) < INF:
         assert not result[2].finite
 
 
 def test_lists_of_other_springs_are_refused():
-    for number, count in ((1, 2), (-1, 2), (0, 3), (5, 0)):
+    for index, count in ((1, 2), (-1, 2), (0, 3), (5, 0)):
         with pytest.raises(ValueError, match="the plan has lists of"):
-            PLANS["listed"].pair_blocks(number, count, good(), 1.0, 1.0)
+            PLANS["listed"].pair_blocks(index, count, good(), 1.0, 1.0)
 
 
-def test_sums_of_arrays_that_do_not_fit_are_refused():
+def test_sums_refuse_misfit_arrays():
     x = good()
-    for other in [good((3, N - 1)), x[:2], x.ravel(), None]:
+    for wrong in [good((3, N - 1)), x[:2], x.ravel(), None]:
         with pytest.raises(ValueError, match=r"has shape|is of type"):
-            largest_distance(x, other)
+            largest_distance(x, wrong)
         with pytest.raises(ValueError, match=r"has shape|is of type"):
-            combine([x, other], [1.0, 2.0])
+            combine([x, wrong], [1.0, 2.0])
         with pytest.raises(ValueError, match=r"has shape|is of type"):
-            weighted_dot(np.ones(N), x, other)
+            weighted_dot(np.ones(N), x, wrong)
     with pytest.raises(ValueError, match="x has shape"):
         largest_distance(x[:2].copy(), x[:2].copy())
     for arrays, weights in (([x], [1.0, 2.0]), ([x, x], [1.0]), ([], [])):
@@ -346,7 +346,7 @@ nested = st.recursive(numbers, lambda inner: st.lists(inner, max_size=4), max_le
 
 @settings(max_examples=200)
 @given(nested, nested, nested, nested)
-def test_whatever_it_is_given_a_force_is_made_or_refused_and_never_crashes(first, second, third, fourth):
+def test_forces_accept_or_refuse_any_argument(first, second, third, fourth):
     """Anything that is made runs too: what the engine is told lies within the model."""
     builders = [
         lambda: PairSprings(first, second, third, fourth),

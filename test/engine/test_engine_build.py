@@ -75,7 +75,7 @@ def stub_compiler(path: Path, script: str) -> Path:
     return path
 
 
-def here() -> str:
+def plainest_library() -> str:
     """The name of the library that any machine of this kind runs."""
     return instruction_set.libraries()[-1]
 
@@ -105,7 +105,7 @@ def test_processors_that_differ_run_what_all_can(tmp_path: Path) -> None:
     assert instruction_set.libraries(machine="x86_64", cpuinfo=tmp_path / "absent") == ["baseline"]
 
 
-def test_what_a_machine_prefers_is_what_is_built_for_it(tmp_path: Path) -> None:
+def test_preferred_libraries_are_built(tmp_path: Path) -> None:
     cpuinfo = tmp_path / "cpuinfo"
     cpuinfo.write_text(f"flags : {V4}\n")
     for machine in build.MACHINES:
@@ -130,7 +130,7 @@ def test_flags_keep_to_ieee_arithmetic(name: str, sanitize: bool) -> None:
     assert ("-Werror" in flags) == (not sanitize)
 
 
-def test_products_are_rounded_before_they_are_summed(sources: Path, tmp_path: Path, compiler: str) -> None:
+def test_products_are_rounded_before_sums(sources: Path, tmp_path: Path, compiler: str) -> None:
     names = instruction_set.libraries()
     for path in build.build(tmp_path / "out", names=names, sources=sources):
         library = ctypes.CDLL(str(path))
@@ -171,14 +171,14 @@ def test_the_engine_itself_is_built_without_a_warning(tmp_path: Path, compiler: 
     assert library.is_file()
 
 
-def test_is_built_again_only_when_something_changed(sources: Path, tmp_path: Path) -> None:
+def test_rebuild_only_after_a_change(sources: Path, tmp_path: Path) -> None:
     folder = tmp_path / "out"
-    said: list[str] = []
+    messages: list[str] = []
     counts = []
 
     def make() -> None:
-        build.build(folder, names=[here()], sources=sources, say=said.append)
-        counts.append(len(said))
+        build.build(folder, names=[plainest_library()], sources=sources, on_message=messages.append)
+        counts.append(len(messages))
 
     make()
     make()
@@ -187,11 +187,11 @@ def test_is_built_again_only_when_something_changed(sources: Path, tmp_path: Pat
     assert counts == [1, 1, 1]
     (sources / "law.hpp").write_text("// another law\n")
     make()
-    build.build(folder, names=[here()], sources=sources, sanitize=True, say=said.append)
-    (folder / build.file_name(here())).unlink()
+    build.build(folder, names=[plainest_library()], sources=sources, sanitize=True, on_message=messages.append)
+    (folder / build.file_name(plainest_library())).unlink()
     make()
     assert counts[3:] == [2, 4]
-    assert [path.name for path in folder.iterdir()] == [build.file_name(here())]
+    assert [path.name for path in folder.iterdir()] == [build.file_name(plainest_library())]
 
 
 def test_every_source_changes_build_id(tmp_path: Path) -> None:
@@ -212,7 +212,7 @@ def test_every_source_changes_build_id(tmp_path: Path) -> None:
 
 
 def test_sources_are_those_that_the_compiler_reads(compiler: str) -> None:
-    flags = [flag for flag in build.flags(here()) if not flag.startswith("-Wl")]
+    flags = [flag for flag in build.flags(plainest_library()) if not flag.startswith("-Wl")]
     done = subprocess.run([compiler, *flags, "-MM", build.UNIT], cwd=build.ENGINE, check=True, capture_output=True)
     names = done.stdout.decode().replace("\\\n", " ").split()[1:]
     read = {(build.ENGINE / name).resolve() for name in names}
@@ -226,24 +226,22 @@ def test_another_version_of_the_compiler_builds_again(
     real = shutil.which("g++") or shutil.which("clang++")
     script = f'[ "$1" = --version ] && {{ cat {tmp_path}/version; exit; }}\nexec {real} "$@"'
     monkeypatch.setenv("CXX", str(stub_compiler(tmp_path / "bin" / "compiler", script)))
-    said: list[str] = []
+    messages: list[str] = []
     for version in ("13.1", "13.1", "13.2"):
         (tmp_path / "version").write_text(version)
-        build.build(tmp_path / "out", names=[here()], sources=sources, say=said.append)
-    assert len(said) == 2
+        build.build(tmp_path / "out", names=[plainest_library()], sources=sources, on_message=messages.append)
+    assert len(messages) == 2
 
 
-def test_what_was_built_beside_the_sources_is_not_compiled_again(sources: Path, tmp_path: Path) -> None:
-    said: list[str] = []
-    build.build(sources, names=[here()], sources=sources, say=said.append)
-    (copied,) = build.build(tmp_path / "out", names=[here()], sources=sources, say=said.append)
-    assert len(said) == 1
-    assert copied.read_bytes() == (sources / build.file_name(here())).read_bytes()
+def test_library_beside_sources_is_copied(sources: Path, tmp_path: Path) -> None:
+    messages: list[str] = []
+    build.build(sources, names=[plainest_library()], sources=sources, on_message=messages.append)
+    (copied,) = build.build(tmp_path / "out", names=[plainest_library()], sources=sources, on_message=messages.append)
+    assert len(messages) == 1
+    assert copied.read_bytes() == (sources / build.file_name(plainest_library())).read_bytes()
 
 
-def test_a_compiler_that_fails_is_told_with_what_it_said(
-    sources: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_failing_compiler_is_quoted(sources: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     script = '[ "$1" = --version ] && { echo "g++ 4.8"; exit; }\necho "unrecognized option -std=c++20" >&2; exit 3'
     monkeypatch.setenv("CXX", str(stub_compiler(tmp_path / "bin" / "g++", script)))
     with pytest.raises(build.BuildError) as failed:
@@ -255,11 +253,11 @@ def test_a_compiler_that_fails_is_told_with_what_it_said(
 
 
 def test_an_error_in_the_sources_leaves_the_old_library(sources: Path, tmp_path: Path) -> None:
-    (library,) = build.build(tmp_path / "out", names=[here()], sources=sources)
+    (library,) = build.build(tmp_path / "out", names=[plainest_library()], sources=sources)
     before = library.read_bytes()
     write_unit(sources, SMALL + "int unused(int n) { }\n")
     with pytest.raises(build.BuildError, match="Werror"):
-        build.build(tmp_path / "out", names=[here()], sources=sources)
+        build.build(tmp_path / "out", names=[plainest_library()], sources=sources)
     assert library.read_bytes() == before
     assert list((tmp_path / "out").iterdir()) == [library]
 
@@ -273,14 +271,14 @@ def test_no_compiler_gets_one_sentence(tmp_path: Path) -> None:
         build.find_compiler({"PATH": str(tmp_path), "CXX": "absent -x"})
 
 
-def test_first_compiler_there_is_taken_and_a_named_one_before_it(tmp_path: Path) -> None:
+def test_cxx_precedes_first_compiler_found(tmp_path: Path) -> None:
     for name in ("c++", "clang++"):
         stub_compiler(tmp_path / name, "exit 0")
     assert build.find_compiler({"PATH": str(tmp_path), "CXX": ""}) == ["clang++"]
     assert build.find_compiler({"PATH": str(tmp_path), "CXX": "c++ -v"}) == ["c++", "-v"]
 
 
-def test_setup_says_the_sentence_and_no_traceback(tmp_path: Path) -> None:
+def test_setup_fails_with_one_sentence(tmp_path: Path) -> None:
     pytest.importorskip("setuptools")
     done = subprocess.run(
         [sys.executable, "setup.py", "-q", "build_ext", "--build-lib", tmp_path / "lib", "--build-temp", tmp_path],
@@ -304,14 +302,14 @@ def project(tmp_path: Path) -> Path:
     return folder
 
 
-def test_in_place_the_libraries_lie_beside_the_sources(project: Path) -> None:
+def test_in_place_build_beside_sources(project: Path) -> None:
     pytest.importorskip("setuptools")
     subprocess.run([sys.executable, "setup.py", "-q", "build_ext", "--inplace"], cwd=project, check=True)
-    found = {path.name for path in (project / "cloth_sim_ros" / "engine").glob("*.so")}
-    assert found == {build.file_name(build.names_here()[0])}, "the one that this machine loads, and no other"
+    names = {path.name for path in (project / "cloth_sim_ros" / "engine").glob("*.so")}
+    assert names == {build.file_name(build.names_here()[0])}, "the one that this machine loads, and no other"
 
 
-def test_a_source_distribution_holds_all_that_the_engine_is_made_from(project: Path, tmp_path: Path) -> None:
+def test_source_distribution_holds_all_sources(project: Path, tmp_path: Path) -> None:
     pytest.importorskip("setuptools")
     engine = project / "cloth_sim_ros" / "engine"
     for folder in (engine, engine / "laws", engine / "laws" / "air"):
@@ -356,7 +354,7 @@ def test_colcon_builds_the_engine(project: Path, tmp_path: Path, options: list[s
     if not options:  # the installed sources build the same library
         relative = [path.relative_to(engine).as_posix() for path in build.source_files(engine)]
         assert relative == ["core/small.hpp", build.UNIT, "library.map"]
-        assert build.build(engine, sources=engine, say=pytest.fail)
+        assert build.build(engine, sources=engine, on_message=pytest.fail)
 
 
 def make_engine(project: Path, *arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:
@@ -366,14 +364,14 @@ def make_engine(project: Path, *arguments: str, **variables: str) -> subprocess.
     )  # fmt: skip
 
 
-def test_make_builds_once_and_then_says_nothing(project: Path, tmp_path: Path) -> None:
+def test_second_make_is_silent(project: Path, tmp_path: Path) -> None:
     first, second = make_engine(project), make_engine(project)
     assert (first.returncode, second.returncode) == (0, 0), first.stdout + first.stderr
     assert first.stdout.startswith("cloth_sim_ros: building the engine with ")
     assert second.stdout == ""
     assert make_engine(project, "--every").returncode == 0
-    found = {path.name for path in (project / "cloth_sim_ros" / "engine").glob("*.so")}
-    assert found == {build.file_name(name) for name in build.names_here()}
+    names = {path.name for path in (project / "cloth_sim_ros" / "engine").glob("*.so")}
+    assert names == {build.file_name(name) for name in build.names_here()}
     write_unit(project / "cloth_sim_ros" / "engine", "no C++\n")
     failed = make_engine(project)
     assert failed.returncode == 1
@@ -381,7 +379,7 @@ def test_make_builds_once_and_then_says_nothing(project: Path, tmp_path: Path) -
     assert "Traceback" not in failed.stderr
 
 
-def test_sanitizers_see_what_is_written_beyond_an_array(project: Path) -> None:
+def test_sanitizers_report_write_beyond_array(project: Path) -> None:
     gcc = shutil.which("g++")
     if gcc is None:
         pytest.skip("g++ is not installed")
@@ -400,7 +398,7 @@ def test_sanitizers_see_what_is_written_beyond_an_array(project: Path) -> None:
     )
     within = make_engine(project, "--sanitize", "test_writes.py", "-k", "within", CXX="g++")
     assert within.returncode == 0, within.stdout + within.stderr
-    assert within.stdout.count("1 passed") == len({*instruction_set.libraries()[:1], here()})
+    assert within.stdout.count("1 passed") == len({*instruction_set.libraries()[:1], plainest_library()})
     beyond = make_engine(project, "--sanitize", "test_writes.py", "-k", "beyond", CXX="g++")
     assert beyond.returncode != 0
     assert "heap-buffer-overflow" in beyond.stderr

@@ -19,11 +19,11 @@ from cloth_sim_ros.physics.plan import compile
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 
-REST = {"right": 0.01, "down": 0.01, "diagonal": 0.014, "antidiagonal": 0.014, "right2": 0.02, "down2": 0.02}
+REST_LENGTHS = {"right": 0.01, "down": 0.01, "diagonal": 0.014, "antidiagonal": 0.014, "right2": 0.02, "down2": 0.02}
 
 
 def springs(rows, columns, names):
-    families = [GridFamily(name=name, stiffness=5.0, rest_length=REST[name], damping=0.001) for name in names]
+    families = [GridFamily(name=name, stiffness=5.0, rest_length=REST_LENGTHS[name], damping=0.001) for name in names]
     return GridSprings(rows, columns, families)
 
 
@@ -34,34 +34,36 @@ def crumpled(rows, columns):
     return x, 0.1 * rng.standard_normal(x.shape)
 
 
-@pytest.mark.parametrize("narrow", [False, True])
-@pytest.mark.parametrize("names", [("right",), ("down",), ("right2",), ("down2",), ("down", "diagonal"), tuple(REST)])
-def test_a_sheet_may_have_any_families_alone(names, narrow):
+@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.parametrize(
+    "names", [("right",), ("down",), ("right2",), ("down2",), ("down", "diagonal"), tuple(REST_LENGTHS)]
+)
+def test_sheet_with_any_subset_of_families(names, single):
     """Some families are known to a row only together; those that a sheet has not must not be taken with the others."""
     rows, columns = 9, 8
     x, v = crumpled(rows, columns)
     sheet = springs(rows, columns, names)
     masses = np.full(rows * columns, 1e-4)
     ends = [
-        compile(Model(masses, [force])).runs(0.0, 5e-4, (x, v), [5], narrow=narrow)[0][0].x
+        compile(Model(masses, [force])).runs(0.0, 5e-4, (x, v), [5], narrow=single)[0][0].x
         for force in (sheet, sheet.listed)
     ]
-    assert np.abs(ends[0] - ends[1]).max() < (1e-8 if narrow else 1e-15)
+    assert np.abs(ends[0] - ends[1]).max() < (1e-8 if single else 1e-15)
 
 
 @pytest.mark.parametrize("columns", [1, 2, 5, 6, 13, 14, 22])
-def test_bounds_at_a_row_s_begin_look_at_its_springs_alone(columns):
+def test_bounds_at_row_start_ignore_padding(columns):
     """Rows whose padding is just filled by whole vectors: what lies beyond the last column belongs to no spring."""
     rows = 7
     x, _ = crumpled(rows, columns)
-    sheet = springs(rows, columns, REST)
+    sheet = springs(rows, columns, REST_LENGTHS)
     # The first column decides.
     masses = np.where(np.arange(rows * columns) % columns == 0, 1e-5, 1e-4)
     grid, listed = (compile(Model(masses, [force])) for force in (sheet, sheet.listed))
-    found, expected = (np.zeros((2, 6, rows * columns)) for _ in range(2))
-    grid.add_bounds(x, *found)
+    actual, expected = (np.zeros((2, 6, rows * columns)) for _ in range(2))
+    grid.add_bounds(x, *actual)
     listed.add_bounds(x, *expected)
-    assert np.abs(found - expected).max() < 1e-13 * np.abs(expected).max()
+    assert np.abs(actual - expected).max() < 1e-13 * np.abs(expected).max()
     np.testing.assert_allclose(grid.rates(x), of_blocks(listed, x), rtol=3e-6)
 
 
@@ -91,12 +93,12 @@ for _ in range(30):
 """
 
 
-def test_a_process_may_end_while_a_thread_is_at_work():
+def test_process_exits_during_a_run():
     done = subprocess.run([sys.executable, "-c", RUN_ON], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
 
-class AsksBack(Force):
+class ReentrantForce(Force):
     """A force that lets its own plan run while a run asks for it."""
 
     name = "asks back"
@@ -110,9 +112,9 @@ class AsksBack(Force):
             plan.runs(t, 0.01, (x.copy(), v.copy()), [1, 2])
 
 
-def test_a_plan_at_work_refuses_a_second_run():
+def test_busy_plan_refuses_second_run():
     x, v = crumpled(4, 4)
-    force = AsksBack()
+    force = ReentrantForce()
     plan = compile(Model(np.ones(16), [force]))
     force.plan = plan
     with pytest.raises(RuntimeError, match="at work already"):
@@ -133,23 +135,23 @@ QUESTIONS = {
 
 
 @pytest.mark.parametrize("name", QUESTIONS)
-def test_a_plan_at_work_refuses_every_question(name):
+def test_busy_plan_refuses_queries(name):
     # Answers would overwrite what the run keeps: which parts of the cloth are near each other, for one.
     scene = Scene.from_parameters({"cloth.resolution": [4, 4], "contact.self": True, "contact.thickness": 0.01})
     model = scene.model()
     x, v = State(scene.sheet.positions()).x, np.zeros((3, 16))
-    asked = []
+    queried = []
 
-    class Asks(Force):
+    class QueryingForce(Force):
         name = "asks"
 
         def add_force(self, t, x, v, f):
-            if not asked:
-                asked.append(t)
+            if not queried:
+                queried.append(t)
                 QUESTIONS[name](plan, x.copy(), v.copy())
 
-    plan = compile(Model(model.masses, [*model.forces, Asks()], anchors=model.anchors))
+    plan = compile(Model(model.masses, [*model.forces, QueryingForce()], anchors=model.anchors))
     with pytest.raises(RuntimeError, match="at work already"):
         plan.runs(0.0, 0.01, (x, v), [3])
-    assert asked
+    assert queried
     QUESTIONS[name](plan, x, v)

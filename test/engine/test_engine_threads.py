@@ -14,9 +14,9 @@ from cloth_sim_ros.engine import build
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="there is no g++")
-def test_a_late_thread_is_tried_again_after_as_long_as_it_was_late(tmp_path: Path) -> None:
+def test_late_thread_is_retried_after_its_delay(tmp_path: Path) -> None:
     source, program = Path(__file__).with_name("held_cores.cpp"), tmp_path / "held_cores"
     command = ["g++", "-std=c++20", "-pthread", "-O1", *build.WARNINGS, "-I", str(Path(build.__file__).parent)]
     subprocess.run([*command, str(source), "-o", str(program)], check=True, capture_output=True, text=True)
-    told = subprocess.run([program], check=True, capture_output=True, text=True, timeout=120).stdout
-    assert told.splitlines() == [f"{late} late: 1 meanwhile, 2 later" for late in (1, 2, 3)]
+    output = subprocess.run([program], check=True, capture_output=True, text=True, timeout=120).stdout
+    assert output.splitlines() == [f"{late} late: 1 meanwhile, 2 later" for late in (1, 2, 3)]

@@ -79,116 +79,118 @@ def air_of(plan):
     return next(force for force in plan.model.forces if isinstance(force, AirPanels))
 
 
-def run(given, steps=24, **options):
-    plan, x, v = given
+def run(case, steps=24, **options):
+    plan, x, v = case
     (done,), _ = plan.runs(0.0, 2e-4 * steps, (x, v), [steps], **options)
     return done
 
 
-def accelerations(given):
-    plan, x, v = given
+def accelerations(case):
+    plan, x, v = case
     out = np.empty_like(x)
     plan.accelerations(0.0, x, v, out)
     return out
 
 
-def near(one, other, rounding):
-    np.testing.assert_allclose(one, other, rtol=0.0, atol=rounding * np.abs(other).max())
+def assert_close(actual, expected, rounding):
+    np.testing.assert_allclose(actual, expected, rtol=0.0, atol=rounding * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("collapsed", [False, True])
 @every_coefficients
 @every_shape
 def test_forces_of_rows_follow_the_law(shape, coefficients, collapsed):
-    given = plan, x, v = scene(shape, coefficients, collapsed=collapsed)
+    case = plan, x, v = scene(shape, coefficients, collapsed=collapsed)
     still = scene(shape, (0.0, 0.0), collapsed=collapsed)
     air = air_of(plan)
     force = laws.air_panels(x, v, air.panels, air.normal, air.tangential, air.wind).force * (
         plan.model.inverse_masses > 0
     )
     assert np.abs(force).max() > 0.0 or shape == (2, 2)
-    difference = MASS * (accelerations(given) - accelerations(still))
-    np.testing.assert_allclose(difference, force, rtol=0.0, atol=1e-12 * MASS * np.abs(accelerations(given)).max())
+    difference = MASS * (accelerations(case) - accelerations(still))
+    np.testing.assert_allclose(difference, force, rtol=0.0, atol=1e-12 * MASS * np.abs(accelerations(case)).max())
 
 
 @pytest.mark.parametrize("left_out", [0.0, 0.2, 0.7])
 @every_coefficients
 @every_shape
-def test_rows_move_as_lists_do(shape, coefficients, left_out):
+def test_rows_equal_lists(shape, coefficients, left_out):
     rows, lists = (scene(shape, coefficients, left_out=left_out, as_lists=as_lists) for as_lists in (False, True))
-    near(accelerations(rows), accelerations(lists), 1e-13)
-    for narrow, rounding in ((False, 1e-13), (True, 2e-6)):
-        one, other = run(rows, narrow=narrow), run(lists, narrow=narrow)
-        for here, there in zip(one.ends, other.ends, strict=True):
-            near(here, there, rounding)
-        assert np.isfinite(one.ends).all()
-        one, other = (run(given, narrow=narrow, powers=True).powers for given in (rows, lists))
-        np.testing.assert_allclose(one, other, rtol=0.0, atol=(1e-5 if narrow else 1e-12) * np.abs(other).max())
-        assert other[0] > 0.0
+    assert_close(accelerations(rows), accelerations(lists), 1e-13)
+    for single, rounding in ((False, 1e-13), (True, 2e-6)):
+        actual, expected = run(rows, narrow=single), run(lists, narrow=single)
+        for a, b in zip(actual.ends, expected.ends, strict=True):
+            assert_close(a, b, rounding)
+        assert np.isfinite(actual.ends).all()
+        actual, expected = (run(case, narrow=single, powers=True).powers for case in (rows, lists))
+        np.testing.assert_allclose(
+            actual, expected, rtol=0.0, atol=(1e-5 if single else 1e-12) * np.abs(expected).max()
+        )
+        assert expected[0] > 0.0
 
 
-def test_rows_know_no_order_of_panels_nor_of_corners():
-    one, other = accelerations(scene((7, 9))), accelerations(scene((7, 9), order=1))
-    assert np.array_equal(one, other)
+def test_rows_ignore_order_of_panels_and_corners():
+    actual, expected = accelerations(scene((7, 9))), accelerations(scene((7, 9), order=1))
+    assert np.array_equal(actual, expected)
 
 
-def test_a_panel_that_is_no_cell_and_one_given_twice_act_as_they_are():
+def test_panels_off_cells_and_duplicates_act():
     rows, columns = 6, 7
     cells = grid_cells(rows, columns)
     for odd in ([0, 1, 9, 2], cells[3], [0, 1, columns, columns + 1]):
         plan, x, v = scene((rows, columns))
         panels = AirPanels([*cells, odd], normal=0.3, tangential=0.1, wind=(1.0, 2.0, 3.0))
         plan = compile(Model(np.full(rows * columns, MASS), [plan.model.forces[0], panels]))
-        other = compile(Model(np.full(rows * columns, MASS), [plan.model.forces[0].listed, panels]))
-        near(accelerations((plan, x, v)), accelerations((other, x, v)), 1e-13)
+        expected = compile(Model(np.full(rows * columns, MASS), [plan.model.forces[0].listed, panels]))
+        assert_close(accelerations((plan, x, v)), accelerations((expected, x, v)), 1e-13)
 
 
-def test_a_second_list_of_cells_acts_too():
+def test_second_list_of_cells_acts():
     plan, x, v = scene((6, 7))
     more = AirPanels(grid_cells(6, 7), normal=0.9, tangential=0.1)
     more.name = "more air"
-    one, other = (
+    actual, expected = (
         compile(Model(np.full(42, MASS), [springs, *plan.model.forces[1:], more]))
         for springs in (plan.model.forces[0], plan.model.forces[0].listed)
     )
-    near(accelerations((one, x, v)), accelerations((other, x, v)), 1e-13)
-    assert one.rates(x) == pytest.approx(of_blocks(other, x), rel=1e-5)
+    assert_close(accelerations((actual, x, v)), accelerations((expected, x, v)), 1e-13)
+    assert actual.rates(x) == pytest.approx(of_blocks(expected, x), rel=1e-5)
 
 
 @pytest.mark.parametrize("wind", [(0.0, 0.0, 0.0), (30.0, -1.0, 0.5)])
 @pytest.mark.parametrize("damped", [True, False])
 @every_coefficients
 @every_shape
-def test_bounds_of_rows_are_those_of_the_law(shape, coefficients, damped, wind):
-    many = tuple(1e3 * each for each in coefficients)
-    plan, x, _ = scene(shape, many, damped=damped, wind=wind)
+def test_row_bounds_equal_law_bounds(shape, coefficients, damped, wind):
+    scaled = tuple(1e3 * coefficient for coefficient in coefficients)
+    plan, x, _ = scene(shape, scaled, damped=damped, wind=wind)
     # With drag along the surface alone the two largest eigenvalues may be alike: single precision knows them less well.
     assert plan.rates(x) == pytest.approx(of_blocks(plan, x), rel=1e-5 if coefficients[0] else 1e-3)
     assert plan.rates(x)[1] > scene(shape, (0.0, 0.0), damped=damped)[0].rates(x)[1]
 
 
 @pytest.mark.parametrize("hinges", [False, True])
-@pytest.mark.parametrize("narrow", [False, True])
-def test_no_bit_depends_on_threads_nor_on_noted_powers(narrow, hinges):
-    given = scene((130, 97), hinges=hinges)
-    alone = run(given, narrow=narrow, threads=1).ends
+@pytest.mark.parametrize("single", [False, True])
+def test_bits_ignore_threads_and_recorded_powers(single, hinges):
+    case = scene((130, 97), hinges=hinges)
+    alone = run(case, narrow=single, threads=1).ends
     for threads in (2, 5, 8, 16):
-        np.testing.assert_array_equal(run(given, narrow=narrow, threads=threads).ends, alone)
-    np.testing.assert_array_equal(run(given, narrow=narrow, powers=True).ends, alone)
+        np.testing.assert_array_equal(run(case, narrow=single, threads=threads).ends, alone)
+    np.testing.assert_array_equal(run(case, narrow=single, powers=True).ends, alone)
 
 
-def test_hinges_asked_for_less_often_leave_the_air_alone():
+def test_multirate_hinges_leave_air_unchanged():
     rows, lists = (scene((19, 16), hinges=True, as_lists=as_lists) for as_lists in (False, True))
-    near(run(rows, every=3).ends[0], run(lists, every=3).ends[0], 1e-13)
+    assert_close(run(rows, every=3).ends[0], run(lists, every=3).ends[0], 1e-13)
 
 
 def test_new_wind_acts_in_rows():
     plan, x, v = scene((7, 9), wind=(0.0, 0.0, 0.0))
     blown = air_of(plan).blown((4.0, 2.0, 1.0))
     before = accelerations((plan, x, v))
-    kept = [blown if isinstance(force, AirPanels) else force for force in plan.model.forces]
-    uniform = [force for force in kept if isinstance(force, Gravity)]
-    plan.change_uniform(kept, uniform, air=blown.common)
+    forces = [blown if isinstance(force, AirPanels) else force for force in plan.model.forces]
+    uniform = [force for force in forces if isinstance(force, Gravity)]
+    plan.change_uniform(forces, uniform, air=blown.common)
     after = accelerations((plan, x, v))
     assert np.abs(after - before).max() > 0.1
     assert np.array_equal(after, accelerations(scene((7, 9), wind=(4.0, 2.0, 1.0))))
@@ -196,16 +198,16 @@ def test_new_wind_acts_in_rows():
 
 def digest() -> str:
     """Of runs by the engine that the process has."""
-    told = hashlib.sha256()
+    sha = hashlib.sha256()
     for shape in SHAPES:
         for coefficients in COEFFICIENTS:
-            given = scene(shape, coefficients)
-            told.update(accelerations(given).tobytes())
-            told.update(np.array(given[0].rates(given[1])).tobytes())
-            for narrow in (False, True):
-                done = run(given, narrow=narrow, powers=True)
-                told.update(done.ends.tobytes() + done.notes.tobytes())
-    return told.hexdigest()
+            case = scene(shape, coefficients)
+            sha.update(accelerations(case).tobytes())
+            sha.update(np.array(case[0].rates(case[1])).tobytes())
+            for single in (False, True):
+                done = run(case, narrow=single, powers=True)
+                sha.update(done.ends.tobytes() + done.notes.tobytes())
+    return sha.hexdigest()
 
 
 @pytest.mark.parametrize("name", libraries())

@@ -80,14 +80,14 @@ def scene(kind, shape, *, damped=True, left_out=0.0, as_lists=False, twice=False
     return compile(Model(np.full(count, 2e-3), forces, anchors=[0, columns - 1])), np.ascontiguousarray(x), v
 
 
-def run(given, steps=24, **options):
-    plan, x, v = given
+def run(case, steps=24, **options):
+    plan, x, v = case
     (done,), _ = plan.runs(0.0, 2e-4 * steps, (x, v), [steps], **options)
     return done
 
 
-def accelerations(given):
-    plan, x, v = given
+def accelerations(case):
+    plan, x, v = case
     out = np.empty_like(x)
     plan.accelerations(0.0, x, v, out)
     return out
@@ -97,61 +97,61 @@ def accelerations(given):
 @pytest.mark.parametrize("damped", [True, False])
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("kind", KINDS)
-def test_rows_do_what_lists_do(kind, shape, damped, left_out):
+def test_rows_equal_lists(kind, shape, damped, left_out):
     options = {"damped": damped, "left_out": left_out}
     rows, lists = scene(kind, shape, **options), scene(kind, shape, **options, as_lists=True)
-    one, other = accelerations(rows), accelerations(lists)
-    scale = np.abs(other).max()
-    np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-13 * scale)
+    actual, expected = accelerations(rows), accelerations(lists)
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(actual, expected, rtol=0.0, atol=1e-13 * scale)
     # Rows know no order of the hinges; sparse ones are taken from lists.
     shuffled = accelerations(scene(kind, shape, **options, order=1))
-    assert np.array_equal(one, shuffled) == (left_out < 0.6)
-    for narrow, near in ((False, 1e-13), (True, 1e-6)):
-        one, other = run(rows, narrow=narrow).ends, run(lists, narrow=narrow).ends
-        for here, there in zip(one, other, strict=True):
-            np.testing.assert_allclose(here, there, rtol=0.0, atol=near * np.abs(there).max())
-        assert np.isfinite(one).all()
+    assert np.array_equal(actual, shuffled) == (left_out < 0.6)
+    for single, rounding in ((False, 1e-13), (True, 1e-6)):
+        actual, expected = run(rows, narrow=single).ends, run(lists, narrow=single).ends
+        for a, b in zip(actual, expected, strict=True):
+            np.testing.assert_allclose(a, b, rtol=0.0, atol=rounding * np.abs(b).max())
+        assert np.isfinite(actual).all()
 
 
-@pytest.mark.parametrize("narrow", [False, True])
+@pytest.mark.parametrize("single", [False, True])
 @pytest.mark.parametrize("damped", [True, False])
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_bit_depends_on_threads_nor_on_noted_powers(kind, damped, narrow):
-    given = scene(kind, (130, 97), damped=damped)
-    alone = run(given, narrow=narrow, threads=1).ends
+def test_bits_ignore_threads_and_recorded_powers(kind, damped, single):
+    case = scene(kind, (130, 97), damped=damped)
+    alone = run(case, narrow=single, threads=1).ends
     for threads in (2, 5, 8, 16):
-        np.testing.assert_array_equal(run(given, narrow=narrow, threads=threads).ends, alone)
-    np.testing.assert_array_equal(run(given, narrow=narrow, powers=True).ends, alone)
+        np.testing.assert_array_equal(run(case, narrow=single, threads=threads).ends, alone)
+    np.testing.assert_array_equal(run(case, narrow=single, powers=True).ends, alone)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_damping_takes_is_noted(kind):
+def test_dissipation_is_recorded(kind):
     rows, lists = scene(kind, (19, 16)), scene(kind, (19, 16), as_lists=True)
-    for narrow, near in ((False, 1e-12), (True, 1e-5)):
-        one, other = (run(given, narrow=narrow, powers=True).powers for given in (rows, lists))
-        assert other[0] > 0.0
-        np.testing.assert_allclose(one, other, rtol=near)
+    for single, rounding in ((False, 1e-12), (True, 1e-5)):
+        actual, expected = (run(case, narrow=single, powers=True).powers for case in (rows, lists))
+        assert expected[0] > 0.0
+        np.testing.assert_allclose(actual, expected, rtol=rounding)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_hinges_twice_in_one_place_both_act(kind):
+def test_duplicate_hinges_both_act(kind):
     rows, lists = scene(kind, (8, 9), twice=True), scene(kind, (8, 9), twice=True, as_lists=True)
-    one, other = accelerations(rows), accelerations(lists)
-    np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-13 * np.abs(other).max())
+    actual, expected = accelerations(rows), accelerations(lists)
+    np.testing.assert_allclose(actual, expected, rtol=0.0, atol=1e-13 * np.abs(expected).max())
 
 
 def digest() -> str:
     """Of runs by the engine that the process has."""
-    told = hashlib.sha256()
+    sha = hashlib.sha256()
     for kind in KINDS:
         for shape in SHAPES:
             for damped in (True, False):
-                given = scene(kind, shape, damped=damped)
-                told.update(accelerations(given).tobytes())
-                for narrow in (False, True):
-                    done = run(given, narrow=narrow, powers=True)
-                    told.update(done.ends.tobytes() + done.notes.tobytes())
-    return told.hexdigest()
+                case = scene(kind, shape, damped=damped)
+                sha.update(accelerations(case).tobytes())
+                for single in (False, True):
+                    done = run(case, narrow=single, powers=True)
+                    sha.update(done.ends.tobytes() + done.notes.tobytes())
+    return sha.hexdigest()
 
 
 @pytest.mark.parametrize("name", libraries())

@@ -130,32 +130,32 @@ def forces(springs, x, v):
 
 @pytest.mark.parametrize("choice", CHOICES)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (7, 1), (2, 2), (3, 17), (19, 16), (5, 33)])
-def test_forces_equal_the_plain_sum_over_pairs(choice, shape):
+def test_forces_equal_sum_over_pairs(choice, shape):
     springs = GridSprings(*shape, CHOICES[choice])
     x, v = crumpled(*shape)
-    found, expected = forces(springs, x, v), plain_forces(x, v, springs)
-    assert np.abs(found - expected).max() <= 1e-12 * max(np.abs(expected).max(), 1.0)
+    actual, expected = forces(springs, x, v), plain_forces(x, v, springs)
+    assert np.abs(actual - expected).max() <= 1e-12 * max(np.abs(expected).max(), 1.0)
 
 
 @pytest.mark.parametrize("choice", CHOICES)
-def test_the_list_of_the_same_springs_is_that_of_their_definition(choice):
+def test_listed_springs_equal_their_definition(choice):
     springs = GridSprings(6, 9, CHOICES[choice])
     listed, defined = springs.listed, []
     for family in springs.families:
         ends, factor = pairs(springs, family)
         numbers = np.outer(factor, [1.0, family.stiffness, family.damping])
-        rest = np.full(len(factor), family.rest_length)
-        defined.append(np.column_stack([np.sort(ends.T, axis=1), rest, numbers[:, 1:]]))
-    found = np.column_stack([np.sort(listed.pairs, axis=1), listed.rest_length, listed.stiffness, listed.damping])
+        rest_lengths = np.full(len(factor), family.rest_length)
+        defined.append(np.column_stack([np.sort(ends.T, axis=1), rest_lengths, numbers[:, 1:]]))
+    actual = np.column_stack([np.sort(listed.pairs, axis=1), listed.rest_length, listed.stiffness, listed.damping])
     expected = np.concatenate(defined)
-    by_ends = [np.lexsort(rows[:, :3].T[::-1]) for rows in (found, expected)]
-    assert found[by_ends[0]] == pytest.approx(expected[by_ends[1]], rel=1e-15)
+    by_ends = [np.lexsort(rows[:, :3].T[::-1]) for rows in (actual, expected)]
+    assert actual[by_ends[0]] == pytest.approx(expected[by_ends[1]], rel=1e-15)
 
 
 def test_coincident_particles_stay_finite():
     plan = sheet(GridSprings(4, 5, ALL))
-    for narrow in (False, True):
-        done = run(plan, np.zeros((3, 20)), np.ones((3, 20)), 3, 1e-3, narrow=narrow)
+    for single in (False, True):
+        done = run(plan, np.zeros((3, 20)), np.ones((3, 20)), 3, 1e-3, narrow=single)
         assert np.array_equal(done.v, np.ones((3, 20)))
 
 
@@ -221,7 +221,7 @@ def some_grips():
         ("edges", {"gravity": GRAVITY}),
     ],
 )
-def test_a_run_equals_the_plain_scheme(choice, extras):
+def test_run_equals_reference_leapfrog(choice, extras):
     springs, inverse = GridSprings(11, 13, CHOICES[choice]), some_masses(143)
     x, v = crumpled(11, 13)
     expected_x, expected_v, _ = plain_leapfrog(x, v, springs, inverse, 20, 2e-4, **extras)
@@ -231,28 +231,28 @@ def test_a_run_equals_the_plain_scheme(choice, extras):
 
 
 @pytest.mark.parametrize(
-    ("choice", "narrow", "relative"), [("all", False, 1e-11), ("undamped", False, 1e-11), ("all", True, 2e-5)]
+    ("choice", "single", "relative"), [("all", False, 1e-11), ("undamped", False, 1e-11), ("all", True, 2e-5)]
 )
-def test_grips_pull_and_feel_the_pull(choice, narrow, relative):
+def test_grips_exert_equal_and_opposite_forces(choice, single, relative):
     springs, inverse, grips = GridSprings(11, 13, CHOICES[choice]), some_masses(143), some_grips()
     x, v = crumpled(11, 13)
     expected_x, expected_v, booked = plain_leapfrog(x, v, springs, inverse, 20, 2e-4, gravity=GRAVITY, grips=grips)
-    done = run(sheet(springs, inverse, gravity=GRAVITY, grips=grips), x, v, 20, 2e-4, narrow=narrow)
+    done = run(sheet(springs, inverse, gravity=GRAVITY, grips=grips), x, v, 20, 2e-4, narrow=single)
     assert close(done.x, expected_x, relative)
     assert close(done.v, expected_v, relative)
     assert close(done.grips[:, [0, 1, 2]], booked[:, :3], 10 * relative)
     assert close(done.grips[:, 6], booked[:, 3], 10 * relative)
 
 
-def test_single_precision_rounds_far_from_the_origin_as_near_it():
+def test_single_precision_independent_of_origin():
     springs, inverse = GridSprings(19, 16, ALL), np.full(304, 1.0 / MASS)
     x, v = crumpled(19, 16)
     plan = sheet(springs, inverse)
-    near, far = run(plan, x, v, 20, 2e-4, narrow=True), run(plan, x + 100.0, v, 20, 2e-4, narrow=True)
+    at_origin, at_100_m = run(plan, x, v, 20, 2e-4, narrow=True), run(plan, x + 100.0, v, 20, 2e-4, narrow=True)
     exact = run(plan, x, v, 20, 2e-4)
     # A map frame far away must not cost digits, but those of the coordinates themselves.
-    assert close(near.x, exact.x, 1e-6)
-    assert close(far.x - 100.0, exact.x, 1e-6)
+    assert close(at_origin.x, exact.x, 1e-6)
+    assert close(at_100_m.x - 100.0, exact.x, 1e-6)
 
 
 def test_anchored_particles_keep_their_velocity():
@@ -304,10 +304,10 @@ def crosswise(rows, columns):
 
 @pytest.mark.parametrize("shape", [(11, 13), (40, 13), (70, 300)], ids=str)
 @pytest.mark.parametrize(
-    ("choice", "narrow"), [("all", True), ("all", False), ("undamped", False), ("alternating", True)]
+    ("choice", "single"), [("all", True), ("all", False), ("undamped", False), ("alternating", True)]
 )
 @pytest.mark.parametrize("kind", ["sheet", "sheet and list", "list"])
-def test_any_number_of_threads_gives_the_same_bits(kind, choice, narrow, shape):
+def test_bits_ignore_number_of_threads(kind, choice, single, shape):
     springs, inverse = GridSprings(*shape, CHOICES[choice]), some_masses(shape[0] * shape[1])
     beside = [crosswise(*shape)] if kind == "sheet and list" else []
     x, v = crumpled(*shape)
@@ -315,11 +315,11 @@ def test_any_number_of_threads_gives_the_same_bits(kind, choice, narrow, shape):
     plan = sheet(springs, inverse, beside=beside, gravity=GRAVITY, drag=1.5, grips=some_grips())
     for steps in (1, 7, 33):
         # Noted powers would keep all to one thread.
-        alone = run(plan, x, v, steps, 1e-4, narrow=narrow, threads=1)
+        alone = run(plan, x, v, steps, 1e-4, narrow=single, threads=1)
         for threads in (2, 3, 16):
-            done = run(plan, x, v, steps, 1e-4, narrow=narrow, threads=threads)
-            for name, mine, others in zip(done._fields, done, alone, strict=True):
-                assert np.array_equal(mine, others), f"{name} of {steps} steps by {threads} threads"
+            done = run(plan, x, v, steps, 1e-4, narrow=single, threads=threads)
+            for name, actual, expected in zip(done._fields, done, alone, strict=True):
+                assert np.array_equal(actual, expected), f"{name} of {steps} steps by {threads} threads"
     assert np.abs(alone.x - x).max() > 1e-4
 
 
@@ -330,15 +330,15 @@ def test_single_precision_does_not_lose_small_motion():
     assert np.allclose(done.x, x + 1e-4, rtol=0.0, atol=1e-10)
 
 
-@pytest.mark.parametrize("narrow", [False, True], ids=["double", "single"])
-def test_a_state_that_is_not_finite_leaves_no_trace(narrow):
+@pytest.mark.parametrize("single", [False, True], ids=["double", "single"])
+def test_non_finite_state_leaves_no_trace(single):
     plan = sheet(GridSprings(6, 5, ALL), some_masses(30), drag=1.5, gravity=GRAVITY)
     x, v = crumpled(6, 5)
-    first = run(plan, x, v, 3, 1e-4, narrow=narrow)
+    first = run(plan, x, v, 3, 1e-4, narrow=single)
     broken = x.copy()
     broken[0, 7] = np.nan
-    run(plan, broken, v, 3, 1e-4, narrow=narrow)
-    again = run(plan, x, v, 3, 1e-4, narrow=narrow)
+    run(plan, broken, v, 3, 1e-4, narrow=single)
+    again = run(plan, x, v, 3, 1e-4, narrow=single)
     assert np.array_equal(first.x, again.x)
     assert np.array_equal(first.v, again.v)
 

@@ -33,7 +33,7 @@ for listed, integrator, frames in ((False, "auto", 8), (True, "auto", 8), (False
 """
 
 
-def told(name):
+def program_output(name):
     """What the program prints with the library of an instruction set."""
     environment = {**os.environ, "CLOTH_SIM_ROS_ENGINE": name, "PYTHONPATH": str(TESTS)}
     done = subprocess.run([sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True, check=True)
@@ -44,7 +44,7 @@ def test_every_instruction_set_gives_the_same_bits():
     names = libraries()
     if len(names) < 2:
         pytest.skip("this machine runs one instruction set alone")
-    all_told = [told(name) for name in names]
-    assert [lines[0] for lines in all_told] == list(names)
-    assert all(lines[1:] == all_told[0][1:] for lines in all_told)
-    assert int(all_told[0][1].split()[1]) > 0
+    outputs = [program_output(name) for name in names]
+    assert [lines[0] for lines in outputs] == list(names)
+    assert all(lines[1:] == outputs[0][1:] for lines in outputs)
+    assert int(outputs[0][1].split()[1]) > 0

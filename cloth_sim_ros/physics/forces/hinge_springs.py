@@ -97,7 +97,7 @@ def _lengths(hinges: ArrayLike, x: Array, kind: str) -> tuple[Array, Array]:
     lengths, squares = np.empty(len(quads)), np.empty((len(quads), 4))
     address = doubles("x", places, (3, count))
     check(
-        library().cloth_lengths(
+        library().cloth_hinge_lengths(
             KINDS[kind][0], len(quads), quads.ctypes.data, address, count, lengths.ctypes.data, squares.ctypes.data
         )
     )
