@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Symmetric band matrices of 3x3 blocks, an order that keeps them narrow, and sums in a fixed order (band.hpp).
+"""Symmetric band matrices of 3x3 blocks, an order that keeps them narrow, and sums in a fixed order (core/band.hpp).
 
-A matrix is an array made by `rows`: block row I holds its blocks J = I ... I + width, the upper half, as
-``rows[I, r, 3 (J - I) + c]`` for the entry (3 I + r, 3 J + c). What lies beyond is zero, and stays so.
+A matrix is an array made by `rows`. Block row I holds the blocks J = I ... I + width of the upper half: the entry
+(3 I + r, 3 J + c) is ``rows[I, r, 3 (J - I) + c]``. The padding stays zero.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Index = NDArray[np.int64]
 
 _FLOAT, _INDEX = np.dtype(np.float64), np.dtype(np.int64)
 
-#: What a function of the library returns.
+#: Status of a call.
 _OK, _NOT_POSITIVE, _NO_MEMORY, _CHOSEN, _PAIRS, _PLACES = range(6)
 #: Arguments of its functions: p is an array, i a number.
 _FUNCTIONS = {
@@ -143,10 +143,10 @@ def join(upper: Array, lower: Array, inner_upper: int, inner_lower: int, middle:
         ValueError: if an argument does not fit the others.
     """
     first, count_upper, width = _matrix("upper", upper)
-    second, count_lower, other = _matrix("lower", lower)
+    second, count_lower, width_lower = _matrix("lower", lower)
     third, shared, wide = _matrix("middle", middle)
-    if other != width:
-        raise ValueError(f"lower has {other} blocks beside the diagonal, upper {width}: make them equal")
+    if width_lower != width:
+        raise ValueError(f"lower has {width_lower} blocks beside the diagonal, upper {width}: make them equal")
     if shared > width + 1 or shared > wide + 1:
         raise ValueError(
             f"middle has {shared} block rows, with {wide} blocks beside the diagonal: upper has {width}, and the whole"
@@ -176,8 +176,8 @@ def cuthill_mckee(count: int, pairs: Index) -> Index:
     if count < 0:
         raise ValueError(f"count is {count}: there are no fewer than 0 particles")
     address, order = _address("pairs", pairs, _INDEX, (None, 2)), np.empty(count, dtype=np.int64)
-    place = _address("order", order, _INDEX, (count,), written=True)
-    status = _function("cloth_cuthill_mckee")(count, address, len(pairs), place)
+    output = _address("order", order, _INDEX, (count,), written=True)
+    status = _function("cloth_cuthill_mckee")(count, address, len(pairs), output)
     if status == _PAIRS:
         raise ValueError(f"pairs have particle {_outside(pairs, count)}: there are {count}, counted from 0")
     if status == _NO_MEMORY:
@@ -221,8 +221,8 @@ def _padding() -> int:
 def _matrix(name: str, rows: Array) -> tuple[int, int, int]:
     """Return the address, the block rows and the blocks beside the diagonal of a matrix."""
     address = _address(name, rows, _FLOAT, (None, 3, None), written=True)
-    blocks, rest = divmod(rows.shape[2] - _padding(), 3)
-    if rest or blocks < 1:
+    blocks, remainder = divmod(rows.shape[2] - _padding(), 3)
+    if remainder or blocks < 1:
         raise ValueError(f"{name} has rows of {rows.shape[2]} numbers: make it with band.rows()")
     return address, len(rows), blocks - 1
 
@@ -235,18 +235,18 @@ def _address(
         raise ValueError(f"{name} is a {type(array).__name__}: it has to be an array of {kind}")
     sizes = array.shape
     if array.dtype != kind or len(sizes) != len(shape) or any(map(_differ, shape, sizes)):
-        wanted = ", ".join("any" if n is None else str(n) for n in shape)
+        expected = ", ".join("any" if n is None else str(n) for n in shape)
         raise ValueError(
-            f"{name} is an array of {array.dtype}, shape {sizes}: it has to be one of {kind}, shape ({wanted})"
+            f"{name} is an array of {array.dtype}, shape {sizes}: it has to be one of {kind}, shape ({expected})"
         )
     flags = array.flags
     if not (flags.carray or (flags.c_contiguous and flags.aligned and not written)):
-        raise ValueError(f"{name} is not contiguous, aligned and writeable where it is written to: make a copy of it")
+        raise ValueError(f"{name} is not contiguous, aligned and, as an output, writeable: make a copy of it")
     return int(array.__array_interface__["data"][0])
 
 
-def _differ(wanted: int | None, size: int) -> bool:
-    return wanted is not None and wanted != size
+def _differ(expected: int | None, size: int) -> bool:
+    return expected is not None and expected != size
 
 
 def _check_inner(name: str, inner: int, count: int) -> None:

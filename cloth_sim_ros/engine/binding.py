@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The engine's library, loaded through ctypes: no interpreter lock is held while it works."""
+"""ctypes binding of the engine, which runs without the interpreter lock."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ from cloth_sim_ros.engine.instruction_set import libraries
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-#: Number of the interface that this file is written against.
+#: Number of the C interface that this file binds.
 ABI = 15
-#: What `cloth_engine` calls return.
-_TROUBLES = {1: "the engine failed", 2: "there is not enough memory"}
+#: Errors by the status of a call.
+_ERRORS = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE, _BUSY = 4, 5
-#: A plan that is at work serves no second call.
+#: Error text of a plan that is not re-entrant.
 AT_WORK = (
     "this plan is at work already, for another thread or for a force that asks it while it is asked; compile the model "
     "once more for a second call at the same time"
 )
-#: Runs of one frame at most; see frame.hpp.
+#: Maximum number of runs of one frame; see plan/frame.hpp.
 MAX_RUNS = 8
-#: Numbers that a frame tells of its combination; see `told` in frame.hpp.
+#: Numbers of the summary of a frame; see `Frame::summary` in plan/frame.hpp.
 SUMMARY_NUMBERS = 9
-#: Numbers of a gripper's path, and what is booked for each gripper; see held.hpp.
+#: Numbers of a gripper's path, and of its record of wrench and work; see plan/grips.hpp.
 PATH_NUMBERS, BOOKED_NUMBERS = 26, 8
-#: Shapes of obstacles; see contact_shapes.hpp. What a run tells of contact beside what it books; see contact.hpp.
+#: Shapes of obstacles; see contact/shapes.hpp. Numbers of the contact summary of a run; see plan/frame.hpp.
 SHAPES = {"plane": 0, "box": 1, "sphere": 2, "capsule": 3, "cylinder": 4, "mesh": 5}
 CONTACT_SUMMARY_NUMBERS = 7
-#: Numbers of an anchor of friction; see contact_friction.hpp.
+#: Numbers of an anchor of friction; see laws/friction.hpp.
 ANCHOR_NUMBERS = 4
-#: Numbers of where a gripper's pads are, and of what drives them; see contact_pinch.hpp and library.cpp.
+#: Numbers of the state of a gripper's jaws, and of their drive; see contact/parallel_jaw.hpp and api/library.cpp.
 PINCH_NUMBERS, DRIVE_NUMBERS = 2, 7
-#: Kinds of listed elements with the particles and numbers of each; see list.hpp.
+#: Kinds of listed elements with their particles and parameters; see mesh/elements.hpp.
 KINDS = {
     "spring": (0, 2, 3),
     "joint": (1, 2, 2),
@@ -51,20 +51,20 @@ KINDS = {
     "triangle": (4, 3, 0),
     "quad": (5, 4, 0),
 }
-#: Families of a grid's springs in the engine's order; see grid_row.hpp.
+#: Families of a grid's springs in the engine's order; see grid/row.hpp.
 FAMILIES = ("right", "down", "diagonal", "antidiagonal", "right2", "down2")
-#: What a user's own force is called with: t, x, v, f and powers (or null); returns `CALLED_WELL`, or another number to
-#: end the run. ctypes returns any number for an exception that nobody caught.
+#: Callback of forces in Python, called with t, x, v, f and powers (or null). It returns `CALLED_WELL`. Another number,
+#: which ctypes returns after an uncaught exception, ends the run.
 CALLED_WELL = 1611516433
 CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_double, *(ctypes.POINTER(ctypes.c_double),) * 4)
 
 
 class EngineError(RuntimeError):
-    """The engine is not there, or failed."""
+    """The engine is not built, or failed."""
 
 
 class Frame(ctypes.Structure):
-    """A frame's request; the same layout as frame.hpp's."""
+    """Request of a frame; the same layout as in plan/frame.hpp."""
 
     _fields_ = (
         ("t", ctypes.c_double),
@@ -91,7 +91,7 @@ class Frame(ctypes.Structure):
     )
 
 
-#: The same, written in one go.
+#: Packs a `Frame` in one call.
 FRAME = struct.Struct(
     "@" + "".join({ctypes.c_double: "d", ctypes.c_int64: "q"}.get(kind, "P") for _, kind in Frame._fields_)
 )
@@ -162,8 +162,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
 }
 
 
-#: Calls that take a microsecond: to give the interpreter lock away for them would cost more, and let other threads that
-#: step cloths wait for it once more.
+#: Calls of about a microsecond: they keep the interpreter lock, because releasing it would cost more.
 _BRIEF = frozenset(
     (
         "cloth_paths",
@@ -178,19 +177,19 @@ _BRIEF = frozenset(
 
 @cache
 def library() -> ctypes.CDLL:
-    """Load the library for this machine's widest vectors; every one of them gives the same bits.
+    """Load the library for this machine's widest vectors; all libraries give the same bits.
 
     The environment variable CLOTH_SIM_ROS_ENGINE names another one: an instruction set, or a path.
 
     Raises:
         EngineError: if there is none that this machine can run; the message says how to build it.
     """
-    wanted = os.environ.get("CLOTH_SIM_ROS_ENGINE", "")
+    choice = os.environ.get("CLOTH_SIM_ROS_ENGINE", "")
     folder = Path(__file__).parent
-    if "/" in wanted:
-        candidates = [Path(wanted)]
+    if "/" in choice:
+        candidates = [Path(choice)]
     else:
-        candidates = [folder / f"_{name}.so" for name in ([wanted] if wanted else libraries())]
+        candidates = [folder / f"_{name}.so" for name in ([choice] if choice else libraries())]
     for path in candidates:
         if path.exists():
             return _prepared(path)
@@ -205,16 +204,16 @@ def _prepared(path: Path) -> ctypes.CDLL:
     try:
         # Each instruction set's templates stay its own: RTLD_LOCAL, ctypes' default.
         loaded = ctypes.CDLL(str(path))
-        found = int(loaded.cloth_engine_abi())
+        abi = int(loaded.cloth_engine_abi())
     except (OSError, AttributeError) as error:
         raise EngineError(f"{path} is no engine that this machine can load: {error}; build it again") from error
-    if found != ABI:
-        raise EngineError(f"{path} has interface {found}, this package needs {ABI}; build it again with `make engine`")
+    if abi != ABI:
+        raise EngineError(f"{path} has interface {abi}, this package needs {ABI}; build it again with `make engine`")
     loaded.cloth_engine_name.restype = ctypes.c_char_p
-    held = ctypes.PyDLL(str(path), handle=loaded._handle)
+    locking = ctypes.PyDLL(str(path), handle=loaded._handle)
     for name, (result, *arguments) in _SIGNATURES.items():
         if name in _BRIEF:
-            setattr(loaded, name, getattr(held, name))
+            setattr(loaded, name, getattr(locking, name))
         function = getattr(loaded, name)
         function.restype, function.argtypes = result, arguments
     return loaded
@@ -226,19 +225,19 @@ def engine_name() -> str:
 
 
 def check(status: int) -> None:
-    """Raise what a call's status says.
+    """Raise the error of a status.
 
     Raises:
-        MemoryError: where memory did not suffice.
-        RuntimeError: where the plan is at work for another call.
-        EngineError: for any other trouble.
+        MemoryError: if there is not enough memory.
+        RuntimeError: if another call of the plan is running.
+        EngineError: for any other error.
     """
     if status == _BUSY:
         raise RuntimeError(AT_WORK)
     if status == 2:
         raise MemoryError("the engine could not get the memory that this cloth needs")
     if status:
-        raise EngineError(_TROUBLES.get(status, f"the engine answered {status}"))
+        raise EngineError(_ERRORS.get(status, f"the engine answered {status}"))
 
 
 _DOUBLE, _ARRAY = np.dtype(np.float64), np.ndarray
@@ -247,7 +246,7 @@ _addressof, _from_buffer = ctypes.addressof, ctypes.c_char.from_buffer
 
 
 def address(array: Any) -> int:
-    """Return where the numbers of an array are that is C-contiguous, can be written and has some."""
+    """Return the address of a C-contiguous, writable array that is not empty."""
     return _addressof(_from_buffer(array))
 
 
@@ -257,7 +256,7 @@ def doubles(name: str, array: Array, shape: tuple[int, ...]) -> int:
     Raises:
         ValueError: for another shape or type, or an array that is not C-contiguous or not aligned.
     """
-    # What nearly every call hands over, told by the fewest questions: `carray` is contiguous, aligned and writeable.
+    # Fast path of nearly every call: `carray` means contiguous, aligned and writable.
     if type(array) is _ARRAY and array.dtype is _DOUBLE and array.shape == shape and array.flags.carray and array.size:
         return address(array)
     if not isinstance(array, np.ndarray):
@@ -278,55 +277,55 @@ def writable(name: str, array: Array, shape: tuple[int, ...]) -> int:
     Raises:
         ValueError: as `doubles` does, and for an array that is read-only.
     """
-    place = doubles(name, array, shape)
+    pointer = doubles(name, array, shape)
     if not array.flags.writeable:
         raise ValueError(f"{name} is read-only; results are written to it, so give another one")
-    return place
+    return pointer
 
 
 def finite(name: str, value: Any, shape: tuple[int, ...], *, least: float = -np.inf, one_for_all: bool = True) -> Array:
-    """Return numbers as the engine takes them, one number standing for all unless said otherwise.
+    """Convert to a float64 array of finite numbers; a scalar is broadcast if `one_for_all`.
 
     Raises:
         ValueError: for another shape, or a number that is not finite or below the least.
     """
     try:
-        given = np.asarray(value, dtype=np.float64)
+        values = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{name} is {value!r:.80}; it must be numbers") from error
-    if given.shape != shape and (given.ndim or not one_for_all):
+    if values.shape != shape and (values.ndim or not one_for_all):
         single = ", or one number" if shape and one_for_all else ""
-        raise ValueError(f"{name} has shape {given.shape}; it must be {shape or 'one number'}{single}")
-    array = np.ascontiguousarray(np.broadcast_to(given, shape)).reshape(shape)
+        raise ValueError(f"{name} has shape {values.shape}; it must be {shape or 'one number'}{single}")
+    array = np.ascontiguousarray(np.broadcast_to(values, shape)).reshape(shape)
     wrong = np.argwhere(~(np.isfinite(array) & (array >= least)))
-    # The place of a single number is empty, and yet it is one.
+    # The index of a scalar is empty.
     if len(wrong):
-        place = tuple(int(i) for i in wrong[0])
+        index = tuple(int(i) for i in wrong[0])
         limit = "finite" if least == -np.inf else f"finite and at least {least:g}"
-        raise ValueError(f"{name}{list(place) if place else ''} is {array[place]}; it must be {limit}")
+        raise ValueError(f"{name}{list(index) if index else ''} is {array[index]}; it must be {limit}")
     return array
 
 
 def indices(name: str, value: Any, columns: int, most: int) -> Indices:
-    """Return particle numbers as the engine takes them, shape (m, columns).
+    """Convert to an int64 array of particle indices, shape (m, columns).
 
     Raises:
         ValueError: for another shape, numbers that are not whole, or one that is not from 0 to below `most`.
     """
     try:
-        given = np.asarray(value)
+        values = np.asarray(value)
     except ValueError as error:
         raise ValueError(f"{name} has rows of different lengths; it must be (m, {columns})") from error
-    if given.size and given.dtype.kind not in "iu":
-        raise ValueError(f"{name} is of type {given.dtype}; particles are counted by whole numbers")
-    if given.ndim != 2 and not given.size:
-        given = given.reshape(0, columns)
-    if given.ndim != 2 or given.shape[1] != columns:
-        raise ValueError(f"{name} has shape {given.shape}; it must be (m, {columns})")
-    array = np.ascontiguousarray(given, dtype=np.int64)
+    if values.size and values.dtype.kind not in "iu":
+        raise ValueError(f"{name} is of type {values.dtype}; particles are counted by whole numbers")
+    if values.ndim != 2 and not values.size:
+        values = values.reshape(0, columns)
+    if values.ndim != 2 or values.shape[1] != columns:
+        raise ValueError(f"{name} has shape {values.shape}; it must be (m, {columns})")
+    array = np.ascontiguousarray(values, dtype=np.int64)
     wrong = np.argwhere((array < 0) | (array >= most))
     if wrong.size:
         row, column = wrong[0]
         known = f"there are {most}," if most < np.iinfo(np.int64).max else "they are"
-        raise ValueError(f"row {row} of {name} names particle {given[row, column]}; {known} counted from 0")
+        raise ValueError(f"row {row} of {name} names particle {values[row, column]}; {known} counted from 0")
     return array

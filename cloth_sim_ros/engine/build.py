@@ -28,7 +28,7 @@ from functools import partial
 from pathlib import Path
 
 ENGINE = Path(__file__).resolve().parent
-UNIT = "library.cpp"  # the only translation unit
+UNIT = "api/library.cpp"  # the only translation unit
 PATTERNS = ("**/*.cpp", "**/*.hpp", "**/*.map")  # the sources of a library, in every folder below this one
 MAX_COMPILERS = 2  # running at once: each takes some 500 MB
 COMPILERS = ("g++", "clang++", "c++")
@@ -49,7 +49,7 @@ ARITHMETIC = [
 LANGUAGE = ["-std=c++20", "-I.", "-fPIC", "-shared", "-pthread", "-fvisibility=hidden", "-fvisibility-inlines-hidden"]
 # -Wno-psabi: GCC notes that it passes vectors differently since GCC 4.6. All these functions are inside one library.
 WARNINGS = ["-Wall", "-Wextra", "-Wno-psabi"]
-LINKED = ["-Wl,--version-script=library.map"]
+LINKED = ["-Wl,--version-script=api/library.map"]
 PLAIN = ["-Werror", "-Wl,-z,defs"]
 # The baseline emulates fma and is slow at any level of optimization. -O1 halves the time to compile it.
 OPTIMIZED = {"baseline": "-O1"}

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which of the engine's libraries this machine can run, the widest vectors first."""
+"""Names of the engine's libraries that this machine can run, widest vectors first."""
 
 from __future__ import annotations
 

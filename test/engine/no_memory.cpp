@@ -27,7 +27,7 @@ void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
 void operator delete(void* memory, std::align_val_t) noexcept { std::free(memory); }
 void operator delete(void* memory, std::size_t, std::align_val_t) noexcept { std::free(memory); }
 
-#include "library.cpp"
+#include "api/library.cpp"
 
 constexpr std::int64_t rows = 8, columns = 9, n = rows * columns, runs = 4;
 

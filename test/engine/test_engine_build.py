@@ -55,7 +55,7 @@ def sources(tmp_path: Path) -> Path:
     """A small engine, with the real one's list of what a library shows."""
     folder = tmp_path / "sources"
     write_unit(folder)
-    shutil.copy(build.ENGINE / "library.map", folder)
+    shutil.copy(build.ENGINE / "api/library.map", folder / "api")
     return folder
 
 
@@ -353,7 +353,7 @@ def test_colcon_builds_the_engine(project: Path, tmp_path: Path, options: list[s
     assert ctypes.CDLL(str(engine / build.file_name(build.names_here()[0]))).cloth_at(1) == 1
     if not options:  # the installed sources build the same library
         relative = [path.relative_to(engine).as_posix() for path in build.source_files(engine)]
-        assert relative == ["core/small.hpp", build.UNIT, "library.map"]
+        assert relative == [build.UNIT, "api/library.map", "core/small.hpp"]
         assert build.build(engine, sources=engine, on_message=pytest.fail)
 
 

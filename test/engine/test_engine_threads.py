@@ -15,7 +15,7 @@ from cloth_sim_ros.engine import build
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="there is no g++")
 def test_late_thread_is_retried_after_its_delay(tmp_path: Path) -> None:
-    source, program = Path(__file__).with_name("held_cores.cpp"), tmp_path / "held_cores"
+    source, program = Path(__file__).with_name("late_thread.cpp"), tmp_path / "late_thread"
     command = ["g++", "-std=c++20", "-pthread", "-O1", *build.WARNINGS, "-I", str(Path(build.__file__).parent)]
     subprocess.run([*command, str(source), "-o", str(program)], check=True, capture_output=True, text=True)
     output = subprocess.run([program], check=True, capture_output=True, text=True, timeout=120).stdout

@@ -1,0 +1,421 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// What Python sees: a C interface, called without the interpreter's lock. binding.py checks shapes, types and ranges
+// before; arrays are (3, n) doubles by component unless said otherwise. Every call returns a Status.
+
+#include "plan/frame.hpp"
+#include "api/guard.hpp"
+#include "plan/queries.hpp"
+#include "plan/paths.hpp"
+
+#define CLOTH_API extern "C" __attribute__((visibility("default")))
+
+#include "api/band.hpp"
+
+using cloth::Plan;
+
+/// Number of this interface: the binding refuses another.
+CLOTH_API int cloth_engine_abi() { return 15; }
+/// The instruction set that this library was built for.
+CLOTH_API const char* cloth_engine_name() {
+#if defined(__AVX512F__)
+    return "avx512";
+#elif defined(__AVX2__)
+    return "avx2";
+#elif defined(__aarch64__)
+    return "neon";
+#else
+    return "baseline";
+#endif
+}
+
+CLOTH_API Plan* cloth_plan_new(std::int64_t count, const double* masses, const double* inverse) {
+    try {
+        auto plan = std::make_unique<Plan>();
+        plan->count = count;
+        plan->masses.assign(masses, masses + count);
+        plan->inverse.assign(inverse, inverse + count);
+        for (std::int64_t i = 0; i < count; ++i) plan->rank.push_back(i);
+        return plan.release();
+    } catch (const std::bad_alloc&) {
+        return nullptr;
+    }
+}
+CLOTH_API void cloth_plan_free(Plan* plan) { delete plan; }
+
+/// Families as rows of present, k_s, rest length, damping, border, parity.
+CLOTH_API int cloth_plan_grid(Plan* plan, std::int64_t rows, std::int64_t columns, const double* families) {
+    return guarded(plan, [&] {
+        cloth::Grid grid;
+        grid.rows = rows;
+        grid.columns = columns;
+        for (int f = 0; f < cloth::family_count; ++f) {
+            const double* const row = families + 6 * f;
+            grid.families[f] = {row[0] != 0.0, row[1], row[2], row[3], row[4], static_cast<int>(row[5])};
+        }
+        plan->grid = grid;
+        plan->tables = cloth::GridTables<double>(grid, plan->inverse.data());
+    });
+}
+CLOTH_API int cloth_plan_list(Plan* plan, int kind, std::int64_t count, const std::int64_t* corners, const double* params,
+                              const double* common) {
+    return guarded(plan, [&] { plan->add_list({static_cast<cloth::Kind>(kind), count, corners, params, common}); });
+}
+CLOTH_API int cloth_plan_uniform(Plan* plan, const double* gravity, const double* wind, double drag) {
+    return guarded(plan, [&] {
+        std::copy(gravity, gravity + 3, plan->gravity);
+        std::copy(wind, wind + 3, plan->wind);
+        plan->drag = drag;
+    });
+}
+/// Coefficients and wind of the panels, the only list that has numbers in common.
+CLOTH_API int cloth_plan_air(Plan* plan, const double* common) {
+    return guarded(plan, [&] {
+        for (cloth::List& list : plan->lists)
+            if (!list.numbers) std::copy(common, common + 5, list.common);
+    });
+}
+/// Place of each particle inside runs without a grid.
+CLOTH_API int cloth_plan_order(Plan* plan, const std::int64_t* rank) {
+    return guarded(plan, [&] { plan->rank.assign(rank, rank + plan->count); });
+}
+CLOTH_API int cloth_plan_callback(Plan* plan, cloth::Callback callback) {
+    return guarded(plan, [&] { plan->callback = callback; });
+}
+/// What grippers hold; cloth_plan_gripper_paths tells how they move.
+CLOTH_API int cloth_plan_grips(Plan* plan, std::int64_t grippers, std::int64_t count, const std::int64_t* particles,
+                              const std::int64_t* owners, const double* offsets, const double* stiffness,
+                              const double* damping) {
+    return guarded(plan, [&] {
+        std::vector<std::int64_t> order(count);
+        std::iota(order.begin(), order.end(), std::int64_t{0});
+        std::stable_sort(order.begin(), order.end(), [&](auto a, auto b) { return particles[a] < particles[b]; });
+        cloth::Grips grips;
+        grips.grippers = grippers;
+        grips.paths.assign(grippers * cloth::path_numbers, 0.0);
+        for (std::int64_t k : order) {
+            grips.particle.push_back(particles[k]);
+            grips.gripper.push_back(owners[k]);
+            grips.offset.push_back({offsets[3 * k], offsets[3 * k + 1], offsets[3 * k + 2]});
+            grips.stiffness.push_back(stiffness[k]);
+            grips.damping.push_back(damping[k]);
+        }
+        plan->grips = std::move(grips);
+    });
+}
+
+/// Paths of the grippers, if all their numbers are finite.
+CLOTH_API int cloth_plan_gripper_paths(Plan* plan, const double* paths) {
+    int status = ok;
+    const int call_status = guarded(plan, [&] {
+        const double* const end = paths + plan->grips.grippers * cloth::path_numbers;
+        if (std::all_of(paths, end, [](double a) { return std::isfinite(a); }))
+            plan->grips.paths.assign(paths, end);
+        else
+            status = not_finite;
+    });
+    return call_status ? call_status : status;
+}
+
+/// Obstacles: shapes, sizes, radii and friction at rest and in motion as rows of 3, 1 and 2, paths as those of grippers;
+/// thickness [m], damping [s/m], and the frequency of anchors' springs [1/s]. No contact has an anchor then.
+CLOTH_API int cloth_plan_contact(Plan* plan, std::int64_t count, const std::int64_t* shapes, const double* sizes,
+                                 const double* radii, const double* frictions, const double* paths, double thickness,
+                                 double damping, double frequency) {
+    return guarded(plan, [&] {
+        cloth::Contacts contacts;
+        for (std::int64_t k = 0; k < count; ++k)
+            contacts.obstacles.push_back({static_cast<cloth::Shape>(shapes[k]),
+                                          {sizes[3 * k], sizes[3 * k + 1], sizes[3 * k + 2]}, radii[k],
+                                          {frictions[2 * k], frictions[2 * k + 1]}});
+        contacts.paths.assign(paths, paths + count * cloth::path_numbers);
+        contacts.thickness = thickness;
+        contacts.damping = damping;
+        contacts.frequency = frequency;
+        plan->contacts = std::move(contacts);
+        plan->contacts.anchors.assign(plan->anchor_count(), 0.0);
+        if (!plan->features) return;
+        plan->features->obstacles.assign(count, {});
+        plan->features->is_active.assign(count, 0);
+    });
+}
+/// The mesh that an obstacle is: vertices (vertices, 3) [m] in its own frame, triangles (triangles, 3).
+CLOTH_API int cloth_plan_mesh(Plan* plan, std::int64_t obstacle, std::int64_t vertices, const double* positions,
+                              std::int64_t triangles, const std::int64_t* corners) {
+    return guarded(plan, [&] {
+        plan->contacts.obstacles[obstacle].mesh = std::make_shared<cloth::Mesh>(vertices, positions, triangles, corners);
+    });
+}
+/// New paths for the same obstacles.
+CLOTH_API int cloth_plan_contact_paths(Plan* plan, const double* paths) {
+    return guarded(plan, [&] { plan->contacts.paths.assign(paths, paths + plan->contacts.count() * cloth::path_numbers); });
+}
+
+/// Which obstacles are pads of grippers that pinch, two of each, that on the closing axis' positive side first. Numbers of
+/// each: present, closed, mass [kg], force [N], speed [m/s], half the way between the faces of open pads and half a pad's
+/// extent [m]. Pads are open at first.
+CLOTH_API int cloth_plan_jaws(Plan* plan, std::int64_t count, const std::int64_t* pads, const double* numbers) {
+    return guarded(plan, [&] {
+        cloth::Contacts& contacts = plan->contacts;
+        contacts.parallel_jaws.clear();
+        for (std::int64_t k = 0; k < count; ++k) {
+            const double* const a = numbers + 7 * k;
+            contacts.parallel_jaws.push_back({a[0] != 0.0, a[1] != 0.0, a[2], a[3], a[4], a[5], a[6]});
+            for (int k_jaw = 0; k_jaw < 2; ++k_jaw) {
+                cloth::Obstacle& pad = contacts.obstacles[pads[2 * k + k_jaw]];
+                pad.parallel_jaw = k;
+                pad.jaw_side = k_jaw ? -1.0 : 1.0;
+            }
+        }
+        if (contacts.jaw_states.size() == contacts.parallel_jaws.size() * cloth::jaw_state_size) return;
+        contacts.jaw_states.clear();
+        for (const cloth::ParallelJaw& jaw : contacts.parallel_jaws)
+            contacts.jaw_states.insert(contacts.jaw_states.end(), {jaw.max_half_opening, 0.0});
+    });
+}
+/// Where pads are at the start of runs, (pinches, jaw_state_size).
+CLOTH_API int cloth_plan_jaw_states(Plan* plan, const double* jaw_states) {
+    return guarded(plan, [&] { std::copy_n(jaw_states, plan->contacts.jaw_states.size(), plan->contacts.jaw_states.data()); });
+}
+/// Accelerations of half the ways between pads.
+CLOTH_API int cloth_jaw_accelerations(Plan* plan, double t, const double* x, const double* v, double* out) {
+    return guarded(plan, [&] {
+        std::vector<double> jaw_forces(plan->contacts.parallel_jaws.size(), 0.0);
+        if (plan->features) cloth::add_feature_jaw_forces(*plan, t, x, v, jaw_forces);
+        cloth::jaw_accelerations(*plan, t, x, v, jaw_forces, out);
+    });
+}
+
+CLOTH_API int cloth_frame(Plan* plan, const cloth::Frame* frame) {
+    int status = ok;
+    const int call_status = guarded(plan, [&] {
+        if (cloth::execute_frame(*plan, *frame) != cloth::RunStatus::ok) status = callback_failed;
+    });
+    return call_status ? call_status : status;
+}
+CLOTH_API int cloth_accelerations(Plan* plan, double t, const double* x, const double* v, double* out) {
+    int status = ok;
+    const int call_status = guarded(plan, [&] {
+        if (cloth::accelerations(*plan, t, x, v, out) != cloth::RunStatus::ok) status = callback_failed;
+    });
+    return call_status ? call_status : status;
+}
+
+/// Kinetic and potential energy [J] into two numbers; v may be null.
+CLOTH_API int cloth_energy(Plan* plan, double t, const double* x, const double* v, double* out) {
+    return guarded(plan, [&] {
+        const cloth::Energy e = cloth::energy_of(*plan, t, x, v);
+        out[0] = e.kinetic;
+        out[1] = e.potential;
+    });
+}
+/// Power lost to damping and drag, and given by the wind [W]; the joints of grippers aside.
+CLOTH_API int cloth_powers(Plan* plan, double t, const double* x, const double* v, double* out) {
+    return guarded(plan, [&] {
+        out[0] = out[1] = 0.0;
+        cloth::total_powers(*plan, t, x, v, out[0], out[1]);
+    });
+}
+/// Adds to (grippers, record_numbers) times the weight.
+CLOTH_API int cloth_grip_wrenches(const Plan* plan, double t, const double* x, const double* v, double weight, double* out) {
+    return guarded(plan, [&] {
+        const std::size_t size = plan->grips.grippers * cloth::record_numbers;
+        std::vector<double> wrenches(size, 0.0);
+        cloth::add_grip_wrenches(*plan, t, x, v, wrenches.data());
+        for (std::size_t k = 0; k < size; ++k) out[k] += weight * wrenches[k];
+    });
+}
+/// Adds to (obstacles, record_numbers) times the weight.
+CLOTH_API int cloth_contact_wrenches(Plan* plan, double t, const double* x, const double* v, double weight,
+                                  double* out) {
+    return guarded(plan, [&] {
+        cloth::add_contact_wrenches(*plan, t, x, v, weight, out);
+        if (plan->features) cloth::add_feature_wrenches(*plan, t, x, v, weight, out);
+    });
+}
+/// Number of particles in contact, and the least gap [m], of each obstacle.
+CLOTH_API int cloth_contact_gaps(Plan* plan, double t, const double* x, double* out) {
+    return guarded(plan, [&] {
+        cloth::contact_gaps(*plan, t, x, out);
+        if (plan->features) cloth::feature_gaps(*plan, t, x, out);
+    });
+}
+CLOTH_API int cloth_contact_bounds(Plan* plan, double t, const double* x, double* stiff, double* damp) {
+    return guarded(plan, [&] {
+        cloth::add_contact_bounds(*plan, t, x, stiff, damp);
+        if (plan->features) cloth::add_feature_bounds(*plan, t, x, stiff, damp);
+    });
+}
+/// Energy per mass that contact may have to take up from time t on, see predict_contact_energy, and the visits that it made: of
+/// all obstacles, of those with friction. Three numbers.
+CLOTH_API int cloth_predict_obstacle_contact(const Plan* plan, double t, double duration, const double* x, const double* v,
+                                  double* out) {
+    return guarded(plan, [&] {
+        cloth::VisitCounts visits;
+        out[0] = cloth::predict_contact_energy(*plan, t, duration, x, v, &visits);
+        out[1] = static_cast<double>(visits.all);
+        out[2] = static_cast<double>(visits.with_friction);
+    });
+}
+/// Anchors that runs start with, as `Contacts` has them.
+CLOTH_API int cloth_contact_anchors(Plan* plan, const double* anchors) {
+    return guarded(plan, [&] { plan->contacts.anchors.assign(anchors, anchors + plan->contacts.anchors.size()); });
+}
+/// Anchors after runs that ended with some of their own, see combine_anchors.
+CLOTH_API int cloth_combine_anchors(Plan* plan, double t, const double* x, const double* v, std::int64_t runs,
+                                   const double* weights, const double* ends, double* out) {
+    return guarded(plan, [&] {
+        cloth::combine_anchors(*plan, t, x, v, runs, weights, ends, out);
+        cloth::combine_self_anchors(*plan, t, x, v, runs, weights, ends, out);
+    });
+}
+/// Whether a particle meets an obstacle on its straight way from x0 at time t to x1.
+CLOTH_API int cloth_ccd_obstacles(const Plan* plan, double t, double duration, const double* x0, const double* x1,
+                                    std::int64_t* out) {
+    return guarded(plan, [&] { *out = cloth::ccd_obstacles(*plan, t, duration, x0, x1) ? 1 : 0; });
+}
+/// Reduced thickness of contacts at a time, (obstacles + 1, n + 1), and the rates at which they regain the whole one, see
+/// ReducedThickness. None where the numbers are null. Obstacles that are laid anew have the whole thickness.
+CLOTH_API int cloth_contact_thickness(Plan* plan, const double* at_start, const double* rates, double start) {
+    return guarded(plan, [&] {
+        cloth::Contacts& contacts = plan->contacts;
+        contacts.reduced = {};
+        if (!at_start) return;
+        const std::int64_t size = (contacts.count() + 1) * (plan->count + 1);
+        contacts.reduced.at_start.assign(at_start, at_start + size);
+        contacts.reduced.at_start.resize(size + cloth::lanes<double>, contacts.thickness);
+        contacts.reduced.rates.assign(rates, rates + size);
+        contacts.reduced.rates.resize(size + cloth::lanes<double>, 0.0);
+        contacts.reduced.full = contacts.thickness;
+        contacts.reduced.start = start;
+    });
+}
+/// The gap of each contact [m], rows and columns as above; infinite where it is none or nothing is near.
+CLOTH_API int cloth_contact_gap_rows(Plan* plan, double t, const double* x, double* out) {
+    return guarded(plan, [&] {
+        const std::int64_t columns = plan->count + 1, rows = plan->contacts.count() + 1;
+        std::fill(out, out + rows * columns, std::numeric_limits<double>::infinity());
+        cloth::contact_gap_rows(*plan, t, x, out);
+        if (plan->features) cloth::feature_gap_column(*plan, t, x, out);
+        if (plan->self) cloth::self_gap_row(*plan, x, out + (rows - 1) * columns);
+    });
+}
+/// Power of contacts that regain their thickness [W].
+CLOTH_API int cloth_contact_growth_power(Plan* plan, double t, const double* x, const double* v, double* out) {
+    return guarded(plan, [&] {
+        *out = cloth::contact_growth_power(*plan, t, x, v);
+        if (plan->self) *out += cloth::self_growth_power(*plan, t, x, v);
+        if (plan->features) *out += cloth::feature_growth_power(*plan, t, x, v);
+    });
+}
+/// Squared frequency and damping rate of contact that has taken up so much.
+CLOTH_API int cloth_contact_limits(const Plan* plan, double energy, double* out) {
+    return guarded(plan, [&] {
+        const cloth::ContactLimits limits(plan->contacts, energy);
+        out[0] = limits.omega2;
+        out[1] = limits.damping;
+    });
+}
+CLOTH_API int cloth_spectral_bounds(Plan* plan, const double* x, const double* stiff, const double* damp, std::int64_t hinges,
+                         double* out) {
+    return guarded(plan, [&] {
+        const cloth::SpectralBounds r = cloth::spectral_bounds(*plan, x, stiff, damp, hinges != 0);
+        const double numbers[5] = {r.omega2, r.damping, r.hinge_omega2, r.hinge_damping, r.transverse_omega2};
+        std::copy(numbers, numbers + 5, out);
+    });
+}
+CLOTH_API int cloth_bounds(const Plan* plan, const double* x, double* stiff, double* damp) {
+    return guarded(plan, [&] { cloth::add_bounds(*plan, x, stiff, damp); });
+}
+CLOTH_API int cloth_eigenvalues(const double* blocks, std::int64_t n, double* out) {
+    return guarded([&] { cloth::eigenvalues(blocks, n, out); });
+}
+CLOTH_API int cloth_derivative_product(Plan* plan, double t, const double* x, const double* v, const double* dx,
+                            const double* dv, double* out) {
+    return guarded(plan, [&] { cloth::add_product(*plan, t, x, v, dx, dv, out); });
+}
+/// Blocks of a list of springs or joints, in its own order; see pair_blocks.
+CLOTH_API int cloth_pair_blocks(const Plan* plan, std::int64_t list, const double* x, double stiffness, double damping,
+                                double* out) {
+    return guarded(plan, [&] { cloth::pair_blocks(plan->lists[list], x, plan->count, stiffness, damping, out); });
+}
+/// Paths over a frame, see path_to, of so many poses (count, 7), twists (count, 6), displacements and turns of the frame
+/// before (count, 6), and targets (count, 7): the paths, the twists at their end, the displacements and turns, and by how
+/// much each displacement differs from that of the frame before [m], at most, along an axis.
+CLOTH_API int cloth_paths(std::int64_t count, double t, double duration, const double* poses, const double* twists,
+                          const double* previous, const double* targets, double* paths, double* end_twists, double* motions,
+                          double* changes) {
+    return guarded([&] {
+        for (std::int64_t k = 0; k < count; ++k) {
+            const double *const previous_motion = previous + 6 * k, *const motion = motions + 6 * k;
+            cloth::path_to(t, duration, poses + 7 * k, twists + 6 * k, previous_motion, targets + 7 * k,
+                           paths + k * cloth::path_numbers, end_twists + 6 * k, motions + 6 * k);
+            changes[k] = 0.0;
+            for (int i = 0; i < 3; ++i) changes[k] = std::max(changes[k], std::abs(motion[i] - previous_motion[i]));
+        }
+    });
+}
+/// Rotation vector [rad] from one unit quaternion x, y, z, w to another.
+CLOTH_API int cloth_rotation_vector(const double* start, const double* end, double* out) {
+    return guarded([&] { cloth::rotation_vector(start, end, out); });
+}
+/// 18 numbers of a gripper's pose on its path: place, speed, rotation matrix by rows, spin.
+CLOTH_API int cloth_pose(const double* path, double t, double* out) {
+    return guarded([&] {
+        const cloth::Pose p = cloth::pose_at(path, t);
+        const auto put = [&](int at, cloth::Vec3<double> a) { out[at] = a.x, out[at + 1] = a.y, out[at + 2] = a.z; };
+        put(0, p.position);
+        put(3, p.velocity);
+        for (int j = 0; j < 3; ++j) out[6 + j] = p.rotation[j].x, out[9 + j] = p.rotation[j].y, out[12 + j] = p.rotation[j].z;
+        put(15, p.spin);
+    });
+}
+
+/// out = the weighted sum of arrays.
+CLOTH_API int cloth_combine(std::int64_t arrays, const double* const* from, const double* weights, std::int64_t size,
+                            double* out) {
+    return guarded([&] { cloth::combine(arrays, from, weights, size, out); });
+}
+/// Largest distance of a particle in two arrays (3, n) [m]; infinite where a number is none.
+CLOTH_API int cloth_distance(const double* x, const double* y, std::int64_t n, double* out) {
+    return guarded([&] { *out = cloth::largest_distance(x, y, n); });
+}
+/// Sum of m_i a_i . b_i over particles, in their order.
+CLOTH_API int cloth_weighted_dot(const double* m, const double* a, const double* b, std::int64_t n, double* out) {
+    return guarded([&] {
+        double sum = 0.0;
+        for (std::int64_t i = 0; i < n; ++i) sum += m[i] * cloth::dot(cloth::particle(a, n, i), cloth::particle(b, n, i));
+        *out = sum;
+    });
+}
+/// Signed lengths h [m] of hinges (count, 4) of kind crossed or altitude, NaN where undefined, and, where `squares` is not
+/// null, |dh/dx|^2 of their four corners (count, 4).
+CLOTH_API int cloth_hinge_lengths(int kind, std::int64_t count, const std::int64_t* corners, const double* x, std::int64_t n,
+                            double* lengths, double* squares) {
+    return guarded([&] {
+        const std::vector<double> params(3 * count, 0.0);
+        const cloth::List list(static_cast<cloth::Kind>(kind), count, corners, params.data(), nullptr);
+        const auto evaluate = [&](auto law) {
+            using Law = decltype(law);
+            for (std::int64_t e = 0; e < count; ++e) {
+                const cloth::ElementState<Law> s(list, e, x, nullptr, n);
+                double square, limit;
+                cloth::Vec3<double> area[3];
+                Law::areas(s.d, square, limit, area);
+                const auto l = Law::length(s.d);
+                lengths[e] = square > limit ? l.h : __builtin_nan("");
+                if (!squares) continue;
+                squares[4 * e] = cloth::norm2(-(l.gradient[0] + l.gradient[1] + l.gradient[2]));
+                for (int i = 0; i < 3; ++i) squares[4 * e + 1 + i] = cloth::norm2(l.gradient[i]);
+            }
+        };
+        if (list.kind == cloth::Kind::crossed)
+            evaluate(cloth::Crossed{});
+        else
+            evaluate(cloth::Altitude{});
+    });
+}
+
+#include "api/features.hpp"
+#include "api/self_contact.hpp"

@@ -1,0 +1,311 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// What of a cloth may come near other parts of it: particles and triangles, edges and edges, found by a grid of cells. A
+// list of pairs holds until something has moved too far, and no bit depends on when it was made.
+#pragma once
+
+#include <bit>
+#include <cmath>
+
+#include "contact/primitives.hpp"
+#include "contact/surface.hpp"
+
+namespace cloth {
+
+/// Where particles are, as quads.
+struct Quads {
+    const double* from;
+    CLOTH_INLINE Vec3<double> operator()(std::int64_t i) const { return {from[4 * i], from[4 * i + 1], from[4 * i + 2]}; }
+};
+
+/// Pairs by index, ascending by the first and then by the second; each with a vector's worth of room behind.
+struct PairList {
+    std::vector<Index> first, second;
+    std::size_t size() const { return first.size(); }
+    void clear() {
+        first.clear();
+        second.clear();
+    }
+    void add(Index a, Index b) {
+        first.push_back(a);
+        second.push_back(b);
+    }
+    /// In order, where the seconds of each first ascend already.
+    void sort(std::int64_t firsts) { sort(first, second, firsts); }
+    /// In order, both being below a number.
+    void sort_both(std::int64_t limit) {
+        sort(second, first, limit);
+        sort(first, second, limit);
+    }
+
+private:
+    /// By one of each pair, which is below a number; those with the same one stay in their order.
+    static void sort(std::vector<Index>& by, std::vector<Index>& paired, std::int64_t limit) {
+        std::vector<Index> offset(limit + 1, 0);
+        for (const Index a : by) ++offset[a + 1];
+        for (std::int64_t i = 0; i < limit; ++i) offset[i + 1] += offset[i];
+        std::vector<Index> sorted(by.size()), along(by.size());
+        for (std::size_t k = 0; k < by.size(); ++k) {
+            const Index to = offset[by[k]]++;
+            sorted[to] = by[k];
+            along[to] = paired[k];
+        }
+        by.swap(sorted);
+        paired.swap(along);
+    }
+};
+
+/// Squared distances of pairs, a vector of them at a time: `see` gives each one's corners by `corner(k)`.
+template <int Corners, class F, class D>
+inline void squares(std::size_t size, const double* x, F&& corners, D&& distance, double* out) {
+    using V = vec<double>;
+    for (std::size_t k = 0; k < size; k += lanes<double>) {
+        quad<double> rows[Corners][lanes<double>];
+        for (int lane = 0; lane < lanes<double>; ++lane) {
+            const std::array<Index, Corners> c = corners(std::min(k + lane, size - 1));
+            for (int j = 0; j < Corners; ++j) rows[j][lane] = load4(x + 4 * c[j]);
+        }
+        Vec3<V> at[Corners];
+        for (int j = 0; j < Corners; ++j) deinterleave(rows[j], at[j].x, at[j].y, at[j].z);
+        store(out + k, distance(at));
+    }
+}
+
+/// Points by the cells of a grid that they are in. Cells next to each other along x follow each other, and so do their
+/// points: a row of cells is one range of places.
+class Cells {
+public:
+    /// A grid for so many points, of cells of a size [m] or larger ones, so that there are not many more than points.
+    Cells(std::int64_t points, double size) : size_(size), cell_(points), order_(points) {}
+    /// Take in all points, `at(i)`.
+    template <class F>
+    void fill(F&& at) {
+        const std::int64_t points = static_cast<std::int64_t>(cell_.size());
+        if (!points) return;
+        Vec3<double> high = low_ = at(0);
+        for (std::int64_t i = 1; i < points; ++i) {
+            const Vec3<double> p = at(i);
+            low_ = {smaller(p.x, low_.x), smaller(p.y, low_.y), smaller(p.z, low_.z)};
+            high = {larger(p.x, high.x), larger(p.y, high.y), larger(p.z, high.z)};
+        }
+        const Vec3<double> extent = high - low_;
+        const double max_cells = 4.0 * static_cast<double>(points) + 64.0;
+        const auto cells_along = [&](double length) { return length < 1e300 ? std::floor(length / size_) + 1.0 : 1.0; };
+        while (cells_along(extent.x) * cells_along(extent.y) * cells_along(extent.z) > max_cells) size_ *= 1.5;
+        n_cells_[0] = cells_along(extent.x), n_cells_[1] = cells_along(extent.y), n_cells_[2] = cells_along(extent.z);
+        start_.assign(static_cast<std::size_t>(n_cells_[0] * n_cells_[1] * n_cells_[2]) + 1, 0);
+        for (std::int64_t i = 0; i < points; ++i) {
+            const Vec3<double> p = at(i);
+            cell_[i] = cell(cell_index(p.x - low_.x, 0), cell_index(p.y - low_.y, 1), cell_index(p.z - low_.z, 2));
+            ++start_[cell_[i] + 1];
+        }
+        for (std::size_t k = 1; k < start_.size(); ++k) start_[k] += start_[k - 1];
+        std::vector<std::int64_t> next(start_.begin(), start_.end() - 1);
+        for (std::int64_t i = 0; i < points; ++i) order_[next[cell_[i]]++] = static_cast<Index>(i);
+    }
+    /// The point at a place.
+    Index operator[](std::int64_t slot) const { return order_[slot]; }
+    /// Call `what` with the first place and the one behind the last of each row of cells in a box.
+    template <class F>
+    void for_each_row(Vec3<double> low, Vec3<double> high, F&& visit) const {
+        if (order_.empty()) return;
+        const Vec3<double> from = low - low_, to = high - low_;
+        const std::int64_t first = cell_index(from.x, 0), last = cell_index(to.x, 0);
+        for (std::int64_t k = cell_index(from.z, 2); k <= cell_index(to.z, 2); ++k)
+            for (std::int64_t j = cell_index(from.y, 1); j <= cell_index(to.y, 1); ++j) {
+                const std::int64_t begin = start_[cell(first, j, k)], end = start_[cell(last, j, k) + 1];
+                if (begin < end) visit(begin, end);
+            }
+    }
+    /// Call `what` with each point in the cells of a box.
+    template <class F>
+    void for_each(Vec3<double> low, Vec3<double> high, F&& visit) const {
+        for_each_row(low, high, [&](std::int64_t begin, std::int64_t end) {
+            for (std::int64_t slot = begin; slot < end; ++slot) visit(order_[slot]);
+        });
+    }
+
+private:
+    /// The number of the cell along an axis, of the outermost one for what is outside.
+    std::int64_t cell_index(double a, int axis) const {
+        return static_cast<std::int64_t>(larger(smaller(std::floor(a / size_), n_cells_[axis] - 1.0), 0.0));
+    }
+    std::int64_t cell(std::int64_t i, std::int64_t j, std::int64_t k) const {
+        return i + static_cast<std::int64_t>(n_cells_[0]) * (j + static_cast<std::int64_t>(n_cells_[1]) * k);
+    }
+    double size_;
+    Vec3<double> low_{};
+    double n_cells_[3] = {1.0, 1.0, 1.0};  ///< cells along each axis
+    std::vector<std::int64_t> start_, cell_;
+    std::vector<Index> order_;
+};
+
+/// Boxes, or points, in the order of cells, so that a row of them is compared with a box a vector at a time.
+class SortedBoxes {
+public:
+    explicit SortedBoxes(std::int64_t count) {
+        for (auto* all : {&low_, &high_})
+            for (auto& numbers : *all) numbers.resize(count + lanes<double>);
+    }
+    void put(std::int64_t slot, Vec3<double> low, Vec3<double> high) {
+        low_[0][slot] = low.x, low_[1][slot] = low.y, low_[2][slot] = low.z;
+        high_[0][slot] = high.x, high_[1][slot] = high.y, high_[2][slot] = high.z;
+    }
+    /// Call `what` with each place of a range, which may be empty, whose box meets another one.
+    template <class F>
+    void for_each_overlap(std::int64_t begin, std::int64_t end, Vec3<double> low, Vec3<double> high, F&& visit) {
+        using V = vec<double>;
+        const V unit = splat<V>(1.0);
+        for (std::int64_t k = begin; k < end; k += lanes<double>) {
+            // The least way into the box along an axis, negative outside it.
+            const auto axis_overlap = [&](int axis, double from, double to) CLOTH_INLINED {
+                return smaller(V(load(high_[axis].data() + k) - from * unit), V(to * unit - load(low_[axis].data() + k)));
+            };
+            const V overlap = smaller(smaller(axis_overlap(0, low.x, high.x), axis_overlap(1, low.y, high.y)), axis_overlap(2, low.z, high.z));
+            unsigned bits = bits_of(overlap >= V{});
+            if (end - k < lanes<double>) bits &= (1u << (end - k)) - 1u;
+            for (; bits; bits &= bits - 1u) visit(k + std::countr_zero(bits));
+        }
+    }
+
+private:
+    std::vector<double> low_[3], high_[3];
+};
+
+/// The pairs of a surface that are within a reach of each other where `make` looked.
+class SurfacePairs {
+public:
+    PairList triangles;  ///< particle, triangle
+    PairList edges;      ///< edge, later edge
+    double reach = -1.0;
+
+    /// All pairs within a reach [m] at positions x, quads; of edges those within a reach that is `less` [m] shorter.
+    void build(const Surface& s, const double* x, double max_distance, double edge_reduction = 0.0) {
+        reach = max_distance;
+        triangles.clear();
+        edges.clear();
+        if (s.triangles.empty()) return;
+        const Quads at{x};
+        double length = 0.0;
+        for (const auto& e : s.edges) length = larger(norm2(at(e[0]) - at(e[1])), length);
+        length = root(length);
+        find_triangles(s, at, length);
+        find_edges(s, at, length, max_distance - edge_reduction);
+    }
+    /// Squares of the distances of pairs in a list, and whether a vector of them fits behind.
+    void triangle_squares(const Surface& s, const double* x, std::vector<double>& out) const {
+        out.resize(triangles.size() + lanes<double>);
+        const auto corners = [&](std::size_t k) CLOTH_INLINED {
+            const auto& t = s.triangles[triangles.second[k]];
+            return std::array<Index, 4>{triangles.first[k], t[0], t[1], t[2]};
+        };
+        const auto distance = [](const Vec3<vec<double>>* at) CLOTH_INLINED {
+            return near_triangle(at[0], at[1], at[2], at[3]).square;
+        };
+        squares<4>(triangles.size(), x, corners, distance, out.data());
+    }
+    void edge_squares(const Surface& s, const double* x, std::vector<double>& out) const {
+        out.resize(edges.size() + lanes<double>);
+        const auto corners = [&](std::size_t k) CLOTH_INLINED {
+            const auto &a = s.edges[edges.first[k]], &b = s.edges[edges.second[k]];
+            return std::array<Index, 4>{a[0], a[1], b[0], b[1]};
+        };
+        const auto distance = [](const Vec3<vec<double>>* at) CLOTH_INLINED {
+            return near_segments(at[0], at[1], at[2], at[3]).square;
+        };
+        squares<4>(edges.size(), x, corners, distance, out.data());
+    }
+
+private:
+    struct Box {
+        Vec3<double> low, high;
+        explicit Box(Vec3<double> a) : low(a), high(a) {}
+        void include(Vec3<double> a) {
+            low = {smaller(a.x, low.x), smaller(a.y, low.y), smaller(a.z, low.z)};
+            high = {larger(a.x, high.x), larger(a.y, high.y), larger(a.z, high.z)};
+        }
+        Box expanded(double by) const {
+            const Vec3<double> margin{by, by, by};
+            Box b(low - margin);
+            b.high = high + margin;
+            return b;
+        }
+    };
+
+    /// Keep those of a list that are within a reach.
+    static void prune(PairList& list, const std::vector<double>& squares, double reach) {
+        std::size_t n_left = 0;
+        for (std::size_t k = 0; k < list.size(); ++k) {
+            list.first[n_left] = list.first[k];
+            list.second[n_left] = list.second[k];
+            n_left += squares[k] < reach * reach ? 1 : 0;
+        }
+        list.first.resize(n_left);
+        list.second.resize(n_left);
+    }
+    void find_triangles(const Surface& s, const Quads& at, double length) {
+        Cells cells(s.count, fineness * (length + reach));
+        cells.fill(at);
+        SortedBoxes points(s.count);
+        for (std::int64_t slot = 0; slot < s.count; ++slot) points.put(slot, at(cells[slot]), at(cells[slot]));
+        for (std::size_t t = 0; t < s.triangles.size(); ++t) {
+            Box box(at(s.triangles[t][0]));
+            box.include(at(s.triangles[t][1]));
+            box.include(at(s.triangles[t][2]));
+            box = box.expanded(reach);
+            cells.for_each_row(box.low, box.high, [&](std::int64_t begin, std::int64_t end) {
+                points.for_each_overlap(begin, end, box.low, box.high, [&](std::int64_t slot) {
+                    const Index i = cells[slot];
+                    if (!s.has(t, i)) triangles.add(i, static_cast<Index>(t));
+                });
+            });
+        }
+        std::vector<double> distances;
+        triangle_squares(s, at.from, distances);
+        prune(triangles, distances, reach);
+        triangles.sort(s.count);
+    }
+    void find_edges(const Surface& s, const Quads& at, double length, double reach) {
+        const std::int64_t count = static_cast<std::int64_t>(s.edges.size());
+        std::vector<Box> boxes;
+        boxes.reserve(count);
+        for (const auto& e : s.edges) {
+            boxes.emplace_back(at(e[0]));
+            boxes.back().include(at(e[1]));
+        }
+        // Edges stand in their middles' cells; none reaches further than half the largest extent along an axis.
+        Vec3<double> half{};
+        for (const Box& box : boxes) {
+            const Vec3<double> extent = 0.5 * (box.high - box.low);
+            half = {larger(extent.x, half.x), larger(extent.y, half.y), larger(extent.z, half.z)};
+        }
+        Cells cells(count, fineness * (length + reach));
+        cells.fill([&](std::int64_t e) { return 0.5 * (boxes[e].low + boxes[e].high); });
+        SortedBoxes sorted(count);
+        for (std::int64_t slot = 0; slot < count; ++slot)
+            sorted.put(slot, boxes[cells[slot]].low, boxes[cells[slot]].high);
+        // Each pair is met once: by the one that comes first in the order of cells.
+        for (std::int64_t edge_slot = 0; edge_slot < count; ++edge_slot) {
+            const Index e = cells[edge_slot];
+            const Box box = boxes[e].expanded(reach);
+            const auto& a = s.edges[e];
+            cells.for_each_row(box.low - half, box.high + half, [&](std::int64_t begin, std::int64_t end) {
+                sorted.for_each_overlap(std::max(begin, edge_slot + 1), end, box.low, box.high, [&](std::int64_t slot) {
+                    const Index edge2 = cells[slot];
+                    const auto& b = s.edges[edge2];
+                    if (a[0] != b[0] && a[0] != b[1] && a[1] != b[0] && a[1] != b[1])
+                        edges.add(std::min(e, edge2), std::max(e, edge2));
+                });
+            });
+        }
+        std::vector<double> distances;
+        edge_squares(s, at.from, distances);
+        prune(edges, distances, reach);
+        edges.sort_both(count);
+    }
+    /// Size of a grid's cells, as a fraction of how far what is in them may be looked for.
+    static constexpr double fineness = 0.5;
+};
+
+}  // namespace cloth

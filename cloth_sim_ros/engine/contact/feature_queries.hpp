@@ -1,0 +1,386 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// What is asked of obstacles' points and edges beside their forces: energy, powers, bounds, derivative product, what is
+// about to happen, and what would pass through what. Arrays are (3, n) by component.
+#pragma once
+
+#include "contact/feature_run.hpp"
+#include "contact/self_queries.hpp"
+
+namespace cloth {
+
+/// Call `what` with each meeting at time t, positions x and velocities v, and with derivatives dx and dv where V has them,
+/// as `what(law, obstacle, from, meeting)`. Nothing meets where particles have no place. With `whole` contacts have the
+/// whole thickness.
+template <class V, class F>
+inline void for_each_feature_contact(Plan& plan, double t, const double* const (&x)[2], const double* const (&v)[2],
+                                     F&& visit, bool ignore_reduction = false) {
+    FeatureContactModel& contact = *plan.features;
+    const Contacts& contacts = plan.contacts;
+    FeatureLaw<V> law(contacts.thickness, contacts.damping, contact.mass);
+    Array<double> quads[4];
+    FeatureContact<V> m;
+    for (std::int64_t k = 0; k < contacts.count(); ++k) {
+        FeatureVerletList& neighbors = contact.obstacles[k];
+        if (!contact.has(contacts, k)) continue;
+        if (quads[0].empty())
+            for (int a = 0; a < 4; ++a) quads[a] = quads_of(plan, a < 2 ? x[a] : v[a - 2]);
+        const Pose pose = contacts.obstacle_pose(k, t);
+        if (!neighbors.find(contact.surface, quads[0].data(), pose, law.thickness(), 0.0)) continue;
+        law.reduce(ignore_reduction ? full_thickness<double>() : contacts.reduced.scaling(k, plan.count, plan.count + 1, t));
+        const auto of = [&](int a) {
+            return [value = Quads{quads[a].data()}, slope = Quads{quads[a + 1].data()}](Index c) {
+                if constexpr (std::is_same_v<V, double>)
+                    return value(c);
+                else
+                    return with_slope(value(c), slope(c));
+            };
+        };
+        const FeaturesAt from{neighbors.features, pose, pose.position - pose_at(contacts.path(k), t).position};
+        for_each_feature_contact<V>(contact, neighbors, pose, law, of(0), of(2), m,
+                                    [&](const FeatureContact<V>& term) { visit(law, k, from, term); });
+    }
+}
+
+inline double feature_energy(Plan& plan, double t, const double* x) {
+    double total = 0.0;
+    for_each_feature_contact<double>(plan, t, {x, nullptr}, {nullptr, nullptr},
+                                     [&](const auto& law, auto, const auto&, const auto& m) { total += law.energy(m); });
+    return total;
+}
+/// Wrench on each obstacle about its place, work on the cloth and loss, as rates: added to (obstacles, record_numbers).
+inline void add_feature_wrenches(Plan& plan, double t, const double* x, const double* v, double weight, double* wrenches) {
+    for_each_feature_contact<double>(
+        plan, t, {x, nullptr}, {v, nullptr}, [&](const auto& law, std::int64_t k, const FeaturesAt& from, const auto& m) {
+            double* const to = wrenches + k * record_numbers;
+            law.forces(m, [](Index, Vec3<double>) {},
+                       [&](Index point, Vec3<double> force) { FeatureRun::accumulate(to, from, point, force, weight); });
+            to[record_numbers - 1] += weight * law.dissipation(m);
+        });
+}
+/// Power of the growth of contacts with a reduced thickness [W].
+inline double feature_growth_power(Plan& plan, double t, const double* x, const double* v) {
+    double power = 0.0;
+    for_each_feature_contact<double>(plan, t, {x, nullptr}, {v, nullptr},
+                                     [&](const auto& law, auto, const auto&, const auto& m) { power += law.growth_power(m); });
+    return power;
+}
+/// Add what moves pads outward [N], by the pinch.
+inline void add_feature_jaw_forces(Plan& plan, double t, const double* x, const double* v, std::vector<double>& jaw_forces) {
+    const Contacts& contacts = plan.contacts;
+    for_each_feature_contact<double>(
+        plan, t, {x, nullptr}, {v, nullptr}, [&](const auto& law, std::int64_t k, const FeaturesAt& from, const auto& m) {
+            if (!contacts.jaw_of(k)) return;
+            law.forces(m, [](Index, Vec3<double>) {}, [&](Index, Vec3<double> force) {
+                jaw_forces[contacts.obstacles[k].parallel_jaw] += contacts.obstacles[k].jaw_side * dot(from.pose.rotation[1], force);
+            });
+        });
+}
+/// Add blocks that bound stiffness and damping: of a gap k |w_c| n n' at corner c. What counts with the other sign, and
+/// what fades, only softens.
+inline void add_feature_bounds(Plan& plan, double t, const double* x, double* stiff, double* damp) {
+    std::vector<std::int64_t> particle_of_rank(plan.count);
+    for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
+    for_each_feature_contact<double>(
+        plan, t, {x, nullptr}, {nullptr, nullptr}, [&](const auto& law, auto, const auto&, const auto& m) {
+            for (const auto& g : m.gaps) {
+                if (g.sign < 0.0) continue;
+                const double mass = law.mass() * (m.edges ? m.fade_factor : 1.0);
+                const double k = mass * law.law().stiffness(g.gap), c = mass * law.law().damping(g.gap);
+                for (int corner = 0; corner < g.corners; ++corner) {
+                    const std::int64_t i = particle_of_rank[g.corner[corner]];
+                    if (stiff) add_block(stiff, plan.count, i, outer(k * g.weight[corner], g.normal, 0.0));
+                    if (damp) add_block(damp, plan.count, i, outer(c * g.weight[corner], g.normal, 0.0));
+                }
+            }
+        });
+}
+/// Add (df/dx) dx + (df/dv) dv to out, by the law itself on numbers with derivatives.
+inline void add_feature_product(Plan& plan, double t, const double* x, const double* v, const double* dx,
+                                const double* dv, double* out) {
+    std::vector<std::int64_t> particle_of_rank(plan.count);
+    for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
+    for_each_feature_contact<Dual>(
+        plan, t, {x, dx}, {v, dv}, [&](const auto& law, auto, const auto&, const auto& m) {
+            law.forces(m,
+                       [&](Index c, Vec3<Dual> force) {
+                           out[particle_of_rank[c]] += force.x.slope;
+                           out[plan.count + particle_of_rank[c]] += force.y.slope;
+                           out[2 * plan.count + particle_of_rank[c]] += force.z.slope;
+                       },
+                       [](Index, Vec3<Dual>) {});
+        });
+}
+/// Least gap to each obstacle's features, where it is below that of particles, into column 1 of (obstacles, 2).
+inline void feature_gaps(Plan& plan, double t, const double* x, double* out) {
+    for_each_feature_contact<double>(plan, t, {x, nullptr}, {nullptr, nullptr},
+                                     [&](const auto&, std::int64_t k, const auto&, const auto& m) {
+                                         out[2 * k + 1] = smaller(m.min_gap(), out[2 * k + 1]);
+                                     },
+                                     true);
+}
+/// The least gap of each obstacle's points and edges within half the thickness, in units of the whole one, into the last
+/// column of (obstacles + 1, n + 1).
+inline void feature_gap_column(Plan& plan, double t, const double* x, double* out) {
+    for_each_feature_contact<double>(plan, t, {x, nullptr}, {nullptr, nullptr},
+                                     [&](const auto&, std::int64_t k, const auto&, const auto& m) {
+                                         double& to = out[k * (plan.count + 1) + plan.count];
+                                         to = smaller(2.0 * m.min_gap(), to);
+                                     },
+                                     true);
+}
+
+/// Squared frequency and damping rate that contact with features comes to where it takes up what it holds, and what comes
+/// into contact within a duration [s] as it moves at time t, times `expected`. Infinite where a ball or an edge with a
+/// radius is within the cloth, and where particles have no place.
+inline ContactBounds predict_feature_contact(Plan& plan, double t, double duration, double expected, const double* x, const double* v) {
+    FeatureContactModel& contact = *plan.features;
+    const Contacts& contacts = plan.contacts;
+    // Mostly particles keep everything out.
+    if (!contact.has_any(contacts)) return {};
+    FeatureLaw<double> law = contact.law(contacts);
+    const double infinite = std::numeric_limits<double>::infinity();
+    const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, v);
+    const Quads at{positions.data()}, velocity{velocities.data()};
+    FeatureStiffnessBound bound(contact.mass);
+    FeatureContact<double> m;
+    for (std::int64_t k = 0; k < contacts.count(); ++k) {
+        FeatureVerletList& neighbors = contact.obstacles[k];
+        if (!contact.has(contacts, k)) continue;
+        const Pose pose = contacts.driven_pose(k, t, duration);
+        bound.set_obstacle(contacts, k);
+        law.reduce(contacts.reduced.scaling(k, plan.count, plan.count + 1, t));
+        MotionBound motion;
+        for (std::int64_t i = 0; i < plan.count; ++i) motion.include(load4(velocities.data() + 4 * i));
+        motion.include(quad<double>{pose.velocity.x, pose.velocity.y, pose.velocity.z, 0.0});
+        const double speed = motion.diameter() + root(norm2(pose.spin)) * neighbors.features.reach;
+        // A later call sees farther pairs.
+        const double margin = smaller(speed * duration, 2.0 * contact.surface.shortest);
+        if (!neighbors.find(contact.surface, positions.data(), pose, law.thickness(), margin)) return {infinite, infinite};
+        for_each_feature_contact<double>(contact, neighbors, pose, law, at, velocity, m,
+                                         [&](const auto& term) { bound.include(contact.surface, term); }, &bound, duration);
+    }
+    bound.flush();
+    if (bound.gap <= 0.0) return {infinite, infinite};
+    return bound.bounds(law, expected);
+}
+
+/// Whether features of an obstacle that moves from a pose to another one pass through the cloth, or it through them, on
+/// straight ways of its particles meanwhile, quads: each pair is followed by its gap, which no way is shorter than.
+inline bool ccd_obstacle_features(FeatureContactModel& contact, std::int64_t k, double thickness, const Pose& start_pose, const Pose& end_pose,
+                            const double* from, const double* to) {
+    const Surface& s = contact.surface;
+    const Quads start{from}, end{to};
+    FeatureVerletList& neighbors = contact.obstacles[k];
+    const Features& features = neighbors.features;
+    const FeaturesAt begin{features, start_pose}, finish{features, end_pose};
+    MotionBound motion;
+    for (std::int64_t i = 0; i < s.count; ++i) motion.include(load4(to + 4 * i) - load4(from + 4 * i));
+    const Vec3<double> displacement = end_pose.position - start_pose.position;
+    motion.include(quad<double>{displacement.x, displacement.y, displacement.z, 0.0});
+    const double max_motion = motion.diameter() + rotation_displacement(start_pose, end_pose, features.reach);
+    if (!neighbors.find(s, from, start_pose, thickness, max_motion)) return true;
+    // Positions along the way, and by how much the sides approach at most from its start to its end.
+    const auto intersects = [&](int corners, const Index* corner, Index a, Index b, auto&& square) {
+        Vec3<double> displacements[3];
+        for (int c = 0; c < corners; ++c) displacements[c] = end(corner[c]) - start(corner[c]);
+        const Vec3<double> pa = begin.position(a), pb = begin.position(b), wa = finish.position(a) - pa, wb = finish.position(b) - pb;
+        double length = 0.0;
+        for (int c = 0; c < corners; ++c) length = larger(root(norm2(displacements[c] - wa)), length);
+        length += root(norm2(wb - wa));
+        double fraction = 0.0;
+        for (int iteration = 0; fraction < 1.0; ++iteration) {
+            Vec3<double> at[3];
+            for (int c = 0; c < corners; ++c) at[c] = start(corner[c]) + fraction * displacements[c];
+            const double gap = root(square(at, pa + fraction * wa, pb + fraction * wb)) - features.radius;
+            if (!(gap > 1e-3 * thickness) || iteration > 1000) return true;
+            if (!(length > 0.0)) return false;
+            fraction += gap / length;
+        }
+        return false;
+    };
+    for (std::size_t pair = 0; pair < neighbors.triangles.size(); ++pair) {
+        const Index point = neighbors.triangles.first[pair];
+        const auto square = [](const Vec3<double>* at, Vec3<double> p, Vec3<double>) {
+            return near_triangle(p, at[0], at[1], at[2]).square;
+        };
+        if (intersects(3, s.triangles[neighbors.triangles.second[pair]].data(), point, point, square)) return true;
+    }
+    for (std::size_t pair = 0; pair < neighbors.edges.size(); ++pair) {
+        const auto& edge = features.edges[neighbors.edges.first[pair]];
+        const auto square = [](const Vec3<double>* at, Vec3<double> p, Vec3<double> q) {
+            return near_segments(at[0], at[1], p, q).square;
+        };
+        if (intersects(2, s.edges[neighbors.edges.second[pair]].data(), edge[0], edge[1], square)) return true;
+    }
+    return false;
+}
+/// Whether any does on the way from x0 at time t to x1, `duration` [s] later.
+inline bool ccd_features(Plan& plan, double t, double duration, const double* x0, const double* x1) {
+    FeatureContactModel& contact = *plan.features;
+    const Contacts& contacts = plan.contacts;
+    const Array<double> from = quads_of(plan, x0), to = quads_of(plan, x1);
+    const double thickness = contact.law(contacts).thickness();
+    for (std::int64_t k = 0; k < contacts.count(); ++k)
+        if (contact.has(contacts, k) && ccd_obstacle_features(contact, k, thickness, contacts.obstacle_pose(k, t),
+                                                        contacts.obstacle_pose(k, t + duration), from.data(), to.data()))
+            return true;
+    return false;
+}
+/// Of each pinch, whether a pad does that moves at time t from half a way between the faces [m] to where it is, the cloth
+/// being at x.
+inline void ccd_jaws(Plan& plan, double t, const double* x, const double* half_openings, std::int64_t* out) {
+    FeatureContactModel& contact = *plan.features;
+    const Contacts& contacts = plan.contacts;
+    const Array<double> at = quads_of(plan, x);
+    const double thickness = contact.law(contacts).thickness();
+    for (std::int64_t k = 0; k < contacts.count(); ++k) {
+        const std::int64_t jaw = contacts.obstacles[k].parallel_jaw;
+        if (jaw < 0 || !contact.has(contacts, k)) continue;
+        const Pose previous_pose = contacts.shifted_pose(pose_at(contacts.path(k), t), k, half_openings[jaw], 0.0);
+        if (ccd_obstacle_features(contact, k, thickness, previous_pose, contacts.obstacle_pose(k, t), at.data(), at.data())) out[jaw] = 1;
+    }
+}
+
+/// Leaves the features of obstacles that don't get near the cloth out of a frame. If a run ends with a larger speed than was
+/// counted with, all runs of the frame are made again with all of them.
+class FeatureCulling {
+public:
+    FeatureCulling(Plan& plan, double t, double duration, const double* x0, const double* v0) : plan_(plan) {
+        if (!plan.features) return;
+        FeatureContactModel& contact = *plan.features;
+        const Contacts& contacts = plan.contacts;
+        const Surface& s = contact.surface;
+        std::fill(contact.is_active.begin(), contact.is_active.end(), 0);
+        if (s.triangles.empty() || !contact.has_any(contacts)) return;
+        const double thickness = contact.law(contacts).thickness();
+        speed_limit_ = 2.0 * max_particle_speed(v0) + speed_margin;
+        Array<double> positions;
+        for (std::int64_t k = 0; k < contacts.count(); ++k) {
+            FeatureVerletList& neighbors = contact.obstacles[k];
+            const Features& features = neighbors.features;
+            if (!contact.has(contacts, k)) continue;
+            const double* const path = contacts.path(k);
+            double path_length = 0.0, path_angle = 0.0, power = 1.0;
+            for (int order = 0; order < 3; ++order) {
+                power *= duration;
+                const double *const a = path + 4 + 3 * order, *const r = path + 17 + 3 * order;
+                path_length += power * root(norm2(Vec3<double>{a[0], a[1], a[2]}));
+                path_angle += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
+            }
+            const Pose pose = contacts.obstacle_pose(k, t);
+            // Pads turn about their gripper. The cloth may push them back faster than they are driven.
+            const double lever = root(norm2(pose.position - pose_at(path, t).position));
+            if (contacts.jaw_of(k)) path_length += 2.0 * contacts.max_jaw_speed(k) * duration;
+            const double margin = speed_limit_ * duration + path_length + path_angle * (lever + features.reach);
+            if (positions.empty()) {
+                positions = quads_of(plan, x0);
+                measure_cloth(s, positions.data());
+            }
+            // No point of the obstacle's ball is nearer to the cloth's.
+            const double distance = root(norm2(center_ - pose.position)) - radius_ - features.reach - features.radius;
+            if (distance > thickness + margin) continue;
+            const bool is_valid = neighbors.find(s, positions.data(), pose, thickness, margin);
+            contact.is_active[k] = !is_valid || neighbors.triangles.size() || neighbors.edges.size();
+        }
+        for (std::int64_t k = 0; k < contacts.count(); ++k)
+            covers_all_ = covers_all_ && (contact.is_active[k] || !contact.has(contacts, k));
+    }
+    /// Whether a run that ended with velocities v has to be made again.
+    bool is_violated(const double* v) const { return plan_.features && !covers_all_ && !(max_particle_speed(v) <= speed_limit_); }
+    void disable() {
+        if (!plan_.features) return;
+        plan_.features->activate_all(plan_.contacts);
+        covers_all_ = true;
+    }
+
+private:
+    /// Speed that particles may gain [m/s].
+    static constexpr double speed_margin = 0.25;
+
+    /// A ball about all of the cloth's edges.
+    void measure_cloth(const Surface& s, const double* x) {
+        const Quads at{x};
+        AxisBox box(at(s.edges[0][0]));
+        for (const auto& e : s.edges) {
+            box.include(at(e[0]));
+            box.include(at(e[1]));
+        }
+        center_ = box.center();
+        radius_ = 0.5 * root(norm2(box.high - box.low));
+    }
+    double max_particle_speed(const double* v) const {
+        const std::int64_t n = plan_.count;
+        double square = 0.0;
+        for (std::int64_t i = 0; i < n; ++i) {
+            const double square_i = norm2(Vec3<double>{v[i], v[n + i], v[2 * n + i]});
+            square = square_i <= square ? square : square_i;  // a speed that is no number stays
+            if (!(square_i < std::numeric_limits<double>::infinity())) return square_i;
+        }
+        return root(square);
+    }
+    Plan& plan_;
+    Vec3<double> center_{};
+    double speed_limit_ = 0.0, radius_ = 0.0;
+    bool covers_all_ = true;
+};
+
+/// What passes through the cloth at time t, three numbers: the obstacle, and two particles of the edge that is within it or
+/// of the triangle that its feature comes through; -1 where nothing does.
+inline void find_feature_intersection(Plan& plan, double t, const double* x, std::int64_t* out) {
+    const FeatureContactModel& contact = *plan.features;
+    const Contacts& contacts = plan.contacts;
+    const Surface& s = contact.surface;
+    const Array<double> positions = quads_of(plan, x);
+    const Quads at{positions.data()};
+    std::vector<std::int64_t> particle_of_rank(plan.count);
+    for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
+    std::fill(out, out + 3, std::int64_t{-1});
+    const double origin[3] = {}, min_step = 1e-3 * contacts.thickness;
+    for (std::int64_t k = 0; k < contacts.count(); ++k) {
+        const Features& features = contact.obstacles[k].features;
+        if (!contact.has(contacts, k)) continue;
+        const Pose pose = contacts.obstacle_pose(k, t);
+        const FeaturesAt from{features, pose};
+        const auto report = [&](Index a, Index b) { out[0] = k, out[1] = particle_of_rank[a], out[2] = particle_of_rank[b]; };
+        // An edge of the cloth that enters the obstacle, by steps as long as the gap is.
+        const Obstacle& obstacle = contacts.obstacles[k];
+        const PosedObstacle<double> posed(pose, origin, obstacle);
+        for (const auto& e : s.edges) {
+            const Vec3<double> a = at(e[0]), b = at(e[1]);
+            const double length = root(norm2(b - a));
+            for (double distance = 0.0; distance < length;) {
+                const double gap = with_shape(obstacle.shape, [&](auto shape) {
+                    return contact_kinematics<shape.value, true, double>(posed, obstacle.size, a + (distance / length) * (b - a), {}).gap;
+                });
+                if (!(gap > 0.0)) return report(e[0], e[1]);
+                distance += larger(gap, min_step);
+            }
+        }
+        // A feature that comes through a triangle.
+        for (const auto& c : s.triangles) {
+            const Vec3<double> p[3] = {at(c[0]), at(c[1]), at(c[2])};
+            AxisBox box(p[0]);
+            box.include(p[1]);
+            box.include(p[2]);
+            box = box.expanded(features.radius);
+            for (std::size_t j = 0; features.radius > 0.0 && j < features.points.size(); ++j) {
+                const Vec3<double> q = from.position(static_cast<Index>(j));
+                if (box.overlaps(AxisBox(q)) &&
+                    !(near_triangle(q, p[0], p[1], p[2]).square > features.radius * features.radius))
+                    return report(c[0], c[1]);
+            }
+            for (const auto& edge : features.edges) {
+                const Vec3<double> q = from.position(edge[0]), r = from.position(edge[1]);
+                AxisBox edge_box(q);
+                edge_box.include(r);
+                if (!box.overlaps(edge_box) || !(volume(p[0], p[1], p[2], q) * volume(p[0], p[1], p[2], r) < 0.0)) continue;
+                const double u = volume(q, r, p[0], p[1]), v = volume(q, r, p[1], p[2]), w = volume(q, r, p[2], p[0]);
+                if ((u > 0.0 && v > 0.0 && w > 0.0) || (u < 0.0 && v < 0.0 && w < 0.0)) return report(c[0], c[1]);
+            }
+        }
+    }
+}
+
+}  // namespace cloth

@@ -1,0 +1,113 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Pads over a run: they are stepped as particles are, by what all blocks of particles did to them in the step before.
+#pragma once
+
+#include "plan/plan.hpp"
+
+namespace cloth {
+
+class JawRun {
+public:
+    JawRun(const Contacts& contacts, const Run& run, int threads, std::int64_t blocks)
+        : contacts_(contacts), run_(run), blocks_(blocks + 1), law_(contacts.law<double>()),
+          loads_(contacts.parallel_jaws.empty() ? 0 : 2 * contacts.count() * blocks_ * JawLoad::numbers, 0.0) {
+        const std::int64_t count = static_cast<std::int64_t>(contacts.parallel_jaws.size());
+        for (int k = 0; k < threads && count; ++k) {
+            threads_.emplace_back();
+            for (std::int64_t jaw = 0; jaw < count; ++jaw) {
+                const double *const at = contacts.jaw_states.data() + jaw * jaw_state_size;
+                threads_.back().jaws.push_back({at[0], at[1], at[1], 0.0});
+            }
+        }
+    }
+
+    /// What a block of particles does to a pad: the force that moves it outward, and the mass in contact.
+    struct JawLoad {
+        static constexpr int numbers = 2;
+        double force = 0.0, mass = 0.0;
+    };
+    void record_load(std::int64_t obstacle, std::int64_t block, std::int64_t step, const JawLoad& jaw_load) {
+        double* const at = slot(obstacle, block, step);
+        at[0] = jaw_load.force;
+        at[1] = jaw_load.mass;
+    }
+    /// What the cloth between particles does to a pad.
+    void record_surface_load(std::int64_t obstacle, std::int64_t step, const JawLoad& jaw_load) {
+        record_load(obstacle, blocks_ - 1, step, jaw_load);
+    }
+    /// Pose of a pad at a step, from its gripper's, as particles see it.
+    Pose pose(int thread, std::int64_t obstacle, const Pose& gripper) const {
+        const JawMotion& jaw = threads_[thread].jaws[contacts_.obstacles[obstacle].parallel_jaw];
+        return contacts_.shifted_pose(gripper, obstacle, jaw.half_opening, jaw.damping_speed);
+    }
+    /// Move the pads to step `step`: all blocks have felt those of the step before. Each thread does it for itself, so that
+    /// none has to wait for another one's.
+    void advance(int thread, std::int64_t step) {
+        if (threads_.empty() || step < 0) return;
+        ThreadState& state = threads_[thread];
+        const StepFactors<double> m = motion_of<double>(run_, step - 1);
+        for (std::size_t k = 0; k < contacts_.parallel_jaws.size(); ++k) {
+            const ParallelJaw& drive = contacts_.parallel_jaws[k];
+            if (!drive.present) continue;
+            JawLoad jaw_load;
+            for (std::int64_t obstacle = 0; obstacle < contacts_.count(); ++obstacle) {
+                if (contacts_.obstacles[obstacle].parallel_jaw != static_cast<std::int64_t>(k)) continue;
+                for (std::int64_t block = 0; block < blocks_; ++block) {
+                    const double* const at = slot(obstacle, block, step - 1);
+                    jaw_load.force += at[0];
+                    jaw_load.mass += at[1];
+                }
+            }
+            JawMotion& jaw = state.jaws[k];
+            const double thickness = contacts_.thickness;
+            state.mass_ratio = larger(jaw_load.mass / drive.mass, state.mass_ratio);
+            state.stop_energy = larger(drive.stop_energy(law_, thickness, jaw.half_opening, jaw.damping_speed, 2.0 * run_.step), state.stop_energy);
+            const double a = drive.acceleration(law_, thickness, jaw.half_opening, jaw.damping_speed, jaw_load.force);
+            jaw.speed = fma(m.kick, a, jaw.speed);
+            jaw.damping_speed = fma(m.predict, a, fma(m.predict_previous, jaw.previous_acceleration, jaw.speed));
+            jaw.previous_acceleration = a;
+            jaw.half_opening = fma(m.drift, jaw.speed, jaw.half_opening);
+        }
+    }
+    /// Move the pads to the run's end and write where they are to `run_.pinched`. `reached` is the largest energy per
+    /// mass, in U^2/2, that contact with other obstacles had to take up, `pinched` the largest with pads. Return the
+    /// largest of all, with that of pads raised because a pad and a particle between pads are stiffer than a single
+    /// contact.
+    double finish(double obstacle_energy, double jaw_energy) {
+        if (threads_.empty()) return larger(jaw_energy, obstacle_energy);
+        advance(0, run_.steps);
+        const ThreadState& state = threads_[0];
+        for (std::size_t k = 0; run_.jaw_states && k < state.jaws.size(); ++k) {
+            run_.jaw_states[k * jaw_state_size] = state.jaws[k].half_opening;
+            run_.jaw_states[k * jaw_state_size + 1] = state.jaws[k].speed;
+        }
+        // A particle between two pads, and pads between particles: docs/contact.md has the bound.
+        const double factor = 2.0 + state.mass_ratio + (state.stop_energy > 0.0 ? 1.0 : 0.0);
+        const double max_energy = larger(state.stop_energy, jaw_energy);
+        return larger(stiffened_energy(law_, contacts_.thickness, max_energy, factor), obstacle_energy);
+    }
+
+private:
+    /// As the leapfrog keeps a particle: place, rate, the rate that damping sees, and the acceleration before.
+    struct JawMotion {
+        double half_opening, speed, damping_speed, previous_acceleration;
+    };
+    struct alignas(128) ThreadState {
+        std::vector<JawMotion> jaws;
+        double mass_ratio = 0.0, stop_energy = 0.0;
+    };
+    double* slot(std::int64_t obstacle, std::int64_t block, std::int64_t step) {
+        return loads_.data() + (((step & 1) * contacts_.count() + obstacle) * blocks_ + block) * JawLoad::numbers;
+    }
+
+    const Contacts& contacts_;
+    const Run& run_;
+    std::int64_t blocks_;  ///< and one for what acts between particles
+    ContactLaw<double> law_;
+    std::vector<double> loads_;
+    std::vector<ThreadState> threads_;
+};
+
+}  // namespace cloth

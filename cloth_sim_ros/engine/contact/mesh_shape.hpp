@@ -1,0 +1,178 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// A closed triangle mesh as an obstacle: which point of it is nearest, and on which side of it a point is.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+#include <numeric>
+#include <vector>
+
+#include "contact/primitives.hpp"
+
+namespace cloth {
+
+/// Which side is told by the normal of the face, the edge or the vertex that is nearest: an edge's is the sum of those of
+/// its faces, a vertex's that of its faces weighted by their angles there (J. A. Baerentzen and H. Aanaes, "Signed distance
+/// computation using the angle weighted pseudonormal", IEEE Trans. Vis. Comput. Graph. 11, 2005).
+class Mesh {
+public:
+    Mesh(std::int64_t vertices, const double* positions, std::int64_t triangles, const std::int64_t* corners) {
+        for (std::int64_t k = 0; k < vertices; ++k)
+            vertices_.push_back({positions[3 * k], positions[3 * k + 1], positions[3 * k + 2]});
+        for (std::int64_t k = 0; k < triangles; ++k)
+            triangles_.push_back({static_cast<Id>(corners[3 * k]), static_cast<Id>(corners[3 * k + 1]),
+                                  static_cast<Id>(corners[3 * k + 2])});
+        compute_normals();
+        order_.resize(triangles_.size());
+        std::iota(order_.begin(), order_.end(), Id{0});
+        build_tree(0, static_cast<Id>(order_.size()));
+    }
+
+    /// What of the mesh is nearest: `from` on it; a face (two directions in it), an edge (one) or a vertex; and whether the
+    /// point is within.
+    struct NearestFeature {
+        Vec3<double> from, along, normal;
+        int kind = 0;  ///< 0 a vertex, 1 an edge, 2 a face
+        bool inside = false;
+    };
+    NearestFeature nearest(Vec3<double> p) const {
+        Best best;
+        search(0, p, best);
+        const auto& t = triangles_[best.triangle];
+        const Vec3<double> x[3] = {vertices_[t[0]], vertices_[t[1]], vertices_[t[2]]};
+        int corner_index[3], count = 0;
+        for (int k = 0; k < 3; ++k)
+            if (best.point.weight[k] > 0.0) corner_index[count++] = k;
+        NearestFeature s;
+        s.from = x[0];
+        if (!count) return s;  // no place at all
+        s.kind = count - 1;
+        s.from = x[corner_index[0]];
+        s.normal = faces_[best.triangle];
+        Vec3<double> pseudonormal = s.normal;
+        if (s.kind == 1) {
+            s.along = x[corner_index[1]] - x[corner_index[0]];
+            // Sides run from corner 0 to 1, 1 to 2, 2 to 0.
+            pseudonormal = edges_[best.triangle][corner_index[0] == 0 && corner_index[1] == 2 ? 2 : corner_index[0]];
+        } else if (s.kind == 0) {
+            pseudonormal = corners_[t[corner_index[0]]];
+        }
+        s.inside = dot(pseudonormal, best.point.away) < 0.0;
+        return s;
+    }
+
+private:
+    using Id = std::int32_t;
+    struct Node {
+        Vec3<double> low, high;
+        Id first, last;  ///< of the triangles in order
+        Id left = -1, right = -1;
+    };
+    struct Best {
+        double square = 1e300;
+        Id triangle = 0;
+        OnTriangle<double> point;
+    };
+    /// A box of the tree has no more triangles than this, or two boxes.
+    static constexpr Id max_leaf_size = 4;
+
+    static Vec3<double> unit(Vec3<double> a) { return (1.0 / root(norm2(a))) * a; }
+    /// Angle between two vectors: tan of half of it, halved thrice, and the series of the arctangent.
+    static double angle(Vec3<double> a, Vec3<double> b) {
+        const double s = root(norm2(cross(a, b))), c = dot(a, b), length = root(norm2(a) * norm2(b));
+        double t = c >= 0.0 ? s / (length + c) : (length - c) / s;
+        for (int k = 0; k < 3; ++k) t = t / (1.0 + root(1.0 + t * t));
+        double sum = 0.0;
+        for (int k = 20; k >= 0; --k) sum = 1.0 / (2.0 * k + 1.0) - t * t * sum;
+        return 16.0 * t * sum;
+    }
+    void compute_normals() {
+        struct HalfEdge {
+            Id low, high, triangle;
+            int edge;
+        };
+        std::vector<HalfEdge> half_edges;
+        corners_.assign(vertices_.size(), {});
+        for (std::size_t k = 0; k < triangles_.size(); ++k) {
+            const auto& t = triangles_[k];
+            const Vec3<double> x[3] = {vertices_[t[0]], vertices_[t[1]], vertices_[t[2]]};
+            const Vec3<double> n = unit(cross(x[1] - x[0], x[2] - x[0]));
+            faces_.push_back(n);
+            for (int c = 0; c < 3; ++c) {
+                const int next = (c + 1) % 3, last = (c + 2) % 3;
+                corners_[t[c]] = corners_[t[c]] + angle(x[next] - x[c], x[last] - x[c]) * n;
+                half_edges.push_back({std::min(t[c], t[next]), std::max(t[c], t[next]), static_cast<Id>(k), c});
+            }
+        }
+        edges_.resize(triangles_.size());
+        std::stable_sort(half_edges.begin(), half_edges.end(), [](const HalfEdge& a, const HalfEdge& b) {
+            return a.low != b.low ? a.low < b.low : a.high < b.high;
+        });
+        // A closed mesh: each edge has two triangles.
+        for (std::size_t k = 0; k + 1 < half_edges.size(); k += 2) {
+            const Vec3<double> sum = faces_[half_edges[k].triangle] + faces_[half_edges[k + 1].triangle];
+            edges_[half_edges[k].triangle][half_edges[k].edge] = sum;
+            edges_[half_edges[k + 1].triangle][half_edges[k + 1].edge] = sum;
+        }
+    }
+    static double component(Vec3<double> a, int axis) { return axis == 0 ? a.x : axis == 1 ? a.y : a.z; }
+
+    Id build_tree(Id first, Id last) {
+        const auto node_index = static_cast<Id>(nodes_.size());
+        Vec3<double> low = vertices_[triangles_[order_[first]][0]], high = low;
+        for (Id k = first; k < last; ++k)
+            for (const Id corner : triangles_[order_[k]]) {
+                const Vec3<double> a = vertices_[corner];
+                low = {smaller(a.x, low.x), smaller(a.y, low.y), smaller(a.z, low.z)};
+                high = {larger(a.x, high.x), larger(a.y, high.y), larger(a.z, high.z)};
+            }
+        nodes_.push_back({low, high, first, last});
+        if (last - first <= max_leaf_size) return node_index;
+        const Vec3<double> extent = high - low;
+        const int axis = extent.x >= extent.y && extent.x >= extent.z ? 0 : extent.y >= extent.z ? 1 : 2;
+        const auto center = [&](Id k) {
+            const auto& t = triangles_[k];
+            return component(vertices_[t[0]], axis) + component(vertices_[t[1]], axis) + component(vertices_[t[2]], axis);
+        };
+        const Id half = first + (last - first) / 2;
+        std::sort(order_.begin() + first, order_.begin() + last, [&](Id a, Id b) {
+            const double u = center(a), v = center(b);
+            return u != v ? u < v : a < b;
+        });
+        const Id left = build_tree(first, half), right = build_tree(half, last);
+        nodes_[node_index].left = left;
+        nodes_[node_index].right = right;
+        return node_index;
+    }
+    double box_square(Id node, Vec3<double> p) const {
+        const Node& n = nodes_[node];
+        const auto out = [](double a, double low, double high) { return larger(larger(low - a, a - high), 0.0); };
+        return norm2(Vec3<double>{out(p.x, n.low.x, n.high.x), out(p.y, n.low.y, n.high.y), out(p.z, n.low.z, n.high.z)});
+    }
+    void search(Id node_index, Vec3<double> p, Best& best) const {
+        const Node& node = nodes_[node_index];
+        if (node.left < 0) {
+            for (Id k = node.first; k < node.last; ++k) {
+                const auto& t = triangles_[order_[k]];
+                const auto point = near_triangle(p, vertices_[t[0]], vertices_[t[1]], vertices_[t[2]]);
+                if (point.square < best.square) best = {point.square, order_[k], point};
+            }
+            return;
+        }
+        const double left = box_square(node.left, p), right = box_square(node.right, p);
+        const bool first = left <= right;
+        if ((first ? left : right) < best.square) search(first ? node.left : node.right, p, best);
+        if ((first ? right : left) < best.square) search(first ? node.right : node.left, p, best);
+    }
+
+    std::vector<Vec3<double>> vertices_, faces_, corners_;
+    std::vector<std::array<Id, 3>> triangles_;
+    std::vector<std::array<Vec3<double>, 3>> edges_;
+    std::vector<Id> order_;
+    std::vector<Node> nodes_;
+};
+
+}  // namespace cloth

@@ -1,0 +1,351 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// What is asked of contact beside its forces: energy, powers, bounds, derivative product, and what is about to happen.
+// Arrays are (3, n) by component; sums run obstacle by obstacle, particle by particle.
+#pragma once
+
+#include "mesh/queries.hpp"
+#include "plan/plan.hpp"
+
+namespace cloth {
+
+/// What a call of `for_each_neighbor` tells of one particle.
+struct ObstacleContact {
+    std::int64_t obstacle, particle;
+    double gap, closing, mass;
+    Vec3<double> normal, arm, slip;
+    const PosedObstacle<double>& posed;
+    Scaling<double> scaling = full_thickness<double>();
+    ContactKinematics<double> kinematics() const { return {arm, gap, normal, slip, closing}; }
+    /// The gap in units of the whole thickness, and pushes, energy and bounds by a law of that.
+    double scaled_gap() const { return scaling.gap(gap); }
+    typename ContactLaw<double>::ContactForce force(const ContactLaw<double>& law) const {
+        const auto a = law.force(scaled_gap(), scaling.closing(gap, closing));
+        return {a.push / scaling.scale, a.elastic / scaling.scale, a.shape};
+    }
+    double elastic(const ContactLaw<double>& law) const { return law.elastic(scaled_gap()) / scaling.scale; }
+    double energy(const ContactLaw<double>& law) const {
+        return law.energy(scaled_gap()) / (scaling.scale * scaling.scale);
+    }
+};
+
+/// Blocks of particles one after the other. They lie where they are, but for the last one: whole vectors of it may be read.
+class BlockReader {
+public:
+    BlockReader(const Plan& plan, const double* x, const double* v) : plan_(plan), x_(x), v_(v) {}
+    /// Those from `first` on; they hold until the next call.
+    Block<double> at(std::int64_t first) {
+        const std::int64_t n = plan_.count, count = std::min(contact_block, n - first);
+        for (std::int64_t i = 0; i < count; ++i)
+            mass_[i] = plan_.inverse[first + i] > 0.0 ? plan_.masses[first + i] : 0.0;
+        if (v_ && count == contact_block) return {x_ + first, v_ + first, n, mass_, count};
+        if (count < contact_block) {
+            std::fill(buffer_, buffer_ + 6 * contact_block, 0.0);
+            std::fill(mass_ + count, mass_ + contact_block, 0.0);
+        }
+        for (int c = 0; c < 3; ++c) {
+            std::copy_n(x_ + c * n + first, count, buffer_ + c * contact_block);
+            if (v_) std::copy_n(v_ + c * n + first, count, buffer_ + (3 + c) * contact_block);
+        }
+        return {buffer_, buffer_ + 3 * contact_block, contact_block, mass_, count};
+    }
+
+private:
+    const Plan& plan_;
+    const double *x_, *v_;
+    alignas(64) double buffer_[6 * contact_block] = {}, mass_[contact_block];
+};
+
+/// Call `what(obstacle, first, shape, placed, block)` for each block of particles that is near an obstacle, if not
+/// `skips(obstacle, placed)`. A block is near if its least gap is below `widest(speed)` [m], where `speed` is that of its
+/// fastest particle as seen from the obstacle [m/s].
+template <class S, class W, class F>
+inline void for_each_near_block(const Plan& plan, double t, const double* x, const double* v, S&& skips, W&& widest,
+                                F&& visit) {
+    const Contacts& contacts = plan.contacts;
+    const double origin[3] = {};
+    BlockReader blocks(plan, x, v);
+    for (std::int64_t obstacle = 0; obstacle < contacts.count(); ++obstacle) {
+        if (!contacts.present(obstacle)) continue;
+        PosedObstacle<double> posed(contacts.obstacle_pose(obstacle, t), origin, contacts.obstacles[obstacle]);
+        if (contacts.jaw_of(obstacle)) posed.lever = posed.position - pose_at(contacts.path(obstacle), t).position;
+        if (skips(obstacle, posed)) continue;
+        const Vec3<double>& size = contacts.obstacles[obstacle].size;
+        with_shape(contacts.obstacles[obstacle].shape, [&](auto shape) {
+            for (std::int64_t first = 0; first < plan.count; first += contact_block) {
+                const Block<double> block = blocks.at(first);
+                const auto result = scan_block<shape.value, true, double>(posed, size, block, contacts.thickness, 0.0).result();
+                if (result.gap < widest(result.speed)) visit(obstacle, first, shape, posed, block);
+            }
+        });
+    }
+}
+/// Call `what` for each free particle of those blocks.
+template <class W, class F>
+inline void for_each_near(const Plan& plan, double t, const double* x, const double* v, W&& widest, F&& visit) {
+    const auto none = [](std::int64_t, const PosedObstacle<double>&) { return false; };
+    for_each_near_block(plan, t, x, v, none, widest, [&](std::int64_t obstacle, std::int64_t first, auto shape,
+                                                         const PosedObstacle<double>& posed, const Block<double>& block) {
+        const Vec3<double>& size = plan.contacts.obstacles[obstacle].size;
+        for (std::int64_t i = 0; i < block.count; ++i) {
+            if (!(block.mass[i] > 0.0)) continue;
+            const auto s = contact_kinematics<shape.value, true, double>(posed, size, block.position<double>(i), block.velocity<double>(i));
+            visit(ObstacleContact{obstacle, first + i, s.gap, s.closing, block.mass[i], s.normal, s.arm, s.slip, posed,
+                         plan.contacts.reduced.scaling(obstacle, first + i, plan.count + 1, t)});
+        }
+    });
+}
+/// The same for particles in contact.
+template <class F>
+inline void for_each_contact(const Plan& plan, double t, const double* x, const double* v, F&& visit) {
+    const double thickness = plan.contacts.thickness;
+    for_each_near(plan, t, x, v, [&](double) { return thickness; }, [&](const ObstacleContact& contact) {
+        if (contact.scaled_gap() < thickness) visit(contact);
+    });
+}
+
+/// What friction does at one contact, with the plan's anchors. Those of the caller's own are handed over in `anchor`.
+template <class V>
+inline auto friction_force(const Plan& plan, std::int64_t obstacle, std::int64_t particle, const PosedObstacle<double>& posed,
+                    const ContactKinematics<V>& s, V push, const double* anchors) {
+    const std::int64_t n = plan.count;
+    const double* const a = anchors + obstacle * anchor_numbers * n + particle;
+    const FrictionLaw<V> law(plan.contacts.obstacles[obstacle].friction, plan.contacts.frequency);
+    const double bond = a[3 * n];
+    const Vec3<V> local = posed.template inward<V>(s.arm);
+    const Vec3<V> anchor = bond > 0.0 ? splat3<V>(Vec3<double>{a[0], a[n], a[2 * n]}) : local;
+    return law.force(posed.template outward<V>(local - anchor), s.normal, s.slip, push);
+}
+
+/// Anchors after runs that ended with some of their own, each (obstacles, anchor_numbers, n), at the state x and v that
+/// the runs' weights make: what no run moved stays as it is; the rest is combined too, and dragged back onto the cone.
+inline void combine_anchors(const Plan& plan, double t, const double* x, const double* v, std::int64_t runs,
+                           const double* weights, const double* ends, double* out) {
+    const Contacts& contacts = plan.contacts;
+    const std::int64_t n = plan.count, size = plan.anchor_count();
+    std::fill(out, out + size, 0.0);
+    const auto law = contacts.law<double>();
+    for_each_contact(plan, t, x, v, [&](const ObstacleContact& contact) {
+        if (!(contacts.obstacles[contact.obstacle].friction.at_rest > 0.0)) return;
+        const std::int64_t index = contact.obstacle * anchor_numbers * n + contact.particle;
+        double* const to = out + index;
+        const double* const last_anchor = ends + (runs - 1) * size + index;
+        bool all_bonded = true, same = true;
+        for (std::int64_t run = 0; run < runs; ++run) {
+            const double* const from = ends + run * size + index;
+            all_bonded = all_bonded && from[3 * n] > 0.0;
+            for (int c = 0; c < anchor_numbers; ++c) same = same && from[c * n] == last_anchor[c * n];
+        }
+        for (int c = 0; c < anchor_numbers; ++c) to[c * n] = last_anchor[c * n];
+        for (int c = 0; all_bonded && !same && c < 3; ++c) {
+            double sum = 0.0;
+            for (std::int64_t run = 0; run < runs; ++run) sum = fma(weights[run], ends[run * size + index + c * n], sum);
+            to[c * n] = sum;
+        }
+        const ContactKinematics<double> s = contact.kinematics();
+        const auto friction =
+            friction_force<double>(plan, contact.obstacle, contact.particle, contact.posed, s, contact.force(law).push, out);
+        const Vec3<double> local = contact.posed.inward<double>(s.arm);
+        const Vec3<double> dragged = local - contact.posed.inward<double>(friction.stretch);
+        if (friction.slides || !(to[3 * n] > 0.0)) {
+            const Vec3<double> anchor = friction.slides ? dragged : local;
+            to[0] = anchor.x, to[n] = anchor.y, to[2 * n] = anchor.z;
+        }
+        to[3 * n] = friction.slides ? double(slides) : double(sticks);
+    });
+}
+
+inline double contact_energy(const Plan& plan, double t, const double* x) {
+    const auto law = plan.contacts.law<double>();
+    double total = 0.0;
+    for_each_contact(plan, t, x, nullptr, [&](const ObstacleContact& contact) {
+        total += contact.mass * contact.energy(law);
+        if (plan.contacts.obstacles[contact.obstacle].friction.at_rest > 0.0)
+            total += contact.mass * friction_force<double>(plan, contact.obstacle, contact.particle, contact.posed, contact.kinematics(),
+                                                contact.elastic(law), plan.contacts.anchors.data())
+                                    .energy;
+    });
+    return total;
+}
+
+/// Wrench on each obstacle about its place, work on the cloth and loss, as rates: added to (obstacles, record_numbers).
+inline void add_contact_wrenches(const Plan& plan, double t, const double* x, const double* v, double weight, double* wrenches) {
+    const auto law = plan.contacts.law<double>();
+    for_each_contact(plan, t, x, v, [&](const ObstacleContact& contact) {
+        const auto push = contact.force(law);
+        Vec3<double> force = (contact.mass * push.push) * contact.normal;
+        const double closing = fma(contact.scaling.growth, contact.gap, contact.closing);
+        double dissipation = contact.mass * (push.push - push.elastic) * closing;
+        if (plan.contacts.obstacles[contact.obstacle].friction.at_rest > 0.0) {
+            const auto friction = friction_force<double>(plan, contact.obstacle, contact.particle, contact.posed, contact.kinematics(), push.push,
+                                                plan.contacts.anchors.data());
+            force = force + contact.mass * friction.push;
+            dissipation += contact.mass * friction.dissipation;
+        }
+        const Vec3<double> torque = cross(force, contact.arm + contact.posed.lever);
+        const Vec3<double> surface_velocity = contact.posed.velocity + cross(contact.posed.spin, contact.arm);
+        const double rates[record_numbers] = {-force.x, -force.y, -force.z, torque.x, torque.y, torque.z,
+                                            dot(force, surface_velocity), dissipation};
+        for (int k = 0; k < record_numbers; ++k) wrenches[contact.obstacle * record_numbers + k] += weight * rates[k];
+    });
+}
+
+/// Power of the growth of contacts with a reduced thickness [W].
+inline double contact_growth_power(const Plan& plan, double t, const double* x, const double* v) {
+    const auto law = plan.contacts.law<double>();
+    double power = 0.0;
+    for_each_contact(plan, t, x, v, [&](const ObstacleContact& contact) {
+        const double push = contact.force(law).push, energy = contact.energy(law);
+        power += contact.mass * contact.scaling.growth * fma(push, contact.gap, 2.0 * energy);
+    });
+    return power;
+}
+
+/// Add blocks of stiffness and damping across the gap. What a curved surface adds along itself only softens.
+inline void add_contact_bounds(const Plan& plan, double t, const double* x, double* stiff, double* damp) {
+    const auto law = plan.contacts.law<double>();
+    for_each_contact(plan, t, x, nullptr, [&](const ObstacleContact& contact) {
+        // Along the surface an anchor's spring.
+        const bool has_friction = plan.contacts.obstacles[contact.obstacle].friction.at_rest > 0.0;
+        const double w = has_friction ? plan.contacts.frequency : 0.0, along = contact.mass * w * w;
+        const double friction_damping = contact.mass * FrictionLaw<double>::damping_per_frequency * w;
+        if (stiff)
+            add_block(stiff, plan.count, contact.particle,
+                      outer(contact.mass * law.stiffness(contact.scaled_gap()) - along, contact.normal, along));
+        if (damp)
+            add_block(damp, plan.count, contact.particle,
+                      outer(contact.mass * law.damping(contact.scaled_gap()) - friction_damping, contact.normal, friction_damping));
+    });
+}
+
+/// Squared frequency [1/s^2] and damping rate [1/s] of contact that has taken up so much energy per mass, in U^2/2.
+struct ContactLimits {
+    double omega2 = 0.0, damping = 0.0;
+    ContactLimits(const Contacts& contacts, double energy) {
+        for (const ParallelJaw& jaw : contacts.parallel_jaws)
+            if (jaw.present) damping = larger(2.0 * jaw.force / (jaw.speed * jaw.mass), damping);
+        if (!(energy > 0.0)) return;
+        const auto law = contacts.law<double>();
+        const double gap = stopping_gap(energy) * contacts.thickness;
+        omega2 = law.stiffness(gap);
+        damping = larger(law.damping(gap), damping);
+        if (!contacts.has_friction()) return;
+        omega2 = larger(contacts.frequency * contacts.frequency, omega2);
+        damping = larger(FrictionLaw<double>::damping_per_frequency * contacts.frequency, damping);
+    }
+};
+
+/// Accelerations [m/s^2] of half the ways between pads at time t, by the cloth and their drives; `felt` [N] is what else
+/// moves them outward, by the pinch.
+inline void jaw_accelerations(const Plan& plan, double t, const double* x, const double* v, std::vector<double> jaw_forces,
+                                double* out) {
+    const Contacts& contacts = plan.contacts;
+    const auto law = contacts.law<double>();
+    for_each_contact(plan, t, x, v, [&](const ObstacleContact& contact) {
+        const Obstacle& obstacle = contacts.obstacles[contact.obstacle];
+        if (obstacle.parallel_jaw < 0) return;
+        const double push = contact.force(law).push;
+        Vec3<double> force = push * contact.normal;
+        if (obstacle.friction.at_rest > 0.0)
+            force = force + friction_force<double>(plan, contact.obstacle, contact.particle, contact.posed, contact.kinematics(), push,
+                                            contacts.anchors.data()).push;
+        jaw_forces[obstacle.parallel_jaw] -= contact.mass * obstacle.jaw_side * dot(contact.posed.rotation[1], force);
+    });
+    for (std::size_t k = 0; k < contacts.parallel_jaws.size(); ++k) {
+        const double* const at = contacts.jaw_states.data() + k * jaw_state_size;
+        const ParallelJaw& jaw = contacts.parallel_jaws[k];
+        out[k] = jaw.present ? jaw.acceleration(law, contacts.thickness, at[0], at[1], jaw_forces[k]) : 0.0;
+    }
+}
+
+/// Add (df/dx) dx + (df/dv) dv to out, by the law itself on numbers with derivatives.
+inline void add_contact_product(const Plan& plan, double t, const double* x, const double* v, const double* dx,
+                                const double* dv, double* out) {
+    const std::int64_t n = plan.count;
+    const ContactLaw<Dual> law(plan.contacts.thickness, plan.contacts.damping);
+    for_each_contact(plan, t, x, v, [&](const ObstacleContact& contact) {
+        const Obstacle& obstacle = plan.contacts.obstacles[contact.obstacle];
+        const auto at = [&](const double* a, const double* slope) {
+            const std::int64_t i = contact.particle;
+            return Vec3<Dual>{{a[i], slope[i]}, {a[n + i], slope[n + i]}, {a[2 * n + i], slope[2 * n + i]}};
+        };
+        with_shape(obstacle.shape, [&](auto shape) {
+            const auto s = contact_kinematics<shape.value, true, Dual>(contact.posed, obstacle.size, at(x, dx), at(v, dv));
+            const Scaling<Dual> scaling{{contact.scaling.scale, 0.0}, {contact.scaling.growth, 0.0}};
+            const Dual push = law.push(scaling.gap(s.gap), scaling.closing(s.gap, s.closing)) / scaling.scale;
+            Vec3<Dual> force = push * s.normal;
+            if (obstacle.friction.at_rest > 0.0)
+                force = force + friction_force<Dual>(plan, contact.obstacle, contact.particle, contact.posed, s, push,
+                                              plan.contacts.anchors.data()).push;
+            force = Dual{contact.mass, 0.0} * force;
+            out[contact.particle] += force.x.slope;
+            out[n + contact.particle] += force.y.slope;
+            out[2 * n + contact.particle] += force.z.slope;
+        });
+    });
+}
+
+/// How many particles are in contact with each obstacle, and the least gap to each, in contact or not: (obstacles, 2).
+inline void contact_gaps(const Plan& plan, double t, const double* x, double* out) {
+    for (std::int64_t obstacle = 0; obstacle < plan.contacts.count(); ++obstacle) {
+        out[2 * obstacle] = 0.0;
+        out[2 * obstacle + 1] = std::numeric_limits<double>::infinity();
+    }
+    const auto any_distance = [](double) { return no_gap<double>; };
+    for_each_near(plan, t, x, nullptr, any_distance, [&](const ObstacleContact& contact) {
+        double* const to = out + 2 * contact.obstacle;
+        to[0] += contact.scaled_gap() < plan.contacts.thickness ? 1.0 : 0.0;
+        to[1] = smaller(contact.gap, to[1]);
+    });
+}
+/// The gap of each contact [m], as `ReducedThickness` has them: rows of obstacles and particles.
+inline void contact_gap_rows(const Plan& plan, double t, const double* x, double* out) {
+    const auto any_distance = [](double) { return no_gap<double>; };
+    for_each_near(plan, t, x, nullptr, any_distance,
+                  [&](const ObstacleContact& contact) { out[contact.obstacle * (plan.count + 1) + contact.particle] = contact.gap; });
+}
+
+/// Whether any particle meets an obstacle's surface on its straight way from x0 at time t to x1, `duration` [s] later.
+/// Conservative advancement: a particle cannot meet the surface before it has moved, relative to the obstacle, as far
+/// as its gap. So each step along the way is one gap long, and the gap is then measured anew.
+inline bool ccd_obstacles(const Plan& plan, double t, double duration, const double* x0, const double* x1) {
+    const std::int64_t n = plan.count;
+    const double origin[3] = {}, min_step = 1e-3 * plan.contacts.thickness;
+    bool intersects = false;
+    const auto any_distance = [](double) { return no_gap<double>; };
+    for_each_near(plan, t, x0, nullptr, any_distance, [&](const ObstacleContact& contact) {
+        if (intersects) return;
+        const double* const path = plan.contacts.path(contact.obstacle);
+        const Obstacle& obstacle = plan.contacts.obstacles[contact.obstacle];
+        const std::int64_t i = contact.particle;
+        const Vec3<double> from{x0[i], x0[n + i], x0[2 * n + i]}, to{x1[i], x1[n + i], x1[2 * n + i]};
+        // An upper bound of how far the particle moves relative to the obstacle, whose place is a cubic of time: by the
+        // velocities halfway, and by how much the obstacle's may differ from that. What goes along with it hardly moves.
+        const auto order = [&](int k) { return Vec3<double>{path[4 + 3 * k], path[5 + 3 * k], path[6 + 3 * k]}; };
+        const double half = 0.5 * duration, middle = t + half - path[0], end = t + duration - path[0];
+        const Vec3<double> velocity = order(0) + (2.0 * middle) * order(1) + (3.0 * middle * middle) * order(2);
+        const double speed_variation = half * root(norm2(2.0 * order(1) + (6.0 * middle) * order(2))) +
+                               3.0 * half * half * root(norm2(order(2)));
+        double path_length = root(norm2(to - from - duration * velocity)) + duration * speed_variation, path_angle = 0.0;
+        for (int k = 0; k < 3; ++k) {
+            const double power = (k == 0 ? 1.0 : k == 1 ? 2.0 * end : 3.0 * end * end) * duration;
+            const double* const r = path + 17 + 3 * k;
+            path_angle += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
+        }
+        // A pad turns about its gripper.
+        path_length += path_angle * (root(norm2(contact.arm)) + root(norm2(contact.posed.lever)) + path_length);
+        if (contact.gap > path_length) return;
+        for (double fraction = 0.0, gap = contact.gap; fraction < 1.0 && !intersects;) {
+            fraction = smaller(fraction + larger(gap, min_step) / path_length, 1.0);
+            const PosedObstacle<double> posed(plan.contacts.obstacle_pose(contact.obstacle, t + fraction * duration), origin, obstacle);
+            gap = with_shape(obstacle.shape, [&](auto shape) {
+                return contact_kinematics<shape.value, true, double>(posed, obstacle.size, from + fraction * (to - from), {}).gap;
+            });
+            intersects = !(gap > 0.0);
+        }
+    });
+    return intersects;
+}
+
+}  // namespace cloth

@@ -1,0 +1,291 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Obstacles that move as commanded, and how a block of particles stands to one of them.
+#pragma once
+
+#include "contact/parallel_jaw.hpp"
+#include "contact/shapes.hpp"
+#include "laws/contact.hpp"
+#include "laws/friction.hpp"
+#include "plan/grips.hpp"
+
+#include <algorithm>
+#include <memory>
+#include <numeric>
+
+namespace cloth {
+
+struct Obstacle {
+    Shape shape;
+    Vec3<double> size;
+    double radius;  ///< of a sphere about its frame's origin that holds it all; infinite for a plane
+    FrictionCoefficients friction;
+    std::int64_t parallel_jaw = -1;  ///< of the pad of a gripper that pinches, which; negative for all else
+    double jaw_side = 0.0;        ///< on which side of its closing axis
+    std::shared_ptr<const Mesh> mesh = nullptr;  ///< of a mesh
+};
+
+/// Contacts that have a reduced thickness for a while. They regain the whole one, each at a constant rate over a frame.
+struct ReducedThickness {
+    /// Thickness [m] at the time `start` [s] of the contact of each obstacle with each particle, and in a last row of the
+    /// cloth with itself; the last column is of obstacles' points and edges. Room for a vector lies behind. Empty where
+    /// all contacts have the whole thickness.
+    std::vector<double> at_start;
+    std::vector<double> rates;  ///< of the same contacts [m/s]
+    double full = 0.0, start = 0.0;
+
+    bool any() const { return !at_start.empty(); }
+    /// Of contacts by their thickness at the start and its rate, at a time t [s].
+    template <class V>
+    CLOTH_INLINE Scaling<V> scaling(V at_start, V rate, double t) const {
+        const auto of = [](double a) CLOTH_INLINED { return splat<V>(scalar<V>(a)); };
+        const V thickness = smaller(fma(rate, of(t - start), at_start), of(full));
+        return {of(full) / thickness, rate / thickness};
+    }
+    /// Of one contact by its row and column, of so many columns.
+    Scaling<double> scaling(std::int64_t row, std::int64_t column, std::int64_t columns, double t) const {
+        const std::int64_t k = row * columns + column;
+        return any() ? scaling<double>(at_start[k], rates[k], t) : full_thickness<double>();
+    }
+};
+
+struct Contacts {
+    std::vector<Obstacle> obstacles;
+    std::vector<double> paths;
+    double thickness = 0.0, damping = 0.0;
+    /// Frequency of the springs to friction's anchors [1/s]. `anchors` holds the anchors at the start of runs,
+    /// (obstacles, anchor_numbers, particles), and behind them those on layers of the cloth, see LayerAnchors.
+    double frequency = 0.0;
+    std::vector<double> anchors;
+    /// Grippers that pinch, and where their pads are at the start of runs, (pinches, jaw_state_size).
+    std::vector<ParallelJaw> parallel_jaws;
+    std::vector<double> jaw_states;
+    ReducedThickness reduced;
+    /// Indices of the obstacles that a run may meet. `sleeps`: whether a run may skip a block of particles for some
+    /// steps while the block is far from an obstacle.
+    std::vector<std::int64_t> active;
+    bool may_skip_blocks = true;
+
+    void activate_all() {
+        active.clear();
+        for (std::int64_t k = 0; k < count(); ++k)
+            if (present(k)) active.push_back(k);
+    }
+    std::int64_t count() const { return static_cast<std::int64_t>(obstacles.size()); }
+    const double* path(std::int64_t obstacle) const { return paths.data() + obstacle * path_numbers; }
+    /// The pinch of an obstacle that is a pad, or null.
+    const ParallelJaw* jaw_of(std::int64_t obstacle) const {
+        const std::int64_t jaw = obstacles[obstacle].parallel_jaw;
+        return jaw < 0 ? nullptr : &parallel_jaws[jaw];
+    }
+    bool present(std::int64_t obstacle) const {
+        const ParallelJaw* const jaw = jaw_of(obstacle);
+        return !jaw || jaw->present;
+    }
+    /// Pose of an obstacle, from `pose` of its path. A pad is shifted along its gripper's closing axis: its face is
+    /// `way` [m] from the gripper and moves outward at `rate` [m/s].
+    Pose shifted_pose(const Pose& pose, std::int64_t obstacle, double half_opening, double jaw_speed) const {
+        const ParallelJaw* const jaw = jaw_of(obstacle);
+        return jaw ? jaw_pose(pose, obstacles[obstacle].jaw_side, half_opening + jaw->half_thickness, jaw_speed) : pose;
+    }
+    /// Pose of an obstacle, pads being where they are at the start of runs.
+    Pose obstacle_pose(std::int64_t obstacle, double t) const {
+        const Pose at = pose_at(path(obstacle), t);
+        if (!jaw_of(obstacle)) return at;
+        const double* const state = jaw_states.data() + obstacles[obstacle].parallel_jaw * jaw_state_size;
+        return shifted_pose(at, obstacle, state[0], state[1]);
+    }
+    /// The same, pads moving as fast as they may within a duration [s] from then on, towards where they are driven: at the
+    /// speed without load, or at their own where that is larger.
+    Pose driven_pose(std::int64_t obstacle, double t, double duration) const {
+        const ParallelJaw* const jaw = jaw_of(obstacle);
+        if (!jaw || duration == 0.0) return obstacle_pose(obstacle, t);
+        const double* const state = jaw_states.data() + obstacles[obstacle].parallel_jaw * jaw_state_size;
+        const double jaw_speed = jaw->closed ? smaller(state[1], -jaw->speed) : larger(state[1], jaw->speed);
+        return shifted_pose(pose_at(path(obstacle), t), obstacle, state[0], jaw_speed);
+    }
+    /// The larger of both speeds of a pad [m/s].
+    double max_jaw_speed(std::int64_t obstacle) const {
+        const double speed = jaw_states[obstacles[obstacle].parallel_jaw * jaw_state_size + 1];
+        return larger(jaw_of(obstacle)->speed, absolute(speed));
+    }
+    /// Numbers of anchors on obstacles; behind them are those on layers of the cloth, if any.
+    std::int64_t obstacle_anchors(std::int64_t particles) const { return count() * anchor_numbers * particles; }
+    bool has_friction() const {
+        for (const Obstacle& obstacle : obstacles)
+            if (obstacle.friction.at_rest > 0.0) return true;
+        return false;
+    }
+    template <class V>
+    ContactLaw<V> law() const {
+        return ContactLaw<V>(thickness, damping);
+    }
+};
+
+/// What a run met. `reached`: largest energy per mass that contact has to take up, in units of U^2/2. `gap`: least gap
+/// [m]. `missed`: whether a block that was skipped for some steps moved faster than the skip allowed for.
+struct ContactSummary {
+    static constexpr int numbers = 3;
+    double energy = 0.0, gap = 1e30;
+    bool violated = false;
+    void write(double* out) const {
+        out[0] = energy;
+        out[1] = gap;
+        out[2] = violated ? 1.0 : 0.0;
+    }
+};
+/// Particles of a list that are looked at together.
+inline constexpr std::int64_t contact_block = 64;
+
+/// An obstacle at a moment; places are seen from a run's origin.
+template <class T>
+struct PosedObstacle {
+    Vec3<T> position, rotation[3], velocity, spin;
+    const Mesh* mesh;  ///< of an obstacle that is one
+    Vec3<T> lever{};  ///< from the point about which torques are booked, a pad's gripper, to its place
+
+    PosedObstacle(const Pose& pose, const double* origin, const Obstacle& obstacle) : mesh(obstacle.mesh.get()) {
+        const auto rounded = [](Vec3<double> a) { return Vec3<T>{T(a.x), T(a.y), T(a.z)}; };
+        position = rounded(pose.position - Vec3<double>{origin[0], origin[1], origin[2]});
+        for (int j = 0; j < 3; ++j) rotation[j] = rounded(pose.rotation[j]);
+        velocity = rounded(pose.velocity);
+        spin = rounded(pose.spin);
+    }
+    /// A vector of the world in the obstacle's frame, and back.
+    template <class V>
+    CLOTH_INLINE Vec3<V> inward(const Vec3<V>& a) const {
+        return {dot(axis<V>(0), a), dot(axis<V>(1), a), dot(axis<V>(2), a)};
+    }
+    template <class V>
+    CLOTH_INLINE Vec3<V> outward(const Vec3<V>& a) const {
+        return a.x * axis<V>(0) + a.y * axis<V>(1) + a.z * axis<V>(2);
+    }
+    template <class V>
+    CLOTH_INLINE Vec3<V> axis(int k) const {
+        return {splat<V>(rotation[k].x), splat<V>(rotation[k].y), splat<V>(rotation[k].z)};
+    }
+    bool is_rotating() const { return norm2(spin) > T(0); }
+};
+template <class V>
+CLOTH_INLINE Vec3<V> splat3(const Vec3<scalar<V>>& a) {
+    return {splat<V>(a.x), splat<V>(a.y), splat<V>(a.z)};
+}
+
+/// How a particle stands to an obstacle: its way from the obstacle's place, the gap, the direction off it, how fast the gap
+/// closes, and its velocity seen from the obstacle.
+template <class V>
+struct ContactKinematics {
+    Vec3<V> arm;
+    V gap;
+    Vec3<V> normal, slip;
+    V closing;
+};
+/// With Turns the obstacle may turn; else its spin is zero and left out, which changes no bit.
+template <Shape S, bool Rotating, class V>
+CLOTH_INLINE ContactKinematics<V> contact_kinematics(const PosedObstacle<scalar<V>>& posed, const Vec3<scalar<V>>& size, Vec3<V> x, Vec3<V> v) {
+    const Vec3<V> c = splat3<V>(posed.rotation[2]);
+    ContactKinematics<V> s;
+    s.arm = x - splat3<V>(posed.position);
+    if constexpr (S == Shape::plane) {
+        s.gap = dot(c, s.arm);
+        s.normal = c;
+    } else if constexpr (S == Shape::sphere) {
+        const SurfacePoint<V> n = nearest_on<S, V>(s.arm, splat3<V>(size));
+        s.gap = n.gap;
+        s.normal = n.normal;
+    } else {
+        const Vec3<V> a = splat3<V>(posed.rotation[0]), b = splat3<V>(posed.rotation[1]);
+        const Vec3<V> local{dot(a, s.arm), dot(b, s.arm), dot(c, s.arm)};
+        const SurfacePoint<V> n = [&]() CLOTH_INLINED {
+            if constexpr (S == Shape::mesh)
+                return nearest_on_mesh<V>(*posed.mesh, local);
+            else
+                return nearest_on<S, V>(local, splat3<V>(size));
+        }();
+        s.gap = n.gap;
+        s.normal = n.normal.x * a + n.normal.y * b + n.normal.z * c;
+    }
+    s.slip = v - splat3<V>(posed.velocity);
+    if constexpr (Rotating) s.slip = s.slip - cross(splat3<V>(posed.spin), s.arm);
+    s.closing = -dot(s.slip, s.normal);
+    return s;
+}
+
+/// Particles side by side: positions and velocities by component, `pitch` numbers apart, and masses, zero where a particle
+/// is anchored or none. Whole vectors may be read.
+template <class T>
+struct Block {
+    const T *x, *v;
+    std::ptrdiff_t pitch;
+    const T* mass;
+    std::int64_t count;
+
+    template <class V>
+    CLOTH_INLINE Vec3<V> position(std::ptrdiff_t j) const {
+        return {load_as<V>(x + j), load_as<V>(x + pitch + j), load_as<V>(x + 2 * pitch + j)};
+    }
+    template <class V>
+    CLOTH_INLINE Vec3<V> velocity(std::ptrdiff_t j) const {
+        return {load_as<V>(v + j), load_as<V>(v + pitch + j), load_as<V>(v + 2 * pitch + j)};
+    }
+};
+
+/// What a look at a block finds: the least gap, the largest speed seen from the obstacle, and the largest speed with which
+/// a particle is about to come into contact.
+template <class T>
+struct ScanResult {
+    T gap, speed, approach_speed;
+};
+/// Stands for the gap of a particle that doesn't count (anchored, or padding): larger than any real gap.
+template <class T>
+inline constexpr T no_gap = T(1e30);
+
+/// Collects `ScanResult` from vectors of particles. A particle is about to come into contact if, at its present speed, its
+/// gap falls below `near` [m] within `ahead` [s].
+template <class T>
+class BlockScan {
+    using V = vec<T>;
+
+public:
+    BlockScan(T contact_distance, T lookahead) : contact_distance_(splat<V>(contact_distance)), negative_lookahead_(splat<V>(-lookahead)) {}
+    /// Takes a vector of particles in and returns their gaps: `no_gap` where the mass is zero.
+    CLOTH_INLINE V include(const ContactKinematics<V>& s, V mass) {
+        max_speed2_ = larger(select(mass > V{}, norm2(s.slip), V{}), max_speed2_);
+        return include_gap(s, mass);
+    }
+    /// The same without speeds.
+    CLOTH_INLINE V include_gap(const ContactKinematics<V>& s, V mass) {
+        const V gap = select(mass > V{}, s.gap, splat<V>(no_gap<T>));
+        min_gap_ = smaller(gap, min_gap_);
+        approach_speed_ = larger(select(fma(negative_lookahead_, s.closing, gap) < contact_distance_, s.closing, V{}), approach_speed_);
+        return gap;
+    }
+    V min_gap() const { return min_gap_; }
+    V approach_speed() const { return approach_speed_; }
+    ScanResult<T> result() const {
+        ScanResult<T> total{no_gap<T>, T(0), T(0)};
+        for (int k = 0; k < lanes<T>; ++k) {
+            total.gap = smaller<T>(min_gap_[k], total.gap);
+            total.speed = larger<T>(max_speed2_[k], total.speed);
+            total.approach_speed = larger<T>(approach_speed_[k], total.approach_speed);
+        }
+        total.speed = root(total.speed);
+        return total;
+    }
+
+private:
+    V contact_distance_, negative_lookahead_, min_gap_ = splat<V>(no_gap<T>), max_speed2_{}, approach_speed_{};
+};
+
+template <Shape S, bool Rotating, class T>
+inline BlockScan<T> scan_block(const PosedObstacle<T>& posed, const Vec3<T>& size, const Block<T>& block, T contact_distance, T lookahead) {
+    using V = vec<T>;
+    BlockScan<T> scan(contact_distance, lookahead);
+    for (std::ptrdiff_t j = 0; j < block.count; j += lanes<T>)
+        scan.include(contact_kinematics<S, Rotating, V>(posed, size, block.template position<V>(j), block.template velocity<V>(j)),
+                     load(block.mass + j));
+    return scan;
+}
+
+}  // namespace cloth

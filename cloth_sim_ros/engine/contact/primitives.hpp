@@ -1,0 +1,94 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Nearest points: of a triangle to a point, and of two segments to each other. V is a number, a vector of them, or a
+// number with its derivative.
+#pragma once
+
+#include "core/algebra.hpp"
+
+namespace cloth {
+
+template <class V>
+CLOTH_INLINE V within_one(V a) {
+    return larger(smaller(a, splat<V>(1.0)), V{});
+}
+
+/// Where a segment from a to b is nearest to a point, as a share of the way from a; and the square of that distance.
+template <class V>
+struct OnSegment {
+    V fraction, square;
+    Vec3<V> away;  ///< from there to the point
+};
+template <class V>
+CLOTH_INLINE OnSegment<V> near_segment(Vec3<V> p, Vec3<V> a, Vec3<V> b) {
+    const Vec3<V> along = b - a, from = p - a;
+    const V fraction = within_one(dot(from, along) / norm2(along));
+    const Vec3<V> away = from - fraction * along;
+    return {fraction, norm2(away), away};
+}
+
+/// Where a triangle is nearest to a point: weights of its corners.
+template <class V>
+struct OnTriangle {
+    V weight[3], square;
+    Vec3<V> away;
+};
+/// Inside, or on the nearest edge. A triangle without area has edges only.
+template <class V>
+CLOTH_INLINE OnTriangle<V> near_triangle(Vec3<V> p, Vec3<V> a, Vec3<V> b, Vec3<V> c) {
+    const V zero{}, unit = splat<V>(1.0);
+    const OnSegment<V> ab = near_segment(p, a, b), bc = near_segment(p, b, c), ca = near_segment(p, c, a);
+    OnTriangle<V> n{{unit - ab.fraction, ab.fraction, zero}, ab.square, ab.away};
+    const auto choose = [&](auto yes, V u, V v, V w, V square, Vec3<V> away) CLOTH_INLINED {
+        n.weight[0] = select(yes, u, n.weight[0]);
+        n.weight[1] = select(yes, v, n.weight[1]);
+        n.weight[2] = select(yes, w, n.weight[2]);
+        n.away = {select(yes, away.x, n.away.x), select(yes, away.y, n.away.y), select(yes, away.z, n.away.z)};
+        n.square = select(yes, square, n.square);
+    };
+    choose(bc.square < n.square, zero, unit - bc.fraction, bc.fraction, bc.square, bc.away);
+    choose(ca.square < n.square, ca.fraction, zero, unit - ca.fraction, ca.square, ca.away);
+    const Vec3<V> e = b - a, g = c - a, r = p - a, normal = cross(e, g);
+    const V over = unit / norm2(normal), v = dot(cross(r, g), normal) * over, w = dot(cross(e, r), normal) * over;
+    const V u = unit - v - w;
+    const Vec3<V> away = r - v * e - w * g;
+    const V square = norm2(away);
+    choose(select(smaller(smaller(v, w), u) > zero, square, n.square) < n.square, u, v, w, square, away);
+    return n;
+}
+
+/// Where two segments, from a to b and from c to e, are nearest to each other: as shares of their ways.
+template <class V>
+struct OnSegments {
+    V first, second, square;
+    Vec3<V> away;  ///< from the second to the first
+};
+/// Inside both, or at an end of one.
+template <class V>
+CLOTH_INLINE OnSegments<V> near_segments(Vec3<V> a, Vec3<V> b, Vec3<V> c, Vec3<V> e) {
+    const V zero{}, unit = splat<V>(1.0);
+    OnSegments<V> n;
+    const auto choose = [&](auto yes, V first, V second, V square, Vec3<V> away) CLOTH_INLINED {
+        n.first = select(yes, first, n.first);
+        n.second = select(yes, second, n.second);
+        n.square = select(yes, square, n.square);
+        n.away = {select(yes, away.x, n.away.x), select(yes, away.y, n.away.y), select(yes, away.z, n.away.z)};
+    };
+    const OnSegment<V> at_a = near_segment(a, c, e), at_b = near_segment(b, c, e);
+    const OnSegment<V> at_c = near_segment(c, a, b), at_e = near_segment(e, a, b);
+    n = {zero, at_a.fraction, at_a.square, at_a.away};
+    choose(at_b.square < n.square, unit, at_b.fraction, at_b.square, at_b.away);
+    choose(at_c.square < n.square, at_c.fraction, zero, at_c.square, -at_c.away);
+    choose(at_e.square < n.square, at_e.fraction, unit, at_e.square, -at_e.away);
+    const Vec3<V> u = b - a, v = e - c, r = a - c, normal = cross(u, v);
+    const V over = unit / norm2(normal);
+    const V first = dot(cross(v, r), normal) * over, second = dot(cross(u, r), normal) * over;
+    const V inside = smaller(smaller(first, unit - first), smaller(second, unit - second));
+    const Vec3<V> away = r + first * u - second * v;
+    const V square = norm2(away);
+    choose(select(inside > zero, square, n.square) < n.square, first, second, square, away);
+    return n;
+}
+
+}  // namespace cloth

@@ -1,0 +1,295 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Contact of the cloth with itself: who is near whom, and what steps have to follow.
+#pragma once
+
+#include "contact/self_friction.hpp"
+#include "contact/self_gaps.hpp"
+
+namespace cloth {
+
+/// Upper bound of how far any two particles have moved relative to each other: the diagonal of the box that holds all
+/// displacements. NaN where a displacement is not finite.
+class MotionBound {
+public:
+    CLOTH_INLINE void include(quad<double> displacement) {
+        low_ = smaller(displacement, low_);
+        high_ = larger(displacement, high_);
+        nan_check_ = fma(displacement, quad<double>{}, nan_check_);
+    }
+    double diameter() const {
+        const quad<double> w = high_ - low_ + nan_check_;
+        return root(norm2(Vec3<double>{w[0], w[1], w[2]}));
+    }
+
+private:
+    quad<double> low_ = quad<double>{} + 1e300, high_ = quad<double>{} - 1e300, nan_check_{};
+};
+
+/// What of a surface is near itself, kept from one call to the next. Positions are quads.
+class SelfContact {
+public:
+    Surface surface;
+    /// Friction between layers.
+    FrictionCoefficients friction;
+    bool has_friction() const { return friction.at_rest > 0.0; }
+    /// Of the last `find`: pairs that are near.
+    PairList triangles, edges;
+    std::vector<double> triangle_squares, edge_squares;
+    /// Least reach of a list of pairs, as a fraction of the shortest edge: neighbours of neighbours in a flat sheet are
+    /// beyond it.
+    static constexpr double min_reach = 0.6;
+    bool caches = true;  ///< false makes a new list every time, for tests
+
+    std::array<Index, 4> triangle_corners(std::size_t k) const {
+        const auto& t = surface.triangles[triangles.second[k]];
+        return {triangles.first[k], t[0], t[1], t[2]};
+    }
+    std::array<Index, 4> edge_corners(std::size_t k) const {
+        const auto &a = surface.edges[edges.first[k]], &b = surface.edges[edges.second[k]];
+        return {a[0], a[1], b[0], b[1]};
+    }
+
+    /// Find the pairs of a particle and a triangle that are nearer than thickness + beyond [m], and the pairs of edges
+    /// that are nearer than thickness / 2 + beyond. False where a position is not finite, or where thickness + beyond
+    /// is at least four times the shortest edge.
+    bool find(const double* x, double thickness, double margin) {
+        if (!(thickness + margin < 4.0 * surface.shortest)) return false;
+        const bool use_middle = margin <= middle_margin * thickness;
+        if (!(use_middle ? covers_middle(x, thickness, margin) : covers_outer(x, thickness, margin))) {
+            if (!check_positions(x, thickness)) return false;
+            if (use_middle)
+                rebuild_middle(x, margin);
+            else
+                rebuild_outer(x, margin);
+        }
+        const SurfacePairs& from = use_middle ? middle_.pairs : outer_.pairs;
+        from.triangle_squares(surface, x, squares_);
+        filter(from.triangles, thickness + margin, triangles, &triangle_squares);
+        from.edge_squares(surface, x, squares_);
+        filter(from.edges, 0.5 * thickness + margin, edges, &edge_squares);
+        return true;
+    }
+    /// The same for a run, in every step: `gaps` in place of triangles. `moved` is how far particles have moved relative to
+    /// each other since the last call [m], at most; after anything else than that it is infinite.
+    bool update(const double* x, double thickness, double margin, double motion) {
+        if (!(thickness + margin < 4.0 * surface.shortest)) return false;
+        motion_ += motion;
+        if (!caches || thickness != thickness_ || !(margin + motion_ <= inner_.margin)) {
+            if (!check_positions(x, thickness)) return false;
+            motion_ = motion_since(x, inner_.positions);
+            if (!caches || !(margin + motion_ <= inner_.margin)) {
+                rebuild_inner(x, margin);
+                motion_ = 0.0;
+            }
+        }
+        gaps.find(x, thickness, thickness + margin);
+        inner_.pairs.edge_squares(surface, x, squares_);
+        filter(inner_.pairs.edges, 0.5 * thickness + margin, edges, &edge_squares);
+        return true;
+    }
+    /// What `follow` found, and the pairs of a particle and a triangle that it looked at, as many as `gaps.square`.
+    SelfGaps gaps;
+    const PairList& inner_pairs() const { return inner_.pairs.triangles; }
+
+private:
+    static constexpr double max_reach = 0.95;  ///< as a fraction of the shortest edge
+    /// Extra reach of a list that is looked at in some steps, as a fraction of the thickness, and of one that is looked at
+    /// in every step: as many times the way that is looked ahead, but no less than a fraction of the thickness.
+    static constexpr double middle_margin = 0.3, inner_margin_factor = 6.0, min_inner_margin = 0.02;
+
+    /// Pairs, where particles were as they were found, and how far beyond the thickness they reach.
+    struct ListLevel {
+        SurfacePairs pairs;
+        Array<double> positions;
+        double margin = -1.0;
+    };
+
+    /// How far particles have moved relative to each other since they were at some places, none of them known at first.
+    double motion_since(const double* x, const Array<double>& reference) const {
+        MotionBound motion;
+        if (static_cast<std::int64_t>(reference.size()) == 4 * surface.count)
+            for (std::int64_t i = 0; i < surface.count; ++i) motion.include(load4(x + 4 * i) - load4(reference.data() + 4 * i));
+        else
+            for (std::int64_t i = 0; i < surface.count; ++i) motion.include(load4(x + 4 * i));
+        return motion.diameter();
+    }
+    /// Whether particles are where pairs can be found. Lists of another thickness are forgotten.
+    bool check_positions(const double* x, double thickness) {
+        if (!(motion_since(x, outer_.positions) < 1e30)) return false;
+        if (thickness != thickness_) outer_.pairs.reach = middle_.margin = inner_.margin = -1.0;
+        thickness_ = thickness;
+        return true;
+    }
+    /// Whether a list has all pairs within the thickness and beyond. It has none for positions that are not finite.
+    bool covers_outer(const double* x, double thickness, double margin) const {
+        return caches && thickness == thickness_ && thickness + margin + motion_since(x, outer_.positions) <= outer_.pairs.reach;
+    }
+    bool covers_middle(const double* x, double thickness, double margin) const {
+        return caches && thickness == thickness_ && margin + motion_since(x, middle_.positions) <= middle_.margin;
+    }
+    void rebuild_outer(const double* x, double margin) {
+        if (covers_outer(x, thickness_, margin)) return;
+        // The further it reaches, the longer it holds; but from the shortest edge on it has all neighbours in a flat sheet.
+        const double range = thickness_ + margin, longer = smaller(1.5 * range, max_reach * surface.shortest);
+        // Edges keep half the thickness.
+        outer_.pairs.build(surface, x, larger(min_reach * surface.shortest, larger(1.2 * range, longer)), 0.5 * thickness_);
+        outer_.positions.assign(x, x + 4 * surface.count);
+    }
+    void rebuild_middle(const double* x, double margin) {
+        if (covers_middle(x, thickness_, margin)) return;
+        rebuild_outer(x, margin + middle_margin * thickness_);
+        prune(x, outer_.pairs, margin + middle_margin * thickness_, middle_);
+    }
+    void rebuild_inner(const double* x, double margin) {
+        margin += smaller(larger(inner_margin_factor * margin, min_inner_margin * thickness_), middle_margin * thickness_);
+        rebuild_middle(x, margin);
+        prune(x, middle_.pairs, margin, inner_);
+        gaps.set_candidates(surface, inner_.pairs.triangles, x, thickness_ + margin);
+    }
+    /// Those of some pairs that are within the thickness and beyond.
+    void prune(const double* x, const SurfacePairs& from, double margin, ListLevel& to) {
+        from.triangle_squares(surface, x, squares_);
+        filter(from.triangles, thickness_ + margin, to.pairs.triangles, nullptr);
+        from.edge_squares(surface, x, squares_);
+        filter(from.edges, 0.5 * thickness_ + margin, to.pairs.edges, nullptr);
+        to.positions.assign(x, x + 4 * surface.count);
+        to.margin = margin;
+    }
+    void filter(const PairList& from, double reach, PairList& to, std::vector<double>* squares) const {
+        to.clear();
+        if (squares) squares->clear();
+        for (std::size_t k = 0; k < from.size(); ++k)
+            if (squares_[k] < reach * reach) {
+                to.add(from.first[k], from.second[k]);
+                if (squares) squares->push_back(squares_[k]);
+            }
+    }
+    /// Each a part of the one before.
+    ListLevel outer_, middle_, inner_;
+    double thickness_ = 0.0, motion_ = 0.0;
+    std::vector<double> squares_;
+};
+
+/// Squared frequency [1/s^2] and damping rate [1/s].
+struct ContactBounds {
+    double omega2 = 0.0, damping = 0.0;
+};
+
+/// What contact has taken up and will have to: energy per mass in units of U^2/2 of particles and of edges; and by how much
+/// stiffness over mass exceeds that of a single gap, at the particle that most acts on (Gershgorin: a pair's stiffness
+/// k g g' is at most 2 k |g_c| at each of its corners).
+class StiffnessBound {
+public:
+    /// Least stiffness over mass, relative to that of a single gap: two layers in contact push each other.
+    static constexpr double min_row_sum = 2.0;
+    double encountered[2] = {}, gap = 1e30;
+
+    /// A particle's or a pair of edges' meeting at its closing speed.
+    template <class V>
+    void include(const Surface& s, const Contact<V>& m) {
+        if (m.gaps.empty()) return;
+        gap = smaller(m.min_gap(), gap);
+        add_contact(m.edges, m.max_closing(), value_of(m.shape));
+        for (const auto& g : m.gaps)
+            for (int k = 0; k < 4; ++k) {
+                const Index c = g.corner[k];
+                if ((!m.edges && k && c == g.corner[0]) || !s.is_free[c]) continue;
+                const double weight = absolute(value_of(g.weight[k]));
+                add(m.edges, c, s.count, 2.0 * g.sign * m.mass * weight / s.masses[c]);
+            }
+    }
+    /// A gap that closes at a speed and holds an energy already. Where two masses meet, one may stand still: then all of
+    /// m w^2/2 goes into half of m U^2/2 b.
+    void add_contact(bool edges, double closing, double shape = 0.0) {
+        include_energy(edges, energy_to_stop(closing, shape));
+    }
+    void include_energy(bool edges, double energy) { encountered[edges] = larger(energy, encountered[edges]); }
+    /// Take in what stiffness adds up to at particles, over that of a single gap, and forget it: the fourth number of
+    /// each of so many quads, times one over the mass.
+    void gather_row_sums(const Surface& s, double* f) {
+        // Four at a time: each waits for the one before it.
+        quad<double> max[4] = {};
+        for (std::int64_t i = 0; i < s.count; ++i) {
+            const quad<double> force = load4(f + 4 * i);
+            max[i % 4] = larger(quad<double>(force * s.inverse[i]), max[i % 4]);
+            store4(f + 4 * i, quad<double>{force[0], force[1], force[2], 0.0});
+        }
+        for (const quad<double>& lane_max : max) row_sum_[0] = larger(lane_max[3], row_sum_[0]);
+    }
+    /// Take in a pair that is not in contact yet and comes into contact within a duration [s]: the step has to be short
+    /// enough for its closing speed before that. What closes slower than `from` [m/s] does not count.
+    void add_approaching(const std::array<Index, 4>& corner, bool edges, const SelfLaw<double>& law, const Quads& at,
+              const Quads& velocity, double duration, double min_speed = 0.0) {
+        Vec3<double> offset, relative_velocity;
+        const Vec3<double> v[4] = {velocity(corner[0]), velocity(corner[1]), velocity(corner[2]), velocity(corner[3])};
+        if (edges) {
+            const auto n = near_segments(at(corner[0]), at(corner[1]), at(corner[2]), at(corner[3]));
+            offset = n.away;
+            relative_velocity = v[0] + n.first * (v[1] - v[0]) - v[2] - n.second * (v[3] - v[2]);
+        } else {
+            const auto n = near_triangle(at(corner[0]), at(corner[1]), at(corner[2]), at(corner[3]));
+            offset = n.away;
+            relative_velocity = v[0] - n.weight[0] * v[1] - n.weight[1] * v[2] - n.weight[2] * v[3];
+        }
+        const Scaling<double> scaling =
+            edges ? law.scaling({corner[0], corner[1]}, {corner[2], corner[3]}) : law.scaling(corner[0]);
+        const double distance = root(norm2(offset)), closing = scaling.closing(distance, -dot(offset, relative_velocity) / distance);
+        const double remaining = scaling.gap(distance) - law.thickness(edges);
+        if (remaining >= 0.0 && remaining < duration * closing && closing >= min_speed) add_contact(edges, closing);
+    }
+    /// Look at what was added since the last time.
+    void flush() {
+        for (int edges = 0; edges < 2; ++edges) {
+            for (const Index c : loaded_[edges]) {
+                row_sum_[edges] = larger(load_[edges][c], row_sum_[edges]);
+                load_[edges][c] = 0.0;
+            }
+            loaded_[edges].clear();
+        }
+    }
+    /// `rubbing` [1/s^2] is the squared frequency of anchors' springs, which act wherever particles meet.
+    ContactBounds bounds(double thickness, double damping, double expected = 1.0, double friction_omega2 = 0.0,
+                    double frequency = 1.0) const {
+        ContactBounds r;
+        if (encountered[0] > 0.0) {
+            r.omega2 += friction_omega2;
+            r.damping += FrictionLaw<double>::damping_per_frequency / frequency * friction_omega2;
+        }
+        for (int edges = 0; edges < 2; ++edges) {
+            if (!(encountered[edges] > 0.0)) continue;
+            const double d = edges ? 0.5 * thickness : thickness, row_sum = larger(row_sum_[edges], min_row_sum);
+            const ContactLaw<double> law(d, damping);
+            const double at = stopping_gap(expected * encountered[edges]) * d;
+            r.omega2 += row_sum * law.stiffness(at);
+            r.damping += row_sum * law.damping(at);
+        }
+        return r;
+    }
+
+private:
+    void add(bool edges, Index c, std::int64_t count, double load) {
+        auto& all = load_[edges];
+        if (all.empty()) all.assign(count, 0.0);
+        if (all[c] == 0.0) loaded_[edges].push_back(c);
+        all[c] += load;
+    }
+    double row_sum_[2] = {};
+    std::vector<double> load_[2];
+    std::vector<Index> loaded_[2];
+};
+
+/// Call `particle(i, first, last)` with ranges of a particle's triangles, and `edge(k)` with each pair of edges, that
+/// `find` found.
+template <class P, class E>
+inline void for_each_neighbor(const SelfContact& self, P&& particle, E&& edge) {
+    const PairList& t = self.triangles;
+    for (std::size_t first = 0, last; first < t.size(); first = last) {
+        for (last = first; last < t.size() && t.first[last] == t.first[first];) ++last;
+        particle(t.first[first], first, last);
+    }
+    for (std::size_t k = 0; k < self.edges.size(); ++k) edge(k);
+}
+
+}  // namespace cloth

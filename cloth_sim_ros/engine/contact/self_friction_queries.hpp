@@ -1,0 +1,116 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// What is asked of friction between layers beside its forces over a run, meeting by meeting, with the plan's anchors.
+#pragma once
+
+#include "mesh/queries.hpp"
+#include "plan/plan.hpp"
+
+namespace cloth {
+
+/// Call `what` with the friction law and each stance of a meeting.
+template <class V, class X, class U, class F>
+inline void for_each_layer_contact(const Plan& plan, const SelfLaw<V>& law, const Contact<V>& m, X&& at, U&& velocity, F&& visit) {
+    if (!plan.has_self_friction()) return;
+    const SelfFriction<V> friction(plan.self->friction, plan.contacts.frequency, law);
+    friction.for_each_layer(plan.self->surface, m, plan.layer_anchors(), at, velocity,
+                  [&](int, const Layer<V>&, const LayerAnchor&, const AnchorKinematics<V>& on) { visit(friction, on); });
+}
+template <class X, class U>
+inline double layer_energy(const Plan& plan, const SelfLaw<double>& law, const Contact<double>& m, X&& at, U&& velocity) {
+    double energy = 0.0;
+    for_each_layer_contact<double>(plan, law, m, at, velocity, [&](const auto& friction, const AnchorKinematics<double>& on) {
+        energy += on.mass * friction.force(on).energy;
+    });
+    return energy;
+}
+/// Power that friction takes [W].
+template <class X, class U>
+inline double layer_dissipation(const Plan& plan, const SelfLaw<double>& law, const Contact<double>& m, X&& at, U&& velocity) {
+    double dissipation = 0.0;
+    for_each_layer_contact<double>(plan, law, m, at, velocity, [&](const auto& friction, const AnchorKinematics<double>& on) {
+        dissipation += on.mass * friction.force(on).dissipation;
+    });
+    return dissipation;
+}
+template <class X, class U>
+inline void add_layer_bounds(const Plan& plan, const SelfLaw<double>& law, const Contact<double>& m, X&& at, U&& velocity,
+                             double* stiff, double* damp) {
+    const double damping_ratio = FrictionLaw<double>::damping_per_frequency / plan.contacts.frequency;
+    for_each_layer_contact<double>(plan, law, m, at, velocity, [&](const auto& friction, const AnchorKinematics<double>& on) {
+        friction.bounds(on, [&](Index c, double k) {
+            const Sym3<double> stiffness{k, k, k, 0.0, 0.0, 0.0}, damping{damping_ratio * k, damping_ratio * k, damping_ratio * k, 0.0, 0.0, 0.0};
+            if (stiff) add_block(stiff, plan.count, plan.particle_of_rank[c], stiffness);
+            if (damp) add_block(damp, plan.count, plan.particle_of_rank[c], damping);
+        });
+    });
+}
+/// Add the derivative of the forces to out, (3, n).
+template <class X, class U>
+inline void add_layer_product(const Plan& plan, const SelfLaw<Dual>& law, const Contact<Dual>& m, X&& at, U&& velocity,
+                              double* out) {
+    for_each_layer_contact<Dual>(plan, law, m, at, velocity, [&](const auto& friction, const AnchorKinematics<Dual>& on) {
+        friction.forces(on, friction.force(on), [&](Index c, Vec3<Dual> force) {
+            const std::int64_t i = plan.particle_of_rank[c];
+            out[i] += force.x.slope;
+            out[plan.count + i] += force.y.slope;
+            out[2 * plan.count + i] += force.z.slope;
+        });
+    });
+}
+template <class X, class U>
+inline void add_layer_loads(const Plan& plan, const SelfLaw<double>& law, const Contact<double>& m, X&& at, U&& velocity,
+                            LayerLoad& load) {
+    for_each_layer_contact<double>(plan, law, m, at, velocity, [&](const auto& friction, const AnchorKinematics<double>& on) {
+        friction.bounds(on, [&](Index c, double k) { load.add(plan.self->surface, c, k); });
+    });
+}
+
+/// Anchors on a layer after runs that ended with some of their own, as `combine_anchors` has them for obstacles: what no
+/// run moved stays as it is; the rest is combined as places, and dragged back onto the cone. `ends` of each run lie
+/// `stride` numbers apart.
+template <class X, class U>
+inline void combine_layer_anchors(const Plan& plan, const SelfLaw<double>& law, const Contact<double>& m, X&& at, U&& velocity,
+                          std::int64_t runs, const double* weights, const double* ends, std::int64_t stride,
+                          double* out) {
+    const Surface& s = plan.self->surface;
+    const std::int64_t n = plan.count;
+    const SelfFriction<double> friction(plan.self->friction, plan.contacts.frequency, law);
+    const auto ended = [&](std::int64_t run, int face, Index i) {
+        return LayerAnchors{ends + run * stride, plan.particle_of_rank.data(), n}(face, i);
+    };
+    const auto combined = [&](int face, Index i) {
+        const LayerAnchor last_anchor = ended(runs - 1, face, i);
+        bool all_bonded = last_anchor.bond != no_bond, same = true;
+        for (std::int64_t run = 0; run < runs; ++run) {
+            const LayerAnchor anchor = ended(run, face, i);
+            all_bonded = all_bonded && anchor.bond != no_bond;
+            same = same && anchor.triangle == last_anchor.triangle && anchor.second == last_anchor.second && anchor.third == last_anchor.third &&
+                   anchor.bond == last_anchor.bond;
+        }
+        if (!all_bonded || same) return last_anchor;
+        Vec3<double> sum{};
+        for (std::int64_t run = 0; run < runs; ++run) {
+            const LayerAnchor anchor = ended(run, face, i);
+            const auto& t = s.triangles[anchor.triangle];
+            const Vec3<double> a = at(t[0]), e = at(t[1]) - a, g = at(t[2]) - a;
+            sum = fma(weights[run], fma(anchor.second, e, fma(anchor.third, g, a)), sum);
+        }
+        return friction.barycentric_anchor(s, last_anchor.triangle, sum, at);
+    };
+    friction.for_each_layer(s, m, combined, at, velocity,
+                  [&](int face, const Layer<double>& layer, const LayerAnchor& anchor, const AnchorKinematics<double>& on) {
+                      const auto friction_force = friction.force(on);
+                      LayerAnchor result = anchor;
+                      if (friction_force.slides)
+                          result = friction.drag_anchor(s, on, layer, Vec3<double>{}, friction_force.stretch, at);
+                      else if (anchor.bond == no_bond)
+                          result = {layer.triangle, on.foot[1], on.foot[2], sticks};
+                      else
+                          result.bond = sticks;
+                      write_anchor(out, n, face, plan.particle_of_rank[on.corner[0]], result);
+                  });
+}
+
+}  // namespace cloth

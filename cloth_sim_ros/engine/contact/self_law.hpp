@@ -1,0 +1,258 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// What the cloth does to itself: the law of contact on gaps between a particle and the surface about it, and between two
+// edges. docs/contact.md derives it. V is a number, or one with its derivative.
+#pragma once
+
+#include "contact/primitives.hpp"
+#include "contact/surface.hpp"
+#include "laws/contact.hpp"
+
+namespace cloth {
+
+CLOTH_INLINE double value_of(double a) { return a; }
+CLOTH_INLINE double value_of(Dual a) { return a.value; }
+
+/// A gap between points of the surface: its vector is the sum of weights times corners' places, weights adding up to zero.
+template <class V>
+struct GapTerm {
+    double sign;  ///< 1 or -1: factor of this gap's energy in the sum
+    Index corner[4];
+    V weight[4];
+    Vec3<V> normal;
+    V gap, closing;
+};
+
+/// What a gap that closes at a speed [m/s] and holds an energy already has to take up, per mass in units of U^2/2. Where
+/// two masses meet, one may stand still: then all of m w^2/2 goes into half of m U^2/2 b.
+template <class V>
+CLOTH_INLINE V energy_to_stop(V closing, V shape) {
+    const V speed = larger(closing, V{}) * splat<V>(1.0 / ContactLaw<V>::speed);
+    return shape + splat<V>(2.0) * speed * speed;
+}
+
+/// What adds to one energy: gaps, and for edges how it fades as they become parallel.
+template <class V>
+struct Contact {
+    std::vector<GapTerm<V>> gaps;
+    double mass = 0.0;
+    /// Energy per mass in units of U^2/2, sum of the pushes, and the rate at which the energy grows [m^2/s^3].
+    V shape{}, push{}, rate{};
+    /// How its thickness is reduced; gaps, their speeds and these sums are in units of the whole one, see Scaling.
+    Scaling<V> scaling = full_thickness<V>();
+    V lever{};  ///< sum of pushes times gaps [m^2/s^2], while it grows
+    /// Of a pair of edges: what its energy is multiplied by, and the slope of that over the corners' places.
+    V fade_factor{};
+    Vec3<V> slope[4];
+    bool edges = false;
+
+    void clear() {
+        gaps.clear();
+        shape = push = rate = lever = V{};
+        edges = false;
+    }
+    double min_gap() const {
+        double min = 1e30;
+        for (const auto& g : gaps) min = smaller(value_of(g.gap), min);
+        return min;
+    }
+    /// The largest speed with which one of its gaps closes.
+    double max_closing() const {
+        double max = 0.0;
+        for (const auto& g : gaps) max = larger(value_of(g.closing), max);
+        return max;
+    }
+};
+
+template <class V>
+class SelfLaw {
+public:
+    /// Edges keep half the thickness.
+    SelfLaw(double thickness, double damping)
+        : thickness_(thickness), damping_(damping), particle_law_(thickness, damping), edge_law_(0.5 * thickness, damping) {}
+
+    double thickness(bool edges) const { return edges ? 0.5 * thickness_ : thickness_; }
+
+    /// Let contacts of particles have a reduced thickness, by one each; null takes it back. It has to outlive the law.
+    void reduce(const std::vector<Scaling<double>>* scalings) {
+        scalings_ = scalings && !scalings->empty() ? scalings->data() : nullptr;
+    }
+    bool reduced() const { return scalings_; }
+    Scaling<double> scaling(Index i) const { return scalings_ ? scalings_[i] : full_thickness<double>(); }
+    /// Of a pair of edges: the thinnest of their ends.
+    Scaling<double> scaling(const std::array<Index, 2>& edge1, const std::array<Index, 2>& edge2) const {
+        Scaling<double> result = full_thickness<double>();
+        if (!scalings_) return result;
+        for (const Index c : {edge1[0], edge1[1], edge2[0], edge2[1]})
+            if (scalings_[c].scale > result.scale) result = scalings_[c];
+        return result;
+    }
+
+    /// The energy of particle i with the surface, of which the triangles from `begin` to `end` are near. It counts
+    /// triangles, less edges between two of them, and particles within the sheet: so a flat surface counts once, wherever
+    /// it is cut into triangles (Euler's formula; Li et al., Convergent IPC, 2023).
+    template <class X, class U>
+    void particle(const Surface& s, Index i, const Index* begin, const Index* end, X&& at, U&& velocity,
+                  Contact<V>& m) const {
+        m.clear();
+        m.mass = 0.5 * s.masses[i];
+        m.scaling = splat_scaling(scaling(i));
+        const double range = thickness_ / value_of(m.scaling.scale), square_range = range * range;
+        const Vec3<V> p = at(i);
+        for (const Index* triangle = begin; triangle != end; ++triangle) {
+            const auto& t = s.triangles[*triangle];
+            const Vec3<V> x[3] = {at(t[0]), at(t[1]), at(t[2])};
+            const OnTriangle<V> n = near_triangle(p, x[0], x[1], x[2]);
+            if (!(value_of(n.square) < square_range)) continue;
+            const V unit = splat<V>(1.0);
+            add_gap({1.0, {i, t[0], t[1], t[2]}, {unit, -n.weight[0], -n.weight[1], -n.weight[2]}, n.away, n.square, V{}},
+                 velocity, m);
+            for (int k = 0; k < 3; ++k) {
+                const int next = (k + 1) % 3;
+                const Index neighbor = s.neighbors[*triangle][k];
+                if (neighbor >= 0 && (s.has(neighbor, i) || *triangle < neighbor)) {
+                    const OnSegment<V> e = near_segment(p, x[k], x[next]);
+                    if (value_of(e.square) < square_range)
+                        add_gap({-1.0, {i, t[k], t[next], i}, {unit, e.fraction - unit, -e.fraction, V{}}, e.away, e.square, V{}},
+                             velocity, m);
+                }
+                if (s.inner[t[k]] && s.first_about(t[k], i) == *triangle) {
+                    const Vec3<V> away = p - x[k];
+                    const V square = norm2(away);
+                    if (value_of(square) < square_range)
+                        add_gap({1.0, {i, t[k], i, i}, {unit, -unit, V{}, V{}}, away, square, V{}}, velocity, m);
+                }
+            }
+        }
+        for (const GapTerm<V>& g : m.gaps) {
+            const V push = splat<V>(g.sign) * particle_law_.elastic(g.gap);
+            m.push = m.push + push;
+            m.rate = m.rate + push * g.closing;
+            m.shape = m.shape + splat<V>(g.sign) * particle_law_.shape(g.gap);
+            if (scalings_) m.lever = m.lever + push * g.gap;
+        }
+    }
+    /// The energy of two edges, from a to b and from c to e. It fades as they become parallel, where the nearest points
+    /// jump: by (2 - q) q, q = sin^2 of their angle over `parallel`, up to 1.
+    template <class X, class U>
+    void edges(const Surface& s, const std::array<Index, 2>& edge1, const std::array<Index, 2>& edge2, X&& at,
+               U&& velocity, Contact<V>& m) const {
+        m.clear();
+        const Index corner[4] = {edge1[0], edge1[1], edge2[0], edge2[1]};
+        const Vec3<V> x[4] = {at(corner[0]), at(corner[1]), at(corner[2]), at(corner[3])};
+        const OnSegments<V> n = near_segments(x[0], x[1], x[2], x[3]);
+        m.scaling = splat_scaling(scaling(edge1, edge2));
+        const double thickness = 0.5 * thickness_ / value_of(m.scaling.scale);
+        if (!(value_of(n.square) < thickness * thickness)) return;
+        m.edges = true;
+        m.mass = 0.25 * (s.masses[corner[0]] + s.masses[corner[1]] + s.masses[corner[2]] + s.masses[corner[3]]);
+        const V unit = splat<V>(1.0);
+        add_gap({1.0, {corner[0], corner[1], corner[2], corner[3]},
+              {unit - n.first, n.first, n.second - unit, -n.second}, n.away, n.square, V{}}, velocity, m);
+        apply_fade(x[1] - x[0], x[3] - x[2], m);
+        const GapTerm<V>& g = m.gaps[0];
+        const V shape = edge_law_.shape(g.gap);
+        m.push = m.fade_factor * edge_law_.elastic(g.gap);
+        m.shape = m.fade_factor * shape;
+        m.rate = m.push * g.closing;
+        m.lever = m.push * g.gap;
+        const V energy = splat<V>(0.5 * ContactLaw<V>::speed * ContactLaw<V>::speed) * shape;
+        for (int k = 0; k < 4; ++k) {
+            m.slope[k] = energy * m.slope[k];
+            m.rate = m.rate + dot(m.slope[k], velocity(corner[k]));
+        }
+    }
+    /// What damping multiplies the forces of one energy by: Q of `ContactLaw`, with the speed at which its gaps close on
+    /// the whole, rate over push. So what is lost, (Q - 1) rate, is never below zero.
+    V damped(const Contact<V>& m) const { return damped(m.push, m.rate, m.edges); }
+    V damped(V push, V rate, bool edges) const {
+        if (!(value_of(push) > 0.0)) return splat<V>(1.0);
+        return damping_factor<V>(push, rate, edges);
+    }
+    /// The same of pushes above zero, a vector of them where W is one.
+    template <class W>
+    CLOTH_INLINE W damping_factor(W push, W rate, bool edges) const {
+        const W unit = splat<W>(1.0);
+        const double gamma = 0.5 * ContactLaw<V>::speed / thickness(edges);
+        const W denominator = push * (unit + splat<W>(damping_ / gamma) * push);
+        const W u = splat<W>(0.5 * damping_) * rate / denominator;
+        return u + root(fma(u, u, unit));
+    }
+    /// Call `what` with each corner of a meeting and the force on it.
+    template <class F>
+    void forces(const Contact<V>& m, F&& visit) const {
+        const V scale = splat<V>(m.mass) * damped(m), inverse_scale = splat<V>(1.0) / m.scaling.scale;
+        for (const GapTerm<V>& g : m.gaps) {
+            const V push = inverse_scale * (m.edges ? m.push : splat<V>(g.sign) * particle_law_.elastic(g.gap));
+            for (int k = 0; k < 4; ++k) {
+                if (!m.edges && k && g.corner[k] == g.corner[0]) continue;
+                Vec3<V> force = (push * g.weight[k]) * g.normal;
+                if (m.edges) force = force - (inverse_scale * inverse_scale) * m.slope[k];
+                visit(g.corner[k], scale * force);
+            }
+        }
+    }
+    double energy(const Contact<V>& m) const {
+        return m.mass * 0.5 * ContactLaw<V>::speed * ContactLaw<V>::speed * value_of(m.shape) * unscaled(m);
+    }
+    /// Power that damping takes [W].
+    double dissipation(const Contact<V>& m) const {
+        return m.mass * (value_of(damped(m)) - 1.0) * value_of(m.rate) * unscaled(m);
+    }
+    /// Power of its growth [W].
+    double growth_power(const Contact<V>& m) const {
+        return m.mass * value_of(m.scaling.growth) * unscaled(m) *
+               growing(value_of(damped(m)) * value_of(m.lever), value_of(m.shape));
+    }
+    /// The same over mass, rate and square of the scale: by pushes times gaps, damping included, and energy.
+    static double growing(double lever, double shape) {
+        return fma(ContactLaw<double>::speed * ContactLaw<double>::speed, shape, lever);
+    }
+    const ContactLaw<V>& law(bool edges) const { return edges ? edge_law_ : particle_law_; }
+
+private:
+    static Scaling<V> splat_scaling(Scaling<double> s) { return {splat<V>(s.scale), splat<V>(s.growth)}; }
+    static double unscaled(const Contact<V>& m) {
+        const double scale = value_of(m.scaling.scale);
+        return 1.0 / (scale * scale);
+    }
+    /// sin^2 of the angle below which edges count as parallel: 1.8 degrees, as in IPC.
+    static constexpr double parallel = 1e-3;
+
+    /// Complete a gap and add it. On entry g.normal is the vector across the gap [m] and g.gap its squared length
+    /// [m^2].
+    template <class U>
+    void add_gap(GapTerm<V> g, U&& velocity, Contact<V>& m) const {
+        g.gap = root(g.gap);
+        g.normal = (splat<V>(1.0) / g.gap) * g.normal;
+        Vec3<V> speed{};
+        for (int k = 0; k < 4; ++k)
+            if (!k || g.corner[k] != g.corner[0]) speed = fma(g.weight[k], velocity(g.corner[k]), speed);
+        g.closing = m.scaling.closing(g.gap, -dot(g.normal, speed));
+        g.gap = m.scaling.gap(g.gap);
+        m.gaps.push_back(g);
+    }
+    void apply_fade(Vec3<V> u, Vec3<V> v, Contact<V>& m) const {
+        const V unit = splat<V>(1.0), two = splat<V>(2.0);
+        const V uu = norm2(u), vv = norm2(v), uv = dot(u, v), over = unit / (uu * vv);
+        const V square = norm2(cross(u, v)) * over, q = square * splat<V>(1.0 / parallel);
+        for (auto& slope : m.slope) slope = {};
+        m.fade_factor = unit;
+        if (!(value_of(q) < 1.0)) return;
+        m.fade_factor = (two - q) * q;
+        // d(sin^2)/du = 2 (v.v u - u.v v) / (u.u v.v) - 2 sin^2 u / u.u.
+        const V steep = (two - two * q) * splat<V>(1.0 / parallel);
+        const auto along = [&](Vec3<V> a, V bb, Vec3<V> b, V aa) {
+            return steep * ((two * over) * (bb * a - uv * b) - (two * square / aa) * a);
+        };
+        const Vec3<V> first = along(u, vv, v, uu), second = along(v, uu, u, vv);
+        m.slope[0] = -first, m.slope[1] = first, m.slope[2] = -second, m.slope[3] = second;
+    }
+
+    double thickness_, damping_;
+    ContactLaw<V> particle_law_, edge_law_;
+    const Scaling<double>* scalings_ = nullptr;
+};
+
+}  // namespace cloth

@@ -1,0 +1,348 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// What is asked of the cloth's contact with itself beside its forces: energy, power, bounds, derivative product, what is
+// about to happen, and what would pass through what. Arrays are (3, n) by component.
+#pragma once
+
+#include "contact/self_friction_queries.hpp"
+
+namespace cloth {
+
+/// An array (3, n) as quads, as particles stand inside runs.
+inline Array<double> quads_of(const Plan& plan, const double* a) {
+    Array<double> out(4 * plan.count, 0.0);
+    for (int c = 0; a && c < 3; ++c)
+        for (std::int64_t i = 0; i < plan.count; ++i) out[4 * plan.rank[i] + c] = a[c * plan.count + i];
+    return out;
+}
+
+/// Call `what` with each meeting, and where and how fast particles are, at positions x and velocities v (quads, with
+/// derivatives dx and dv where V has them).
+/// Nothing meets where particles have no place.
+template <class V, class F>
+inline void for_each_self_contact(SelfContact& self, const SelfLaw<V>& law, double thickness, const Quads (&x)[2],
+                             const Quads (&v)[2], F&& visit) {
+    if (!self.find(x[0].from, thickness, 0.0)) return;
+    const auto of = [](const Quads (&a)[2]) {
+        return [&a](Index c) {
+            if constexpr (std::is_same_v<V, double>)
+                return a[0](c);
+            else
+                return with_slope(a[0](c), a[1](c));
+        };
+    };
+    const auto at = of(x), velocity = of(v);
+    const Surface& s = self.surface;
+    Contact<V> m;
+    const auto emit = [&] {
+        if (!m.gaps.empty()) visit(m, at, velocity);
+    };
+    for_each_neighbor(
+        self,
+        [&](Index i, std::size_t first, std::size_t last) {
+            const Index* const triangles = self.triangles.second.data();
+            law.particle(s, i, triangles + first, triangles + last, at, velocity, m);
+            emit();
+        },
+        [&](std::size_t k) {
+            law.edges(s, s.edges[self.edges.first[k]], s.edges[self.edges.second[k]], at, velocity, m);
+            emit();
+        });
+}
+template <class F>
+inline void for_each_self_contact(Plan& plan, double t, const double* x, const double* v, F&& visit) {
+    const Contacts& contacts = plan.contacts;
+    const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, v);
+    const Quads at[2] = {{positions.data()}, {nullptr}}, velocity[2] = {{velocities.data()}, {nullptr}};
+    SelfLaw<double> law(contacts.thickness, contacts.damping);
+    std::vector<Scaling<double>> scalings;
+    self_scalings(plan, t, scalings);
+    law.reduce(&scalings);
+    for_each_self_contact<double>(*plan.self, law, contacts.thickness, at, velocity,
+                             [&](const Contact<double>& m, auto& x_at, auto& v_at) { visit(law, m, x_at, v_at); });
+}
+
+inline double self_energy(Plan& plan, double t, const double* x) {
+    double total = 0.0;
+    for_each_self_contact(plan, t, x, nullptr, [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
+        total += law.energy(m) + layer_energy(plan, law, m, at, velocity);
+    });
+    return total;
+}
+/// Power that damping and friction take [W].
+inline double self_dissipation(Plan& plan, double t, const double* x, const double* v) {
+    double dissipation = 0.0;
+    for_each_self_contact(plan, t, x, v, [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
+        dissipation += law.dissipation(m) + layer_dissipation(plan, law, m, at, velocity);
+    });
+    return dissipation;
+}
+/// Power that friction between layers takes [W].
+inline double self_friction_power(Plan& plan, double t, const double* x, const double* v) {
+    double dissipation = 0.0;
+    for_each_self_contact(plan, t, x, v, [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
+        dissipation += layer_dissipation(plan, law, m, at, velocity);
+    });
+    return dissipation;
+}
+/// Power of the growth of contacts with a reduced thickness [W].
+inline double self_growth_power(Plan& plan, double t, const double* x, const double* v) {
+    double power = 0.0;
+    for_each_self_contact(plan, t, x, v, [&](const SelfLaw<double>& law, const Contact<double>& m, auto&, auto&) {
+        if (law.reduced()) power += law.growth_power(m);
+    });
+    return power;
+}
+/// Anchors on layers after runs, see combine_layer_anchors; obstacles' come before them.
+inline void combine_self_anchors(Plan& plan, double t, const double* x, const double* v, std::int64_t runs,
+                        const double* weights, const double* ends, double* out) {
+    if (!plan.has_self_friction()) return;
+    const std::int64_t offset = plan.contacts.obstacle_anchors(plan.count);
+    for_each_self_contact(plan, t, x, v, [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
+        combine_layer_anchors(plan, law, m, at, velocity, runs, weights, ends + offset, plan.anchor_count(), out + offset);
+    });
+}
+
+/// Add blocks that bound stiffness and damping: of a gap k g g', g = weights times the normal, at most 2 k |w_c| n n' at
+/// corner c, for the weights of either side add up to one. What counts with the other sign only softens.
+inline void add_self_bounds(Plan& plan, double t, const double* x, double* stiff, double* damp) {
+    std::vector<std::int64_t> particle_of_rank(plan.count);
+    for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
+    for_each_self_contact(plan, t, x, nullptr, [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
+        add_layer_bounds(plan, law, m, at, velocity, stiff, damp);
+        for (const GapTerm<double>& g : m.gaps) {
+            if (g.sign < 0.0) continue;
+            const double fade_factor = m.edges ? m.fade_factor : 1.0;
+            const double k = 2.0 * m.mass * fade_factor * law.law(m.edges).stiffness(g.gap);
+            const double c = 2.0 * m.mass * fade_factor * law.law(m.edges).damping(g.gap);
+            for (int corner = 0; corner < 4; ++corner) {
+                if (!m.edges && corner && g.corner[corner] == g.corner[0]) continue;
+                const double weight = absolute(g.weight[corner]);
+                const std::int64_t i = particle_of_rank[g.corner[corner]];
+                if (stiff) add_block(stiff, plan.count, i, outer(k * weight, g.normal, 0.0));
+                if (damp) add_block(damp, plan.count, i, outer(c * weight, g.normal, 0.0));
+            }
+        }
+    });
+}
+
+/// Add (df/dx) dx + (df/dv) dv to out, by the law itself on numbers with derivatives.
+inline void add_self_product(Plan& plan, double t, const double* x, const double* v, const double* dx, const double* dv,
+                             double* out) {
+    const Contacts& contacts = plan.contacts;
+    const Array<double> a = quads_of(plan, x), b = quads_of(plan, v), da = quads_of(plan, dx), db = quads_of(plan, dv);
+    const Quads at[2] = {{a.data()}, {da.data()}}, velocity[2] = {{b.data()}, {db.data()}};
+    SelfLaw<Dual> law(contacts.thickness, contacts.damping);
+    std::vector<Scaling<double>> scalings;
+    self_scalings(plan, t, scalings);
+    law.reduce(&scalings);
+    std::vector<std::int64_t> particle_of_rank(plan.count);
+    for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
+    const auto add = [&](const Contact<Dual>& m, auto& x_at, auto& v_at) {
+        add_layer_product(plan, law, m, x_at, v_at, out);
+        law.forces(m, [&](Index c, Vec3<Dual> force) {
+            out[particle_of_rank[c]] += force.x.slope;
+            out[plan.count + particle_of_rank[c]] += force.y.slope;
+            out[2 * plan.count + particle_of_rank[c]] += force.z.slope;
+        });
+    };
+    for_each_self_contact<Dual>(*plan.self, law, contacts.thickness, at, velocity, add);
+}
+
+/// Call `what` with each meeting within the whole thickness.
+template <class F>
+inline void for_each_full_contact(Plan& plan, const double* x, F&& visit) {
+    const Contacts& contacts = plan.contacts;
+    const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, nullptr);
+    const Quads at[2] = {{positions.data()}, {nullptr}}, velocity[2] = {{velocities.data()}, {nullptr}};
+    const SelfLaw<double> law(contacts.thickness, contacts.damping);
+    for_each_self_contact<double>(*plan.self, law, contacts.thickness, at, velocity,
+                             [&](const Contact<double>& m, auto&, auto&) { visit(m); });
+}
+
+/// How many particles and pairs of edges are in contact, and the least gap [m] of these, infinite where there are none.
+inline void self_gaps(Plan& plan, const double* x, double* out) {
+    out[0] = 0.0;
+    out[1] = std::numeric_limits<double>::infinity();
+    for_each_full_contact(plan, x, [&](const Contact<double>& m) {
+        out[0] += 1.0;
+        out[1] = smaller(m.min_gap(), out[1]);
+    });
+}
+/// The least gap of each particle's contacts [m], in the caller's order: to triangles, edges and particles within the
+/// thickness, and twice that of an edge of the particle with another edge.
+inline void self_gap_row(Plan& plan, const double* x, double* out) {
+    std::vector<std::int64_t> particle_of_rank(plan.count);
+    for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
+    for_each_full_contact(plan, x, [&](const Contact<double>& m) {
+        const double gap = m.edges ? 2.0 * m.min_gap() : m.min_gap();
+        for (int k = 0; k < (m.edges ? 4 : 1); ++k) {
+            double& to = out[particle_of_rank[m.gaps[0].corner[k]]];
+            to = smaller(gap, to);
+        }
+    });
+}
+
+/// Squared frequency and damping rate that contact comes to where it takes up what it holds, and what comes into contact
+/// within a duration [s] as it moves now, times `expected`. Infinite where particles have no place.
+inline ContactBounds predict_self_contact(Plan& plan, double t, double duration, double expected, const double* x, const double* v) {
+    SelfContact& self = *plan.self;
+    const double d = plan.contacts.thickness;
+    const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, v);
+    MotionBound motion;
+    for (std::int64_t i = 0; i < plan.count; ++i) motion.include(load4(velocities.data() + 4 * i));
+    // At most half the shortest edge, so that neighbours in a flat sheet don't count. A later call sees farther pairs.
+    const double margin = smaller(motion.diameter() * duration, 0.5 * self.surface.shortest);
+    StiffnessBound bound;
+    LayerLoad load;
+    SelfLaw<double> law(d, plan.contacts.damping);
+    std::vector<Scaling<double>> scalings;
+    self_scalings(plan, t, scalings);
+    law.reduce(&scalings);
+    if (!self.find(positions.data(), d, margin)) {
+        const double infinite = std::numeric_limits<double>::infinity();
+        return {infinite, infinite};
+    }
+    const Surface& s = self.surface;
+    const Quads at{positions.data()}, velocity{velocities.data()};
+    Contact<double> m;
+    // Edges keep half the thickness. Layers that come slower than this are stopped by their particles before that; edges
+    // that meet all the same, in a twist, are seen by the run itself.
+    const double min_edge_speed = ContactLaw<double>::speed * root(0.5 * law.law(false).shape(0.5 * d) / expected);
+    for_each_neighbor(
+        self,
+        [&](Index i, std::size_t first, std::size_t last) {
+            const Index* const triangles = self.triangles.second.data();
+            law.particle(s, i, triangles + first, triangles + last, at, velocity, m);
+            bound.include(s, m);
+            add_layer_loads(plan, law, m, at, velocity, load);
+            for (std::size_t k = first; k < last; ++k)
+                bound.add_approaching(self.triangle_corners(k), false, law, at, velocity, duration);
+        },
+        [&](std::size_t k) {
+            law.edges(s, s.edges[self.edges.first[k]], s.edges[self.edges.second[k]], at, velocity, m);
+            bound.include(s, m);
+            bound.add_approaching(self.edge_corners(k), true, law, at, velocity, duration, min_edge_speed);
+        });
+    bound.flush();
+    load.flush();
+    const double frequency = plan.contacts.frequency;
+    const double friction_omega2 = plan.has_self_friction() ? larger(load.max(), 2.0 * frequency * frequency) : 0.0;
+    return bound.bounds(d, plan.contacts.damping, expected, friction_omega2, frequency);
+}
+
+/// Whether anything passes through anything on straight ways from x0 to x1: each pair is followed by its gap, which no
+/// way is shorter than (additive continuous collision detection, Li et al., Codimensional IPC, 2021).
+inline bool ccd_self(Plan& plan, const double* x0, const double* x1) {
+    SelfContact& self = *plan.self;
+    const double d = plan.contacts.thickness;
+    const Array<double> from = quads_of(plan, x0), to = quads_of(plan, x1);
+    MotionBound motion;
+    for (std::int64_t i = 0; i < plan.count; ++i)
+        motion.include(load4(to.data() + 4 * i) - load4(from.data() + 4 * i));
+    const double max_motion = motion.diameter();
+    if (!self.find(from.data(), d, max_motion)) return true;
+    const Quads start{from.data()}, end{to.data()};
+    const auto intersects = [&](const std::array<Index, 4>& corner, bool edges) {
+        Vec3<double> displacement[4];
+        for (int k = 0; k < 4; ++k) displacement[k] = end(corner[k]) - start(corner[k]);
+        const auto relative_motion = [&](int k) { return root(norm2(displacement[k] - displacement[0])); };
+        const double second_motion = larger(relative_motion(2), relative_motion(3)), length = edges ? relative_motion(1) + second_motion : larger(relative_motion(1), second_motion);
+        double fraction = 0.0;
+        for (int iteration = 0; fraction < 1.0; ++iteration) {
+            Vec3<double> at[4];
+            for (int k = 0; k < 4; ++k) at[k] = start(corner[k]) + fraction * displacement[k];
+            const double square = edges ? near_segments(at[0], at[1], at[2], at[3]).square
+                                        : near_triangle(at[0], at[1], at[2], at[3]).square;
+            const double gap = root(square);
+            if (!(gap > 1e-3 * d) || iteration > 1000) return true;
+            if (!(length > 0.0)) return false;
+            fraction += gap / length;
+        }
+        return false;
+    };
+    bool intersected = false;
+    for (std::size_t k = 0; k < self.triangles.size() && !intersected; ++k) intersected = intersects(self.triangle_corners(k), false);
+    for (std::size_t k = 0; k < self.edges.size() && !intersected; ++k) intersected = intersects(self.edge_corners(k), true);
+    return intersected;
+}
+
+/// Leaves the cloth's contact with itself out of a frame in which no part of the cloth can get near another. At the
+/// frame's start no pair may be nearer than the thickness and the distance that particles cover in the frame at twice
+/// their present relative speed, plus `slack`. If a run ends with a larger relative speed, all runs of the frame are
+/// made again with this contact. Pairs kept from earlier calls make no difference, so no bit depends on it.
+class SelfCulling {
+public:
+    SelfCulling(Plan& plan, double duration, const double* x0, const double* v0) : plan_(plan) {
+        plan.self_culled = false;
+        if (!plan.self) return;
+        SelfContact& self = *plan.self;
+        const Array<double> positions = quads_of(plan, x0);
+        speed_limit_ = 2.0 * relative_speed(v0) + speed_margin;
+        const double margin = speed_limit_ * duration;
+        plan.self_culled = plan.contacts.thickness + margin < SelfContact::min_reach * self.surface.shortest &&
+                          self.find(positions.data(), plan.contacts.thickness, margin) && self.triangles.size() == 0 &&
+                          self.edges.size() == 0;
+    }
+    /// Whether a run that ended with velocities v has to be made again.
+    bool is_violated(const double* v) const { return plan_.self_culled && !(relative_speed(v) <= speed_limit_); }
+    void disable() { plan_.self_culled = false; }
+
+private:
+    /// Speed that particles may gain [m/s].
+    static constexpr double speed_margin = 0.1;
+
+    double relative_speed(const double* v) const {
+        const std::int64_t n = plan_.count;
+        MotionBound bound;
+        for (std::int64_t i = 0; i < n; ++i) bound.include(quad<double>{v[i], v[n + i], v[2 * n + i], 0.0});
+        return bound.diameter();
+    }
+    Plan& plan_;
+    double speed_limit_ = 0.0;
+};
+
+/// Six times the volume of a tetrahedron, of either sign.
+inline double volume(Vec3<double> a, Vec3<double> b, Vec3<double> c, Vec3<double> e) {
+    return dot(cross(b - a, c - a), e - a);
+}
+
+/// The first edge that passes through a triangle: its particles and the triangle's, five numbers, or -1 where none does.
+/// What they have a corner in common with does not count.
+inline void find_self_intersection(Plan& plan, const double* x, std::int64_t* out) {
+    const Surface& s = plan.self->surface;
+    const Array<double> positions = quads_of(plan, x);
+    const Quads at{positions.data()};
+    double longest = 0.0;
+    for (const auto& e : s.edges) longest = larger(norm2(at(e[0]) - at(e[1])), longest);
+    // A point of a triangle is no further from its edges than the radius of the circle within.
+    SurfacePairs pairs;
+    pairs.build(s, positions.data(), 0.3 * root(longest));
+    std::vector<std::int64_t> particle_of_rank(plan.count);
+    for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
+    const auto intersects = [&](const std::array<Index, 2>& e, Index triangle) {
+        if (triangle < 0 || s.has(triangle, e[0]) || s.has(triangle, e[1])) return false;
+        const auto& t = s.triangles[triangle];
+        const Vec3<double> p = at(e[0]), q = at(e[1]), a = at(t[0]), b = at(t[1]), c = at(t[2]);
+        if (!(volume(a, b, c, p) * volume(a, b, c, q) < 0.0)) return false;
+        const double u = volume(p, q, a, b), v = volume(p, q, b, c), w = volume(p, q, c, a);
+        if (!((u > 0.0 && v > 0.0 && w > 0.0) || (u < 0.0 && v < 0.0 && w < 0.0))) return false;
+        const Index hit[5] = {e[0], e[1], t[0], t[1], t[2]};
+        for (int k = 0; k < 5; ++k) out[k] = particle_of_rank[hit[k]];
+        return true;
+    };
+    // Triangles of an edge lie about its ends.
+    const auto any_triangle_of = [&](const std::array<Index, 2>& e, const std::array<Index, 2>& edge) {
+        for (Index k = s.start[edge[0]]; k < s.start[edge[0] + 1]; ++k)
+            if (s.has(s.fan[k], edge[1]) && intersects(e, s.fan[k])) return true;
+        return false;
+    };
+    std::fill(out, out + 5, std::int64_t{-1});
+    for (std::size_t k = 0; k < pairs.edges.size(); ++k) {
+        const auto &a = s.edges[pairs.edges.first[k]], &b = s.edges[pairs.edges.second[k]];
+        if (any_triangle_of(a, b) || any_triangle_of(b, a)) return;
+    }
+}
+
+}  // namespace cloth

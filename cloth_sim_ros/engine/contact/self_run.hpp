@@ -1,0 +1,198 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Contact of the cloth with itself over a run.
+#pragma once
+
+#include <cstring>
+#include <limits>
+#include <optional>
+
+#include "contact/self_contact.hpp"
+#include "plan/plan.hpp"
+
+namespace cloth {
+
+/// Whether the two sides of a pair may have passed through each other during a step. `square` is their squared distance
+/// at the step's end [m^2], `way(c)` the displacement of a corner [m]. They have not if they moved less, relative to
+/// each other, than that distance. No point of a side moves further, relative to the first corner, than the side's
+/// corners.
+template <class F>
+inline bool may_intersect(double square, const Index* corner, bool edges, F&& displacement) {
+    const Vec3<double> reference = displacement(corner[0]);
+    const auto relative_motion = [&](int k) { return root(norm2(displacement(corner[k]) - reference)); };
+    const double second_motion = larger(relative_motion(2), relative_motion(3));
+    const double most = edges ? relative_motion(1) + second_motion : larger(relative_motion(1), second_motion);
+    return !(most < root(square));
+}
+
+/// The least of some numbers, 1e30 at most.
+inline double min_of(const std::vector<double>& values) {
+    using V = vec<double>;
+    V lane_min = splat<V>(1e30);
+    std::size_t k = 0;
+    for (; k + lanes<double> <= values.size(); k += lanes<double>) lane_min = smaller(load(values.data() + k), lane_min);
+    double min = 1e30;
+    for (int lane = 0; lane < lanes<double>; ++lane) min = smaller<double>(lane_min[lane], min);
+    for (; k < values.size(); ++k) min = smaller(values[k], min);
+    return min;
+}
+
+/// The cloth's contact with itself over a run, by one thread.
+class SelfRun {
+public:
+    SelfRun(SelfContact& self, double thickness, double damping, double step)
+        : self_(self), law_(thickness, damping), vector_law_(thickness, damping), thickness_(thickness), damping_(damping), step_(step) {}
+
+    /// Let contacts have the thickness that a plan says, over a run.
+    void reduce(const Plan& plan, const Run& run) {
+        plan_ = &plan;
+        run_ = &run;
+    }
+    /// Let layers rub, from anchors at the start on; their springs have a frequency [1/s].
+    void enable_friction(double frequency, const LayerAnchors& anchors) {
+        frequency_ = frequency;
+        friction_.emplace(self_.surface, self_.friction, frequency, law_, step_, anchors);
+    }
+    /// Add the forces of a step at positions x and velocities v to f, all quads, and what damping and friction take [W] to
+    /// `lost`.
+    void add(std::int64_t step, const double* x, const double* v, double* f, double* dissipation) {
+        if (!update_neighbors(x)) return;
+        if (plan_) {
+            self_scalings(*plan_, midpoint_time(*run_, step), scalings_);
+            law_.reduce(&scalings_);
+        }
+        double growth_power = 0.0;
+        add_particles(v, f, dissipation, growth_power);
+        const Surface& s = self_.surface;
+        const Quads at{x}, velocity{v};
+        const auto add_force = [&](Index c, Vec3<double> force) {
+            f[4 * c] += force.x, f[4 * c + 1] += force.y, f[4 * c + 2] += force.z;
+        };
+        for (std::size_t k = 0; k < self_.edges.size(); ++k) {
+            law_.edges(s, s.edges[self_.edges.first[k]], s.edges[self_.edges.second[k]], at, velocity, contact_);
+            if (contact_.gaps.empty()) {
+                bound_.add_approaching(self_.edge_corners(k), true, law_, at, velocity, 2.0 * step_);
+                continue;
+            }
+            law_.forces(contact_, add_force);
+            bound_.include(s, contact_);
+            if (dissipation) *dissipation += law_.dissipation(contact_);
+            if (dissipation && plan_) growth_power += law_.growth_power(contact_);
+        }
+        growth_work_ += step_ * growth_power;
+        bound_.flush();
+        if (friction_) add_friction(step, at, velocity, add_force, dissipation);
+    }
+    /// The end of the run: whether nothing can have passed through anything on the way there.
+    bool finish(const double* x) { return update_neighbors(x) && !intersected_; }
+    double gap() const { return bound_.gap; }
+    ContactBounds bounds() const {
+        return bound_.bounds(thickness_, damping_, 1.0, friction_ ? friction_->omega2() : 0.0, frequency_);
+    }
+    /// What friction took since the run began [J], where powers are asked for, and the anchors after so many steps.
+    double friction_work() const { return friction_work_; }
+    /// The same of what contacts gave that regained their thickness.
+    double growth_work() const { return growth_work_; }
+    void anchors(std::int64_t steps, const std::int64_t* particle_of_rank, double* to) const {
+        if (friction_) friction_->finish(steps, particle_of_rank, to);
+    }
+
+private:
+    /// What particles meet, by the law of SelfLaw::particle: sums over each particle's gaps, then forces.
+    void add_particles(const double* v, double* f, double* dissipation, double& growth_power) {
+        SelfGaps& gaps = self_.gaps;
+        if (!gaps.size) return;
+        gaps.evaluate(vector_law_, law_, v);
+        sums_.begin(self_.surface.count, gaps.size);
+        double approach_speed = 0.0;
+        for (std::size_t k = 0; k < gaps.size; ++k) {
+            const double gap = gaps.gap(k), closing = gaps.closing(k);
+            if (gap < thickness_) {
+                sums_.include(k, gaps);
+            } else if (gap - thickness_ < 2.0 * step_ * closing) {
+                approach_speed = larger(closing, approach_speed);
+            }
+        }
+        if (approach_speed > 0.0) bound_.add_contact(false, approach_speed);
+        double min_gap = root(min_of(gaps.square));
+        if (law_.reduced()) {
+            min_gap = thickness_;
+            for (std::size_t k = 0; k < gaps.ends[0]; ++k) min_gap = smaller(gaps.gap(k), min_gap);
+        }
+        if (min_gap < thickness_) bound_.gap = smaller(min_gap, bound_.gap);
+        sums_.finalize(self_.surface, law_, dissipation, growth_power);
+        if (sums_.max_energy > 0.0) bound_.include_energy(false, sums_.max_energy);
+        sums_.add_forces(self_.surface, gaps, f);
+        bound_.gather_row_sums(self_.surface, f);
+    }
+    /// Friction of the particles that something is in contact with.
+    template <class F>
+    void add_friction(std::int64_t step, const Quads& at, const Quads& velocity, F&& add_force, double* dissipation) {
+        const PairList& pairs = self_.inner_pairs();
+        double friction_power = 0.0;
+        for (std::size_t first = 0, last; first < pairs.size(); first = last) {
+            const Index i = pairs.first[first];
+            bool in_contact = false;
+            for (last = first; last < pairs.size() && pairs.first[last] == i; ++last)
+                in_contact = in_contact || self_.gaps.square[last] < thickness_ * thickness_;
+            if (!in_contact) continue;
+            const Index* const triangles = pairs.second.data();
+            law_.particle(self_.surface, i, triangles + first, triangles + last, at, velocity, contact_);
+            friction_->add(step, contact_, at, velocity, add_force, dissipation ? &friction_power : nullptr);
+        }
+        friction_->flush();
+        if (!dissipation) return;
+        *dissipation += friction_power;
+        friction_work_ += step_ * friction_power;
+    }
+    /// Find what is near, and look at the ways since the last time.
+    bool update_neighbors(const double* x) {
+        if (intersected_) return false;
+        const std::int64_t n = self_.surface.count;
+        double motion = 0.0, since = std::numeric_limits<double>::infinity();
+        if (previous_.empty()) {
+            previous_.assign(x, x + 4 * n);
+        } else {
+            MotionBound bound;
+            for (std::int64_t i = 0; i < n; ++i) bound.include(load4(x + 4 * i) - load4(previous_.data() + 4 * i));
+            since = motion = bound.diameter();
+        }
+        // A pair with less than twice `moved` [m] to contact may come into contact in one of the next two steps.
+        intersected_ = !self_.update(x, thickness_, 2.0 * motion, since);
+        if (!intersected_ && motion > 0.0) check_intersections(x, motion);
+        std::memcpy(previous_.data(), x, 4 * n * sizeof(double));
+        return !intersected_;
+    }
+    /// Whether anything may have passed through anything on the way from the last step to x; nothing has moved further than
+    /// `moved` [m] relative to anything.
+    void check_intersections(const double* x, double motion) {
+        const Quads current{x}, previous{previous_.data()};
+        const auto displacement = [&](Index c) { return current(c) - previous(c); };
+        const SelfGaps& gaps = self_.gaps;
+        // Mostly nothing is as near as that.
+        if (min_of(gaps.square) <= motion * motion)
+            for (std::size_t k = 0; k < gaps.square.size(); ++k)
+                if (gaps.square[k] <= motion * motion)
+                    intersected_ = intersected_ || may_intersect(gaps.square[k], gaps.corners(k).data(), false, displacement);
+        for (std::size_t k = 0; k < self_.edges.size(); ++k)
+            if (self_.edge_squares[k] <= motion * motion)
+                intersected_ = intersected_ || may_intersect(self_.edge_squares[k], self_.edge_corners(k).data(), true, displacement);
+    }
+    SelfContact& self_;
+    SelfLaw<double> law_;
+    ContactLaw<vec<double>> vector_law_;
+    double thickness_, damping_, step_;
+    Contact<double> contact_;
+    StiffnessBound bound_;
+    SelfSums sums_;
+    std::optional<SelfFrictionRun> friction_;
+    double frequency_ = 1.0, friction_work_ = 0.0, growth_work_ = 0.0;
+    const Plan* plan_ = nullptr;  ///< of contacts with a reduced thickness
+    const Run* run_ = nullptr;
+    std::vector<Scaling<double>> scalings_;
+    Array<double> previous_;
+    bool intersected_ = false;
+};
+
+}  // namespace cloth

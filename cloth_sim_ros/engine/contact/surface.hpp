@@ -1,0 +1,86 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// The cloth's surface, as contact of the cloth with itself sees it: triangles and what neighbours what. Particles are
+// numbered as they stand inside runs.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+
+#include "core/storage.hpp"
+
+namespace cloth {
+
+using Index = std::int32_t;
+
+struct Surface {
+    std::int64_t count = 0;  ///< of particles
+    std::vector<double> masses, inverse;  ///< [kg], and one over it, zero where anchored
+    std::vector<char> is_free;
+    std::vector<std::array<Index, 3>> triangles;
+    /// Of each triangle, across its edges from corner 0 to 1, 1 to 2, 2 to 0: the next triangle, -1 at the border.
+    std::vector<std::array<Index, 3>> neighbors;
+    std::vector<std::array<Index, 2>> edges;
+    /// Triangles about each particle in ascending order: from fan[start[i]] to before fan[start[i + 1]].
+    std::vector<Index> fan, start;
+    /// Particles that lie on no border.
+    std::vector<char> inner;
+    /// The shortest edge of the cloth at rest [m].
+    double shortest = 0.0;
+
+    bool has(std::int64_t triangle, Index particle) const {
+        const auto& t = triangles[triangle];
+        return t[0] == particle || t[1] == particle || t[2] == particle;
+    }
+    /// The first triangle about a particle that does not have particle i.
+    Index first_about(Index particle, Index i) const {
+        for (Index k = start[particle]; k < start[particle + 1]; ++k)
+            if (!has(fan[k], i)) return fan[k];
+        return -1;
+    }
+    /// Edges and fans from triangles. An edge of more than two triangles counts as a border.
+    void build_topology() {
+        struct HalfEdge {
+            Index low, high, triangle, edge;
+        };
+        std::vector<HalfEdge> half_edges;
+        for (std::size_t t = 0; t < triangles.size(); ++t)
+            for (int k = 0; k < 3; ++k) {
+                const Index a = triangles[t][k], b = triangles[t][(k + 1) % 3];
+                half_edges.push_back({std::min(a, b), std::max(a, b), static_cast<Index>(t), k});
+            }
+        std::stable_sort(half_edges.begin(), half_edges.end(), [](const HalfEdge& a, const HalfEdge& b) {
+            return a.low != b.low ? a.low < b.low : a.high < b.high;
+        });
+        neighbors.assign(triangles.size(), {-1, -1, -1});
+        inner.assign(count, 1);
+        edges.clear();
+        for (std::size_t first = 0, last; first < half_edges.size(); first = last) {
+            for (last = first; last < half_edges.size() && half_edges[last].low == half_edges[first].low &&
+                               half_edges[last].high == half_edges[first].high;)
+                ++last;
+            edges.push_back({half_edges[first].low, half_edges[first].high});
+            if (last - first == 2) {
+                neighbors[half_edges[first].triangle][half_edges[first].edge] = half_edges[first + 1].triangle;
+                neighbors[half_edges[first + 1].triangle][half_edges[first + 1].edge] = half_edges[first].triangle;
+            } else {
+                inner[half_edges[first].low] = inner[half_edges[first].high] = 0;
+            }
+        }
+        start.assign(count + 1, 0);
+        for (const auto& t : triangles)
+            for (const Index corner : t) ++start[corner + 1];
+        for (std::int64_t i = 0; i < count; ++i) {
+            if (!start[i + 1]) inner[i] = 0;
+            start[i + 1] += start[i];
+        }
+        fan.resize(3 * triangles.size());
+        std::vector<Index> next(start.begin(), start.end() - 1);
+        for (std::size_t t = 0; t < triangles.size(); ++t)
+            for (const Index corner : triangles[t]) fan[next[corner]++] = static_cast<Index>(t);
+    }
+};
+
+}  // namespace cloth

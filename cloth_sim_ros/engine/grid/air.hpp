@@ -1,0 +1,110 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Air on a regular sheet's cells, a row at a time: what the cells below a row take from each speed, then the forces on the
+// row's particles by that of the four cells around each.
+#pragma once
+
+#include "grid/cells.hpp"
+#include "mesh/forces.hpp"
+
+namespace cloth {
+
+/// Zeros between the components of a row of cells, and before the first: what lies left of the first cell.
+template <class T>
+inline constexpr std::int64_t air_gap = 64 / sizeof(T);
+/// What is kept of a row of cells: area vectors, shares across and along.
+template <class T>
+inline std::int64_t air_row_size(std::int64_t pitch) {
+    return air_gap<T> + 5 * (pitch + air_gap<T>);
+}
+
+template <class T>
+struct AirRow {
+    const T *x[2], *v;  ///< positions of a row and the next one, velocities that damping sees
+    const T* panel_share;      ///< of each cell below it, see CellTable
+    T* f;
+    T *above, *below;   ///< what is kept of the cells above and below the row
+    std::ptrdiff_t pitch, cell_pitch, length;  ///< from a component to the next, of particles and of cells; see RowView
+};
+
+/// Along: whether there is drag along the surface.
+template <class T, bool Tangential>
+__attribute__((noinline)) void compute_cells(const AirRow<T>& row, const double* common) {
+    using V = vec<T>;
+    const AirRow<T> at = row;
+    const auto air = law_params<Panel<4>, V>(nullptr, common);
+    for (std::ptrdiff_t j = 0; j < at.length; j += lanes<T>) {
+        const auto point = [&](int row, int column) CLOTH_INLINED {
+            const T* const from = at.x[row] + column + j;
+            return Vec3<V>{load(from), load(from + at.pitch), load(from + 2 * at.pitch)};
+        };
+        const auto s = Panel<4>::shares(air, load(at.panel_share + j), point(1, 1) - point(0, 0), point(1, 0) - point(0, 1));
+        T* const to = at.below + j;
+        store(to, s.n.x), store(to + at.cell_pitch, s.n.y), store(to + 2 * at.cell_pitch, s.n.z);
+        store(to + 3 * at.cell_pitch, s.across);
+        if constexpr (Tangential) store(to + 4 * at.cell_pitch, s.along);
+    }
+}
+
+/// Add what the air does to a row's particles to their forces, and note the powers if Watched.
+template <class T, bool Tangential, bool Record>
+__attribute__((noinline)) void add_air(const AirRow<T>& row, const double* common, PowerSums* powers) {
+    using V = vec<T>;
+    const AirRow<T> at = row;
+    const auto air = law_params<Panel<4>, V>(nullptr, common);
+    for (std::ptrdiff_t j = 0; j < at.length; j += lanes<T>) {
+        const auto three = [](const T* from, std::ptrdiff_t pitch) CLOTH_INLINED {
+            return Vec3<V>{load(from), load(from + pitch), load(from + 2 * pitch)};
+        };
+        T* const to = at.f + j;
+        const Vec3<V> v = three(at.v + j, at.pitch), u = v - air.wind;
+        Vec3<V> f = three(to, at.pitch);
+        V dissipation{}, external{};
+        const auto add_cell = [&](const T* from) CLOTH_INLINED {
+            typename Panel<4>::template DragShares<V> s{three(from, at.cell_pitch), load(from + 3 * at.cell_pitch), V{}};
+            if constexpr (Tangential) s.along = load(from + 4 * at.cell_pitch);
+            f = Panel<4>::add<Tangential>(s, u, f);
+            if constexpr (!Record) return;
+            dissipation = dissipation - dot(v, Panel<4>::add<Tangential>(s, v, Vec3<V>{}));
+            external = external - dot(v, Panel<4>::add<Tangential>(s, air.wind, Vec3<V>{}));
+        };
+        add_cell(at.above + j - 1), add_cell(at.above + j), add_cell(at.below + j - 1), add_cell(at.below + j);
+        store(to, f.x), store(to + at.pitch, f.y), store(to + 2 * at.pitch, f.z);
+        for (int k = 0; Record && k < lanes<T>; ++k) {
+            powers->dissipation[(j + k) & 15] += static_cast<double>(dissipation[k]);
+            powers->external[(j + k) & 15] += static_cast<double>(external[k]);
+        }
+    }
+}
+
+/// Take one row of a sheet's cells, and add what air does to the row to its forces in the ring if it is the caller's
+/// `own`. `kept` has room for two rows of cells, all zeros before the first; rows are taken in order. The powers are noted
+/// if there are any.
+template <class T>
+inline void add_air_row(const RowView<T>& at, const T* panel_share, const double* common, T* cell_rows, std::int64_t row, bool owned,
+                     PowerSums* powers) {
+    T *const even = cell_rows + air_gap<T>, *const odd = even + air_row_size<T>(at.pitch);
+    const AirRow<T> row_data{{at.row[0] + position * at.pitch, at.row[1] + position * at.pitch},
+                            at.row[0] + damping_velocity * at.pitch,
+                            panel_share,
+                            at.force_rows[0],
+                            row % 2 ? even : odd,
+                            row % 2 ? odd : even,
+                            at.pitch,
+                            at.pitch + air_gap<T>,
+                            at.length};
+    const auto process = [&]<bool Along>(std::bool_constant<Along>) {
+        compute_cells<T, Along>(row_data, common);
+        if (owned && powers)
+            add_air<T, Along, true>(row_data, common, powers);
+        else if (owned)
+            add_air<T, Along, false>(row_data, common, nullptr);
+    };
+    if (common[1] > 0.0)
+        process(std::true_type{});
+    else
+        process(std::false_type{});
+}
+
+}  // namespace cloth

@@ -1,0 +1,62 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// The panels of air of a regular sheet's cells, as a table by rows.
+#pragma once
+
+#include "grid/grid.hpp"
+#include "mesh/elements.hpp"
+
+namespace cloth {
+
+/// The cell that each panel of a list covers, row * columns + column of its upper left particle; empty if one covers no
+/// cell, two cover the same one, or more than a third of the cells have none.
+inline std::vector<std::int64_t> cell_slots(const Grid& grid, const List& list) {
+    std::vector<std::int64_t> slots;
+    std::vector<char> occupied(grid.count(), 0);
+    for (std::int64_t e = 0; e < list.count; ++e) {
+        const std::int64_t* const p = list.corners.data() + 4 * e;
+        const std::int64_t first = *std::min_element(p, p + 4), below = first + grid.columns;
+        // Around the cell, in either sense: what lies opposite of a corner decides.
+        const auto opposite = [p](std::int64_t a, std::int64_t b) {
+            return (p[0] == a && p[2] == b) || (p[2] == a && p[0] == b) || (p[1] == a && p[3] == b) ||
+                   (p[3] == a && p[1] == b);
+        };
+        const bool inside = first / grid.columns + 1 < grid.rows && first % grid.columns + 1 < grid.columns;
+        if (!inside || !opposite(first, below + 1) || !opposite(first + 1, below) || occupied[first]) return {};
+        occupied[first] = 1;
+        slots.push_back(first);
+    }
+    const std::int64_t all = (grid.rows - 1) * (grid.columns - 1);
+    return 3 * list.count >= 2 * all ? slots : std::vector<std::int64_t>{};
+}
+
+/// The part of each cell's panel that a corner has, in padded rows: 1/4, or 0 where there is none. Rows that are alike
+/// share one.
+template <class T>
+class CellTable {
+public:
+    CellTable() = default;
+    CellTable(const Grid& grid, const std::vector<std::int64_t>& slots) {
+        const std::int64_t pitch = row_pitch<T>(grid.columns);
+        std::vector<T> all(grid.rows * grid.columns, T(0));
+        for (const std::int64_t slot : slots) all[slot] = T(0.25);
+        for (std::int64_t row = 0; row < grid.rows; ++row) {
+            const T* const from = all.data() + row * grid.columns;
+            if (row == 0 || !std::equal(from, from + grid.columns, from - grid.columns)) {
+                numbers_.insert(numbers_.end(), from, from + grid.columns);
+                numbers_.resize(numbers_.size() + pitch - grid.columns, T(0));
+            }
+            entry_.push_back(static_cast<std::int64_t>(numbers_.size()) - pitch);
+        }
+        numbers_.resize(numbers_.size() + 64 / sizeof(T), T(0));
+    }
+    bool empty() const { return entry_.empty(); }
+    const T* of(std::int64_t row) const { return numbers_.data() + entry_[row]; }
+
+private:
+    Array<T> numbers_;
+    std::vector<std::int64_t> entry_;
+};
+
+}  // namespace cloth

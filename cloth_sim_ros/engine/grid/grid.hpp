@@ -1,0 +1,131 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// The springs of a regular sheet as data, and the padded tables that the loops over rows read.
+#pragma once
+
+#include <map>
+#include <string>
+
+#include "core/storage.hpp"
+#include "grid/row.hpp"
+
+namespace cloth {
+
+/// All springs of a sheet that point the same way. k_s [N], rest length [m], c [N s/m]; `border`: factor for threads
+/// along the sheet's border; `parity`: 0 or 1 keeps only cells of which row + column is even or odd, -1 keeps all.
+struct GridFamily {
+    bool present = false;
+    double stiffness = 0.0, rest_length = 1.0, damping = 0.0, border = 1.0;
+    int parity = -1;
+};
+
+struct Grid {
+    std::int64_t rows = 0, columns = 0;
+    GridFamily families[family_count];
+
+    std::int64_t count() const { return rows * columns; }
+    bool damped() const {
+        for (const GridFamily& f : families)
+            if (f.present && f.damping > 0.0) return true;
+        return false;
+    }
+    /// Factor on a family's spring that a row and column own; zero where there is none.
+    double weight(int family, std::int64_t row, std::int64_t column) const {
+        const GridFamily& f = families[family];
+        const Ends e = family_ends[family];
+        const int across = std::max(e.column0, e.column1);
+        if (!f.present || row + e.row1 >= rows || column + across >= columns) return 0.0;
+        if (f.parity >= 0 && (row + column) % 2 != f.parity) return 0.0;
+        const bool edge = (e.row1 == 0 && (row == 0 || row == rows - 1)) ||
+                          (across == 0 && (column == 0 || column == columns - 1));
+        return edge ? f.border : 1.0;
+    }
+    /// Families with springs, as bits of `take_row`. Edge springs count as present: their weights may be zero.
+    unsigned shape() const {
+        unsigned bits = 1u << right | 1u << down;
+        for (int f = diagonal; f < family_count; ++f)
+            if (families[f].present) bits |= 1u << f;
+        if (bits & (1u << right2 | 1u << down2)) bits |= 1u << right2 | 1u << down2;
+        return bits;
+    }
+};
+
+/// Numbers from one component of a padded row to the next: room for what neighbours two columns on read, in whole cache
+/// lines, an odd number of them, so that components don't meet in one set of the cache.
+template <class T>
+inline std::int64_t row_pitch(std::int64_t columns) {
+    constexpr std::int64_t line = 64 / sizeof(T);
+    return ((columns + row_reach + line - 1) / line | 1) * line;
+}
+template <class T>
+inline std::int64_t row_length(std::int64_t columns) {
+    return (columns + lanes<T> - 1) / lanes<T> * lanes<T>;
+}
+
+/// Entries of inverse masses, freedom and weights; rows that are alike share one. One more stands for rows beyond the
+/// sheet: all zeros.
+template <class T>
+struct GridTables {
+    std::int64_t pitch = 0;
+    Array<T> numbers;
+    std::vector<std::int64_t> entry;  ///< where each row's entry begins
+    std::int64_t outside = 0;
+
+    GridTables() = default;
+    GridTables(const Grid& grid, const double* inverse) : pitch(row_pitch<T>(grid.columns)) {
+        const std::int64_t size = table_slots * pitch, padding = 64 / sizeof(T);
+        numbers.assign(padding, T(0));
+        std::map<std::string, std::int64_t> entries;
+        std::vector<T> slots(size);
+        const auto store_entry = [&] {
+            const std::string key(reinterpret_cast<const char*>(slots.data()), size * sizeof(T));
+            const auto [it, added] = entries.try_emplace(key, static_cast<std::int64_t>(numbers.size()));
+            if (added) numbers.insert(numbers.end(), slots.begin(), slots.end());
+            return it->second;
+        };
+        outside = store_entry();
+        for (std::int64_t row = 0; row < grid.rows; ++row) {
+            std::fill(slots.begin(), slots.end(), T(0));
+            for (std::int64_t column = 0; column < grid.columns; ++column) {
+                const double mass = inverse[row * grid.columns + column];
+                slots[inverse_mass * pitch + column] = static_cast<T>(mass);
+                slots[freedom * pitch + column] = mass > 0.0 ? T(1) : T(0);
+                for (int f = 0; f < family_count; ++f)
+                    slots[(weights + f) * pitch + column] = static_cast<T>(grid.weight(f, row, column));
+            }
+            entry.push_back(store_entry());
+        }
+        numbers.insert(numbers.end(), padding, T(0));
+    }
+    const T* of(std::int64_t row) const {
+        const bool inside = row >= 0 && row < static_cast<std::int64_t>(entry.size());
+        return numbers.data() + (inside ? entry[row] : outside);
+    }
+};
+
+/// Positions (and velocities) in padded rows, with room for the neighbours of border particles; in single precision
+/// positions are about the first particle.
+template <class T>
+struct PaddedRows {
+    std::int64_t pitch, stride;
+    Array<T> numbers;
+    PaddedRows(const Grid& grid, const double* x, const double* v)
+        : pitch(row_pitch<T>(grid.columns)), stride((v ? 6 : 3) * pitch) {
+        numbers.assign((grid.rows + 2 * row_reach) * stride + 32, T(0));
+        const std::int64_t n = grid.count();
+        for (std::int64_t row = 0; row < grid.rows; ++row)
+            for (int c = 0; c < (v ? 6 : 3); ++c) {
+                const double* const from = (c < 3 ? x + c * n : v + (c - 3) * n) + row * grid.columns;
+                const double origin = sizeof(T) == 4 && c < 3 ? x[c * n] : 0.0;
+                T* const to = at(row, c);
+                for (std::int64_t j = 0; j < grid.columns; ++j) to[j] = static_cast<T>(from[j] - origin);
+            }
+    }
+    T* at(std::int64_t row, int component) {
+        return numbers.data() + 16 + (row + row_reach) * stride + component * pitch;
+    }
+    const T* at(std::int64_t row, int component) const { return const_cast<PaddedRows*>(this)->at(row, component); }
+};
+
+}  // namespace cloth

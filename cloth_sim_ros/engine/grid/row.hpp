@@ -1,0 +1,186 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// One row of a regular sheet: the forces of its springs, and one leapfrog step of its particles.
+//
+// A row owns the springs that lead from it to the right and down. Their forces on this row, on the next and on the one
+// after are summed in a ring of three force rows. Rows are taken in order and none looks back, so a row's force is
+// complete when its own springs are done, and its particles move at once: a step reads and writes each number once.
+#pragma once
+
+#include "laws/all.hpp"
+
+namespace cloth {
+
+/// Families of springs of a grid by their ends (row, column) relative to the row and column that own them.
+enum Family : int { right, down, diagonal, antidiagonal, right2, down2 };
+inline constexpr int family_count = 6;
+struct Ends {
+    int row0, column0, row1, column1;
+};
+inline constexpr Ends family_ends[family_count] = {{0, 0, 0, 1}, {0, 0, 1, 0}, {0, 0, 1, 1},
+                                                   {0, 1, 1, 0}, {0, 0, 0, 2}, {0, 0, 2, 0}};
+/// The lower rows that springs reach at most.
+inline constexpr int row_reach = 2;
+
+/// Where the components of a padded row begin: positions, velocities, velocities that damping sees, last accelerations
+/// and, in single precision, what rounding took from the positions.
+enum Slot : int { position = 0, velocity = 3, damping_velocity = 6, previous_acceleration = 9, compensation = 12 };
+template <class T>
+inline constexpr int components = sizeof(T) == 4 ? 15 : 12;
+
+/// Slots of a table entry: 1/m, one for free particles, then the weights of the families.
+inline constexpr int inverse_mass = 0, freedom = 1, weights = 2, table_slots = weights + family_count;
+
+/// What forces depend on beside positions.
+enum class Mode { position_only, drag, damped };
+
+template <class T>
+struct GridConstants {
+    typename Spring::template Params<T> families[family_count];
+    T drag, body_acceleration[3];
+};
+/// Factors of one step: v += kick a; seen = v + now a + before a_last; x += drift v.
+template <class T>
+struct StepFactors {
+    T kick, predict, predict_previous, drift;
+};
+
+template <class T>
+struct RowView {
+    T* row[3];
+    T* force_rows[3];
+    const T* entry;
+    /// Numbers from one component of a row to the next, and those of whole vectors that cover the columns.
+    std::ptrdiff_t pitch, length;
+    /// Where accelerations go, components so many numbers apart, of a row that does not move; null for one that does. In
+    /// double precision alone: nobody asks for them in the other.
+    T* accelerations = nullptr;
+    std::ptrdiff_t acceleration_pitch = 0;
+};
+
+/// Add the ring's forces and those of the row's own springs, and move the row by one step if it is the caller's `own`;
+/// else only do what its springs do to the rows below. Families is a set of bits, one for each that exists.
+template <class T, unsigned Families, Mode M>
+inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, const StepFactors<T>& motion, bool owned) {
+    using V = vec<T>;
+    constexpr auto has = [](Family family) { return (Families >> family & 1) != 0; };
+    constexpr bool damped = M == Mode::damped, uses_velocity = M != Mode::position_only;
+    const std::ptrdiff_t pitch = at.pitch;
+    const V none{};
+    Vec3<V> previous01{none, none, none}, previous02 = previous01, previous11 = previous01;
+
+    for (std::ptrdiff_t j = 0; j < at.length; j += lanes<T>) {
+        const auto point = [&](int row, int column, int slot) CLOTH_INLINED {
+            const T* from = at.row[row] + slot * pitch + j + column;
+            return Vec3<V>{load(from), load(from + pitch), load(from + 2 * pitch)};
+        };
+        // Force on the first end of a family's springs.
+        const auto spring_force = [&](Family family, Vec3<V> x0, Vec3<V> p0) CLOTH_INLINED {
+            const Ends e = family_ends[family];
+            const Vec3<V> d = point(e.row1, e.column1, position) - x0;
+            Vec3<V> u{none, none, none};
+            if constexpr (damped) u = point(e.row1, e.column1, damping_velocity) - p0;
+            const auto& c = constants.families[family];
+            const typename Spring::template Params<V> params{splat<V>(c.ks), splat<V>(c.k), splat<V>(c.c)};
+            const V q = Spring::factor(params, d, u, damped) * load(at.entry + (weights + family) * pitch + j);
+            return q * d;
+        };
+        const auto add = [&](T* to, Vec3<V> f) CLOTH_INLINED {
+            store(to + j, load(to + j) + f.x);
+            store(to + pitch + j, load(to + pitch + j) + f.y);
+            store(to + 2 * pitch + j, load(to + 2 * pitch + j) + f.z);
+        };
+        const auto shifted = [&]<int N>(Vec3<V>& previous, Vec3<V> current, std::integral_constant<int, N>) CLOTH_INLINED {
+            const Vec3<V> r{shift<N>(previous.x, current.x), shift<N>(previous.y, current.y), shift<N>(previous.z, current.z)};
+            previous = current;
+            return r;
+        };
+        constexpr std::integral_constant<int, 1> by_one;
+        constexpr std::integral_constant<int, 2> by_two;
+
+        const Vec3<V> x = point(0, 0, position);
+        Vec3<V> p{none, none, none};
+        if constexpr (uses_velocity) p = point(0, 0, damping_velocity);
+
+        Vec3<V> force{load(at.force_rows[0] + j), load(at.force_rows[0] + pitch + j), load(at.force_rows[0] + 2 * pitch + j)};
+        if constexpr (has(down2)) {
+            const Vec3<V> f = spring_force(down2, x, p);
+            force = force + f;
+            store(at.force_rows[2] + j, -f.x);
+            store(at.force_rows[2] + pitch + j, -f.y);
+            store(at.force_rows[2] + 2 * pitch + j, -f.z);
+        } else {
+            for (int c = 0; c < 3; ++c) store(at.force_rows[2] + c * pitch + j, none);
+        }
+        Vec3<V> below, right_neighbor{none, none, none};
+        {
+            const Vec3<V> f = spring_force(down, x, p);
+            force = force + f;
+            below = -f;
+        }
+        if constexpr (has(diagonal)) {
+            const Vec3<V> f = spring_force(diagonal, x, p);
+            force = force + f;
+            below = below - shifted(previous11, f, by_one);
+        }
+        if constexpr (has(antidiagonal)) {
+            const Vec3<V> x1 = point(0, 1, position);
+            Vec3<V> p1{none, none, none};
+            if constexpr (damped) p1 = point(0, 1, damping_velocity);
+            const Vec3<V> f = spring_force(antidiagonal, x1, p1);
+            right_neighbor = f;
+            below = below - f;
+        }
+        add(at.force_rows[1], below);
+        if (!owned) {
+            continue;
+        }
+        {
+            const Vec3<V> f = spring_force(right, x, p);
+            force = force + f;
+            right_neighbor = right_neighbor - f;
+            force = force + shifted(previous01, right_neighbor, by_one);
+        }
+        if constexpr (has(right2)) {
+            const Vec3<V> f = spring_force(right2, x, p);
+            force = force + f;
+            force = force - shifted(previous02, f, by_two);
+        }
+
+        const V mass = load(at.entry + inverse_mass * pitch + j), free = load(at.entry + freedom * pitch + j);
+        const V drag = splat<V>(constants.drag);
+        const V kick = splat<V>(motion.kick), drift = splat<V>(motion.drift);
+        const auto finish = [&](int c, V f, V damping_v) CLOTH_INLINED {
+            T* const x_c = at.row[0] + c * pitch + j;
+            V field = splat<V>(constants.body_acceleration[c]);
+            if constexpr (uses_velocity) field = fma(-drag, damping_v, field);
+            const V a = fma(free, field, mass * f);
+            if (sizeof(T) == 8 && at.accelerations) {
+                store(at.accelerations + c * at.acceleration_pitch + j, a);
+                return;
+            }
+            const V v = fma(kick, a, load(x_c + velocity * pitch));
+            store(x_c + velocity * pitch, v);
+            if constexpr (uses_velocity) {
+                const V previous_a = load(x_c + previous_acceleration * pitch);
+                store(x_c + previous_acceleration * pitch, a);
+                store(x_c + damping_velocity * pitch, fma(splat<V>(motion.predict), a, fma(splat<V>(motion.predict_previous), previous_a, v)));
+            }
+            const V x_old = c == 0 ? x.x : c == 1 ? x.y : x.z;
+            if constexpr (sizeof(T) == 8) {
+                store(x_c, fma(drift, v, x_old));
+            } else {
+                // Kahan's sum: the position carries what rounding takes from it.
+                const V increment = fma(drift, v, load(x_c + compensation * pitch)), end = x_old + increment;
+                store(x_c + compensation * pitch, increment - (end - x_old));
+                store(x_c, end);
+            }
+        };
+        finish(0, force.x, p.x);
+        finish(1, force.y, p.y);
+        finish(2, force.z, p.z);
+    }
+}
+
+}  // namespace cloth

@@ -1,0 +1,302 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Runs of a regular sheet. It is cut into bands of rows, each with a copy of the rows next to it, which it moves too, so
+// that neighbours meet once for several steps; and those steps are taken in one sweep, each two rows behind the one before
+// it, so that a row is still in the cache. No bit depends on either.
+#pragma once
+
+#include "core/thread_pool.hpp"
+#include "grid/air.hpp"
+#include "grid/dispatch.hpp"
+#include "grid/hinges.hpp"
+#include "plan/off_grid_forces.hpp"
+
+namespace cloth {
+
+template <class T>
+class GridRun {
+public:
+    GridRun(Plan& plan, const Run& run)
+        : plan_(plan), run_(run), grid_(*plan.grid), tables_(plan.grid_tables<T>()), off_grid_(plan, run),
+          hinges_(plan.row_tables<T>()), cells_(plan.cell_table<T>()), mode_(plan.mode()), state_(plan.workspace<T>(run.workspace).state),
+          force_rows_(plan.workspace<T>(run.workspace).force_rows), messages_(plan.workspace<T>(run.workspace).messages), pitch_(tables_.pitch),
+          length_(row_length<T>(grid_.columns)),
+          stride_(components<T> * pitch_) {
+        const bool has_off_grid = off_grid_.needed();
+        const std::int64_t max_bands = std::max<std::int64_t>(1, grid_.rows / row_reach);
+        bands_ = off_grid_.is_single_threaded() ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, max_bands));
+        off_grid_.prepare_poses(bands_);
+        off_grid_.init_contact_by_rows(bands_, pitch_);
+        // An anchor moves with its particle, once a step: copies of rows at a border would need copies of theirs. Pads move
+        // once a step by what all rows do to them.
+        synchronize_all_ = !plan.contacts.parallel_jaws.empty();
+        levels_ = has_off_grid || synchronize_all_ || (off_grid_.contact && plan.contacts.has_friction()) ? 1 : levels();
+        halo_ = row_reach * levels_;
+        for (int b = 0; b <= bands_; ++b) border_.push_back(grid_.rows * b / bands_);
+        if (has_off_grid) {
+            std::vector<std::int64_t> particles;
+            for (std::int64_t row : border_) particles.push_back(row * grid_.columns);
+            off_grid_.allocate(particles);
+        }
+        state_.resize(std::max<std::size_t>(bands_, state_.size()));
+        force_rows_.resize(state_.size());
+        for (int b = 0; b < bands_; ++b) {
+            state_[b].resize((border_[b + 1] - border_[b] + 2 * halo_ + row_reach) * stride_ + 64 / sizeof(T));
+            force_rows_[b].resize(levels_ * numbers_of_level() + 64 / sizeof(T));
+        }
+        messages_.resize(std::max<std::size_t>((bands_ - 1) * 4, messages_.size()));
+        for (auto& message : messages_) message.resize(halo_ * stride_);
+        counters_ = std::vector<Counter>(bands_);
+        step_row_ = select_row_step<T>(grid_.shape(), mode_);
+        constants_ = grid_constants<T>(plan);
+    }
+
+    RunStatus execute() {
+        const std::int64_t rounds = 1 + (run_.steps + levels_ - 1) / levels_;
+        const RunStatus done = off_grid_.needed() ? run_with_barrier(rounds) : run_with_neighbors(rounds);
+        for (int b = 0; (off_grid_.self || off_grid_.features) && b < bands_; ++b) export_rows(b);
+        // One thread works where powers are noted.
+        if (run_.power_integrals) {
+            run_.power_integrals[0] += run_.step * powers_.sum(powers_.dissipation);
+            run_.power_integrals[1] += run_.step * powers_.sum(powers_.external);
+        }
+        if (done == RunStatus::ok) off_grid_.finish();
+        return done;
+    }
+
+private:
+    struct alignas(128) Counter {
+        std::atomic<std::int64_t> rounds{0};
+        Counter() = default;
+        Counter(const Counter&) {}
+    };
+
+    /// Steps of a sweep: more where a band does not fit the second cache, or neighbours wait for each other.
+    int levels() const {
+        const std::int64_t rows = grid_.rows / bands_, bytes = rows * stride_ * static_cast<std::int64_t>(sizeof(T));
+        const std::int64_t target = bytes > (std::int64_t{3} << 18) ? 4 : std::min(bands_, 2);
+        return static_cast<int>(std::max<std::int64_t>(1, std::min(target, rows / (4 * row_reach))));
+    }
+    /// Rings of three rows of forces: the springs', and one for what else is taken by rows.
+    int rings() const { return hinges_.empty() ? 1 : 2; }
+    /// Those of one step of a sweep, and what air keeps of two rows of cells.
+    std::int64_t numbers_of_level() const {
+        return rings() * 9 * pitch_ + (cells_.empty() ? 0 : 2 * air_row_size<T>(pitch_));
+    }
+    T* row_of(int b, std::int64_t row) { return state_[b].data() + (row - border_[b] + halo_) * stride_; }
+
+    /// Sheets with nothing beside: neighbours alone wait for each other.
+    RunStatus run_with_neighbors(std::int64_t rounds) {
+        const auto run_bands = [&](int first, int last) {
+            for (std::int64_t round = 0; round < rounds; ++round)
+                for (int b = first; b < last; ++b) {
+                    begin_round(b, round);
+                    end_round(b, round, rounds);
+                }
+        };
+        // Asked for once: the system reads it from a file, which takes as long as a short run.
+        static const int cores = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
+        const int workers = std::min(bands_, cores);
+        ThreadPool::shared().run(
+            workers, [&](int w) { run_bands(bands_ * w / workers, bands_ * (w + 1) / workers); }, [&] { run_bands(0, bands_); });
+        return RunStatus::ok;
+    }
+    /// Listed elements may join any particles: all threads wait until all positions are known, and read.
+    RunStatus run_with_barrier(std::int64_t rounds) {
+        RunStatus done = RunStatus::ok;
+        Barrier barrier(bands_);
+        const auto prepare = [&](int b, std::int64_t round) {
+            begin_round(b, round);
+            if (off_grid_.is_active(round - 1)) export_rows(b);
+        };
+        ThreadPool::shared().run(
+            bands_,
+            [&](int b) {
+                for (std::int64_t round = 0; round < rounds; ++round) {
+                    prepare(b, round);
+                    barrier.wait();
+                    if (off_grid_.is_active(round - 1)) off_grid_.compute_forces(round - 1, b);
+                    barrier.wait();
+                    end_round(b, round, rounds);
+                }
+            },
+            [&] {
+                for (std::int64_t round = 0; round < rounds && done == RunStatus::ok; ++round) {
+                    for (int b = 0; b < bands_; ++b) prepare(b, round);
+                    if (off_grid_.is_active(round - 1))
+                        for (int b = 0; b < bands_ && done == RunStatus::ok; ++b) done = off_grid_.compute_forces(round - 1, b);
+                    for (int b = 0; b < bands_ && done == RunStatus::ok; ++b) end_round(b, round, rounds);
+                }
+            });
+        return done;
+    }
+
+    /// A turn is the start, or one sweep of `levels` steps. First the band is loaded, or its neighbours' rows are taken in,
+    /// and pads are moved: all bands have been at the step before.
+    void begin_round(int b, std::int64_t round) {
+        if (round == 0) {
+            load_band(b);
+            return;
+        }
+        for (int other_band = synchronize_all_ ? 0 : b - 1; other_band <= (synchronize_all_ ? bands_ - 1 : b + 1); ++other_band)
+            if (other_band >= 0 && other_band < bands_ && other_band != b)
+                wait_until([&] { return counters_[other_band].rounds.load(std::memory_order_acquire) >= round; });
+        receive_rows(b, round - 1);
+        off_grid_.advance_jaws(b, (round - 1) * levels_);
+    }
+    void end_round(int b, std::int64_t round, std::int64_t rounds) {
+        if (round == 0) {
+            start(b);
+        } else {
+            const std::int64_t begin = (round - 1) * levels_;
+            sweep(b, begin, std::min<std::int64_t>(levels_, run_.steps - begin));
+        }
+        if (round + 1 < rounds)
+            post_rows(b, round);
+        else
+            unload_band(b);
+        counters_[b].rounds.store(round + 1, std::memory_order_release);
+    }
+
+    /// Every number of a band is written, so that what was there before makes no difference.
+    void load_band(int b) {
+        for (std::int64_t row = border_[b]; row < border_[b + 1]; ++row) load_row(b, row, true);
+        const std::int64_t size = static_cast<std::int64_t>(state_[b].size());
+        T* const begin = state_[b].data();
+        std::fill(begin, row_of(b, border_[b]), T(0));
+        std::fill(row_of(b, border_[b + 1]), begin + size, T(0));
+    }
+    void load_row(int b, std::int64_t row, bool full) {
+        const std::int64_t n = plan_.count, columns = grid_.columns;
+        T* const to = row_of(b, row);
+        const auto put = [&](int slot, const double* from, double origin) {
+            T* const at = to + slot * pitch_;
+            for (std::int64_t j = 0; j < columns; ++j) at[j] = static_cast<T>(from[j] - origin);
+            std::fill(at + columns, at + pitch_, T(0));
+        };
+        for (int c = 0; c < 3; ++c) {
+            const double *const x = run_.x0 + c * n + row * columns, *const v = run_.v0 + c * n + row * columns;
+            put(position + c, x, off_grid_.origin[c]);
+            put(damping_velocity + c, v, 0.0);
+            if (full) put(velocity + c, v, 0.0);
+        }
+        if (full) std::fill(to + previous_acceleration * pitch_, to + stride_, T(0));
+    }
+    void unload_band(int b) {
+        const std::int64_t n = plan_.count, columns = grid_.columns;
+        for (std::int64_t row = border_[b]; row < border_[b + 1]; ++row) {
+            const T* const from = row_of(b, row);
+            for (int c = 0; c < 3; ++c) {
+                const std::int64_t at = c * n + row * columns;
+                const T *const x = from + (position + c) * pitch_, *const v = from + (velocity + c) * pitch_;
+                const T* const carry = from + (sizeof(T) == 4 ? compensation + c : 0) * pitch_;
+                const double* const x0 = run_.x0 + at;
+                for (std::int64_t j = 0; run_.x && j < columns; ++j)
+                    run_.x[at + j] = final_value<T>(x0[j], off_grid_.origin[c], x[j], sizeof(T) == 4 ? carry[j] : T(0));
+                const double* const v0 = run_.v0 + at;
+                for (std::int64_t j = 0; run_.v && j < columns; ++j) run_.v[at + j] = final_value<T>(v0[j], 0.0, v[j], T(0));
+            }
+        }
+    }
+
+    /// The first half step: where no velocity has to be predicted, positions alone move.
+    void start(int b) {
+        if (mode_ == Mode::position_only) {
+            const T half = static_cast<T>(0.5 * run_.step);
+            for (std::int64_t row = border_[b]; row < border_[b + 1]; ++row) {
+                T* const at = row_of(b, row);
+                for (std::int64_t j = 0; j < 3 * pitch_; ++j) {
+                    const T x = at[j], increment = half * at[velocity * pitch_ + j], end = x + increment;
+                    if constexpr (sizeof(T) == 4) at[compensation * pitch_ + j] = increment - (end - x);
+                    at[j] = sizeof(T) == 4 ? end : fma(half, at[velocity * pitch_ + j], x);
+                }
+            }
+            return;
+        }
+        // Other bands are not known yet: the rows above and below are loaded from where all began.
+        if (bands_ > 1) load_around(b);
+        sweep(b, -1, 1);
+    }
+    void load_around(int b) {
+        for (std::int64_t row = border_[b] - row_reach; row < border_[b + 1] + row_reach; ++row)
+            if (row >= 0 && row < grid_.rows && (row < border_[b] || row >= border_[b + 1])) load_row(b, row, false);
+    }
+
+    /// Steps `begin` to `begin` + `levels` - 1 in one sweep. Next to a neighbour a step also moves the rows, two fewer with
+    /// each step, that later ones will look at.
+    void sweep(int b, std::int64_t begin, std::int64_t levels) {
+        std::fill(force_rows_[b].begin(), force_rows_[b].end(), T(0));
+        const std::int64_t margin = row_reach * (levels - 1), first = border_[b], last = border_[b + 1];
+        const std::int64_t from = std::max<std::int64_t>(first - margin - row_reach, 0);
+        for (std::int64_t front = from; front < std::min(last, grid_.rows) + margin; ++front)
+            for (std::int64_t level = 0; level < levels; ++level) {
+                const std::int64_t row = front - row_reach * level, halo_rows = margin - row_reach * level;
+                const std::int64_t top = std::max<std::int64_t>(first - halo_rows, 0);
+                if (row < std::max<std::int64_t>(top - row_reach, 0) || row >= std::min(last + halo_rows, grid_.rows)) continue;
+                advance_row(b, level, row, row >= top, begin + level);
+            }
+    }
+    void advance_row(int b, std::int64_t level, std::int64_t row, bool owned, std::int64_t step) {
+        RowView<T> at;
+        T* hinge_rows[3];
+        const std::int64_t ring_index = (row - border_[b] + halo_) % 3;
+        for (int k = 0; k < 3; ++k) {
+            at.row[k] = row_of(b, row + k);
+            at.force_rows[k] = force_rows_[b].data() + (3 * level + (ring_index + k) % 3) * 3 * pitch_;
+            hinge_rows[k] = at.force_rows[k] + levels_ * 9 * pitch_;
+        }
+        at.entry = tables_.of(row);
+        at.pitch = pitch_;
+        at.length = length_;
+        if (owned) off_grid_.add_row_forces(b, row, step, at, row >= border_[b] && row < border_[b + 1]);
+        PowerSums* const powers = run_.power_integrals && step >= 0 ? &powers_ : nullptr;
+        if (!hinges_.empty()) add_hinge_row(hinges_, row, at, hinge_rows, owned, powers, off_grid_.multirate);
+        if (!cells_.empty()) {
+            T* const cell_rows = force_rows_[b].data() + levels_ * rings() * 9 * pitch_ + 2 * level * air_row_size<T>(pitch_);
+            add_air_row(at, cells_.of(row), plan_.cells_air(), cell_rows, row, owned, powers);
+        }
+        step_row_(at, constants_, motion_of<T>(run_, step), owned);
+    }
+    void export_rows(int b) {
+        for (std::int64_t row = border_[b]; row < border_[b + 1]; ++row) {
+            const T* const from = row_of(b, row);
+            off_grid_.import_row(position, row, from + position * pitch_, pitch_);
+            off_grid_.import_row(damping_velocity, row, from + damping_velocity * pitch_, pitch_);
+        }
+    }
+
+    /// A band's outer rows for its neighbours. Two boxes in turn are enough: a band posts for turn n + 2 after its
+    /// neighbours have done turn n + 1, so have taken in n.
+    Array<T>& message(int border, int direction, std::int64_t round) { return messages_[(border * 2 + direction) * 2 + round % 2]; }
+    void post_rows(int b, std::int64_t round) {
+        const std::size_t bytes = halo_ * stride_ * sizeof(T);
+        if (b > 0) std::memcpy(message(b - 1, 0, round).data(), row_of(b, border_[b]), bytes);
+        if (b + 1 < bands_) std::memcpy(message(b, 1, round).data(), row_of(b, border_[b + 1] - halo_), bytes);
+    }
+    void receive_rows(int b, std::int64_t round) {
+        const std::size_t bytes = halo_ * stride_ * sizeof(T);
+        if (b > 0) std::memcpy(row_of(b, border_[b] - halo_), message(b - 1, 1, round).data(), bytes);
+        if (b + 1 < bands_) std::memcpy(row_of(b, border_[b + 1]), message(b, 0, round).data(), bytes);
+    }
+
+    Plan& plan_;
+    const Run& run_;
+    const Grid& grid_;
+    const GridTables<T>& tables_;
+    OffGridForces<T> off_grid_;
+    const std::vector<RowTable<T>>& hinges_;
+    const CellTable<T>& cells_;
+    PowerSums powers_;
+    Mode mode_;
+    std::vector<Array<T>>&state_, &force_rows_, &messages_;
+    std::int64_t pitch_, length_, stride_, halo_ = 0;
+    int bands_ = 1, levels_ = 1;
+    bool synchronize_all_ = false;  ///< whether all bands wait for each other before each step
+    std::vector<std::int64_t> border_;
+    std::vector<Counter> counters_;
+    StepRow<T> step_row_ = nullptr;
+    GridConstants<T> constants_;
+};
+
+}  // namespace cloth

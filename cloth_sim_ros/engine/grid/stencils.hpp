@@ -1,0 +1,96 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Hinges of a regular sheet as tables by rows. A hinge lies on the grid in one of few ways; those of one way and row repeat
+// from column to column, so that their corners are vectors of the rows and nothing is gathered.
+#pragma once
+
+#include "grid/grid.hpp"
+#include "mesh/elements.hpp"
+
+namespace cloth {
+
+/// One way to lie on a grid: each corner's row and column from the upmost row and the leftmost column of all.
+struct Stencil {
+    int row[4], column[4];
+};
+/// Hinges of both checkerboards' triangles (sheets/surface.py): over a diagonal, then over an edge.
+inline constexpr int n_hinge_stencils = 6, n_spring_stencils = 2;
+inline constexpr Stencil hinge_stencils[n_hinge_stencils] = {{{1, 0, 0, 1}, {1, 0, 1, 0}}, {{0, 1, 0, 1}, {1, 0, 0, 1}},
+                                                   {{0, 1, 0, 0}, {1, 1, 0, 2}}, {{0, 1, 1, 1}, {1, 1, 0, 2}},
+                                                   {{1, 1, 0, 2}, {1, 0, 0, 0}}, {{1, 1, 0, 2}, {1, 0, 1, 1}}};
+/// Springs between the wings of those over an edge.
+inline constexpr Stencil spring_stencils[n_spring_stencils] = {{{0, 0}, {0, 2}}, {{0, 2}, {0, 0}}};
+
+template <class Law>
+inline constexpr int n_stencils = Law::corners == 4 ? n_hinge_stencils : n_spring_stencils;
+template <class Law>
+constexpr Stencil stencil_of(int k) {
+    return Law::corners == 4 ? hinge_stencils[k] : spring_stencils[k];
+}
+
+/// Where each element of a list has its numbers in tables by rows; empty where the list has elements that lie otherwise or
+/// twice in one place, or leaves so many places free that taking all would cost more.
+template <class Law>
+inline std::vector<std::int64_t> row_slots(const Grid& grid, const List& list) {
+    constexpr int C = Law::corners;
+    std::vector<std::int64_t> slots;
+    std::vector<char> occupied(grid.count() * n_stencils<Law>, 0), rows(grid.rows * n_stencils<Law>, 0);
+    for (std::int64_t e = 0; e < list.count; ++e) {
+        const std::int64_t* const p = list.corners.data() + e * C;
+        std::int64_t top = p[0] / grid.columns, left = p[0] % grid.columns;
+        for (int c = 1; c < C; ++c) {
+            top = std::min(top, p[c] / grid.columns);
+            left = std::min(left, p[c] % grid.columns);
+        }
+        const auto matches = [&](int k) {
+            const Stencil stencil = stencil_of<Law>(k);
+            for (int c = 0; c < C; ++c)
+                if (p[c] / grid.columns != top + stencil.row[c] || p[c] % grid.columns != left + stencil.column[c]) return false;
+            return true;
+        };
+        int k = 0;
+        while (k < n_stencils<Law> && !matches(k)) ++k;
+        if (k == n_stencils<Law>) return {};
+        const std::int64_t row = top * n_stencils<Law> + k, slot = row * grid.columns + left;
+        if (occupied[slot]) return {};
+        occupied[slot] = rows[row] = 1;
+        slots.push_back(slot);
+    }
+    const std::int64_t all = std::count(rows.begin(), rows.end(), 1) * grid.columns;
+    return 3 * list.count >= 2 * all ? slots : std::vector<std::int64_t>{};
+}
+
+/// A list by rows: for each row and each way to lie the law's numbers in padded rows, zeros where there is no element.
+template <class T>
+class RowTable {
+public:
+    RowTable(const Grid& grid, const List& list, const std::vector<std::int64_t>& slots)
+        : kind(list.kind), damped(list.damped) {
+        const std::int64_t n_of_row = list.width == 4 ? n_hinge_stencils : n_spring_stencils, pitch = row_pitch<T>(grid.columns);
+        size_ = n_of_row * list.numbers * pitch;
+        numbers_.assign(grid.rows * size_ + 64 / sizeof(T), T(0));
+        has_.assign(grid.rows, 0);
+        for (std::int64_t e = 0; e < list.count; ++e) {
+            const std::int64_t line = slots[e] / grid.columns, column = slots[e] % grid.columns;
+            has_[line / n_of_row] = 1;
+            for (std::int64_t p = 0; p < list.numbers; ++p)
+                numbers_[(line * list.numbers + p) * pitch + column] = static_cast<T>(list.params[e * list.numbers + p]);
+        }
+    }
+    /// Whether a row, of the sheet or beyond it, owns any.
+    bool has(std::int64_t row) const {
+        return row >= 0 && row < static_cast<std::int64_t>(has_.size()) && has_[row];
+    }
+    const T* of(std::int64_t row) const { return numbers_.data() + row * size_; }
+
+    Kind kind;
+    bool damped;
+
+private:
+    std::int64_t size_;
+    Array<T> numbers_;
+    std::vector<char> has_;
+};
+
+}  // namespace cloth

@@ -1,0 +1,123 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// What is asked of listed elements beside forces: energy, power, bounds, derivative product. One element after the
+// other in the list's own order; positions and velocities are (3, n) by component.
+#pragma once
+
+#include "mesh/elements.hpp"
+
+namespace cloth {
+
+inline double list_energy(const List& list, const double* x, std::int64_t n) {
+    return with_law(list.kind, [&](auto law) {
+        using Law = decltype(law);
+        double total = 0.0;
+        for (std::int64_t e = 0; e < list.count; ++e) {
+            const ElementState<Law> s(list, e, x, nullptr, n);
+            total += Law::energy(s.params, s.d);
+        }
+        return total;
+    });
+}
+
+/// Power that damping takes out, and power that the wind puts in [W].
+inline void list_power(const List& list, const double* x, const double* v, std::int64_t n, double& dissipation, double& external) {
+    if (!list.damped) return;
+    with_law(list.kind, [&](auto law) {
+        using Law = decltype(law);
+        for (std::int64_t e = 0; e < list.count; ++e) {
+            const ElementState<Law> s(list, e, x, v, n);
+            dissipation += Law::dissipation(s.params, s.d, s.u);
+            if constexpr (Law::absolute_velocities) external += Law::external_power(s.params, s.d, s.u);
+        }
+    });
+}
+
+inline void add_block(double* blocks, std::int64_t n, std::int64_t i, const Sym3<double>& b) {
+    blocks[i] += b.xx;
+    blocks[n + i] += b.yy;
+    blocks[2 * n + i] += b.zz;
+    blocks[3 * n + i] += b.xy;
+    blocks[4 * n + i] += b.xz;
+    blocks[5 * n + i] += b.yz;
+}
+
+/// Add blocks that bound stiffness [N/m] and damping [N s/m], each (6, n); and to `across` (n), which may be null, the
+/// part of the stiffness that lies across springs.
+inline void add_list_bounds(const List& list, const double* x, std::int64_t n, double* stiff, double* damp,
+                            double* transverse = nullptr) {
+    with_law(list.kind, [&](auto law) {
+        using Law = decltype(law);
+        for (std::int64_t e = 0; e < list.count; ++e) {
+            const ElementState<Law> s(list, e, x, nullptr, n);
+            Bound<double> bound[Law::corners];
+            Law::bounds(s.params, s.d, bound);
+            for (int i = 0; i < Law::corners; ++i) {
+                const std::int64_t p = list.corners[e * list.width + i];
+                const Sym3<double>& k = bound[i].stiff;
+                const double isotropic = bound[i].isotropic;
+                if (stiff) add_block(stiff, n, p, {k.xx + isotropic, k.yy + isotropic, k.zz + isotropic, k.xy, k.xz, k.yz});
+                if (damp && list.damped) add_block(damp, n, p, bound[i].damp);
+                if (transverse) transverse[p] += bound[i].transverse;
+            }
+        }
+    });
+}
+
+/// Blocks B (count, 6) of springs' and joints' stiffness, k dd' and compression's transverse part left out, and damping,
+/// each with its weight.
+inline void pair_blocks(const List& list, const double* x, std::int64_t n, double stiffness, double damping,
+                        double* blocks) {
+    for (std::int64_t e = 0; e < list.count; ++e) {
+        Sym3<double> b;
+        if (list.kind == Kind::spring) {
+            const ElementState<Spring> s(list, e, x, nullptr, n);
+            b = Spring::matrix(s.params, s.d, stiffness, damping);
+        } else {
+            const ElementState<Joint> s(list, e, x, nullptr, n);
+            b = outer(0.0, Vec3<double>{}, stiffness * s.params.k + damping * s.params.c);
+        }
+        const double numbers[6] = {b.xx, b.yy, b.zz, b.xy, b.xz, b.yz};
+        std::copy(numbers, numbers + 6, blocks + 6 * e);
+    }
+}
+
+template <class V>
+inline Vec3<Dual> with_slope(Vec3<V> a, Vec3<V> slope) {
+    return {{a.x, slope.x}, {a.y, slope.y}, {a.z, slope.z}};
+}
+inline Vec3<double> slope_of(Vec3<Dual> a) { return {a.x.slope, a.y.slope, a.z.slope}; }
+
+/// Add (df/dx) dx + (df/dv) dv to out (3, n), by the law itself on numbers with derivatives.
+inline void add_list_product(const List& list, const double* x, const double* v, const double* dx, const double* dv,
+                             std::int64_t n, double* out) {
+    with_law(list.kind, [&](auto law) {
+        using Law = decltype(law);
+        constexpr int C = Law::corners, n_velocities = Law::absolute_velocities ? C : C - 1;
+        for (std::int64_t e = 0; e < list.count; ++e) {
+            const ElementState<Law> s(list, e, x, v, n), along(list, e, dx, dv, n);
+            Vec3<Dual> d[C - 1], u[C], f[C];
+            for (int c = 0; c < C - 1; ++c) d[c] = with_slope(s.d[c], along.d[c]);
+            for (int c = 0; c < n_velocities; ++c) u[c] = with_slope(s.u[c], along.u[c]);
+            Dual numbers[3];
+            for (int p = 0; p < Law::params; ++p) numbers[p] = {list.params[e * list.numbers + p], 0.0};
+            Law::force(law_params<Law, Dual>(numbers, list.common), d, u, f, list.damped);
+            Vec3<double> reaction{};
+            const auto add = [&](int corner, Vec3<double> g) {
+                const std::int64_t p = list.corners[e * list.width + corner];
+                out[p] += g.x;
+                out[n + p] += g.y;
+                out[2 * n + p] += g.z;
+            };
+            for (int c = 0; c < n_velocities; ++c) {
+                const Vec3<double> g = slope_of(f[c]);
+                add(Law::absolute_velocities ? c : c + 1, g);
+                reaction = reaction - g;
+            }
+            if (!Law::absolute_velocities) add(0, reaction);
+        }
+    });
+}
+
+}  // namespace cloth

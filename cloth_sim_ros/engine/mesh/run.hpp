@@ -1,0 +1,139 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Runs of whatever has no regular grid: meshes, raw springs, single particles. Particles lie as quads, in an order in
+// which neighbours are close. Each thread has its own particles, and takes all elements that touch them.
+#pragma once
+
+#include "core/thread_pool.hpp"
+#include "plan/off_grid_forces.hpp"
+
+namespace cloth {
+
+/// With `Evaluate` one evaluation alone, at x0 and v0: accelerations come out in place of velocities.
+template <class T, bool Evaluate>
+class ListRun {
+public:
+    ListRun(Plan& plan, const Run& run)
+        : plan_(plan), run_(run), off_grid_(plan, run), velocity_(plan.workspace<T>(run.workspace).particle_arrays[0]),
+          previous_acceleration_(plan.workspace<T>(run.workspace).particle_arrays[1]), compensation_(plan.workspace<T>(run.workspace).particle_arrays[2]) {
+        threads_ = off_grid_.is_single_threaded() ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, plan.count));
+        borders_ = threads_ > 1 ? plan.even_borders(threads_) : std::vector<std::int64_t>{0, plan.count};
+        off_grid_.allocate(borders_);
+        off_grid_.prepare_poses(threads_);
+        off_grid_.init_contact_by_ranks(threads_);
+        const std::int64_t n = plan.count;
+        velocity_.assign(4 * n, T(0));
+        previous_acceleration_.assign(4 * n, T(0));
+        compensation_.assign(sizeof(T) == 4 ? 4 * n : 0, T(0));
+        for (int c = 0; c < 3; ++c)
+            for (std::int64_t i = 0; i < n; ++i) {
+                const std::int64_t at = 4 * plan.rank[i] + c;
+                off_grid_.x[at] = static_cast<T>(run.x0[c * n + i] - off_grid_.origin[c]);
+                off_grid_.v[at] = static_cast<T>(run.v0[c * n + i]);
+                if (!Evaluate) velocity_[at] = off_grid_.v[at];
+            }
+        inverse_.resize(n);
+        free_.resize(n);
+        for (std::int64_t i = 0; i < n; ++i) {
+            inverse_[plan.rank[i]] = static_cast<T>(plan.inverse[i]);
+            free_[plan.rank[i]] = plan.inverse[i] > 0.0 ? T(1) : T(0);
+        }
+    }
+
+    RunStatus execute() {
+        RunStatus done = RunStatus::ok;
+        Barrier barrier(threads_);
+        ThreadPool::shared().run(
+            threads_,
+            [&](int thread) {
+                for (std::int64_t step = -1; step < run_.steps; ++step) {
+                    force(step, thread);
+                    barrier.wait();  // positions are read up to here
+                    move(step, thread);
+                    barrier.wait();
+                }
+            },
+            [&] {
+                for (std::int64_t step = -1; step < run_.steps && done == RunStatus::ok; ++step) {
+                    for (int thread = 0; thread < threads_ && done == RunStatus::ok; ++thread) done = force(step, thread);
+                    for (int thread = 0; thread < threads_ && done == RunStatus::ok; ++thread) move(step, thread);
+                }
+            });
+        if (done == RunStatus::ok) unload();
+        return done;
+    }
+
+private:
+    RunStatus force(std::int64_t step, int thread) {
+        off_grid_.advance_jaws(thread, step);
+        const RunStatus done = off_grid_.compute_forces(step, thread);
+        if (done != RunStatus::ok) return done;
+        T* const f = (*off_grid_.partitions)[thread].f.data();
+        for (std::int64_t grip = 0; grip < plan_.grips.count(); ++grip) {
+            const std::int64_t rank = plan_.rank[plan_.grips.particle[grip]];
+            if (rank < borders_[thread] || rank >= borders_[thread + 1]) continue;
+            const T *const x = off_grid_.x.data() + 4 * rank, *const v = off_grid_.v.data() + 4 * rank;
+            const Vec3<T> force = off_grid_.grip_force(thread, grip, step, {x[0], x[1], x[2]}, {v[0], v[1], v[2]}, true);
+            f[4 * rank] += force.x, f[4 * rank + 1] += force.y, f[4 * rank + 2] += force.z;
+        }
+        off_grid_.add_contact(thread, step, f);
+        return RunStatus::ok;
+    }
+    void move(std::int64_t step, int thread) {
+        // Asked for once: what is stored in the loop might be one of these addresses, as far as the compiler knows.
+        const T *const f = (*off_grid_.partitions)[thread].f.data(), *const inverse = inverse_.data(), *const free = free_.data();
+        T *const position_quads = off_grid_.x.data(), *const damping_v = off_grid_.v.data();
+        T *const velocity = velocity_.data(), *const previous_a = previous_acceleration_.data(), *const carry = compensation_.data();
+        const quad<T> body_acceleration{T(plan_.body_acceleration(0)), T(plan_.body_acceleration(1)), T(plan_.body_acceleration(2)), T(0)};
+        const StepFactors<T> m = Evaluate ? evaluation<T> : motion_of<T>(run_, step);
+        const auto all = [](T a) { return quad<T>{a, a, a, a}; };
+        const quad<T> kick = all(m.kick), predict = all(m.predict), predict_previous = all(m.predict_previous), drift = all(m.drift);
+        const quad<T> drag = all(static_cast<T>(-plan_.drag));
+        for (std::int64_t p = borders_[thread]; p < borders_[thread + 1]; ++p) {
+            const std::int64_t i = 4 * p;
+            const quad<T> field = fma(drag, load4(damping_v + i), body_acceleration);
+            const quad<T> a = fma(all(free[p]), field, all(inverse[p]) * load4(f + i));
+            const quad<T> v = fma(kick, a, load4(velocity + i));
+            store4(velocity + i, v);
+            store4(damping_v + i, quad<T>(fma(predict, a, fma(predict_previous, load4(previous_a + i), v))));
+            store4(previous_a + i, a);
+            const quad<T> x = load4(position_quads + i);
+            if constexpr (sizeof(T) == 8) {
+                store4(position_quads + i, fma(drift, v, x));
+            } else {
+                // Kahan's sum: the position carries what rounding takes from it.
+                const quad<T> increment = fma(drift, v, load4(carry + i)), end = x + increment;
+                store4(carry + i, quad<T>(increment - (end - x)));
+                store4(position_quads + i, end);
+            }
+        }
+    }
+    void unload() {
+        const std::int64_t n = plan_.count;
+        for (int c = 0; c < 3; ++c)
+            for (std::int64_t i = 0; i < n; ++i) {
+                const std::int64_t at = 4 * plan_.rank[i] + c, k = c * n + i;
+                const T carry = sizeof(T) == 4 ? compensation_[at] : T(0);
+                if (run_.x) run_.x[k] = final_value<T>(run_.x0[k], off_grid_.origin[c], off_grid_.x[at], carry);
+                if (run_.v) run_.v[k] = final_value<T>(run_.v0[k], 0.0, velocity_[at], T(0));
+            }
+        off_grid_.finish();
+    }
+
+    Plan& plan_;
+    const Run& run_;
+    OffGridForces<T> off_grid_;
+    Array<T>&velocity_, &previous_acceleration_, &compensation_;
+    int threads_ = 1;
+    std::vector<std::int64_t> borders_;
+    std::vector<T> inverse_, free_;  ///< 1/m, and one for free particles
+};
+
+template <class T>
+inline RunStatus run_lists(Plan& plan, const Run& run) {
+    return ListRun<T, false>(plan, run).execute();
+}
+inline RunStatus evaluate_lists(Plan& plan, const Run& run) { return ListRun<double, true>(plan, run).execute(); }
+
+}  // namespace cloth

@@ -1,0 +1,227 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// A frame in one call: several runs over the same stretch of time, their combination, and what step control asks of it.
+#pragma once
+
+#include <limits>
+
+#include "contact/feature_queries.hpp"
+#include "contact/obstacle_culling.hpp"
+#include "contact/obstacle_prediction.hpp"
+#include "grid/evaluation.hpp"
+#include "grid/run.hpp"
+#include "mesh/run.hpp"
+#include "plan/queries.hpp"
+
+namespace cloth {
+
+/// Runs of one frame at most.
+inline constexpr int max_runs = 8;
+
+template <class T>
+inline RunStatus execute_run(Plan& plan, const Run& run) {
+    if (plan.grid) return GridRun<T>(plan, run).execute();
+    return run_lists<T>(plan, run);
+}
+inline RunStatus execute_run(Plan& plan, const Run& run) {
+    return run.single_precision && !plan.is_surface_active() ? execute_run<float>(plan, run) : execute_run<double>(plan, run);
+}
+
+inline void combine(std::int64_t arrays, const double* const* from, const double* weights, std::int64_t size,
+                    double* out) {
+    for (std::int64_t i = 0; i < size; ++i) {
+        double sum = weights[0] * from[0][i];
+        for (std::int64_t k = 1; k < arrays; ++k) sum = fma(weights[k], from[k][i], sum);
+        out[i] = sum;
+    }
+}
+
+inline double largest_distance(const double* x, const double* y, std::int64_t n) {
+    double max_square = 0.0;
+    bool not_finite = false;
+    for (std::int64_t i = 0; i < n; ++i) {
+        const double a = x[i] - y[i], b = x[n + i] - y[n + i], c = x[2 * n + i] - y[2 * n + i];
+        const double square = fma(c, c, fma(b, b, a * a));
+        max_square = square > max_square ? square : max_square;
+        not_finite |= !(square < std::numeric_limits<double>::infinity());
+    }
+    return not_finite ? std::numeric_limits<double>::infinity() : root(max_square);
+}
+
+/// What a frame is asked for; the same layout as binding.Frame.
+struct Frame {
+    double t, duration;
+    std::int64_t runs;               ///< how many, each with its steps
+    const std::int64_t* steps;
+    const double* weights;           ///< of the runs in the combination
+    std::int64_t single_precision;             ///< whether runs calculate in single precision
+    std::int64_t bands;
+    const double *x0, *v0;
+    double* out;            ///< positions and velocities of each run, (runs, 2, 3, n)
+    double* result;         ///< those of the combination, (2, 3, n), or null: then the first run is the result
+    /// Of each run what was booked for each gripper, then lost and given power; where there is contact, what was booked
+    /// for each obstacle, what `ContactSummary` has, squared frequency and damping rate that the cloth's contact with itself
+    /// and with points and edges of obstacles had to be followed at, what friction between layers took, and what contacts
+    /// gave that regained their thickness [J]. Null where nothing is wanted and there is none.
+    double* records;
+    std::int64_t record_powers;    ///< whether powers are noted
+    /// Nine numbers about the frame's end, or null.
+    /// 0: largest change of a particle's velocity over the frame [m/s]. It is infinite where the result is not finite,
+    /// lies beyond an obstacle's surface, or the cloth may have passed through itself.
+    /// 1, 2: bounds of squared frequency [1/s^2] and damping rate [1/s], contact aside.
+    /// 3: energy per mass, in U^2/2, that contact with obstacles has to take up from the frame's end on.
+    /// 4, 5: squared frequency [1/s^2] and damping rate [1/s] of the cloth's contact with itself and with points and
+    /// edges of obstacles.
+    /// 6, 7: bounds of squared frequency [1/s^2] and damping rate [1/s] of hinges alone; 8: of the squared frequency that
+    /// springs have across themselves. Zero without hinges, or where they are not wanted.
+    double* summary;
+    std::int64_t bounds_level;     ///< whether bounds of frequency and damping are wanted; 2: those of hinges as well
+    std::int64_t record_obstacles;     ///< whether what obstacles do is booked
+    double* anchors;        ///< of each run at its end, as `Contacts` has them, or null
+    double* jaw_states;        ///< of each run at its end, (runs, pinches, jaw_state_size), or null
+    std::int64_t multirate;     ///< steps for which hinges are asked for once
+    std::int64_t combined;  ///< how many of the runs, from the first on, are in the combination
+    std::int64_t concurrency;   ///< how many may be made at once
+};
+
+/// Numbers of a run's notes about contact: what obstacles did, what contact met, the rates of the cloth's contact with
+/// itself, what its friction took, and what contacts gave that regained their thickness.
+inline std::int64_t contact_record_size(const Plan& plan) {
+    return plan.has_contact() ? plan.contacts.count() * record_numbers + ContactSummary::numbers + 4 : 0;
+}
+
+/// What a frame is asked for of each of its runs.
+inline std::vector<Run> runs_of(const Plan& plan, const Frame& frame) {
+    const std::int64_t n = plan.count, size = plan.grips.grippers * record_numbers;
+    const std::int64_t contact_size = contact_record_size(plan), size_of_record = size + 2 + contact_size;
+    const auto n_jaws = static_cast<std::int64_t>(plan.contacts.parallel_jaws.size());
+    std::vector<Run> runs;
+    for (std::int64_t k = 0; k < frame.runs; ++k) {
+        double* const record = frame.records ? frame.records + k * size_of_record : nullptr;
+        double* const out = frame.out + k * 6 * n;
+        runs.push_back({frame.t,
+                        frame.duration / static_cast<double>(frame.steps[k]),
+                        frame.steps[k],
+                        frame.single_precision != 0,
+                        static_cast<int>(frame.bands),
+                        frame.x0,
+                        frame.v0,
+                        out,
+                        out + 3 * n,
+                        record,
+                        frame.record_powers ? record + size : nullptr,
+                        contact_size ? record + size + 2 : nullptr,
+                        contact_size && frame.record_obstacles,
+                        frame.anchors ? frame.anchors + k * plan.anchor_count() : nullptr,
+                        frame.jaw_states ? frame.jaw_states + k * n_jaws * jaw_state_size : nullptr,
+                        frame.multirate});
+    }
+    return runs;
+}
+
+/// Runs at once, each by one thread: they share what they read, and write into rooms of their own.
+inline void execute_concurrently(Plan& plan, const Frame& frame, std::vector<Run>& runs) {
+    if (frame.single_precision)
+        plan.prepare_tables<float>();
+    else
+        plan.prepare_tables<double>();
+    const int threads = static_cast<int>(std::min<std::int64_t>(frame.concurrency, max_concurrency));
+    ThreadPool::shared().for_each_job(static_cast<int>(runs.size()), threads, [&](int index, int workspace) {
+        runs[index].bands = 1;
+        runs[index].workspace = workspace;
+        execute_run(plan, runs[index]);
+    });
+}
+
+inline RunStatus execute_runs(Plan& plan, const Frame& frame) {
+    std::vector<Run> runs = runs_of(plan, frame);
+    if (frame.concurrency > 1 && runs.size() > 1 && plan.has_independent_runs()) {
+        execute_concurrently(plan, frame, runs);
+        return RunStatus::ok;
+    }
+    const std::int64_t contact_size = contact_record_size(plan), size = plan.grips.grippers * record_numbers + 2 + contact_size;
+    ObstacleCulling obstacle_culling(plan, frame.duration, frame.x0, frame.v0);
+    SelfCulling self_culling(plan, frame.duration, frame.x0, frame.v0);
+    FeatureCulling feature_culling(plan, frame.t, frame.duration, frame.x0, frame.v0);
+    for (std::int64_t k = 0; k < frame.runs; ++k) {
+        const Run& run = runs[k];
+        const RunStatus done = execute_run(plan, run);
+        if (done != RunStatus::ok) return done;
+        const bool violated = contact_size && obstacle_culling.is_violated(run.v, run.contact_record + plan.contacts.count() * record_numbers);
+        if (violated || self_culling.is_violated(run.v) || feature_culling.is_violated(run.v)) {
+            if (violated) obstacle_culling.disable();
+            self_culling.disable();
+            feature_culling.disable();
+            std::fill(frame.records, frame.records + frame.runs * size, 0.0);
+            k = -1;
+        }
+    }
+    return RunStatus::ok;
+}
+
+inline RunStatus execute_frame(Plan& plan, const Frame& frame) {
+    const std::int64_t n = plan.count;
+    const RunStatus done = execute_runs(plan, frame);
+    if (done != RunStatus::ok) return done;
+    const double* x = frame.out;
+    if (frame.result) {
+        const double* from[max_runs];
+        for (std::int64_t k = 0; k < frame.combined; ++k) from[k] = frame.out + k * 6 * n;
+        combine(frame.combined, from, frame.weights, 6 * n, frame.result);
+        x = frame.result;
+    }
+    if (!frame.summary) return RunStatus::ok;
+    frame.summary[0] = largest_distance(x + 3 * n, frame.v0, n);
+    const double max_displacement = largest_distance(x, frame.x0, n);
+    if (!(max_displacement < std::numeric_limits<double>::infinity())) frame.summary[0] = max_displacement;
+    if (plan.contacts.count()) {
+        // Drifts of half a step and combinations of runs may lead beyond a surface that no run met.
+        const std::vector<double> start = plan.contacts.jaw_states;
+        const auto size = static_cast<std::int64_t>(start.size());
+        if (frame.jaw_states && frame.result) {
+            const double* from[max_runs];
+            for (std::int64_t k = 0; k < frame.combined; ++k) from[k] = frame.jaw_states + k * size;
+            combine(frame.combined, from, frame.weights, size, plan.contacts.jaw_states.data());
+        } else if (frame.jaw_states) {
+            plan.contacts.jaw_states.assign(frame.jaw_states, frame.jaw_states + size);
+        }
+        frame.summary[3] = predict_contact_energy(plan, frame.t + frame.duration, 0.0, x, x + 3 * n);
+        plan.contacts.jaw_states = start;
+        if (!(frame.summary[3] < std::numeric_limits<double>::infinity())) frame.summary[0] = frame.summary[3];
+    }
+    const double* const finest = frame.out + (frame.combined - 1) * 6 * n;
+    const auto include_bounds = [&](ContactBounds r, auto&& intersects) {
+        frame.summary[4] += r.omega2;
+        frame.summary[5] += r.damping;
+        const bool unbounded = !(r.omega2 < std::numeric_limits<double>::infinity());
+        if (unbounded || (x != finest && intersects())) frame.summary[0] = std::numeric_limits<double>::infinity();
+    };
+    frame.summary[4] = frame.summary[5] = 0.0;
+    const double end = frame.t + frame.duration;
+    if (plan.is_self_active())
+        include_bounds(predict_self_contact(plan, end, 0.0, 1.0, x, x + 3 * n), [&] { return ccd_self(plan, finest, x); });
+    if (plan.is_feature_active())
+        include_bounds(predict_feature_contact(plan, end, 0.0, 1.0, x, x + 3 * n),
+               [&] { return ccd_features(plan, end, 0.0, finest, x); });
+    if (frame.bounds_level) {
+        const SpectralBounds r = spectral_bounds(plan, x, nullptr, nullptr, frame.bounds_level > 1);
+        frame.summary[1] = r.omega2;
+        frame.summary[2] = r.damping;
+        frame.summary[6] = r.hinge_omega2;
+        frame.summary[7] = r.hinge_damping;
+        frame.summary[8] = r.transverse_omega2;
+    }
+    return RunStatus::ok;
+}
+
+/// One evaluation of all forces over masses; zero where anchored.
+inline RunStatus accelerations(Plan& plan, double t, const double* x, const double* v, double* out) {
+    const Run run{t, 1.0, 0, false, 1, x, v, nullptr, out, nullptr, nullptr};
+    plan.contacts.activate_all();
+    plan.self_culled = false;
+    if (plan.features) plan.features->activate_all(plan.contacts);
+    return plan.grid ? GridForces(plan, run).execute() : evaluate_lists(plan, run);
+}
+
+}  // namespace cloth

@@ -1,0 +1,285 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Bounds of the squared highest frequency and the highest damping rate of a whole scene, which limit explicit steps.
+// Positions are (3, n).
+#pragma once
+
+#include "grid/bounds.hpp"
+#include "plan/plan.hpp"
+
+namespace cloth {
+
+/// Largest number of an array, and whether all were numbers.
+inline double largest_or_nan(const double* numbers, std::int64_t count) {
+    double max = 0.0;
+    bool has_nan = false;
+    for (std::int64_t i = 0; i < count; ++i) {
+        max = numbers[i] > max ? numbers[i] : max;
+        has_nan = has_nan || !(numbers[i] == numbers[i]);
+    }
+    return has_nan ? __builtin_nan("") : max;
+}
+
+/// Add to (6, n) what all parts but grippers, contact and drag bound stiffness and damping by.
+inline void add_bounds(const Plan& plan, const double* x, double* stiff, double* damp) {
+    if (plan.grid) add_grid_bounds(*plan.grid, plan.tables, x, stiff, damp);
+    for (const List& list : plan.lists) add_list_bounds(list, x, plan.count, stiff, damp);
+}
+
+inline void eigenvalues(const double* blocks, std::int64_t n, double* to) {
+    for (std::int64_t i = 0; i < n; i += lanes<double>) {
+        Array<double> tail(6 * lanes<double>, 0.0);
+        const bool whole = i + lanes<double> <= n;
+        if (!whole)
+            for (int c = 0; c < 6; ++c)
+                for (std::int64_t k = i; k < n; ++k) tail[c * lanes<double> + k - i] = blocks[c * n + k];
+        const auto at = [&](int c) { return whole ? load(blocks + c * n + i) : load(tail.data() + c * lanes<double>); };
+        const vec<double> largest = largest_eigenvalue(Sym3<vec<double>>{at(0), at(1), at(2), at(3), at(4), at(5)});
+        if (whole)
+            store(to + i, largest);
+        else
+            for (std::int64_t k = i; k < n; ++k) to[k] = largest[k - i];
+    }
+}
+
+struct SpectralBounds {
+    double omega2, damping;
+    /// Of hinges alone, and of what tension and compression of springs do across them; zero without hinges.
+    double hinge_omega2 = 0.0, hinge_damping = 0.0, transverse_omega2 = 0.0;
+};
+/// Sharper bounds where few particles stand out, as the light ones of an irregular mesh do. Of a sum over its corners an
+/// element's square may be shared out by any positive weights of the particles (laws.hpp). A particle that stands out
+/// gets a larger one, so its neighbours take more of the common elements. Perron's iteration finds the best weights of a
+/// matrix without signs: multiply by what the bound came to, relative to what it may come down to. Whatever it has got to
+/// after a few rounds, each round's bound holds, and the lowest is taken.
+class PerronBound {
+public:
+    /// `blocks` (12, n) of all parts with equal weights, and what stiffness and damping come to for each particle; or of
+    /// hinges alone.
+    PerronBound(const Plan& plan, const double* x, const Array<double>& blocks, const Array<double>& k,
+              const Array<double>& c, bool hinges)
+        : plan_(plan), quantities_{Quantity(k), Quantity(c)} {
+        if (!quantities_[0].has_outliers && !quantities_[1].has_outliers) return;
+        index_.assign(plan.count, -1);
+        std::vector<char> is_outlier(plan.count, 0);
+        for (const Quantity& quantity : quantities_)
+            for (std::int64_t i = 0; quantity.has_outliers && i < plan.count; ++i) is_outlier[i] |= quantity.rows[i] > quantity.typical;
+        // Whatever pulls at them, their rows have to come down.
+        for (std::int64_t i = 0; i < plan.count; ++i)
+            if (is_outlier[i]) index_of(i);
+        for (const List& list : plan.lists)
+            if (list.slow || !hinges) with_law(list.kind, [&](auto law) { collect<decltype(law)>(list, x, is_outlier); });
+        gather(blocks);
+        for (int round = 0; round < rounds; ++round) refine_weights(is_outlier);
+    }
+    SpectralBounds result() const { return {quantities_[0].best, quantities_[1].best}; }
+
+private:
+    static constexpr int rounds = 3;
+    /// Of the largest: what it may come down to, for where pairs pull, equal weights are off by two at most; what gets a
+    /// weight; and what the others are below where it is worth the work.
+    static constexpr double target_fraction = 0.5, weight_fraction = 0.4, work_fraction = 0.7;
+    /// One in so many particles may get a weight, but never fewer than that.
+    static constexpr std::int64_t particles_per_weight = 16;
+
+    /// Stiffness or damping.
+    struct Quantity {
+        explicit Quantity(const Array<double>& rows) : rows(rows), best(largest_or_nan(rows.data(), rows.size())) {
+            const auto count = static_cast<std::int64_t>(rows.size()), n_weights = std::max(count / particles_per_weight, particles_per_weight);
+            if (!(best > 0.0)) return;
+            if (n_weights < count) {
+                Array<double> sorted = rows;
+                std::nth_element(sorted.begin(), sorted.begin() + n_weights, sorted.end(), std::greater<>());
+                typical = sorted[n_weights];
+            }
+            has_outliers = typical < work_fraction * best;
+            typical = std::max(typical, weight_fraction * best);
+            target = std::max(target_fraction * best, typical);
+        }
+        /// What every particle comes to with equal weights, the largest of those that get no weight, and the bound.
+        const Array<double>& rows;
+        double typical = 0.0, best, target = 0.0;
+        bool has_outliers = false;
+        /// Weights of the particles taken, blocks of what weights leave alone, and with them.
+        Array<double> weights, fixed, blocks, current;
+    };
+    struct SharedElement {
+        int corners;
+        std::int64_t at[4];
+        Bound<double> bound[4];
+        double total;
+    };
+
+    /// Keep the elements that a particle that stands out is a corner of, and their particles.
+    template <class Law>
+    void collect(const List& list, const double* x, const std::vector<char>& is_outlier) {
+        for (std::int64_t e = 0; e < list.count; ++e) {
+            const std::int64_t* const p = list.corners.data() + e * list.width;
+            bool any = false;
+            for (int i = 0; i < Law::corners; ++i) any = any || is_outlier[p[i]];
+            if (!any) continue;
+            const ElementState<Law> s(list, e, x, nullptr, plan_.count);
+            SharedElement element{Law::corners, {}, {}, 0.0};
+            Law::bounds(s.params, s.d, element.bound);
+            for (int i = 0; i < Law::corners; ++i) element.total += element.bound[i].norm;
+            if (!(element.total > 0.0)) continue;
+            for (int i = 0; i < Law::corners; ++i) element.at[i] = index_of(p[i]);
+            elements_.push_back(element);
+        }
+    }
+    /// Where a particle stands among those taken.
+    std::int64_t index_of(std::int64_t i) {
+        if (index_[i] < 0) {
+            index_[i] = static_cast<std::int64_t>(particles_.size());
+            particles_.push_back(i);
+        }
+        return index_[i];
+    }
+    static const Sym3<double>& block_of(const Bound<double>& bound, int quantity) { return quantity ? bound.damp : bound.stiff; }
+
+    void gather(const Array<double>& blocks) {
+        const auto count = static_cast<std::int64_t>(particles_.size());
+        for (int k = 0; k < 2; ++k) {
+            Quantity& quantity = quantities_[k];
+            quantity.weights.assign(count, 1.0);
+            quantity.fixed.resize(6 * count);
+            quantity.current.resize(count);
+            for (std::int64_t j = 0; j < count; ++j) {
+                quantity.current[j] = quantity.rows[particles_[j]];
+                for (int row = 0; row < 6; ++row)
+                    quantity.fixed[row * count + j] = blocks[(6 * k + row) * plan_.count + particles_[j]];
+            }
+            for (const SharedElement& e : elements_)
+                for (int i = 0; i < e.corners; ++i) add_scaled(quantity.fixed, count, e.at[i], -1.0, block_of(e.bound[i], k));
+        }
+    }
+    static void add_scaled(Array<double>& blocks, std::int64_t n, std::int64_t i, double by, const Sym3<double>& b) {
+        add_block(blocks.data(), n, i, {by * b.xx, by * b.yy, by * b.zz, by * b.xy, by * b.xz, by * b.yz});
+    }
+
+    void refine_weights(const std::vector<char>& is_outlier) {
+        const auto count = static_cast<std::int64_t>(particles_.size());
+        for (int k = 0; k < 2; ++k) {
+            Quantity& quantity = quantities_[k];
+            if (!quantity.has_outliers) continue;
+            for (std::int64_t j = 0; j < count; ++j) {
+                const double ratio = quantity.current[j] / quantity.target;
+                // By more than the bound came to, which gets there in fewer rounds.
+                if (is_outlier[particles_[j]] && ratio > 1.0) quantity.weights[j] *= ratio * root(ratio);
+            }
+            quantity.blocks = quantity.fixed;
+            for (const SharedElement& e : elements_) {
+                double total = 0.0;
+                for (int i = 0; i < e.corners; ++i) total += e.bound[i].norm * quantity.weights[e.at[i]];
+                total /= e.total;
+                for (int i = 0; i < e.corners; ++i)
+                    add_scaled(quantity.blocks, count, e.at[i], total / quantity.weights[e.at[i]], block_of(e.bound[i], k));
+            }
+            eigenvalues(quantity.blocks.data(), count, quantity.current.data());
+            double bound = quantity.target;
+            for (std::int64_t j = 0; j < count; ++j) {
+                quantity.current[j] *= plan_.inverse[particles_[j]];
+                bound = std::max(bound, quantity.current[j]);
+            }
+            quantity.best = std::min(quantity.best, bound);
+        }
+    }
+
+    const Plan& plan_;
+    Quantity quantities_[2];
+    /// Where each particle stands among those taken, or -1; and those.
+    std::vector<std::int64_t> index_, particles_;
+    std::vector<SharedElement> elements_;
+};
+
+/// Add what grippers' joints bound the stiffness [N/m] and damping [N s/m] of each particle by. A grip pulls on one
+/// particle only: its point moves as commanded. So its blocks are k I, not 2 k I.
+inline void add_grips(const Plan& plan, double* stiff, double* damp) {
+    for (std::int64_t grip = 0; grip < plan.grips.count(); ++grip) {
+        stiff[plan.grips.particle[grip]] += plan.grips.stiffness[grip];
+        damp[plan.grips.particle[grip]] += plan.grips.damping[grip];
+    }
+}
+
+/// What hinges come to by themselves at x, and springs across, with what the caller's own forces have in `blocks` (12, n)
+/// in any direction; the blocks of all of them are added to those.
+inline SpectralBounds hinge_bounds(const Plan& plan, const double* x, double* blocks) {
+    const std::int64_t n = plan.count;
+    Array<double> hinge_blocks(12 * n, 0.0), transverse(n), k(n), c(n);
+    for (std::int64_t i = 0; i < n; ++i) transverse[i] = blocks[i] + blocks[n + i] + blocks[2 * n + i];
+    if (plan.grid) add_grid_bounds(*plan.grid, plan.tables, x, blocks, blocks + 6 * n, transverse.data());
+    for (const List& list : plan.lists) {
+        double* const to = list.slow ? hinge_blocks.data() : blocks;
+        add_list_bounds(list, x, n, to, to + 6 * n, list.slow ? nullptr : transverse.data());
+    }
+    for (std::int64_t i = 0; i < 12 * n; ++i) blocks[i] += hinge_blocks[i];
+    eigenvalues(hinge_blocks.data(), n, k.data());
+    eigenvalues(hinge_blocks.data() + 6 * n, n, c.data());
+    for (std::int64_t i = 0; i < n; ++i) {
+        k[i] *= plan.inverse[i];
+        c[i] *= plan.inverse[i];
+        transverse[i] *= plan.inverse[i];
+    }
+    const SpectralBounds hinges = PerronBound(plan, x, hinge_blocks, k, c, true).result();
+    SpectralBounds r{};
+    r.hinge_omega2 = hinges.omega2;
+    r.hinge_damping = hinges.damping;
+    r.transverse_omega2 = largest_or_nan(transverse.data(), n);
+    return r;
+}
+
+/// Bounds of the squared highest frequency [1/s^2] and the highest damping rate [1/s], contact aside. `stiff` [N/m] and
+/// `damp` [N s/m], (6, n) or null, hold the blocks of the caller's own forces. Those of hinges alone are told if wanted.
+inline SpectralBounds spectral_bounds(Plan& plan, const double* x, const double* stiff, const double* damp, bool hinges) {
+    const std::int64_t n = plan.count;
+    Array<double> k(n), c(n, 0.0), blocks;
+    SpectralBounds result{};
+    plan.assign_lists();
+    const bool has_panels = plan.air_list >= 0;
+    if (plan.lists.size() == (has_panels ? 1 : 0) && plan.grid && !stiff) {
+        // Single precision takes half the time. Its rounding is far below the safety margin of a step.
+        const Grid& grid = *plan.grid;
+        GridBounds<float> bounds(grid, plan.grid_tables<float>(), x, has_panels ? &plan.cell_table<float>() : nullptr,
+                                 has_panels ? plan.cells_air() : nullptr);
+        for (std::int64_t row = 0; row < grid.rows; ++row) {
+            bounds.process_row(row);
+            for (std::int64_t j = 0; j < grid.columns; j += lanes<float>) {
+                Sym3<vec<float>> stiffness, damping;
+                bounds.of(row, j, stiffness, damping);
+                const vec<float> a = largest_eigenvalue(stiffness);
+                const vec<float> b = bounds.damped ? largest_eigenvalue(damping) : vec<float>{};
+                const std::int64_t n_lanes = std::min<std::int64_t>(lanes<float>, grid.columns - j);
+                for (std::int64_t lane = 0; lane < n_lanes; ++lane) {
+                    k[row * grid.columns + j + lane] = bounds.unit_stiffness * static_cast<double>(a[lane]);
+                    c[row * grid.columns + j + lane] = bounds.unit_damping * static_cast<double>(b[lane]);
+                }
+            }
+        }
+        add_grips(plan, k.data(), c.data());
+    } else {
+        blocks.assign(12 * n, 0.0);
+        if (stiff) std::copy(stiff, stiff + 6 * n, blocks.begin());
+        if (damp) std::copy(damp, damp + 6 * n, blocks.begin() + 6 * n);
+        if (hinges && plan.has_hinges())
+            result = hinge_bounds(plan, x, blocks.data());
+        else
+            add_bounds(plan, x, blocks.data(), blocks.data() + 6 * n);
+        for (int axis = 0; axis < 3; ++axis) add_grips(plan, &blocks[axis * n], &blocks[(6 + axis) * n]);
+        eigenvalues(blocks.data(), n, k.data());
+        eigenvalues(blocks.data() + 6 * n, n, c.data());
+    }
+    bool free = false;
+    for (std::int64_t i = 0; i < n; ++i) {
+        k[i] *= plan.inverse[i];
+        c[i] *= plan.inverse[i];
+        free = free || plan.inverse[i] > 0.0;
+    }
+    const SpectralBounds all = blocks.empty() ? SpectralBounds{largest_or_nan(k.data(), n), largest_or_nan(c.data(), n)}
+                                     : PerronBound(plan, x, blocks, k, c, false).result();
+    result.omega2 = all.omega2;
+    result.damping = all.damping + (free ? plan.drag : 0.0);
+    return result;
+}
+
+}  // namespace cloth
