@@ -36,17 +36,17 @@ def ensure() -> bool:
     except build.NoCompilerError as error:
         # A compiler that CXX names is not replaced, even if it is missing.
         if os.environ.get("CXX", "").strip() or os.geteuid() != 0 or not shutil.which("apt-get"):
-            say(str(error))
+            report(str(error))
             return False
     else:
         return True
-    say(f"cloth_sim_ros: its engine is C++ and there is no compiler; installing {PACKAGE} with apt-get ...")
+    report(f"cloth_sim_ros: its engine is C++ and there is no compiler; installing {PACKAGE} with apt-get ...")
     environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
     for command in (["update", "-qq"], ["install", "-y", "-qq", "--no-install-recommends", PACKAGE]):
         # The list of unpacked packages is of no use; errors go to the other stream.
         done = subprocess.run(["apt-get", *command], env=environment, check=False, stdout=subprocess.DEVNULL)
         if done.returncode:
-            say(
+            report(
                 f"cloth_sim_ros: apt-get {command[0]} ended with status {done.returncode} (see above);"
                 f" install {PACKAGE} by hand, then run make again."
             )

@@ -39,8 +39,8 @@ def preloaded() -> str:
         path = done.stdout.strip()
         if path == name:  # the compiler's answer for a missing file
             raise RuntimeError(f"cloth_sim_ros: {command[0]} has no {name}; install the package libasan8 or its like.")
-        found.append(path)
-    return " ".join(found)
+        paths.append(path)
+    return " ".join(paths)
 
 
 def sanitize(tests: list[str]) -> int:
@@ -51,14 +51,14 @@ def sanitize(tests: list[str]) -> int:
     try:
         preload = preloaded()
         build.build(
-            SANITIZED, names=names, sanitize=True, on_message=lambda text: compiler.say(f"cloth_sim_ros: {text}")
+            SANITIZED, names=names, sanitize=True, on_message=lambda text: compiler.report(f"cloth_sim_ros: {text}")
         )
     except (build.BuildError, RuntimeError) as error:
-        compiler.say(str(error))
+        compiler.report(str(error))
         return 1
     for name in names:
         library = SANITIZED / build.file_name(name)
-        compiler.say(f"cloth_sim_ros: {' '.join(tests)} with {library.relative_to(ROOT)} ...")
+        compiler.report(f"cloth_sim_ros: {' '.join(tests)} with {library.relative_to(ROOT)} ...")
         environment = {
             **os.environ,
             "CLOTH_SIM_ROS_ENGINE": str(library),
@@ -84,22 +84,22 @@ def main() -> int:
     )
     parser.add_argument("--sanitize", nargs="+", metavar="TEST", help="run these tests under the sanitizers")
     parser.add_argument("--every", action="store_true", help="every library that this machine can run")
-    arguments, others = parser.parse_known_args()
+    arguments, unknown = parser.parse_known_args()
     if not compiler.ensure():
         return 1
     if arguments.sanitize:
-        return sanitize([*arguments.sanitize, *others])
-    if others:
-        parser.error(f"unknown: {' '.join(others)}")
+        return sanitize([*arguments.sanitize, *unknown])
+    if unknown:
+        parser.error(f"unknown: {' '.join(unknown)}")
     build = compiler.load_build()
     try:
         names = build.names_here()
         build.build(
             names=names if arguments.every else names[:1],
-            on_message=lambda text: compiler.say(f"cloth_sim_ros: {text}"),
+            on_message=lambda text: compiler.report(f"cloth_sim_ros: {text}"),
         )
     except build.BuildError as error:
-        compiler.say(str(error))
+        compiler.report(str(error))
         return 1
     return 0
 

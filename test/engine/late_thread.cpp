@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Runs of two threads, one of which is late on purpose. Says of each later run whether it was made by two threads.
+// Runs of two threads, one of which is late on purpose. Prints whether each later run used two threads.
 #include <cstdio>
 
 #include "core/thread_pool.hpp"
@@ -10,7 +10,7 @@ namespace {
 
 using std::chrono::milliseconds;
 
-/// How many threads made a run of so much work, whose second thread comes late by so much; `took` is set to its time.
+/// Execute a run; return its number of threads. The second thread is late by `late`; `duration` is set to its time.
 int run(milliseconds work, milliseconds late, cloth::Clock::duration* duration = nullptr) {
     std::atomic<int> threads{0};
     const auto begin = cloth::Clock::now();
@@ -25,13 +25,13 @@ int run(milliseconds work, milliseconds late, cloth::Clock::duration* duration =
     return threads;
 }
 
-/// Forget what was learnt: nothing is held any more.
+/// Reset the back-off of the pool.
 void settle() {
     for (int together = 0; together < 12;) together = run(milliseconds{10}, milliseconds{0}) == 2 ? together + 1 : 0;
 }
 
-/// So many late runs in a row, then one after half of the rest that they earn and one after all of it; false where the
-/// machine itself was too late for that to say anything.
+/// A number of late runs in a row, then one run after half of the back-off and one after all of it. Return false if the
+/// machine itself was too late for a valid result.
 bool trial(int late) {
     constexpr milliseconds min_wait{100}, none{0};
     const int times = 1 << (late - 1);
@@ -44,7 +44,7 @@ bool trial(int late) {
     const auto end = cloth::Clock::now();
     std::this_thread::sleep_until(end + min_wait * times / 2);
     const int meanwhile = run(none, none);
-    // The rest is no shorter than what was slept, and no longer than what was seen to be taken.
+    // The back-off is at least the time slept, and at most the time measured.
     if (cloth::Clock::now() - end >= min_wait * times) return false;
     std::this_thread::sleep_until(end + duration * times);
     const int later = run(none, none);

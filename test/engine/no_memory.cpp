@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// The engine where memory runs out: each allocation of a frame fails once, in a process of its own, and the same frame is
-// asked for again. One line a scene: at how many allocations the frame said so, and where it did worse.
+// Frames that run out of memory: each allocation of a frame fails once, in a process of its own, and the same frame is
+// executed again. Prints a line per scene: the number of allocations whose failure was reported, and of worse outcomes.
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -31,7 +31,7 @@ void operator delete(void* memory, std::size_t, std::align_val_t) noexcept { std
 
 constexpr std::int64_t rows = 8, columns = 9, n = rows * columns, runs = 4;
 
-/// A sheet's springs: listed, or those along rows and columns of a grid with some more listed ones.
+/// The springs of a sheet: listed, or those along rows and columns on a grid and the others listed.
 static Plan* make_plan(bool grid) {
     const std::vector<double> masses(n, 0.01), inverse(n, 100.0);
     Plan* const plan = cloth_plan_new(n, masses.data(), inverse.data());
@@ -51,7 +51,7 @@ static Plan* make_plan(bool grid) {
     return plan;
 }
 
-/// A frame of four runs of the plan, made in turn or at once; what they end with, and the status.
+/// Execute a frame of four runs of the plan, in turn or concurrently; set their end states and return the status.
 static int run_frame(Plan* plan, std::int64_t concurrency, std::vector<double>& out) {
     static const std::int64_t steps[runs] = {9, 18, 27, 36};
     static const double weights[2] = {-0.5, 1.5};

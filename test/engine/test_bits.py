@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The same scenes give the same bits, whatever vectors, C library or numpy the process has; `make bits` asks more."""
+"""Equal bits of the same scenes with any vectors, C library or numpy; `make bits` tests more."""
 
 from __future__ import annotations
 

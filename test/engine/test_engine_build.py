@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How the engine is built: which compiler, with which flags, when again, and what is said when it can't be."""
+"""Build of the engine: compiler, flags, rebuilds, packages and error messages."""
 
 from __future__ import annotations
 

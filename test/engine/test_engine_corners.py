@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where rows end, families are missing, runs are watched, and processes end: what only some sheets and uses meet."""
+"""Corner cases: ends of rows, missing families of springs, exit during a run, re-entrant calls."""
 
 from __future__ import annotations
 

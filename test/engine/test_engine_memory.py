@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A frame for which there is not enough memory says so, and the next one is as if nothing had been."""
+"""A frame without enough memory reports it, and leaves no trace in the next one."""
 
 from __future__ import annotations
 

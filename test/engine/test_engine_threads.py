@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A thread that comes late is done without, for as long as it was late and no longer."""
+"""The thread pool avoids a late thread for as long as it was late."""
 
 from __future__ import annotations
 

@@ -106,10 +106,10 @@ def close(actual, expected, relative):
     return np.abs(actual - expected).max() <= relative * np.abs(expected).max()
 
 
-def sheet(springs, inverse_mass=None, *, beside=(), gravity=None, drag=0.0, grips=None):
+def sheet(springs, inverse_mass=None, *, lists=(), gravity=None, drag=0.0, grips=None):
     """The plan of a sheet; particles without an inverse mass are anchored."""
     inverse = np.ones(springs.rows * springs.columns) if inverse_mass is None else inverse_mass
-    forces = [springs, *beside]
+    forces = [springs, *lists]
     forces += [Gravity(gravity)] if gravity is not None else []
     forces += [Drag(drag)] if drag else []
     forces += [grips] if grips is not None else []
@@ -297,7 +297,7 @@ def test_leapfrog_is_of_second_order(choice, drag):
 
 
 def crosswise(rows, columns):
-    """Springs between particles far apart, which make a list beside the sheet."""
+    """Springs between particles far apart, which are a list besides the sheet."""
     first = np.arange(0, rows * columns // 2, 5)
     return PairSprings(np.column_stack([first, rows * columns - 1 - first]), 0.3, 0.5, 0.01)
 
@@ -309,10 +309,10 @@ def crosswise(rows, columns):
 @pytest.mark.parametrize("kind", ["sheet", "sheet and list", "list"])
 def test_bits_ignore_number_of_threads(kind, choice, single, shape):
     springs, inverse = GridSprings(*shape, CHOICES[choice]), some_masses(shape[0] * shape[1])
-    beside = [crosswise(*shape)] if kind == "sheet and list" else []
+    lists = [crosswise(*shape)] if kind == "sheet and list" else []
     x, v = crumpled(*shape)
     springs = springs.listed if kind == "list" else springs
-    plan = sheet(springs, inverse, beside=beside, gravity=GRAVITY, drag=1.5, grips=some_grips())
+    plan = sheet(springs, inverse, lists=lists, gravity=GRAVITY, drag=1.5, grips=some_grips())
     for steps in (1, 7, 33):
         # Noted powers would keep all to one thread.
         alone = run(plan, x, v, steps, 1e-4, narrow=single, threads=1)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A cloth that touches itself has the same bits by every instruction set that this machine can run."""
+"""Equal bits of self-contact with every instruction set of this machine."""
 
 import os
 import subprocess
@@ -34,7 +34,7 @@ for listed, integrator, frames in ((False, "auto", 8), (True, "auto", 8), (False
 
 
 def program_output(name):
-    """What the program prints with the library of an instruction set."""
+    """Run the program with the library of an instruction set; return its output lines."""
     environment = {**os.environ, "CLOTH_SIM_ROS_ENGINE": name, "PYTHONPATH": str(TESTS)}
     done = subprocess.run([sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True, check=True)
     return done.stdout.splitlines()

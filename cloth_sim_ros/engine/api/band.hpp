@@ -1,8 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What Python sees of band.hpp and ordering.hpp. `band.py` checks shapes and types; indices are checked here, where they
-// are used. Included by library.cpp, which says what CLOTH_API is.
+// C interface of the band matrix and of the ordering. `band.py` checks shapes and types; this file checks indices.
 #pragma once
 
 #include <cstdint>
@@ -17,9 +16,9 @@ enum {
     CLOTH_BAND_OK = 0,
     CLOTH_BAND_NOT_POSITIVE = 1,
     CLOTH_BAND_NO_MEMORY = 2,
-    CLOTH_BAND_BAD_SELECTION = 3,  ///< an index of a pair that is not there
-    CLOTH_BAND_BAD_PARTICLE = 4,   ///< a particle that is not there
-    CLOTH_BAND_BAD_BLOCK_ROW = 5,  ///< a block row that is not there, or two that lie further apart than the band is wide
+    CLOTH_BAND_BAD_SELECTION = 3,  ///< index of a pair out of range
+    CLOTH_BAND_BAD_PARTICLE = 4,   ///< particle out of range
+    CLOTH_BAND_BAD_BLOCK_ROW = 5,  ///< block row out of range, or two rows further apart than the band width
 };
 
 CLOTH_API std::int64_t cloth_band_stride(std::int64_t width) { return cloth::band_stride(width); }
@@ -77,7 +76,7 @@ CLOTH_API int cloth_band_join(
     return CLOTH_BAND_OK;
 }
 
-/// The particles in an order in which those of a pair lie close together.
+/// Order the particles so that those of a pair lie close together.
 CLOTH_API int cloth_cuthill_mckee(
     std::int64_t count, const std::int64_t* pairs, std::int64_t pair_count, std::int64_t* order) {
     for (std::int64_t e = 0; e < 2 * pair_count; ++e)
@@ -90,7 +89,7 @@ CLOTH_API int cloth_cuthill_mckee(
     return CLOTH_BAND_OK;
 }
 
-/// The sum of so many numbers, in an order that their number alone decides.
+/// Sum in an order that depends on `count` alone.
 CLOTH_API int cloth_sum(const double* values, std::int64_t count, double* total) {
     *total = cloth::sum(values, count);
     return CLOTH_BAND_OK;

@@ -1,11 +1,11 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What Python sees of obstacles' points and edges; included by library.cpp.
+// C interface of contact with points and edges of obstacles.
 #pragma once
 
-/// Squared frequency and damping rate of the cloth's contact with itself and with points and edges of obstacles, and how
-/// many pairs were looked at for it.
+/// Squared frequency and damping rate of contact on the surface (self-contact, points and edges of obstacles), and the
+/// number of pairs evaluated.
 static void predict_surface_contact(cloth::Plan& plan, double t, double duration, double expected, const double* x, const double* v,
                       double* out) {
     std::fill(out, out + 3, 0.0);
@@ -19,7 +19,7 @@ static void predict_surface_contact(cloth::Plan& plan, double t, double duration
             [&] { return plan.self->triangles.size() + plan.self->edges.size(); });
     if (!plan.features) return;
     add(cloth::predict_feature_contact(plan, t, duration, expected, x, v), [&] {
-        // What is not there was not looked at: its lists are of another call.
+        // The lists of an absent obstacle are of an earlier call.
         std::size_t pairs = 0;
         for (std::int64_t k = 0; k < plan.contacts.count(); ++k) {
             const cloth::FeatureVerletList& neighbors = plan.features->obstacles[k];
@@ -29,8 +29,8 @@ static void predict_surface_contact(cloth::Plan& plan, double t, double duration
     });
 }
 
-/// The surface that points and edges of obstacles are kept out of: triangles (count, 3), its shortest edge at rest [m].
-/// Particles stand where cloth_plan_order put them.
+/// Set the surface for contact with points and edges of obstacles: triangles (count, 3), shortest edge at rest [m].
+/// Particles are ordered by cloth_plan_order.
 CLOTH_API int cloth_plan_faces(cloth::Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest) {
     return guarded(plan, [&] {
         cloth::FeatureContactModel contact;
@@ -58,8 +58,8 @@ CLOTH_API int cloth_plan_faces(cloth::Plan* plan, std::int64_t count, const std:
         plan->features = std::move(contact);
     });
 }
-/// Points (points, 3) [m] and edges (edges, 2) of an obstacle in its own frame, and the radius about them [m]; see Features.
-/// None where the cloth has no surface that can be pushed.
+/// Set points (points, 3) [m] and edges (edges, 2) of an obstacle in its own frame, and the radius about them [m]; see
+/// Features. Ignored if the cloth has no free surface.
 CLOTH_API int cloth_plan_features(cloth::Plan* plan, std::int64_t obstacle, std::int64_t points, const double* positions,
                                   std::int64_t edges, const std::int64_t* ends, double radius) {
     return guarded(plan, [&] {
@@ -75,7 +75,7 @@ CLOTH_API int cloth_plan_features(cloth::Plan* plan, std::int64_t obstacle, std:
         plan->features->obstacles[obstacle].features = std::move(features);
     });
 }
-/// Whether runs over a duration may leave them out, see FeatureCulling.
+/// Whether runs over a duration may skip features, see FeatureCulling.
 CLOTH_API int cloth_features_culled(cloth::Plan* plan, double t, double duration, const double* x, const double* v,
                                   std::int64_t* out) {
     return guarded(plan, [&] {
@@ -83,9 +83,9 @@ CLOTH_API int cloth_features_culled(cloth::Plan* plan, double t, double duration
         *out = plan->is_feature_active() ? 0 : 1;
     });
 }
-/// What contact may come to within a duration, eight numbers: energy and visits as cloth_predict_obstacle_contact has them; squared
-/// frequency and damping rate as cloth_contact_limits has them, of so many times the energy as `trust` says; and what
-/// cloth_predict_surface_contact has.
+/// Predict contact within a duration, eight numbers: energy and visits as in cloth_predict_obstacle_contact; squared
+/// frequency and damping rate as in cloth_contact_limits, at `energy_factor` times the energy; and the results of
+/// cloth_predict_surface_contact.
 CLOTH_API int cloth_predict_contact(cloth::Plan* plan, double t, double duration, double energy_factor, double expected, const double* x,
                             const double* v, double* out) {
     return guarded(plan, [&] {
@@ -99,25 +99,25 @@ CLOTH_API int cloth_predict_contact(cloth::Plan* plan, double t, double duration
         predict_surface_contact(*plan, t, duration, expected, x, v, out + 5);
     });
 }
-/// The same of contact of the cloth's triangles and edges alone: squared frequency and damping rate, see predict_self_contact and
-/// predict_feature_contact, and the number of pairs that were looked at.
+/// Predict contact on the surface: squared frequency and damping rate, see predict_self_contact and
+/// predict_feature_contact, and the number of pairs evaluated.
 CLOTH_API int cloth_predict_surface_contact(cloth::Plan* plan, double t, double duration, double expected, const double* x,
                               const double* v, double* out) {
     return guarded(plan, [&] { predict_surface_contact(*plan, t, duration, expected, x, v, out); });
 }
-/// Whether any passes through the cloth on straight ways from x0 at time t to x1, a duration later.
+/// Whether a feature intersects the cloth on the straight path from x0 at time t to x1, a duration later.
 CLOTH_API int cloth_ccd_features(cloth::Plan* plan, double t, double duration, const double* x0, const double* x1,
                                    std::int64_t* out) {
     return guarded(plan, [&] { *out = plan->features && cloth::ccd_features(*plan, t, duration, x0, x1) ? 1 : 0; });
 }
-/// Of each pinch, whether its pads do, see ccd_jaws.
+/// For each gripper, whether its jaws intersect the cloth, see ccd_jaws.
 CLOTH_API int cloth_ccd_jaws(cloth::Plan* plan, double t, const double* x, const double* half_openings, std::int64_t* out) {
     return guarded(plan, [&] {
         std::fill(out, out + plan->contacts.parallel_jaws.size(), std::int64_t{0});
         if (plan->features) cloth::ccd_jaws(*plan, t, x, half_openings, out);
     });
 }
-/// What passes through the cloth, see find_feature_intersection: three numbers.
+/// Initial intersection of the cloth with a feature, see find_feature_intersection: three numbers.
 CLOTH_API int cloth_feature_intersection(cloth::Plan* plan, double t, const double* x, std::int64_t* out) {
     return guarded(plan, [&] {
         std::fill(out, out + 3, std::int64_t{-1});

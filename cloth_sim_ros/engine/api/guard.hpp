@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What every call of the engine runs in, and what it answers; included by library.cpp.
+// Guard of every call of the C interface: floating-point state, status instead of exceptions, one call per plan.
 #pragma once
 
 #include <new>
@@ -25,7 +25,7 @@ int guarded(F&& call) {
         return failed;
     }
 }
-/// A plan serves one call at a time: what it keeps from one to the next would be overwritten.
+/// A plan is not re-entrant: a second call would overwrite its workspaces.
 template <class F>
 int guarded(const cloth::Plan* plan, F&& call) {
     if (plan->busy.test_and_set(std::memory_order_acquire)) return busy;

@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What Python sees: a C interface, called without the interpreter's lock. binding.py checks shapes, types and ranges
-// before; arrays are (3, n) doubles by component unless said otherwise. Every call returns a Status.
+// C interface of the engine, called without the interpreter lock. binding.py checks shapes, types and ranges before.
+// Arrays are (3, n) doubles by component unless stated otherwise. Every call returns a Status.
 
 #include "plan/frame.hpp"
 #include "api/guard.hpp"
@@ -15,9 +15,9 @@
 
 using cloth::Plan;
 
-/// Number of this interface: the binding refuses another.
+/// Number of this interface. The binding refuses any other.
 CLOTH_API int cloth_engine_abi() { return 15; }
-/// The instruction set that this library was built for.
+/// Name of the instruction set of this library.
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)
     return "avx512";
@@ -44,7 +44,7 @@ CLOTH_API Plan* cloth_plan_new(std::int64_t count, const double* masses, const d
 }
 CLOTH_API void cloth_plan_free(Plan* plan) { delete plan; }
 
-/// Families as rows of present, k_s, rest length, damping, border, parity.
+/// Set the grid. Families: rows of present, k_s, rest length, damping, border, parity.
 CLOTH_API int cloth_plan_grid(Plan* plan, std::int64_t rows, std::int64_t columns, const double* families) {
     return guarded(plan, [&] {
         cloth::Grid grid;
@@ -69,21 +69,21 @@ CLOTH_API int cloth_plan_uniform(Plan* plan, const double* gravity, const double
         plan->drag = drag;
     });
 }
-/// Coefficients and wind of the panels, the only list that has numbers in common.
+/// Set the coefficients and the wind of the panels, the only list with common parameters.
 CLOTH_API int cloth_plan_air(Plan* plan, const double* common) {
     return guarded(plan, [&] {
         for (cloth::List& list : plan->lists)
             if (!list.numbers) std::copy(common, common + 5, list.common);
     });
 }
-/// Place of each particle inside runs without a grid.
+/// Set the rank of each particle in runs without a grid.
 CLOTH_API int cloth_plan_order(Plan* plan, const std::int64_t* rank) {
     return guarded(plan, [&] { plan->rank.assign(rank, rank + plan->count); });
 }
 CLOTH_API int cloth_plan_callback(Plan* plan, cloth::Callback callback) {
     return guarded(plan, [&] { plan->callback = callback; });
 }
-/// What grippers hold; cloth_plan_gripper_paths tells how they move.
+/// Set the grips; cloth_plan_gripper_paths sets their motion.
 CLOTH_API int cloth_plan_grips(Plan* plan, std::int64_t grippers, std::int64_t count, const std::int64_t* particles,
                               const std::int64_t* owners, const double* offsets, const double* stiffness,
                               const double* damping) {
@@ -105,7 +105,7 @@ CLOTH_API int cloth_plan_grips(Plan* plan, std::int64_t grippers, std::int64_t c
     });
 }
 
-/// Paths of the grippers, if all their numbers are finite.
+/// Set the paths of the grippers, if all their numbers are finite.
 CLOTH_API int cloth_plan_gripper_paths(Plan* plan, const double* paths) {
     int status = ok;
     const int call_status = guarded(plan, [&] {
@@ -118,8 +118,8 @@ CLOTH_API int cloth_plan_gripper_paths(Plan* plan, const double* paths) {
     return call_status ? call_status : status;
 }
 
-/// Obstacles: shapes, sizes, radii and friction at rest and in motion as rows of 3, 1 and 2, paths as those of grippers;
-/// thickness [m], damping [s/m], and the frequency of anchors' springs [1/s]. No contact has an anchor then.
+/// Set the obstacles: shapes, dimensions, radii, friction coefficients at rest and in motion as rows of 3, 1 and 2,
+/// paths as those of grippers; thickness [m], damping [s/m], and frequency of anchor springs [1/s]. Clears all anchors.
 CLOTH_API int cloth_plan_contact(Plan* plan, std::int64_t count, const std::int64_t* shapes, const double* sizes,
                                  const double* radii, const double* frictions, const double* paths, double thickness,
                                  double damping, double frequency) {
@@ -140,21 +140,21 @@ CLOTH_API int cloth_plan_contact(Plan* plan, std::int64_t count, const std::int6
         plan->features->is_active.assign(count, 0);
     });
 }
-/// The mesh that an obstacle is: vertices (vertices, 3) [m] in its own frame, triangles (triangles, 3).
+/// Set the mesh of an obstacle: vertices (vertices, 3) [m] in its own frame, triangles (triangles, 3).
 CLOTH_API int cloth_plan_mesh(Plan* plan, std::int64_t obstacle, std::int64_t vertices, const double* positions,
                               std::int64_t triangles, const std::int64_t* corners) {
     return guarded(plan, [&] {
         plan->contacts.obstacles[obstacle].mesh = std::make_shared<cloth::Mesh>(vertices, positions, triangles, corners);
     });
 }
-/// New paths for the same obstacles.
+/// Set new paths of the same obstacles.
 CLOTH_API int cloth_plan_contact_paths(Plan* plan, const double* paths) {
     return guarded(plan, [&] { plan->contacts.paths.assign(paths, paths + plan->contacts.count() * cloth::path_numbers); });
 }
 
-/// Which obstacles are pads of grippers that pinch, two of each, that on the closing axis' positive side first. Numbers of
-/// each: present, closed, mass [kg], force [N], speed [m/s], half the way between the faces of open pads and half a pad's
-/// extent [m]. Pads are open at first.
+/// Set the obstacles that are jaws, two per gripper, the one on the positive side of the closing axis first. Numbers
+/// per gripper: present, closed, mass [kg], force [N], speed [m/s], half opening of the open gripper and half thickness
+/// of a jaw [m]. Jaws are open initially.
 CLOTH_API int cloth_plan_jaws(Plan* plan, std::int64_t count, const std::int64_t* pads, const double* numbers) {
     return guarded(plan, [&] {
         cloth::Contacts& contacts = plan->contacts;
@@ -174,11 +174,11 @@ CLOTH_API int cloth_plan_jaws(Plan* plan, std::int64_t count, const std::int64_t
             contacts.jaw_states.insert(contacts.jaw_states.end(), {jaw.max_half_opening, 0.0});
     });
 }
-/// Where pads are at the start of runs, (pinches, jaw_state_size).
+/// Set the states of the jaws at the start of runs, (jaws, jaw_state_size).
 CLOTH_API int cloth_plan_jaw_states(Plan* plan, const double* jaw_states) {
     return guarded(plan, [&] { std::copy_n(jaw_states, plan->contacts.jaw_states.size(), plan->contacts.jaw_states.data()); });
 }
-/// Accelerations of half the ways between pads.
+/// Accelerations of the half openings.
 CLOTH_API int cloth_jaw_accelerations(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
         std::vector<double> jaw_forces(plan->contacts.parallel_jaws.size(), 0.0);
@@ -202,7 +202,7 @@ CLOTH_API int cloth_accelerations(Plan* plan, double t, const double* x, const d
     return call_status ? call_status : status;
 }
 
-/// Kinetic and potential energy [J] into two numbers; v may be null.
+/// Kinetic and potential energy [J], two numbers; v may be null.
 CLOTH_API int cloth_energy(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
         const cloth::Energy e = cloth::energy_of(*plan, t, x, v);
@@ -210,14 +210,14 @@ CLOTH_API int cloth_energy(Plan* plan, double t, const double* x, const double* 
         out[1] = e.potential;
     });
 }
-/// Power lost to damping and drag, and given by the wind [W]; the joints of grippers aside.
+/// Power of damping and drag, and power of the wind [W], without the joints of grippers.
 CLOTH_API int cloth_powers(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
         out[0] = out[1] = 0.0;
         cloth::total_powers(*plan, t, x, v, out[0], out[1]);
     });
 }
-/// Adds to (grippers, record_numbers) times the weight.
+/// Add the weighted wrench records of the grippers to (grippers, record_numbers).
 CLOTH_API int cloth_grip_wrenches(const Plan* plan, double t, const double* x, const double* v, double weight, double* out) {
     return guarded(plan, [&] {
         const std::size_t size = plan->grips.grippers * cloth::record_numbers;
@@ -226,7 +226,7 @@ CLOTH_API int cloth_grip_wrenches(const Plan* plan, double t, const double* x, c
         for (std::size_t k = 0; k < size; ++k) out[k] += weight * wrenches[k];
     });
 }
-/// Adds to (obstacles, record_numbers) times the weight.
+/// Add the weighted wrench records of the obstacles to (obstacles, record_numbers).
 CLOTH_API int cloth_contact_wrenches(Plan* plan, double t, const double* x, const double* v, double weight,
                                   double* out) {
     return guarded(plan, [&] {
@@ -234,7 +234,7 @@ CLOTH_API int cloth_contact_wrenches(Plan* plan, double t, const double* x, cons
         if (plan->features) cloth::add_feature_wrenches(*plan, t, x, v, weight, out);
     });
 }
-/// Number of particles in contact, and the least gap [m], of each obstacle.
+/// Number of particles in contact and least gap [m] of each obstacle.
 CLOTH_API int cloth_contact_gaps(Plan* plan, double t, const double* x, double* out) {
     return guarded(plan, [&] {
         cloth::contact_gaps(*plan, t, x, out);
@@ -247,8 +247,8 @@ CLOTH_API int cloth_contact_bounds(Plan* plan, double t, const double* x, double
         if (plan->features) cloth::add_feature_bounds(*plan, t, x, stiff, damp);
     });
 }
-/// Energy per mass that contact may have to take up from time t on, see predict_contact_energy, and the visits that it made: of
-/// all obstacles, of those with friction. Three numbers.
+/// Energy per mass that contact may have to absorb from time t on, see predict_contact_energy, and the number of tests:
+/// of all obstacles, and of those with friction. Three numbers.
 CLOTH_API int cloth_predict_obstacle_contact(const Plan* plan, double t, double duration, const double* x, const double* v,
                                   double* out) {
     return guarded(plan, [&] {
@@ -258,11 +258,11 @@ CLOTH_API int cloth_predict_obstacle_contact(const Plan* plan, double t, double 
         out[2] = static_cast<double>(visits.with_friction);
     });
 }
-/// Anchors that runs start with, as `Contacts` has them.
+/// Set the anchors at the start of runs, as in `Contacts`.
 CLOTH_API int cloth_contact_anchors(Plan* plan, const double* anchors) {
     return guarded(plan, [&] { plan->contacts.anchors.assign(anchors, anchors + plan->contacts.anchors.size()); });
 }
-/// Anchors after runs that ended with some of their own, see combine_anchors.
+/// Combine the anchors at the ends of runs, see combine_anchors.
 CLOTH_API int cloth_combine_anchors(Plan* plan, double t, const double* x, const double* v, std::int64_t runs,
                                    const double* weights, const double* ends, double* out) {
     return guarded(plan, [&] {
@@ -270,13 +270,13 @@ CLOTH_API int cloth_combine_anchors(Plan* plan, double t, const double* x, const
         cloth::combine_self_anchors(*plan, t, x, v, runs, weights, ends, out);
     });
 }
-/// Whether a particle meets an obstacle on its straight way from x0 at time t to x1.
+/// Whether a particle intersects an obstacle on its straight path from x0 at time t to x1.
 CLOTH_API int cloth_ccd_obstacles(const Plan* plan, double t, double duration, const double* x0, const double* x1,
                                     std::int64_t* out) {
     return guarded(plan, [&] { *out = cloth::ccd_obstacles(*plan, t, duration, x0, x1) ? 1 : 0; });
 }
-/// Reduced thickness of contacts at a time, (obstacles + 1, n + 1), and the rates at which they regain the whole one, see
-/// ReducedThickness. None where the numbers are null. Obstacles that are laid anew have the whole thickness.
+/// Set the reduced thickness of contacts at a time, (obstacles + 1, n + 1), and the rates of recovery, see
+/// ReducedThickness. Null clears them. New obstacles have the full thickness.
 CLOTH_API int cloth_contact_thickness(Plan* plan, const double* at_start, const double* rates, double start) {
     return guarded(plan, [&] {
         cloth::Contacts& contacts = plan->contacts;
@@ -291,7 +291,7 @@ CLOTH_API int cloth_contact_thickness(Plan* plan, const double* at_start, const 
         contacts.reduced.start = start;
     });
 }
-/// The gap of each contact [m], rows and columns as above; infinite where it is none or nothing is near.
+/// Gap of each contact [m], rows and columns as above; infinite without a contact.
 CLOTH_API int cloth_contact_gap_rows(Plan* plan, double t, const double* x, double* out) {
     return guarded(plan, [&] {
         const std::int64_t columns = plan->count + 1, rows = plan->contacts.count() + 1;
@@ -301,7 +301,7 @@ CLOTH_API int cloth_contact_gap_rows(Plan* plan, double t, const double* x, doub
         if (plan->self) cloth::self_gap_row(*plan, x, out + (rows - 1) * columns);
     });
 }
-/// Power of contacts that regain their thickness [W].
+/// Power of contacts that recover their thickness [W].
 CLOTH_API int cloth_contact_growth_power(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
         *out = cloth::contact_growth_power(*plan, t, x, v);
@@ -309,7 +309,7 @@ CLOTH_API int cloth_contact_growth_power(Plan* plan, double t, const double* x, 
         if (plan->features) *out += cloth::feature_growth_power(*plan, t, x, v);
     });
 }
-/// Squared frequency and damping rate of contact that has taken up so much.
+/// Squared frequency and damping rate of contact that has absorbed an energy.
 CLOTH_API int cloth_contact_limits(const Plan* plan, double energy, double* out) {
     return guarded(plan, [&] {
         const cloth::ContactLimits limits(plan->contacts, energy);
@@ -340,9 +340,9 @@ CLOTH_API int cloth_pair_blocks(const Plan* plan, std::int64_t list, const doubl
                                 double* out) {
     return guarded(plan, [&] { cloth::pair_blocks(plan->lists[list], x, plan->count, stiffness, damping, out); });
 }
-/// Paths over a frame, see path_to, of so many poses (count, 7), twists (count, 6), displacements and turns of the frame
-/// before (count, 6), and targets (count, 7): the paths, the twists at their end, the displacements and turns, and by how
-/// much each displacement differs from that of the frame before [m], at most, along an axis.
+/// Paths over a frame, see path_to. Input: poses (count, 7), twists (count, 6), displacements and rotations of the
+/// frame before (count, 6), targets (count, 7). Output: paths, twists at their end, displacements and rotations, and
+/// the largest change of the displacement along an axis since the frame before [m].
 CLOTH_API int cloth_paths(std::int64_t count, double t, double duration, const double* poses, const double* twists,
                           const double* previous, const double* targets, double* paths, double* end_twists, double* motions,
                           double* changes) {
@@ -360,7 +360,7 @@ CLOTH_API int cloth_paths(std::int64_t count, double t, double duration, const d
 CLOTH_API int cloth_rotation_vector(const double* start, const double* end, double* out) {
     return guarded([&] { cloth::rotation_vector(start, end, out); });
 }
-/// 18 numbers of a gripper's pose on its path: place, speed, rotation matrix by rows, spin.
+/// Pose of a gripper on its path, 18 numbers: position, velocity, rotation matrix by rows, angular velocity.
 CLOTH_API int cloth_pose(const double* path, double t, double* out) {
     return guarded([&] {
         const cloth::Pose p = cloth::pose_at(path, t);
@@ -372,16 +372,16 @@ CLOTH_API int cloth_pose(const double* path, double t, double* out) {
     });
 }
 
-/// out = the weighted sum of arrays.
+/// Weighted sum of arrays.
 CLOTH_API int cloth_combine(std::int64_t arrays, const double* const* from, const double* weights, std::int64_t size,
                             double* out) {
     return guarded([&] { cloth::combine(arrays, from, weights, size, out); });
 }
-/// Largest distance of a particle in two arrays (3, n) [m]; infinite where a number is none.
+/// Largest distance of a particle in two arrays (3, n) [m]; infinite if a number is not finite.
 CLOTH_API int cloth_distance(const double* x, const double* y, std::int64_t n, double* out) {
     return guarded([&] { *out = cloth::largest_distance(x, y, n); });
 }
-/// Sum of m_i a_i . b_i over particles, in their order.
+/// Sum of m_i a_i . b_i over particles, in order.
 CLOTH_API int cloth_weighted_dot(const double* m, const double* a, const double* b, std::int64_t n, double* out) {
     return guarded([&] {
         double sum = 0.0;
@@ -389,7 +389,7 @@ CLOTH_API int cloth_weighted_dot(const double* m, const double* a, const double*
         *out = sum;
     });
 }
-/// Signed lengths h [m] of hinges (count, 4) of kind crossed or altitude, NaN where undefined, and, where `squares` is not
+/// Signed lengths h [m] of hinges (count, 4) of kind crossed or altitude, NaN if undefined, and, unless `squares` is
 /// null, |dh/dx|^2 of their four corners (count, 4).
 CLOTH_API int cloth_hinge_lengths(int kind, std::int64_t count, const std::int64_t* corners, const double* x, std::int64_t n,
                             double* lengths, double* squares) {

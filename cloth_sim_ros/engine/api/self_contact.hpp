@@ -1,11 +1,11 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What Python sees of the cloth's contact with itself; included by library.cpp.
+// C interface of self-contact.
 #pragma once
 
-/// The surface that is not to pass through itself: triangles (count, 3), its shortest edge at rest [m]. It keeps the
-/// thickness of cloth_plan_contact. Particles stand where cloth_plan_order put them.
+/// Set the surface of self-contact: triangles (count, 3), shortest edge at rest [m]. Its thickness is that of
+/// cloth_plan_contact. Particles are ordered by cloth_plan_order.
 CLOTH_API int cloth_plan_self(cloth::Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest) {
     return guarded(plan, [&] {
         cloth::SelfContact self;
@@ -28,7 +28,8 @@ CLOTH_API int cloth_plan_self(cloth::Plan* plan, std::int64_t count, const std::
         plan->self = std::move(self);
     });
 }
-/// Coefficients of friction between layers, at rest and in motion. The next cloth_plan_contact makes room for its anchors.
+/// Set the friction coefficients between layers, at rest and in motion. The next cloth_plan_contact allocates the
+/// anchors.
 CLOTH_API int cloth_self_friction(cloth::Plan* plan, double at_rest, double sliding) {
     return guarded(plan, [&] {
         plan->self->friction = {at_rest, sliding};
@@ -36,15 +37,15 @@ CLOTH_API int cloth_self_friction(cloth::Plan* plan, double at_rest, double slid
         for (std::int64_t i = 0; i < plan->count; ++i) plan->particle_of_rank[plan->rank[i]] = i;
     });
 }
-/// Power that friction between layers takes [W].
+/// Power of friction between layers [W].
 CLOTH_API int cloth_self_friction_power(cloth::Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] { *out = cloth::self_friction_power(*plan, t, x, v); });
 }
-/// Whether pairs that may come near are kept from one evaluation to the next. No bit depends on it.
+/// Whether lists of pairs are kept between evaluations. No bit depends on it.
 CLOTH_API int cloth_self_cache_pairs(cloth::Plan* plan, std::int64_t caches) {
     return guarded(plan, [&] { plan->self->caches = caches != 0; });
 }
-/// Adds blocks that bound stiffness and damping.
+/// Add blocks that bound stiffness and damping.
 CLOTH_API int cloth_self_bounds(cloth::Plan* plan, double t, const double* x, double* stiff, double* damp) {
     return guarded(plan, [&] { cloth::add_self_bounds(*plan, t, x, stiff, damp); });
 }
@@ -52,18 +53,18 @@ CLOTH_API int cloth_self_bounds(cloth::Plan* plan, double t, const double* x, do
 CLOTH_API int cloth_self_gaps(cloth::Plan* plan, const double* x, double* out) {
     return guarded(plan, [&] { cloth::self_gaps(*plan, x, out); });
 }
-/// The first edge that passes through a triangle, see find_self_intersection.
+/// First edge that intersects a triangle, see find_self_intersection.
 CLOTH_API int cloth_self_intersection(cloth::Plan* plan, const double* x, std::int64_t* out) {
     return guarded(plan, [&] { cloth::find_self_intersection(*plan, x, out); });
 }
-/// Whether runs over a duration may leave it out, see SelfCulling.
+/// Whether runs over a duration may skip self-contact, see SelfCulling.
 CLOTH_API int cloth_self_culled(cloth::Plan* plan, double duration, const double* x, const double* v, std::int64_t* out) {
     return guarded(plan, [&] {
         const cloth::SelfCulling culling(*plan, duration, x, v);
         *out = plan->self_culled ? 1 : 0;
     });
 }
-/// Whether anything passes through anything on straight ways from x0 to x1.
+/// Whether the surface intersects itself on straight paths from x0 to x1.
 CLOTH_API int cloth_ccd_self(cloth::Plan* plan, const double* x0, const double* x1, std::int64_t* out) {
     return guarded(plan, [&] { *out = cloth::ccd_self(*plan, x0, x1) ? 1 : 0; });
 }

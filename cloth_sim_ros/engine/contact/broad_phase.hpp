@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What of a cloth may come near other parts of it: particles and triangles, edges and edges, found by a grid of cells. A
-// list of pairs holds until something has moved too far, and no bit depends on when it was made.
+// Broad phase of self-contact: pairs of particles and triangles, and of edges, found by a grid of cells. No bit depends
+// on when a list of pairs is built.
 #pragma once
 
 #include <bit>
@@ -13,13 +13,13 @@
 
 namespace cloth {
 
-/// Where particles are, as quads.
+/// Positions as quads.
 struct Quads {
     const double* from;
     CLOTH_INLINE Vec3<double> operator()(std::int64_t i) const { return {from[4 * i], from[4 * i + 1], from[4 * i + 2]}; }
 };
 
-/// Pairs by index, ascending by the first and then by the second; each with a vector's worth of room behind.
+/// Pairs by index, ascending by the first and then by the second, padded by a vector.
 struct PairList {
     std::vector<Index> first, second;
     std::size_t size() const { return first.size(); }
@@ -31,16 +31,16 @@ struct PairList {
         first.push_back(a);
         second.push_back(b);
     }
-    /// In order, where the seconds of each first ascend already.
+    /// Sort by the first; the second already ascend for each first.
     void sort(std::int64_t firsts) { sort(first, second, firsts); }
-    /// In order, both being below a number.
+    /// Sort by both, which are below a limit.
     void sort_both(std::int64_t limit) {
         sort(second, first, limit);
         sort(first, second, limit);
     }
 
 private:
-    /// By one of each pair, which is below a number; those with the same one stay in their order.
+    /// Stable counting sort by one of each pair, which is below a limit.
     static void sort(std::vector<Index>& by, std::vector<Index>& paired, std::int64_t limit) {
         std::vector<Index> offset(limit + 1, 0);
         for (const Index a : by) ++offset[a + 1];
@@ -56,7 +56,7 @@ private:
     }
 };
 
-/// Squared distances of pairs, a vector of them at a time: `see` gives each one's corners by `corner(k)`.
+/// Squared distances of pairs, a vector at a time; corners(k) returns the corners of a pair.
 template <int Corners, class F, class D>
 inline void squares(std::size_t size, const double* x, F&& corners, D&& distance, double* out) {
     using V = vec<double>;
@@ -72,13 +72,14 @@ inline void squares(std::size_t size, const double* x, F&& corners, D&& distance
     }
 }
 
-/// Points by the cells of a grid that they are in. Cells next to each other along x follow each other, and so do their
-/// points: a row of cells is one range of places.
+/// Points sorted into the cells of a grid. Cells along x are consecutive, and so are their points: a row of cells is
+/// one range of slots.
 class Cells {
 public:
-    /// A grid for so many points, of cells of a size [m] or larger ones, so that there are not many more than points.
+    /// A grid for a number of points, with cells of a size [m] or larger, so that there are not many more cells than
+    /// points.
     Cells(std::int64_t points, double size) : size_(size), cell_(points), order_(points) {}
-    /// Take in all points, `at(i)`.
+    /// Insert all points, at(i).
     template <class F>
     void fill(F&& at) {
         const std::int64_t points = static_cast<std::int64_t>(cell_.size());
@@ -104,9 +105,9 @@ public:
         std::vector<std::int64_t> next(start_.begin(), start_.end() - 1);
         for (std::int64_t i = 0; i < points; ++i) order_[next[cell_[i]]++] = static_cast<Index>(i);
     }
-    /// The point at a place.
+    /// The point in a slot.
     Index operator[](std::int64_t slot) const { return order_[slot]; }
-    /// Call `what` with the first place and the one behind the last of each row of cells in a box.
+    /// Call visit(begin, end) with the range of slots of each row of cells in a box.
     template <class F>
     void for_each_row(Vec3<double> low, Vec3<double> high, F&& visit) const {
         if (order_.empty()) return;
@@ -118,7 +119,7 @@ public:
                 if (begin < end) visit(begin, end);
             }
     }
-    /// Call `what` with each point in the cells of a box.
+    /// Call `visit` with each point in the cells of a box.
     template <class F>
     void for_each(Vec3<double> low, Vec3<double> high, F&& visit) const {
         for_each_row(low, high, [&](std::int64_t begin, std::int64_t end) {
@@ -127,7 +128,7 @@ public:
     }
 
 private:
-    /// The number of the cell along an axis, of the outermost one for what is outside.
+    /// Index of a cell along an axis, clamped to the grid.
     std::int64_t cell_index(double a, int axis) const {
         return static_cast<std::int64_t>(larger(smaller(std::floor(a / size_), n_cells_[axis] - 1.0), 0.0));
     }
@@ -141,7 +142,7 @@ private:
     std::vector<Index> order_;
 };
 
-/// Boxes, or points, in the order of cells, so that a row of them is compared with a box a vector at a time.
+/// Boxes or points in the order of cells, so that a row of them is compared with a box a vector at a time.
 class SortedBoxes {
 public:
     explicit SortedBoxes(std::int64_t count) {
@@ -152,13 +153,13 @@ public:
         low_[0][slot] = low.x, low_[1][slot] = low.y, low_[2][slot] = low.z;
         high_[0][slot] = high.x, high_[1][slot] = high.y, high_[2][slot] = high.z;
     }
-    /// Call `what` with each place of a range, which may be empty, whose box meets another one.
+    /// Call `visit` with each slot of a range, which may be empty, whose box overlaps another.
     template <class F>
     void for_each_overlap(std::int64_t begin, std::int64_t end, Vec3<double> low, Vec3<double> high, F&& visit) {
         using V = vec<double>;
         const V unit = splat<V>(1.0);
         for (std::int64_t k = begin; k < end; k += lanes<double>) {
-            // The least way into the box along an axis, negative outside it.
+            // Overlap along an axis, negative if there is none.
             const auto axis_overlap = [&](int axis, double from, double to) CLOTH_INLINED {
                 return smaller(V(load(high_[axis].data() + k) - from * unit), V(to * unit - load(low_[axis].data() + k)));
             };
@@ -173,14 +174,15 @@ private:
     std::vector<double> low_[3], high_[3];
 };
 
-/// The pairs of a surface that are within a reach of each other where `make` looked.
+/// Pairs of a surface within a range of each other.
 class SurfacePairs {
 public:
     PairList triangles;  ///< particle, triangle
     PairList edges;      ///< edge, later edge
     double reach = -1.0;
 
-    /// All pairs within a reach [m] at positions x, quads; of edges those within a reach that is `less` [m] shorter.
+    /// Build the lists of all pairs within `max_distance` [m] at positions x, quads; for edges the distance is
+    /// `edge_reduction` [m] shorter.
     void build(const Surface& s, const double* x, double max_distance, double edge_reduction = 0.0) {
         reach = max_distance;
         triangles.clear();
@@ -193,7 +195,7 @@ public:
         find_triangles(s, at, length);
         find_edges(s, at, length, max_distance - edge_reduction);
     }
-    /// Squares of the distances of pairs in a list, and whether a vector of them fits behind.
+    /// Squared distances of the pairs of a list, padded by a vector.
     void triangle_squares(const Surface& s, const double* x, std::vector<double>& out) const {
         out.resize(triangles.size() + lanes<double>);
         const auto corners = [&](std::size_t k) CLOTH_INLINED {
@@ -233,7 +235,7 @@ private:
         }
     };
 
-    /// Keep those of a list that are within a reach.
+    /// Keep the pairs of a list within a range.
     static void prune(PairList& list, const std::vector<double>& squares, double reach) {
         std::size_t n_left = 0;
         for (std::size_t k = 0; k < list.size(); ++k) {
@@ -274,7 +276,7 @@ private:
             boxes.emplace_back(at(e[0]));
             boxes.back().include(at(e[1]));
         }
-        // Edges stand in their middles' cells; none reaches further than half the largest extent along an axis.
+        // Edges are sorted by their centers; none extends further than half the largest extent along an axis.
         Vec3<double> half{};
         for (const Box& box : boxes) {
             const Vec3<double> extent = 0.5 * (box.high - box.low);
@@ -285,7 +287,7 @@ private:
         SortedBoxes sorted(count);
         for (std::int64_t slot = 0; slot < count; ++slot)
             sorted.put(slot, boxes[cells[slot]].low, boxes[cells[slot]].high);
-        // Each pair is met once: by the one that comes first in the order of cells.
+        // Each pair is found once, by the one that is first in the order of cells.
         for (std::int64_t edge_slot = 0; edge_slot < count; ++edge_slot) {
             const Index e = cells[edge_slot];
             const Box box = boxes[e].expanded(reach);
@@ -304,7 +306,7 @@ private:
         prune(edges, distances, reach);
         edges.sort_both(count);
     }
-    /// Size of a grid's cells, as a fraction of how far what is in them may be looked for.
+    /// Cell size as a fraction of the search distance.
     static constexpr double fineness = 0.5;
 };
 

@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Which points and edges of obstacles may come near which triangles and edges of the cloth. Lists of pairs hold until
-// something has moved too far, and no bit depends on when they were made.
+// Neighbours of features: points and edges of obstacles near triangles and edges of the cloth. Verlet lists are valid
+// until something has moved too far. No bit depends on when they are rebuilt.
 #pragma once
 
 #include "contact/features.hpp"
@@ -10,7 +10,7 @@
 
 namespace cloth {
 
-/// A box along the axes.
+/// An axis-aligned box.
 struct AxisBox {
     Vec3<double> low, high;
 
@@ -32,7 +32,7 @@ struct AxisBox {
     Vec3<double> center() const { return 0.5 * (low + high); }
 };
 
-/// Which part of the way from a to b is in a box: from share `first` to `last`, in reverse order where none is.
+/// Clip the segment from a to b to a box: the fractions `first` to `last`, in reverse order if it is outside.
 inline void clip(const AxisBox& box, Vec3<double> a, Vec3<double> b, double& first, double& last) {
     first = 0.0, last = 1.0;
     const auto slab = [&](double from, double to, double low, double high) {
@@ -55,7 +55,7 @@ public:
     PairList triangles, edges;
     double reach = -1.0;
 
-    /// All pairs within a reach [m], radius included. Positions are quads.
+    /// Build the list of all pairs within `max_distance` [m], radius included. Positions are quads.
     void build(const Surface& s, const FeaturesAt& from, const double* x, double max_distance) {
         reach = max_distance;
         triangles.clear();
@@ -121,7 +121,7 @@ private:
             const Vec3<double> a = from.position(from.features.edges[edge][0]), b = from.position(from.features.edges[edge][1]);
             double first, last;
             clip(search_box, a, b, first, last);
-            // Pieces as long as a cell: the box of all of a long edge would hold half the cloth.
+            // Search in pieces as long as a cell: the box of a whole long edge would contain half the cloth.
             const double pieces = std::ceil((last - first) * root(norm2(b - a)) / (length + reach));
             hits.clear();
             for (double piece = 0.0; piece < larger(pieces, 1.0); piece += 1.0) {
@@ -139,14 +139,14 @@ private:
                 if (near_segments(at(s.edges[e][0]), at(s.edges[e][1]), a, b).square < reach * reach) edges.add(edge, e);
         }
     }
-    /// Boxes by the cells that their middles are in; all of them where a search would look at more cells than that.
+    /// Boxes sorted into cells by their centers. A query that would visit more cells than boxes returns all of them.
     class BoxGrid {
     public:
         BoxGrid(const std::vector<AxisBox>& boxes, double size)
             : size_(size), count_(static_cast<Index>(boxes.size())), cells_(count_, size) {
             cells_.fill([&](std::int64_t k) { return boxes[k].center(); });
         }
-        /// Those that may meet a box, none with a side longer than `length`, in ascending order.
+        /// Return the boxes that may overlap a box, in ascending order. None has a side longer than `length`.
         void query(const AxisBox& box, double length, std::vector<Index>& hits) const {
             hits.clear();
             const AxisBox expanded = box.expanded(0.5 * length);
@@ -166,27 +166,27 @@ private:
     };
 };
 
-/// How far a turn from one pose to another leads a point at a reach [m], at most.
+/// Upper bound of the displacement of a point at a distance `reach` [m] by the rotation between two poses.
 inline double rotation_displacement(const Pose& a, const Pose& b, double reach) {
     double square = 0.0;
     for (int j = 0; j < 3; ++j) square += norm2(a.rotation[j] - b.rotation[j]);
     return root(square) * reach;
 }
 
-/// One obstacle's features, and who of the cloth is near them, kept from one call to the next.
+/// Features of one obstacle and their Verlet lists, kept between calls.
 class FeatureVerletList {
 public:
     Features features;
-    /// Of the last `find`: pairs that are near.
+    /// Pairs of the last `find`.
     PairList triangles, edges;
 
-    /// Find the pairs that are nearer than thickness + beyond [m], the radius aside. False where a position is not
-    /// finite, or where that is at least four times the cloth's shortest edge.
+    /// Find the pairs nearer than thickness + margin [m], in addition to the radius. Return false if a position is not
+    /// finite, or if that distance is at least four times the shortest edge.
     bool find(const Surface& s, const double* x, const Pose& pose, double thickness, double margin) {
         return update(s, x, pose, thickness, margin, std::numeric_limits<double>::infinity());
     }
-    /// The same for a run, in every step. `moved` is how far cloth and obstacle have moved relative to each other since the
-    /// last call [m], at most; after anything else than that it is infinite.
+    /// The same for each step of a run. `motion`: upper bound of the relative motion of cloth and obstacle since the
+    /// last call [m]; infinite after any other call.
     bool update(const Surface& s, const double* x, const Pose& pose, double thickness, double margin, double motion) {
         const double range = thickness + margin;
         if (!(range < 4.0 * s.shortest)) return false;
@@ -203,7 +203,7 @@ public:
         filter(s, {features, pose}, x, inner_.pairs, features.radius + range, triangles, edges);
         return true;
     }
-    /// Squared distances of a pair's two sides [m^2].
+    /// Squared distance of a pair [m^2].
     static double point_square(const Surface& s, const FeaturesAt& from, const Quads& at, Index point, Index triangle) {
         const auto& t = s.triangles[triangle];
         return near_triangle(from.position(point), at(t[0]), at(t[1]), at(t[2])).square;
@@ -223,7 +223,7 @@ private:
         ReferenceState reference;
         double margin = -1.0;
     };
-    /// How far cloth and obstacle have moved relative to each other since then; without places, since the origin.
+    /// Relative motion of cloth and obstacle since the reference; since the origin if there is none.
     double motion_since(const Surface& s, const double* x, const Pose& pose, const ReferenceState& reference) const {
         MotionBound motion;
         const bool has_reference = !reference.positions.empty();
@@ -266,12 +266,12 @@ private:
         }
     }
     ListLevel outer_, inner_;
-    double thickness_ = 0.0, motion_ = 0.0;  ///< since the near ones were found, at most
+    double thickness_ = 0.0, motion_ = 0.0;  ///< upper bound since the inner list was built
 };
 
-/// The cloth's surface and what obstacles have that may come through it. `acts[k]`: whether runs look at obstacle k's.
+/// The surface of the cloth and the features of all obstacles. `is_active[k]`: whether runs evaluate obstacle k.
 struct FeatureContactModel {
-    Surface surface;  ///< of triangles whose corners all move: what is anchored is not pushed
+    Surface surface;  ///< triangles with three free corners: anchored particles are not pushed
     double mass = 0.0;
     std::vector<FeatureVerletList> obstacles;
     std::vector<char> is_active;
@@ -291,7 +291,7 @@ struct FeatureContactModel {
     FeatureLaw<double> law(const Contacts& contacts) const { return {contacts.thickness, contacts.damping, mass}; }
 };
 
-/// Call `point(k, first, last)` with ranges of a point's triangles and `edge(k)` with each pair of edges that `find` found.
+/// Call point(k, first, last) with the range of triangles of each point, and edge(k) with each pair of edges of `find`.
 template <class P, class E>
 inline void for_each_feature(const FeatureVerletList& neighbors, P&& point, E&& edge) {
     const PairList& t = neighbors.triangles;

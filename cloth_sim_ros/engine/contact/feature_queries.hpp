@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What is asked of obstacles' points and edges beside their forces: energy, powers, bounds, derivative product, what is
-// about to happen, and what would pass through what. Arrays are (3, n) by component.
+// Queries of contact with points and edges of obstacles: energy, powers, bounds, derivative product, prediction,
+// continuous collision detection. Arrays are (3, n) by component.
 #pragma once
 
 #include "contact/feature_run.hpp"
@@ -10,9 +10,9 @@
 
 namespace cloth {
 
-/// Call `what` with each meeting at time t, positions x and velocities v, and with derivatives dx and dv where V has them,
-/// as `what(law, obstacle, from, meeting)`. Nothing meets where particles have no place. With `whole` contacts have the
-/// whole thickness.
+/// Call visit(law, obstacle, from, contact) for each contact at time t, positions x and velocities v, with derivatives
+/// dx and dv if V has them. Positions that are not finite have no contact. With `ignore_reduction` all contacts have
+/// the full thickness.
 template <class V, class F>
 inline void for_each_feature_contact(Plan& plan, double t, const double* const (&x)[2], const double* const (&v)[2],
                                      F&& visit, bool ignore_reduction = false) {
@@ -49,7 +49,8 @@ inline double feature_energy(Plan& plan, double t, const double* x) {
                                      [&](const auto& law, auto, const auto&, const auto& m) { total += law.energy(m); });
     return total;
 }
-/// Wrench on each obstacle about its place, work on the cloth and loss, as rates: added to (obstacles, record_numbers).
+/// Add the wrench on each obstacle about its position, the power on the cloth and the dissipation, (obstacles,
+/// record_numbers).
 inline void add_feature_wrenches(Plan& plan, double t, const double* x, const double* v, double weight, double* wrenches) {
     for_each_feature_contact<double>(
         plan, t, {x, nullptr}, {v, nullptr}, [&](const auto& law, std::int64_t k, const FeaturesAt& from, const auto& m) {
@@ -59,14 +60,14 @@ inline void add_feature_wrenches(Plan& plan, double t, const double* x, const do
             to[record_numbers - 1] += weight * law.dissipation(m);
         });
 }
-/// Power of the growth of contacts with a reduced thickness [W].
+/// Power of contacts that recover their thickness [W].
 inline double feature_growth_power(Plan& plan, double t, const double* x, const double* v) {
     double power = 0.0;
     for_each_feature_contact<double>(plan, t, {x, nullptr}, {v, nullptr},
                                      [&](const auto& law, auto, const auto&, const auto& m) { power += law.growth_power(m); });
     return power;
 }
-/// Add what moves pads outward [N], by the pinch.
+/// Add the forces that open the jaws [N], by gripper.
 inline void add_feature_jaw_forces(Plan& plan, double t, const double* x, const double* v, std::vector<double>& jaw_forces) {
     const Contacts& contacts = plan.contacts;
     for_each_feature_contact<double>(
@@ -77,8 +78,8 @@ inline void add_feature_jaw_forces(Plan& plan, double t, const double* x, const 
             });
         });
 }
-/// Add blocks that bound stiffness and damping: of a gap k |w_c| n n' at corner c. What counts with the other sign, and
-/// what fades, only softens.
+/// Add blocks that bound stiffness and damping: for a gap k |w_c| n n' at corner c. Terms with a negative sign and
+/// fading edges only soften.
 inline void add_feature_bounds(Plan& plan, double t, const double* x, double* stiff, double* damp) {
     std::vector<std::int64_t> particle_of_rank(plan.count);
     for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
@@ -96,7 +97,7 @@ inline void add_feature_bounds(Plan& plan, double t, const double* x, double* st
             }
         });
 }
-/// Add (df/dx) dx + (df/dv) dv to out, by the law itself on numbers with derivatives.
+/// Add (df/dx) dx + (df/dv) dv to out, by the law on dual numbers.
 inline void add_feature_product(Plan& plan, double t, const double* x, const double* v, const double* dx,
                                 const double* dv, double* out) {
     std::vector<std::int64_t> particle_of_rank(plan.count);
@@ -112,7 +113,7 @@ inline void add_feature_product(Plan& plan, double t, const double* x, const dou
                        [](Index, Vec3<Dual>) {});
         });
 }
-/// Least gap to each obstacle's features, where it is below that of particles, into column 1 of (obstacles, 2).
+/// Lower the gaps in column 1 of (obstacles, 2) to the least gap of each obstacle's features.
 inline void feature_gaps(Plan& plan, double t, const double* x, double* out) {
     for_each_feature_contact<double>(plan, t, {x, nullptr}, {nullptr, nullptr},
                                      [&](const auto&, std::int64_t k, const auto&, const auto& m) {
@@ -120,8 +121,8 @@ inline void feature_gaps(Plan& plan, double t, const double* x, double* out) {
                                      },
                                      true);
 }
-/// The least gap of each obstacle's points and edges within half the thickness, in units of the whole one, into the last
-/// column of (obstacles + 1, n + 1).
+/// Lower the gaps in the last column of (obstacles + 1, n + 1) to the least gap of each obstacle's features within half
+/// the thickness, in units of the full thickness.
 inline void feature_gap_column(Plan& plan, double t, const double* x, double* out) {
     for_each_feature_contact<double>(plan, t, {x, nullptr}, {nullptr, nullptr},
                                      [&](const auto&, std::int64_t k, const auto&, const auto& m) {
@@ -131,13 +132,13 @@ inline void feature_gap_column(Plan& plan, double t, const double* x, double* ou
                                      true);
 }
 
-/// Squared frequency and damping rate that contact with features comes to where it takes up what it holds, and what comes
-/// into contact within a duration [s] as it moves at time t, times `expected`. Infinite where a ball or an edge with a
-/// radius is within the cloth, and where particles have no place.
+/// Squared frequency and damping rate of contact with features once it has absorbed `expected` times its energy: of
+/// contacts, and of pairs that come into contact within a duration [s] at the present velocities. Infinite if a feature
+/// intersects the cloth or a position is not finite.
 inline ContactBounds predict_feature_contact(Plan& plan, double t, double duration, double expected, const double* x, const double* v) {
     FeatureContactModel& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
-    // Mostly particles keep everything out.
+    // Usually particles alone keep all obstacles out.
     if (!contact.has_any(contacts)) return {};
     FeatureLaw<double> law = contact.law(contacts);
     const double infinite = std::numeric_limits<double>::infinity();
@@ -155,7 +156,7 @@ inline ContactBounds predict_feature_contact(Plan& plan, double t, double durati
         for (std::int64_t i = 0; i < plan.count; ++i) motion.include(load4(velocities.data() + 4 * i));
         motion.include(quad<double>{pose.velocity.x, pose.velocity.y, pose.velocity.z, 0.0});
         const double speed = motion.diameter() + root(norm2(pose.spin)) * neighbors.features.reach;
-        // A later call sees farther pairs.
+        // The next call sees pairs further away.
         const double margin = smaller(speed * duration, 2.0 * contact.surface.shortest);
         if (!neighbors.find(contact.surface, positions.data(), pose, law.thickness(), margin)) return {infinite, infinite};
         for_each_feature_contact<double>(contact, neighbors, pose, law, at, velocity, m,
@@ -166,8 +167,8 @@ inline ContactBounds predict_feature_contact(Plan& plan, double t, double durati
     return bound.bounds(law, expected);
 }
 
-/// Whether features of an obstacle that moves from a pose to another one pass through the cloth, or it through them, on
-/// straight ways of its particles meanwhile, quads: each pair is followed by its gap, which no way is shorter than.
+/// Whether the features of an obstacle intersect the cloth while the obstacle moves between two poses and the particles
+/// (quads) move straight. Conservative advancement: each step is one gap long.
 inline bool ccd_obstacle_features(FeatureContactModel& contact, std::int64_t k, double thickness, const Pose& start_pose, const Pose& end_pose,
                             const double* from, const double* to) {
     const Surface& s = contact.surface;
@@ -181,7 +182,7 @@ inline bool ccd_obstacle_features(FeatureContactModel& contact, std::int64_t k, 
     motion.include(quad<double>{displacement.x, displacement.y, displacement.z, 0.0});
     const double max_motion = motion.diameter() + rotation_displacement(start_pose, end_pose, features.reach);
     if (!neighbors.find(s, from, start_pose, thickness, max_motion)) return true;
-    // Positions along the way, and by how much the sides approach at most from its start to its end.
+    // Advance along the path; the sides of a pair approach at most by `length` from its start to its end.
     const auto intersects = [&](int corners, const Index* corner, Index a, Index b, auto&& square) {
         Vec3<double> displacements[3];
         for (int c = 0; c < corners; ++c) displacements[c] = end(corner[c]) - start(corner[c]);
@@ -216,7 +217,7 @@ inline bool ccd_obstacle_features(FeatureContactModel& contact, std::int64_t k, 
     }
     return false;
 }
-/// Whether any does on the way from x0 at time t to x1, `duration` [s] later.
+/// Whether any feature intersects the cloth on the path from x0 at time t to x1, `duration` [s] later.
 inline bool ccd_features(Plan& plan, double t, double duration, const double* x0, const double* x1) {
     FeatureContactModel& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
@@ -228,8 +229,7 @@ inline bool ccd_features(Plan& plan, double t, double duration, const double* x0
             return true;
     return false;
 }
-/// Of each pinch, whether a pad does that moves at time t from half a way between the faces [m] to where it is, the cloth
-/// being at x.
+/// For each gripper, whether a jaw intersects the cloth at x while it moves from a half opening [m] to its present one.
 inline void ccd_jaws(Plan& plan, double t, const double* x, const double* half_openings, std::int64_t* out) {
     FeatureContactModel& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
@@ -243,8 +243,8 @@ inline void ccd_jaws(Plan& plan, double t, const double* x, const double* half_o
     }
 }
 
-/// Leaves the features of obstacles that don't get near the cloth out of a frame. If a run ends with a larger speed than was
-/// counted with, all runs of the frame are made again with all of them.
+/// Excludes features of obstacles that stay away from the cloth from a frame. If a run ends with a larger speed than
+/// assumed, all runs of the frame are repeated with all features.
 class FeatureCulling {
 public:
     FeatureCulling(Plan& plan, double t, double duration, const double* x0, const double* v0) : plan_(plan) {
@@ -270,7 +270,7 @@ public:
                 path_angle += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
             }
             const Pose pose = contacts.obstacle_pose(k, t);
-            // Pads turn about their gripper. The cloth may push them back faster than they are driven.
+            // Jaws rotate about their gripper. The cloth may push them back faster than they are driven.
             const double lever = root(norm2(pose.position - pose_at(path, t).position));
             if (contacts.jaw_of(k)) path_length += 2.0 * contacts.max_jaw_speed(k) * duration;
             const double margin = speed_limit_ * duration + path_length + path_angle * (lever + features.reach);
@@ -278,7 +278,7 @@ public:
                 positions = quads_of(plan, x0);
                 measure_cloth(s, positions.data());
             }
-            // No point of the obstacle's ball is nearer to the cloth's.
+            // Distance between the bounding balls of cloth and obstacle.
             const double distance = root(norm2(center_ - pose.position)) - radius_ - features.reach - features.radius;
             if (distance > thickness + margin) continue;
             const bool is_valid = neighbors.find(s, positions.data(), pose, thickness, margin);
@@ -287,7 +287,7 @@ public:
         for (std::int64_t k = 0; k < contacts.count(); ++k)
             covers_all_ = covers_all_ && (contact.is_active[k] || !contact.has(contacts, k));
     }
-    /// Whether a run that ended with velocities v has to be made again.
+    /// Whether a run with end velocities v violates the assumptions.
     bool is_violated(const double* v) const { return plan_.features && !covers_all_ && !(max_particle_speed(v) <= speed_limit_); }
     void disable() {
         if (!plan_.features) return;
@@ -299,7 +299,7 @@ private:
     /// Speed that particles may gain [m/s].
     static constexpr double speed_margin = 0.25;
 
-    /// A ball about all of the cloth's edges.
+    /// Compute the bounding ball of the edges of the cloth.
     void measure_cloth(const Surface& s, const double* x) {
         const Quads at{x};
         AxisBox box(at(s.edges[0][0]));
@@ -315,7 +315,7 @@ private:
         double square = 0.0;
         for (std::int64_t i = 0; i < n; ++i) {
             const double square_i = norm2(Vec3<double>{v[i], v[n + i], v[2 * n + i]});
-            square = square_i <= square ? square : square_i;  // a speed that is no number stays
+            square = square_i <= square ? square : square_i;  // a speed that is NaN is kept
             if (!(square_i < std::numeric_limits<double>::infinity())) return square_i;
         }
         return root(square);
@@ -326,8 +326,8 @@ private:
     bool covers_all_ = true;
 };
 
-/// What passes through the cloth at time t, three numbers: the obstacle, and two particles of the edge that is within it or
-/// of the triangle that its feature comes through; -1 where nothing does.
+/// Find an initial intersection at time t, three numbers: the obstacle, and two particles of the edge inside it or of
+/// the triangle that its feature intersects; -1 if there is none.
 inline void find_feature_intersection(Plan& plan, double t, const double* x, std::int64_t* out) {
     const FeatureContactModel& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
@@ -344,7 +344,7 @@ inline void find_feature_intersection(Plan& plan, double t, const double* x, std
         const Pose pose = contacts.obstacle_pose(k, t);
         const FeaturesAt from{features, pose};
         const auto report = [&](Index a, Index b) { out[0] = k, out[1] = particle_of_rank[a], out[2] = particle_of_rank[b]; };
-        // An edge of the cloth that enters the obstacle, by steps as long as the gap is.
+        // Edges of the cloth that enter the obstacle, sampled in steps of one gap.
         const Obstacle& obstacle = contacts.obstacles[k];
         const PosedObstacle<double> posed(pose, origin, obstacle);
         for (const auto& e : s.edges) {
@@ -358,7 +358,7 @@ inline void find_feature_intersection(Plan& plan, double t, const double* x, std
                 distance += larger(gap, min_step);
             }
         }
-        // A feature that comes through a triangle.
+        // Features that intersect a triangle.
         for (const auto& c : s.triangles) {
             const Vec3<double> p[3] = {at(c[0]), at(c[1]), at(c[2])};
             AxisBox box(p[0]);

@@ -1,23 +1,23 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What points and edges of obstacles do to the cloth's triangles and edges over a run.
+// Contact of points and edges of obstacles with the cloth over a run.
 #pragma once
 
 #include "contact/jaw_run.hpp"
 
 namespace cloth {
 
-/// What contact with features has taken up and will have to, energy per mass in units of U^2/2; and by how much stiffness
-/// over mass exceeds that of a single gap at a particle, at that which most acts on (Gershgorin: a gap's stiffness k g g'
-/// is at most k |w_c| at a corner of weight w_c, for the weights add up to one and an obstacle gives way to nothing).
-/// Pads give way: there it is at most 2 k |w_c|, and 2 k at the pads.
+/// Stiffness bound of contact with features: the energy per mass that contact absorbs, in units of U^2/2, and the
+/// largest row sum of stiffness over mass relative to a single gap at a particle. Gershgorin: a gap's stiffness k g g'
+/// is at most k |w_c| at a corner of weight w_c, because the weights add up to one and an obstacle does not yield. Jaws
+/// yield: there it is at most 2 k |w_c|, and 2 k at the jaws.
 class FeatureStiffnessBound {
 public:
     explicit FeatureStiffnessBound(double mass) : mass_(mass) {}
     double encountered = 0.0, gap = 1e30;
 
-    /// What is taken in next is of an obstacle.
+    /// Set the obstacle of the contacts that follow.
     void set_obstacle(const Contacts& contacts, std::int64_t obstacle) {
         const ParallelJaw* const jaw = contacts.jaw_of(obstacle);
         jaw_ = jaw ? contacts.obstacles[obstacle].parallel_jaw : -1;
@@ -41,8 +41,8 @@ public:
             if (jaw_ >= 0) jaw_loads_[jaw_] += mobility_ * g.sign * mass_ * inverse_jaw_mass_;
         }
     }
-    /// A gap that closes at a speed and holds an energy already: all of its corners' m_e w^2/2 goes into M U^2/2 b, where
-    /// 1/m_e = sum of w_c^2 / m_c, and the inverse of the mass of pads.
+    /// Add a gap with a closing speed and a contact energy: m_e w^2/2 of all its corners is converted into M U^2/2 b,
+    /// where 1/m_e is the sum of w_c^2 / m_c and the inverse mass of the jaws.
     void add_contact(const Surface& s, int corners, const Index* corner, const double* weight, double closing, double shape) {
         const double speed = larger(closing, 0.0) / ContactLaw<double>::speed;
         double inverse = inverse_jaw_mass_;
@@ -53,13 +53,13 @@ public:
         }
         encountered = larger(shape + speed * speed / (mass_ * inverse), encountered);
     }
-    /// Take in a gap that comes into contact within a duration [s]: the step has to be short enough before that. `away`
-    /// [m] is what is left until then.
+    /// Add a gap that comes into contact within a duration [s], because the step has to be short enough before that.
+    /// `distance` [m] is left until then.
     void add_approaching(const Surface& s, int corners, const Index* corner, const double* weight, double distance, double closing,
               double duration) {
         if (distance >= 0.0 && distance < duration * closing) add_contact(s, corners, corner, weight, closing, 0.0);
     }
-    /// Look at what was added since the last time.
+    /// Include the row sums collected since the last call, and clear them.
     void flush() {
         for (const Index c : loaded_) {
             row_sum_ = larger(load_[c], row_sum_);
@@ -79,13 +79,13 @@ public:
 
 private:
     double mass_, row_sum_ = 1.0, inverse_jaw_mass_ = 0.0, mobility_ = 1.0;
-    std::int64_t jaw_ = -1;  ///< of the obstacle whose gaps are taken in, if it is a pad
+    std::int64_t jaw_ = -1;  ///< index of the present obstacle's gripper, or -1
     std::vector<double> load_, jaw_loads_;
     std::vector<Index> loaded_;
 };
 
-/// Call `what` with each meeting of an obstacle's features, of those that `find` found. With `demand` pairs that come into
-/// contact within `duration` [s] are told to it.
+/// Call `visit` with each contact of an obstacle's features in its Verlet lists. If `bound` is given, add pairs that
+/// come into contact within `duration` [s] to it.
 template <class V, class X, class U, class F>
 inline void for_each_feature_contact(const FeatureContactModel& contact, const FeatureVerletList& neighbors, const Pose& pose,
                                      const FeatureLaw<V>& law, X&& at, U&& velocity, FeatureContact<V>& m, F&& visit,
@@ -130,9 +130,9 @@ inline void for_each_feature_contact(const FeatureContactModel& contact, const F
         });
 }
 
-/// Whether the sides of a pair may have passed through each other during a step that ended at a squared distance [m^2].
-/// They have not if they moved less, relative to each other, than their gap; no point of a side moves further, relative
-/// to a corner of the other, than the side's own corners.
+/// Whether a pair may have intersected in a step that ended at a squared distance [m^2]. It has not if its relative
+/// motion is below its gap. No point of a side moves further, relative to a corner of the other, than the side's own
+/// corners.
 inline bool feature_may_intersect(double square, double radius, const Vec3<double>* displacement, int corners, Vec3<double> first,
                              Vec3<double> second) {
     double max_motion = 0.0;
@@ -140,7 +140,7 @@ inline bool feature_may_intersect(double square, double radius, const Vec3<doubl
     return !(max_motion + root(norm2(second - first)) < root(square) - radius);
 }
 
-/// Features over a run, by one thread.
+/// Features over a run, on one thread.
 class FeatureRun {
 public:
     FeatureRun(FeatureContactModel& contact, const Contacts& contacts, const Run& run)
@@ -149,9 +149,9 @@ public:
         poses_.resize(contact.obstacles.size());
     }
 
-    /// Where pads are, which move with the run.
+    /// Set the jaws, which move with the run.
     void set_jaws(JawRun& jaws) { jaws_ = &jaws; }
-    /// Add the forces at a step, positions x and velocities v, to f, all quads.
+    /// Add the forces at a step, for positions x and velocities v, to f, all quads.
     void add(std::int64_t step, const double* x, const double* v, double* f) {
         const double t = midpoint_time(run_, step);
         const Quads at{x}, velocity{v};
@@ -187,7 +187,7 @@ public:
         bound_.flush();
         positions_.assign(x, x + 4 * contact_.surface.count);
     }
-    /// The end of the run: whether nothing can have passed through anything on the way there.
+    /// Finish the run. Return false if something may have intersected in the last step.
     bool finish(const double* x) {
         measure_motion(x);
         for (std::int64_t k = 0; k < contacts_.count() && !intersected_; ++k)
@@ -197,13 +197,13 @@ public:
             for (std::size_t k = 0; k < sums_.size(); ++k) run_.contact_record[k] += run_.step * sums_[k];
         return !intersected_;
     }
-    /// Least gap in units of the whole thickness, as particles' gaps count [m].
+    /// Least gap in units of the full thickness of particles [m].
     double gap() const { return 2.0 * bound_.gap; }
-    /// What contacts gave that regained their thickness [J].
+    /// Work of contacts that recover their thickness [J].
     double growth_work() const { return growth_work_; }
     ContactBounds bounds() const { return bound_.bounds(law_); }
 
-    /// Add what a force on a point of an obstacle makes of the booked numbers, losses aside.
+    /// Accumulate the record of a force on a point of an obstacle, except dissipation.
     static void accumulate(double* sums, const FeaturesAt& from, Index point, Vec3<double> force, double weight) {
         const Vec3<double> arm = from.arm(point), torque = cross(from.lever + arm, force);
         const double rates[record_numbers] = {force.x,  force.y,  force.z, torque.x, torque.y, torque.z,
@@ -212,16 +212,16 @@ public:
     }
 
 private:
-    /// Pose of an obstacle, from that of its path.
+    /// Pose of an obstacle from the pose on its path.
     Pose obstacle_pose(std::int64_t k, const Pose& path_pose) const { return contacts_.jaw_of(k) ? jaws_->pose(0, k, path_pose) : path_pose; }
-    /// How far the cloth has moved since the last time, and where it is.
+    /// Measure the motion of the cloth since the last step.
     void measure_motion(const double* x) {
         const std::int64_t n = contact_.surface.count;
         has_previous_ = !positions_.empty();
         cloth_ = {};
         for (std::int64_t i = 0; has_previous_ && i < n; ++i) cloth_.include(load4(x + 4 * i) - load4(positions_.data() + 4 * i));
     }
-    /// Find what is near an obstacle, and look at the ways since the last time.
+    /// Update the neighbours of an obstacle, and check the motion since the last step for intersections.
     bool update_neighbors(std::int64_t k, const double* x, const Pose& pose) {
         if (intersected_) return false;
         FeatureVerletList& neighbors = contact_.obstacles[k];
@@ -232,7 +232,7 @@ private:
             bound.include(quad<double>{displacement.x, displacement.y, displacement.z, 0.0});
             since = motion = bound.diameter() + rotation_displacement(pose, poses_[k], neighbors.features.reach);
         }
-        // A pair with less than twice `moved` [m] to contact may come into contact in one of the next two steps.
+        // A pair within twice `motion` [m] of contact may come into contact in one of the next two steps.
         intersected_ = !neighbors.update(contact_.surface, x, pose, law_.thickness(), 2.0 * motion, since);
         if (!intersected_ && motion > 0.0) check_intersections(neighbors, x, pose, poses_[k], motion);
         poses_[k] = pose;
@@ -271,7 +271,7 @@ private:
     FeatureStiffnessBound bound_;
     std::vector<double> sums_;
     double growth_work_ = 0.0;
-    /// Where all stood the last time.
+    /// Positions and poses of the last step.
     Array<double> positions_;
     std::vector<Pose> poses_;
     MotionBound cloth_;

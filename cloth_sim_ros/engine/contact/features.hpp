@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What of an obstacle may come through the cloth between its particles: points and straight edges with a radius about them.
-// How they push the cloth's triangles and edges. docs/contact.md derives it. V is a number, or one with its derivative.
+// Law of contact between points or edges of an obstacle, with a radius, and triangles or edges of the cloth.
+// docs/contact.md derives it. V is a number or a dual number.
 #pragma once
 
 #include "contact/obstacles.hpp"
@@ -11,15 +11,16 @@
 
 namespace cloth {
 
-/// Points of one obstacle in its own frame, edges between them, and the radius about both [m]: a ball's centre, a box's
-/// corners and edges. `reach` [m] is that of the points from the frame's origin.
+/// Points of one obstacle in its own frame, edges between them, and their radius [m]: the centre of a ball, corners and
+/// edges of a box. `reach` [m]: largest distance of a point from the origin of the frame.
 struct Features {
     std::vector<Vec3<double>> points;
     std::vector<std::array<Index, 2>> edges;
     double radius = 0.0, reach = 0.0;
 };
 
-/// The same at a moment. `lever` [m] leads from the point about which torques are booked, a pad's gripper, to the place.
+/// Features at one time. `lever` [m]: vector from the reference point of torques (the gripper of a jaw) to the
+/// position.
 struct FeaturesAt {
     const Features& features;
     const Pose& pose;
@@ -43,25 +44,25 @@ CLOTH_INLINE double number_of(Dual a) { return a.value; }
 /// A gap between the cloth and a feature.
 template <class V>
 struct FeatureGapTerm {
-    double sign;  ///< 1 or -1: factor of this gap's energy in the sum
+    double sign;  ///< sign of the energy of this gap in the sum, 1 or -1
     int corners;
     Index corner[3];
-    V weight[3];     ///< of the corners, at the cloth's nearest point
-    V share;         ///< of the obstacle's second point, at its nearest point
-    Vec3<V> normal;  ///< off the obstacle
+    V weight[3];     ///< of the corners, at the nearest point of the cloth
+    V share;         ///< weight of the obstacle's second point, at its nearest point
+    Vec3<V> normal;  ///< away from the obstacle
     V gap, closing;
 };
 
-/// All gaps of one point, or that of two edges, and their energy.
+/// Contact of one point or of one pair of edges: its gaps and its energy.
 template <class V>
 struct FeatureContact {
     std::vector<FeatureGapTerm<V>> gaps;
-    Index point[2];  ///< of the obstacle; the same twice for a point
+    Index point[2];  ///< of the obstacle; equal for a point
     bool edges = false;
-    /// Energy per mass in units of U^2/2, sum of the pushes [m/s^2], and the rate at which the energy grows [m^2/s^3].
+    /// Energy per mass in U^2/2, sum of the pushes [m/s^2], and rate of the energy [m^2/s^3].
     V shape{}, push{}, rate{};
-    V lever{};  ///< sum of pushes times gaps [m^2/s^2]
-    /// Of edges: what the energy is multiplied by, and its slope over their four ends, the cloth's first [m/s^2].
+    V lever{};  ///< sum of push times gap [m^2/s^2]
+    /// Of edges: fade factor of the energy, and its gradient with respect to the four ends, the cloth's first [m/s^2].
     V fade_factor{};
     Vec3<V> slope[4];
 
@@ -78,29 +79,29 @@ struct FeatureContact {
     }
 };
 
-/// sin^2 of the angle below which two edges count as parallel: 1.8 degrees, as in Li et al., Incremental Potential Contact.
+/// sin^2 of the angle below which two edges are parallel: 1.8 degrees, as in Li et al., Incremental Potential Contact.
 inline constexpr double feature_parallel = 1e-3;
 
 template <class V>
 class FeatureLaw {
 public:
-    /// Features keep half the thickness, so that particles in contact keep the cloth out of their reach. `mass` [kg]: that
-    /// of a mean particle of the cloth.
+    /// Features have half the thickness, so that particles in contact keep the cloth out of their range. `mass` [kg]:
+    /// mean mass of a particle of the cloth.
     FeatureLaw(double thickness, double damping, double mass)
         : thickness_(0.5 * thickness), damping_(damping), mass_(mass), law_(0.5 * thickness, damping) {}
 
     double thickness() const { return thickness_; }
-    /// Let contacts have a reduced thickness; gaps and speeds of meetings are in units of the whole one then, see Scaling.
+    /// Set a reduced thickness. Gaps and speeds of contacts are then in units of the full thickness, see Scaling.
     void reduce(Scaling<double> scaling) { scaling_ = {splat<V>(scaling.scale), splat<V>(scaling.growth)}; }
     const Scaling<V>& scaling() const { return scaling_; }
-    /// How far from an obstacle's points and edges contact acts [m].
+    /// Distance from points and edges within which contact acts [m].
     double range() const { return thickness_ / number_of(scaling_.scale); }
     double mass() const { return mass_; }
     const ContactLaw<V>& law() const { return law_; }
 
-    /// The energy of a point with the surface, of which the triangles from `begin` to `end` are near. It counts
-    /// triangles, less edges between two of them, and particles within the sheet: so a flat surface counts once,
-    /// wherever it is cut into triangles.
+    /// Evaluate the energy of a point with the triangles from `begin` to `end`: that of triangles, minus that of edges
+    /// between two of them, plus that of inner particles. Therefore a flat surface counts once, independent of its
+    /// triangulation.
     template <class X, class U>
     void point(const Surface& s, const FeaturesAt& from, Index k, const Index* begin, const Index* end, X&& at,
                U&& velocity, FeatureContact<V>& m) const {
@@ -142,8 +143,9 @@ public:
             m.lever = m.lever + push * g.gap;
         }
     }
-    /// The energy of an edge of the cloth and one of an obstacle. It fades as they become parallel, where the nearest
-    /// points jump: by (2 - q) q, q = sin^2 of their angle over `feature_parallel`, up to 1.
+    /// Evaluate the energy of an edge of the cloth with an edge of an obstacle. It fades out as they become parallel,
+    /// because the nearest points jump there: factor (2 - q) q, q = sin^2 of the angle over `feature_parallel`, at most
+    /// 1.
     template <class X, class U>
     void edges(const std::array<Index, 2>& cloth_edge, const FeaturesAt& from, Index edge, X&& at, U&& velocity,
                FeatureContact<V>& m) const {
@@ -171,8 +173,8 @@ public:
             m.rate = m.rate + dot(m.slope[k], k < 2 ? velocity(cloth_edge[k]) : k == 2 ? u : w);
         }
     }
-    /// What damping multiplies the forces of one energy by: Q of `ContactLaw`, with the speed at which its gaps close on
-    /// the whole, rate over push. So what is lost, (Q - 1) rate, is never below zero.
+    /// Damping factor of the forces of one contact: Q of `ContactLaw` at the mean closing speed, rate over push.
+    /// Therefore the dissipation (Q - 1) rate is never negative.
     V damped(const FeatureContact<V>& m) const {
         const V unit = splat<V>(1.0);
         if (!(number_of(m.push) > 0.0)) return unit;
@@ -181,7 +183,8 @@ public:
         const V u = splat<V>(0.5 * damping_) * m.rate / denominator;
         return u + root(fma(u, u, unit));
     }
-    /// Call `cloth` with each corner of a meeting and the force on it, and `obstacle` with its points and theirs.
+    /// Call `cloth` with each corner of a contact and its force, and `obstacle` with each point of the obstacle and its
+    /// force.
     template <class F, class G>
     void forces(const FeatureContact<V>& m, F&& cloth, G&& obstacle) const {
         const V part = splat<V>(1.0) / scaling_.scale, scale = part * (splat<V>(mass_) * damped(m));
@@ -203,11 +206,11 @@ public:
     double energy(const FeatureContact<V>& m) const {
         return mass_ * 0.5 * ContactLaw<V>::speed * ContactLaw<V>::speed * number_of(m.shape) * unscaled();
     }
-    /// Power that damping takes [W].
+    /// Power of the damping [W].
     double dissipation(const FeatureContact<V>& m) const {
         return mass_ * (number_of(damped(m)) - 1.0) * number_of(m.rate) * unscaled();
     }
-    /// Power of the growth of a reduced thickness [W].
+    /// Power of the recovery of the thickness [W].
     double growth_power(const FeatureContact<V>& m) const {
         const double square = ContactLaw<V>::speed * ContactLaw<V>::speed;
         return mass_ * number_of(scaling_.growth) * unscaled() *

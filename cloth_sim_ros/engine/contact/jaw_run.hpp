@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Pads over a run: they are stepped as particles are, by what all blocks of particles did to them in the step before.
+// Jaws over a run: integrated like particles, with the forces of all blocks of particles in the step before.
 #pragma once
 
 #include "plan/plan.hpp"
@@ -23,7 +23,7 @@ public:
         }
     }
 
-    /// What a block of particles does to a pad: the force that moves it outward, and the mass in contact.
+    /// Load of a block of particles on a jaw: opening force, and mass in contact.
     struct JawLoad {
         static constexpr int numbers = 2;
         double force = 0.0, mass = 0.0;
@@ -33,17 +33,17 @@ public:
         at[0] = jaw_load.force;
         at[1] = jaw_load.mass;
     }
-    /// What the cloth between particles does to a pad.
+    /// Record the load of the surface between particles on a jaw.
     void record_surface_load(std::int64_t obstacle, std::int64_t step, const JawLoad& jaw_load) {
         record_load(obstacle, blocks_ - 1, step, jaw_load);
     }
-    /// Pose of a pad at a step, from its gripper's, as particles see it.
+    /// Pose of a jaw as particles see it, from the pose of its gripper.
     Pose pose(int thread, std::int64_t obstacle, const Pose& gripper) const {
         const JawMotion& jaw = threads_[thread].jaws[contacts_.obstacles[obstacle].parallel_jaw];
         return contacts_.shifted_pose(gripper, obstacle, jaw.half_opening, jaw.damping_speed);
     }
-    /// Move the pads to step `step`: all blocks have felt those of the step before. Each thread does it for itself, so that
-    /// none has to wait for another one's.
+    /// Advance the jaws to a step, after all blocks have recorded their loads of the step before. Each thread does so
+    /// for itself, so that none waits for another.
     void advance(int thread, std::int64_t step) {
         if (threads_.empty() || step < 0) return;
         ThreadState& state = threads_[thread];
@@ -71,10 +71,9 @@ public:
             jaw.half_opening = fma(m.drift, jaw.speed, jaw.half_opening);
         }
     }
-    /// Move the pads to the run's end and write where they are to `run_.pinched`. `reached` is the largest energy per
-    /// mass, in U^2/2, that contact with other obstacles had to take up, `pinched` the largest with pads. Return the
-    /// largest of all, with that of pads raised because a pad and a particle between pads are stiffer than a single
-    /// contact.
+    /// Advance the jaws to the end of the run and write their states. `obstacle_energy`: largest energy per mass, in
+    /// U^2/2, of contact with other obstacles; `jaw_energy`: with jaws. Return the largest of all; that of jaws is
+    /// raised, because a jaw and a particle between jaws are stiffer than a single contact.
     double finish(double obstacle_energy, double jaw_energy) {
         if (threads_.empty()) return larger(jaw_energy, obstacle_energy);
         advance(0, run_.steps);
@@ -83,14 +82,14 @@ public:
             run_.jaw_states[k * jaw_state_size] = state.jaws[k].half_opening;
             run_.jaw_states[k * jaw_state_size + 1] = state.jaws[k].speed;
         }
-        // A particle between two pads, and pads between particles: docs/contact.md has the bound.
+        // A particle between two jaws, and jaws between particles: docs/contact.md has the bound.
         const double factor = 2.0 + state.mass_ratio + (state.stop_energy > 0.0 ? 1.0 : 0.0);
         const double max_energy = larger(state.stop_energy, jaw_energy);
         return larger(stiffened_energy(law_, contacts_.thickness, max_energy, factor), obstacle_energy);
     }
 
 private:
-    /// As the leapfrog keeps a particle: place, rate, the rate that damping sees, and the acceleration before.
+    /// State of a jaw in the leapfrog: half opening, speed, damping speed, and acceleration of the step before.
     struct JawMotion {
         double half_opening, speed, damping_speed, previous_acceleration;
     };
@@ -104,7 +103,7 @@ private:
 
     const Contacts& contacts_;
     const Run& run_;
-    std::int64_t blocks_;  ///< and one for what acts between particles
+    std::int64_t blocks_;  ///< with one for the surface between particles
     ContactLaw<double> law_;
     std::vector<double> loads_;
     std::vector<ThreadState> threads_;

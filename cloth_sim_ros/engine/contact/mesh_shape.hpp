@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// A closed triangle mesh as an obstacle: which point of it is nearest, and on which side of it a point is.
+// Closed triangle mesh as an obstacle: nearest point, and whether a point is inside.
 #pragma once
 
 #include <algorithm>
@@ -14,8 +14,8 @@
 
 namespace cloth {
 
-/// Which side is told by the normal of the face, the edge or the vertex that is nearest: an edge's is the sum of those of
-/// its faces, a vertex's that of its faces weighted by their angles there (J. A. Baerentzen and H. Aanaes, "Signed distance
+/// A point is inside according to the normal of the nearest face, edge or vertex: that of an edge is the sum of the
+/// normals of its faces, that of a vertex the sum weighted by angles (J. A. Baerentzen and H. Aanaes, "Signed distance
 /// computation using the angle weighted pseudonormal", IEEE Trans. Vis. Comput. Graph. 11, 2005).
 class Mesh {
 public:
@@ -31,11 +31,11 @@ public:
         build_tree(0, static_cast<Id>(order_.size()));
     }
 
-    /// What of the mesh is nearest: `from` on it; a face (two directions in it), an edge (one) or a vertex; and whether the
-    /// point is within.
+    /// Nearest feature of the mesh: point `from`; its kind, a face, an edge or a vertex; and whether the query point is
+    /// inside.
     struct NearestFeature {
         Vec3<double> from, along, normal;
-        int kind = 0;  ///< 0 a vertex, 1 an edge, 2 a face
+        int kind = 0;  ///< 0 vertex, 1 edge, 2 face
         bool inside = false;
     };
     NearestFeature nearest(Vec3<double> p) const {
@@ -48,14 +48,14 @@ public:
             if (best.point.weight[k] > 0.0) corner_index[count++] = k;
         NearestFeature s;
         s.from = x[0];
-        if (!count) return s;  // no place at all
+        if (!count) return s;  // the point is not finite
         s.kind = count - 1;
         s.from = x[corner_index[0]];
         s.normal = faces_[best.triangle];
         Vec3<double> pseudonormal = s.normal;
         if (s.kind == 1) {
             s.along = x[corner_index[1]] - x[corner_index[0]];
-            // Sides run from corner 0 to 1, 1 to 2, 2 to 0.
+            // Edges run from corner 0 to 1, 1 to 2, 2 to 0.
             pseudonormal = edges_[best.triangle][corner_index[0] == 0 && corner_index[1] == 2 ? 2 : corner_index[0]];
         } else if (s.kind == 0) {
             pseudonormal = corners_[t[corner_index[0]]];
@@ -76,11 +76,11 @@ private:
         Id triangle = 0;
         OnTriangle<double> point;
     };
-    /// A box of the tree has no more triangles than this, or two boxes.
+    /// Maximum number of triangles in a leaf of the tree.
     static constexpr Id max_leaf_size = 4;
 
     static Vec3<double> unit(Vec3<double> a) { return (1.0 / root(norm2(a))) * a; }
-    /// Angle between two vectors: tan of half of it, halved thrice, and the series of the arctangent.
+    /// Angle between two vectors: tangent of its half, halved three times, then the series of the arctangent.
     static double angle(Vec3<double> a, Vec3<double> b) {
         const double s = root(norm2(cross(a, b))), c = dot(a, b), length = root(norm2(a) * norm2(b));
         double t = c >= 0.0 ? s / (length + c) : (length - c) / s;
@@ -111,7 +111,7 @@ private:
         std::stable_sort(half_edges.begin(), half_edges.end(), [](const HalfEdge& a, const HalfEdge& b) {
             return a.low != b.low ? a.low < b.low : a.high < b.high;
         });
-        // A closed mesh: each edge has two triangles.
+        // In a closed mesh each edge has two triangles.
         for (std::size_t k = 0; k + 1 < half_edges.size(); k += 2) {
             const Vec3<double> sum = faces_[half_edges[k].triangle] + faces_[half_edges[k + 1].triangle];
             edges_[half_edges[k].triangle][half_edges[k].edge] = sum;

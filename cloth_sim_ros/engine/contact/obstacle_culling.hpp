@@ -1,14 +1,14 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Which obstacles a frame's runs may meet.
+// Culling of obstacles that no particle can reach in a frame.
 #pragma once
 
 #include "plan/plan.hpp"
 
 namespace cloth {
 
-/// The largest speed of particles, anchored ones included.
+/// Largest speed of the particles, anchored ones included.
 inline double max_speed(const double* v, std::int64_t n) {
     using V = vec<double>;
     V max_square{};
@@ -21,11 +21,11 @@ inline double max_speed(const double* v, std::int64_t n) {
     return root(square);
 }
 
-/// A ball about all particles, anchored ones included.
+/// Ball that contains all particles, anchored ones included.
 struct BoundingBall {
     Vec3<double> center;
     double radius;
-    bool finite = true;  ///< whether all positions are: a place that is no number is beyond no ball
+    bool finite = true;  ///< whether all positions are finite
 
     BoundingBall(const double* x, std::int64_t n) {
         double low[3], high[3];
@@ -37,7 +37,7 @@ struct BoundingBall {
         center = 0.5 * (lower + upper);
         radius = 0.5 * root(norm2(upper - lower));
     }
-    /// How far all particles are from an obstacle at least [m]; roundings may take `blurred` from that.
+    /// Lower bound of the distance of all particles from an obstacle [m]; `rounding_margin` bounds its rounding error.
     double distance_to(const Obstacle& obstacle, const PosedObstacle<double>& posed) const {
         const Vec3<double> offset = center - posed.position;
         if (obstacle.shape == Shape::plane) return dot(posed.rotation[2], offset) - radius;
@@ -46,7 +46,7 @@ struct BoundingBall {
     double rounding_margin(const PosedObstacle<double>& posed) const {
         return 64.0 * std::numeric_limits<double>::epsilon() * (root(norm2(center)) + root(norm2(posed.position)) + radius);
     }
-    /// The largest speed as seen from an obstacle, of particles that are no faster than `fastest`.
+    /// Upper bound of the speed relative to an obstacle, of particles no faster than `fastest`.
     double max_relative_speed(double fastest, const PosedObstacle<double>& posed) const {
         return fastest + root(norm2(posed.velocity)) +
                root(norm2(posed.spin)) * (root(norm2(center - posed.position)) + radius);
@@ -74,10 +74,10 @@ private:
     }
 };
 
-/// Leaves obstacles that no particle can reach out of a frame's runs. Such an obstacle is more than four times as far
-/// off as the fastest particle, with `slack` added to its speed, moves during the frame. If a particle ends a run at
-/// more than twice that speed, or a skipped block was missed (see ContactSummary), all runs of the frame are made again with
-/// all obstacles.
+/// Excludes obstacles that no particle can reach from the runs of a frame. Such an obstacle is more than four times as
+/// far away as the fastest particle, with `speed_margin` added, moves in the frame. If a particle ends a run at more
+/// than twice that speed, or a skipped block moved faster than assumed (see ContactSummary), all runs of the frame are
+/// repeated with all obstacles.
 class ObstacleCulling {
 public:
     ObstacleCulling(Plan& plan, double duration, const double* x0, const double* v0) : plan_(plan) {
@@ -113,7 +113,7 @@ public:
         for (std::int64_t k = 0; k < contacts.count(); ++k) present += contacts.present(k);
         covers_all_ = static_cast<std::int64_t>(contacts.active.size()) == present;
     }
-    /// Whether a run that ended with velocities v, and met what it says, has to be made again.
+    /// Whether a run with end velocities v and this summary violates the assumptions.
     bool is_violated(const double* v, const double* summary) const {
         if (!plan_.contacts.may_skip_blocks && covers_all_) return false;
         return summary[2] != 0.0 || (!covers_all_ && !(max_speed(v, plan_.count) <= 2.0 * speed_limit_));
@@ -125,7 +125,7 @@ public:
     }
 
 private:
-    /// Added to the fastest particle's speed at the frame's start [m/s]: a cloth at rest may be set in motion.
+    /// Margin of the largest speed at the start of a frame [m/s], because a cloth at rest may be set in motion.
     static constexpr double speed_margin = 0.5;
 
     Plan& plan_;

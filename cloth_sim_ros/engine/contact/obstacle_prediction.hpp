@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What contact is about to come to. Arrays are (3, n) by component.
+// Prediction of the energy that contact with obstacles has to absorb. Arrays are (3, n) by component.
 #pragma once
 
 #include "contact/obstacle_culling.hpp"
@@ -9,14 +9,14 @@
 
 namespace cloth {
 
-/// How often particles were looked at for being in reach of an obstacle: of any, of one with friction.
+/// Number of tests of a particle against an obstacle: of all, and of those with friction.
 struct VisitCounts {
     std::int64_t all = 0, with_friction = 0;
 };
 
-/// Energy per mass, in U^2/2, that contact may have to take up within `duration`: of particles in contact what it has taken
-/// up already and that of their closing speed; of those that come into contact by then that of the speed that they come
-/// with, weight and wind included.
+/// Energy per mass, in U^2/2, that contact may have to absorb within `duration`. A particle in contact counts with its
+/// contact energy and its closing speed. A particle that comes into contact counts with its speed then, field
+/// accelerations included.
 inline double predict_contact_energy(const Plan& plan, double t, double duration, const double* x, const double* v,
                             VisitCounts* visits = nullptr) {
     using V = vec<double>;
@@ -29,8 +29,8 @@ inline double predict_contact_energy(const Plan& plan, double t, double duration
         using U = decltype(speed);
         return splat<U>(thickness) + (speed + splat<U>(0.5 * field_acceleration * duration)) * splat<U>(duration);
     };
-    // An obstacle that speeds up on its path is counted with the greatest speed of its middle and its end.
-    // Pads are driven to the speed that they have without load.
+    // An obstacle that accelerates on its path counts with the largest speed at the middle and the end. Jaws count with
+    // their speed without load.
     std::vector<PosedObstacle<double>> future;
     future.reserve(2 * contacts.count());
     const double origin[3] = {};
@@ -45,8 +45,8 @@ inline double predict_contact_energy(const Plan& plan, double t, double duration
     double fastest = 0.0, max_energy = 0.0;
     std::vector<double> jaw_energy(contacts.parallel_jaws.size(), 0.0), masses(contacts.parallel_jaws.size(), 0.0);
     for (const PosedObstacle<double>& posed : future) fastest = larger(root(norm2(posed.velocity)), fastest);
-    // An obstacle that is twice as far off as any particle reaches is in reach of no block: that is told at one look. A
-    // pad's ball is about its gripper, and pads mostly are near.
+    // An obstacle further away than twice the reach of any particle is skipped as a whole. The bounding sphere of a jaw
+    // is about its gripper, and jaws mostly are near.
     const BoundingBall cloth(x, plan.count);
     const double cloth_speed = max_speed(v, plan.count);
     const auto is_far = [&](std::int64_t obstacle, const PosedObstacle<double>& posed) {

@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What is asked of contact beside its forces: energy, powers, bounds, derivative product, and what is about to happen.
-// Arrays are (3, n) by component; sums run obstacle by obstacle, particle by particle.
+// Queries of contact with obstacles: energy, powers, bounds, derivative product, continuous collision detection. Arrays
+// are (3, n) by component; sums run obstacle by obstacle, particle by particle.
 #pragma once
 
 #include "mesh/queries.hpp"
@@ -10,7 +10,7 @@
 
 namespace cloth {
 
-/// What a call of `for_each_neighbor` tells of one particle.
+/// A particle near an obstacle.
 struct ObstacleContact {
     std::int64_t obstacle, particle;
     double gap, closing, mass;
@@ -18,7 +18,7 @@ struct ObstacleContact {
     const PosedObstacle<double>& posed;
     Scaling<double> scaling = full_thickness<double>();
     ContactKinematics<double> kinematics() const { return {arm, gap, normal, slip, closing}; }
-    /// The gap in units of the whole thickness, and pushes, energy and bounds by a law of that.
+    /// Gap in units of the full thickness; forces, energies and bounds follow from it.
     double scaled_gap() const { return scaling.gap(gap); }
     typename ContactLaw<double>::ContactForce force(const ContactLaw<double>& law) const {
         const auto a = law.force(scaled_gap(), scaling.closing(gap, closing));
@@ -30,11 +30,11 @@ struct ObstacleContact {
     }
 };
 
-/// Blocks of particles one after the other. They lie where they are, but for the last one: whole vectors of it may be read.
+/// Reads blocks of particles. Only the last block is copied, because whole vectors of it may be read.
 class BlockReader {
 public:
     BlockReader(const Plan& plan, const double* x, const double* v) : plan_(plan), x_(x), v_(v) {}
-    /// Those from `first` on; they hold until the next call.
+    /// Block from particle `first` on; valid until the next call.
     Block<double> at(std::int64_t first) {
         const std::int64_t n = plan_.count, count = std::min(contact_block, n - first);
         for (std::int64_t i = 0; i < count; ++i)
@@ -57,9 +57,9 @@ private:
     alignas(64) double buffer_[6 * contact_block] = {}, mass_[contact_block];
 };
 
-/// Call `what(obstacle, first, shape, placed, block)` for each block of particles that is near an obstacle, if not
-/// `skips(obstacle, placed)`. A block is near if its least gap is below `widest(speed)` [m], where `speed` is that of its
-/// fastest particle as seen from the obstacle [m/s].
+/// Call visit(obstacle, first, shape, posed, block) for each block of particles near an obstacle, unless
+/// skips(obstacle, posed). A block is near if its least gap is below widest(speed) [m], where `speed` is the largest
+/// relative speed in the block [m/s].
 template <class S, class W, class F>
 inline void for_each_near_block(const Plan& plan, double t, const double* x, const double* v, S&& skips, W&& widest,
                                 F&& visit) {
@@ -81,7 +81,7 @@ inline void for_each_near_block(const Plan& plan, double t, const double* x, con
         });
     }
 }
-/// Call `what` for each free particle of those blocks.
+/// Call `visit` for each free particle of those blocks.
 template <class W, class F>
 inline void for_each_near(const Plan& plan, double t, const double* x, const double* v, W&& widest, F&& visit) {
     const auto none = [](std::int64_t, const PosedObstacle<double>&) { return false; };
@@ -96,7 +96,7 @@ inline void for_each_near(const Plan& plan, double t, const double* x, const dou
         }
     });
 }
-/// The same for particles in contact.
+/// Call `visit` for each particle in contact.
 template <class F>
 inline void for_each_contact(const Plan& plan, double t, const double* x, const double* v, F&& visit) {
     const double thickness = plan.contacts.thickness;
@@ -105,7 +105,7 @@ inline void for_each_contact(const Plan& plan, double t, const double* x, const 
     });
 }
 
-/// What friction does at one contact, with the plan's anchors. Those of the caller's own are handed over in `anchor`.
+/// Friction at one contact, with the given anchors.
 template <class V>
 inline auto friction_force(const Plan& plan, std::int64_t obstacle, std::int64_t particle, const PosedObstacle<double>& posed,
                     const ContactKinematics<V>& s, V push, const double* anchors) {
@@ -118,8 +118,8 @@ inline auto friction_force(const Plan& plan, std::int64_t obstacle, std::int64_t
     return law.force(posed.template outward<V>(local - anchor), s.normal, s.slip, push);
 }
 
-/// Anchors after runs that ended with some of their own, each (obstacles, anchor_numbers, n), at the state x and v that
-/// the runs' weights make: what no run moved stays as it is; the rest is combined too, and dragged back onto the cone.
+/// Combine the anchors after runs, each (obstacles, anchor_numbers, n), at the combined state x and v. Anchors that no
+/// run moved are kept. The others are combined with the weights of the runs, and returned to the cone.
 inline void combine_anchors(const Plan& plan, double t, const double* x, const double* v, std::int64_t runs,
                            const double* weights, const double* ends, double* out) {
     const Contacts& contacts = plan.contacts;
@@ -169,7 +169,8 @@ inline double contact_energy(const Plan& plan, double t, const double* x) {
     return total;
 }
 
-/// Wrench on each obstacle about its place, work on the cloth and loss, as rates: added to (obstacles, record_numbers).
+/// Add the wrench on each obstacle about its position, the power on the cloth and the dissipation, (obstacles,
+/// record_numbers).
 inline void add_contact_wrenches(const Plan& plan, double t, const double* x, const double* v, double weight, double* wrenches) {
     const auto law = plan.contacts.law<double>();
     for_each_contact(plan, t, x, v, [&](const ObstacleContact& contact) {
@@ -191,7 +192,7 @@ inline void add_contact_wrenches(const Plan& plan, double t, const double* x, co
     });
 }
 
-/// Power of the growth of contacts with a reduced thickness [W].
+/// Power of contacts that recover their thickness [W].
 inline double contact_growth_power(const Plan& plan, double t, const double* x, const double* v) {
     const auto law = plan.contacts.law<double>();
     double power = 0.0;
@@ -202,11 +203,11 @@ inline double contact_growth_power(const Plan& plan, double t, const double* x, 
     return power;
 }
 
-/// Add blocks of stiffness and damping across the gap. What a curved surface adds along itself only softens.
+/// Add blocks of stiffness and damping across the gap. The curvature of a surface only softens.
 inline void add_contact_bounds(const Plan& plan, double t, const double* x, double* stiff, double* damp) {
     const auto law = plan.contacts.law<double>();
     for_each_contact(plan, t, x, nullptr, [&](const ObstacleContact& contact) {
-        // Along the surface an anchor's spring.
+        // The anchor spring acts along the surface.
         const bool has_friction = plan.contacts.obstacles[contact.obstacle].friction.at_rest > 0.0;
         const double w = has_friction ? plan.contacts.frequency : 0.0, along = contact.mass * w * w;
         const double friction_damping = contact.mass * FrictionLaw<double>::damping_per_frequency * w;
@@ -219,7 +220,7 @@ inline void add_contact_bounds(const Plan& plan, double t, const double* x, doub
     });
 }
 
-/// Squared frequency [1/s^2] and damping rate [1/s] of contact that has taken up so much energy per mass, in U^2/2.
+/// Squared frequency [1/s^2] and damping rate [1/s] of contact that has absorbed an energy per mass, in U^2/2.
 struct ContactLimits {
     double omega2 = 0.0, damping = 0.0;
     ContactLimits(const Contacts& contacts, double energy) {
@@ -236,8 +237,8 @@ struct ContactLimits {
     }
 };
 
-/// Accelerations [m/s^2] of half the ways between pads at time t, by the cloth and their drives; `felt` [N] is what else
-/// moves them outward, by the pinch.
+/// Accelerations [m/s^2] of the half openings at time t, by the cloth and the drives; `jaw_forces` [N] are other
+/// opening forces by gripper.
 inline void jaw_accelerations(const Plan& plan, double t, const double* x, const double* v, std::vector<double> jaw_forces,
                                 double* out) {
     const Contacts& contacts = plan.contacts;
@@ -259,7 +260,7 @@ inline void jaw_accelerations(const Plan& plan, double t, const double* x, const
     }
 }
 
-/// Add (df/dx) dx + (df/dv) dv to out, by the law itself on numbers with derivatives.
+/// Add (df/dx) dx + (df/dv) dv to out, by the law on dual numbers.
 inline void add_contact_product(const Plan& plan, double t, const double* x, const double* v, const double* dx,
                                 const double* dv, double* out) {
     const std::int64_t n = plan.count;
@@ -286,7 +287,7 @@ inline void add_contact_product(const Plan& plan, double t, const double* x, con
     });
 }
 
-/// How many particles are in contact with each obstacle, and the least gap to each, in contact or not: (obstacles, 2).
+/// Number of particles in contact with each obstacle, and the least gap to any particle: (obstacles, 2).
 inline void contact_gaps(const Plan& plan, double t, const double* x, double* out) {
     for (std::int64_t obstacle = 0; obstacle < plan.contacts.count(); ++obstacle) {
         out[2 * obstacle] = 0.0;
@@ -299,16 +300,16 @@ inline void contact_gaps(const Plan& plan, double t, const double* x, double* ou
         to[1] = smaller(contact.gap, to[1]);
     });
 }
-/// The gap of each contact [m], as `ReducedThickness` has them: rows of obstacles and particles.
+/// Gap of each contact [m] in the rows and columns of `ReducedThickness`: obstacles and particles.
 inline void contact_gap_rows(const Plan& plan, double t, const double* x, double* out) {
     const auto any_distance = [](double) { return no_gap<double>; };
     for_each_near(plan, t, x, nullptr, any_distance,
                   [&](const ObstacleContact& contact) { out[contact.obstacle * (plan.count + 1) + contact.particle] = contact.gap; });
 }
 
-/// Whether any particle meets an obstacle's surface on its straight way from x0 at time t to x1, `duration` [s] later.
-/// Conservative advancement: a particle cannot meet the surface before it has moved, relative to the obstacle, as far
-/// as its gap. So each step along the way is one gap long, and the gap is then measured anew.
+/// Whether a particle intersects an obstacle on its straight path from x0 at time t to x1, `duration` [s] later.
+/// Conservative advancement: a particle cannot reach the surface before its relative motion equals its gap. Each step
+/// along the path is one gap long; then the gap is measured again.
 inline bool ccd_obstacles(const Plan& plan, double t, double duration, const double* x0, const double* x1) {
     const std::int64_t n = plan.count;
     const double origin[3] = {}, min_step = 1e-3 * plan.contacts.thickness;
@@ -320,8 +321,9 @@ inline bool ccd_obstacles(const Plan& plan, double t, double duration, const dou
         const Obstacle& obstacle = plan.contacts.obstacles[contact.obstacle];
         const std::int64_t i = contact.particle;
         const Vec3<double> from{x0[i], x0[n + i], x0[2 * n + i]}, to{x1[i], x1[n + i], x1[2 * n + i]};
-        // An upper bound of how far the particle moves relative to the obstacle, whose place is a cubic of time: by the
-        // velocities halfway, and by how much the obstacle's may differ from that. What goes along with it hardly moves.
+        // Upper bound of the motion of the particle relative to the obstacle, whose position is a cubic in time:
+        // relative velocity halfway plus the variation of the obstacle's velocity. A particle that moves along with the
+        // obstacle hardly moves.
         const auto order = [&](int k) { return Vec3<double>{path[4 + 3 * k], path[5 + 3 * k], path[6 + 3 * k]}; };
         const double half = 0.5 * duration, middle = t + half - path[0], end = t + duration - path[0];
         const Vec3<double> velocity = order(0) + (2.0 * middle) * order(1) + (3.0 * middle * middle) * order(2);
@@ -333,7 +335,7 @@ inline bool ccd_obstacles(const Plan& plan, double t, double duration, const dou
             const double* const r = path + 17 + 3 * k;
             path_angle += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
         }
-        // A pad turns about its gripper.
+        // A jaw rotates about its gripper.
         path_length += path_angle * (root(norm2(contact.arm)) + root(norm2(contact.posed.lever)) + path_length);
         if (contact.gap > path_length) return;
         for (double fraction = 0.0, gap = contact.gap; fraction < 1.0 && !intersects;) {

@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What obstacles do to particles over a run. Particles are looked at in blocks, a grid's row or as many of a list's; a
-// block that is far from an obstacle is left alone for as many steps as it takes to get near.
+// Contact of particles with obstacles over a run. Particles are processed in blocks, rows of a grid or blocks of a
+// list. A block far from an obstacle is skipped for as many steps as it needs to get near.
 #pragma once
 
 #include "contact/jaw_run.hpp"
@@ -12,7 +12,7 @@ namespace cloth {
 template <class T>
 class ObstacleRun {
 public:
-    /// `pitch` numbers lie from one block's particles to the next one's; `slot_of(particle)` says where among them.
+    /// The particles of consecutive blocks are `pitch` numbers apart; slot_of(particle) is the index of a particle.
     template <class F>
     ObstacleRun(Plan& plan, const Run& run, const double* origin, int threads, std::int64_t blocks, std::int64_t pitch,
                F&& slot_of)
@@ -44,10 +44,11 @@ public:
             }
     }
 
-    /// Move pads to a step, before any block is looked at: all blocks have been at the step before.
+    /// Advance the jaws to a step, before any block is processed and after all blocks have finished the step before.
     void advance_jaws(int thread, std::int64_t step) { jaws_.advance(thread, step); }
     JawRun& jaws() { return jaws_; }
-    /// Add the forces on a block's particles at positions x and velocities v to f, all by component; `own` books them.
+    /// Add the forces on a block of particles at positions x and velocities v to f, all by component; `record`
+    /// accumulates them.
     void add(int thread, std::int64_t index, std::int64_t step, const T* x, const T* v, T* f, std::int64_t count,
              bool record) {
         const Block<T> block{x, v, pitch_, masses_.data() + index * pitch_, count};
@@ -80,7 +81,7 @@ public:
             if (is_jaw) jaws_.record_load(obstacle, index, step, jaw_load);
         }
     }
-    /// The same for particles as quads, a block of them.
+    /// The same for a block of particles as quads.
     void add_quads(int thread, std::int64_t index, std::int64_t step, const T* x, const T* v, T* f, std::int64_t count) {
         ThreadState& state = threads_[thread];
         bool all_skipped = true;
@@ -101,7 +102,7 @@ public:
         for (std::int64_t i = 0; i < count; ++i)
             for (int c = 0; c < 3; ++c) f[4 * i + c] = forces[c * pitch_ + i];
     }
-    /// Sum up what was booked, in order of the blocks, and what was met.
+    /// Sum up the records in order of the blocks, and the contact summary.
     void finish() {
         if (run_.anchors)
             for_each_anchor([&](T& anchor, std::size_t to) { run_.anchors[to] = static_cast<double>(anchor); });
@@ -134,14 +135,14 @@ public:
 private:
     using V = vec<T>;
     using JawLoad = JawRun::JawLoad;
-    /// What is booked is summed in so many sums, whatever the vectors' width.
+    /// Number of partial sums of a record, independent of the vector width.
     static constexpr int n_partials = 16;
-    /// A block that is far from an obstacle is skipped (sleeps) for the time in which its fastest particle, `slack`
-    /// [m/s] faster than now, and the obstacle at its fastest would cover the fraction `share` of the distance to contact.
+    /// A block far from an obstacle is skipped for the time in which its fastest particle, `speed_margin` [m/s] faster
+    /// than now, and the obstacle at its largest speed cover the fraction `skip_fraction` of the distance to contact.
     static constexpr double speed_margin = 0.25, skip_fraction = 0.25;
 
-    /// Of a block's contacts with an obstacle: their thickness at the start and its rates, null where it is the whole one,
-    /// the time of the step, and sums of the power of their growth, or null.
+    /// Reduced thickness of a block's contacts with an obstacle: at the start, and its rates, null if it is the full
+    /// one; the time of the step; sums of the growth power, or null.
     struct Reduced {
         const T *at_start = nullptr, *rates = nullptr;
         double t = 0.0;
@@ -149,11 +150,11 @@ private:
     };
     struct SkipState {
         std::int64_t until = -2;
-        T speed = T(0);  ///< that was counted with; zero where it did not sleep
+        T speed = T(0);  ///< assumed speed; zero if the block was not skipped
         bool in_contact = false;
     };
-    /// What was met, a number in each place of a vector: the least gap, the largest speed with which a particle was about to
-    /// come into contact, and the largest energy per mass of one in contact.
+    /// Contact of a thread, by lane: least gap, largest closing speed of a particle about to touch, and largest energy
+    /// per mass in contact.
     struct Encounter {
         V gap = splat<V>(no_gap<T>), approach_speed{}, energy{};
         void include(const BlockScan<T>& scan) {
@@ -165,7 +166,7 @@ private:
             for (int k = 0; k < lanes<T>; ++k) min = smaller<T>(gap[k], min);
             return static_cast<double>(min);
         }
-        /// The step has to be short enough for the speed of an impact before the particle is in contact.
+        /// The step has to be short enough for the impact speed before the particle is in contact.
         T max_energy() const {
             T max = T(0);
             for (int k = 0; k < lanes<T>; ++k) {
@@ -179,17 +180,17 @@ private:
         PoseCache poses;
         std::vector<SkipState> skips;
         Array<T> buffer;
-        Encounter obstacles, jaws;  ///< at obstacles and at pads
+        Encounter obstacles, jaws;  ///< with obstacles and with jaws
         bool violated = false;
         explicit ThreadState(const ObstacleRun& run)
             : poses(run.contacts_.paths, run.run_.t, run.run_.step), skips(run.blocks_ * run.contacts_.count()),
               buffer(9 * run.pitch_) {}
     };
 
-    /// Bound of the speed of an obstacle's surface over the run [m/s]; infinite for a plane that turns.
+    /// Upper bound of the speed of an obstacle's surface over the run [m/s]; infinite for a plane that rotates.
     ///
-    /// A path is a cubic, so its speed lies within the hull of three control points: those at either end, and between
-    /// them. A rotation vector changes at least as fast as what it turns.
+    /// A path is a cubic, so its velocity lies in the convex hull of three control points: those at either end, and the
+    /// one between them. A rotation vector changes at least as fast as the rotation.
     double max_surface_speed(std::int64_t obstacle) const {
         const double* const path = contacts_.path(obstacle);
         const double begin = run_.t - path[0], end = begin + run_.step * static_cast<double>(run_.steps);
@@ -208,7 +209,7 @@ private:
         return max_speed(path + 4) + (angular_speed > 0.0 ? angular_speed * contacts_.obstacles[obstacle].radius : 0.0) +
                (jaw ? jaw->speed : 0.0);
     }
-    /// Call `what` with each number of an anchor as the run holds it, and its place among the plan's.
+    /// Call `visit` with each number of an anchor in the run, and its index among those of the plan.
     template <class F>
     void for_each_anchor(F&& visit) {
         const std::int64_t k = contacts_.count(), n = static_cast<std::int64_t>(slots_.size());
@@ -245,8 +246,8 @@ private:
             return finding.result();
         };
         ScanResult<T> result{};
-        // A block in contact at its last look is most likely still in contact: it skips `look`, as `push` finds the
-        // same.
+        // A block in contact in the last step most likely still is: it skips the scan, because `add_contact_forces`
+        // finds the same.
         const bool must_scan = !skip.in_contact;
         if (must_scan) result = scan();
         if (!must_scan || result.gap < thickness) {
@@ -262,7 +263,7 @@ private:
         state.violated = state.violated || (skip.speed > T(0) && result.speed > T(2) * skip.speed);
         skip.speed = T(0);
         if (skip.in_contact || !contacts_.may_skip_blocks || !run_.steps) return;
-        // The obstacle's own speed now is part of what was found; it may be slow now and fast before the next look.
+        // The scan includes the present speed of the obstacle only; it may be faster before the next scan.
         const T speed = result.speed + T(2) * max_surface_speeds_[obstacle] + T(speed_margin), free_path = T(skip_fraction) * (result.gap - thickness);
         const double steps = static_cast<double>(free_path) / (static_cast<double>(speed) * run_.step);
         const std::int64_t n_left = run_.steps - 1 - step;
@@ -270,8 +271,8 @@ private:
         skip.until = step + std::max<std::int64_t>(1, before_end ? static_cast<std::int64_t>(steps) : n_left);
         skip.speed = speed;
     }
-    /// Push a block's particles; return whether any is in contact. Anchors of the obstacle lie in `held`; they move if
-    /// `moves`.
+    /// Add the contact forces on a block of particles; return whether any is in contact. `anchors` of the obstacle move
+    /// if `move_anchors`.
     template <Shape S, bool Rotating, bool Friction>
     bool add_contact_forces(Encounter& encounter, const PosedObstacle<T>& posed, const Vec3<T>& size, const Block<T>& block, BlockScan<T> scan, T* f,
               T* sums, [[maybe_unused]] T* anchors, [[maybe_unused]] std::int64_t obstacle, [[maybe_unused]] bool move_anchors,
@@ -321,8 +322,8 @@ private:
                 force = force + tangential;
                 dissipation = fma(mass, friction_force.dissipation, dissipation);
                 if (move_anchors) {
-                    // Forces are met at the middle of a step. Anchors go on to its end, by the slip now and the push
-                    // carried on from the last step's: else they would lag by half a step.
+                    // Forces are evaluated at the middle of a step. Anchors are advanced to its end, by the present
+                    // relative velocity and the extrapolated push; otherwise they would lag by half a step.
                     const Vec3<V> remaining = half * s.slip;
                     T* const previous_push = pushes_.data() + (anchors - anchors_.data()) / anchor_numbers + j;
                     const V previous = load(previous_push), increase = select(previous > V{}, law_force.push - previous, V{});
@@ -380,14 +381,14 @@ private:
     const Run& run_;
     const double* origin_;
     ContactLaw<V> law_;
-    std::vector<T> max_surface_speeds_;  ///< speed of each obstacle's surface at most [m/s]
+    std::vector<T> max_surface_speeds_;  ///< upper bounds of the surface speed of each obstacle [m/s]
     std::int64_t blocks_, pitch_;
     JawRun jaws_;
     Array<T>& masses_;
     std::vector<ThreadState> threads_;
-    Array<T> sums_, anchors_, pushes_;  ///< the pushes of friction's last step
-    Array<T> reduced_, rates_, growth_powers_;  ///< thickness of each contact, its rate, power of growth by the block
-    std::vector<std::int64_t> slots_;  ///< of each particle among the blocks
+    Array<T> sums_, anchors_, pushes_;  ///< the pushes of the last step's friction
+    Array<T> reduced_, rates_, growth_powers_;  ///< thickness of each contact, its rate, growth power by block
+    std::vector<std::int64_t> slots_;  ///< slot of each particle in the blocks
 };
 
 }  // namespace cloth

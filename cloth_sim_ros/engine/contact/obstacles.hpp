@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Obstacles that move as commanded, and how a block of particles stands to one of them.
+// Obstacles on prescribed paths, and the kinematics of a block of particles relative to one of them.
 #pragma once
 
 #include "contact/parallel_jaw.hpp"
@@ -19,31 +19,31 @@ namespace cloth {
 struct Obstacle {
     Shape shape;
     Vec3<double> size;
-    double radius;  ///< of a sphere about its frame's origin that holds it all; infinite for a plane
+    double radius;  ///< of the bounding sphere about the origin of its frame; infinite for a plane
     FrictionCoefficients friction;
-    std::int64_t parallel_jaw = -1;  ///< of the pad of a gripper that pinches, which; negative for all else
-    double jaw_side = 0.0;        ///< on which side of its closing axis
-    std::shared_ptr<const Mesh> mesh = nullptr;  ///< of a mesh
+    std::int64_t parallel_jaw = -1;  ///< index of the gripper whose jaw this is; negative for other obstacles
+    double jaw_side = 0.0;        ///< side on the closing axis, +1 or -1
+    std::shared_ptr<const Mesh> mesh = nullptr;  ///< of a mesh obstacle
 };
 
-/// Contacts that have a reduced thickness for a while. They regain the whole one, each at a constant rate over a frame.
+/// Contacts with a temporarily reduced thickness. Each recovers the full thickness at a constant rate over a frame.
 struct ReducedThickness {
-    /// Thickness [m] at the time `start` [s] of the contact of each obstacle with each particle, and in a last row of the
-    /// cloth with itself; the last column is of obstacles' points and edges. Room for a vector lies behind. Empty where
-    /// all contacts have the whole thickness.
+    /// Thickness [m] at time `start` [s] of the contact of each obstacle with each particle; the last row is for
+    /// contact of the cloth with itself, the last column for points and edges of obstacles. Padded by a vector. Empty
+    /// if all contacts have the full thickness.
     std::vector<double> at_start;
     std::vector<double> rates;  ///< of the same contacts [m/s]
     double full = 0.0, start = 0.0;
 
     bool any() const { return !at_start.empty(); }
-    /// Of contacts by their thickness at the start and its rate, at a time t [s].
+    /// Scaling of contacts with thickness `at_start` and its rate, at time t [s].
     template <class V>
     CLOTH_INLINE Scaling<V> scaling(V at_start, V rate, double t) const {
         const auto of = [](double a) CLOTH_INLINED { return splat<V>(scalar<V>(a)); };
         const V thickness = smaller(fma(rate, of(t - start), at_start), of(full));
         return {of(full) / thickness, rate / thickness};
     }
-    /// Of one contact by its row and column, of so many columns.
+    /// Scaling of one contact by row and column.
     Scaling<double> scaling(std::int64_t row, std::int64_t column, std::int64_t columns, double t) const {
         const std::int64_t k = row * columns + column;
         return any() ? scaling<double>(at_start[k], rates[k], t) : full_thickness<double>();
@@ -54,16 +54,16 @@ struct Contacts {
     std::vector<Obstacle> obstacles;
     std::vector<double> paths;
     double thickness = 0.0, damping = 0.0;
-    /// Frequency of the springs to friction's anchors [1/s]. `anchors` holds the anchors at the start of runs,
-    /// (obstacles, anchor_numbers, particles), and behind them those on layers of the cloth, see LayerAnchors.
+    /// Frequency of the anchor springs of friction [1/s]. `anchors`: anchors at the start of runs, (obstacles,
+    /// anchor_numbers, particles), followed by those of friction between layers, see LayerAnchors.
     double frequency = 0.0;
     std::vector<double> anchors;
-    /// Grippers that pinch, and where their pads are at the start of runs, (pinches, jaw_state_size).
+    /// Parallel grippers, and the states of their jaws at the start of runs, (jaws, jaw_state_size).
     std::vector<ParallelJaw> parallel_jaws;
     std::vector<double> jaw_states;
     ReducedThickness reduced;
-    /// Indices of the obstacles that a run may meet. `sleeps`: whether a run may skip a block of particles for some
-    /// steps while the block is far from an obstacle.
+    /// Indices of the obstacles that a run may meet. `may_skip_blocks`: whether a run may skip a block of particles for
+    /// some steps while the block is far from an obstacle.
     std::vector<std::int64_t> active;
     bool may_skip_blocks = true;
 
@@ -74,7 +74,7 @@ struct Contacts {
     }
     std::int64_t count() const { return static_cast<std::int64_t>(obstacles.size()); }
     const double* path(std::int64_t obstacle) const { return paths.data() + obstacle * path_numbers; }
-    /// The pinch of an obstacle that is a pad, or null.
+    /// The gripper whose jaw an obstacle is, or null.
     const ParallelJaw* jaw_of(std::int64_t obstacle) const {
         const std::int64_t jaw = obstacles[obstacle].parallel_jaw;
         return jaw < 0 ? nullptr : &parallel_jaws[jaw];
@@ -83,21 +83,21 @@ struct Contacts {
         const ParallelJaw* const jaw = jaw_of(obstacle);
         return !jaw || jaw->present;
     }
-    /// Pose of an obstacle, from `pose` of its path. A pad is shifted along its gripper's closing axis: its face is
-    /// `way` [m] from the gripper and moves outward at `rate` [m/s].
+    /// Pose of an obstacle from the `pose` on its path. A jaw is shifted along the closing axis: its face is
+    /// `half_opening` [m] from the gripper and moves outward at `jaw_speed` [m/s].
     Pose shifted_pose(const Pose& pose, std::int64_t obstacle, double half_opening, double jaw_speed) const {
         const ParallelJaw* const jaw = jaw_of(obstacle);
         return jaw ? jaw_pose(pose, obstacles[obstacle].jaw_side, half_opening + jaw->half_thickness, jaw_speed) : pose;
     }
-    /// Pose of an obstacle, pads being where they are at the start of runs.
+    /// Pose of an obstacle, with the jaws as at the start of runs.
     Pose obstacle_pose(std::int64_t obstacle, double t) const {
         const Pose at = pose_at(path(obstacle), t);
         if (!jaw_of(obstacle)) return at;
         const double* const state = jaw_states.data() + obstacles[obstacle].parallel_jaw * jaw_state_size;
         return shifted_pose(at, obstacle, state[0], state[1]);
     }
-    /// The same, pads moving as fast as they may within a duration [s] from then on, towards where they are driven: at the
-    /// speed without load, or at their own where that is larger.
+    /// The same with jaws that move as fast as they may within a duration [s]: at the speed without load, or at their
+    /// present speed if that is larger.
     Pose driven_pose(std::int64_t obstacle, double t, double duration) const {
         const ParallelJaw* const jaw = jaw_of(obstacle);
         if (!jaw || duration == 0.0) return obstacle_pose(obstacle, t);
@@ -105,12 +105,12 @@ struct Contacts {
         const double jaw_speed = jaw->closed ? smaller(state[1], -jaw->speed) : larger(state[1], jaw->speed);
         return shifted_pose(pose_at(path(obstacle), t), obstacle, state[0], jaw_speed);
     }
-    /// The larger of both speeds of a pad [m/s].
+    /// The larger of the present speed of a jaw and its speed without load [m/s].
     double max_jaw_speed(std::int64_t obstacle) const {
         const double speed = jaw_states[obstacles[obstacle].parallel_jaw * jaw_state_size + 1];
         return larger(jaw_of(obstacle)->speed, absolute(speed));
     }
-    /// Numbers of anchors on obstacles; behind them are those on layers of the cloth, if any.
+    /// Size of the anchors on obstacles; those on layers of the cloth follow.
     std::int64_t obstacle_anchors(std::int64_t particles) const { return count() * anchor_numbers * particles; }
     bool has_friction() const {
         for (const Obstacle& obstacle : obstacles)
@@ -123,8 +123,8 @@ struct Contacts {
     }
 };
 
-/// What a run met. `reached`: largest energy per mass that contact has to take up, in units of U^2/2. `gap`: least gap
-/// [m]. `missed`: whether a block that was skipped for some steps moved faster than the skip allowed for.
+/// Contact summary of a run. `energy`: largest energy per mass that contact has to absorb, in units of U^2/2. `gap`:
+/// least gap [m]. `violated`: whether a skipped block moved faster than assumed.
 struct ContactSummary {
     static constexpr int numbers = 3;
     double energy = 0.0, gap = 1e30;
@@ -135,15 +135,15 @@ struct ContactSummary {
         out[2] = violated ? 1.0 : 0.0;
     }
 };
-/// Particles of a list that are looked at together.
+/// Particles in a block of a list.
 inline constexpr std::int64_t contact_block = 64;
 
-/// An obstacle at a moment; places are seen from a run's origin.
+/// An obstacle with its pose at one time. Positions are relative to the origin of a run.
 template <class T>
 struct PosedObstacle {
     Vec3<T> position, rotation[3], velocity, spin;
-    const Mesh* mesh;  ///< of an obstacle that is one
-    Vec3<T> lever{};  ///< from the point about which torques are booked, a pad's gripper, to its place
+    const Mesh* mesh;  ///< null if the obstacle is not a mesh
+    Vec3<T> lever{};  ///< from the reference point of torques (the gripper of a jaw) to its position
 
     PosedObstacle(const Pose& pose, const double* origin, const Obstacle& obstacle) : mesh(obstacle.mesh.get()) {
         const auto rounded = [](Vec3<double> a) { return Vec3<T>{T(a.x), T(a.y), T(a.z)}; };
@@ -152,7 +152,7 @@ struct PosedObstacle {
         velocity = rounded(pose.velocity);
         spin = rounded(pose.spin);
     }
-    /// A vector of the world in the obstacle's frame, and back.
+    /// Rotate a vector into the frame of the obstacle, and back.
     template <class V>
     CLOTH_INLINE Vec3<V> inward(const Vec3<V>& a) const {
         return {dot(axis<V>(0), a), dot(axis<V>(1), a), dot(axis<V>(2), a)};
@@ -172,8 +172,8 @@ CLOTH_INLINE Vec3<V> splat3(const Vec3<scalar<V>>& a) {
     return {splat<V>(a.x), splat<V>(a.y), splat<V>(a.z)};
 }
 
-/// How a particle stands to an obstacle: its way from the obstacle's place, the gap, the direction off it, how fast the gap
-/// closes, and its velocity seen from the obstacle.
+/// Kinematics of a particle relative to an obstacle: vector from its position, gap, normal, relative velocity and
+/// closing speed.
 template <class V>
 struct ContactKinematics {
     Vec3<V> arm;
@@ -181,7 +181,7 @@ struct ContactKinematics {
     Vec3<V> normal, slip;
     V closing;
 };
-/// With Turns the obstacle may turn; else its spin is zero and left out, which changes no bit.
+/// Rotating: whether the obstacle may rotate. Without rotation the term is left out, which changes no bit.
 template <Shape S, bool Rotating, class V>
 CLOTH_INLINE ContactKinematics<V> contact_kinematics(const PosedObstacle<scalar<V>>& posed, const Vec3<scalar<V>>& size, Vec3<V> x, Vec3<V> v) {
     const Vec3<V> c = splat3<V>(posed.rotation[2]);
@@ -212,8 +212,8 @@ CLOTH_INLINE ContactKinematics<V> contact_kinematics(const PosedObstacle<scalar<
     return s;
 }
 
-/// Particles side by side: positions and velocities by component, `pitch` numbers apart, and masses, zero where a particle
-/// is anchored or none. Whole vectors may be read.
+/// A block of particles: positions and velocities by component, `pitch` numbers apart, and masses, zero for anchored
+/// particles and padding. Whole vectors may be read.
 template <class T>
 struct Block {
     const T *x, *v;
@@ -231,25 +231,25 @@ struct Block {
     }
 };
 
-/// What a look at a block finds: the least gap, the largest speed seen from the obstacle, and the largest speed with which
-/// a particle is about to come into contact.
+/// Result of a scan of a block: least gap, largest relative speed, and largest closing speed of a particle about to
+/// touch.
 template <class T>
 struct ScanResult {
     T gap, speed, approach_speed;
 };
-/// Stands for the gap of a particle that doesn't count (anchored, or padding): larger than any real gap.
+/// Gap of a particle that does not count (anchored or padding): larger than any real gap.
 template <class T>
 inline constexpr T no_gap = T(1e30);
 
-/// Collects `ScanResult` from vectors of particles. A particle is about to come into contact if, at its present speed, its
-/// gap falls below `near` [m] within `ahead` [s].
+/// Collects a `ScanResult` from vectors of particles. A particle is about to touch if its gap falls below
+/// `contact_distance` [m] within `lookahead` [s] at its present speed.
 template <class T>
 class BlockScan {
     using V = vec<T>;
 
 public:
     BlockScan(T contact_distance, T lookahead) : contact_distance_(splat<V>(contact_distance)), negative_lookahead_(splat<V>(-lookahead)) {}
-    /// Takes a vector of particles in and returns their gaps: `no_gap` where the mass is zero.
+    /// Include a vector of particles; return their gaps, `no_gap` if the mass is zero.
     CLOTH_INLINE V include(const ContactKinematics<V>& s, V mass) {
         max_speed2_ = larger(select(mass > V{}, norm2(s.slip), V{}), max_speed2_);
         return include_gap(s, mass);

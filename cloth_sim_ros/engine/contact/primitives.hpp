@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Nearest points: of a triangle to a point, and of two segments to each other. V is a number, a vector of them, or a
-// number with its derivative.
+// Nearest points of primitives: triangle to point, and segment to segment. V is a number, a vector of them, or a dual
+// number.
 #pragma once
 
 #include "core/algebra.hpp"
@@ -14,7 +14,7 @@ CLOTH_INLINE V within_one(V a) {
     return larger(smaller(a, splat<V>(1.0)), V{});
 }
 
-/// Where a segment from a to b is nearest to a point, as a share of the way from a; and the square of that distance.
+/// Nearest point of a segment from a to b: fraction from a, and squared distance.
 template <class V>
 struct OnSegment {
     V fraction, square;
@@ -28,13 +28,13 @@ CLOTH_INLINE OnSegment<V> near_segment(Vec3<V> p, Vec3<V> a, Vec3<V> b) {
     return {fraction, norm2(away), away};
 }
 
-/// Where a triangle is nearest to a point: weights of its corners.
+/// Nearest point of a triangle: weights of its corners.
 template <class V>
 struct OnTriangle {
     V weight[3], square;
     Vec3<V> away;
 };
-/// Inside, or on the nearest edge. A triangle without area has edges only.
+/// Inside, or on the nearest edge. A degenerate triangle has edges only.
 template <class V>
 CLOTH_INLINE OnTriangle<V> near_triangle(Vec3<V> p, Vec3<V> a, Vec3<V> b, Vec3<V> c) {
     const V zero{}, unit = splat<V>(1.0);
@@ -58,7 +58,7 @@ CLOTH_INLINE OnTriangle<V> near_triangle(Vec3<V> p, Vec3<V> a, Vec3<V> b, Vec3<V
     return n;
 }
 
-/// Where two segments, from a to b and from c to e, are nearest to each other: as shares of their ways.
+/// Nearest points of two segments, from a to b and from c to e, as fractions.
 template <class V>
 struct OnSegments {
     V first, second, square;

@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Contact of the cloth with itself: who is near whom, and what steps have to follow.
+// Self-contact: Verlet lists of near pairs, and stiffness bounds for step control.
 #pragma once
 
 #include "contact/self_friction.hpp"
@@ -9,8 +9,8 @@
 
 namespace cloth {
 
-/// Upper bound of how far any two particles have moved relative to each other: the diagonal of the box that holds all
-/// displacements. NaN where a displacement is not finite.
+/// Upper bound of the relative motion of any two particles: diagonal of the bounding box of all displacements. NaN if a
+/// displacement is not finite.
 class MotionBound {
 public:
     CLOTH_INLINE void include(quad<double> displacement) {
@@ -27,20 +27,20 @@ private:
     quad<double> low_ = quad<double>{} + 1e300, high_ = quad<double>{} - 1e300, nan_check_{};
 };
 
-/// What of a surface is near itself, kept from one call to the next. Positions are quads.
+/// Verlet lists of a surface, kept between calls. Positions are quads.
 class SelfContact {
 public:
     Surface surface;
-    /// Friction between layers.
+    /// Friction coefficients between layers.
     FrictionCoefficients friction;
     bool has_friction() const { return friction.at_rest > 0.0; }
-    /// Of the last `find`: pairs that are near.
+    /// Pairs of the last `find`.
     PairList triangles, edges;
     std::vector<double> triangle_squares, edge_squares;
-    /// Least reach of a list of pairs, as a fraction of the shortest edge: neighbours of neighbours in a flat sheet are
-    /// beyond it.
+    /// Least range of a list, as a fraction of the shortest edge: next-nearest neighbours in a flat sheet are beyond
+    /// it.
     static constexpr double min_reach = 0.6;
-    bool caches = true;  ///< false makes a new list every time, for tests
+    bool caches = true;  ///< false rebuilds the lists in every call, for tests
 
     std::array<Index, 4> triangle_corners(std::size_t k) const {
         const auto& t = surface.triangles[triangles.second[k]];
@@ -51,9 +51,9 @@ public:
         return {a[0], a[1], b[0], b[1]};
     }
 
-    /// Find the pairs of a particle and a triangle that are nearer than thickness + beyond [m], and the pairs of edges
-    /// that are nearer than thickness / 2 + beyond. False where a position is not finite, or where thickness + beyond
-    /// is at least four times the shortest edge.
+    /// Find the pairs of a particle and a triangle nearer than thickness + margin [m], and the pairs of edges nearer
+    /// than thickness / 2 + margin. Return false if a position is not finite, or if thickness + margin is at least four
+    /// times the shortest edge.
     bool find(const double* x, double thickness, double margin) {
         if (!(thickness + margin < 4.0 * surface.shortest)) return false;
         const bool use_middle = margin <= middle_margin * thickness;
@@ -71,8 +71,8 @@ public:
         filter(from.edges, 0.5 * thickness + margin, edges, &edge_squares);
         return true;
     }
-    /// The same for a run, in every step: `gaps` in place of triangles. `moved` is how far particles have moved relative to
-    /// each other since the last call [m], at most; after anything else than that it is infinite.
+    /// The same for each step of a run, with `gaps` in place of triangles. `motion`: upper bound of the relative motion
+    /// of particles since the last call [m]; infinite after any other call.
     bool update(const double* x, double thickness, double margin, double motion) {
         if (!(thickness + margin < 4.0 * surface.shortest)) return false;
         motion_ += motion;
@@ -89,24 +89,24 @@ public:
         filter(inner_.pairs.edges, 0.5 * thickness + margin, edges, &edge_squares);
         return true;
     }
-    /// What `follow` found, and the pairs of a particle and a triangle that it looked at, as many as `gaps.square`.
+    /// Result of `update`, and the pairs of a particle and a triangle that it evaluated, as many as `gaps.square`.
     SelfGaps gaps;
     const PairList& inner_pairs() const { return inner_.pairs.triangles; }
 
 private:
     static constexpr double max_reach = 0.95;  ///< as a fraction of the shortest edge
-    /// Extra reach of a list that is looked at in some steps, as a fraction of the thickness, and of one that is looked at
-    /// in every step: as many times the way that is looked ahead, but no less than a fraction of the thickness.
+    /// Margin of the middle list, as a fraction of the thickness, and of the inner list: a multiple of the look-ahead
+    /// distance, at least a fraction of the thickness.
     static constexpr double middle_margin = 0.3, inner_margin_factor = 6.0, min_inner_margin = 0.02;
 
-    /// Pairs, where particles were as they were found, and how far beyond the thickness they reach.
+    /// A level of the Verlet list: pairs, positions when they were found, and margin beyond the thickness.
     struct ListLevel {
         SurfacePairs pairs;
         Array<double> positions;
         double margin = -1.0;
     };
 
-    /// How far particles have moved relative to each other since they were at some places, none of them known at first.
+    /// Relative motion of particles since reference positions; since the origin if there are none.
     double motion_since(const double* x, const Array<double>& reference) const {
         MotionBound motion;
         if (static_cast<std::int64_t>(reference.size()) == 4 * surface.count)
@@ -115,14 +115,14 @@ private:
             for (std::int64_t i = 0; i < surface.count; ++i) motion.include(load4(x + 4 * i));
         return motion.diameter();
     }
-    /// Whether particles are where pairs can be found. Lists of another thickness are forgotten.
+    /// Return whether positions are finite. Clears lists of another thickness.
     bool check_positions(const double* x, double thickness) {
         if (!(motion_since(x, outer_.positions) < 1e30)) return false;
         if (thickness != thickness_) outer_.pairs.reach = middle_.margin = inner_.margin = -1.0;
         thickness_ = thickness;
         return true;
     }
-    /// Whether a list has all pairs within the thickness and beyond. It has none for positions that are not finite.
+    /// Whether a list contains all pairs within the thickness and the margin. False for positions that are not finite.
     bool covers_outer(const double* x, double thickness, double margin) const {
         return caches && thickness == thickness_ && thickness + margin + motion_since(x, outer_.positions) <= outer_.pairs.reach;
     }
@@ -131,9 +131,10 @@ private:
     }
     void rebuild_outer(const double* x, double margin) {
         if (covers_outer(x, thickness_, margin)) return;
-        // The further it reaches, the longer it holds; but from the shortest edge on it has all neighbours in a flat sheet.
+        // The longer its range, the longer it is valid; but beyond the shortest edge it contains all neighbours in a
+        // flat sheet.
         const double range = thickness_ + margin, longer = smaller(1.5 * range, max_reach * surface.shortest);
-        // Edges keep half the thickness.
+        // Edges have half the thickness.
         outer_.pairs.build(surface, x, larger(min_reach * surface.shortest, larger(1.2 * range, longer)), 0.5 * thickness_);
         outer_.positions.assign(x, x + 4 * surface.count);
     }
@@ -148,7 +149,7 @@ private:
         prune(x, middle_.pairs, margin, inner_);
         gaps.set_candidates(surface, inner_.pairs.triangles, x, thickness_ + margin);
     }
-    /// Those of some pairs that are within the thickness and beyond.
+    /// Keep the pairs within the thickness and the margin.
     void prune(const double* x, const SurfacePairs& from, double margin, ListLevel& to) {
         from.triangle_squares(surface, x, squares_);
         filter(from.triangles, thickness_ + margin, to.pairs.triangles, nullptr);
@@ -166,7 +167,7 @@ private:
                 if (squares) squares->push_back(squares_[k]);
             }
     }
-    /// Each a part of the one before.
+    /// Each level is a part of the one before.
     ListLevel outer_, middle_, inner_;
     double thickness_ = 0.0, motion_ = 0.0;
     std::vector<double> squares_;
@@ -177,16 +178,16 @@ struct ContactBounds {
     double omega2 = 0.0, damping = 0.0;
 };
 
-/// What contact has taken up and will have to: energy per mass in units of U^2/2 of particles and of edges; and by how much
-/// stiffness over mass exceeds that of a single gap, at the particle that most acts on (Gershgorin: a pair's stiffness
-/// k g g' is at most 2 k |g_c| at each of its corners).
+/// Stiffness bound of self-contact: the energy per mass that it absorbs, in units of U^2/2, for particles and for
+/// edges; and the largest row sum of stiffness over mass relative to a single gap (Gershgorin: a pair's stiffness k g
+/// g' is at most 2 k |g_c| at each of its corners).
 class StiffnessBound {
 public:
-    /// Least stiffness over mass, relative to that of a single gap: two layers in contact push each other.
+    /// Least row sum relative to a single gap: two layers in contact push each other.
     static constexpr double min_row_sum = 2.0;
     double encountered[2] = {}, gap = 1e30;
 
-    /// A particle's or a pair of edges' meeting at its closing speed.
+    /// Include the contact of a particle or of a pair of edges.
     template <class V>
     void include(const Surface& s, const Contact<V>& m) {
         if (m.gaps.empty()) return;
@@ -200,16 +201,15 @@ public:
                 add(m.edges, c, s.count, 2.0 * g.sign * m.mass * weight / s.masses[c]);
             }
     }
-    /// A gap that closes at a speed and holds an energy already. Where two masses meet, one may stand still: then all of
-    /// m w^2/2 goes into half of m U^2/2 b.
+    /// Add a gap with a closing speed and a contact energy. One of the two masses may be at rest: then m w^2/2 is
+    /// converted into half of m U^2/2 b.
     void add_contact(bool edges, double closing, double shape = 0.0) {
         include_energy(edges, energy_to_stop(closing, shape));
     }
     void include_energy(bool edges, double energy) { encountered[edges] = larger(energy, encountered[edges]); }
-    /// Take in what stiffness adds up to at particles, over that of a single gap, and forget it: the fourth number of
-    /// each of so many quads, times one over the mass.
+    /// Include the row sums collected as the fourth number of each quad, times the inverse mass, and clear them.
     void gather_row_sums(const Surface& s, double* f) {
-        // Four at a time: each waits for the one before it.
+        // Four independent maxima, because each waits for the one before.
         quad<double> max[4] = {};
         for (std::int64_t i = 0; i < s.count; ++i) {
             const quad<double> force = load4(f + 4 * i);
@@ -218,8 +218,8 @@ public:
         }
         for (const quad<double>& lane_max : max) row_sum_[0] = larger(lane_max[3], row_sum_[0]);
     }
-    /// Take in a pair that is not in contact yet and comes into contact within a duration [s]: the step has to be short
-    /// enough for its closing speed before that. What closes slower than `from` [m/s] does not count.
+    /// Add a pair that comes into contact within a duration [s], because the step has to be short enough for its
+    /// closing speed before that. Slower ones than `min_speed` [m/s] are ignored.
     void add_approaching(const std::array<Index, 4>& corner, bool edges, const SelfLaw<double>& law, const Quads& at,
               const Quads& velocity, double duration, double min_speed = 0.0) {
         Vec3<double> offset, relative_velocity;
@@ -239,7 +239,7 @@ public:
         const double remaining = scaling.gap(distance) - law.thickness(edges);
         if (remaining >= 0.0 && remaining < duration * closing && closing >= min_speed) add_contact(edges, closing);
     }
-    /// Look at what was added since the last time.
+    /// Include the row sums collected since the last call, and clear them.
     void flush() {
         for (int edges = 0; edges < 2; ++edges) {
             for (const Index c : loaded_[edges]) {
@@ -249,7 +249,7 @@ public:
             loaded_[edges].clear();
         }
     }
-    /// `rubbing` [1/s^2] is the squared frequency of anchors' springs, which act wherever particles meet.
+    /// `friction_omega2` [1/s^2]: squared frequency of the anchor springs, which act at every contact.
     ContactBounds bounds(double thickness, double damping, double expected = 1.0, double friction_omega2 = 0.0,
                     double frequency = 1.0) const {
         ContactBounds r;
@@ -280,8 +280,8 @@ private:
     std::vector<Index> loaded_[2];
 };
 
-/// Call `particle(i, first, last)` with ranges of a particle's triangles, and `edge(k)` with each pair of edges, that
-/// `find` found.
+/// Call particle(i, first, last) with the range of triangles of each particle, and edge(k) with each pair of edges of
+/// `find`.
 template <class P, class E>
 inline void for_each_neighbor(const SelfContact& self, P&& particle, E&& edge) {
     const PairList& t = self.triangles;

@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Friction between layers of the cloth: each side of a particle holds on to a point of the layer that lies there.
-// docs/contact.md derives it. V is a number, or one with its derivative.
+// Friction between layers of the cloth: an anchor spring from each face of a particle to a point of the layer there.
+// docs/contact.md derives it. V is a number or a dual number.
 #pragma once
 
 #include "contact/self_law.hpp"
@@ -10,17 +10,17 @@
 
 namespace cloth {
 
-/// Sides of a particle: a layer may lie on either.
+/// Faces of a particle: a layer may be in contact with either.
 inline constexpr int layer_sides = 2;
-/// An anchor's numbers are the triangle that it lies in, its weights of that one's second and third corner, and its bond:
-/// anchor_numbers of them for each side and particle.
+/// Numbers of an anchor: its triangle, its weights of the second and third corner, and its bond; anchor_numbers for
+/// each face and particle.
 struct LayerAnchor {
     Index triangle = -1;
     double second = 0.0, third = 0.0;
     Bond bond = no_bond;
 };
 
-/// What pushes a particle off on one of its sides, as an acceleration, and the nearest triangle there, -1 for none.
+/// Push on one face of a particle, as an acceleration, and the nearest triangle there, -1 for none.
 template <class V>
 struct Layer {
     Vec3<V> push{};
@@ -28,17 +28,17 @@ struct Layer {
     double gap = 1e30;
 };
 
-/// How a particle stands to a triangle: the way from its anchor along the triangle, the slip against a body that is one
-/// with the triangle, and the push across it.
+/// Kinematics of a particle relative to its anchor: offset along the triangle, velocity relative to a rigid body with
+/// the triangle, and push across it.
 template <class V>
 struct AnchorKinematics {
-    Index corner[4];  ///< the particle, and the triangle's
+    Index corner[4];  ///< the particle, and those of the triangle
     Index triangle;
     double mass;
     Vec3<V> offset, normal, slip;
     V gap, push;
-    V anchor[3], foot[3];  ///< weights of the triangle's corners
-    Vec3<V> slope[3];      ///< of those weights over a place
+    V anchor[3], foot[3];  ///< barycentric weights of the triangle's corners
+    Vec3<V> slope[3];      ///< gradients of those weights
 
     Vec3<V> weights_at(Vec3<V> along) const {
         return {foot[0] + dot(slope[0], along), foot[1] + dot(slope[1], along), foot[2] + dot(slope[2], along)};
@@ -51,7 +51,8 @@ public:
     SelfFriction(const FrictionCoefficients& coefficients, double frequency, const SelfLaw<V>& law)
         : friction_(coefficients, frequency), law_(law), stiffness_(frequency * frequency) {}
 
-    /// The layers on a particle's sides, from the meeting of the particle. A side is told by the first triangle about it.
+    /// Find the layers on the faces of a particle from its contact. The first triangle about the particle defines the
+    /// faces.
     template <class X>
     void find_layers(const Surface& s, const Contact<V>& m, X&& at, Layer<V> (&out)[layer_sides]) const {
         const V damping_factor = law_.damped(m) / m.scaling.scale;
@@ -70,7 +71,7 @@ public:
             layer.triangle = triangle_of(s, g);
         }
     }
-    /// Stand on a layer. Without an anchor it is where the particle is.
+    /// Kinematics on a layer. Without an anchor it is at the particle.
     template <class X, class U>
     AnchorKinematics<V> kinematics(const Surface& s, const Contact<V>& m, const Layer<V>& layer, const LayerAnchor& anchor, X&& at,
                     U&& velocity) const {
@@ -96,7 +97,7 @@ public:
         on.anchor[2] = has_anchor ? splat<V>(anchor.third) : on.foot[2];
         on.anchor[0] = unit - on.anchor[1] - on.anchor[2];
         on.offset = has_anchor ? (on.foot[1] - on.anchor[1]) * e + (on.foot[2] - on.anchor[2]) * g : Vec3<V>{};
-        // The normal turns by -sum (n . v_k) slope_k.
+        // The normal changes at the rate -sum (n . v_k) slope_k.
         on.slip = velocity(on.corner[0]);
         for (int k = 0; k < 3; ++k) {
             const Vec3<V> v = velocity(t[k]);
@@ -107,8 +108,8 @@ public:
         on.push = larger(push, -push);
         return on;
     }
-    /// Call `what` with each side of a particle that something lies on, the layer there, the anchor that is held
-    /// (`anchor_of(side)`), and the stance on it.
+    /// Call `visit` with each face of a particle in contact, the layer there, the valid anchor (`anchor_of(face)`), and
+    /// the kinematics.
     template <class A, class X, class U, class F>
     void for_each_layer(const Surface& s, const Contact<V>& m, A&& anchor_of, X&& at, U&& velocity, F&& visit) const {
         if (m.edges || m.gaps.empty()) return;
@@ -126,8 +127,8 @@ public:
     }
     auto force(const AnchorKinematics<V>& on) const { return friction_.force(on.offset, on.normal, on.slip, on.push); }
 
-    /// Call `what` with each corner and the force on it. The triangle's forces are those of a body that is one with it and
-    /// that friction pulls at where the particle is: they keep momentum and angular momentum.
+    /// Call `visit` with each corner and its force. The forces on the triangle are those of a rigid body with a force
+    /// at the particle: they conserve momentum and angular momentum.
     template <class R, class F>
     void forces(const AnchorKinematics<V>& on, const R& friction, F&& visit) const {
         const V mass = splat<V>(on.mass);
@@ -138,8 +139,8 @@ public:
             visit(on.corner[k + 1], (on.gap * dot(force, on.slope[k])) * on.normal - reaction);
         }
     }
-    /// Call `what` with each corner and a bound [N/m] of what the anchor's spring adds to its stiffness: for a spring
-    /// k G G', the sum of |G_c| over corners times k |G_c| (Gershgorin).
+    /// Call `visit` with each corner and a bound [N/m] of the stiffness of the anchor spring: for a spring k G G', the
+    /// sum of |G_c| over corners times k |G_c| (Gershgorin).
     template <class F>
     void bounds(const AnchorKinematics<V>& on, F&& visit) const {
         double parts[4] = {1.0}, sum = 1.0;
@@ -149,9 +150,8 @@ public:
         }
         for (int k = 0; k < 4; ++k) visit(on.corner[k], on.mass * stiffness_ * sum * parts[k]);
     }
-    /// The anchor of a stance at positions `at`, dragged by what slides: the place of the particle and of a further way
-    /// `rest` [m], less the stretch that is left. It stays in its triangle until the particle's foot has left that one by
-    /// `kept`.
+    /// Anchor after sliding, at positions `at`: the particle advanced by `remaining` [m], minus the stretch. It stays
+    /// in its triangle until the particle's foot has left it by `keep_margin`.
     template <class X>
     LayerAnchor drag_anchor(const Surface& s, const AnchorKinematics<V>& on, const Layer<V>& layer, Vec3<V> remaining, Vec3<V> stretch,
                         X&& at) const {
@@ -160,9 +160,8 @@ public:
         const Index next = supporting_triangle(s, layer.triangle, on.corner[0], at);
         return barycentric_anchor(s, next, b.x * at(on.corner[1]) + b.y * at(on.corner[2]) + b.z * at(on.corner[3]), at);
     }
-    /// The triangle that a particle stands on: of the nearest one and those about it the first that its foot is in, or
-    /// out of by less than `entered`. Over an edge or a corner, where the nearest one is a matter of rounding, it is
-    /// always the same.
+    /// Triangle below a particle: of the nearest one and those about it, the first that contains the foot up to
+    /// `enter_margin`. Over an edge or a corner, where rounding decides the nearest one, the choice is unique.
     template <class X>
     Index supporting_triangle(const Surface& s, Index nearest, Index i, X&& at) const {
         Index result = nearest;
@@ -182,7 +181,7 @@ public:
             }
         return result;
     }
-    /// A place as an anchor in a triangle.
+    /// A position as an anchor in a triangle.
     template <class X>
     LayerAnchor barycentric_anchor(const Surface& s, Index triangle, Vec3<V> p, X&& at) const {
         const auto& t = s.triangles[triangle];
@@ -190,7 +189,7 @@ public:
         const V over = splat<V>(1.0) / norm2(across);
         return {triangle, dot(r, cross(g, across)) * over, dot(r, cross(across, e)) * over, slides};
     }
-    /// An anchor, if its triangle is the nearest one or touches that.
+    /// An anchor, if its triangle is the nearest one or touches it.
     LayerAnchor valid_anchor(const Surface& s, Index nearest, const LayerAnchor& anchor) const {
         if (anchor.bond == no_bond) return {};
         for (const Index corner : s.triangles[anchor.triangle])
@@ -201,8 +200,8 @@ public:
     double stiffness() const { return stiffness_; }
 
 private:
-    /// Weights below zero that a foot may have in a triangle that it is taken to be in, at first and later. What slides
-    /// along an edge changes sides once and not in every step.
+    /// Negative weights allowed for a foot in its triangle, at first and later. Therefore sliding along an edge changes
+    /// the triangle once, not in every step.
     static constexpr double enter_margin = 0.1, keep_margin = 0.2;
 
     template <class W>
@@ -222,10 +221,10 @@ private:
     double stiffness_;
 };
 
-/// Anchors as a plan keeps them: (layer_sides, anchor_numbers, particles), by the particles' own numbers.
+/// Anchors of a plan: (layer_sides, anchor_numbers, particles), by the caller's particle numbers.
 struct LayerAnchors {
     const double* from;
-    const std::int64_t* particle_of_rank;  ///< number of each particle as it stands inside runs
+    const std::int64_t* particle_of_rank;  ///< particle number by rank
     std::int64_t count;
 
     LayerAnchor operator()(int face, Index i) const {
@@ -243,7 +242,7 @@ inline void write_anchor(double* to, std::int64_t count, int face, std::int64_t 
     a[3 * count] = double(anchor.bond);
 }
 
-/// The largest stiffness over mass [1/s^2] that anchors' springs come to at any particle.
+/// Largest stiffness over mass [1/s^2] of anchor springs at any particle.
 class LayerLoad {
 public:
     void add(const Surface& s, Index c, double stiffness) {
@@ -252,7 +251,7 @@ public:
         if (load_[c] == 0.0) loaded_.push_back(c);
         load_[c] += stiffness / s.masses[c];
     }
-    /// Look at what was added since the last time.
+    /// Include the row sums collected since the last call, and clear them.
     void flush() {
         for (const Index c : loaded_) {
             max_ = larger(load_[c], max_);
@@ -268,7 +267,7 @@ private:
     std::vector<Index> loaded_;
 };
 
-/// Friction between layers over a run, by one thread.
+/// Friction between layers over a run, on one thread.
 class SelfFrictionRun {
 public:
     SelfFrictionRun(const Surface& surface, const FrictionCoefficients& coefficients, double frequency, const SelfLaw<double>& law, double step,
@@ -278,10 +277,11 @@ public:
         for (int face = 0; face < layer_sides; ++face)
             for (std::int64_t i = 0; i < surface.count; ++i) anchors_[slot(face, i)] = anchors(face, static_cast<Index>(i));
     }
-    /// Add the forces of a particle's meeting at a step, and what they take [W] to `lost`. Anchors move from step 0 on.
+    /// Add the forces of a particle's contact at a step, and their power [W] to `dissipation`. Anchors move from step 0
+    /// on.
     template <class X, class F>
     void add(std::int64_t step, const Contact<double>& m, X&& at, X&& velocity, F&& push, double* dissipation) {
-        // A bond ends with a step in which nothing is met.
+        // A bond ends with the first step without contact.
         const auto anchor_of = [&](int face, Index i) {
             const std::size_t k = slot(face, i);
             return last_step_[k] + 1 >= step ? anchors_[k] : LayerAnchor{};
@@ -292,7 +292,7 @@ public:
             friction_.bounds(on, [&](Index c, double k) { load_.add(surface_, c, k); });
             if (dissipation) *dissipation += on.mass * friction.dissipation;
             if (step < 0) return;
-            // Forces are met at the middle of a step. Anchors go on to its end, as those on obstacles do.
+            // Forces are evaluated at the middle of a step. Anchors are advanced to its end, like those on obstacles.
             const std::size_t k = slot(face, on.corner[0]);
             const double previous = last_step_[k] + 1 == step ? pushes_[k] : 0.0;
             const double end_push = larger(fma(0.5, previous > 0.0 ? on.push - previous : 0.0, on.push), 0.0);
@@ -310,7 +310,7 @@ public:
         friction_.for_each_layer(surface_, m, anchor_of, at, velocity, add_layer);
     }
     void flush() { load_.flush(); }
-    /// The anchors after `steps` steps.
+    /// Write the anchors after `steps` steps.
     void finish(std::int64_t steps, const std::int64_t* particle_of_rank, double* to) const {
         for (int face = 0; face < layer_sides; ++face)
             for (std::int64_t i = 0; i < surface_.count; ++i) {
@@ -318,7 +318,7 @@ public:
                 write_anchor(to, surface_.count, face, particle_of_rank[i], last_step_[k] + 1 == steps ? anchors_[k] : LayerAnchor{});
             }
     }
-    /// Squared frequency [1/s^2] that anchors' springs come to: two layers make twice that of one spring.
+    /// Squared frequency [1/s^2] of anchor springs: two layers double that of one spring.
     double omega2() const { return larger(load_.max(), 2.0 * friction_.stiffness()); }
 
 private:
@@ -329,7 +329,7 @@ private:
     double step_;
     std::vector<LayerAnchor> anchors_;
     std::vector<double> pushes_;
-    std::vector<std::int64_t> last_step_;  ///< step of the last meeting
+    std::vector<std::int64_t> last_step_;  ///< last step in contact
     LayerLoad load_;
 };
 

@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What is asked of friction between layers beside its forces over a run, meeting by meeting, with the plan's anchors.
+// Queries of friction between layers, contact by contact, with the anchors of the plan.
 #pragma once
 
 #include "mesh/queries.hpp"
@@ -9,7 +9,7 @@
 
 namespace cloth {
 
-/// Call `what` with the friction law and each stance of a meeting.
+/// Call `visit` with the friction law and the kinematics of each layer in contact.
 template <class V, class X, class U, class F>
 inline void for_each_layer_contact(const Plan& plan, const SelfLaw<V>& law, const Contact<V>& m, X&& at, U&& velocity, F&& visit) {
     if (!plan.has_self_friction()) return;
@@ -25,7 +25,7 @@ inline double layer_energy(const Plan& plan, const SelfLaw<double>& law, const C
     });
     return energy;
 }
-/// Power that friction takes [W].
+/// Power of friction [W].
 template <class X, class U>
 inline double layer_dissipation(const Plan& plan, const SelfLaw<double>& law, const Contact<double>& m, X&& at, U&& velocity) {
     double dissipation = 0.0;
@@ -67,9 +67,8 @@ inline void add_layer_loads(const Plan& plan, const SelfLaw<double>& law, const 
     });
 }
 
-/// Anchors on a layer after runs that ended with some of their own, as `combine_anchors` has them for obstacles: what no
-/// run moved stays as it is; the rest is combined as places, and dragged back onto the cone. `ends` of each run lie
-/// `stride` numbers apart.
+/// Combine the anchors on a layer after runs, as `combine_anchors` does for obstacles: anchors that no run moved are
+/// kept, the others are combined as positions and returned to the cone. The runs' `ends` are `stride` numbers apart.
 template <class X, class U>
 inline void combine_layer_anchors(const Plan& plan, const SelfLaw<double>& law, const Contact<double>& m, X&& at, U&& velocity,
                           std::int64_t runs, const double* weights, const double* ends, std::int64_t stride,

@@ -1,9 +1,9 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// The gaps between particles and the surface about them, as runs meet them: in every step, so a vector of them at a time.
-// The law is that of self_law.hpp. No bit depends on the width of vectors, nor on which candidates there are beyond those
-// within reach: lanes do what a single number would do, and sums are taken in the order of the candidates.
+// Gaps between particles and the surface in runs, evaluated in every step for a vector at a time. The law is that of
+// self_law.hpp. No bit depends on the vector width or on candidates out of range: each lane is one number, and sums
+// follow the order of the candidates.
 #pragma once
 
 #include "contact/broad_phase.hpp"
@@ -11,7 +11,7 @@
 
 namespace cloth {
 
-/// Corners of gaps: the particle, then those of what it meets. What has fewer has the particle in their place.
+/// Corners of gaps: the particle, then the others. The particle replaces missing corners.
 struct Corners {
     std::vector<Index> of[4];
     std::size_t size() const { return of[0].size(); }
@@ -30,13 +30,13 @@ struct Corners {
     }
 };
 
-/// Where a particle is nearest to what it meets: weights of the further corners, the way from there, its square.
+/// Nearest point of a particle: weights of the other corners, vector from there, squared distance.
 template <class V>
 struct GapGeometry {
     V weight[3], square;
     Vec3<V> away;
 };
-/// To a triangle, an edge or a particle: of 3, 2 or 1 corners.
+/// To a triangle, an edge or a particle: 3, 2 or 1 corners.
 template <int Size, class V>
 CLOTH_INLINE GapGeometry<V> gap_geometry(const Vec3<V>* at) {
     const V zero{}, unit = splat<V>(1.0);
@@ -54,7 +54,7 @@ CLOTH_INLINE GapGeometry<V> gap_geometry(const Vec3<V>* at) {
 
 class SelfGaps {
 public:
-    /// What particles may meet within a reach [m] at positions x: triangles, and what of them counts beside them.
+    /// Set the candidates within a range [m] at positions x: triangles, and their edges and particles that count.
     void set_candidates(const Surface& s, const PairList& triangles, const double* x, double reach) {
         for (auto& all : candidates_) all.clear();
         edge_triangles_.clear();
@@ -66,7 +66,7 @@ public:
                 const auto& t = s.triangles[*triangle];
                 candidates_[0].add(i, t[0], t[1], t[2]);
                 for (int j = 0; j < 3; ++j) {
-                    // An edge between two triangles and a particle within the sheet, by the first one that has it.
+                    // Edges between two triangles and inner particles, each by the first triangle that has it.
                     const Index neighbor = s.neighbors[*triangle][j];
                     if (neighbor >= 0 && (s.has(neighbor, i) || *triangle < neighbor)) {
                         const Index* const match = std::lower_bound(begin, end, neighbor);
@@ -94,9 +94,9 @@ public:
         }
         candidates_[1].shorten(n_edges_left);
     }
-    /// Find what is nearer than the thickness, and triangles that are nearer than a reach, which is at least that. Where a
-    /// triangle is nearest on one of its edges both have the same gap, and their energies and forces are equal and
-    /// opposite: such pairs are left out.
+    /// Find gaps below the thickness, and triangles within a range, which is at least that. If the nearest point of a
+    /// triangle is on one of its edges, both have the same gap with opposite energies and forces: such pairs are
+    /// omitted.
     void find(const double* x, double thickness, double reach) {
         const double max_square = thickness * thickness;
         measure<3>(0, x);
@@ -132,7 +132,7 @@ public:
         ends[1] = size;
         each_below(geometry_[2][6].data(), candidates_[2].size(), max_square, [&](std::size_t k) { add(2, k); });
     }
-    /// The triangles that were looked at, beside `square`.
+    /// Corners of an evaluated triangle, parallel to `square`.
     std::array<Index, 4> corners(std::size_t k) const { return candidates_[0].at(k); }
     double sign(std::size_t k) const { return k >= ends[0] && k < ends[1] ? -1.0 : 1.0; }
     double gap(std::size_t k) const { return law_[0][k]; }
@@ -141,9 +141,8 @@ public:
     double shape(std::size_t k) const { return law_[3][k]; }
     Vec3<double> normal(std::size_t k) const { return {away[0][k], away[1][k], away[2][k]}; }
 
-    /// Evaluate the law at what was found: gaps, the speeds with which they close, pushes per mass without damping, b, and
-    /// `away` becomes its direction.
-    /// Where the law of the surface is reduced, gaps and speeds are in units of the whole thickness, see Scaling.
+    /// Evaluate the law: gaps, closing speeds, pushes without damping, b; `away` becomes the normal. If the law is
+    /// reduced, gaps and speeds are in units of the full thickness, see Scaling.
     void evaluate(const ContactLaw<vec<double>>& law, const SelfLaw<double>& self_law, const double* v) {
         using V = vec<double>;
         for (std::size_t k = 0; k < size; k += lanes<double>) {
@@ -173,11 +172,11 @@ public:
         }
     }
 
-    /// What was found: triangles, edges from ends[0] on, particles from ends[1] on; each by ascending particles.
+    /// Results: triangles, edges from ends[0] on, particles from ends[1] on; each by ascending particles.
     std::size_t size = 0, ends[2] = {};
     std::vector<Index> corner[4];
     std::vector<double> weight[3], away[3];
-    /// Squared distances of all triangles that were looked at [m^2].
+    /// Squared distances of all evaluated triangles [m^2].
     std::vector<double> square;
 
 private:
@@ -191,7 +190,7 @@ private:
             deinterleave(rows, at[j].x, at[j].y, at[j].z);
         }
     }
-    /// Weights, ways across and squared distances of all that are offered of one kind.
+    /// Weights, vectors and squared distances of all candidates of one kind.
     template <int Size>
     void measure(int kind, const double* x) {
         using V = vec<double>;
@@ -214,8 +213,7 @@ private:
         law_[0][size++] = geometry[6][k];
     }
 
-    /// The triangles on either side of an edge that is offered, by their place, -1 where it is not; and which of their
-    /// corners is not on the edge.
+    /// Triangles on either side of a candidate edge, by index or -1; and their corners that are not on the edge.
     struct EdgeTriangles {
         Index triangle[2];
         int opposite[2];
@@ -227,10 +225,10 @@ private:
     std::vector<char> cancelled_;
 };
 
-/// What adds to the energies of particles, by the particle (see Contact), and the forces of that.
+/// Sums of the energies of particles (see Contact), and their forces.
 class SelfSums {
 public:
-    /// The largest energy that one has to take up, see energy_to_stop.
+    /// Largest energy that a particle has to absorb, see energy_to_stop.
     double max_energy = 0.0;
 
     void begin(std::int64_t count, std::size_t gaps) {
@@ -243,7 +241,7 @@ public:
         sum_of_.resize(gaps + lanes<double>);
         which_.resize(gaps + lanes<double>);
     }
-    /// Take in a gap below the thickness.
+    /// Include a gap below the thickness.
     void include(std::size_t k, const SelfGaps& gaps) {
         const Index i = gaps.corner[0][k];
         auto index = static_cast<std::size_t>(index_[i]);
@@ -262,7 +260,7 @@ public:
         shape_[index] = cloth::fma(sign, gaps.shape(k), shape_[index]);
         closing_[index] = larger(gaps.closing(k), closing_[index]);
     }
-    /// What damping multiplies forces by, what it takes, and what growth gives [W].
+    /// Damping factors of the forces, dissipation, and growth power [W].
     void finalize(const Surface& s, const SelfLaw<double>& law, double* dissipation, double& growth_power) {
         using V = vec<double>;
         max_energy = 0.0;
@@ -272,7 +270,7 @@ public:
             store(scale_.data() + k, damping_factor);
             double energies[lanes<double>];
             store(energies, energy_to_stop(load(closing_.data() + k), load(shape_.data() + k)));
-            // What is left behind the last one does not count.
+            // Padding behind the last one does not count.
             for (std::size_t lane = 0; lane < std::min<std::size_t>(lanes<double>, size_ - k); ++lane)
                 max_energy = larger(energies[lane], max_energy);
         }
@@ -287,7 +285,7 @@ public:
             scale_[k] *= mass * inverse_scale;
         }
     }
-    /// Add forces to quads f; and as their fourth number the mass of what pushes times its weights, see StiffnessBound.
+    /// Add forces to quads f; the fourth number is the mass times the weights, see StiffnessBound.
     void add_forces(const Surface& s, const SelfGaps& gaps, double* f) {
         std::fill(particle_force_.begin(), particle_force_.begin() + 4 * static_cast<std::ptrdiff_t>(size_), 0.0);
         for (std::size_t at = 0; at < gaps_; ++at) {

@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What the cloth does to itself: the law of contact on gaps between a particle and the surface about it, and between two
-// edges. docs/contact.md derives it. V is a number, or one with its derivative.
+// Law of self-contact: the contact barrier on gaps between a particle and the surface, and between two edges.
+// docs/contact.md derives it. V is a number or a dual number.
 #pragma once
 
 #include "contact/primitives.hpp"
@@ -14,35 +14,36 @@ namespace cloth {
 CLOTH_INLINE double value_of(double a) { return a; }
 CLOTH_INLINE double value_of(Dual a) { return a.value; }
 
-/// A gap between points of the surface: its vector is the sum of weights times corners' places, weights adding up to zero.
+/// A gap between points of the surface: its vector is the sum of weights times corner positions; the weights add up to
+/// zero.
 template <class V>
 struct GapTerm {
-    double sign;  ///< 1 or -1: factor of this gap's energy in the sum
+    double sign;  ///< sign of the energy of this gap in the sum, 1 or -1
     Index corner[4];
     V weight[4];
     Vec3<V> normal;
     V gap, closing;
 };
 
-/// What a gap that closes at a speed [m/s] and holds an energy already has to take up, per mass in units of U^2/2. Where
-/// two masses meet, one may stand still: then all of m w^2/2 goes into half of m U^2/2 b.
+/// Energy per mass, in units of U^2/2, that a gap has to absorb, from its closing speed [m/s] and its contact energy.
+/// One of the two masses may be at rest: then all of m w^2/2 is converted into half of m U^2/2 b.
 template <class V>
 CLOTH_INLINE V energy_to_stop(V closing, V shape) {
     const V speed = larger(closing, V{}) * splat<V>(1.0 / ContactLaw<V>::speed);
     return shape + splat<V>(2.0) * speed * speed;
 }
 
-/// What adds to one energy: gaps, and for edges how it fades as they become parallel.
+/// Contact with one energy: its gaps, and for edges the fade factor.
 template <class V>
 struct Contact {
     std::vector<GapTerm<V>> gaps;
     double mass = 0.0;
-    /// Energy per mass in units of U^2/2, sum of the pushes, and the rate at which the energy grows [m^2/s^3].
+    /// Energy per mass in units of U^2/2, sum of the pushes, and rate of the energy [m^2/s^3].
     V shape{}, push{}, rate{};
-    /// How its thickness is reduced; gaps, their speeds and these sums are in units of the whole one, see Scaling.
+    /// Scaling by a reduced thickness; gaps, speeds and these sums are in units of the full one.
     Scaling<V> scaling = full_thickness<V>();
-    V lever{};  ///< sum of pushes times gaps [m^2/s^2], while it grows
-    /// Of a pair of edges: what its energy is multiplied by, and the slope of that over the corners' places.
+    V lever{};  ///< sum of push times gap [m^2/s^2], during recovery
+    /// Of a pair of edges: fade factor of the energy, and its gradient with respect to the corners.
     V fade_factor{};
     Vec3<V> slope[4];
     bool edges = false;
@@ -57,7 +58,7 @@ struct Contact {
         for (const auto& g : gaps) min = smaller(value_of(g.gap), min);
         return min;
     }
-    /// The largest speed with which one of its gaps closes.
+    /// Largest closing speed of its gaps.
     double max_closing() const {
         double max = 0.0;
         for (const auto& g : gaps) max = larger(value_of(g.closing), max);
@@ -68,19 +69,19 @@ struct Contact {
 template <class V>
 class SelfLaw {
 public:
-    /// Edges keep half the thickness.
+    /// Edges have half the thickness.
     SelfLaw(double thickness, double damping)
         : thickness_(thickness), damping_(damping), particle_law_(thickness, damping), edge_law_(0.5 * thickness, damping) {}
 
     double thickness(bool edges) const { return edges ? 0.5 * thickness_ : thickness_; }
 
-    /// Let contacts of particles have a reduced thickness, by one each; null takes it back. It has to outlive the law.
+    /// Set a reduced thickness by particle, or null; `scalings` has to outlive the law.
     void reduce(const std::vector<Scaling<double>>* scalings) {
         scalings_ = scalings && !scalings->empty() ? scalings->data() : nullptr;
     }
     bool reduced() const { return scalings_; }
     Scaling<double> scaling(Index i) const { return scalings_ ? scalings_[i] : full_thickness<double>(); }
-    /// Of a pair of edges: the thinnest of their ends.
+    /// Scaling of a pair of edges: that of the thinnest end.
     Scaling<double> scaling(const std::array<Index, 2>& edge1, const std::array<Index, 2>& edge2) const {
         Scaling<double> result = full_thickness<double>();
         if (!scalings_) return result;
@@ -89,9 +90,9 @@ public:
         return result;
     }
 
-    /// The energy of particle i with the surface, of which the triangles from `begin` to `end` are near. It counts
-    /// triangles, less edges between two of them, and particles within the sheet: so a flat surface counts once, wherever
-    /// it is cut into triangles (Euler's formula; Li et al., Convergent IPC, 2023).
+    /// Evaluate the energy of particle i with the triangles from `begin` to `end`: that of triangles, minus that of
+    /// edges between two of them, plus that of inner particles. Therefore a flat surface counts once, independent of
+    /// its triangulation (Euler's formula; Li et al., Convergent IPC, 2023).
     template <class X, class U>
     void particle(const Surface& s, Index i, const Index* begin, const Index* end, X&& at, U&& velocity,
                   Contact<V>& m) const {
@@ -133,8 +134,8 @@ public:
             if (scalings_) m.lever = m.lever + push * g.gap;
         }
     }
-    /// The energy of two edges, from a to b and from c to e. It fades as they become parallel, where the nearest points
-    /// jump: by (2 - q) q, q = sin^2 of their angle over `parallel`, up to 1.
+    /// Evaluate the energy of two edges. It fades out as they become parallel, because the nearest points jump there:
+    /// factor (2 - q) q, q = sin^2 of their angle over `parallel`, at most 1.
     template <class X, class U>
     void edges(const Surface& s, const std::array<Index, 2>& edge1, const std::array<Index, 2>& edge2, X&& at,
                U&& velocity, Contact<V>& m) const {
@@ -163,14 +164,14 @@ public:
             m.rate = m.rate + dot(m.slope[k], velocity(corner[k]));
         }
     }
-    /// What damping multiplies the forces of one energy by: Q of `ContactLaw`, with the speed at which its gaps close on
-    /// the whole, rate over push. So what is lost, (Q - 1) rate, is never below zero.
+    /// Damping factor of the forces of one contact: Q of `ContactLaw` at the mean closing speed, rate over push.
+    /// Therefore the dissipation (Q - 1) rate is never negative.
     V damped(const Contact<V>& m) const { return damped(m.push, m.rate, m.edges); }
     V damped(V push, V rate, bool edges) const {
         if (!(value_of(push) > 0.0)) return splat<V>(1.0);
         return damping_factor<V>(push, rate, edges);
     }
-    /// The same of pushes above zero, a vector of them where W is one.
+    /// The same for positive pushes; W may be a vector.
     template <class W>
     CLOTH_INLINE W damping_factor(W push, W rate, bool edges) const {
         const W unit = splat<W>(1.0);
@@ -179,7 +180,7 @@ public:
         const W u = splat<W>(0.5 * damping_) * rate / denominator;
         return u + root(fma(u, u, unit));
     }
-    /// Call `what` with each corner of a meeting and the force on it.
+    /// Call `visit` with each corner of a contact and its force.
     template <class F>
     void forces(const Contact<V>& m, F&& visit) const {
         const V scale = splat<V>(m.mass) * damped(m), inverse_scale = splat<V>(1.0) / m.scaling.scale;
@@ -196,7 +197,7 @@ public:
     double energy(const Contact<V>& m) const {
         return m.mass * 0.5 * ContactLaw<V>::speed * ContactLaw<V>::speed * value_of(m.shape) * unscaled(m);
     }
-    /// Power that damping takes [W].
+    /// Power of the damping [W].
     double dissipation(const Contact<V>& m) const {
         return m.mass * (value_of(damped(m)) - 1.0) * value_of(m.rate) * unscaled(m);
     }
@@ -205,7 +206,7 @@ public:
         return m.mass * value_of(m.scaling.growth) * unscaled(m) *
                growing(value_of(damped(m)) * value_of(m.lever), value_of(m.shape));
     }
-    /// The same over mass, rate and square of the scale: by pushes times gaps, damping included, and energy.
+    /// The same over mass, rate and square of the scale, by damped pushes times gaps and energy.
     static double growing(double lever, double shape) {
         return fma(ContactLaw<double>::speed * ContactLaw<double>::speed, shape, lever);
     }
@@ -217,7 +218,7 @@ private:
         const double scale = value_of(m.scaling.scale);
         return 1.0 / (scale * scale);
     }
-    /// sin^2 of the angle below which edges count as parallel: 1.8 degrees, as in IPC.
+    /// sin^2 of the angle below which edges are parallel: 1.8 degrees, as in IPC.
     static constexpr double parallel = 1e-3;
 
     /// Complete a gap and add it. On entry g.normal is the vector across the gap [m] and g.gap its squared length

@@ -1,15 +1,15 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What is asked of the cloth's contact with itself beside its forces: energy, power, bounds, derivative product, what is
-// about to happen, and what would pass through what. Arrays are (3, n) by component.
+// Queries of self-contact: energy, power, bounds, derivative product, prediction, continuous collision detection.
+// Arrays are (3, n) by component.
 #pragma once
 
 #include "contact/self_friction_queries.hpp"
 
 namespace cloth {
 
-/// An array (3, n) as quads, as particles stand inside runs.
+/// Convert an array (3, n) to quads in the order of runs.
 inline Array<double> quads_of(const Plan& plan, const double* a) {
     Array<double> out(4 * plan.count, 0.0);
     for (int c = 0; a && c < 3; ++c)
@@ -17,9 +17,8 @@ inline Array<double> quads_of(const Plan& plan, const double* a) {
     return out;
 }
 
-/// Call `what` with each meeting, and where and how fast particles are, at positions x and velocities v (quads, with
-/// derivatives dx and dv where V has them).
-/// Nothing meets where particles have no place.
+/// Call `visit` with each contact and the functions of position and velocity, at positions x and velocities v (quads,
+/// with derivatives dx and dv if V has them). Positions that are not finite have no contact.
 template <class V, class F>
 inline void for_each_self_contact(SelfContact& self, const SelfLaw<V>& law, double thickness, const Quads (&x)[2],
                              const Quads (&v)[2], F&& visit) {
@@ -70,7 +69,7 @@ inline double self_energy(Plan& plan, double t, const double* x) {
     });
     return total;
 }
-/// Power that damping and friction take [W].
+/// Power of damping and friction [W].
 inline double self_dissipation(Plan& plan, double t, const double* x, const double* v) {
     double dissipation = 0.0;
     for_each_self_contact(plan, t, x, v, [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
@@ -78,7 +77,7 @@ inline double self_dissipation(Plan& plan, double t, const double* x, const doub
     });
     return dissipation;
 }
-/// Power that friction between layers takes [W].
+/// Power of friction between layers [W].
 inline double self_friction_power(Plan& plan, double t, const double* x, const double* v) {
     double dissipation = 0.0;
     for_each_self_contact(plan, t, x, v, [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
@@ -86,7 +85,7 @@ inline double self_friction_power(Plan& plan, double t, const double* x, const d
     });
     return dissipation;
 }
-/// Power of the growth of contacts with a reduced thickness [W].
+/// Power of contacts that recover their thickness [W].
 inline double self_growth_power(Plan& plan, double t, const double* x, const double* v) {
     double power = 0.0;
     for_each_self_contact(plan, t, x, v, [&](const SelfLaw<double>& law, const Contact<double>& m, auto&, auto&) {
@@ -94,7 +93,7 @@ inline double self_growth_power(Plan& plan, double t, const double* x, const dou
     });
     return power;
 }
-/// Anchors on layers after runs, see combine_layer_anchors; obstacles' come before them.
+/// Combine the anchors on layers after runs, see combine_layer_anchors; those of obstacles come before them.
 inline void combine_self_anchors(Plan& plan, double t, const double* x, const double* v, std::int64_t runs,
                         const double* weights, const double* ends, double* out) {
     if (!plan.has_self_friction()) return;
@@ -104,8 +103,8 @@ inline void combine_self_anchors(Plan& plan, double t, const double* x, const do
     });
 }
 
-/// Add blocks that bound stiffness and damping: of a gap k g g', g = weights times the normal, at most 2 k |w_c| n n' at
-/// corner c, for the weights of either side add up to one. What counts with the other sign only softens.
+/// Add blocks that bound stiffness and damping: for a gap k g g', g = weights times normal, at most 2 k |w_c| n n' at
+/// corner c, because the weights of either side add up to one. Terms with a negative sign only soften.
 inline void add_self_bounds(Plan& plan, double t, const double* x, double* stiff, double* damp) {
     std::vector<std::int64_t> particle_of_rank(plan.count);
     for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
@@ -127,7 +126,7 @@ inline void add_self_bounds(Plan& plan, double t, const double* x, double* stiff
     });
 }
 
-/// Add (df/dx) dx + (df/dv) dv to out, by the law itself on numbers with derivatives.
+/// Add (df/dx) dx + (df/dv) dv to out, by the law on dual numbers.
 inline void add_self_product(Plan& plan, double t, const double* x, const double* v, const double* dx, const double* dv,
                              double* out) {
     const Contacts& contacts = plan.contacts;
@@ -150,7 +149,7 @@ inline void add_self_product(Plan& plan, double t, const double* x, const double
     for_each_self_contact<Dual>(*plan.self, law, contacts.thickness, at, velocity, add);
 }
 
-/// Call `what` with each meeting within the whole thickness.
+/// Call `visit` with each contact within the full thickness.
 template <class F>
 inline void for_each_full_contact(Plan& plan, const double* x, F&& visit) {
     const Contacts& contacts = plan.contacts;
@@ -161,7 +160,7 @@ inline void for_each_full_contact(Plan& plan, const double* x, F&& visit) {
                              [&](const Contact<double>& m, auto&, auto&) { visit(m); });
 }
 
-/// How many particles and pairs of edges are in contact, and the least gap [m] of these, infinite where there are none.
+/// Number of particles and pairs of edges in contact, and their least gap [m], infinite if there are none.
 inline void self_gaps(Plan& plan, const double* x, double* out) {
     out[0] = 0.0;
     out[1] = std::numeric_limits<double>::infinity();
@@ -170,7 +169,7 @@ inline void self_gaps(Plan& plan, const double* x, double* out) {
         out[1] = smaller(m.min_gap(), out[1]);
     });
 }
-/// The least gap of each particle's contacts [m], in the caller's order: to triangles, edges and particles within the
+/// Least gap of each particle's contacts [m], in the caller's order: to triangles, edges and particles within the
 /// thickness, and twice that of an edge of the particle with another edge.
 inline void self_gap_row(Plan& plan, const double* x, double* out) {
     std::vector<std::int64_t> particle_of_rank(plan.count);
@@ -184,15 +183,17 @@ inline void self_gap_row(Plan& plan, const double* x, double* out) {
     });
 }
 
-/// Squared frequency and damping rate that contact comes to where it takes up what it holds, and what comes into contact
-/// within a duration [s] as it moves now, times `expected`. Infinite where particles have no place.
+/// Squared frequency and damping rate of self-contact once it has absorbed `expected` times its energy: of contacts,
+/// and of pairs that come into contact within a duration [s] at the present velocities. Infinite if a position is not
+/// finite.
 inline ContactBounds predict_self_contact(Plan& plan, double t, double duration, double expected, const double* x, const double* v) {
     SelfContact& self = *plan.self;
     const double d = plan.contacts.thickness;
     const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, v);
     MotionBound motion;
     for (std::int64_t i = 0; i < plan.count; ++i) motion.include(load4(velocities.data() + 4 * i));
-    // At most half the shortest edge, so that neighbours in a flat sheet don't count. A later call sees farther pairs.
+    // At most half the shortest edge, so that neighbours in a flat sheet don't count. The next call sees pairs further
+    // away.
     const double margin = smaller(motion.diameter() * duration, 0.5 * self.surface.shortest);
     StiffnessBound bound;
     LayerLoad load;
@@ -207,8 +208,8 @@ inline ContactBounds predict_self_contact(Plan& plan, double t, double duration,
     const Surface& s = self.surface;
     const Quads at{positions.data()}, velocity{velocities.data()};
     Contact<double> m;
-    // Edges keep half the thickness. Layers that come slower than this are stopped by their particles before that; edges
-    // that meet all the same, in a twist, are seen by the run itself.
+    // Edges have half the thickness. Slower layers are stopped by their particles before that. Edges that touch
+    // nevertheless, in a twist, are seen by the run itself.
     const double min_edge_speed = ContactLaw<double>::speed * root(0.5 * law.law(false).shape(0.5 * d) / expected);
     for_each_neighbor(
         self,
@@ -232,8 +233,8 @@ inline ContactBounds predict_self_contact(Plan& plan, double t, double duration,
     return bound.bounds(d, plan.contacts.damping, expected, friction_omega2, frequency);
 }
 
-/// Whether anything passes through anything on straight ways from x0 to x1: each pair is followed by its gap, which no
-/// way is shorter than (additive continuous collision detection, Li et al., Codimensional IPC, 2021).
+/// Whether the surface intersects itself on straight paths from x0 to x1, by additive continuous collision detection
+/// (Li et al., Codimensional IPC, 2021): each step along a path is one gap long.
 inline bool ccd_self(Plan& plan, const double* x0, const double* x1) {
     SelfContact& self = *plan.self;
     const double d = plan.contacts.thickness;
@@ -268,10 +269,10 @@ inline bool ccd_self(Plan& plan, const double* x0, const double* x1) {
     return intersected;
 }
 
-/// Leaves the cloth's contact with itself out of a frame in which no part of the cloth can get near another. At the
-/// frame's start no pair may be nearer than the thickness and the distance that particles cover in the frame at twice
-/// their present relative speed, plus `slack`. If a run ends with a larger relative speed, all runs of the frame are
-/// made again with this contact. Pairs kept from earlier calls make no difference, so no bit depends on it.
+/// Excludes self-contact from a frame in which no part of the cloth can reach another. At the start of the frame no
+/// pair may be nearer than the thickness and the distance covered in the frame at twice the present relative speed,
+/// plus `speed_margin`. If a run ends with a larger relative speed, all runs of the frame are repeated with
+/// self-contact. Cached pairs make no difference, so no bit depends on it.
 class SelfCulling {
 public:
     SelfCulling(Plan& plan, double duration, const double* x0, const double* v0) : plan_(plan) {
@@ -285,7 +286,7 @@ public:
                           self.find(positions.data(), plan.contacts.thickness, margin) && self.triangles.size() == 0 &&
                           self.edges.size() == 0;
     }
-    /// Whether a run that ended with velocities v has to be made again.
+    /// Whether a run with end velocities v violates the assumptions.
     bool is_violated(const double* v) const { return plan_.self_culled && !(relative_speed(v) <= speed_limit_); }
     void disable() { plan_.self_culled = false; }
 
@@ -303,20 +304,20 @@ private:
     double speed_limit_ = 0.0;
 };
 
-/// Six times the volume of a tetrahedron, of either sign.
+/// Six times the signed volume of a tetrahedron.
 inline double volume(Vec3<double> a, Vec3<double> b, Vec3<double> c, Vec3<double> e) {
     return dot(cross(b - a, c - a), e - a);
 }
 
-/// The first edge that passes through a triangle: its particles and the triangle's, five numbers, or -1 where none does.
-/// What they have a corner in common with does not count.
+/// First edge that intersects a triangle: its two particles and those of the triangle, or -1 if there is none. Pairs
+/// with a common corner do not count.
 inline void find_self_intersection(Plan& plan, const double* x, std::int64_t* out) {
     const Surface& s = plan.self->surface;
     const Array<double> positions = quads_of(plan, x);
     const Quads at{positions.data()};
     double longest = 0.0;
     for (const auto& e : s.edges) longest = larger(norm2(at(e[0]) - at(e[1])), longest);
-    // A point of a triangle is no further from its edges than the radius of the circle within.
+    // A point of a triangle is no further from its edges than the radius of the inscribed circle.
     SurfacePairs pairs;
     pairs.build(s, positions.data(), 0.3 * root(longest));
     std::vector<std::int64_t> particle_of_rank(plan.count);
@@ -332,7 +333,7 @@ inline void find_self_intersection(Plan& plan, const double* x, std::int64_t* ou
         for (int k = 0; k < 5; ++k) out[k] = particle_of_rank[hit[k]];
         return true;
     };
-    // Triangles of an edge lie about its ends.
+    // The triangles of an edge are about its ends.
     const auto any_triangle_of = [&](const std::array<Index, 2>& e, const std::array<Index, 2>& edge) {
         for (Index k = s.start[edge[0]]; k < s.start[edge[0] + 1]; ++k)
             if (s.has(s.fan[k], edge[1]) && intersects(e, s.fan[k])) return true;

@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Contact of the cloth with itself over a run.
+// Self-contact over a run.
 #pragma once
 
 #include <cstring>
@@ -13,10 +13,9 @@
 
 namespace cloth {
 
-/// Whether the two sides of a pair may have passed through each other during a step. `square` is their squared distance
-/// at the step's end [m^2], `way(c)` the displacement of a corner [m]. They have not if they moved less, relative to
-/// each other, than that distance. No point of a side moves further, relative to the first corner, than the side's
-/// corners.
+/// Whether a pair may have intersected during a step. `square`: squared distance at the end of the step [m^2];
+/// displacement(c): that of a corner [m]. It has not if its relative motion is below that distance. No point of a side
+/// moves further, relative to the first corner, than the side's corners.
 template <class F>
 inline bool may_intersect(double square, const Index* corner, bool edges, F&& displacement) {
     const Vec3<double> reference = displacement(corner[0]);
@@ -26,7 +25,7 @@ inline bool may_intersect(double square, const Index* corner, bool edges, F&& di
     return !(most < root(square));
 }
 
-/// The least of some numbers, 1e30 at most.
+/// Minimum of an array, at most 1e30.
 inline double min_of(const std::vector<double>& values) {
     using V = vec<double>;
     V lane_min = splat<V>(1e30);
@@ -38,24 +37,24 @@ inline double min_of(const std::vector<double>& values) {
     return min;
 }
 
-/// The cloth's contact with itself over a run, by one thread.
+/// Self-contact over a run, on one thread.
 class SelfRun {
 public:
     SelfRun(SelfContact& self, double thickness, double damping, double step)
         : self_(self), law_(thickness, damping), vector_law_(thickness, damping), thickness_(thickness), damping_(damping), step_(step) {}
 
-    /// Let contacts have the thickness that a plan says, over a run.
+    /// Use the reduced thickness of a plan over a run.
     void reduce(const Plan& plan, const Run& run) {
         plan_ = &plan;
         run_ = &run;
     }
-    /// Let layers rub, from anchors at the start on; their springs have a frequency [1/s].
+    /// Enable friction between layers, with initial anchors and the frequency of their springs [1/s].
     void enable_friction(double frequency, const LayerAnchors& anchors) {
         frequency_ = frequency;
         friction_.emplace(self_.surface, self_.friction, frequency, law_, step_, anchors);
     }
-    /// Add the forces of a step at positions x and velocities v to f, all quads, and what damping and friction take [W] to
-    /// `lost`.
+    /// Add the forces of a step at positions x and velocities v to f, all quads, and the power of damping and friction
+    /// [W] to `dissipation`.
     void add(std::int64_t step, const double* x, const double* v, double* f, double* dissipation) {
         if (!update_neighbors(x)) return;
         if (plan_) {
@@ -84,22 +83,22 @@ public:
         bound_.flush();
         if (friction_) add_friction(step, at, velocity, add_force, dissipation);
     }
-    /// The end of the run: whether nothing can have passed through anything on the way there.
+    /// Finish the run. Return false if something may have intersected in the last step.
     bool finish(const double* x) { return update_neighbors(x) && !intersected_; }
     double gap() const { return bound_.gap; }
     ContactBounds bounds() const {
         return bound_.bounds(thickness_, damping_, 1.0, friction_ ? friction_->omega2() : 0.0, frequency_);
     }
-    /// What friction took since the run began [J], where powers are asked for, and the anchors after so many steps.
+    /// Friction work since the start of the run [J], if powers are recorded, and anchors after a number of steps.
     double friction_work() const { return friction_work_; }
-    /// The same of what contacts gave that regained their thickness.
+    /// Work of contacts that recover their thickness, likewise.
     double growth_work() const { return growth_work_; }
     void anchors(std::int64_t steps, const std::int64_t* particle_of_rank, double* to) const {
         if (friction_) friction_->finish(steps, particle_of_rank, to);
     }
 
 private:
-    /// What particles meet, by the law of SelfLaw::particle: sums over each particle's gaps, then forces.
+    /// Contacts of particles, by the law of SelfLaw::particle: sums over each particle's gaps, then forces.
     void add_particles(const double* v, double* f, double* dissipation, double& growth_power) {
         SelfGaps& gaps = self_.gaps;
         if (!gaps.size) return;
@@ -126,7 +125,7 @@ private:
         sums_.add_forces(self_.surface, gaps, f);
         bound_.gather_row_sums(self_.surface, f);
     }
-    /// Friction of the particles that something is in contact with.
+    /// Friction of the particles in contact.
     template <class F>
     void add_friction(std::int64_t step, const Quads& at, const Quads& velocity, F&& add_force, double* dissipation) {
         const PairList& pairs = self_.inner_pairs();
@@ -146,7 +145,7 @@ private:
         *dissipation += friction_power;
         friction_work_ += step_ * friction_power;
     }
-    /// Find what is near, and look at the ways since the last time.
+    /// Update the Verlet list, and check the motion since the last step for intersections.
     bool update_neighbors(const double* x) {
         if (intersected_) return false;
         const std::int64_t n = self_.surface.count;
@@ -158,19 +157,19 @@ private:
             for (std::int64_t i = 0; i < n; ++i) bound.include(load4(x + 4 * i) - load4(previous_.data() + 4 * i));
             since = motion = bound.diameter();
         }
-        // A pair with less than twice `moved` [m] to contact may come into contact in one of the next two steps.
+        // A pair within twice `motion` [m] of contact may come into contact in one of the next two steps.
         intersected_ = !self_.update(x, thickness_, 2.0 * motion, since);
         if (!intersected_ && motion > 0.0) check_intersections(x, motion);
         std::memcpy(previous_.data(), x, 4 * n * sizeof(double));
         return !intersected_;
     }
-    /// Whether anything may have passed through anything on the way from the last step to x; nothing has moved further than
-    /// `moved` [m] relative to anything.
+    /// Check whether something may have intersected since the last step; nothing has moved further than `motion` [m]
+    /// relative to anything.
     void check_intersections(const double* x, double motion) {
         const Quads current{x}, previous{previous_.data()};
         const auto displacement = [&](Index c) { return current(c) - previous(c); };
         const SelfGaps& gaps = self_.gaps;
-        // Mostly nothing is as near as that.
+        // Usually nothing is that near.
         if (min_of(gaps.square) <= motion * motion)
             for (std::size_t k = 0; k < gaps.square.size(); ++k)
                 if (gaps.square[k] <= motion * motion)

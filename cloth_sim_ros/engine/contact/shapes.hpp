@@ -1,20 +1,20 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// How far points are from obstacles, and which way leads off. Points are in the obstacle's own frame, on whose origin each
-// shape is centred. V is a number, a vector or a Dual.
+// Signed distances of points from shapes, and their normals. Points are in the frame of the obstacle, centred on the
+// shape. V is a number, a vector or a Dual.
 #pragma once
 
 #include "contact/mesh_shape.hpp"
 
 namespace cloth {
 
-/// Sizes [m] in order: plane none, its normal is z; box its edges along x, y, z; sphere radius; capsule and cylinder radius
-/// and length along z, a capsule's without its ends; mesh none.
+/// Dimensions [m]: plane none, normal z; box edge lengths along x, y, z; sphere radius; capsule and cylinder radius and
+/// length along z, that of a capsule without its caps; mesh none.
 enum class Shape : int { plane, box, sphere, capsule, cylinder, mesh };
 
-/// Distance from the surface, negative inside, and the unit vector in which it grows. Inside a shape with corners, which no
-/// cloth ever gets to, the vector is none: zero in a box, not a number in a cylinder.
+/// Signed distance from the surface, negative inside, and its gradient. Inside a shape with corners, which no cloth
+/// enters, the gradient is undefined: zero in a box, NaN in a cylinder.
 template <class V>
 struct SurfacePoint {
     V gap;
@@ -45,7 +45,7 @@ CLOTH_INLINE SurfacePoint<V> nearest_on(const Vec3<V>& p, const Vec3<V>& size) {
     } else if constexpr (S == Shape::box) {
         const Vec3<V> q{absolute(p.x) - half * size.x, absolute(p.y) - half * size.y, absolute(p.z) - half * size.z};
         const V max = larger(larger(q.x, q.y), q.z);
-        // Beside a face the way off is along an axis, and takes neither root nor division.
+        // Nearest to a face the normal is along an axis, and needs neither root nor division.
         const auto face_normal = [&](V a, V along) CLOTH_INLINED { return with_sign_of(select(a > none, unit, none), along); };
         SurfacePoint<V> n{max, {face_normal(q.x, p.x), face_normal(q.y, p.y), face_normal(q.z, p.z)}};
         const auto corner = larger(smaller(q.x, q.y), smaller(larger(q.x, q.y), q.z)) > none;
@@ -62,14 +62,14 @@ CLOTH_INLINE SurfacePoint<V> nearest_on(const Vec3<V>& p, const Vec3<V>& size) {
         const V over = across - size.x, above = absolute(p.z) - half * size.y;
         const V out = larger(over, none), up = larger(above, none);
         const V away = root(fma(up, up, out * out)), inverse = unit / away;
-        // On the axis there is no way outward, and none is asked for.
+        // On the axis the radial direction is undefined and not needed.
         const V outward = inverse * out / select(across > none, across, unit);
         return {away + smaller(larger(over, above), none),
                 {outward * p.x, outward * p.y, inverse * with_sign_of(up, p.z)}};
     }
 }
 
-/// The same of a mesh, from whatever of it is nearest.
+/// The same for a mesh, from its nearest feature.
 CLOTH_INLINE Vec3<double> number_of(const Vec3<double>& a) { return a; }
 inline Vec3<double> number_of(const Vec3<Dual>& a) { return {a.x.value, a.y.value, a.z.value}; }
 template <class V>
@@ -99,7 +99,7 @@ inline SurfacePoint<V> nearest_on_mesh(const Mesh& mesh, const Vec3<V>& p) {
     }
 }
 
-/// Call `what` with a constant that is the shape.
+/// Call `visit` with the shape as a compile-time constant.
 template <class F>
 inline auto with_shape(Shape shape, F&& visit) {
     switch (shape) {

@@ -1,8 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// The cloth's surface, as contact of the cloth with itself sees it: triangles and what neighbours what. Particles are
-// numbered as they stand inside runs.
+// Surface of the cloth for contact: triangles and their neighbours. Particles are numbered by rank.
 #pragma once
 
 #include <algorithm>
@@ -16,31 +15,31 @@ namespace cloth {
 using Index = std::int32_t;
 
 struct Surface {
-    std::int64_t count = 0;  ///< of particles
-    std::vector<double> masses, inverse;  ///< [kg], and one over it, zero where anchored
+    std::int64_t count = 0;  ///< number of particles
+    std::vector<double> masses, inverse;  ///< [kg], and inverse masses, zero if anchored
     std::vector<char> is_free;
     std::vector<std::array<Index, 3>> triangles;
-    /// Of each triangle, across its edges from corner 0 to 1, 1 to 2, 2 to 0: the next triangle, -1 at the border.
+    /// Neighbour of each triangle across its edges from corner 0 to 1, 1 to 2, 2 to 0; -1 at the border.
     std::vector<std::array<Index, 3>> neighbors;
     std::vector<std::array<Index, 2>> edges;
-    /// Triangles about each particle in ascending order: from fan[start[i]] to before fan[start[i + 1]].
+    /// Triangles about each particle in ascending order: fan[start[i]] to before fan[start[i + 1]].
     std::vector<Index> fan, start;
-    /// Particles that lie on no border.
+    /// Particles that are not on a border.
     std::vector<char> inner;
-    /// The shortest edge of the cloth at rest [m].
+    /// Shortest edge of the cloth at rest [m].
     double shortest = 0.0;
 
     bool has(std::int64_t triangle, Index particle) const {
         const auto& t = triangles[triangle];
         return t[0] == particle || t[1] == particle || t[2] == particle;
     }
-    /// The first triangle about a particle that does not have particle i.
+    /// First triangle about a particle that does not contain particle i.
     Index first_about(Index particle, Index i) const {
         for (Index k = start[particle]; k < start[particle + 1]; ++k)
             if (!has(fan[k], i)) return fan[k];
         return -1;
     }
-    /// Edges and fans from triangles. An edge of more than two triangles counts as a border.
+    /// Build edges and fans from triangles. An edge of more than two triangles counts as a border.
     void build_topology() {
         struct HalfEdge {
             Index low, high, triangle, edge;

@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Vectors of space and symmetric matrices of numbers V, and numbers that carry a derivative.
+// Vectors in space, symmetric matrices of numbers V, and numbers that carry a derivative.
 #pragma once
 
 #include <type_traits>
@@ -52,7 +52,7 @@ template <class V>
 CLOTH_INLINE Vec3<V> cross(Vec3<V> a, Vec3<V> b) {
     return {fma(a.y, b.z, -(a.z * b.y)), fma(a.z, b.x, -(a.x * b.z)), fma(a.x, b.y, -(a.y * b.x))};
 }
-/// a x b - c x d.
+/// a x b - c x d, with one rounding less per product than two cross products.
 template <class V>
 CLOTH_INLINE Vec3<V> cross_difference(Vec3<V> a, Vec3<V> b, Vec3<V> c, Vec3<V> d) {
     const auto part = [](V p, V q, V r, V s, V t, V u, V v, V w) CLOTH_INLINED {
@@ -74,7 +74,7 @@ CLOTH_INLINE Sym3<V> outer(V s, Vec3<V> a, V t) {
     return {fma(b.x, a.x, t), fma(b.y, a.y, t), fma(b.z, a.z, t), b.x * a.y, b.x * a.z, b.y * a.z};
 }
 
-/// A number and its derivative along a direction: a law evaluated with these gives its derivative product.
+/// A number and its derivative along a direction. A law evaluated with these yields its derivative product.
 struct Dual {
     double value, slope;
 };

@@ -1,15 +1,15 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Cholesky factorisation of symmetric band matrices of 3x3 blocks, A = U'U, and the assembly of pair blocks into them.
+// Cholesky factorisation A = U'U of symmetric band matrices of 3x3 blocks, and assembly of pair blocks.
 //
-// Of the symmetric matrix the upper half is kept. Block row I holds its blocks J = I ... I + width in three contiguous
-// rows: entry (3 I + r, 3 J + c) is row(I, r)[3 (J - I) + c]. Blocks beyond the last block row are zero, and so are
-// `band_padding` numbers at each row's end: vectors may reach into them.
+// The upper half is stored. Block row I holds its blocks J = I ... I + width in three contiguous rows: entry (3 I + r,
+// 3 J + c) is row(I, r)[3 (J - I) + c]. Blocks beyond the last block row are zero, and so are `band_padding` numbers at
+// the end of each row, because vectors may read them.
 //
-// Every entry of the factor is one sum, taken over rows from the top, each product rounded once together with its sum
-// (fma). Vectors run across the entries of a row, never along a sum: their width, and how rows are grouped, change no
-// bit. The one exception, the products of rows in `backward`, has eight partial sums at any width.
+// Every entry of the factor is one sum over rows from the top. Each product is rounded once, together with its sum
+// (fma). Vectors run across the entries of a row, never along a sum. Therefore neither their width nor the grouping of
+// rows changes a bit. The one exception, the products of rows in `backward`, has eight partial sums at any width.
 #pragma once
 
 #include <algorithm>
@@ -19,10 +19,10 @@
 
 namespace cloth {
 
-/// Numbers behind the blocks of each row: two vectors of eight and two numbers.
+/// Padding at the end of each row: two vectors of eight and two numbers.
 inline constexpr std::int64_t band_padding = 18;
 
-/// Numbers in each row of a band of so many blocks beside the diagonal.
+/// Numbers in each row of a band with `width` blocks beside the diagonal.
 inline constexpr std::int64_t band_stride(std::int64_t width) { return 3 * (width + 1) + band_padding; }
 
 struct Band {
@@ -35,7 +35,7 @@ struct Band {
 };
 
 /// Add a block B (xx, yy, zz, xy, xz, yz) that couples two block rows: B on both diagonals, -B between them. A negative
-/// row does not move; two that do lie within the band.
+/// row is fixed. Two rows that are not lie within the band.
 inline void add_pair(const Band& a, std::int64_t i, std::int64_t j, const double* block) {
     const double b[3][3] = {{block[0], block[3], block[4]}, {block[3], block[1], block[5]}, {block[4], block[5], block[2]}};
     for (const std::int64_t p : {i, j})
@@ -49,7 +49,7 @@ inline void add_pair(const Band& a, std::int64_t i, std::int64_t j, const double
         }
 }
 
-/// Add a mass and the block (xx, yy, zz, xy, xz, yz; `apart` numbers from one to the next) to the diagonal of row i.
+/// Add a mass and a block (xx, yy, zz, xy, xz, yz; spaced by `component_stride`) to the diagonal of row i.
 inline void add_diagonal(const Band& a, std::int64_t i, double mass, const double* block, std::int64_t component_stride) {
     const double xy = block[3 * component_stride], xz = block[4 * component_stride], yz = block[5 * component_stride];
     double *x = a.row(i, 0), *y = a.row(i, 1), *z = a.row(i, 2);
@@ -64,27 +64,27 @@ inline void add_diagonal(const Band& a, std::int64_t i, double mass, const doubl
     z[1] += yz;
 }
 
-/// Set numbers below 1e-120 to zero. Where masses dominate the matrix, the factor's entries decay along a row until
-/// they are denormal, and arithmetic on denormal numbers takes about a hundred times as long.
+/// Set numbers below 1e-120 to zero. If masses dominate the matrix, the entries of the factor decay along a row until
+/// they are denormal. Arithmetic on denormal numbers is about a hundred times as slow.
 template <class V>
 inline V flush_tiny(V a) {
     constexpr double tiny = 1e-120;
     return select(absolute(a) < splat<V>(tiny), V{}, a);
 }
 
-/// R rows of the factor at N vectors' columns, held in registers with their sign turned.
+/// R rows of the factor at N vectors of columns, held in registers with the sign reversed.
 template <int R, int N>
 struct Tile {
     using V = vec<double>;
     static constexpr int L = lanes<double>, columns = N * L;
     V sum[R][N];
 
-    /// Add the products of what lies above: three rows of U a block, from `left` for the rows and `right` for the
+    /// Add the products with the rows above: three rows of U per block, from `left` for the rows and `right` for the
     /// columns.
     inline void add_products(const double* left, const double* right, std::int64_t blocks, std::int64_t stride) {
-        // A block row's columns begin three numbers later than those of the block row above.
+        // The columns of a block row begin three numbers later than those of the block row above.
         const std::int64_t next = 3 * stride - 3;
-        // Three rows at once would need more registers than there are.
+        // Three rows at once would need more registers than exist.
         for (; blocks > 0; --blocks, left += next, right += next)
 #pragma GCC unroll 1
             for (int k = 0; k < 3; ++k) {
@@ -101,14 +101,14 @@ struct Tile {
     }
 };
 
-/// The square of the factor that a tile's rows share, its diagonal inverted.
+/// Diagonal square of the factor in a tile, its diagonal inverted.
 template <int R>
 struct Corner {
     double u[R][R];
 };
 
-/// Replace R rows (one or two block rows) from block row `top` on, at the columns of their own blocks. Return whether
-/// they could be eliminated, where they are to be.
+/// Factorise R rows (one or two block rows) from block row `top` on, at the columns of their own blocks. Return false
+/// if a row to be eliminated has no positive pivot.
 template <int R>
 inline bool factor_corner(const Band& a, std::int64_t top, std::int64_t above, bool eliminated, Corner<R>& corner) {
     using V = vec<double>;
@@ -140,7 +140,7 @@ inline bool factor_corner(const Band& a, std::int64_t top, std::int64_t above, b
     return true;
 }
 
-/// The same rows at the columns that follow, from column `j` of the matrix on.
+/// Factorise the same rows at the columns from `j` of the matrix on.
 template <int R, int N>
 inline void factor_columns(
     const Band& a, std::int64_t top, std::int64_t above, bool eliminated, const Corner<R>& corner, std::int64_t j) {
@@ -155,8 +155,8 @@ inline void factor_columns(
         for (int n = 0; n < N; ++n) tile.sum[r][n] = -load(rows[r / 3] + r % 3 * stride + n * L);
     const double* first = a.row(from, 0);
     tile.add_products(first + 3 * (top - from), first + (j - 3 * from), above - from, stride);
-    // With their sign turned back (0 - 0 and 0 + 0 are the same zero, so that no sign of a zero tells how columns
-    // were grouped), and each multiplied by its inverse diagonal, they are rows of U: what the next one needs.
+    // Reverse the sign again: 0 - 0 and 0 + 0 are the same zero, so no sign of a zero depends on the grouping of
+    // columns. Multiplied by the inverse diagonal, the results are rows of U, which the next row needs.
 #pragma GCC unroll 8
     for (int r = 0; r < R; ++r)
 #pragma GCC unroll 8
@@ -172,7 +172,7 @@ inline void factor_columns(
         }
 }
 
-/// R rows from block row `top` on; those above `inner` count. Return whether they could be eliminated.
+/// Factorise R rows from block row `top` on, against the rows above `inner`. Return false if a pivot is not positive.
 template <int R>
 inline bool factor_rows(const Band& a, std::int64_t top, std::int64_t inner) {
     constexpr int L = lanes<double>, N = 2;
@@ -187,9 +187,9 @@ inline bool factor_rows(const Band& a, std::int64_t top, std::int64_t inner) {
     return true;
 }
 
-/// Eliminate the first `inner` block rows of a positive definite matrix; return whether it was one.
+/// Eliminate the first `inner` block rows of a positive definite matrix. Return false if it is not positive definite.
 ///
-/// They are replaced by their rows of U, diagonals inverted; the rest by its Schur complement.
+/// The rows are replaced by their rows of U with inverted diagonals, the others by the Schur complement.
 inline bool factor(const Band& a, std::int64_t inner) {
     for (const bool eliminated : {true, false}) {
         const std::int64_t end = eliminated ? inner : a.count;
@@ -218,7 +218,7 @@ inline void forward(const Band& a, std::int64_t inner, double* y) {
     }
 }
 
-/// Eight partial sums, in as many vectors as they take: their order is the same at any width.
+/// Eight partial sums, in one or more vectors. Their order is the same at any width.
 struct PartialSums {
     using V = vec<double>;
     static constexpr int L = lanes<double>, vectors = 8 / L;
@@ -238,7 +238,7 @@ struct PartialSums {
     }
 };
 
-/// Find the first `inner` unknowns of what `forward` left in y, the others being solved.
+/// Solve for the first `inner` unknowns of y after `forward`, given the others.
 inline void backward(const Band& a, std::int64_t inner, double* y) {
     for (std::int64_t i = inner - 1; i >= 0; --i) {
         const double *u0 = a.row(i, 0), *u1 = a.row(i, 1), *u2 = a.row(i, 2);
@@ -266,7 +266,7 @@ inline void backward(const Band& a, std::int64_t inner, double* y) {
     }
 }
 
-/// Set `middle` to the sum of two Schur complements of the same block rows, the lower one's in reverse order.
+/// Set `middle` to the sum of two Schur complements of the same block rows; those of `lower` are in reverse order.
 inline void join(
     const Band& upper, const Band& lower, std::int64_t inner_upper, std::int64_t inner_lower, const Band& middle) {
     for (std::int64_t i = 0; i < middle.count; ++i)
@@ -279,7 +279,7 @@ inline void join(
         }
 }
 
-/// The sum of so many numbers.
+/// Sum of `count` numbers in a fixed order.
 inline double sum(const double* values, std::int64_t count) {
     PartialSums partial;
     std::int64_t i = 0;

@@ -12,7 +12,7 @@
 
 namespace cloth {
 
-/// Rounding to nearest and gradual underflow, whatever the caller has set; restored at the end.
+/// Sets round to nearest and gradual underflow, and restores the caller's state at the end.
 class FpuGuard {
 public:
     FpuGuard() {

@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// An order of particles in which coupled ones lie close together: that of Cuthill and McKee (1969), reversed (George,
-// 1971). Whole numbers only, and no two keys of a sort are equal: the order depends on the pairs alone.
+// Ordering of particles with coupled ones close together: reverse Cuthill-McKee (1969; George 1971). Integers only, and
+// no two sort keys are equal: the order depends on the set of pairs alone.
 #pragma once
 
 #include <algorithm>
@@ -22,7 +22,7 @@ class CuthillMcKee {
 
 public:
 
-    /// Particles 0 ... count - 1 and the pairs of them that are coupled; repeated ones and loops do not matter.
+    /// Particles 0 ... count - 1 and their coupled pairs; duplicates and loops are ignored.
     CuthillMcKee(Index count, const Index* pairs, Index pair_count)
         : count_(count), first_(count + 1), level_(count), rank_(count), visited_round_(count), ordered_(count) {
         std::vector<Index> offset(count + 1);
@@ -41,7 +41,7 @@ public:
             std::sort(neighbors_.begin() + first_[p], neighbors_.begin() + first_[p + 1], by_degree());
     }
 
-    /// Write the particles in their order.
+    /// Write the particles in order.
     void write_order(Index* order) {
         std::vector<Index> starts(count_), best, trial;
         std::iota(starts.begin(), starts.end(), 0);
@@ -50,7 +50,8 @@ public:
         for (Index start : starts) {
             if (ordered_[start]) continue;
             best.clear();
-            // From the far end of the part that was reached last, levels are more and narrower: the best of some tries.
+            // Start from a particle of the last level, so that there are more and narrower levels; keep the best of
+            // some tries.
             Index min_width = 0;
             for (int sweep = 0; sweep < tries; ++sweep) {
                 const Index width = visit(start, trial);
@@ -72,7 +73,7 @@ public:
 private:
     static constexpr int tries = 3;
 
-    /// Visit all that is coupled with a particle, level by level; return the largest distance of two coupled ones.
+    /// Visit all particles coupled with a start, level by level; return the largest rank distance of a coupled pair.
     Index visit(Index start, std::vector<Index>& visited) {
         visited.assign(1, start);
         ++round_;

@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Vectors of a machine's width, and the few operations that the laws need. Only IEEE arithmetic (+ - * / sqrt, and fma
-// where it is written), lane by lane: so every width gives the same bits. CLOTH_VECTOR_BYTES is set by the build.
+// SIMD vectors of the machine's width, and the operations of the laws. Only IEEE arithmetic (+ - * / sqrt, and fma
+// where written), lane by lane: every width gives the same bits. The build sets CLOTH_VECTOR_BYTES.
 #pragma once
 
 #include <bit>
@@ -22,9 +22,9 @@
 #define CLOTH_VECTOR_BYTES 16
 #endif
 
-/// What the inner loops consist of: left to itself the compiler calls some of it, and passes vectors through memory.
+/// Inlines inner loops: otherwise the compiler calls some functions and passes vectors through memory.
 #define CLOTH_INLINE inline __attribute__((always_inline))
-/// The same behind the parameters of a lambda.
+/// The same attribute for lambdas.
 #define CLOTH_INLINED __attribute__((always_inline))
 
 namespace cloth {
@@ -34,12 +34,12 @@ struct SimdVector {
     typedef T type __attribute__((vector_size(CLOTH_VECTOR_BYTES)));
     static constexpr int lanes = CLOTH_VECTOR_BYTES / sizeof(T);
 };
-/// One number a lane.
+/// One number per lane.
 template <class T>
 using vec = typename SimdVector<T>::type;
 template <class T>
 inline constexpr int lanes = SimdVector<T>::lanes;
-/// No wider than so many bytes.
+/// A vector of at most MaxBytes.
 template <class T, int MaxBytes>
 struct CappedVector {
     typedef T type __attribute__((vector_size(MaxBytes < CLOTH_VECTOR_BYTES ? MaxBytes : CLOTH_VECTOR_BYTES)));
@@ -49,11 +49,11 @@ template <class T>
 struct QuadVector {
     typedef T type __attribute__((vector_size(4 * sizeof(T))));
 };
-/// x, y, z of one particle, and one number more that is not used.
+/// x, y, z of one particle, and one unused number.
 template <class T>
 using quad = typename QuadVector<T>::type;
 
-/// The same arithmetic for one number or a vector of them: V is double, float, vec<double> or vec<float>.
+/// Scalar type of V, which is double, float, vec<double> or vec<float>.
 template <class V>
 struct Scalar {
     using type = typename std::remove_reference<decltype(V{}[0])>::type;
@@ -158,7 +158,7 @@ CLOTH_INLINE V inverse_root(V a) {
     return splat<V>(1) / root(a);
 }
 
-// Comparisons give a bool for numbers and a mask for vectors; select takes either.
+// Comparisons return a bool for numbers and a mask for vectors; select accepts either.
 CLOTH_INLINE double select(bool yes, double a, double b) { return yes ? a : b; }
 CLOTH_INLINE float select(bool yes, float a, float b) { return yes ? a : b; }
 template <class M, class V>
@@ -166,7 +166,7 @@ template <class M, class V>
 CLOTH_INLINE V select(M yes, V a, V b) {
     return yes ? a : b;
 }
-/// The lanes in which a mask is set, as bits.
+/// Lanes in which a mask is set, as bits.
 template <class M>
 CLOTH_INLINE unsigned bits_of(M yes) {
     [[maybe_unused]] constexpr bool wide = sizeof(scalar<M>) == 8;
@@ -189,7 +189,7 @@ template <class M>
 CLOTH_INLINE bool any(M yes) {
     return bits_of(yes) != 0;
 }
-/// Call `what` with the places of those numbers that are below a limit. A vector's worth of room lies behind them.
+/// Call `visit` with the indices of the numbers below a bound. The array is padded by a vector.
 template <class F>
 CLOTH_INLINE void each_below(const double* from, std::size_t size, double limit, F&& visit) {
     using V = vec<double>;
@@ -204,7 +204,7 @@ template <class V>
 CLOTH_INLINE V absolute(V a) {
     return select(a < V{}, -a, a);
 }
-/// The smaller, or b where a is not a number.
+/// The smaller, or b if a is NaN.
 template <class V>
 CLOTH_INLINE V smaller(V a, V b) {
     return select(a < b, a, b);
@@ -214,7 +214,7 @@ CLOTH_INLINE V larger(V a, V b) {
     return select(a > b, a, b);
 }
 
-/// The last N lanes of one vector, then the first of the next: what lies N places to the left.
+/// The last N lanes of one vector, then the first of the next: a shift by N columns to the left.
 template <int N, class V>
 CLOTH_INLINE V shift(V previous, V next) {
     using T = scalar<V>;
@@ -224,8 +224,8 @@ CLOTH_INLINE V shift(V previous, V next) {
     }(std::make_integer_sequence<int, L>{});
 }
 
-// Particles lie as quads, laws want vectors of x, of y and of z: `lanes` quads to three vectors, and back. Vectors are
-// taken as groups of four lanes, and each group of four rows is transposed.
+// Particles are quads, laws need vectors of x, y and z: convert `lanes` quads to three vectors, and back. Vectors are
+// groups of four lanes, and each group of four rows is transposed.
 template <int L>
 constexpr int unpack_index(int lane, int first) {
     return (lane & ~3) + (lane & 2) + first + (lane & 1 ? L : 0);
@@ -249,7 +249,7 @@ CLOTH_INLINE void transpose(V& a, V& b, V& c, V& d) {
     }(std::make_integer_sequence<int, L>{});
 }
 
-/// Rows k, k + 4, k + 8, ... side by side.
+/// Rows k, k + 4, k + 8, ... joined in one vector.
 template <class V>
 CLOTH_INLINE V join_rows(const quad<scalar<V>>* rows, int k) {
     constexpr int L = sizeof(V) / sizeof(scalar<V>);

@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Aligned arrays, and the state of the floating-point unit that every call of the engine runs in.
+// Arrays aligned to cache lines.
 #pragma once
 
 #include <new>

@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// A few threads that are kept between calls. No bit depends on how many there are.
+// Thread pool, kept between calls. No bit depends on the number of threads.
 #pragma once
 
 #include <sched.h>
@@ -31,14 +31,14 @@ inline void pause_briefly() {
 
 using Clock = std::chrono::steady_clock;
 
-/// Time that threads of the present run have waited for each other beyond a moment [ns].
+/// Total waiting time of threads for each other in the present run [ns].
 inline std::atomic<std::int64_t> wait_time_ns{0};
 
 inline std::int64_t nanoseconds_since(Clock::time_point begin) {
     return std::chrono::duration_cast<std::chrono::nanoseconds>(Clock::now() - begin).count();
 }
 
-/// Wait until a condition that another thread makes true: at first without leaving the core.
+/// Wait for a condition that another thread makes true: spin first, then yield.
 template <class F>
 inline void wait_until(F&& done) {
     for (int spin = 0; spin < 4000; ++spin) {
@@ -50,7 +50,7 @@ inline void wait_until(F&& done) {
     wait_time_ns.fetch_add(nanoseconds_since(begin), std::memory_order_relaxed);
 }
 
-/// Threads that wait for each other.
+/// Barrier of threads.
 class Barrier {
 public:
     explicit Barrier(int threads) : threads_(threads) {}
@@ -76,15 +76,15 @@ public:
         static ThreadPool* pool = new ThreadPool;  // never destroyed: its threads may outlive static objects
         return *pool;
     }
-    /// Call job(0) to job(workers - 1) at once, each on a thread of its own. Call `alone` instead where the pool is
-    /// busy with another call or no thread can be started. Where other processes hold the cores, all threads wait for one
-    /// that the system has suspended: after a run in which they waited, all together, for more than a quarter of its time,
-    /// the next runs call `alone` too. They do so as long as that run took, and after each further one twice as many times
-    /// as long: what is lost by trying stays small, and what is lost by not trying is no more than the cores were held. No
-    /// bit of the result depends on this choice, so a clock may make it.
+    /// Call job(0) to job(workers - 1) concurrently, each on a thread of its own. Call `serial` instead if the pool is
+    /// busy with another call or no thread can be started. If other processes hold the cores, all threads wait for one
+    /// that the system has suspended. After a run in which they waited, in total, for more than a quarter of its time,
+    /// the next runs call `serial` too: for as long as that run took, and twice as many times as long after each
+    /// further one. Therefore a retry costs little, and the back-off is no longer than the cores were held. No bit of
+    /// the result depends on this choice, so a clock may make it.
     template <class Job, class Serial>
     void run(int workers, Job&& job, Serial&& serial) {
-        // A call that works alone releases the lock, so that another call can use the threads.
+        // A serial call releases the lock, so that another call can use the threads.
         std::unique_lock lock(mutex_, std::defer_lock);
         if (workers <= 1 || !lock.try_lock() || is_backing_off() || !ensure_threads(workers - 1)) {
             if (lock) lock.unlock();
@@ -103,8 +103,8 @@ public:
         backoff_factor_ = contended ? std::min(std::max(2 * backoff_factor_, 1), 1024) : backoff_factor_ / 2;
         backoff_end_ = contended ? end + backoff_factor_ * duration : end;
     }
-    /// Call job(number, worker) for each number below `jobs`, the last one first, each on whichever of so many threads is
-    /// free. They do not wait for each other: one that the system is late to start has nothing to do then.
+    /// Call job(index, worker) for each index below `jobs`, the last one first, on whichever of a number of threads is
+    /// free. Threads do not wait for each other: a late one has nothing to do.
     template <class Job>
     void for_each_job(int jobs, int workers, Job&& job) {
         std::unique_lock lock(mutex_, std::defer_lock);
@@ -129,11 +129,11 @@ public:
 private:
     using Task = std::function<void(int)>;
 
-    /// Whether a run is to do without threads, after one that mostly waited.
+    /// Whether runs avoid threads, after one that mostly waited.
     bool is_backing_off() const { return backoff_factor_ > 0 && Clock::now() < backoff_end_; }
 
     struct Worker {
-        /// What is to be done; `begun` while it is; null once it has been.
+        /// The task; `running` while it is executed; null afterwards.
         std::atomic<const Task*> task{nullptr};
         std::thread thread;
 
@@ -141,7 +141,7 @@ private:
             task.store(&new_task, std::memory_order_release);
             task.notify_one();
         }
-        /// Whether what was given has not been begun, and will not be.
+        /// Revoke a task. Return whether it has not been started.
         bool revoke(const Task& assigned) {
             const Task* expected = &assigned;
             return task.compare_exchange_strong(expected, nullptr, std::memory_order_acq_rel);
@@ -153,7 +153,7 @@ private:
 
     bool ensure_threads(int count) {
         if (process_ != getpid()) {
-            // A forked child has none of its parent's threads; what describes them is left behind.
+            // A forked child has none of its parent's threads; their descriptions are abandoned.
             for (auto& worker : threads_) static_cast<void>(worker.release());
             threads_.clear();
             process_ = getpid();
@@ -178,7 +178,7 @@ private:
         const FpuGuard rounding;
         for (;;) {
             const Task* task = nullptr;
-            // Runs of one frame follow each other closely: a thread that slept would be late for each.
+            // Runs of one frame follow each other closely: a sleeping thread would be late for each.
             for (int spin = 0; spin < 5000 && !task; ++spin) {
                 task = state.task.load(std::memory_order_acquire);
                 if (!task) pause_briefly();
@@ -196,8 +196,8 @@ private:
 
     std::mutex mutex_;
     std::vector<std::unique_ptr<Worker>> threads_;
-    /// Runs do without threads until `rested_`: `times_` as long as the one before took. That number doubles, from 1 to at
-    /// most 1024, with each run that waits too long and halves with each that does not.
+    /// Runs avoid threads until `backoff_end_`: `backoff_factor_` times the duration of the run before. The factor
+    /// doubles, from 1 to at most 1024, with each run that waits too long and halves with each that does not.
     Clock::time_point backoff_end_{};
     int backoff_factor_ = 0;
     pid_t process_ = getpid();

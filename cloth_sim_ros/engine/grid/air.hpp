@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Air on a regular sheet's cells, a row at a time: what the cells below a row take from each speed, then the forces on the
-// row's particles by that of the four cells around each.
+// Drag of air on the cells of a sheet, row by row: first the coefficients of the cells below a row, then the forces on
+// the particles of the row from the four cells around each.
 #pragma once
 
 #include "grid/cells.hpp"
@@ -10,10 +10,10 @@
 
 namespace cloth {
 
-/// Zeros between the components of a row of cells, and before the first: what lies left of the first cell.
+/// Zeros between the components of a row of cells, and before the first, for reads left of the first cell.
 template <class T>
 inline constexpr std::int64_t air_gap = 64 / sizeof(T);
-/// What is kept of a row of cells: area vectors, shares across and along.
+/// Size of the data of a row of cells: area vectors, normal and tangential coefficients.
 template <class T>
 inline std::int64_t air_row_size(std::int64_t pitch) {
     return air_gap<T> + 5 * (pitch + air_gap<T>);
@@ -21,14 +21,14 @@ inline std::int64_t air_row_size(std::int64_t pitch) {
 
 template <class T>
 struct AirRow {
-    const T *x[2], *v;  ///< positions of a row and the next one, velocities that damping sees
-    const T* panel_share;      ///< of each cell below it, see CellTable
+    const T *x[2], *v;  ///< positions of a row and the next one, damping velocities
+    const T* panel_share;      ///< share of a corner in each cell below, see CellTable
     T* f;
-    T *above, *below;   ///< what is kept of the cells above and below the row
-    std::ptrdiff_t pitch, cell_pitch, length;  ///< from a component to the next, of particles and of cells; see RowView
+    T *above, *below;   ///< data of the cells above and below the row
+    std::ptrdiff_t pitch, cell_pitch, length;  ///< distances between components, of particles and of cells; see RowView
 };
 
-/// Along: whether there is drag along the surface.
+/// Tangential: whether there is drag along the surface.
 template <class T, bool Tangential>
 __attribute__((noinline)) void compute_cells(const AirRow<T>& row, const double* common) {
     using V = vec<T>;
@@ -47,7 +47,7 @@ __attribute__((noinline)) void compute_cells(const AirRow<T>& row, const double*
     }
 }
 
-/// Add what the air does to a row's particles to their forces, and note the powers if Watched.
+/// Add the drag to the forces of a row's particles; record the powers if Record.
 template <class T, bool Tangential, bool Record>
 __attribute__((noinline)) void add_air(const AirRow<T>& row, const double* common, PowerSums* powers) {
     using V = vec<T>;
@@ -78,9 +78,8 @@ __attribute__((noinline)) void add_air(const AirRow<T>& row, const double* commo
     }
 }
 
-/// Take one row of a sheet's cells, and add what air does to the row to its forces in the ring if it is the caller's
-/// `own`. `kept` has room for two rows of cells, all zeros before the first; rows are taken in order. The powers are noted
-/// if there are any.
+/// Process one row of cells, and add the drag to the force row if the row is `owned`. `cell_rows` holds two rows of
+/// cells, zero before the first. Rows are processed in order. Powers are recorded if `powers` is not null.
 template <class T>
 inline void add_air_row(const RowView<T>& at, const T* panel_share, const double* common, T* cell_rows, std::int64_t row, bool owned,
                      PowerSums* powers) {

@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Bounds of the stiffness and damping of a sheet's springs, and of the air on its cells: for each particle the sum over
-// them of what the law bounds them by. Each is looked at once, by its own row; particles gather from the last three rows.
+// Stiffness and damping bounds of a sheet's springs and of the drag on its cells, summed for each particle. Each spring
+// is evaluated once, by its own row; particles gather from the last three rows.
 #pragma once
 
 #include "grid/cells.hpp"
@@ -13,8 +13,8 @@ namespace cloth {
 template <class T>
 class GridBounds {
 public:
-    /// In single precision blocks are in units of the largest k_s / l0 and c, so that no square is out of range. `air` is
-    /// what the panels of `cells` have in common; null where there are none.
+    /// In single precision blocks are in units of the largest k_s / l0 and c, so that no square overflows. `air`:
+    /// common coefficients of the panels of `cells`, or null.
     GridBounds(const Grid& grid, const GridTables<T>& tables, const double* x, const CellTable<T>* cells = nullptr,
                const double* air = nullptr)
         : damped(air || grid.damped()), grid_(grid), tables_(tables), table_(cells), air_(air), positions_(grid, x, nullptr),
@@ -30,7 +30,7 @@ public:
         numbers_.assign((3 * family_count + (air ? 2 : 0)) * parts * pitch_ + 2 * margin, T(0));
     }
 
-    /// Rows have to be taken in order, from the first on.
+    /// Process a row. Rows have to be processed in order from the first.
     void process_row(std::int64_t row) {
         using V = vec<T>;
         for (int f = 0; f < family_count; ++f) {
@@ -57,7 +57,7 @@ public:
         }
         if (air_) process_cells(row);
     }
-    /// Blocks of a vector of particles of the row taken last.
+    /// Blocks of a vector of particles of the last processed row.
     void of(std::int64_t row, std::int64_t j, Sym3<vec<T>>& stiff, Sym3<vec<T>>& damp) const {
         stiff = damp = Sym3<vec<T>>{};
         for (int f = 0; f < family_count; ++f) {
@@ -70,7 +70,7 @@ public:
             for (const std::int64_t left : {j - 1, j}) add_cell(cells(up) + left, stiff, damp);
     }
 
-    /// The part of their stiffness that lies across springs.
+    /// Transverse part of their stiffness.
     vec<T> transverse(std::int64_t row, std::int64_t j) const {
         vec<T> sum{};
         for (int f = 0; f < family_count; ++f) {
@@ -86,8 +86,8 @@ public:
     double unit_stiffness = 0.0, unit_damping = 0.0;
 
 private:
-    /// Unit vector, along, across and damping of each spring; room for columns left of the first. Between parts too: there
-    /// zeros are read, whatever springs of no weight beyond the last column are like.
+    /// Unit vector, axial, transverse and damping part of each spring. The margin covers columns left of the first, and
+    /// separates the parts by zeros, whatever springs of zero weight lie beyond the last column.
     static constexpr std::int64_t parts = 6, margin = 16;
 
     T* numbers(std::int64_t row, int f) {
@@ -95,7 +95,7 @@ private:
     }
     const T* numbers(std::int64_t row, int f) const { return const_cast<GridBounds*>(this)->numbers(row, f); }
 
-    /// Area vectors of the cells below a row, their shares across and along, and what their turning adds.
+    /// Area vectors, normal and tangential coefficients, and turning stiffness of the cells below a row.
     T* cells(std::int64_t row) { return numbers(0, 0) + (3 * family_count + row % 2) * parts * pitch_; }
     const T* cells(std::int64_t row) const { return const_cast<GridBounds*>(this)->cells(row); }
     void process_cells(std::int64_t row) {
@@ -159,7 +159,7 @@ private:
     Array<T> numbers_;
 };
 
-/// Add the blocks of all particles to stiff and damp, each (6, n), and the part across springs to `across` (n) or null.
+/// Add the blocks of all particles to stiff and damp, each (6, n), and the transverse part to `transverse` (n) or null.
 inline void add_grid_bounds(const Grid& grid, const GridTables<double>& tables, const double* x, double* stiff,
                             double* damp, double* transverse = nullptr) {
     GridBounds<double> bounds(grid, tables, x);
@@ -183,9 +183,9 @@ inline void add_grid_bounds(const Grid& grid, const GridTables<double>& tables, 
     }
 }
 
-/// The largest eigenvalue of a symmetric 3x3 matrix. With mean m and B - m I = p C, C of Frobenius norm sqrt(6), it is
-/// m + 2 p cos(acos(h) / 3), h = det(C) / 2 (Smith, Comm. ACM 4(4), 1961). With t = sqrt((1 + h) / 2) that cosine is
-/// cos(2 acos(t) / 3), smooth in t: a polynomial of degree 13, never below it, at most 1e-12 above.
+/// Largest eigenvalue of a symmetric 3x3 matrix. With mean m and B - m I = p C, C of Frobenius norm sqrt(6), it is m +
+/// 2 p cos(acos(h) / 3), h = det(C) / 2 (Smith, Comm. ACM 4(4), 1961). With t = sqrt((1 + h) / 2) that cosine is cos(2
+/// acos(t) / 3), smooth in t: approximated by a polynomial of degree 13, never below, at most 1e-12 above.
 template <class V>
 inline V largest_eigenvalue(const Sym3<V>& block) {
     using T = scalar<V>;

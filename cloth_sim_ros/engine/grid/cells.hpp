@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// The panels of air of a regular sheet's cells, as a table by rows.
+// Panels of air on the cells of a regular sheet, as a table by rows.
 #pragma once
 
 #include "grid/grid.hpp"
@@ -9,15 +9,15 @@
 
 namespace cloth {
 
-/// The cell that each panel of a list covers, row * columns + column of its upper left particle; empty if one covers no
-/// cell, two cover the same one, or more than a third of the cells have none.
+/// Cell of each panel of a list, row * columns + column of its upper left particle. Empty if a panel is not a cell, two
+/// cover the same cell, or more than a third of the cells have none.
 inline std::vector<std::int64_t> cell_slots(const Grid& grid, const List& list) {
     std::vector<std::int64_t> slots;
     std::vector<char> occupied(grid.count(), 0);
     for (std::int64_t e = 0; e < list.count; ++e) {
         const std::int64_t* const p = list.corners.data() + 4 * e;
         const std::int64_t first = *std::min_element(p, p + 4), below = first + grid.columns;
-        // Around the cell, in either sense: what lies opposite of a corner decides.
+        // Either orientation around the cell: opposite corners decide.
         const auto opposite = [p](std::int64_t a, std::int64_t b) {
             return (p[0] == a && p[2] == b) || (p[2] == a && p[0] == b) || (p[1] == a && p[3] == b) ||
                    (p[3] == a && p[1] == b);
@@ -31,8 +31,7 @@ inline std::vector<std::int64_t> cell_slots(const Grid& grid, const List& list) 
     return 3 * list.count >= 2 * all ? slots : std::vector<std::int64_t>{};
 }
 
-/// The part of each cell's panel that a corner has, in padded rows: 1/4, or 0 where there is none. Rows that are alike
-/// share one.
+/// Share of a corner in the panel of each cell, in padded rows: 1/4, or 0 without a panel. Equal rows share one.
 template <class T>
 class CellTable {
 public:

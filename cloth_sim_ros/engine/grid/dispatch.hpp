@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// The loop over a row that a sheet takes: which families of springs it has, and whether anything depends on velocities.
+// Choice of the row loop of a sheet by its families of springs and its dependence on velocities.
 #pragma once
 
 #include "plan/plan.hpp"
@@ -35,7 +35,7 @@ inline StepRow<T> select_row_step(unsigned shape, Mode mode) {
     }
 }
 
-/// What the loop needs of a plan.
+/// Constants of the row loop.
 template <class T>
 inline GridConstants<T> grid_constants(const Plan& plan) {
     GridConstants<T> c{};

@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// One evaluation of a sheet: its rows pass through a window of three, which stays in the first cache.
+// One force evaluation of a sheet: its rows pass through a window of three rows, which fits the first-level cache.
 #pragma once
 
 #include "grid/air.hpp"
@@ -15,7 +15,7 @@ class GridForces {
     using T = double;
 
 public:
-    /// Accelerations at the start of a run without steps go where its velocities at the end would.
+    /// The accelerations are written to the end velocities of the run, which has no steps.
     GridForces(Plan& plan, const Run& run)
         : plan_(plan), run_(run), grid_(*plan.grid), off_grid_(plan, run), window_(plan.workspace<T>().window),
           hinges_(plan.row_tables<T>()), cells_(plan.cell_table<T>()), pitch_(plan.tables.pitch), uses_velocity_(plan.mode() != Mode::position_only) {
@@ -42,7 +42,7 @@ public:
         std::fill(force_rows, window_.data() + window_.size(), T(0));
         load_row(0);
         load_row(1);
-        // Rows of whole vectors are written where they belong.
+        // Rows of whole vectors are written in place.
         const bool whole = row_length<T>(grid_.columns) == grid_.columns;
         for (std::int64_t row = 0; row < grid_.rows; ++row) {
             load_row(row + 2);
@@ -85,7 +85,7 @@ private:
             for (; j + lanes<T> <= grid_.columns; j += lanes<T>) store(to + j, load(from + j));
             for (; j < grid_.columns; ++j) to[j] = from[j];
         }
-        // Whole vectors cover a pitch; those that begin in the row end in it or are filled one by one.
+        // Whole vectors cover the pitch; those that begin in the row end in it or are filled one by one.
         for (; j % lanes<T>; ++j) to[j] = T(0);
         for (; j < pitch_; j += lanes<T>) store(to + j, vec<T>{});
     }

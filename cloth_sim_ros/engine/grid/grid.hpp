@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// The springs of a regular sheet as data, and the padded tables that the loops over rows read.
+// Springs of a regular sheet as data, and the padded tables of the row loops.
 #pragma once
 
 #include <map>
@@ -12,8 +12,8 @@
 
 namespace cloth {
 
-/// All springs of a sheet that point the same way. k_s [N], rest length [m], c [N s/m]; `border`: factor for threads
-/// along the sheet's border; `parity`: 0 or 1 keeps only cells of which row + column is even or odd, -1 keeps all.
+/// Springs of a sheet with the same direction. k_s [N], rest length [m], c [N s/m]; `border`: factor for threads along
+/// the border; `parity`: 0 or 1 keeps the cells with even or odd row + column, -1 keeps all.
 struct GridFamily {
     bool present = false;
     double stiffness = 0.0, rest_length = 1.0, damping = 0.0, border = 1.0;
@@ -30,7 +30,7 @@ struct Grid {
             if (f.present && f.damping > 0.0) return true;
         return false;
     }
-    /// Factor on a family's spring that a row and column own; zero where there is none.
+    /// Factor of a family's spring at a row and column; zero if there is none.
     double weight(int family, std::int64_t row, std::int64_t column) const {
         const GridFamily& f = families[family];
         const Ends e = family_ends[family];
@@ -41,7 +41,8 @@ struct Grid {
                           (across == 0 && (column == 0 || column == columns - 1));
         return edge ? f.border : 1.0;
     }
-    /// Families with springs, as bits of `take_row`. Edge springs count as present: their weights may be zero.
+    /// Families with springs, as bits for `step_row`. Border springs count as present although their weights may be
+    /// zero.
     unsigned shape() const {
         unsigned bits = 1u << right | 1u << down;
         for (int f = diagonal; f < family_count; ++f)
@@ -51,8 +52,8 @@ struct Grid {
     }
 };
 
-/// Numbers from one component of a padded row to the next: room for what neighbours two columns on read, in whole cache
-/// lines, an odd number of them, so that components don't meet in one set of the cache.
+/// Distance between the components of a padded row, in numbers. It covers the neighbours two columns on and is an odd
+/// number of cache lines, so that components do not map to the same cache set.
 template <class T>
 inline std::int64_t row_pitch(std::int64_t columns) {
     constexpr std::int64_t line = 64 / sizeof(T);
@@ -63,13 +64,13 @@ inline std::int64_t row_length(std::int64_t columns) {
     return (columns + lanes<T> - 1) / lanes<T> * lanes<T>;
 }
 
-/// Entries of inverse masses, freedom and weights; rows that are alike share one. One more stands for rows beyond the
-/// sheet: all zeros.
+/// Entries of inverse masses, freedom and weights; equal rows share one. A further entry of zeros is for rows outside
+/// the sheet.
 template <class T>
 struct GridTables {
     std::int64_t pitch = 0;
     Array<T> numbers;
-    std::vector<std::int64_t> entry;  ///< where each row's entry begins
+    std::vector<std::int64_t> entry;  ///< offset of each row's entry
     std::int64_t outside = 0;
 
     GridTables() = default;
@@ -104,8 +105,8 @@ struct GridTables {
     }
 };
 
-/// Positions (and velocities) in padded rows, with room for the neighbours of border particles; in single precision
-/// positions are about the first particle.
+/// Positions (and velocities) in padded rows, with space for the neighbours of border particles. In single precision
+/// positions are relative to the first particle.
 template <class T>
 struct PaddedRows {
     std::int64_t pitch, stride;

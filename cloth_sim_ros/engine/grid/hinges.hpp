@@ -1,19 +1,18 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Hinges of a regular sheet, taken by rows as its springs are.
+// Hinges of a regular sheet, evaluated row by row like its springs.
 //
-// A row owns the elements whose upmost corner it has. Their forces are summed in a ring of three rows of their own, so
-// that a row's sum, complete once the row is taken, is the same whatever else acts. Vectors of forces on corners further
-// right are moved there lane by lane: each particle's sum runs in one order, whatever the vectors' width.
+// A row owns the elements whose topmost corner it contains. Their forces are summed in three force rows of their own,
+// so that the sum of a row does not depend on other forces. Forces on corners further right are shifted there lane by
+// lane: each particle's sum has one order, whatever the vector width.
 #pragma once
 
 #include "grid/dispatch.hpp"
 #include "mesh/forces.hpp"
 
-/// Laws of four corners have more numbers at hand than there are registers: GCC keeps fewer of them in memory where it may
-/// put loads next to what needs them, and the loop takes a fifth less time. No bit depends on it: the order in which
-/// numbers are loaded and calculated is no order of sums.
+/// Laws of four corners need more registers than exist. GCC spills fewer values if it may move loads next to their
+/// uses, and the loop is a fifth faster. No bit changes, because the order of loads is no order of sums.
 #if defined(__AVX2__) && !defined(__clang__)
 #define CLOTH_SCHEDULED __attribute__((noinline, optimize("schedule-insns", "sched-pressure")))
 #else
@@ -22,7 +21,7 @@
 
 namespace cloth {
 
-/// One row of elements: positions and velocities that damping sees begin here, three rows each, and forces go there.
+/// One row of elements: positions and damping velocities of three rows, and their forces.
 template <class T>
 struct HingeRow {
     const T *x[3], *v[3];
@@ -31,7 +30,7 @@ struct HingeRow {
     std::ptrdiff_t pitch, length;
 };
 
-/// What laws are told of elements of one way at columns j and on.
+/// Operands of the law for the elements of one stencil, from column j on.
 template <class Law, class T>
 struct HingeOperands {
     using V = vec<T>;
@@ -55,7 +54,7 @@ struct HingeOperands {
     }
 };
 
-/// Whether elements have a corner in this row and column.
+/// Whether an element has a corner in this row and column.
 template <class Law>
 constexpr bool has_corner(int row, int column) {
     for (int k = 0; k < n_stencils<Law>; ++k)
@@ -64,8 +63,9 @@ constexpr bool has_corner(int row, int column) {
     return false;
 }
 
-/// Add the forces of a row's elements, and note what damping takes if Watched. All ways are taken, those that are missing with zeros: in one piece the particles'
-/// numbers are loaded once for all of them, and their forces are added up before any is stored.
+/// Add the forces of a row's elements; record the dissipation if Record. All stencils are evaluated, absent elements
+/// with zero coefficients: the particles are loaded once for all stencils, and forces are summed before they are
+/// stored.
 template <class Law, class T, bool Damped, bool Record>
 CLOTH_SCHEDULED void accumulate_hinges(const HingeRow<T>& row, PowerSums* powers) {
     using V = vec<T>;
@@ -109,9 +109,9 @@ CLOTH_SCHEDULED void accumulate_hinges(const HingeRow<T>& row, PowerSums* powers
     }
 }
 
-/// Take one row of a sheet's elements: add its sum, now complete, to the forces in the sheet's ring if the row is the
-/// caller's `own`. `ring` has this row's sums, the next one's and those of the one after; the last is begun here. What
-/// damping takes is noted in `powers` if there are any. Hinges are left out where they are `sparse`.
+/// Process one row of elements, and add its complete sum to the force row of the sheet if the row is `owned`.
+/// `hinge_rows`: sums of this row and the next two; the last is cleared here. Dissipation is recorded if `powers` is
+/// not null. Hinges are skipped if `multirate`.
 template <class T>
 inline void add_hinge_row(const std::vector<RowTable<T>>& tables, std::int64_t row, const RowView<T>& at, T* const* hinge_rows,
                        bool owned, PowerSums* powers, bool multirate) {

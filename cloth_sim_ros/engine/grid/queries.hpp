@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What is asked of a sheet's springs beside forces: energy, power, bounds, derivative product. Sums run row by row,
-// family by family, column by column, whatever the vectors' width.
+// Queries of a sheet's springs: energy, dissipation, derivative product. Sums run row by row, family by family, column
+// by column, whatever the vector width.
 #pragma once
 
 #include "grid/grid.hpp"
@@ -10,8 +10,8 @@
 
 namespace cloth {
 
-/// Call `what(family, params, row, numbers)` with a vector of numbers for each column's spring, and add those up with
-/// the springs' weights.
+/// Call evaluate(family, params, row, column) for vectors of springs, and sum the results with the weights of the
+/// springs.
 template <class F>
 inline double grid_sum(const Grid& grid, const GridTables<double>& tables, F&& evaluate) {
     using V = vec<double>;

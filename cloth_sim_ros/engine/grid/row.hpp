@@ -1,18 +1,18 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// One row of a regular sheet: the forces of its springs, and one leapfrog step of its particles.
+// Row loop of a regular sheet: forces of the springs of one row, and one leapfrog step of its particles.
 //
-// A row owns the springs that lead from it to the right and down. Their forces on this row, on the next and on the one
-// after are summed in a ring of three force rows. Rows are taken in order and none looks back, so a row's force is
-// complete when its own springs are done, and its particles move at once: a step reads and writes each number once.
+// A row owns the springs that lead from it to the right and down. Their forces on this row and the next two are summed
+// in three force rows. Rows are processed in order and none looks back. Therefore the force on a row is complete when
+// its own springs are done, and its particles move at once: a step reads and writes each number once.
 #pragma once
 
 #include "laws/all.hpp"
 
 namespace cloth {
 
-/// Families of springs of a grid by their ends (row, column) relative to the row and column that own them.
+/// Families of springs by their ends (row, column) relative to the owning row and column.
 enum Family : int { right, down, diagonal, antidiagonal, right2, down2 };
 inline constexpr int family_count = 6;
 struct Ends {
@@ -20,11 +20,11 @@ struct Ends {
 };
 inline constexpr Ends family_ends[family_count] = {{0, 0, 0, 1}, {0, 0, 1, 0}, {0, 0, 1, 1},
                                                    {0, 1, 1, 0}, {0, 0, 0, 2}, {0, 0, 2, 0}};
-/// The lower rows that springs reach at most.
+/// Number of lower rows that a spring reaches at most.
 inline constexpr int row_reach = 2;
 
-/// Where the components of a padded row begin: positions, velocities, velocities that damping sees, last accelerations
-/// and, in single precision, what rounding took from the positions.
+/// Components of a padded row: positions, velocities, damping velocities, previous accelerations and, in single
+/// precision, the compensation of rounding (Kahan).
 enum Slot : int { position = 0, velocity = 3, damping_velocity = 6, previous_acceleration = 9, compensation = 12 };
 template <class T>
 inline constexpr int components = sizeof(T) == 4 ? 15 : 12;
@@ -32,7 +32,7 @@ inline constexpr int components = sizeof(T) == 4 ? 15 : 12;
 /// Slots of a table entry: 1/m, one for free particles, then the weights of the families.
 inline constexpr int inverse_mass = 0, freedom = 1, weights = 2, table_slots = weights + family_count;
 
-/// What forces depend on beside positions.
+/// Dependence of the forces on velocity.
 enum class Mode { position_only, drag, damped };
 
 template <class T>
@@ -40,7 +40,7 @@ struct GridConstants {
     typename Spring::template Params<T> families[family_count];
     T drag, body_acceleration[3];
 };
-/// Factors of one step: v += kick a; seen = v + now a + before a_last; x += drift v.
+/// Factors of one step: v += kick a; damping velocity = v + predict a + predict_previous a_previous; x += drift v.
 template <class T>
 struct StepFactors {
     T kick, predict, predict_previous, drift;
@@ -51,16 +51,16 @@ struct RowView {
     T* row[3];
     T* force_rows[3];
     const T* entry;
-    /// Numbers from one component of a row to the next, and those of whole vectors that cover the columns.
+    /// Distance between components of a row, and number of columns rounded up to whole vectors.
     std::ptrdiff_t pitch, length;
-    /// Where accelerations go, components so many numbers apart, of a row that does not move; null for one that does. In
-    /// double precision alone: nobody asks for them in the other.
+    /// Output of accelerations, components `acceleration_pitch` numbers apart, of a row that is only evaluated; null
+    /// for one that moves. In double precision only.
     T* accelerations = nullptr;
     std::ptrdiff_t acceleration_pitch = 0;
 };
 
-/// Add the ring's forces and those of the row's own springs, and move the row by one step if it is the caller's `own`;
-/// else only do what its springs do to the rows below. Families is a set of bits, one for each that exists.
+/// Add the force rows and the forces of the row's own springs, and advance the row by one step if it is `owned`;
+/// otherwise only add the forces on the rows below. Families: a set of bits, one for each that exists.
 template <class T, unsigned Families, Mode M>
 inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, const StepFactors<T>& motion, bool owned) {
     using V = vec<T>;
@@ -171,7 +171,7 @@ inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, co
             if constexpr (sizeof(T) == 8) {
                 store(x_c, fma(drift, v, x_old));
             } else {
-                // Kahan's sum: the position carries what rounding takes from it.
+                // Kahan summation: the compensation carries the rounding error of the position.
                 const V increment = fma(drift, v, load(x_c + compensation * pitch)), end = x_old + increment;
                 store(x_c + compensation * pitch, increment - (end - x_old));
                 store(x_c, end);

@@ -1,9 +1,9 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Runs of a regular sheet. It is cut into bands of rows, each with a copy of the rows next to it, which it moves too, so
-// that neighbours meet once for several steps; and those steps are taken in one sweep, each two rows behind the one before
-// it, so that a row is still in the cache. No bit depends on either.
+// Runs of a regular sheet. The sheet is cut into bands of rows. Each band holds copies of its neighbours' nearest rows
+// and advances them too, so that bands exchange data once in several steps. These steps run in one sweep, each two rows
+// behind the one before, while the rows are in the cache. No bit depends on bands or sweeps.
 #pragma once
 
 #include "core/thread_pool.hpp"
@@ -28,8 +28,8 @@ public:
         bands_ = off_grid_.is_single_threaded() ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, max_bands));
         off_grid_.prepare_poses(bands_);
         off_grid_.init_contact_by_rows(bands_, pitch_);
-        // An anchor moves with its particle, once a step: copies of rows at a border would need copies of theirs. Pads move
-        // once a step by what all rows do to them.
+        // An anchor moves once a step with its particle, so copies of rows would need copies of anchors. Jaws move once
+        // a step by the forces of all rows.
         synchronize_all_ = !plan.contacts.parallel_jaws.empty();
         levels_ = has_off_grid || synchronize_all_ || (off_grid_.contact && plan.contacts.has_friction()) ? 1 : levels();
         halo_ = row_reach * levels_;
@@ -56,7 +56,7 @@ public:
         const std::int64_t rounds = 1 + (run_.steps + levels_ - 1) / levels_;
         const RunStatus done = off_grid_.needed() ? run_with_barrier(rounds) : run_with_neighbors(rounds);
         for (int b = 0; (off_grid_.self || off_grid_.features) && b < bands_; ++b) export_rows(b);
-        // One thread works where powers are noted.
+        // Runs that record powers have one thread.
         if (run_.power_integrals) {
             run_.power_integrals[0] += run_.step * powers_.sum(powers_.dissipation);
             run_.power_integrals[1] += run_.step * powers_.sum(powers_.external);
@@ -72,21 +72,21 @@ private:
         Counter(const Counter&) {}
     };
 
-    /// Steps of a sweep: more where a band does not fit the second cache, or neighbours wait for each other.
+    /// Steps per sweep: more if a band exceeds the second-level cache, or if bands wait for each other.
     int levels() const {
         const std::int64_t rows = grid_.rows / bands_, bytes = rows * stride_ * static_cast<std::int64_t>(sizeof(T));
         const std::int64_t target = bytes > (std::int64_t{3} << 18) ? 4 : std::min(bands_, 2);
         return static_cast<int>(std::max<std::int64_t>(1, std::min(target, rows / (4 * row_reach))));
     }
-    /// Rings of three rows of forces: the springs', and one for what else is taken by rows.
+    /// Sets of three force rows: one for springs, one for hinges.
     int rings() const { return hinges_.empty() ? 1 : 2; }
-    /// Those of one step of a sweep, and what air keeps of two rows of cells.
+    /// Numbers of one step of a sweep: force rows, and two rows of cells.
     std::int64_t numbers_of_level() const {
         return rings() * 9 * pitch_ + (cells_.empty() ? 0 : 2 * air_row_size<T>(pitch_));
     }
     T* row_of(int b, std::int64_t row) { return state_[b].data() + (row - border_[b] + halo_) * stride_; }
 
-    /// Sheets with nothing beside: neighbours alone wait for each other.
+    /// Sheets without other forces: bands wait for their neighbours only.
     RunStatus run_with_neighbors(std::int64_t rounds) {
         const auto run_bands = [&](int first, int last) {
             for (std::int64_t round = 0; round < rounds; ++round)
@@ -95,14 +95,15 @@ private:
                     end_round(b, round, rounds);
                 }
         };
-        // Asked for once: the system reads it from a file, which takes as long as a short run.
+        // Cached: the system reads it from a file, which takes as long as a short run.
         static const int cores = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
         const int workers = std::min(bands_, cores);
         ThreadPool::shared().run(
             workers, [&](int w) { run_bands(bands_ * w / workers, bands_ * (w + 1) / workers); }, [&] { run_bands(0, bands_); });
         return RunStatus::ok;
     }
-    /// Listed elements may join any particles: all threads wait until all positions are known, and read.
+    /// Listed elements may couple any particles: all threads wait until all positions are known, and again until they
+    /// are read.
     RunStatus run_with_barrier(std::int64_t rounds) {
         RunStatus done = RunStatus::ok;
         Barrier barrier(bands_);
@@ -132,8 +133,8 @@ private:
         return done;
     }
 
-    /// A turn is the start, or one sweep of `levels` steps. First the band is loaded, or its neighbours' rows are taken in,
-    /// and pads are moved: all bands have been at the step before.
+    /// A round is the start, or one sweep of `levels` steps. First the band is loaded, or the rows of its neighbours
+    /// are received, and the jaws advance: all bands have finished the step before.
     void begin_round(int b, std::int64_t round) {
         if (round == 0) {
             load_band(b);
@@ -159,7 +160,7 @@ private:
         counters_[b].rounds.store(round + 1, std::memory_order_release);
     }
 
-    /// Every number of a band is written, so that what was there before makes no difference.
+    /// Every number of a band is written, so that previous content makes no difference.
     void load_band(int b) {
         for (std::int64_t row = border_[b]; row < border_[b + 1]; ++row) load_row(b, row, true);
         const std::int64_t size = static_cast<std::int64_t>(state_[b].size());
@@ -200,7 +201,7 @@ private:
         }
     }
 
-    /// The first half step: where no velocity has to be predicted, positions alone move.
+    /// The first half step. If forces do not depend on velocities, only positions move.
     void start(int b) {
         if (mode_ == Mode::position_only) {
             const T half = static_cast<T>(0.5 * run_.step);
@@ -214,7 +215,7 @@ private:
             }
             return;
         }
-        // Other bands are not known yet: the rows above and below are loaded from where all began.
+        // Rows of other bands are not received yet: the rows above and below are loaded from the start.
         if (bands_ > 1) load_around(b);
         sweep(b, -1, 1);
     }
@@ -223,8 +224,8 @@ private:
             if (row >= 0 && row < grid_.rows && (row < border_[b] || row >= border_[b + 1])) load_row(b, row, false);
     }
 
-    /// Steps `begin` to `begin` + `levels` - 1 in one sweep. Next to a neighbour a step also moves the rows, two fewer with
-    /// each step, that later ones will look at.
+    /// Steps `begin` to `begin` + `levels` - 1 in one sweep. Next to another band a step also advances the rows that
+    /// later steps need, two fewer with each step.
     void sweep(int b, std::int64_t begin, std::int64_t levels) {
         std::fill(force_rows_[b].begin(), force_rows_[b].end(), T(0));
         const std::int64_t margin = row_reach * (levels - 1), first = border_[b], last = border_[b + 1];
@@ -266,8 +267,8 @@ private:
         }
     }
 
-    /// A band's outer rows for its neighbours. Two boxes in turn are enough: a band posts for turn n + 2 after its
-    /// neighbours have done turn n + 1, so have taken in n.
+    /// Outer rows of a band for its neighbours. Two alternating buffers are enough: a band posts for round n + 2 after
+    /// its neighbours have finished round n + 1 and therefore received n.
     Array<T>& message(int border, int direction, std::int64_t round) { return messages_[(border * 2 + direction) * 2 + round % 2]; }
     void post_rows(int b, std::int64_t round) {
         const std::size_t bytes = halo_ * stride_ * sizeof(T);

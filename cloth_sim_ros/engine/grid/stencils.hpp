@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Hinges of a regular sheet as tables by rows. A hinge lies on the grid in one of few ways; those of one way and row repeat
-// from column to column, so that their corners are vectors of the rows and nothing is gathered.
+// Hinges of a regular sheet as tables by rows. A hinge has one of few stencils, the same for all columns of a row.
+// Therefore its corners are vectors of rows, and nothing is gathered.
 #pragma once
 
 #include "grid/grid.hpp"
@@ -10,16 +10,16 @@
 
 namespace cloth {
 
-/// One way to lie on a grid: each corner's row and column from the upmost row and the leftmost column of all.
+/// Stencil of an element: row and column of each corner relative to the topmost row and the leftmost column.
 struct Stencil {
     int row[4], column[4];
 };
-/// Hinges of both checkerboards' triangles (sheets/surface.py): over a diagonal, then over an edge.
+/// Hinges of both checkerboard triangulations (sheets/surface.py): over a diagonal, then over an edge.
 inline constexpr int n_hinge_stencils = 6, n_spring_stencils = 2;
 inline constexpr Stencil hinge_stencils[n_hinge_stencils] = {{{1, 0, 0, 1}, {1, 0, 1, 0}}, {{0, 1, 0, 1}, {1, 0, 0, 1}},
                                                    {{0, 1, 0, 0}, {1, 1, 0, 2}}, {{0, 1, 1, 1}, {1, 1, 0, 2}},
                                                    {{1, 1, 0, 2}, {1, 0, 0, 0}}, {{1, 1, 0, 2}, {1, 0, 1, 1}}};
-/// Springs between the wings of those over an edge.
+/// Springs between the wings of the hinges over an edge.
 inline constexpr Stencil spring_stencils[n_spring_stencils] = {{{0, 0}, {0, 2}}, {{0, 2}, {0, 0}}};
 
 template <class Law>
@@ -29,8 +29,8 @@ constexpr Stencil stencil_of(int k) {
     return Law::corners == 4 ? hinge_stencils[k] : spring_stencils[k];
 }
 
-/// Where each element of a list has its numbers in tables by rows; empty where the list has elements that lie otherwise or
-/// twice in one place, or leaves so many places free that taking all would cost more.
+/// Slot of each element of a list in tables by rows. Empty if an element matches no stencil, two have the same slot, or
+/// so many slots are free that evaluating all would be slower.
 template <class Law>
 inline std::vector<std::int64_t> row_slots(const Grid& grid, const List& list) {
     constexpr int C = Law::corners;
@@ -61,7 +61,7 @@ inline std::vector<std::int64_t> row_slots(const Grid& grid, const List& list) {
     return 3 * list.count >= 2 * all ? slots : std::vector<std::int64_t>{};
 }
 
-/// A list by rows: for each row and each way to lie the law's numbers in padded rows, zeros where there is no element.
+/// A list as rows: for each row and stencil the parameters of the law, zero without an element.
 template <class T>
 class RowTable {
 public:
@@ -78,7 +78,7 @@ public:
                 numbers_[(line * list.numbers + p) * pitch + column] = static_cast<T>(list.params[e * list.numbers + p]);
         }
     }
-    /// Whether a row, of the sheet or beyond it, owns any.
+    /// Whether a row, inside the sheet or not, owns an element.
     bool has(std::int64_t row) const {
         return row >= 0 && row < static_cast<std::int64_t>(has_.size()) && has_[row];
     }

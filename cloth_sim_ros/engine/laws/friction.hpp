@@ -1,25 +1,25 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Coulomb friction: a spring from each contact to an anchor on the obstacle, whose force stays within a cone.
-// docs/contact.md derives it.
+// Coulomb friction by an anchor spring: a spring from the contact to an anchor on the obstacle, limited to the friction
+// cone. docs/contact.md derives it.
 #pragma once
 
 #include "core/algebra.hpp"
 
 namespace cloth {
 
-/// Coefficients of a pair of surfaces, at rest and in motion.
+/// Friction coefficients of a pair of surfaces, at rest and in motion.
 struct FrictionCoefficients {
     double at_rest = 0.0, sliding = 0.0;
 };
-/// What is known of a contact: none, one that sticks, or one that slides.
+/// State of a contact: none, sticking or sliding.
 enum Bond : int { no_bond = 0, sticks = 1, slides = 2 };
-/// An anchor's numbers: its place in the obstacle's frame [m], and its bond.
+/// Numbers of an anchor: its position in the obstacle's frame [m] and its bond.
 inline constexpr int anchor_numbers = 4;
 
-/// What friction does at one moment: an acceleration, by how much the anchor's spring is stretched afterwards, whether the
-/// contact slides, and per mass the power that is lost and the energy of which the push is the slope at an anchor at rest.
+/// Friction at one time: acceleration, stretch of the anchor spring after the return to the cone, whether it slides,
+/// and per mass the dissipated power and the energy whose gradient is the acceleration for a fixed anchor.
 template <class V, class M>
 struct FrictionForce {
     Vec3<V> push, stretch;
@@ -27,9 +27,9 @@ struct FrictionForce {
     V dissipation, energy;
 };
 
-/// A spring of squared frequency `stiffness` [1/s^2] and rate `damping` [1/s] along the surface. The coefficient depends on
-/// the speed of sliding alone (Stribeck): at rest up to half of `moving`, in motion from there on, smooth between. A jump
-/// at the moment where a contact breaks loose would cost all order of the error.
+/// Anchor spring of squared frequency `stiffness` [1/s^2] and damping rate `damping` [1/s] along the surface. The
+/// coefficient depends on the sliding speed alone (Stribeck): static up to half of `stribeck_speed`, kinetic from there
+/// on, smooth between. A jump at break-away would cost the order of accuracy.
 template <class V>
 class FrictionLaw {
 public:
@@ -37,13 +37,13 @@ public:
         : sliding_(of(coefficients.sliding)), static_excess_(of(coefficients.at_rest - coefficients.sliding)), stiffness_(of(frequency * frequency)),
           damping_(of(damping_per_frequency * frequency)) {}
 
-    /// Rate of damping over frequency: a tenth of critical damping.
+    /// Damping rate over frequency: a tenth of critical damping.
     static constexpr double damping_per_frequency = 0.2;
-    /// Speed [m/s] from which on the coefficient is that in motion.
+    /// Sliding speed [m/s] above which the coefficient is kinetic.
     static constexpr double stribeck_speed = 0.02;
 
-    /// The part of a velocity along the surface, how far the anchor's spring is stretched once it is back within the cone,
-    /// the square of how far it was stretched before, and its root where the anchor had to be dragged for it.
+    /// Radial return: tangential velocity, stretch of the spring after the return to the cone, squared stretch before,
+    /// and its length if the anchor slides.
     template <class M>
     struct Trial {
         Vec3<V> speed, stretch;
@@ -53,7 +53,7 @@ public:
     CLOTH_INLINE auto radial_return(Vec3<V> offset, Vec3<V> normal, Vec3<V> slip, V push) const {
         const Vec3<V> tangential = offset - dot(offset, normal) * normal, speed = slip - dot(slip, normal) * normal;
         const V square = norm2(tangential), cone_limit = coefficient(norm2(speed)) * push;
-        // Most contacts stick: roots and divisions are for those that slide.
+        // Most contacts stick: only sliding ones need roots and divisions.
         const auto slides = stiffness_ * stiffness_ * square > cone_limit * cone_limit;
         V length = of(0.0), fraction = of(1.0);
         if (any(slides)) {
@@ -63,17 +63,17 @@ public:
         return Trial<std::remove_const_t<decltype(slides)>>{speed, fraction * tangential, square, length, cone_limit, slides};
     }
 
-    /// At a way from the anchor to the particle, a normal, a velocity seen from the obstacle, and a push across the surface.
-    /// Within the cone it sticks. Beyond it the anchor is dragged along, so that its spring stays on the cone. Damping takes
-    /// what the cone has room for beside the spring.
+    /// Friction force for the offset of the particle from the anchor, the normal, the relative velocity and the push.
+    /// Within the cone it sticks. Beyond it the anchor is dragged along, so that the spring stays on the cone. Damping
+    /// is limited to the rest of the cone.
     CLOTH_INLINE auto force(Vec3<V> offset, Vec3<V> normal, Vec3<V> slip, V push) const {
         const V unit = of(1.0), none = of(0.0), half = of(0.5);
         const auto trial = radial_return(offset, normal, slip, push);
         const auto slides = trial.slides;
         const V cone_limit = trial.cone_limit;
         const Vec3<V> speed = trial.speed, spring = stiffness_ * trial.stretch, damped = damping_ * speed;
-        // Of damping as much as the cone has room for: |spring + part damped| = most, solved without cancellation, where all
-        // of it has none.
+        // Fraction of the damping that fits into the cone: |spring + fraction damped| = cone_limit, solved without
+        // cancellation.
         const V capacity = larger(fma(cone_limit, cone_limit, -norm2(spring)), none), square = norm2(damped), product = dot(spring, damped);
         const auto exceeds = fma(of(2.0), product, square) > capacity;
         V fraction = unit;
@@ -94,7 +94,7 @@ public:
 
 private:
     static CLOTH_INLINE V of(double a) { return splat<V>(scalar<V>(a)); }
-    /// Of friction, at a squared speed of sliding.
+    /// Friction coefficient at a squared sliding speed.
     CLOTH_INLINE V coefficient(V square) const {
         const V none = of(0.0), unit = of(1.0), decline = fma(of(-1.0 / (stribeck_speed * stribeck_speed)), square, unit);
         const V r = smaller(larger(of(4.0 / 3.0) * decline, none), unit);

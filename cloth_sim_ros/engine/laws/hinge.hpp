@@ -8,10 +8,10 @@
 
 namespace cloth {
 
-/// S8 and S9: a spring on one signed length h = 6V / M of the tetrahedron of two triangles with a common edge. Corners 0
-/// and 1 are the edge, 2 and 3 the wings; 6V = d0 . (d1 x d2), positive where the wings rise to the side of the normal.
-/// M^2 is a sum of squared areas, G = grad(M^2) / 2, and grad h = grad(6V) / M - h G / M^2.
-/// Energy k (h - h0)^2 / 2, damping force -c (grad h . v) grad h.
+/// S8 and S9: a spring on the signed length h = 6V / M of the tetrahedron of two triangles with a common edge. Corners
+/// 0 and 1 are the edge, 2 and 3 the wings; 6V = d0 . (d1 x d2), positive if the wings rise to the side of the normal.
+/// M^2 is a sum of squared areas, G = grad(M^2) / 2, and grad h = grad(6V) / M - h G / M^2. Energy k (h - h0)^2 / 2,
+/// damping force -c (grad h . v) grad h.
 template <class Areas>
 struct Hinge {
     static constexpr int corners = 4, params = 3;
@@ -24,7 +24,7 @@ struct Hinge {
     template <class V>
     struct Length {
         V h, square;
-        /// Gradients of h, which is zero where h is not defined, and G with respect to corners 1, 2, 3.
+        /// Gradients of h (zero if h is undefined), and G, with respect to corners 1, 2, 3.
         Vec3<V> gradient[3], area[3];
     };
 
@@ -72,7 +72,7 @@ struct Hinge {
         const V rate = dot(l.gradient[0], u[0]) + dot(l.gradient[1], u[1]) + dot(l.gradient[2], u[2]);
         return p.c * rate * rate;
     }
-    /// Of (grad h . u)^2 by Cauchy and Schwarz; of the curvature k (h - h0) h'' as Areas bounds h''.
+    /// Bound of (grad h . u)^2 by Cauchy and Schwarz; of the curvature k (h - h0) h'' by the bound of h'' in Areas.
     template <class V>
     static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>* d, Bound<V>* b) {
         const Length<V> l = length(d);
@@ -95,9 +95,9 @@ struct Hinge {
     }
 };
 
-/// Curvature of h = 6V/M along u, bounded a corner by bound[i] |u_i|^2 summed:
-/// h'' = (6V)''/M - 2 M'h'/M - h M''/M, with |(6V)''| <= sum of |opposite edge| |u_i||u_j|, |M'h'| <= |G||g|/M |u|^2 and
-/// |M M''| <= most[i] |u_i|^2 summed.
+/// Curvature of h = 6V/M along u, bounded by the sum of bound[i] |u_i|^2: h'' = (6V)''/M - 2 M'h'/M - h M''/M, with
+/// |(6V)''| <= sum of |opposite edge| |u_i||u_j|, |M'h'| <= |G||g|/M |u|^2 and |M M''| <= sum of max_area_curvature[i]
+/// |u_i|^2.
 template <class V, class L>
 CLOTH_INLINE void length_curvature(const Vec3<V>* p, const L& l, const Vec3<V>* g, const V* max_area_curvature, V* bound) {
     const Vec3<V> zero{}, x[4] = {zero, p[0], p[1], p[2]};
@@ -114,10 +114,10 @@ CLOTH_INLINE void length_curvature(const Vec3<V>* p, const L& l, const Vec3<V>* 
 }
 
 /// S8: M^2 = |a x w|^2 + (parallel |a|^2)^2 of the shared edge a and the line of the wings w. The second term keeps h
-/// defined where they are parallel, as in a pair folded shut. Undefined where the edge has no length.
+/// defined if they are parallel, as in a pair folded shut. Undefined if the edge has no length.
 struct CrossedAreas {
     static constexpr double parallel = 0.1;
-    /// Squared M [m^4] below which there is no edge.
+    /// Squared M [m^4] below which the edge has no length.
     static constexpr double min_square = 1e-30;
 
     template <class V>
@@ -130,8 +130,8 @@ struct CrossedAreas {
         area[2] = cross(n, a);
         area[1] = -area[2];
     }
-    /// With |a'|, |w'| <= sqrt(2) |u|: |n'|^2 <= 2 (|a|^2 + |w|^2) |u|^2, n.n'' <= 2 |n| |u|^2, and the second term's
-    /// part is at most 12 parallel^2 |a|^2 |u|^2.
+    /// With |a'|, |w'| <= sqrt(2) |u|: |n'|^2 <= 2 (|a|^2 + |w|^2) |u|^2, n.n'' <= 2 |n| |u|^2, and the second term
+    /// contributes at most 12 parallel^2 |a|^2 |u|^2.
     template <class V, class L>
     static CLOTH_INLINE void curvature(const Vec3<V>* d, const L& l, const Vec3<V>* g, V* bound) {
         const Vec3<V> a = d[0], w = d[2] - d[1];
@@ -144,16 +144,16 @@ struct CrossedAreas {
     }
 };
 
-/// S9, the blend of all seven candidates: M^2 is the sum of the squared |a x b| of the four faces. Undefined where all
+/// S9, the blend of all seven candidates: M^2 is the sum of the squared |a x b| of the four faces. Undefined if all
 /// four points are collinear.
 struct AltitudeAreas {
-    /// Thinness, largest |a x b| to squared size, below which they count as collinear.
+    /// Ratio of the largest |a x b| to the squared size below which the points are collinear.
     static constexpr double sine = 1e-12;
 
     template <class V>
     static CLOTH_INLINE void of(const Vec3<V>* p, V& square, V& limit, Vec3<V>* area) {
-        // Area vectors n1, n2, n3 of the faces at corner 0 and n0 of the one opposite to it, which close the tetrahedron.
-        // The gradients of |p x q|^2 / 2 are q x n and n x p; those of all faces gather to cross products with n - n0.
+        // Area vectors n1, n2, n3 of the faces at corner 0 and n0 of the opposite one, which close the tetrahedron. The
+        // gradients of |p x q|^2 / 2 are q x n and n x p; their sums over the faces are cross products with n - n0.
         const Vec3<V> a = p[0], b = p[1], c = p[2];
         const Vec3<V> n1 = cross(b, c), n2 = cross(c, a), n3 = cross(a, b), n0 = -(n1 + n2 + n3);
         const Vec3<V> m1 = n1 - n0, m2 = n2 - n0, m3 = n3 - n0;

@@ -8,7 +8,7 @@
 
 namespace cloth {
 
-/// S4, a joint: F = -k s - c ds/dt on the far end, s its place seen from the near one.
+/// S4, a joint: F = -k s - c ds/dt on the far end, s its position relative to the near end.
 struct Joint {
     static constexpr int corners = 2, params = 2;
     static constexpr bool absolute_velocities = false;

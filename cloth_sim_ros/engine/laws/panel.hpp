@@ -8,29 +8,29 @@
 
 namespace cloth {
 
-/// Drag of the air on a panel of three or four corners in order around it, in the area vector N = A n: half the cross
-/// product of two edges, or of the diagonals. F = -((c_n - c_t) (u . N) N / A + c_t A u) / corners on each corner, u its
-/// velocity relative to the air.
+/// Drag of air on a panel of three or four corners in order around it. Area vector N = A n: half the cross product of
+/// two edges, or of the diagonals. F = -((c_n - c_t) (u . N) N / A + c_t A u) / corners on each corner, u its velocity
+/// relative to the air.
 template <int Corners>
 struct Panel {
     static constexpr int corners = Corners, params = 0;
     static constexpr bool absolute_velocities = true;
-    /// Panels of less area [m^2] have no normal, and feel nothing.
+    /// Area [m^2] below which a panel has no normal and no force.
     static constexpr double min_area = 1e-30;
-    /// c_n and c_t [N s/m^3], and the air's velocity [m/s]: the same for all panels of a list.
+    /// c_n and c_t [N s/m^3], and the velocity of the air [m/s], common to all panels of a list.
     template <class V>
     struct Params {
         V normal, tangential;
         Vec3<V> wind;
     };
-    /// 2 N, and a corner's shares of the drag along that and along the surface.
+    /// 2 N, and the normal and tangential drag coefficients of a corner.
     template <class V>
     struct DragShares {
         Vec3<V> n;
         V across, along;
     };
 
-    /// Of a panel with 2 N = a x b, of which a corner has the part `one`: 1 / corners, or 0 where there is no panel.
+    /// Coefficients of a panel with 2 N = a x b; `corner_share` of a corner: 1 / corners, or 0 without a panel.
     template <class V>
     static CLOTH_INLINE DragShares<V> shares(const Params<V>& p, V corner_share, Vec3<V> a, Vec3<V> b) {
         DragShares<V> r;
@@ -48,7 +48,7 @@ struct Panel {
         const V corner_share = splat<V>(scalar<V>(1) / Corners);
         return Corners == 3 ? shares(p, corner_share, d[0], d[1]) : shares(p, corner_share, d[1], d[Corners - 2] - d[0]);
     }
-    /// Add what the air does to a corner to its force, u its velocity relative to it. Along: whether there is any drag
+    /// Add the drag on a corner to its force, u its velocity relative to the air. Tangential: whether there is drag
     /// along the surface.
     template <bool Tangential = true, class V>
     static CLOTH_INLINE Vec3<V> add(const DragShares<V>& s, Vec3<V> u, Vec3<V> f) {
@@ -64,7 +64,7 @@ struct Panel {
     static CLOTH_INLINE V energy(const Params<V>&, const Vec3<V>*) {
         return V{};
     }
-    /// v'Bv: what still air would take.
+    /// v'Bv: dissipation in still air.
     template <class V>
     static CLOTH_INLINE V dissipation(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* v) {
         const DragShares<V> s = shares(p, d);
@@ -75,7 +75,7 @@ struct Panel {
         }
         return sum;
     }
-    /// w'Bv: what the wind puts in.
+    /// w'Bv: power of the wind.
     template <class V>
     static CLOTH_INLINE V external_power(const Params<V>& p, const Vec3<V>* d, const Vec3<V>* v) {
         const DragShares<V> s = shares(p, d);
@@ -84,8 +84,8 @@ struct Panel {
         for (int i = 0; i < Corners; ++i) sum = sum + (normal_part * dot(v[i], s.n) + s.along * dot(p.wind, v[i]));
         return sum;
     }
-    /// With L the longest way between two corners |dN| <= L/2 sum |dx|: a cloth at rest in a wind w feels at most
-    /// (2 |c_n - c_t| + c_t) |w| L / (2 corners) sum |dx|.
+    /// With L the longest distance of two corners |dN| <= L/2 sum |dx|: a cloth at rest in a wind w has at most the
+    /// force (2 |c_n - c_t| + c_t) |w| L / (2 corners) sum |dx|.
     template <class V>
     static CLOTH_INLINE V turning(const Params<V>& p, const Vec3<V>* d) {
         V longest{};
@@ -96,7 +96,7 @@ struct Panel {
         const V speed = root(norm2(p.wind));
         return splat<V>(0.5) * (splat<V>(2) * absolute(p.normal - p.tangential) + p.tangential) * speed * root(longest);
     }
-    /// The damping is exact.
+    /// The damping bound is exact.
     template <class V>
     static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>* d, Bound<V>* b) {
         const DragShares<V> s = shares(p, d);

@@ -12,7 +12,7 @@ namespace cloth {
 struct Spring {
     static constexpr int corners = 2, params = 3;
     static constexpr bool absolute_velocities = false;
-    /// Its force lies along d, see `factor`.
+    /// Its force is parallel to d, see `factor`.
     static constexpr bool central = true;
     /// k_s [N], k [N/m], c [N s/m].
     template <class V>
@@ -43,14 +43,15 @@ struct Spring {
         const V rate = dot(u[0], d[0]);
         return p.c * rate * rate / norm2_plus(d[0], scalar<V>(min_length2));
     }
-    /// Twice k dd' + |k - k_s / |d|| (I - dd') at both ends. Compression's transverse part is negative and makes nothing
-    /// unstable, but a spring pushed nearly to a point turns as fast as a stretched one: it counts by its size.
+    /// Twice k dd' + |k - k_s / |d|| (I - dd') at both ends. The transverse part of compression is negative and
+    /// destabilises nothing. But a nearly collapsed spring rotates as fast as a stretched one, so its absolute value
+    /// counts.
     template <class V>
     static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>* d, Bound<V>* b) {
         const Axis<V> at = axis(p, d[0]);
         b[0] = b[1] = {outer(at.axial, at.unit, at.transverse), outer(at.damping, at.unit, V{}), splat<V>(1), V{}, at.transverse};
     }
-    /// The same as numbers: along dd' + across I, and damping dd'.
+    /// The same as numbers: axial dd' + transverse I, and damping dd'.
     template <class V>
     struct Axis {
         Vec3<V> unit;
@@ -63,12 +64,12 @@ struct Spring {
         const V transverse = smaller(absolute(fma(-two * p.ks, inverse, axial)), splat<V>(max_transverse_ratio) * axial);
         return {inverse * d, axial - transverse, transverse, two * p.c};
     }
-    /// The spring's part of an implicit step's matrix, `stiffness` k dd' + tension's part across + `damping` c dd'.
-    /// Compression's transverse stiffness is negative and left out.
+    /// Contribution to the matrix of an implicit step: `stiffness` (k dd' + transverse part of tension) + `damping` c
+    /// dd'. The transverse stiffness of compression is negative and omitted.
     template <class V>
     static CLOTH_INLINE Sym3<V> matrix(const Params<V>& p, const Vec3<V>* d, V stiffness, V damping) {
         const V inverse = inverse_root(norm2_plus(d[0], scalar<V>(min_length2)));
-        // Between coincident ends any direction may be the spring's.
+        // Between coincident ends the direction of the spring is arbitrary.
         const V tension = select(norm2(d[0]) > V{}, larger(fma(-p.ks, inverse, p.k), V{}), p.k);
         const V transverse = stiffness * tension;
         return outer(stiffness * p.k + damping * p.c - transverse, inverse * d[0], transverse);

@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Lists of springs, hinges or panels on any particles, and the order in which they are taken.
+// Lists of springs, joints, hinges or panels on any particles, and the order of their evaluation.
 #pragma once
 
 #include <algorithm>
@@ -14,7 +14,7 @@ namespace cloth {
 
 enum class Kind : int { spring, joint, crossed, altitude, panel3, panel4 };
 
-/// Call `what` with the law of a kind.
+/// Call `visit` with the law of a kind.
 template <class F>
 inline auto with_law(Kind kind, F&& visit) {
     switch (kind) {
@@ -27,15 +27,15 @@ inline auto with_law(Kind kind, F&& visit) {
     }
 }
 
-/// Elements that are neighbours in a list are this far apart in the order in which they are taken: forces on one
-/// particle are not added right after each other, which would wait for memory.
+/// Neighbouring elements of a list are evaluated this far apart, so that additions to the force on one particle do not
+/// wait for each other.
 inline constexpr std::int64_t interleave_stride = 16, chunk = 64;
 
-/// Elements as they are taken: padded to whole vectors by elements without strength on a particle that is none.
+/// Elements in order of evaluation, padded to whole vectors by elements of zero strength on a dummy particle.
 template <class T>
 struct Elements {
     std::int64_t count = 0;
-    /// Places of the particles' quads.
+    /// Offsets of the particles' quads.
     std::vector<std::uint32_t> corner[4];
     Array<T> param[3];
 };
@@ -57,8 +57,8 @@ public:
         for (std::int64_t e = 0; !damped && e < count; ++e) damped = this->params[e * numbers + numbers - 1] != 0.0;
     }
 
-    /// The elements with particles renumbered by `rank`, in order of their lowest particle, spread: those that a particle
-    /// from `first` to before `last` is a corner of. `nobody` is the number of a particle that is none.
+    /// Select the elements with a corner from `first` to before `last`, with particles renumbered by `rank`, in order
+    /// of their lowest particle, interleaved. `dummy` is the number of the dummy particle.
     template <class T>
     Elements<T> select(const std::int64_t* rank, std::int64_t dummy, std::int64_t first, std::int64_t last) const {
         std::vector<std::int64_t> lowest(count), order(count);
@@ -99,7 +99,7 @@ public:
 
     Kind kind;
     bool damped = false;
-    /// Hinges: they cost most of a sheet that has them and pull least, so runs may ask for them less often.
+    /// Hinges: they are the most expensive and the slowest elements of a sheet, so runs may evaluate them less often.
     bool slow = false;
     std::int64_t count;
     int width = 0, numbers = 0;
@@ -119,7 +119,7 @@ inline typename Law::template Params<V> law_params(const V* numbers, const doubl
                 Vec3<V>{splat<V>(T(common[2])), splat<V>(T(common[3])), splat<V>(T(common[4]))}};
 }
 
-/// What a law says of one element of a list at x and v, (3, n) by component: its corners seen as laws see them.
+/// Operands of a law for one element of a list at x and v, (3, n) by component.
 template <class Law>
 struct ElementState {
     Vec3<double> d[Law::corners - 1], u[Law::corners];

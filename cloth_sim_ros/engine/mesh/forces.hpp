@@ -1,15 +1,15 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Forces of listed elements: what a law needs is gathered for a vector of elements at a time, and forces are added one
-// element after the other, so that sums run in one order whatever the vectors' width.
+// Forces of listed elements. Operands are gathered for a vector of elements at a time. Forces are added one element
+// after the other, so that sums have one order whatever the vector width.
 #pragma once
 
 #include "mesh/elements.hpp"
 
 namespace cloth {
 
-/// Sums of powers that elements lose and are given, each of every sixteenth element, whatever the vectors' width.
+/// Dissipated and external power of elements, in 16 partial sums of every sixteenth element, whatever the vector width.
 struct PowerSums {
     double dissipation[16] = {}, external[16] = {};
     double sum(const double (&parts)[16]) const {
@@ -19,17 +19,18 @@ struct PowerSums {
     }
 };
 
-/// What a law is told of a vector of elements.
+/// Operands of a law for a vector of elements.
 template <class Law, class V>
 struct Operands {
     Vec3<V> d[Law::corners - 1], u[Law::corners];
 };
 
-/// Elements of laws with more than two corners are taken so many at a time: all are gathered, then all forces are
-/// calculated, then all are added. What they calculate takes longer than a processor looks ahead to gather meanwhile.
+/// Batch size of laws with more than two corners: all elements of a batch are gathered, then all forces are calculated,
+/// then all are added. Their calculation takes longer than the processor's look-ahead, so gathering would not overlap
+/// with it.
 inline constexpr std::int64_t batch_size = 64;
 
-/// A batch by component: what the law is told, and then the forces.
+/// A batch by component: operands, later forces.
 template <class Law, class V>
 struct Batch {
     using T = scalar<V>;
@@ -44,8 +45,7 @@ struct Batch {
     }
 };
 
-/// One list's elements with the particles' positions x, velocities v and forces f, all quads. What elements lose and are
-/// given is noted if Watched.
+/// Force loop of one list, with positions x, velocities v and forces f as quads. Powers are recorded if Record.
 template <class Law, class T, bool Damped, bool Record>
 class ForceLoop {
     static constexpr int C = Law::corners;
@@ -106,8 +106,8 @@ private:
         Vec3<V> d[C];
     };
 
-    /// What the law is told of elements e and on: each way d(corner, vectors, quads) as soon as it is known, each velocity
-    /// u(corner, vectors).
+    /// Gather the operands of elements from e on: call d(corner, vectors, quads) for each difference and u(corner,
+    /// vectors) for each velocity.
     template <class D, class U>
     CLOTH_INLINE void gather(std::int64_t e, D&& d, U&& u) const {
         quad<T> rows[L];
@@ -145,7 +145,7 @@ private:
         record_powers(e, numbers, operands);
         return g;
     }
-    /// The forces of a central law, which need not be taken apart: a number times d.
+    /// Forces of a central law: a number times the gathered quad, without deinterleaving.
     CLOTH_INLINE void scatter_central(std::int64_t e, const Operands<Law, V>& operands, const quad<T>* differences) const {
         const auto numbers = params(e);
         const V factor = Law::factor(numbers, operands.d[0], operands.u[0], Damped);

@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What is asked of listed elements beside forces: energy, power, bounds, derivative product. One element after the
-// other in the list's own order; positions and velocities are (3, n) by component.
+// Queries of listed elements: energy, power, bounds, derivative product. Elements are evaluated in the order of the
+// list; positions and velocities are (3, n) by component.
 #pragma once
 
 #include "mesh/elements.hpp"
@@ -21,7 +21,7 @@ inline double list_energy(const List& list, const double* x, std::int64_t n) {
     });
 }
 
-/// Power that damping takes out, and power that the wind puts in [W].
+/// Power of damping, and power of the wind [W].
 inline void list_power(const List& list, const double* x, const double* v, std::int64_t n, double& dissipation, double& external) {
     if (!list.damped) return;
     with_law(list.kind, [&](auto law) {
@@ -43,8 +43,8 @@ inline void add_block(double* blocks, std::int64_t n, std::int64_t i, const Sym3
     blocks[5 * n + i] += b.yz;
 }
 
-/// Add blocks that bound stiffness [N/m] and damping [N s/m], each (6, n); and to `across` (n), which may be null, the
-/// part of the stiffness that lies across springs.
+/// Add blocks that bound stiffness [N/m] and damping [N s/m], each (6, n), and the transverse part of the stiffness of
+/// springs to `transverse` (n) unless null.
 inline void add_list_bounds(const List& list, const double* x, std::int64_t n, double* stiff, double* damp,
                             double* transverse = nullptr) {
     with_law(list.kind, [&](auto law) {
@@ -65,8 +65,8 @@ inline void add_list_bounds(const List& list, const double* x, std::int64_t n, d
     });
 }
 
-/// Blocks B (count, 6) of springs' and joints' stiffness, k dd' and compression's transverse part left out, and damping,
-/// each with its weight.
+/// Blocks B (count, 6) of the stiffness of springs and joints, k dd' without the transverse part of compression, and of
+/// their damping, each with its weight.
 inline void pair_blocks(const List& list, const double* x, std::int64_t n, double stiffness, double damping,
                         double* blocks) {
     for (std::int64_t e = 0; e < list.count; ++e) {
@@ -89,7 +89,7 @@ inline Vec3<Dual> with_slope(Vec3<V> a, Vec3<V> slope) {
 }
 inline Vec3<double> slope_of(Vec3<Dual> a) { return {a.x.slope, a.y.slope, a.z.slope}; }
 
-/// Add (df/dx) dx + (df/dv) dv to out (3, n), by the law itself on numbers with derivatives.
+/// Add (df/dx) dx + (df/dv) dv to out (3, n), by the law on dual numbers.
 inline void add_list_product(const List& list, const double* x, const double* v, const double* dx, const double* dv,
                              std::int64_t n, double* out) {
     with_law(list.kind, [&](auto law) {

@@ -1,8 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Runs of whatever has no regular grid: meshes, raw springs, single particles. Particles lie as quads, in an order in
-// which neighbours are close. Each thread has its own particles, and takes all elements that touch them.
+// Runs without a regular grid: meshes, raw springs, single particles. Particles are quads in an order with neighbours
+// close together. Each thread has its own particles and evaluates all elements that touch them.
 #pragma once
 
 #include "core/thread_pool.hpp"
@@ -10,7 +10,7 @@
 
 namespace cloth {
 
-/// With `Evaluate` one evaluation alone, at x0 and v0: accelerations come out in place of velocities.
+/// With `Evaluate` a single evaluation at x0 and v0, which returns accelerations in place of velocities.
 template <class T, bool Evaluate>
 class ListRun {
 public:
@@ -49,7 +49,7 @@ public:
             [&](int thread) {
                 for (std::int64_t step = -1; step < run_.steps; ++step) {
                     force(step, thread);
-                    barrier.wait();  // positions are read up to here
+                    barrier.wait();  // all threads have read the positions
                     move(step, thread);
                     barrier.wait();
                 }
@@ -81,7 +81,7 @@ private:
         return RunStatus::ok;
     }
     void move(std::int64_t step, int thread) {
-        // Asked for once: what is stored in the loop might be one of these addresses, as far as the compiler knows.
+        // Loaded once, because the compiler has to assume that the stores in the loop alias these pointers.
         const T *const f = (*off_grid_.partitions)[thread].f.data(), *const inverse = inverse_.data(), *const free = free_.data();
         T *const position_quads = off_grid_.x.data(), *const damping_v = off_grid_.v.data();
         T *const velocity = velocity_.data(), *const previous_a = previous_acceleration_.data(), *const carry = compensation_.data();
@@ -102,7 +102,7 @@ private:
             if constexpr (sizeof(T) == 8) {
                 store4(position_quads + i, fma(drift, v, x));
             } else {
-                // Kahan's sum: the position carries what rounding takes from it.
+                // Kahan summation: the compensation carries the rounding error of the position.
                 const quad<T> increment = fma(drift, v, load4(carry + i)), end = x + increment;
                 store4(carry + i, quad<T>(increment - (end - x)));
                 store4(position_quads + i, end);
@@ -127,7 +127,7 @@ private:
     Array<T>&velocity_, &previous_acceleration_, &compensation_;
     int threads_ = 1;
     std::vector<std::int64_t> borders_;
-    std::vector<T> inverse_, free_;  ///< 1/m, and one for free particles
+    std::vector<T> inverse_, free_;  ///< 1/m, and 1 for free particles
 };
 
 template <class T>

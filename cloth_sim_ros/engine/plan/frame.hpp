@@ -1,7 +1,8 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// A frame in one call: several runs over the same stretch of time, their combination, and what step control asks of it.
+// Execution of a frame in one call: several runs over the same interval, their combination, and the summary for step
+// control.
 #pragma once
 
 #include <limits>
@@ -16,7 +17,7 @@
 
 namespace cloth {
 
-/// Runs of one frame at most.
+/// Maximum number of runs of one frame.
 inline constexpr int max_runs = 8;
 
 template <class T>
@@ -49,49 +50,45 @@ inline double largest_distance(const double* x, const double* y, std::int64_t n)
     return not_finite ? std::numeric_limits<double>::infinity() : root(max_square);
 }
 
-/// What a frame is asked for; the same layout as binding.Frame.
+/// Request of a frame; the same layout as binding.Frame.
 struct Frame {
     double t, duration;
-    std::int64_t runs;               ///< how many, each with its steps
+    std::int64_t runs;               ///< number of runs, each with its number of steps
     const std::int64_t* steps;
     const double* weights;           ///< of the runs in the combination
-    std::int64_t single_precision;             ///< whether runs calculate in single precision
+    std::int64_t single_precision;             ///< whether runs use single precision
     std::int64_t bands;
     const double *x0, *v0;
     double* out;            ///< positions and velocities of each run, (runs, 2, 3, n)
-    double* result;         ///< those of the combination, (2, 3, n), or null: then the first run is the result
-    /// Of each run what was booked for each gripper, then lost and given power; where there is contact, what was booked
-    /// for each obstacle, what `ContactSummary` has, squared frequency and damping rate that the cloth's contact with itself
-    /// and with points and edges of obstacles had to be followed at, what friction between layers took, and what contacts
-    /// gave that regained their thickness [J]. Null where nothing is wanted and there is none.
+    double* result;         ///< of the combination, (2, 3, n), or null: then the first run is the result
+    /// For each run: the records of the grippers; dissipated and external power. With contact also: the records of the
+    /// obstacles; the `ContactSummary`; squared frequency and damping rate of contact on the surface; friction work
+    /// between layers; work of contacts that recover their thickness [J]. Null if none is requested.
     double* records;
-    std::int64_t record_powers;    ///< whether powers are noted
-    /// Nine numbers about the frame's end, or null.
-    /// 0: largest change of a particle's velocity over the frame [m/s]. It is infinite where the result is not finite,
-    /// lies beyond an obstacle's surface, or the cloth may have passed through itself.
-    /// 1, 2: bounds of squared frequency [1/s^2] and damping rate [1/s], contact aside.
-    /// 3: energy per mass, in U^2/2, that contact with obstacles has to take up from the frame's end on.
-    /// 4, 5: squared frequency [1/s^2] and damping rate [1/s] of the cloth's contact with itself and with points and
-    /// edges of obstacles.
-    /// 6, 7: bounds of squared frequency [1/s^2] and damping rate [1/s] of hinges alone; 8: of the squared frequency that
-    /// springs have across themselves. Zero without hinges, or where they are not wanted.
+    std::int64_t record_powers;    ///< whether powers are recorded
+    /// Nine numbers about the end of the frame, or null. 0: largest change of a particle's velocity over the frame
+    /// [m/s]; infinite if the result is not finite, is beyond the surface of an obstacle, or the cloth may intersect
+    /// itself. 1, 2: bounds of squared frequency [1/s^2] and damping rate [1/s] without contact. 3: energy per mass, in
+    /// U^2/2, that contact with obstacles has to absorb from the end of the frame on. 4, 5: squared frequency [1/s^2]
+    /// and damping rate [1/s] of contact on the surface. 6, 7: bounds of squared frequency [1/s^2] and damping rate
+    /// [1/s] of hinges alone; 8: bound of the squared transverse frequency of springs. Zero without hinges, or if not
+    /// requested.
     double* summary;
-    std::int64_t bounds_level;     ///< whether bounds of frequency and damping are wanted; 2: those of hinges as well
-    std::int64_t record_obstacles;     ///< whether what obstacles do is booked
-    double* anchors;        ///< of each run at its end, as `Contacts` has them, or null
-    double* jaw_states;        ///< of each run at its end, (runs, pinches, jaw_state_size), or null
-    std::int64_t multirate;     ///< steps for which hinges are asked for once
-    std::int64_t combined;  ///< how many of the runs, from the first on, are in the combination
-    std::int64_t concurrency;   ///< how many may be made at once
+    std::int64_t bounds_level;     ///< 1: bounds of frequency and damping are requested; 2: those of hinges too
+    std::int64_t record_obstacles;     ///< whether the work of obstacles is recorded
+    double* anchors;        ///< of each run at its end, as in `Contacts`, or null
+    double* jaw_states;        ///< of each run at its end, (runs, jaws, jaw_state_size), or null
+    std::int64_t multirate;     ///< steps per evaluation of hinges
+    std::int64_t combined;  ///< number of the runs in the combination, from the first on
+    std::int64_t concurrency;   ///< maximum number of concurrent runs
 };
 
-/// Numbers of a run's notes about contact: what obstacles did, what contact met, the rates of the cloth's contact with
-/// itself, what its friction took, and what contacts gave that regained their thickness.
+/// Size of a run's record of contact, see Frame::records.
 inline std::int64_t contact_record_size(const Plan& plan) {
     return plan.has_contact() ? plan.contacts.count() * record_numbers + ContactSummary::numbers + 4 : 0;
 }
 
-/// What a frame is asked for of each of its runs.
+/// Runs of a frame.
 inline std::vector<Run> runs_of(const Plan& plan, const Frame& frame) {
     const std::int64_t n = plan.count, size = plan.grips.grippers * record_numbers;
     const std::int64_t contact_size = contact_record_size(plan), size_of_record = size + 2 + contact_size;
@@ -120,7 +117,7 @@ inline std::vector<Run> runs_of(const Plan& plan, const Frame& frame) {
     return runs;
 }
 
-/// Runs at once, each by one thread: they share what they read, and write into rooms of their own.
+/// Execute runs concurrently, each on one thread. They share read-only data and write into workspaces of their own.
 inline void execute_concurrently(Plan& plan, const Frame& frame, std::vector<Run>& runs) {
     if (frame.single_precision)
         plan.prepare_tables<float>();
@@ -176,7 +173,7 @@ inline RunStatus execute_frame(Plan& plan, const Frame& frame) {
     const double max_displacement = largest_distance(x, frame.x0, n);
     if (!(max_displacement < std::numeric_limits<double>::infinity())) frame.summary[0] = max_displacement;
     if (plan.contacts.count()) {
-        // Drifts of half a step and combinations of runs may lead beyond a surface that no run met.
+        // Drifts of half a step and combinations of runs may pass a surface that no run touched.
         const std::vector<double> start = plan.contacts.jaw_states;
         const auto size = static_cast<std::int64_t>(start.size());
         if (frame.jaw_states && frame.result) {
@@ -215,7 +212,7 @@ inline RunStatus execute_frame(Plan& plan, const Frame& frame) {
     return RunStatus::ok;
 }
 
-/// One evaluation of all forces over masses; zero where anchored.
+/// Evaluate all forces once; accelerations, zero for anchored particles.
 inline RunStatus accelerations(Plan& plan, double t, const double* x, const double* v, double* out) {
     const Run run{t, 1.0, 0, false, 1, x, v, nullptr, out, nullptr, nullptr};
     plan.contacts.activate_all();

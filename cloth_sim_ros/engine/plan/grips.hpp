@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Particles held by grippers: joints (S4) from them to points that move and turn with the grippers.
+// Grasped particles: joints (S4) between particles and points that move and rotate with the grippers.
 #pragma once
 
 #include "core/storage.hpp"
@@ -12,23 +12,23 @@ namespace cloth {
 /// Numbers of a path: start time t0; position p0 + p1 s + p2 s^2 + p3 s^3, s = t - t0; orientation x, y, z, w at s = 0;
 /// rotation vector r1 s + r2 s^2 + r3 s^3 from there.
 inline constexpr int path_numbers = 26;
-/// Force and torque of the cloth on a gripper about its pose, the work it does on the cloth, and what its joints' damping
-/// takes: all as time integrals.
+/// Record of a gripper: force and torque of the cloth about its pose, work on the cloth, and dissipation of its joints,
+/// as time integrals.
 inline constexpr int record_numbers = 8;
 
 struct Pose {
     Vec3<double> position, velocity, rotation[3], spin;
 };
 
-/// sin(a)/a, (1 - cos a)/a^2 and (a - sin a)/a^3 by their power series in a^2, which meet rounding up to a = 2 pi.
+/// sin(a)/a, (1 - cos a)/a^2 and (a - sin a)/a^3 by their power series in a^2, accurate to rounding up to a = 2 pi.
 struct RotationFactors {
     double first, second, third;
     explicit RotationFactors(double square) {
-        // Without a turn the series give these bits too. Most grippers move without a turn, and each step needs each
-        // pose, so leaving early saves time.
+        // Without rotation the series give the same bits. Most grippers do not rotate, and every step needs every pose,
+        // so an early return saves time.
         first = 1.0, second = 0.5, third = 1.0 / 6.0;
         if (square == 0.0) return;
-        // Horner from the back: 1/(2k+1)!, 1/(2k+2)! and 1/(2k+3)! with alternating signs.
+        // Horner scheme: 1/(2k+1)!, 1/(2k+2)! and 1/(2k+3)! with alternating signs.
         for (int k = 24; k >= 1; --k) {
             first = 1.0 - square / ((2.0 * k) * (2.0 * k + 1.0)) * (k == 24 ? 1.0 : first);
             second = 1.0 - square / ((2.0 * k + 1.0) * (2.0 * k + 2.0)) * (k == 24 ? 1.0 : second);
@@ -52,7 +52,7 @@ inline Pose pose_at(const double* path, double t) {
     const Vec3<double> r = cubic(at(17), at(20), at(23)), rotation_rate = slope(at(17), at(20), at(23));
     const RotationFactors f(norm2(r));
     const double x = path[13], y = path[14], z = path[15], w = path[16];
-    // Columns of the first orientation, each turned by Rodrigues' formula.
+    // Columns of the initial orientation, each rotated by Rodrigues' formula.
     const Vec3<double> start[3] = {{1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w), 2.0 * (x * z - y * w)},
                                    {2.0 * (x * y - z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + x * w)},
                                    {2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x * x + y * y)}};
@@ -66,7 +66,7 @@ inline Pose pose_at(const double* path, double t) {
     return pose;
 }
 
-/// What is held; particles ascend, and grips of one particle keep the caller's order.
+/// Grips of particles; particles ascend, and grips of one particle keep the caller's order.
 struct Grips {
     std::int64_t grippers = 0;
     std::vector<std::int64_t> particle, gripper;
@@ -94,7 +94,7 @@ struct Grips {
         Joint::force(params, &d, &u, &f, true);
         return f;
     }
-    /// Add to a grip's sums what the force on its particle does over dt.
+    /// Accumulate the record of the force on a grip's particle over dt.
     void accumulate(double* sums, std::int64_t grip, const Point& point, Vec3<double> f, Vec3<double> v, double dt) const {
         const Vec3<double> reaction = -f, torque = cross(point.arm, reaction), slip = v - point.velocity;
         const double rates[record_numbers] = {reaction.x,     reaction.y,     reaction.z,
@@ -104,15 +104,14 @@ struct Grips {
     }
 };
 
-/// Poses of what moves on paths at the steps of a run, for one thread: those that it asked for last are kept. A sweep takes
-/// no more steps at a time.
+/// Poses on paths at the steps of a run, for one thread. The last ones are cached; a sweep has no more steps.
 class PoseCache {
 public:
     static constexpr std::int64_t capacity = 4;
 
     PoseCache(const std::vector<double>& paths, double t, double step)
         : paths_(paths), t_(t), step_(step), entries_(capacity * (paths.size() / path_numbers)) {}
-    /// At the middle of a step, or with step -1 at the run's start.
+    /// At the middle of a step, or at the start of the run for step -1.
     const Pose& at(std::int64_t path, std::int64_t step) {
         Entry& entry = entries_[capacity * path + (step + 1) % capacity];
         if (entry.step != step) {

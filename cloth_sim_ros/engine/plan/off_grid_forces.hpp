@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What acts in a run beside a sheet's own springs: listed elements, forces of the caller's own, grippers.
+// Forces of a run besides the springs of a sheet: listed elements, forces in Python, grippers, contact.
 #pragma once
 
 #include <limits>
@@ -13,24 +13,24 @@
 
 namespace cloth {
 
-/// Powers that a sheet's damping and drag take and that wind gives at x and v, (3, n); lists and joints of grippers aside.
+/// Powers of the damping of a sheet, of drag and of wind at x and v (3, n), without lists and joints of grippers.
 void grid_and_field_powers(const Plan& plan, const double* x, const double* v, double& dissipation, double& external);
 
-/// What a run keeps of it between its steps.
+/// Forces outside the grid loop, with the data that a run keeps between its steps.
 template <class T>
 struct OffGridForces {
     Plan& plan;
     const Run& run;
-    const bool multirate;  ///< whether hinges are asked for less often
-    const bool has_lists;   ///< whether there are any that no rows take
-    const bool has_fast_lists;    ///< whether any of them are others than hinges
+    const bool multirate;  ///< whether hinges are evaluated once in several steps
+    const bool has_lists;   ///< whether lists exist that no row of the grid evaluates
+    const bool has_fast_lists;    ///< whether any of these are not hinges
     double origin[3] = {};
-    Array<T>&x, &v;                  ///< positions and velocities that damping sees, a quad a particle
-    std::vector<Partition<T>>* partitions = nullptr;  ///< with the forces
-    std::vector<double> callback_x, callback_v, callback_f;  ///< the same for the caller, (3, n)
-    std::vector<PoseCache> poses;        ///< of each thread
+    Array<T>&x, &v;                  ///< positions and damping velocities, a quad per particle
+    std::vector<Partition<T>>* partitions = nullptr;  ///< partitions by thread, with their forces
+    std::vector<double> callback_x, callback_v, callback_f;  ///< arrays for the callback, (3, n)
+    std::vector<PoseCache> poses;        ///< one per thread
     std::vector<double> grip_sums;       ///< (grips, record_numbers)
-    std::vector<T> quarter_impulse_factors;         ///< what hinges' forces are multiplied by for a quarter of an impulse over mass
+    std::vector<T> quarter_impulse_factors;         ///< from hinge force to a quarter of the impulse over mass
     std::optional<ObstacleRun<T>> contact;
     std::optional<SelfRun> self;
     std::optional<FeatureRun> features;
@@ -51,20 +51,20 @@ struct OffGridForces {
         }
     }
     bool needed() const { return has_lists || is_single_threaded(); }
-    /// Whether any of that acts in a step, or asks where particles are.
+    /// Whether these forces are needed in a step.
     bool is_active(std::int64_t step) const {
         return needed() && (!multirate || run.evaluates_hinges(step) || has_fast_lists || self || features || needs_full_arrays());
     }
-    /// Whether something asks for all positions at once, by component.
+    /// Whether a callback or the powers need all positions by component.
     bool needs_full_arrays() const { return plan.callback || run.power_integrals; }
-    /// Whether one thread works.
+    /// Whether the run is limited to one thread.
     bool is_single_threaded() const { return needs_full_arrays() || plan.is_surface_active(); }
-    /// Whether any obstacle is near enough to be met, or pads move.
+    /// Whether an obstacle is near enough for contact, or jaws exist.
     bool has_near_obstacles() const { return !plan.contacts.active.empty() || !plan.contacts.parallel_jaws.empty(); }
     void prepare_poses(int threads) {
         for (int k = 0; plan.grips.count() && k < threads; ++k) poses.emplace_back(plan.grips.paths, run.t, run.step);
     }
-    /// Contact of a sheet's rows, of so many numbers each, and of particles by their rank.
+    /// Set up contact for the rows of a sheet with a row pitch, or for blocks of particles by rank.
     void init_contact_by_rows(int threads, std::int64_t pitch) {
         const std::int64_t columns = plan.grid->columns;
         const auto slot_of = [&](std::int64_t i) { return i / columns * pitch + i % columns; };
@@ -101,7 +101,7 @@ struct OffGridForces {
             callback_f.resize(3 * plan.count);
         }
     }
-    /// Forces of lists and of the caller on a share's particles at step `step`, in its f; powers booked.
+    /// Compute the forces of lists and callback on the particles of a partition at a step, and record the powers.
     RunStatus compute_forces(std::int64_t step, int thread) {
         Partition<T>& partition = (*partitions)[thread];
         T* const f = partition.f.data();
@@ -119,9 +119,9 @@ struct OffGridForces {
         }
         return needs_full_arrays() ? add_callback_forces(step, f, record, list_powers) : RunStatus::ok;
     }
-    /// Hinges in a step that stands for `every` of them: their impulse, and what they lose, is that of all. Velocities just
-    /// before such an impulse lack half of it, and damping of hinges has to see the mean: the half is foretold by the mean
-    /// of the last two, as steps foretell theirs.
+    /// Evaluate hinges in a step that stands for `multirate` steps: their impulse and their dissipation count as often.
+    /// The velocity just before such an impulse lacks half of it, but the damping needs the mean velocity. The missing
+    /// half is predicted by the mean of the last two, as in every step.
     void add_hinge_impulses(std::int64_t step, Partition<T>& partition, PowerSums* list_powers) {
         const std::int64_t evaluation = step < 0 ? 0 : step / run.multirate + 1;
         auto& predictions = plan.workspace<T>(run.workspace).predicted_impulses;
@@ -171,7 +171,7 @@ struct OffGridForces {
             for (std::int64_t i = 0; i < n; ++i) f[4 * plan.rank[i] + c] += static_cast<T>(callback_f[c * n + i]);
         return RunStatus::ok;
     }
-    /// Take positions or velocities of a sheet's row in, components `pitch` numbers apart.
+    /// Copy positions or velocities from a row of the sheet, components `pitch` numbers apart.
     void import_row(Slot slot, std::int64_t row, const T* from, std::int64_t pitch) {
         const std::int64_t columns = plan.grid->columns;
         T* const to = (slot == position ? x : v).data() + 4 * row * columns;
@@ -182,11 +182,11 @@ struct OffGridForces {
             for (std::int64_t k = 0; k < n_lanes; ++k) store4(to + 4 * (j + k), rows[k]);
         }
     }
-    /// Move pads to a step, once all threads have been at the one before.
+    /// Advance the jaws to a step, after all threads have finished the one before.
     void advance_jaws(int thread, std::int64_t step) {
         if (contact) contact->advance_jaws(thread, step);
     }
-    /// Add what obstacles do to a share's particles.
+    /// Add contact with obstacles to the particles of a partition.
     void add_contact(int thread, std::int64_t step, T* f) {
         const Partition<T>& partition = (*partitions)[thread];
         for (std::int64_t first = partition.first; contact && first < partition.last; first += contact_block) {
@@ -195,7 +195,7 @@ struct OffGridForces {
                                f + 4 * first, count);
         }
     }
-    /// Add what obstacles, grippers, lists and the caller do to a sheet's row to its forces in the ring.
+    /// Add the forces of contact, grippers, lists and callback to the force row of a sheet's row.
     void add_row_forces(int thread, std::int64_t row, std::int64_t step, const RowView<T>& at, bool record) {
         const std::int64_t columns = plan.grid->columns, first = row * columns, last = first + columns;
         T* const forces = at.force_rows[0];
@@ -224,7 +224,7 @@ struct OffGridForces {
         for (; j < columns; ++j)
             for (int c = 0; c < 3; ++c) forces[c * at.pitch + j] += from[4 * j + c];
     }
-    /// Force on the particle of a grip at step `step`, from its place and velocity as the run keeps them.
+    /// Force on the particle of a grip at a step, from its position and velocity in the run.
     Vec3<T> grip_force(int thread, std::int64_t grip, std::int64_t step, Vec3<T> x_, Vec3<T> v_, bool record) {
         const Grips& grips = plan.grips;
         const Vec3<double> position{origin[0] + x_.x, origin[1] + x_.y, origin[2] + x_.z};
@@ -232,12 +232,12 @@ struct OffGridForces {
         const auto point = grips.point(poses[thread].at(grips.gripper[grip], step), grip);
         const Vec3<double> force = grips.force(grip, point, position, velocity);
         if (record && step >= 0) {
-            // Each grip for itself, in its own sum: threads book in any order.
+            // Each grip has its own sum: threads accumulate in any order.
             grips.accumulate(grip_sums.data() + grip * record_numbers, grip, point, force, velocity, run.step);
         }
         return {T(force.x), T(force.y), T(force.z)};
     }
-    /// A run in which something may have passed through something has no result.
+    /// A run whose surface may have intersected itself or an obstacle has no result.
     void finish_surface() {
         const bool features_separate = !features || features->finish(x.data());
         if ((self && !self->finish(x.data())) || !features_separate) {
@@ -256,14 +256,14 @@ struct OffGridForces {
         summary[ContactSummary::numbers + 2] = self->friction_work();
         if (run.anchors) self->anchors(run.steps, plan.particle_of_rank.data(), run.anchors + plan.contacts.obstacle_anchors(plan.count));
     }
-    /// What a run tells that no obstacle was near.
+    /// Record that no obstacle was near.
     void record_no_contact() {
         const Contacts& contacts = plan.contacts;
         if (run.contact_record) ContactSummary().write(run.contact_record + contacts.count() * record_numbers);
     }
-    /// Sum up what was booked, in order of the grips and of the blocks.
+    /// Sum up the records, in order of the grips and of the blocks.
     void finish() {
-        // What is not met keeps what it has: none.
+        // Obstacles without contact keep no anchors.
         if (run.anchors) std::copy(plan.contacts.anchors.begin(), plan.contacts.anchors.end(), run.anchors);
         if (contact)
             contact->finish();

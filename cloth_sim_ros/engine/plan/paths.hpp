@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// The smooth path of a gripper or an obstacle over one frame, from its present pose and velocity to where it is to be.
+// Smooth path of a gripper or an obstacle over one frame, from its pose and velocity to its target.
 #pragma once
 
 #include <cmath>
@@ -11,8 +11,8 @@
 
 namespace cloth {
 
-/// The angle [rad] of the point (x, y), x at least 0 and not both 0, to a few roundings: three times
-/// atan(t) = 2 atan(t / (1 + sqrt(1 + t^2))), then the power series, which meets rounding up to tan(pi / 32).
+/// Angle [rad] of the point (x, y), x >= 0 and not both 0, to a few roundings: three times atan(t) = 2 atan(t / (1 +
+/// sqrt(1 + t^2))), then the power series, accurate to rounding up to tan(pi / 32).
 inline double arctangent(double y, double x) {
     const bool swapped = std::abs(y) > x;
     double t = swapped ? x / y : y / x, doubled = 1.0;
@@ -28,9 +28,9 @@ inline double arctangent(double y, double x) {
     return (y > 0.0 ? quarter : -quarter) - angle;
 }
 
-/// Rotation vector [rad] of the shortest turn from one unit quaternion x, y, z, w to another.
+/// Rotation vector [rad] of the shortest rotation from one unit quaternion x, y, z, w to another.
 inline void rotation_vector(const double* start, const double* end, double* out) {
-    // The quaternion product of the end and the conjugate of the start.
+    // Quaternion product of the end and the conjugate of the start.
     const double ax = end[0], ay = end[1], az = end[2], aw = end[3];
     const double bx = -start[0], by = -start[1], bz = -start[2], bw = start[3];
     double x = aw * bx + ax * bw + ay * bz - az * by, y = aw * by - ax * bz + ay * bw + az * bx;
@@ -42,17 +42,17 @@ inline void rotation_vector(const double* start, const double* end, double* out)
         w = -w;
     }
     const double sine = root(x * x + y * y + z * z);
-    // atan(sine / w) / sine -> 1 as the turn vanishes.
+    // atan(sine / w) / sine -> 1 for vanishing rotation.
     const double scale = sine > 1e-12 ? 2.0 * arctangent(sine, w) / sine : 2.0;
     out[0] = scale * x;
     out[1] = scale * y;
     out[2] = scale * z;
 }
 
-/// The coefficients, 9 numbers, of a cubic that covers the displacement `way` over a duration from a start velocity,
-/// and its end velocity `last`. The end velocity is the mean velocity times way . before / |way|^2, held within 0 to 1,
-/// where `before` is the last frame's displacement. So a steady stream of targets is followed without ripple, and a
-/// jump arrives at rest without overshoot.
+/// Coefficients, 9 numbers, of a cubic over a displacement and a duration from a start velocity, and its end velocity.
+/// The end velocity is the mean velocity times displacement . previous / |displacement|^2, clamped to 0 to 1, where
+/// `previous` is the displacement of the last frame. Therefore a steady stream of targets is followed without ripple,
+/// and a jump ends at rest without overshoot.
 inline void cubic_path(const double* displacement, const double* start, const double* previous, double duration, double* cubic,
                        double* end_velocity) {
     const double square = displacement[0] * displacement[0] + displacement[1] * displacement[1] + displacement[2] * displacement[2];
@@ -69,8 +69,8 @@ inline void cubic_path(const double* displacement, const double* start, const do
     }
 }
 
-/// The path over one frame, path_numbers, from pose and twist to a target; the twist at its end, 6 numbers; the frame's
-/// displacement [m] and turn [rad], 6 numbers. `before` has those of the frame before.
+/// Path over one frame, path_numbers, from pose and twist to a target; twist at its end, 6 numbers; displacement [m]
+/// and rotation [rad] of the frame, 6 numbers. `previous`: those of the frame before.
 inline void path_to(double t, double duration, const double* pose, const double* twist, const double* previous,
                     const double* target, double* path, double* end_twist, double* motion) {
     for (int i = 0; i < 3; ++i) motion[i] = target[i] - pose[i];

@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// A scene as the engine sees it: particles, and parts whose forces, bounds, energies and costs add up.
+// Plan: a compiled scene of particles and parts whose forces, bounds, energies and costs add up.
 #pragma once
 
 #include <array>
@@ -19,10 +19,11 @@
 
 namespace cloth {
 
-/// Forces of the caller's own: adds to f at time t [s], positions x [m] and velocities v [m/s], all (3, n), and, where they
-/// are asked for, to the powers that damping takes and that else is given [W]. Other than `callback_ok` ends the run.
+/// Callback of forces in Python: adds to f at time t [s], positions x [m] and velocities v [m/s], all (3, n), and,
+/// unless `powers` is null, to the dissipated and the external power [W]. A result other than `callback_ok` ends the
+/// run.
 using Callback = int (*)(double t, const double* x, const double* v, double* f, double* powers);
-inline constexpr int callback_ok = 1611516433;  // no number that a call which never returned is likely to leave behind
+inline constexpr int callback_ok = 1611516433;  // unlikely to be left behind by a call that did not return
 
 struct Plan {
     std::int64_t count = 0;
@@ -31,29 +32,29 @@ struct Plan {
     GridTables<double> tables;
     GridTables<float> single_tables;
     std::vector<List> lists;
-    /// Where those that a sheet's rows take have their numbers, see `row_slots`; empty for each other.
+    /// Slots of the lists that rows of the grid evaluate, see `row_slots`; empty for the others.
     std::vector<std::vector<std::int64_t>> slots;
-    /// The list whose panels are the cells of a sheet that its rows take, see `cell_slots`; -1 if there is none.
+    /// The list whose panels are cells evaluated by rows, see `cell_slots`; -1 if there is none.
     std::int64_t air_list = -1;
-    /// Rate of linear drag [1/s], and accelerations by gravity and by wind through that drag [m/s^2].
+    /// Rate of linear drag [1/s], accelerations by gravity and by wind through that drag [m/s^2].
     double drag = 0.0, gravity[3] = {}, wind[3] = {};
     Grips grips;
     Contacts contacts;
-    /// The cloth's contact with itself, by the thickness and damping of `contacts`.
+    /// Self-contact, with the thickness and damping of `contacts`.
     std::optional<SelfContact> self;
-    /// Whether runs may leave it out: nothing gets near enough while they last, see `SelfCulling`.
+    /// Whether runs may skip self-contact, see `SelfCulling`.
     bool self_culled = false;
-    /// Points and edges of obstacles, by the thickness and damping of `contacts`.
+    /// Contact with points and edges of obstacles, with the thickness and damping of `contacts`.
     std::optional<FeatureContactModel> features;
     Callback callback = nullptr;
-    /// Where particles stand inside runs without a grid: neighbours close together.
+    /// Order of particles in runs without a grid: neighbours are close together.
     std::vector<std::int64_t> order, rank;
-    /// The inverse of `rank`, where layers rub.
+    /// Inverse of `rank`, if there is friction between layers.
     std::vector<std::int64_t> particle_of_rank;
 
     std::array<Workspace<double>, max_concurrency> workspaces;
     std::array<Workspace<float>, max_concurrency> single_workspaces;
-    /// Whether a call is at work.
+    /// Whether a call is running.
     mutable std::atomic_flag busy;
 
     template <class T>
@@ -77,8 +78,8 @@ struct Plan {
         slots.clear();
         workspaces[0].has_tables = single_workspaces[0].has_tables = false;
     }
-    /// Find out which lists a sheet's rows take: its hinges, and then the springs between their wings; and its first list
-    /// of panels. Sheets without hinges have their springs in families.
+    /// Assign lists to rows of the grid: hinges, then springs between their wings, then the first list of panels.
+    /// Sheets without hinges have their springs in families.
     void assign_lists() {
         if (slots.size() == lists.size()) return;
         std::vector<std::vector<std::int64_t>> list_slots(lists.size());
@@ -97,7 +98,7 @@ struct Plan {
         }
         slots = std::move(list_slots);
     }
-    /// Whether there are lists that no rows take; and whether any of these are others than hinges.
+    /// Whether lists exist that no row evaluates; and whether any of these are not hinges.
     bool has_off_grid_lists() {
         assign_lists();
         for (std::size_t k = 0; k < lists.size(); ++k)
@@ -110,9 +111,9 @@ struct Plan {
             if (slots[k].empty() && !lists[k].slow) return true;
         return false;
     }
-    /// What the panels that a sheet's rows take have in common.
+    /// Common coefficients of the panels evaluated by rows.
     const double* cells_air() const { return lists[air_list].common; }
-    /// The hinges and springs that a sheet's rows take, and its panels; they stand in the first room alone.
+    /// Hinges, springs and panels evaluated by rows; stored in the first workspace only.
     template <class T>
     const std::vector<RowTable<T>>& row_tables() {
         return workspace_with_tables<T>().tables;
@@ -134,8 +135,8 @@ struct Plan {
         first.has_tables = true;
         return first;
     }
-    /// The lists shared out among threads by borders between particles: those that no rows take, and all hinges where
-    /// runs are `sparse`.
+    /// Partition the lists among threads by borders between particles: those that no row evaluates, and all hinges of
+    /// `multirate` runs.
     template <class T>
     std::vector<Partition<T>>& partitions(const std::vector<std::int64_t>& borders, bool multirate, int index) {
         auto& cached = workspace<T>(index).partitions[multirate][borders.size() > 2];
@@ -144,7 +145,7 @@ struct Plan {
             is_current = cached[k].first == borders[k] && cached[k].last == borders[k + 1] && cached[k].lists.size() == lists.size();
         if (is_current) return cached;
         assign_lists();
-        // Kept once it is whole: there may not be memory enough.
+        // Stored once complete, because memory may run out.
         std::vector<Partition<T>> fresh(borders.size() - 1);
         for (std::size_t k = 0; k < fresh.size(); ++k) {
             Partition<T>& partition = fresh[k];
@@ -166,8 +167,8 @@ struct Plan {
         }
         return cached = std::move(fresh);
     }
-    /// Borders between particles, as they stand inside runs, that share listed elements out evenly. Particles that contact
-    /// looks at together stay together.
+    /// Borders between particles, in the order of runs, that distribute listed elements evenly. Blocks of contact are
+    /// not split.
     std::vector<std::int64_t> even_borders(int threads) const {
         std::vector<double> work(count, 1.0);
         double total = static_cast<double>(count);
@@ -198,7 +199,7 @@ struct Plan {
     }
     bool has_contact() const { return contacts.count() || self; }
     bool has_self_friction() const { return self && self->has_friction(); }
-    /// Numbers of all anchors.
+    /// Size of all anchors.
     std::int64_t anchor_count() const {
         return contacts.obstacle_anchors(count) + (has_self_friction() ? layer_sides * anchor_numbers * count : 0);
     }
@@ -207,10 +208,10 @@ struct Plan {
     }
     bool is_self_active() const { return self && !self_culled; }
     bool is_feature_active() const { return features && features->any(); }
-    /// Whether something acts on the cloth's triangles and edges: in double precision, and by one thread.
+    /// Whether forces act on triangles and edges of the cloth: in double precision, on one thread.
     bool is_surface_active() const { return is_self_active() || is_feature_active(); }
     double body_acceleration(int axis) const { return gravity[axis] + wind[axis]; }
-    /// Whether runs may be made at once: then they write into their rooms alone, once `prepare_tables` has been called.
+    /// Whether runs may be concurrent: then they write into their workspaces only, after `prepare_tables`.
     bool has_independent_runs() const { return !has_contact() && !features && !callback; }
     template <class T>
     void prepare_tables() {
@@ -219,7 +220,7 @@ struct Plan {
         grid_tables<T>();
         workspace_with_tables<T>();
     }
-    /// Whether forces depend on velocities, and how.
+    /// Dependence of the forces on velocities.
     Mode mode() const {
         if (grid && grid->damped()) return Mode::damped;
         bool uses_velocity = drag > 0.0 || grips.count() || contacts.count() || is_self_active() || callback;
@@ -228,7 +229,7 @@ struct Plan {
     }
 };
 
-/// One run of the leapfrog: so many equal steps.
+/// One run of the leapfrog: a number of equal steps.
 struct Run {
     double t, step;
     std::int64_t steps;
@@ -237,33 +238,33 @@ struct Run {
     const double *x0, *v0;  ///< at the start, (3, n)
     double *x, *v;          ///< at the end; v may be null
     double* gripper_record;         ///< (grippers, record_numbers), or null
-    double* power_integrals;         ///< time integrals of lost and given power [J], or null
-    double* contact_record = nullptr;  ///< (obstacles, record_numbers), then what `ContactSummary` has, or null
-    bool record_obstacles = false;         ///< whether what obstacles do is booked
-    double* anchors = nullptr;  ///< those at the end, (obstacles, anchor_numbers, n), or null
-    double* jaw_states = nullptr;  ///< where pads are at the end, (pinches, jaw_state_size), or null
-    std::int64_t multirate = 1;     ///< hinges act in the middle one of so many steps, for all of them; odd, divides `steps`
-    int workspace = 0;               ///< which of the plan's rooms it writes into
+    double* power_integrals;         ///< time integrals of dissipated and external power [J], or null
+    double* contact_record = nullptr;  ///< (obstacles, record_numbers), then the `ContactSummary`, or null
+    bool record_obstacles = false;         ///< whether the work of obstacles is recorded
+    double* anchors = nullptr;  ///< at the end, (obstacles, anchor_numbers, n), or null
+    double* jaw_states = nullptr;  ///< jaw states at the end, (jaws, jaw_state_size), or null
+    std::int64_t multirate = 1;     ///< steps per evaluation of hinges, in the middle one; odd, divides `steps`
+    int workspace = 0;               ///< index of the workspace
 
-    /// Whether hinges are asked for in a step. At the start they are only looked at.
+    /// Whether hinges are evaluated in a step. At the start they are evaluated without effect on the motion.
     bool evaluates_hinges(std::int64_t step) const { return step < 0 || step % multirate == multirate / 2; }
 };
 
 enum class RunStatus : int { ok, callback_failed };
 
-/// Factors of the steps of a run: the start, then one for each step; the last drifts half a step.
+/// Factors of a step: the start is step -1; the last step drifts half a step.
 template <class T>
 inline StepFactors<T> motion_of(const Run& run, std::int64_t step) {
     const double h = run.step, drift = step + 1 == run.steps ? 0.5 * h : h;
     if (step < 0) return {T(0), T(0.5 * h), T(0), T(0.5 * h)};
     return {T(h), T(0.25 * h), T(0.25 * h), T(drift)};
 }
-/// Of a single evaluation: it moves nothing, and velocities that were zero become accelerations.
+/// Factors of a single evaluation: nothing moves, and zero velocities become accelerations.
 template <class T>
 inline constexpr StepFactors<T> evaluation{T(1), T(0), T(0), T(0)};
 inline double midpoint_time(const Run& run, std::int64_t step) { return step < 0 ? run.t : run.t + (step + 0.5) * run.step; }
 
-/// A number at the end of a run: in single precision what changed is added to what it was.
+/// Value at the end of a run; in single precision the change is added to the initial value.
 template <class T>
 inline double final_value(double initial, double origin, T value, T compensation_) {
     if constexpr (sizeof(T) == 8)
@@ -273,8 +274,7 @@ inline double final_value(double initial, double origin, T value, T compensation
                          static_cast<double>(compensation_));
 }
 
-/// How the contact of each particle with the cloth is reduced at a time t, in the order of its surface; none where it is
-/// not.
+/// Scaling of the self-contact of each particle at a time t, by rank; empty without reduction.
 inline void self_scalings(const Plan& plan, double t, std::vector<Scaling<double>>& out) {
     const ReducedThickness& reduced = plan.contacts.reduced;
     out.clear();

@@ -1,8 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// What is asked of a whole scene beside its motion: energy, power, derivative product. Bounds are in rates.hpp. Arrays
-// are (3, n).
+// Queries of a whole scene: energy, power, derivative product. Arrays are (3, n).
 #pragma once
 
 #include "contact/feature_queries.hpp"
@@ -64,7 +63,7 @@ inline void total_powers(Plan& plan, double t, const double* x, const double* v,
     grid_and_field_powers(plan, x, v, dissipation, external);
 }
 
-/// Wrench, work and loss rates of the joints at time t: (grippers, record_numbers), summed up.
+/// Add the wrench, power and dissipation of the joints at time t, (grippers, record_numbers).
 inline void add_grip_wrenches(const Plan& plan, double t, const double* x, const double* v, double* wrenches) {
     const Grips& grips = plan.grips;
     for (std::int64_t grip = 0; grip < grips.count(); ++grip) {

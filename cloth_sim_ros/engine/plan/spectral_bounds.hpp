@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Bounds of the squared highest frequency and the highest damping rate of a whole scene, which limit explicit steps.
+// Bounds of the squared highest frequency and the highest damping rate of a scene, which limit explicit steps.
 // Positions are (3, n).
 #pragma once
 
@@ -10,7 +10,7 @@
 
 namespace cloth {
 
-/// Largest number of an array, and whether all were numbers.
+/// Largest number of an array, or NaN if it contains one.
 inline double largest_or_nan(const double* numbers, std::int64_t count) {
     double max = 0.0;
     bool has_nan = false;
@@ -21,7 +21,7 @@ inline double largest_or_nan(const double* numbers, std::int64_t count) {
     return has_nan ? __builtin_nan("") : max;
 }
 
-/// Add to (6, n) what all parts but grippers, contact and drag bound stiffness and damping by.
+/// Add the bounds of stiffness and damping of all parts except grippers, contact and drag to (6, n).
 inline void add_bounds(const Plan& plan, const double* x, double* stiff, double* damp) {
     if (plan.grid) add_grid_bounds(*plan.grid, plan.tables, x, stiff, damp);
     for (const List& list : plan.lists) add_list_bounds(list, x, plan.count, stiff, damp);
@@ -45,18 +45,18 @@ inline void eigenvalues(const double* blocks, std::int64_t n, double* to) {
 
 struct SpectralBounds {
     double omega2, damping;
-    /// Of hinges alone, and of what tension and compression of springs do across them; zero without hinges.
+    /// Of hinges alone, and of the transverse stiffness of springs; zero without hinges.
     double hinge_omega2 = 0.0, hinge_damping = 0.0, transverse_omega2 = 0.0;
 };
-/// Sharper bounds where few particles stand out, as the light ones of an irregular mesh do. Of a sum over its corners an
-/// element's square may be shared out by any positive weights of the particles (laws.hpp). A particle that stands out
-/// gets a larger one, so its neighbours take more of the common elements. Perron's iteration finds the best weights of a
-/// matrix without signs: multiply by what the bound came to, relative to what it may come down to. Whatever it has got to
-/// after a few rounds, each round's bound holds, and the lowest is taken.
+/// Refined bounds if few particles are outliers, such as the light ones of an irregular mesh. The square of an
+/// element's sum over its corners may be distributed by any positive weights of the particles (laws/bound.hpp). An
+/// outlier gets a larger weight, so its neighbours carry more of the common elements. Perron's iteration finds the best
+/// weights of a non-negative matrix: multiply each by the ratio of its bound to the target. The bound of each round is
+/// valid, and the lowest is used.
 class PerronBound {
 public:
-    /// `blocks` (12, n) of all parts with equal weights, and what stiffness and damping come to for each particle; or of
-    /// hinges alone.
+    /// `blocks` (12, n) of all parts with equal weights, and the resulting stiffness and damping of each particle; or
+    /// of hinges alone.
     PerronBound(const Plan& plan, const double* x, const Array<double>& blocks, const Array<double>& k,
               const Array<double>& c, bool hinges)
         : plan_(plan), quantities_{Quantity(k), Quantity(c)} {
@@ -65,7 +65,7 @@ public:
         std::vector<char> is_outlier(plan.count, 0);
         for (const Quantity& quantity : quantities_)
             for (std::int64_t i = 0; quantity.has_outliers && i < plan.count; ++i) is_outlier[i] |= quantity.rows[i] > quantity.typical;
-        // Whatever pulls at them, their rows have to come down.
+        // The rows of outliers have to decrease.
         for (std::int64_t i = 0; i < plan.count; ++i)
             if (is_outlier[i]) index_of(i);
         for (const List& list : plan.lists)
@@ -77,10 +77,10 @@ public:
 
 private:
     static constexpr int rounds = 3;
-    /// Of the largest: what it may come down to, for where pairs pull, equal weights are off by two at most; what gets a
-    /// weight; and what the others are below where it is worth the work.
+    /// Fractions of the largest row: the target, because equal weights are off by two at most for pairs; the threshold
+    /// for a weight; and the limit of the other rows for which the refinement is worth its cost.
     static constexpr double target_fraction = 0.5, weight_fraction = 0.4, work_fraction = 0.7;
-    /// One in so many particles may get a weight, but never fewer than that.
+    /// One in this many particles may get a weight, but at least this many.
     static constexpr std::int64_t particles_per_weight = 16;
 
     /// Stiffness or damping.
@@ -97,11 +97,11 @@ private:
             typical = std::max(typical, weight_fraction * best);
             target = std::max(target_fraction * best, typical);
         }
-        /// What every particle comes to with equal weights, the largest of those that get no weight, and the bound.
+        /// Row of each particle with equal weights, the largest of those without a weight, and the bound.
         const Array<double>& rows;
         double typical = 0.0, best, target = 0.0;
         bool has_outliers = false;
-        /// Weights of the particles taken, blocks of what weights leave alone, and with them.
+        /// Weights of the collected particles, blocks independent of the weights, and all blocks.
         Array<double> weights, fixed, blocks, current;
     };
     struct SharedElement {
@@ -111,7 +111,7 @@ private:
         double total;
     };
 
-    /// Keep the elements that a particle that stands out is a corner of, and their particles.
+    /// Collect the elements with an outlier as a corner, and their particles.
     template <class Law>
     void collect(const List& list, const double* x, const std::vector<char>& is_outlier) {
         for (std::int64_t e = 0; e < list.count; ++e) {
@@ -128,7 +128,7 @@ private:
             elements_.push_back(element);
         }
     }
-    /// Where a particle stands among those taken.
+    /// Index of a particle among the collected ones.
     std::int64_t index_of(std::int64_t i) {
         if (index_[i] < 0) {
             index_[i] = static_cast<std::int64_t>(particles_.size());
@@ -165,7 +165,7 @@ private:
             if (!quantity.has_outliers) continue;
             for (std::int64_t j = 0; j < count; ++j) {
                 const double ratio = quantity.current[j] / quantity.target;
-                // By more than the bound came to, which gets there in fewer rounds.
+                // By more than the ratio, which needs fewer rounds.
                 if (is_outlier[particles_[j]] && ratio > 1.0) quantity.weights[j] *= ratio * root(ratio);
             }
             quantity.blocks = quantity.fixed;
@@ -188,13 +188,13 @@ private:
 
     const Plan& plan_;
     Quantity quantities_[2];
-    /// Where each particle stands among those taken, or -1; and those.
+    /// Index of each particle among the collected ones, or -1; and those.
     std::vector<std::int64_t> index_, particles_;
     std::vector<SharedElement> elements_;
 };
 
-/// Add what grippers' joints bound the stiffness [N/m] and damping [N s/m] of each particle by. A grip pulls on one
-/// particle only: its point moves as commanded. So its blocks are k I, not 2 k I.
+/// Add the bounds of the grippers' joints to the stiffness [N/m] and damping [N s/m] of each particle. A grip acts on
+/// one particle, because its point is prescribed. Therefore its blocks are k I, not 2 k I.
 inline void add_grips(const Plan& plan, double* stiff, double* damp) {
     for (std::int64_t grip = 0; grip < plan.grips.count(); ++grip) {
         stiff[plan.grips.particle[grip]] += plan.grips.stiffness[grip];
@@ -202,8 +202,8 @@ inline void add_grips(const Plan& plan, double* stiff, double* damp) {
     }
 }
 
-/// What hinges come to by themselves at x, and springs across, with what the caller's own forces have in `blocks` (12, n)
-/// in any direction; the blocks of all of them are added to those.
+/// Bounds of hinges alone at x, and of transverse springs, with the isotropic part of `blocks` (12, n) of forces in
+/// Python. The blocks of all parts are added to `blocks`.
 inline SpectralBounds hinge_bounds(const Plan& plan, const double* x, double* blocks) {
     const std::int64_t n = plan.count;
     Array<double> hinge_blocks(12 * n, 0.0), transverse(n), k(n), c(n);
@@ -229,8 +229,9 @@ inline SpectralBounds hinge_bounds(const Plan& plan, const double* x, double* bl
     return r;
 }
 
-/// Bounds of the squared highest frequency [1/s^2] and the highest damping rate [1/s], contact aside. `stiff` [N/m] and
-/// `damp` [N s/m], (6, n) or null, hold the blocks of the caller's own forces. Those of hinges alone are told if wanted.
+/// Bounds of the squared highest frequency [1/s^2] and the highest damping rate [1/s], without contact. `stiff` [N/m]
+/// and `damp` [N s/m], (6, n) or null: blocks of forces in Python. `hinges`: whether those of hinges alone are
+/// requested.
 inline SpectralBounds spectral_bounds(Plan& plan, const double* x, const double* stiff, const double* damp, bool hinges) {
     const std::int64_t n = plan.count;
     Array<double> k(n), c(n, 0.0), blocks;
@@ -238,7 +239,7 @@ inline SpectralBounds spectral_bounds(Plan& plan, const double* x, const double*
     plan.assign_lists();
     const bool has_panels = plan.air_list >= 0;
     if (plan.lists.size() == (has_panels ? 1 : 0) && plan.grid && !stiff) {
-        // Single precision takes half the time. Its rounding is far below the safety margin of a step.
+        // Single precision halves the time. Its rounding is far below the safety margin of a step.
         const Grid& grid = *plan.grid;
         GridBounds<float> bounds(grid, plan.grid_tables<float>(), x, has_panels ? &plan.cell_table<float>() : nullptr,
                                  has_panels ? plan.cells_air() : nullptr);

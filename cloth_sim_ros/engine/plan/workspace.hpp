@@ -10,32 +10,32 @@
 
 namespace cloth {
 
-/// Particles that one thread looks after, and the listed elements that touch them: those at a border are taken by both
-/// sides, so that every particle's sum runs in one order.
+/// Particles of one thread, and the listed elements that touch them. Elements at a border are evaluated on both sides,
+/// so that the sum of each particle has one order.
 template <class T>
 struct Partition {
-    std::int64_t first = 0, last = 0;  ///< its own particles
-    std::int64_t low = 0, high = 0;    ///< those that its elements touch
+    std::int64_t first = 0, last = 0;  ///< own particles
+    std::int64_t low = 0, high = 0;    ///< particles that its elements touch
     std::vector<Elements<T>> lists;
     Array<T> f;
-    /// Where hinges are asked for less often than the rest: their forces, and the velocities that they see.
+    /// Forces of multirate hinges, and the velocities for their damping.
     Array<T> hinge_forces, hinge_velocities;
 };
-/// What runs write into, kept from one to the next: memory that is new costs more than a short run.
+/// Memory of a run, kept for the next one: new memory costs more than a short run.
 template <class T>
 struct Workspace {
     std::vector<Array<T>> state, force_rows, messages;
     Array<T> quads[2], particle_arrays[3], window, contact_masses;
-    /// Where rows take their hinges, and where these are asked for less often; of one thread, and of several.
+    /// By whether hinges are multirate, and by whether there are several threads.
     std::vector<Partition<T>> partitions[2][2];
-    /// Halves of hinges' next impulses over masses as foretold, in turn, and quarters of the last ones.
+    /// Predicted halves of the next hinge impulses over masses, alternating, and quarters of the last ones.
     Array<T> predicted_impulses[3];
     std::vector<RowTable<T>> tables;
     CellTable<T> cells;
-    bool has_tables = false;  ///< whether `tables` and `cells` are of the plan's lists
+    bool has_tables = false;  ///< whether `tables` and `cells` are up to date with the lists of the plan
 };
 
-/// Runs that are made at once at most: each writes into rooms of its own.
+/// Maximum number of concurrent runs; each has a workspace of its own.
 inline constexpr int max_concurrency = 2;
 
 }  // namespace cloth
