@@ -21,6 +21,8 @@ TESTS ?= test/engine/test_engine_band.py test/engine/test_engine_bad_input.py te
     test/engine/test_grid_bends.py test/physics/test_plan.py test/physics/test_plan_own_forces.py \
     test/physics/test_integrators_columns.py test/physics/test_contact_runs.py test/physics/test_self_contact_law.py
 
+CPP = $(shell find cloth_sim_ros/engine test/engine scripts -name '*.hpp' -o -name '*.cpp')
+
 # Each set of packages (extras of setup.py) has a stamp in the environment, written last.
 DEMO := $(VENV)/has_demo
 DEV := $(VENV)/has_dev
@@ -58,6 +60,7 @@ test: $(DEV) engines
 check: $(DEV) engines
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+	@$(BIN)/clang-format --dry-run --Werror $(CPP)
 	$(BIN)/mypy
 	@$(MAKE) --no-print-directory test
 
@@ -88,6 +91,7 @@ docs-check: $(DEV)
 format: $(DEV)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+	@$(BIN)/clang-format -i $(CPP)
 
 # A real hour of grasping; CLOTH_SIM_ROS_SOAK_SECONDS sets another length.
 soak: export CLOTH_SIM_ROS_SOAK_SECONDS ?= 3600

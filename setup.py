@@ -109,6 +109,8 @@ EXTRAS["dev"] = [
     *EXTRAS["bench"],
     *EXTRAS["docs"],
     *EXTRAS["test"],
+    # Another version would format otherwise.
+    "clang-format==23.1.5",
     "ruff>=0.17",
     "mypy>=2.0",
     "types-PyYAML",

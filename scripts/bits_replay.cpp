@@ -140,12 +140,13 @@ int main(int count, char** arguments) {
             return 2;
         }
         const Word* const w = words;
-        const Word returned_value = reinterpret_cast<Function>(symbol)(w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7], w[8], w[9],
-                                                            numbers[0], numbers[1], numbers[2], numbers[3]);
+        const Word returned_value = reinterpret_cast<Function>(symbol)(
+            w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7], w[8], w[9], numbers[0], numbers[1], numbers[2], numbers[3]);
         ++total;
         ++calls[name];
         if (returned == 'h') plans[result] = returned_value;
-        const bool status = returned == 'i' && static_cast<std::int32_t>(returned_value) != static_cast<std::int32_t>(result);
+        const bool status =
+            returned == 'i' && static_cast<std::int32_t>(returned_value) != static_cast<std::int32_t>(result);
         std::string message = difference();
         if (status || (returned == 'n' && returned_value != result)) message = "another number is returned";
         if (!message.empty()) {

@@ -16,12 +16,15 @@ static std::atomic<long> allocated{0}, failing{0};
 
 static void* allocate(std::size_t size, std::size_t alignment) {
     if (failing && ++allocated == failing) throw std::bad_alloc();
-    void* const memory = alignment ? std::aligned_alloc(alignment, (size / alignment + 1) * alignment) : std::malloc(size + 1);
+    void* const memory =
+        alignment ? std::aligned_alloc(alignment, (size / alignment + 1) * alignment) : std::malloc(size + 1);
     if (!memory) throw std::bad_alloc();
     return memory;
 }
 void* operator new(std::size_t size) { return allocate(size, 0); }
-void* operator new(std::size_t size, std::align_val_t alignment) { return allocate(size, static_cast<std::size_t>(alignment)); }
+void* operator new(std::size_t size, std::align_val_t alignment) {
+    return allocate(size, static_cast<std::size_t>(alignment));
+}
 void operator delete(void* memory) noexcept { std::free(memory); }
 void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
 void operator delete(void* memory, std::align_val_t) noexcept { std::free(memory); }
@@ -99,6 +102,7 @@ int main() {
                     ++crashed;
             }
             std::printf("%s, %s: %d reported, %d crashed, %d wrong, %d failed later\n", grid ? "grid" : "list",
-                        concurrency > 1 ? "at once" : "in turn", outcomes[reported], crashed, outcomes[wrong], outcomes[failed_later]);
+                        concurrency > 1 ? "at once" : "in turn", outcomes[reported], crashed, outcomes[wrong],
+                        outcomes[failed_later]);
         }
 }

@@ -23,10 +23,9 @@ enum {
 
 CLOTH_API std::int64_t cloth_band_stride(std::int64_t width) { return cloth::band_stride(width); }
 
-CLOTH_API int cloth_band_assemble(
-    double* rows, std::int64_t count, std::int64_t width, const std::int64_t* block_rows, std::int64_t particles,
-    const std::int64_t* pairs, const double* blocks, std::int64_t pair_count, const std::int64_t* selected,
-    std::int64_t selected_count) {
+CLOTH_API int cloth_band_assemble(double* rows, std::int64_t count, std::int64_t width, const std::int64_t* block_rows,
+                                  std::int64_t particles, const std::int64_t* pairs, const double* blocks,
+                                  std::int64_t pair_count, const std::int64_t* selected, std::int64_t selected_count) {
     const cloth::Band a{rows, count, width};
     for (std::int64_t k = 0; k < selected_count; ++k) {
         const std::int64_t e = selected[k];
@@ -41,9 +40,9 @@ CLOTH_API int cloth_band_assemble(
     return CLOTH_BAND_OK;
 }
 
-CLOTH_API int cloth_band_assemble_diagonal(
-    double* rows, std::int64_t count, std::int64_t width, const std::int64_t* block_rows, std::int64_t particles,
-    const double* masses, const double* blocks) {
+CLOTH_API int cloth_band_assemble_diagonal(double* rows, std::int64_t count, std::int64_t width,
+                                           const std::int64_t* block_rows, std::int64_t particles, const double* masses,
+                                           const double* blocks) {
     const cloth::Band a{rows, count, width};
     for (std::int64_t p = 0; p < particles; ++p) {
         if (block_rows[p] >= count) return CLOTH_BAND_BAD_BLOCK_ROW;
@@ -66,19 +65,17 @@ CLOTH_API int cloth_band_backward(double* rows, std::int64_t count, std::int64_t
     return CLOTH_BAND_OK;
 }
 
-CLOTH_API int cloth_band_join(
-    double* upper, std::int64_t count_upper, double* lower, std::int64_t count_lower, std::int64_t width,
-    std::int64_t inner_upper, std::int64_t inner_lower, double* middle, std::int64_t shared,
-    std::int64_t width_middle) {
-    cloth::join(
-        {upper, count_upper, width}, {lower, count_lower, width}, inner_upper, inner_lower,
-        {middle, shared, width_middle});
+CLOTH_API int cloth_band_join(double* upper, std::int64_t count_upper, double* lower, std::int64_t count_lower,
+                              std::int64_t width, std::int64_t inner_upper, std::int64_t inner_lower, double* middle,
+                              std::int64_t shared, std::int64_t width_middle) {
+    cloth::join({upper, count_upper, width}, {lower, count_lower, width}, inner_upper, inner_lower,
+                {middle, shared, width_middle});
     return CLOTH_BAND_OK;
 }
 
 /// Order the particles so that those of a pair lie close together.
-CLOTH_API int cloth_cuthill_mckee(
-    std::int64_t count, const std::int64_t* pairs, std::int64_t pair_count, std::int64_t* order) {
+CLOTH_API int cloth_cuthill_mckee(std::int64_t count, const std::int64_t* pairs, std::int64_t pair_count,
+                                  std::int64_t* order) {
     for (std::int64_t e = 0; e < 2 * pair_count; ++e)
         if (pairs[e] < 0 || pairs[e] >= count) return CLOTH_BAND_BAD_PARTICLE;
     try {

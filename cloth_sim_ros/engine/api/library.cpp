@@ -58,8 +58,8 @@ CLOTH_API int cloth_plan_grid(Plan* plan, std::int64_t rows, std::int64_t column
         plan->tables = cloth::GridTables<double>(grid, plan->inverse.data());
     });
 }
-CLOTH_API int cloth_plan_list(Plan* plan, int kind, std::int64_t count, const std::int64_t* corners, const double* params,
-                              const double* common) {
+CLOTH_API int cloth_plan_list(Plan* plan, int kind, std::int64_t count, const std::int64_t* corners,
+                              const double* params, const double* common) {
     return guarded(plan, [&] { plan->add_list({static_cast<cloth::Kind>(kind), count, corners, params, common}); });
 }
 CLOTH_API int cloth_plan_uniform(Plan* plan, const double* gravity, const double* wind, double drag) {
@@ -85,8 +85,8 @@ CLOTH_API int cloth_plan_callback(Plan* plan, cloth::Callback callback) {
 }
 /// Set the grips; cloth_plan_gripper_paths sets their motion.
 CLOTH_API int cloth_plan_grips(Plan* plan, std::int64_t grippers, std::int64_t count, const std::int64_t* particles,
-                              const std::int64_t* owners, const double* offsets, const double* stiffness,
-                              const double* damping) {
+                               const std::int64_t* owners, const double* offsets, const double* stiffness,
+                               const double* damping) {
     return guarded(plan, [&] {
         std::vector<std::int64_t> order(count);
         std::iota(order.begin(), order.end(), std::int64_t{0});
@@ -127,7 +127,8 @@ CLOTH_API int cloth_plan_contact(Plan* plan, std::int64_t count, const std::int6
         cloth::Contacts contacts;
         for (std::int64_t k = 0; k < count; ++k)
             contacts.obstacles.push_back({static_cast<cloth::Shape>(shapes[k]),
-                                          {sizes[3 * k], sizes[3 * k + 1], sizes[3 * k + 2]}, radii[k],
+                                          {sizes[3 * k], sizes[3 * k + 1], sizes[3 * k + 2]},
+                                          radii[k],
                                           {frictions[2 * k], frictions[2 * k + 1]}});
         contacts.paths.assign(paths, paths + count * cloth::path_numbers);
         contacts.thickness = thickness;
@@ -144,12 +145,14 @@ CLOTH_API int cloth_plan_contact(Plan* plan, std::int64_t count, const std::int6
 CLOTH_API int cloth_plan_mesh(Plan* plan, std::int64_t obstacle, std::int64_t vertices, const double* positions,
                               std::int64_t triangles, const std::int64_t* corners) {
     return guarded(plan, [&] {
-        plan->contacts.obstacles[obstacle].mesh = std::make_shared<cloth::Mesh>(vertices, positions, triangles, corners);
+        plan->contacts.obstacles[obstacle].mesh =
+            std::make_shared<cloth::Mesh>(vertices, positions, triangles, corners);
     });
 }
 /// Set new paths of the same obstacles.
 CLOTH_API int cloth_plan_contact_paths(Plan* plan, const double* paths) {
-    return guarded(plan, [&] { plan->contacts.paths.assign(paths, paths + plan->contacts.count() * cloth::path_numbers); });
+    return guarded(plan,
+                   [&] { plan->contacts.paths.assign(paths, paths + plan->contacts.count() * cloth::path_numbers); });
 }
 
 /// Set the obstacles that are jaws, two per gripper, the one on the positive side of the closing axis first. Numbers
@@ -176,7 +179,8 @@ CLOTH_API int cloth_plan_jaws(Plan* plan, std::int64_t count, const std::int64_t
 }
 /// Set the states of the jaws at the start of runs, (jaws, jaw_state_size).
 CLOTH_API int cloth_plan_jaw_states(Plan* plan, const double* jaw_states) {
-    return guarded(plan, [&] { std::copy_n(jaw_states, plan->contacts.jaw_states.size(), plan->contacts.jaw_states.data()); });
+    return guarded(
+        plan, [&] { std::copy_n(jaw_states, plan->contacts.jaw_states.size(), plan->contacts.jaw_states.data()); });
 }
 /// Accelerations of the half openings.
 CLOTH_API int cloth_jaw_accelerations(Plan* plan, double t, const double* x, const double* v, double* out) {
@@ -218,7 +222,8 @@ CLOTH_API int cloth_powers(Plan* plan, double t, const double* x, const double* 
     });
 }
 /// Add the weighted wrench records of the grippers to (grippers, record_numbers).
-CLOTH_API int cloth_grip_wrenches(const Plan* plan, double t, const double* x, const double* v, double weight, double* out) {
+CLOTH_API int cloth_grip_wrenches(const Plan* plan, double t, const double* x, const double* v, double weight,
+                                  double* out) {
     return guarded(plan, [&] {
         const std::size_t size = plan->grips.grippers * cloth::record_numbers;
         std::vector<double> wrenches(size, 0.0);
@@ -228,7 +233,7 @@ CLOTH_API int cloth_grip_wrenches(const Plan* plan, double t, const double* x, c
 }
 /// Add the weighted wrench records of the obstacles to (obstacles, record_numbers).
 CLOTH_API int cloth_contact_wrenches(Plan* plan, double t, const double* x, const double* v, double weight,
-                                  double* out) {
+                                     double* out) {
     return guarded(plan, [&] {
         cloth::add_contact_wrenches(*plan, t, x, v, weight, out);
         if (plan->features) cloth::add_feature_wrenches(*plan, t, x, v, weight, out);
@@ -249,8 +254,8 @@ CLOTH_API int cloth_contact_bounds(Plan* plan, double t, const double* x, double
 }
 /// Energy per mass that contact may have to absorb from time t on, see predict_contact_energy, and the number of tests:
 /// of all obstacles, and of those with friction. Three numbers.
-CLOTH_API int cloth_predict_obstacle_contact(const Plan* plan, double t, double duration, const double* x, const double* v,
-                                  double* out) {
+CLOTH_API int cloth_predict_obstacle_contact(const Plan* plan, double t, double duration, const double* x,
+                                             const double* v, double* out) {
     return guarded(plan, [&] {
         cloth::VisitCounts visits;
         out[0] = cloth::predict_contact_energy(*plan, t, duration, x, v, &visits);
@@ -264,7 +269,7 @@ CLOTH_API int cloth_contact_anchors(Plan* plan, const double* anchors) {
 }
 /// Combine the anchors at the ends of runs, see combine_anchors.
 CLOTH_API int cloth_combine_anchors(Plan* plan, double t, const double* x, const double* v, std::int64_t runs,
-                                   const double* weights, const double* ends, double* out) {
+                                    const double* weights, const double* ends, double* out) {
     return guarded(plan, [&] {
         cloth::combine_anchors(*plan, t, x, v, runs, weights, ends, out);
         cloth::combine_self_anchors(*plan, t, x, v, runs, weights, ends, out);
@@ -272,7 +277,7 @@ CLOTH_API int cloth_combine_anchors(Plan* plan, double t, const double* x, const
 }
 /// Whether a particle intersects an obstacle on its straight path from x0 at time t to x1.
 CLOTH_API int cloth_ccd_obstacles(const Plan* plan, double t, double duration, const double* x0, const double* x1,
-                                    std::int64_t* out) {
+                                  std::int64_t* out) {
     return guarded(plan, [&] { *out = cloth::ccd_obstacles(*plan, t, duration, x0, x1) ? 1 : 0; });
 }
 /// Set the reduced thickness of contacts at a time, (obstacles + 1, n + 1), and the rates of recovery, see
@@ -317,8 +322,8 @@ CLOTH_API int cloth_contact_limits(const Plan* plan, double energy, double* out)
         out[1] = limits.damping;
     });
 }
-CLOTH_API int cloth_spectral_bounds(Plan* plan, const double* x, const double* stiff, const double* damp, std::int64_t hinges,
-                         double* out) {
+CLOTH_API int cloth_spectral_bounds(Plan* plan, const double* x, const double* stiff, const double* damp,
+                                    std::int64_t hinges, double* out) {
     return guarded(plan, [&] {
         const cloth::SpectralBounds r = cloth::spectral_bounds(*plan, x, stiff, damp, hinges != 0);
         const double numbers[5] = {r.omega2, r.damping, r.hinge_omega2, r.hinge_damping, r.transverse_omega2};
@@ -332,7 +337,7 @@ CLOTH_API int cloth_eigenvalues(const double* blocks, std::int64_t n, double* ou
     return guarded([&] { cloth::eigenvalues(blocks, n, out); });
 }
 CLOTH_API int cloth_derivative_product(Plan* plan, double t, const double* x, const double* v, const double* dx,
-                            const double* dv, double* out) {
+                                       const double* dv, double* out) {
     return guarded(plan, [&] { cloth::add_product(*plan, t, x, v, dx, dv, out); });
 }
 /// Blocks of a list of springs or joints, in its own order; see pair_blocks.
@@ -344,8 +349,8 @@ CLOTH_API int cloth_pair_blocks(const Plan* plan, std::int64_t list, const doubl
 /// frame before (count, 6), targets (count, 7). Output: paths, twists at their end, displacements and rotations, and
 /// the largest change of the displacement along an axis since the frame before [m].
 CLOTH_API int cloth_paths(std::int64_t count, double t, double duration, const double* poses, const double* twists,
-                          const double* previous, const double* targets, double* paths, double* end_twists, double* motions,
-                          double* changes) {
+                          const double* previous, const double* targets, double* paths, double* end_twists,
+                          double* motions, double* changes) {
     return guarded([&] {
         for (std::int64_t k = 0; k < count; ++k) {
             const double *const previous_motion = previous + 6 * k, *const motion = motions + 6 * k;
@@ -367,7 +372,8 @@ CLOTH_API int cloth_pose(const double* path, double t, double* out) {
         const auto put = [&](int at, cloth::Vec3<double> a) { out[at] = a.x, out[at + 1] = a.y, out[at + 2] = a.z; };
         put(0, p.position);
         put(3, p.velocity);
-        for (int j = 0; j < 3; ++j) out[6 + j] = p.rotation[j].x, out[9 + j] = p.rotation[j].y, out[12 + j] = p.rotation[j].z;
+        for (int j = 0; j < 3; ++j)
+            out[6 + j] = p.rotation[j].x, out[9 + j] = p.rotation[j].y, out[12 + j] = p.rotation[j].z;
         put(15, p.spin);
     });
 }
@@ -385,14 +391,15 @@ CLOTH_API int cloth_distance(const double* x, const double* y, std::int64_t n, d
 CLOTH_API int cloth_weighted_dot(const double* m, const double* a, const double* b, std::int64_t n, double* out) {
     return guarded([&] {
         double sum = 0.0;
-        for (std::int64_t i = 0; i < n; ++i) sum += m[i] * cloth::dot(cloth::particle(a, n, i), cloth::particle(b, n, i));
+        for (std::int64_t i = 0; i < n; ++i)
+            sum += m[i] * cloth::dot(cloth::particle(a, n, i), cloth::particle(b, n, i));
         *out = sum;
     });
 }
 /// Signed lengths h [m] of hinges (count, 4) of kind crossed or altitude, NaN if undefined, and, unless `squares` is
 /// null, |dh/dx|^2 of their four corners (count, 4).
-CLOTH_API int cloth_hinge_lengths(int kind, std::int64_t count, const std::int64_t* corners, const double* x, std::int64_t n,
-                            double* lengths, double* squares) {
+CLOTH_API int cloth_hinge_lengths(int kind, std::int64_t count, const std::int64_t* corners, const double* x,
+                                  std::int64_t n, double* lengths, double* squares) {
     return guarded([&] {
         const std::vector<double> params(3 * count, 0.0);
         const cloth::List list(static_cast<cloth::Kind>(kind), count, corners, params.data(), nullptr);

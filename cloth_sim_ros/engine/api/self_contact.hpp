@@ -58,7 +58,8 @@ CLOTH_API int cloth_self_intersection(cloth::Plan* plan, const double* x, std::i
     return guarded(plan, [&] { cloth::find_self_intersection(*plan, x, out); });
 }
 /// Whether runs over a duration may skip self-contact, see SelfCulling.
-CLOTH_API int cloth_self_culled(cloth::Plan* plan, double duration, const double* x, const double* v, std::int64_t* out) {
+CLOTH_API int cloth_self_culled(cloth::Plan* plan, double duration, const double* x, const double* v,
+                                std::int64_t* out) {
     return guarded(plan, [&] {
         const cloth::SelfCulling culling(*plan, duration, x, v);
         *out = plan->self_culled ? 1 : 0;

@@ -16,7 +16,9 @@ namespace cloth {
 /// Positions as quads.
 struct Quads {
     const double* from;
-    CLOTH_INLINE Vec3<double> operator()(std::int64_t i) const { return {from[4 * i], from[4 * i + 1], from[4 * i + 2]}; }
+    CLOTH_INLINE Vec3<double> operator()(std::int64_t i) const {
+        return {from[4 * i], from[4 * i + 1], from[4 * i + 2]};
+    }
 };
 
 /// Pairs by index, ascending by the first and then by the second, padded by a vector.
@@ -161,9 +163,11 @@ public:
         for (std::int64_t k = begin; k < end; k += lanes<double>) {
             // Overlap along an axis, negative if there is none.
             const auto axis_overlap = [&](int axis, double from, double to) CLOTH_INLINED {
-                return smaller(V(load(high_[axis].data() + k) - from * unit), V(to * unit - load(low_[axis].data() + k)));
+                return smaller(V(load(high_[axis].data() + k) - from * unit),
+                               V(to * unit - load(low_[axis].data() + k)));
             };
-            const V overlap = smaller(smaller(axis_overlap(0, low.x, high.x), axis_overlap(1, low.y, high.y)), axis_overlap(2, low.z, high.z));
+            const V overlap = smaller(smaller(axis_overlap(0, low.x, high.x), axis_overlap(1, low.y, high.y)),
+                                      axis_overlap(2, low.z, high.z));
             unsigned bits = bits_of(overlap >= V{});
             if (end - k < lanes<double>) bits &= (1u << (end - k)) - 1u;
             for (; bits; bits &= bits - 1u) visit(k + std::countr_zero(bits));
@@ -202,9 +206,8 @@ public:
             const auto& t = s.triangles[triangles.second[k]];
             return std::array<Index, 4>{triangles.first[k], t[0], t[1], t[2]};
         };
-        const auto distance = [](const Vec3<vec<double>>* at) CLOTH_INLINED {
-            return near_triangle(at[0], at[1], at[2], at[3]).square;
-        };
+        const auto distance = [](const Vec3<vec<double>>* at)
+                                  CLOTH_INLINED { return near_triangle(at[0], at[1], at[2], at[3]).square; };
         squares<4>(triangles.size(), x, corners, distance, out.data());
     }
     void edge_squares(const Surface& s, const double* x, std::vector<double>& out) const {
@@ -213,9 +216,8 @@ public:
             const auto &a = s.edges[edges.first[k]], &b = s.edges[edges.second[k]];
             return std::array<Index, 4>{a[0], a[1], b[0], b[1]};
         };
-        const auto distance = [](const Vec3<vec<double>>* at) CLOTH_INLINED {
-            return near_segments(at[0], at[1], at[2], at[3]).square;
-        };
+        const auto distance = [](const Vec3<vec<double>>* at)
+                                  CLOTH_INLINED { return near_segments(at[0], at[1], at[2], at[3]).square; };
         squares<4>(edges.size(), x, corners, distance, out.data());
     }
 

@@ -26,8 +26,8 @@ struct AxisBox {
         return b;
     }
     bool overlaps(const AxisBox& b) const {
-        return b.high.x >= low.x && b.low.x <= high.x && b.high.y >= low.y && b.low.y <= high.y &&
-               b.high.z >= low.z && b.low.z <= high.z;
+        return b.high.x >= low.x && b.low.x <= high.x && b.high.y >= low.y && b.low.y <= high.y && b.high.z >= low.z &&
+               b.low.z <= high.z;
     }
     Vec3<double> center() const { return 0.5 * (low + high); }
 };
@@ -77,7 +77,8 @@ public:
             if (search_box.overlaps(AxisBox(from.position(k)))) points.push_back(k);
         for (std::size_t e = 0; e < from.features.edges.size(); ++e) {
             double first, last;
-            clip(search_box, from.position(from.features.edges[e][0]), from.position(from.features.edges[e][1]), first, last);
+            clip(search_box, from.position(from.features.edges[e][0]), from.position(from.features.edges[e][1]), first,
+                 last);
             if (first <= last) near_edges.push_back(static_cast<Index>(e));
         }
         if (!points.empty()) find_triangles(s, from, at, points, length);
@@ -118,7 +119,8 @@ private:
         const BoxGrid cells(boxes, length + reach);
         std::vector<Index> candidates, hits;
         for (const Index edge : near_edges) {
-            const Vec3<double> a = from.position(from.features.edges[edge][0]), b = from.position(from.features.edges[edge][1]);
+            const Vec3<double> a = from.position(from.features.edges[edge][0]),
+                               b = from.position(from.features.edges[edge][1]);
             double first, last;
             clip(search_box, a, b, first, last);
             // Search in pieces as long as a cell: the box of a whole long edge would contain half the cloth.
@@ -136,7 +138,8 @@ private:
             std::sort(hits.begin(), hits.end());
             hits.erase(std::unique(hits.begin(), hits.end()), hits.end());
             for (const Index e : hits)
-                if (near_segments(at(s.edges[e][0]), at(s.edges[e][1]), a, b).square < reach * reach) edges.add(edge, e);
+                if (near_segments(at(s.edges[e][0]), at(s.edges[e][1]), a, b).square < reach * reach)
+                    edges.add(edge, e);
         }
     }
     /// Boxes sorted into cells by their centers. A query that would visit more cells than boxes returns all of them.
@@ -243,7 +246,8 @@ private:
             outer_.pairs.build(s, {features, pose}, x, features.radius + outer_range);
             store_reference(s, x, pose, outer_.reference);
         }
-        filter(s, {features, pose}, x, outer_.pairs, features.radius + range, inner_.pairs.triangles, inner_.pairs.edges);
+        filter(s, {features, pose}, x, outer_.pairs, features.radius + range, inner_.pairs.triangles,
+               inner_.pairs.edges);
         store_reference(s, x, pose, inner_.reference);
         inner_.margin = margin;
     }
@@ -251,8 +255,8 @@ private:
         reference.positions.assign(x, x + 4 * s.count);
         reference.pose = pose;
     }
-    static void filter(const Surface& s, const FeaturesAt& from, const double* x, const FeaturePairs& pairs, double reach,
-                       PairList& triangles, PairList& edges) {
+    static void filter(const Surface& s, const FeaturesAt& from, const double* x, const FeaturePairs& pairs,
+                       double reach, PairList& triangles, PairList& edges) {
         const Quads at{x};
         triangles.clear();
         edges.clear();

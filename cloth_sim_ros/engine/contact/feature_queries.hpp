@@ -28,7 +28,8 @@ inline void for_each_feature_contact(Plan& plan, double t, const double* const (
             for (int a = 0; a < 4; ++a) quads[a] = quads_of(plan, a < 2 ? x[a] : v[a - 2]);
         const Pose pose = contacts.obstacle_pose(k, t);
         if (!neighbors.find(contact.surface, quads[0].data(), pose, law.thickness(), 0.0)) continue;
-        law.reduce(ignore_reduction ? full_thickness<double>() : contacts.reduced.scaling(k, plan.count, plan.count + 1, t));
+        law.reduce(ignore_reduction ? full_thickness<double>()
+                                    : contacts.reduced.scaling(k, plan.count, plan.count + 1, t));
         const auto of = [&](int a) {
             return [value = Quads{quads[a].data()}, slope = Quads{quads[a + 1].data()}](Index c) {
                 if constexpr (std::is_same_v<V, double>)
@@ -45,38 +46,47 @@ inline void for_each_feature_contact(Plan& plan, double t, const double* const (
 
 inline double feature_energy(Plan& plan, double t, const double* x) {
     double total = 0.0;
-    for_each_feature_contact<double>(plan, t, {x, nullptr}, {nullptr, nullptr},
-                                     [&](const auto& law, auto, const auto&, const auto& m) { total += law.energy(m); });
+    for_each_feature_contact<double>(
+        plan, t, {x, nullptr}, {nullptr, nullptr},
+        [&](const auto& law, auto, const auto&, const auto& m) { total += law.energy(m); });
     return total;
 }
 /// Add the wrench on each obstacle about its position, the power on the cloth and the dissipation, (obstacles,
 /// record_numbers).
-inline void add_feature_wrenches(Plan& plan, double t, const double* x, const double* v, double weight, double* wrenches) {
+inline void add_feature_wrenches(Plan& plan, double t, const double* x, const double* v, double weight,
+                                 double* wrenches) {
     for_each_feature_contact<double>(
-        plan, t, {x, nullptr}, {v, nullptr}, [&](const auto& law, std::int64_t k, const FeaturesAt& from, const auto& m) {
+        plan, t, {x, nullptr}, {v, nullptr},
+        [&](const auto& law, std::int64_t k, const FeaturesAt& from, const auto& m) {
             double* const to = wrenches + k * record_numbers;
-            law.forces(m, [](Index, Vec3<double>) {},
-                       [&](Index point, Vec3<double> force) { FeatureRun::accumulate(to, from, point, force, weight); });
+            law.forces(
+                m, [](Index, Vec3<double>) {},
+                [&](Index point, Vec3<double> force) { FeatureRun::accumulate(to, from, point, force, weight); });
             to[record_numbers - 1] += weight * law.dissipation(m);
         });
 }
 /// Power of contacts that recover their thickness [W].
 inline double feature_growth_power(Plan& plan, double t, const double* x, const double* v) {
     double power = 0.0;
-    for_each_feature_contact<double>(plan, t, {x, nullptr}, {v, nullptr},
-                                     [&](const auto& law, auto, const auto&, const auto& m) { power += law.growth_power(m); });
+    for_each_feature_contact<double>(
+        plan, t, {x, nullptr}, {v, nullptr},
+        [&](const auto& law, auto, const auto&, const auto& m) { power += law.growth_power(m); });
     return power;
 }
 /// Add the forces that open the jaws [N], by gripper.
-inline void add_feature_jaw_forces(Plan& plan, double t, const double* x, const double* v, std::vector<double>& jaw_forces) {
+inline void add_feature_jaw_forces(Plan& plan, double t, const double* x, const double* v,
+                                   std::vector<double>& jaw_forces) {
     const Contacts& contacts = plan.contacts;
-    for_each_feature_contact<double>(
-        plan, t, {x, nullptr}, {v, nullptr}, [&](const auto& law, std::int64_t k, const FeaturesAt& from, const auto& m) {
-            if (!contacts.jaw_of(k)) return;
-            law.forces(m, [](Index, Vec3<double>) {}, [&](Index, Vec3<double> force) {
-                jaw_forces[contacts.obstacles[k].parallel_jaw] += contacts.obstacles[k].jaw_side * dot(from.pose.rotation[1], force);
-            });
-        });
+    for_each_feature_contact<double>(plan, t, {x, nullptr}, {v, nullptr},
+                                     [&](const auto& law, std::int64_t k, const FeaturesAt& from, const auto& m) {
+                                         if (!contacts.jaw_of(k)) return;
+                                         law.forces(
+                                             m, [](Index, Vec3<double>) {},
+                                             [&](Index, Vec3<double> force) {
+                                                 jaw_forces[contacts.obstacles[k].parallel_jaw] +=
+                                                     contacts.obstacles[k].jaw_side * dot(from.pose.rotation[1], force);
+                                             });
+                                     });
 }
 /// Add blocks that bound stiffness and damping: for a gap k |w_c| n n' at corner c. Terms with a negative sign and
 /// fading edges only soften.
@@ -102,40 +112,43 @@ inline void add_feature_product(Plan& plan, double t, const double* x, const dou
                                 const double* dv, double* out) {
     std::vector<std::int64_t> particle_of_rank(plan.count);
     for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
-    for_each_feature_contact<Dual>(
-        plan, t, {x, dx}, {v, dv}, [&](const auto& law, auto, const auto&, const auto& m) {
-            law.forces(m,
-                       [&](Index c, Vec3<Dual> force) {
-                           out[particle_of_rank[c]] += force.x.slope;
-                           out[plan.count + particle_of_rank[c]] += force.y.slope;
-                           out[2 * plan.count + particle_of_rank[c]] += force.z.slope;
-                       },
-                       [](Index, Vec3<Dual>) {});
-        });
+    for_each_feature_contact<Dual>(plan, t, {x, dx}, {v, dv}, [&](const auto& law, auto, const auto&, const auto& m) {
+        law.forces(
+            m,
+            [&](Index c, Vec3<Dual> force) {
+                out[particle_of_rank[c]] += force.x.slope;
+                out[plan.count + particle_of_rank[c]] += force.y.slope;
+                out[2 * plan.count + particle_of_rank[c]] += force.z.slope;
+            },
+            [](Index, Vec3<Dual>) {});
+    });
 }
 /// Lower the gaps in column 1 of (obstacles, 2) to the least gap of each obstacle's features.
 inline void feature_gaps(Plan& plan, double t, const double* x, double* out) {
-    for_each_feature_contact<double>(plan, t, {x, nullptr}, {nullptr, nullptr},
-                                     [&](const auto&, std::int64_t k, const auto&, const auto& m) {
-                                         out[2 * k + 1] = smaller(m.min_gap(), out[2 * k + 1]);
-                                     },
-                                     true);
+    for_each_feature_contact<double>(
+        plan, t, {x, nullptr}, {nullptr, nullptr},
+        [&](const auto&, std::int64_t k, const auto&, const auto& m) {
+            out[2 * k + 1] = smaller(m.min_gap(), out[2 * k + 1]);
+        },
+        true);
 }
 /// Lower the gaps in the last column of (obstacles + 1, n + 1) to the least gap of each obstacle's features within half
 /// the thickness, in units of the full thickness.
 inline void feature_gap_column(Plan& plan, double t, const double* x, double* out) {
-    for_each_feature_contact<double>(plan, t, {x, nullptr}, {nullptr, nullptr},
-                                     [&](const auto&, std::int64_t k, const auto&, const auto& m) {
-                                         double& to = out[k * (plan.count + 1) + plan.count];
-                                         to = smaller(2.0 * m.min_gap(), to);
-                                     },
-                                     true);
+    for_each_feature_contact<double>(
+        plan, t, {x, nullptr}, {nullptr, nullptr},
+        [&](const auto&, std::int64_t k, const auto&, const auto& m) {
+            double& to = out[k * (plan.count + 1) + plan.count];
+            to = smaller(2.0 * m.min_gap(), to);
+        },
+        true);
 }
 
 /// Squared frequency and damping rate of contact with features once it has absorbed `expected` times its energy: of
 /// contacts, and of pairs that come into contact within a duration [s] at the present velocities. Infinite if a feature
 /// intersects the cloth or a position is not finite.
-inline ContactBounds predict_feature_contact(Plan& plan, double t, double duration, double expected, const double* x, const double* v) {
+inline ContactBounds predict_feature_contact(Plan& plan, double t, double duration, double expected, const double* x,
+                                             const double* v) {
     FeatureContactModel& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
     // Usually particles alone keep all obstacles out.
@@ -158,9 +171,11 @@ inline ContactBounds predict_feature_contact(Plan& plan, double t, double durati
         const double speed = motion.diameter() + root(norm2(pose.spin)) * neighbors.features.reach;
         // The next call sees pairs further away.
         const double margin = smaller(speed * duration, 2.0 * contact.surface.shortest);
-        if (!neighbors.find(contact.surface, positions.data(), pose, law.thickness(), margin)) return {infinite, infinite};
-        for_each_feature_contact<double>(contact, neighbors, pose, law, at, velocity, m,
-                                         [&](const auto& term) { bound.include(contact.surface, term); }, &bound, duration);
+        if (!neighbors.find(contact.surface, positions.data(), pose, law.thickness(), margin))
+            return {infinite, infinite};
+        for_each_feature_contact<double>(
+            contact, neighbors, pose, law, at, velocity, m,
+            [&](const auto& term) { bound.include(contact.surface, term); }, &bound, duration);
     }
     bound.flush();
     if (bound.gap <= 0.0) return {infinite, infinite};
@@ -169,8 +184,8 @@ inline ContactBounds predict_feature_contact(Plan& plan, double t, double durati
 
 /// Whether the features of an obstacle intersect the cloth while the obstacle moves between two poses and the particles
 /// (quads) move straight. Conservative advancement: each step is one gap long.
-inline bool ccd_obstacle_features(FeatureContactModel& contact, std::int64_t k, double thickness, const Pose& start_pose, const Pose& end_pose,
-                            const double* from, const double* to) {
+inline bool ccd_obstacle_features(FeatureContactModel& contact, std::int64_t k, double thickness,
+                                  const Pose& start_pose, const Pose& end_pose, const double* from, const double* to) {
     const Surface& s = contact.surface;
     const Quads start{from}, end{to};
     FeatureVerletList& neighbors = contact.obstacles[k];
@@ -186,7 +201,8 @@ inline bool ccd_obstacle_features(FeatureContactModel& contact, std::int64_t k, 
     const auto intersects = [&](int corners, const Index* corner, Index a, Index b, auto&& square) {
         Vec3<double> displacements[3];
         for (int c = 0; c < corners; ++c) displacements[c] = end(corner[c]) - start(corner[c]);
-        const Vec3<double> pa = begin.position(a), pb = begin.position(b), wa = finish.position(a) - pa, wb = finish.position(b) - pb;
+        const Vec3<double> pa = begin.position(a), pb = begin.position(b), wa = finish.position(a) - pa,
+                           wb = finish.position(b) - pb;
         double length = 0.0;
         for (int c = 0; c < corners; ++c) length = larger(root(norm2(displacements[c] - wa)), length);
         length += root(norm2(wb - wa));
@@ -224,8 +240,9 @@ inline bool ccd_features(Plan& plan, double t, double duration, const double* x0
     const Array<double> from = quads_of(plan, x0), to = quads_of(plan, x1);
     const double thickness = contact.law(contacts).thickness();
     for (std::int64_t k = 0; k < contacts.count(); ++k)
-        if (contact.has(contacts, k) && ccd_obstacle_features(contact, k, thickness, contacts.obstacle_pose(k, t),
-                                                        contacts.obstacle_pose(k, t + duration), from.data(), to.data()))
+        if (contact.has(contacts, k) &&
+            ccd_obstacle_features(contact, k, thickness, contacts.obstacle_pose(k, t),
+                                  contacts.obstacle_pose(k, t + duration), from.data(), to.data()))
             return true;
     return false;
 }
@@ -239,7 +256,9 @@ inline void ccd_jaws(Plan& plan, double t, const double* x, const double* half_o
         const std::int64_t jaw = contacts.obstacles[k].parallel_jaw;
         if (jaw < 0 || !contact.has(contacts, k)) continue;
         const Pose previous_pose = contacts.shifted_pose(pose_at(contacts.path(k), t), k, half_openings[jaw], 0.0);
-        if (ccd_obstacle_features(contact, k, thickness, previous_pose, contacts.obstacle_pose(k, t), at.data(), at.data())) out[jaw] = 1;
+        if (ccd_obstacle_features(contact, k, thickness, previous_pose, contacts.obstacle_pose(k, t), at.data(),
+                                  at.data()))
+            out[jaw] = 1;
     }
 }
 
@@ -288,7 +307,9 @@ public:
             covers_all_ = covers_all_ && (contact.is_active[k] || !contact.has(contacts, k));
     }
     /// Whether a run with end velocities v violates the assumptions.
-    bool is_violated(const double* v) const { return plan_.features && !covers_all_ && !(max_particle_speed(v) <= speed_limit_); }
+    bool is_violated(const double* v) const {
+        return plan_.features && !covers_all_ && !(max_particle_speed(v) <= speed_limit_);
+    }
     void disable() {
         if (!plan_.features) return;
         plan_.features->activate_all(plan_.contacts);
@@ -343,7 +364,9 @@ inline void find_feature_intersection(Plan& plan, double t, const double* x, std
         if (!contact.has(contacts, k)) continue;
         const Pose pose = contacts.obstacle_pose(k, t);
         const FeaturesAt from{features, pose};
-        const auto report = [&](Index a, Index b) { out[0] = k, out[1] = particle_of_rank[a], out[2] = particle_of_rank[b]; };
+        const auto report = [&](Index a, Index b) {
+            out[0] = k, out[1] = particle_of_rank[a], out[2] = particle_of_rank[b];
+        };
         // Edges of the cloth that enter the obstacle, sampled in steps of one gap.
         const Obstacle& obstacle = contacts.obstacles[k];
         const PosedObstacle<double> posed(pose, origin, obstacle);
@@ -352,7 +375,9 @@ inline void find_feature_intersection(Plan& plan, double t, const double* x, std
             const double length = root(norm2(b - a));
             for (double distance = 0.0; distance < length;) {
                 const double gap = with_shape(obstacle.shape, [&](auto shape) {
-                    return contact_kinematics<shape.value, true, double>(posed, obstacle.size, a + (distance / length) * (b - a), {}).gap;
+                    return contact_kinematics<shape.value, true, double>(posed, obstacle.size,
+                                                                         a + (distance / length) * (b - a), {})
+                        .gap;
                 });
                 if (!(gap > 0.0)) return report(e[0], e[1]);
                 distance += larger(gap, min_step);
@@ -375,7 +400,8 @@ inline void find_feature_intersection(Plan& plan, double t, const double* x, std
                 const Vec3<double> q = from.position(edge[0]), r = from.position(edge[1]);
                 AxisBox edge_box(q);
                 edge_box.include(r);
-                if (!box.overlaps(edge_box) || !(volume(p[0], p[1], p[2], q) * volume(p[0], p[1], p[2], r) < 0.0)) continue;
+                if (!box.overlaps(edge_box) || !(volume(p[0], p[1], p[2], q) * volume(p[0], p[1], p[2], r) < 0.0))
+                    continue;
                 const double u = volume(q, r, p[0], p[1]), v = volume(q, r, p[1], p[2]), w = volume(q, r, p[2], p[0]);
                 if ((u > 0.0 && v > 0.0 && w > 0.0) || (u < 0.0 && v < 0.0 && w < 0.0)) return report(c[0], c[1]);
             }

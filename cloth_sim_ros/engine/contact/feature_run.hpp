@@ -43,7 +43,8 @@ public:
     }
     /// Add a gap with a closing speed and a contact energy: m_e w^2/2 of all its corners is converted into M U^2/2 b,
     /// where 1/m_e is the sum of w_c^2 / m_c and the inverse mass of the jaws.
-    void add_contact(const Surface& s, int corners, const Index* corner, const double* weight, double closing, double shape) {
+    void add_contact(const Surface& s, int corners, const Index* corner, const double* weight, double closing,
+                     double shape) {
         const double speed = larger(closing, 0.0) / ContactLaw<double>::speed;
         double inverse = inverse_jaw_mass_;
         row_sum_ = larger(mobility_ * mass_ * inverse_jaw_mass_, row_sum_);
@@ -55,8 +56,8 @@ public:
     }
     /// Add a gap that comes into contact within a duration [s], because the step has to be short enough before that.
     /// `distance` [m] is left until then.
-    void add_approaching(const Surface& s, int corners, const Index* corner, const double* weight, double distance, double closing,
-              double duration) {
+    void add_approaching(const Surface& s, int corners, const Index* corner, const double* weight, double distance,
+                         double closing, double duration) {
         if (distance >= 0.0 && distance < duration * closing) add_contact(s, corners, corner, weight, closing, 0.0);
     }
     /// Include the row sums collected since the last call, and clear them.
@@ -87,9 +88,10 @@ private:
 /// Call `visit` with each contact of an obstacle's features in its Verlet lists. If `bound` is given, add pairs that
 /// come into contact within `duration` [s] to it.
 template <class V, class X, class U, class F>
-inline void for_each_feature_contact(const FeatureContactModel& contact, const FeatureVerletList& neighbors, const Pose& pose,
-                                     const FeatureLaw<V>& law, X&& at, U&& velocity, FeatureContact<V>& m, F&& visit,
-                                     FeatureStiffnessBound* bound = nullptr, double duration = 0.0) {
+inline void for_each_feature_contact(const FeatureContactModel& contact, const FeatureVerletList& neighbors,
+                                     const Pose& pose, const FeatureLaw<V>& law, X&& at, U&& velocity,
+                                     FeatureContact<V>& m, F&& visit, FeatureStiffnessBound* bound = nullptr,
+                                     double duration = 0.0) {
     const Surface& s = contact.surface;
     const FeaturesAt from{neighbors.features, pose};
     const double radius = neighbors.features.radius;
@@ -108,7 +110,7 @@ inline void for_each_feature_contact(const FeatureContactModel& contact, const F
                                               n.weight[2] * velocity(t[2]) - from.velocity(k);
                     const double gap = away - radius;
                     bound->add_approaching(s, 3, t.data(), n.weight, law.scaling().gap(gap) - law.thickness(),
-                                 law.scaling().closing(gap, dot(n.away, slip) / away), duration);
+                                           law.scaling().closing(gap, dot(n.away, slip) / away), duration);
                 }
             }
         },
@@ -119,13 +121,15 @@ inline void for_each_feature_contact(const FeatureContactModel& contact, const F
             if constexpr (std::is_same_v<V, double>) {
                 if (!bound || !m.gaps.empty()) return;
                 const auto& obstacle_edge = neighbors.features.edges[neighbors.edges.first[pair]];
-                const auto n = near_segments(at(edge[0]), at(edge[1]), from.position(obstacle_edge[0]), from.position(obstacle_edge[1]));
+                const auto n = near_segments(at(edge[0]), at(edge[1]), from.position(obstacle_edge[0]),
+                                             from.position(obstacle_edge[1]));
                 const double away = root(n.square), weight[2] = {1.0 - n.first, n.first};
                 const Vec3<double> u = from.velocity(obstacle_edge[0]), w = from.velocity(obstacle_edge[1]);
-                const Vec3<double> slip = weight[0] * velocity(edge[0]) + weight[1] * velocity(edge[1]) - u - n.second * (w - u);
+                const Vec3<double> slip =
+                    weight[0] * velocity(edge[0]) + weight[1] * velocity(edge[1]) - u - n.second * (w - u);
                 const double gap = away - radius;
                 bound->add_approaching(s, 2, edge.data(), weight, law.scaling().gap(gap) - law.thickness(),
-                             law.scaling().closing(gap, -dot(n.away, slip) / away), duration);
+                                       law.scaling().closing(gap, -dot(n.away, slip) / away), duration);
             }
         });
 }
@@ -133,8 +137,8 @@ inline void for_each_feature_contact(const FeatureContactModel& contact, const F
 /// Whether a pair may have intersected in a step that ended at a squared distance [m^2]. It has not if its relative
 /// motion is below its gap. No point of a side moves further, relative to a corner of the other, than the side's own
 /// corners.
-inline bool feature_may_intersect(double square, double radius, const Vec3<double>* displacement, int corners, Vec3<double> first,
-                             Vec3<double> second) {
+inline bool feature_may_intersect(double square, double radius, const Vec3<double>* displacement, int corners,
+                                  Vec3<double> first, Vec3<double> second) {
     double max_motion = 0.0;
     for (int k = 0; k < corners; ++k) max_motion = larger(root(norm2(displacement[k] - first)), max_motion);
     return !(max_motion + root(norm2(second - first)) < root(square) - radius);
@@ -192,7 +196,9 @@ public:
         measure_motion(x);
         for (std::int64_t k = 0; k < contacts_.count() && !intersected_; ++k)
             if (contact_.is_active[k])
-                update_neighbors(k, x, obstacle_pose(k, pose_at(contacts_.path(k), run_.t + run_.step * static_cast<double>(run_.steps))));
+                update_neighbors(
+                    k, x,
+                    obstacle_pose(k, pose_at(contacts_.path(k), run_.t + run_.step * static_cast<double>(run_.steps))));
         if (run_.record_obstacles)
             for (std::size_t k = 0; k < sums_.size(); ++k) run_.contact_record[k] += run_.step * sums_[k];
         return !intersected_;
@@ -206,20 +212,23 @@ public:
     /// Accumulate the record of a force on a point of an obstacle, except dissipation.
     static void accumulate(double* sums, const FeaturesAt& from, Index point, Vec3<double> force, double weight) {
         const Vec3<double> arm = from.arm(point), torque = cross(from.lever + arm, force);
-        const double rates[record_numbers] = {force.x,  force.y,  force.z, torque.x, torque.y, torque.z,
-                                            -dot(force, from.velocity(point)), 0.0};
+        const double rates[record_numbers] = {
+            force.x, force.y, force.z, torque.x, torque.y, torque.z, -dot(force, from.velocity(point)), 0.0};
         for (int k = 0; k < record_numbers; ++k) sums[k] += weight * rates[k];
     }
 
 private:
     /// Pose of an obstacle from the pose on its path.
-    Pose obstacle_pose(std::int64_t k, const Pose& path_pose) const { return contacts_.jaw_of(k) ? jaws_->pose(0, k, path_pose) : path_pose; }
+    Pose obstacle_pose(std::int64_t k, const Pose& path_pose) const {
+        return contacts_.jaw_of(k) ? jaws_->pose(0, k, path_pose) : path_pose;
+    }
     /// Measure the motion of the cloth since the last step.
     void measure_motion(const double* x) {
         const std::int64_t n = contact_.surface.count;
         has_previous_ = !positions_.empty();
         cloth_ = {};
-        for (std::int64_t i = 0; has_previous_ && i < n; ++i) cloth_.include(load4(x + 4 * i) - load4(positions_.data() + 4 * i));
+        for (std::int64_t i = 0; has_previous_ && i < n; ++i)
+            cloth_.include(load4(x + 4 * i) - load4(positions_.data() + 4 * i));
     }
     /// Update the neighbours of an obstacle, and check the motion since the last step for intersections.
     bool update_neighbors(std::int64_t k, const double* x, const Pose& pose) {
@@ -238,7 +247,8 @@ private:
         poses_[k] = pose;
         return !intersected_;
     }
-    void check_intersections(const FeatureVerletList& neighbors, const double* x, const Pose& pose, const Pose& previous_pose, double motion) {
+    void check_intersections(const FeatureVerletList& neighbors, const double* x, const Pose& pose,
+                             const Pose& previous_pose, double motion) {
         const Surface& s = contact_.surface;
         const FeaturesAt current{neighbors.features, pose}, previous{neighbors.features, previous_pose};
         const Quads at{x}, was{positions_.data()};
@@ -251,15 +261,17 @@ private:
             const double square = FeatureVerletList::point_square(s, current, at, point, triangle);
             if (square > threshold) continue;
             for (int c = 0; c < 3; ++c) displacement[c] = corner_motion(s.triangles[triangle][c]);
-            intersected_ = feature_may_intersect(square, radius, displacement, 3, point_motion(point), point_motion(point));
+            intersected_ =
+                feature_may_intersect(square, radius, displacement, 3, point_motion(point), point_motion(point));
         }
         for (std::size_t k = 0; k < neighbors.edges.size() && !intersected_; ++k) {
             const Index edge = neighbors.edges.first[k];
             const double square = FeatureVerletList::edge_square(s, current, at, edge, neighbors.edges.second[k]);
             if (square > threshold) continue;
             for (int c = 0; c < 2; ++c) displacement[c] = corner_motion(s.edges[neighbors.edges.second[k]][c]);
-            intersected_ = feature_may_intersect(square, radius, displacement, 2, point_motion(neighbors.features.edges[edge][0]),
-                                       point_motion(neighbors.features.edges[edge][1]));
+            intersected_ =
+                feature_may_intersect(square, radius, displacement, 2, point_motion(neighbors.features.edges[edge][0]),
+                                      point_motion(neighbors.features.edges[edge][1]));
         }
     }
 

@@ -109,8 +109,8 @@ public:
         const Vec3<V> p = constant<V>(from.position(k)), speed = constant<V>(from.velocity(k));
         const double radius = from.features.radius, max_square = (radius + range()) * (radius + range());
         const V unit = splat<V>(1.0), none{};
-        const auto add_gap = [&](double sign, int corners, const Index (&corner)[3], const V (&weight)[3], Vec3<V> away,
-                              V square) {
+        const auto add_gap = [&](double sign, int corners, const Index(&corner)[3], const V(&weight)[3], Vec3<V> away,
+                                 V square) {
             if (!(number_of(square) < max_square)) return;
             FeatureGapTerm<V> g{sign, corners, {}, {}, none, {}, {}, {}};
             for (int c = 0; c < 3; ++c) g.corner[c] = corner[c], g.weight[c] = weight[c];
@@ -151,14 +151,17 @@ public:
                FeatureContact<V>& m) const {
         const std::array<Index, 2>& obstacle_edge = from.features.edges[edge];
         m.clear(obstacle_edge[0], obstacle_edge[1]);
-        const Vec3<V> x[4] = {at(cloth_edge[0]), at(cloth_edge[1]), constant<V>(from.position(obstacle_edge[0])), constant<V>(from.position(obstacle_edge[1]))};
+        const Vec3<V> x[4] = {at(cloth_edge[0]), at(cloth_edge[1]), constant<V>(from.position(obstacle_edge[0])),
+                              constant<V>(from.position(obstacle_edge[1]))};
         const OnSegments<V> n = near_segments(x[0], x[1], x[2], x[3]);
         const double radius = from.features.radius;
         if (!(number_of(n.square) < (radius + range()) * (radius + range()))) return;
         m.edges = true;
         const V unit = splat<V>(1.0);
-        const Vec3<V> u = constant<V>(from.velocity(obstacle_edge[0])), w = constant<V>(from.velocity(obstacle_edge[1]));
-        FeatureGapTerm<V> g{1.0, 2, {cloth_edge[0], cloth_edge[1], 0}, {unit - n.first, n.first, V{}}, n.second, {}, {}, {}};
+        const Vec3<V> u = constant<V>(from.velocity(obstacle_edge[0])),
+                      w = constant<V>(from.velocity(obstacle_edge[1]));
+        FeatureGapTerm<V> g{1.0, 2, {cloth_edge[0], cloth_edge[1], 0}, {unit - n.first, n.first, V{}}, n.second, {},
+                            {},  {}};
         finish(g, n.away, n.square, radius, u + n.second * (w - u), velocity);
         m.gaps.push_back(g);
         apply_fade(x[1] - x[0], x[3] - x[2], m);

@@ -17,7 +17,7 @@ public:
         for (int k = 0; k < threads && count; ++k) {
             threads_.emplace_back();
             for (std::int64_t jaw = 0; jaw < count; ++jaw) {
-                const double *const at = contacts.jaw_states.data() + jaw * jaw_state_size;
+                const double* const at = contacts.jaw_states.data() + jaw * jaw_state_size;
                 threads_.back().jaws.push_back({at[0], at[1], at[1], 0.0});
             }
         }
@@ -63,7 +63,9 @@ public:
             JawMotion& jaw = state.jaws[k];
             const double thickness = contacts_.thickness;
             state.mass_ratio = larger(jaw_load.mass / drive.mass, state.mass_ratio);
-            state.stop_energy = larger(drive.stop_energy(law_, thickness, jaw.half_opening, jaw.damping_speed, 2.0 * run_.step), state.stop_energy);
+            state.stop_energy =
+                larger(drive.stop_energy(law_, thickness, jaw.half_opening, jaw.damping_speed, 2.0 * run_.step),
+                       state.stop_energy);
             const double a = drive.acceleration(law_, thickness, jaw.half_opening, jaw.damping_speed, jaw_load.force);
             jaw.speed = fma(m.kick, a, jaw.speed);
             jaw.damping_speed = fma(m.predict, a, fma(m.predict_previous, jaw.previous_acceleration, jaw.speed));

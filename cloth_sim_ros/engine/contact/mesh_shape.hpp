@@ -135,7 +135,8 @@ private:
         const int axis = extent.x >= extent.y && extent.x >= extent.z ? 0 : extent.y >= extent.z ? 1 : 2;
         const auto center = [&](Id k) {
             const auto& t = triangles_[k];
-            return component(vertices_[t[0]], axis) + component(vertices_[t[1]], axis) + component(vertices_[t[2]], axis);
+            return component(vertices_[t[0]], axis) + component(vertices_[t[1]], axis) +
+                   component(vertices_[t[2]], axis);
         };
         const Id half = first + (last - first) / 2;
         std::sort(order_.begin() + first, order_.begin() + last, [&](Id a, Id b) {
@@ -150,7 +151,8 @@ private:
     double box_square(Id node, Vec3<double> p) const {
         const Node& n = nodes_[node];
         const auto out = [](double a, double low, double high) { return larger(larger(low - a, a - high), 0.0); };
-        return norm2(Vec3<double>{out(p.x, n.low.x, n.high.x), out(p.y, n.low.y, n.high.y), out(p.z, n.low.z, n.high.z)});
+        return norm2(
+            Vec3<double>{out(p.x, n.low.x, n.high.x), out(p.y, n.low.y, n.high.y), out(p.z, n.low.z, n.high.z)});
     }
     void search(Id node_index, Vec3<double> p, Best& best) const {
         const Node& node = nodes_[node_index];

@@ -44,7 +44,8 @@ struct BoundingBall {
         return root(norm2(offset)) - radius - obstacle.radius;
     }
     double rounding_margin(const PosedObstacle<double>& posed) const {
-        return 64.0 * std::numeric_limits<double>::epsilon() * (root(norm2(center)) + root(norm2(posed.position)) + radius);
+        return 64.0 * std::numeric_limits<double>::epsilon() *
+               (root(norm2(center)) + root(norm2(posed.position)) + radius);
     }
     /// Upper bound of the speed relative to an obstacle, of particles no faster than `fastest`.
     double max_relative_speed(double fastest, const PosedObstacle<double>& posed) const {
@@ -107,7 +108,8 @@ public:
             } else {
                 distance = root(norm2(center - Vec3<double>{path[1], path[2], path[3]})) - radius - obstacle.radius;
             }
-            if (!(distance - path_length - contacts.thickness > 4.0 * speed_limit_ * duration)) contacts.active.push_back(k);
+            if (!(distance - path_length - contacts.thickness > 4.0 * speed_limit_ * duration))
+                contacts.active.push_back(k);
         }
         std::int64_t present = 0;
         for (std::int64_t k = 0; k < contacts.count(); ++k) present += contacts.present(k);

@@ -75,7 +75,8 @@ inline void for_each_near_block(const Plan& plan, double t, const double* x, con
         with_shape(contacts.obstacles[obstacle].shape, [&](auto shape) {
             for (std::int64_t first = 0; first < plan.count; first += contact_block) {
                 const Block<double> block = blocks.at(first);
-                const auto result = scan_block<shape.value, true, double>(posed, size, block, contacts.thickness, 0.0).result();
+                const auto result =
+                    scan_block<shape.value, true, double>(posed, size, block, contacts.thickness, 0.0).result();
                 if (result.gap < widest(result.speed)) visit(obstacle, first, shape, posed, block);
             }
         });
@@ -85,30 +86,36 @@ inline void for_each_near_block(const Plan& plan, double t, const double* x, con
 template <class W, class F>
 inline void for_each_near(const Plan& plan, double t, const double* x, const double* v, W&& widest, F&& visit) {
     const auto none = [](std::int64_t, const PosedObstacle<double>&) { return false; };
-    for_each_near_block(plan, t, x, v, none, widest, [&](std::int64_t obstacle, std::int64_t first, auto shape,
-                                                         const PosedObstacle<double>& posed, const Block<double>& block) {
-        const Vec3<double>& size = plan.contacts.obstacles[obstacle].size;
-        for (std::int64_t i = 0; i < block.count; ++i) {
-            if (!(block.mass[i] > 0.0)) continue;
-            const auto s = contact_kinematics<shape.value, true, double>(posed, size, block.position<double>(i), block.velocity<double>(i));
-            visit(ObstacleContact{obstacle, first + i, s.gap, s.closing, block.mass[i], s.normal, s.arm, s.slip, posed,
-                         plan.contacts.reduced.scaling(obstacle, first + i, plan.count + 1, t)});
-        }
-    });
+    for_each_near_block(
+        plan, t, x, v, none, widest,
+        [&](std::int64_t obstacle, std::int64_t first, auto shape, const PosedObstacle<double>& posed,
+            const Block<double>& block) {
+            const Vec3<double>& size = plan.contacts.obstacles[obstacle].size;
+            for (std::int64_t i = 0; i < block.count; ++i) {
+                if (!(block.mass[i] > 0.0)) continue;
+                const auto s = contact_kinematics<shape.value, true, double>(posed, size, block.position<double>(i),
+                                                                             block.velocity<double>(i));
+                visit(ObstacleContact{obstacle, first + i, s.gap, s.closing, block.mass[i], s.normal, s.arm, s.slip,
+                                      posed, plan.contacts.reduced.scaling(obstacle, first + i, plan.count + 1, t)});
+            }
+        });
 }
 /// Call `visit` for each particle in contact.
 template <class F>
 inline void for_each_contact(const Plan& plan, double t, const double* x, const double* v, F&& visit) {
     const double thickness = plan.contacts.thickness;
-    for_each_near(plan, t, x, v, [&](double) { return thickness; }, [&](const ObstacleContact& contact) {
-        if (contact.scaled_gap() < thickness) visit(contact);
-    });
+    for_each_near(
+        plan, t, x, v, [&](double) { return thickness; },
+        [&](const ObstacleContact& contact) {
+            if (contact.scaled_gap() < thickness) visit(contact);
+        });
 }
 
 /// Friction at one contact, with the given anchors.
 template <class V>
-inline auto friction_force(const Plan& plan, std::int64_t obstacle, std::int64_t particle, const PosedObstacle<double>& posed,
-                    const ContactKinematics<V>& s, V push, const double* anchors) {
+inline auto friction_force(const Plan& plan, std::int64_t obstacle, std::int64_t particle,
+                           const PosedObstacle<double>& posed, const ContactKinematics<V>& s, V push,
+                           const double* anchors) {
     const std::int64_t n = plan.count;
     const double* const a = anchors + obstacle * anchor_numbers * n + particle;
     const FrictionLaw<V> law(plan.contacts.obstacles[obstacle].friction, plan.contacts.frequency);
@@ -121,7 +128,7 @@ inline auto friction_force(const Plan& plan, std::int64_t obstacle, std::int64_t
 /// Combine the anchors after runs, each (obstacles, anchor_numbers, n), at the combined state x and v. Anchors that no
 /// run moved are kept. The others are combined with the weights of the runs, and returned to the cone.
 inline void combine_anchors(const Plan& plan, double t, const double* x, const double* v, std::int64_t runs,
-                           const double* weights, const double* ends, double* out) {
+                            const double* weights, const double* ends, double* out) {
     const Contacts& contacts = plan.contacts;
     const std::int64_t n = plan.count, size = plan.anchor_count();
     std::fill(out, out + size, 0.0);
@@ -140,12 +147,13 @@ inline void combine_anchors(const Plan& plan, double t, const double* x, const d
         for (int c = 0; c < anchor_numbers; ++c) to[c * n] = last_anchor[c * n];
         for (int c = 0; all_bonded && !same && c < 3; ++c) {
             double sum = 0.0;
-            for (std::int64_t run = 0; run < runs; ++run) sum = fma(weights[run], ends[run * size + index + c * n], sum);
+            for (std::int64_t run = 0; run < runs; ++run)
+                sum = fma(weights[run], ends[run * size + index + c * n], sum);
             to[c * n] = sum;
         }
         const ContactKinematics<double> s = contact.kinematics();
-        const auto friction =
-            friction_force<double>(plan, contact.obstacle, contact.particle, contact.posed, s, contact.force(law).push, out);
+        const auto friction = friction_force<double>(plan, contact.obstacle, contact.particle, contact.posed, s,
+                                                     contact.force(law).push, out);
         const Vec3<double> local = contact.posed.inward<double>(s.arm);
         const Vec3<double> dragged = local - contact.posed.inward<double>(friction.stretch);
         if (friction.slides || !(to[3 * n] > 0.0)) {
@@ -162,16 +170,18 @@ inline double contact_energy(const Plan& plan, double t, const double* x) {
     for_each_contact(plan, t, x, nullptr, [&](const ObstacleContact& contact) {
         total += contact.mass * contact.energy(law);
         if (plan.contacts.obstacles[contact.obstacle].friction.at_rest > 0.0)
-            total += contact.mass * friction_force<double>(plan, contact.obstacle, contact.particle, contact.posed, contact.kinematics(),
-                                                contact.elastic(law), plan.contacts.anchors.data())
-                                    .energy;
+            total += contact.mass * friction_force<double>(plan, contact.obstacle, contact.particle, contact.posed,
+                                                           contact.kinematics(), contact.elastic(law),
+                                                           plan.contacts.anchors.data())
+                                        .energy;
     });
     return total;
 }
 
 /// Add the wrench on each obstacle about its position, the power on the cloth and the dissipation, (obstacles,
 /// record_numbers).
-inline void add_contact_wrenches(const Plan& plan, double t, const double* x, const double* v, double weight, double* wrenches) {
+inline void add_contact_wrenches(const Plan& plan, double t, const double* x, const double* v, double weight,
+                                 double* wrenches) {
     const auto law = plan.contacts.law<double>();
     for_each_contact(plan, t, x, v, [&](const ObstacleContact& contact) {
         const auto push = contact.force(law);
@@ -179,15 +189,15 @@ inline void add_contact_wrenches(const Plan& plan, double t, const double* x, co
         const double closing = fma(contact.scaling.growth, contact.gap, contact.closing);
         double dissipation = contact.mass * (push.push - push.elastic) * closing;
         if (plan.contacts.obstacles[contact.obstacle].friction.at_rest > 0.0) {
-            const auto friction = friction_force<double>(plan, contact.obstacle, contact.particle, contact.posed, contact.kinematics(), push.push,
-                                                plan.contacts.anchors.data());
+            const auto friction = friction_force<double>(plan, contact.obstacle, contact.particle, contact.posed,
+                                                         contact.kinematics(), push.push, plan.contacts.anchors.data());
             force = force + contact.mass * friction.push;
             dissipation += contact.mass * friction.dissipation;
         }
         const Vec3<double> torque = cross(force, contact.arm + contact.posed.lever);
         const Vec3<double> surface_velocity = contact.posed.velocity + cross(contact.posed.spin, contact.arm);
-        const double rates[record_numbers] = {-force.x, -force.y, -force.z, torque.x, torque.y, torque.z,
-                                            dot(force, surface_velocity), dissipation};
+        const double rates[record_numbers] = {
+            -force.x, -force.y, -force.z, torque.x, torque.y, torque.z, dot(force, surface_velocity), dissipation};
         for (int k = 0; k < record_numbers; ++k) wrenches[contact.obstacle * record_numbers + k] += weight * rates[k];
     });
 }
@@ -216,7 +226,8 @@ inline void add_contact_bounds(const Plan& plan, double t, const double* x, doub
                       outer(contact.mass * law.stiffness(contact.scaled_gap()) - along, contact.normal, along));
         if (damp)
             add_block(damp, plan.count, contact.particle,
-                      outer(contact.mass * law.damping(contact.scaled_gap()) - friction_damping, contact.normal, friction_damping));
+                      outer(contact.mass * law.damping(contact.scaled_gap()) - friction_damping, contact.normal,
+                            friction_damping));
     });
 }
 
@@ -239,8 +250,8 @@ struct ContactLimits {
 
 /// Accelerations [m/s^2] of the half openings at time t, by the cloth and the drives; `jaw_forces` [N] are other
 /// opening forces by gripper.
-inline void jaw_accelerations(const Plan& plan, double t, const double* x, const double* v, std::vector<double> jaw_forces,
-                                double* out) {
+inline void jaw_accelerations(const Plan& plan, double t, const double* x, const double* v,
+                              std::vector<double> jaw_forces, double* out) {
     const Contacts& contacts = plan.contacts;
     const auto law = contacts.law<double>();
     for_each_contact(plan, t, x, v, [&](const ObstacleContact& contact) {
@@ -249,8 +260,9 @@ inline void jaw_accelerations(const Plan& plan, double t, const double* x, const
         const double push = contact.force(law).push;
         Vec3<double> force = push * contact.normal;
         if (obstacle.friction.at_rest > 0.0)
-            force = force + friction_force<double>(plan, contact.obstacle, contact.particle, contact.posed, contact.kinematics(), push,
-                                            contacts.anchors.data()).push;
+            force = force + friction_force<double>(plan, contact.obstacle, contact.particle, contact.posed,
+                                                   contact.kinematics(), push, contacts.anchors.data())
+                                .push;
         jaw_forces[obstacle.parallel_jaw] -= contact.mass * obstacle.jaw_side * dot(contact.posed.rotation[1], force);
     });
     for (std::size_t k = 0; k < contacts.parallel_jaws.size(); ++k) {
@@ -272,13 +284,15 @@ inline void add_contact_product(const Plan& plan, double t, const double* x, con
             return Vec3<Dual>{{a[i], slope[i]}, {a[n + i], slope[n + i]}, {a[2 * n + i], slope[2 * n + i]}};
         };
         with_shape(obstacle.shape, [&](auto shape) {
-            const auto s = contact_kinematics<shape.value, true, Dual>(contact.posed, obstacle.size, at(x, dx), at(v, dv));
+            const auto s =
+                contact_kinematics<shape.value, true, Dual>(contact.posed, obstacle.size, at(x, dx), at(v, dv));
             const Scaling<Dual> scaling{{contact.scaling.scale, 0.0}, {contact.scaling.growth, 0.0}};
             const Dual push = law.push(scaling.gap(s.gap), scaling.closing(s.gap, s.closing)) / scaling.scale;
             Vec3<Dual> force = push * s.normal;
             if (obstacle.friction.at_rest > 0.0)
                 force = force + friction_force<Dual>(plan, contact.obstacle, contact.particle, contact.posed, s, push,
-                                              plan.contacts.anchors.data()).push;
+                                                     plan.contacts.anchors.data())
+                                    .push;
             force = Dual{contact.mass, 0.0} * force;
             out[contact.particle] += force.x.slope;
             out[n + contact.particle] += force.y.slope;
@@ -303,8 +317,9 @@ inline void contact_gaps(const Plan& plan, double t, const double* x, double* ou
 /// Gap of each contact [m] in the rows and columns of `ReducedThickness`: obstacles and particles.
 inline void contact_gap_rows(const Plan& plan, double t, const double* x, double* out) {
     const auto any_distance = [](double) { return no_gap<double>; };
-    for_each_near(plan, t, x, nullptr, any_distance,
-                  [&](const ObstacleContact& contact) { out[contact.obstacle * (plan.count + 1) + contact.particle] = contact.gap; });
+    for_each_near(plan, t, x, nullptr, any_distance, [&](const ObstacleContact& contact) {
+        out[contact.obstacle * (plan.count + 1) + contact.particle] = contact.gap;
+    });
 }
 
 /// Whether a particle intersects an obstacle on its straight path from x0 at time t to x1, `duration` [s] later.
@@ -327,9 +342,10 @@ inline bool ccd_obstacles(const Plan& plan, double t, double duration, const dou
         const auto order = [&](int k) { return Vec3<double>{path[4 + 3 * k], path[5 + 3 * k], path[6 + 3 * k]}; };
         const double half = 0.5 * duration, middle = t + half - path[0], end = t + duration - path[0];
         const Vec3<double> velocity = order(0) + (2.0 * middle) * order(1) + (3.0 * middle * middle) * order(2);
-        const double speed_variation = half * root(norm2(2.0 * order(1) + (6.0 * middle) * order(2))) +
-                               3.0 * half * half * root(norm2(order(2)));
-        double path_length = root(norm2(to - from - duration * velocity)) + duration * speed_variation, path_angle = 0.0;
+        const double speed_variation =
+            half * root(norm2(2.0 * order(1) + (6.0 * middle) * order(2))) + 3.0 * half * half * root(norm2(order(2)));
+        double path_length = root(norm2(to - from - duration * velocity)) + duration * speed_variation,
+               path_angle = 0.0;
         for (int k = 0; k < 3; ++k) {
             const double power = (k == 0 ? 1.0 : k == 1 ? 2.0 * end : 3.0 * end * end) * duration;
             const double* const r = path + 17 + 3 * k;
@@ -340,9 +356,12 @@ inline bool ccd_obstacles(const Plan& plan, double t, double duration, const dou
         if (contact.gap > path_length) return;
         for (double fraction = 0.0, gap = contact.gap; fraction < 1.0 && !intersects;) {
             fraction = smaller(fraction + larger(gap, min_step) / path_length, 1.0);
-            const PosedObstacle<double> posed(plan.contacts.obstacle_pose(contact.obstacle, t + fraction * duration), origin, obstacle);
+            const PosedObstacle<double> posed(plan.contacts.obstacle_pose(contact.obstacle, t + fraction * duration),
+                                              origin, obstacle);
             gap = with_shape(obstacle.shape, [&](auto shape) {
-                return contact_kinematics<shape.value, true, double>(posed, obstacle.size, from + fraction * (to - from), {}).gap;
+                return contact_kinematics<shape.value, true, double>(posed, obstacle.size,
+                                                                     from + fraction * (to - from), {})
+                    .gap;
             });
             intersects = !(gap > 0.0);
         }

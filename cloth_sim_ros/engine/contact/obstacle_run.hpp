@@ -15,9 +15,10 @@ public:
     /// The particles of consecutive blocks are `pitch` numbers apart; slot_of(particle) is the index of a particle.
     template <class F>
     ObstacleRun(Plan& plan, const Run& run, const double* origin, int threads, std::int64_t blocks, std::int64_t pitch,
-               F&& slot_of)
+                F&& slot_of)
         : contacts_(plan.contacts), run_(run), origin_(origin), law_(plan.contacts.template law<V>()), blocks_(blocks),
-          pitch_(pitch), jaws_(plan.contacts, run, threads, blocks), masses_(plan.workspace<T>(run.workspace).contact_masses) {
+          pitch_(pitch), jaws_(plan.contacts, run, threads, blocks),
+          masses_(plan.workspace<T>(run.workspace).contact_masses) {
         for (int k = 0; k < threads; ++k) threads_.emplace_back(*this);
         for (std::int64_t k = 0; k < contacts_.count(); ++k) max_surface_speeds_.push_back(T(max_surface_speed(k)));
         if (static_cast<std::int64_t>(masses_.size()) != blocks * pitch) {
@@ -61,8 +62,8 @@ public:
             JawLoad jaw_load;
             const PosedObstacle<T> posed = posed_at(state, thread, obstacle, step);
             T* const anchors = anchors_.empty() || !(contacts_.obstacles[obstacle].friction.at_rest > 0.0)
-                                ? nullptr
-                                : anchors_.data() + (index * contacts_.count() + obstacle) * anchor_numbers * pitch_;
+                                   ? nullptr
+                                   : anchors_.data() + (index * contacts_.count() + obstacle) * anchor_numbers * pitch_;
             T* const sums = record && run_.record_obstacles && step >= 0 ? sums_of(index, obstacle) : nullptr;
             Reduced reduced;
             if (!reduced_.empty()) {
@@ -74,15 +75,18 @@ public:
             with_shape(contacts_.obstacles[obstacle].shape, [&](auto shape) {
                 JawLoad* const load_of_jaw = is_jaw ? &jaw_load : nullptr;
                 if (posed.is_rotating())
-                    add_obstacle<shape.value, true>(state, skip, posed, obstacle, step, block, f, sums, anchors, load_of_jaw, reduced);
+                    add_obstacle<shape.value, true>(state, skip, posed, obstacle, step, block, f, sums, anchors,
+                                                    load_of_jaw, reduced);
                 else
-                    add_obstacle<shape.value, false>(state, skip, posed, obstacle, step, block, f, sums, anchors, load_of_jaw, reduced);
+                    add_obstacle<shape.value, false>(state, skip, posed, obstacle, step, block, f, sums, anchors,
+                                                     load_of_jaw, reduced);
             });
             if (is_jaw) jaws_.record_load(obstacle, index, step, jaw_load);
         }
     }
     /// The same for a block of particles as quads.
-    void add_quads(int thread, std::int64_t index, std::int64_t step, const T* x, const T* v, T* f, std::int64_t count) {
+    void add_quads(int thread, std::int64_t index, std::int64_t step, const T* x, const T* v, T* f,
+                   std::int64_t count) {
         ThreadState& state = threads_[thread];
         bool all_skipped = true;
         for (const std::int64_t obstacle : contacts_.active)
@@ -90,7 +94,8 @@ public:
         for (const std::int64_t obstacle : contacts_.active)
             if (contacts_.obstacles[obstacle].parallel_jaw >= 0) jaws_.record_load(obstacle, index, step, {});
         if (all_skipped) return;
-        T *const positions = state.buffer.data(), *const velocities = positions + 3 * pitch_, *const forces = velocities + 3 * pitch_;
+        T *const positions = state.buffer.data(), *const velocities = positions + 3 * pitch_,
+                 *const forces = velocities + 3 * pitch_;
         const auto to_components = [&](const T* from, T* to) {
             for (std::int64_t i = 0; i < count; ++i)
                 for (int c = 0; c < 3; ++c) to[c * pitch_ + i] = from[4 * i + c];
@@ -196,8 +201,8 @@ private:
         const double begin = run_.t - path[0], end = begin + run_.step * static_cast<double>(run_.steps);
         const auto max_speed = [&](const double* a) {
             double square = 0.0;
-            for (const auto& [sum, product] : {std::pair(2.0 * begin, begin * begin), std::pair(begin + end, begin * end),
-                                               std::pair(2.0 * end, end * end)}) {
+            for (const auto& [sum, product] : {std::pair(2.0 * begin, begin * begin),
+                                               std::pair(begin + end, begin * end), std::pair(2.0 * end, end * end)}) {
                 Vec3<double> v{a[0] + sum * a[3] + 3.0 * product * a[6], a[1] + sum * a[4] + 3.0 * product * a[7],
                                a[2] + sum * a[5] + 3.0 * product * a[8]};
                 square = larger(norm2(v), square);
@@ -206,7 +211,8 @@ private:
         };
         const ParallelJaw* const jaw = contacts_.jaw_of(obstacle);
         const double angular_speed = max_speed(path + 17);
-        return max_speed(path + 4) + (angular_speed > 0.0 ? angular_speed * contacts_.obstacles[obstacle].radius : 0.0) +
+        return max_speed(path + 4) +
+               (angular_speed > 0.0 ? angular_speed * contacts_.obstacles[obstacle].radius : 0.0) +
                (jaw ? jaw->speed : 0.0);
     }
     /// Call `visit` with each number of an anchor in the run, and its index among those of the plan.
@@ -234,8 +240,9 @@ private:
         return sums_.data() + (block * contacts_.count() + obstacle) * record_numbers * n_partials;
     }
     template <Shape S, bool Rotating>
-    void add_obstacle(ThreadState& state, SkipState& skip, const PosedObstacle<T>& posed, std::int64_t obstacle, std::int64_t step,
-             const Block<T>& block, T* f, T* sums, T* anchors, JawLoad* jaw_load, const Reduced& reduced) {
+    void add_obstacle(ThreadState& state, SkipState& skip, const PosedObstacle<T>& posed, std::int64_t obstacle,
+                      std::int64_t step, const Block<T>& block, T* f, T* sums, T* anchors, JawLoad* jaw_load,
+                      const Reduced& reduced) {
         const Vec3<double>& dimensions = contacts_.obstacles[obstacle].size;
         const Vec3<T> size{T(dimensions.x), T(dimensions.y), T(dimensions.z)};
         const T thickness = T(contacts_.thickness), lookahead = T(2.0 * run_.step);
@@ -253,18 +260,20 @@ private:
         if (!must_scan || result.gap < thickness) {
             const BlockScan<T> block_scan(thickness, lookahead);
             if (anchors)
-                skip.in_contact = add_contact_forces<S, Rotating, true>(encounter, posed, size, block, block_scan, f, sums, anchors, obstacle, step >= 0,
-                                                     jaw_load, reduced);
+                skip.in_contact =
+                    add_contact_forces<S, Rotating, true>(encounter, posed, size, block, block_scan, f, sums, anchors,
+                                                          obstacle, step >= 0, jaw_load, reduced);
             else
-                skip.in_contact = add_contact_forces<S, Rotating, false>(encounter, posed, size, block, block_scan, f, sums, anchors, obstacle, false,
-                                                      jaw_load, reduced);
+                skip.in_contact = add_contact_forces<S, Rotating, false>(
+                    encounter, posed, size, block, block_scan, f, sums, anchors, obstacle, false, jaw_load, reduced);
             if (!must_scan && !skip.in_contact) result = scan();
         }
         state.violated = state.violated || (skip.speed > T(0) && result.speed > T(2) * skip.speed);
         skip.speed = T(0);
         if (skip.in_contact || !contacts_.may_skip_blocks || !run_.steps) return;
         // The scan includes the present speed of the obstacle only; it may be faster before the next scan.
-        const T speed = result.speed + T(2) * max_surface_speeds_[obstacle] + T(speed_margin), free_path = T(skip_fraction) * (result.gap - thickness);
+        const T speed = result.speed + T(2) * max_surface_speeds_[obstacle] + T(speed_margin),
+                free_path = T(skip_fraction) * (result.gap - thickness);
         const double steps = static_cast<double>(free_path) / (static_cast<double>(speed) * run_.step);
         const std::int64_t n_left = run_.steps - 1 - step;
         const bool before_end = steps < static_cast<double>(n_left);
@@ -274,9 +283,10 @@ private:
     /// Add the contact forces on a block of particles; return whether any is in contact. `anchors` of the obstacle move
     /// if `move_anchors`.
     template <Shape S, bool Rotating, bool Friction>
-    bool add_contact_forces(Encounter& encounter, const PosedObstacle<T>& posed, const Vec3<T>& size, const Block<T>& block, BlockScan<T> scan, T* f,
-              T* sums, [[maybe_unused]] T* anchors, [[maybe_unused]] std::int64_t obstacle, [[maybe_unused]] bool move_anchors,
-              JawLoad* jaw_load, const Reduced& reduced) {
+    bool add_contact_forces(Encounter& encounter, const PosedObstacle<T>& posed, const Vec3<T>& size,
+                            const Block<T>& block, BlockScan<T> scan, T* f, T* sums, [[maybe_unused]] T* anchors,
+                            [[maybe_unused]] std::int64_t obstacle, [[maybe_unused]] bool move_anchors,
+                            JawLoad* jaw_load, const Reduced& reduced) {
         const FrictionLaw<V> friction(contacts_.obstacles[obstacle].friction, contacts_.frequency);
         const V thickness = splat<V>(T(contacts_.thickness)), inverse_speed = splat<V>(T(1.0 / ContactLaw<T>::speed));
         [[maybe_unused]] const V half = splat<V>(T(0.5 * run_.step));
@@ -285,14 +295,14 @@ private:
         alignas(64) T opening_force[n_partials] = {}, contact_mass[n_partials] = {};
         for (std::ptrdiff_t j = 0; j < block.count; j += lanes<T>) {
             const V mass = load(block.mass + j);
-            ContactKinematics<V> s =
-                contact_kinematics<S, Rotating, V>(posed, size, block.template position<V>(j), block.template velocity<V>(j));
+            ContactKinematics<V> s = contact_kinematics<S, Rotating, V>(posed, size, block.template position<V>(j),
+                                                                        block.template velocity<V>(j));
             V closing = s.closing, growth_power{};
             Scaling<V> scaling = full_thickness<V>();
             const V gap = s.gap;
             if (reduced.at_start) {
-                scaling =
-                    contacts_.reduced.template scaling<V>(load(reduced.at_start + j), load(reduced.rates + j), reduced.t);
+                scaling = contacts_.reduced.template scaling<V>(load(reduced.at_start + j), load(reduced.rates + j),
+                                                                reduced.t);
                 closing = fma(scaling.growth, gap, closing);
                 s.gap = scaling.gap(gap);
                 s.closing = scaling.scale * closing;
@@ -303,7 +313,8 @@ private:
                 const V inverse_scale = splat<V>(T(1)) / scaling.scale;
                 law_force.push = inverse_scale * law_force.push;
                 law_force.elastic = inverse_scale * law_force.elastic;
-                const V energy = splat<V>(T(ContactLaw<T>::speed * ContactLaw<T>::speed)) * (inverse_scale * inverse_scale) * law_force.shape;
+                const V energy = splat<V>(T(ContactLaw<T>::speed * ContactLaw<T>::speed)) *
+                                 (inverse_scale * inverse_scale) * law_force.shape;
                 growth_power = mass * scaling.growth * fma(law_force.push, gap, energy);
             }
             Vec3<V> force = (mass * law_force.push) * s.normal;
@@ -326,7 +337,8 @@ private:
                     // relative velocity and the extrapolated push; otherwise they would lag by half a step.
                     const Vec3<V> remaining = half * s.slip;
                     T* const previous_push = pushes_.data() + (anchors - anchors_.data()) / anchor_numbers + j;
-                    const V previous = load(previous_push), increase = select(previous > V{}, law_force.push - previous, V{});
+                    const V previous = load(previous_push),
+                            increase = select(previous > V{}, law_force.push - previous, V{});
                     store<T>(previous_push, select(in_contact, law_force.push, V{}));
                     const V end_push = larger(fma(splat<V>(T(0.5)), increase, law_force.push), V{});
                     const auto end = friction.radial_return(offset + remaining, s.normal, s.slip, end_push);
@@ -358,7 +370,8 @@ private:
             if (reduced.growth_power) add(reduced.growth_power + j % n_partials, growth_power);
             const Vec3<V> torque = cross(force, jaw_load ? s.arm + splat3<V>(posed.lever) : s.arm);
             const V power = dot(force, splat3<V>(posed.velocity) + cross(splat3<V>(posed.spin), s.arm));
-            const V record[record_numbers] = {-force.x, -force.y, -force.z, torque.x, torque.y, torque.z, power, dissipation};
+            const V record[record_numbers] = {-force.x, -force.y, -force.z, torque.x,
+                                              torque.y, torque.z, power,    dissipation};
             for (int component = 0; component < record_numbers; ++component) {
                 T* const sum = sums + component * n_partials + j % n_partials;
                 store<T>(sum, load(sum) + chosen(record[component]));
@@ -386,9 +399,9 @@ private:
     JawRun jaws_;
     Array<T>& masses_;
     std::vector<ThreadState> threads_;
-    Array<T> sums_, anchors_, pushes_;  ///< the pushes of the last step's friction
+    Array<T> sums_, anchors_, pushes_;          ///< the pushes of the last step's friction
     Array<T> reduced_, rates_, growth_powers_;  ///< thickness of each contact, its rate, growth power by block
-    std::vector<std::int64_t> slots_;  ///< slot of each particle in the blocks
+    std::vector<std::int64_t> slots_;           ///< slot of each particle in the blocks
 };
 
 }  // namespace cloth

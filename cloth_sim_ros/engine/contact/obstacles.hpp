@@ -22,7 +22,7 @@ struct Obstacle {
     double radius;  ///< of the bounding sphere about the origin of its frame; infinite for a plane
     FrictionCoefficients friction;
     std::int64_t parallel_jaw = -1;  ///< index of the gripper whose jaw this is; negative for other obstacles
-    double jaw_side = 0.0;        ///< side on the closing axis, +1 or -1
+    double jaw_side = 0.0;           ///< side on the closing axis, +1 or -1
     std::shared_ptr<const Mesh> mesh = nullptr;  ///< of a mesh obstacle
 };
 
@@ -143,7 +143,7 @@ template <class T>
 struct PosedObstacle {
     Vec3<T> position, rotation[3], velocity, spin;
     const Mesh* mesh;  ///< null if the obstacle is not a mesh
-    Vec3<T> lever{};  ///< from the reference point of torques (the gripper of a jaw) to its position
+    Vec3<T> lever{};   ///< from the reference point of torques (the gripper of a jaw) to its position
 
     PosedObstacle(const Pose& pose, const double* origin, const Obstacle& obstacle) : mesh(obstacle.mesh.get()) {
         const auto rounded = [](Vec3<double> a) { return Vec3<T>{T(a.x), T(a.y), T(a.z)}; };
@@ -183,7 +183,8 @@ struct ContactKinematics {
 };
 /// Rotating: whether the obstacle may rotate. Without rotation the term is left out, which changes no bit.
 template <Shape S, bool Rotating, class V>
-CLOTH_INLINE ContactKinematics<V> contact_kinematics(const PosedObstacle<scalar<V>>& posed, const Vec3<scalar<V>>& size, Vec3<V> x, Vec3<V> v) {
+CLOTH_INLINE ContactKinematics<V> contact_kinematics(const PosedObstacle<scalar<V>>& posed, const Vec3<scalar<V>>& size,
+                                                     Vec3<V> x, Vec3<V> v) {
     const Vec3<V> c = splat3<V>(posed.rotation[2]);
     ContactKinematics<V> s;
     s.arm = x - splat3<V>(posed.position);
@@ -248,7 +249,8 @@ class BlockScan {
     using V = vec<T>;
 
 public:
-    BlockScan(T contact_distance, T lookahead) : contact_distance_(splat<V>(contact_distance)), negative_lookahead_(splat<V>(-lookahead)) {}
+    BlockScan(T contact_distance, T lookahead)
+        : contact_distance_(splat<V>(contact_distance)), negative_lookahead_(splat<V>(-lookahead)) {}
     /// Include a vector of particles; return their gaps, `no_gap` if the mass is zero.
     CLOTH_INLINE V include(const ContactKinematics<V>& s, V mass) {
         max_speed2_ = larger(select(mass > V{}, norm2(s.slip), V{}), max_speed2_);
@@ -258,7 +260,8 @@ public:
     CLOTH_INLINE V include_gap(const ContactKinematics<V>& s, V mass) {
         const V gap = select(mass > V{}, s.gap, splat<V>(no_gap<T>));
         min_gap_ = smaller(gap, min_gap_);
-        approach_speed_ = larger(select(fma(negative_lookahead_, s.closing, gap) < contact_distance_, s.closing, V{}), approach_speed_);
+        approach_speed_ = larger(select(fma(negative_lookahead_, s.closing, gap) < contact_distance_, s.closing, V{}),
+                                 approach_speed_);
         return gap;
     }
     V min_gap() const { return min_gap_; }
@@ -279,11 +282,13 @@ private:
 };
 
 template <Shape S, bool Rotating, class T>
-inline BlockScan<T> scan_block(const PosedObstacle<T>& posed, const Vec3<T>& size, const Block<T>& block, T contact_distance, T lookahead) {
+inline BlockScan<T> scan_block(const PosedObstacle<T>& posed, const Vec3<T>& size, const Block<T>& block,
+                               T contact_distance, T lookahead) {
     using V = vec<T>;
     BlockScan<T> scan(contact_distance, lookahead);
     for (std::ptrdiff_t j = 0; j < block.count; j += lanes<T>)
-        scan.include(contact_kinematics<S, Rotating, V>(posed, size, block.template position<V>(j), block.template velocity<V>(j)),
+        scan.include(contact_kinematics<S, Rotating, V>(posed, size, block.template position<V>(j),
+                                                        block.template velocity<V>(j)),
                      load(block.mass + j));
     return scan;
 }

@@ -18,25 +18,29 @@ struct ParallelJaw {
     bool closed = false;   ///< whether the drive closes; otherwise it opens
     /// Inertia of the drive at the jaws [kg]; stall force of each jaw [N]; speed of each without load [m/s].
     double mass = 1.0, force = 0.0, speed = 1.0;
-    double max_half_opening = 0.0;   ///< half opening of the open gripper [m]
-    double half_thickness = 0.0;  ///< half the thickness of a jaw along the closing axis [m]
+    double max_half_opening = 0.0;  ///< half opening of the open gripper [m]
+    double half_thickness = 0.0;    ///< half the thickness of a jaw along the closing axis [m]
 
     /// Acceleration [m/s^2] of the half opening under a force of the cloth that opens the jaws, summed over both [N].
     /// The drive has the force-speed line of a motor: stall force at rest, none at the speed without load. The contact
     /// barrier stops the jaws at each other when half a thickness is left between their faces, which is closer than
     /// cloth between them allows, and at the full opening when a thickness is left.
-    double acceleration(const ContactLaw<double>& law, double thickness, double half_opening, double jaw_speed, double cloth_force) const {
+    double acceleration(const ContactLaw<double>& law, double thickness, double half_opening, double jaw_speed,
+                        double cloth_force) const {
         const double drive_force = 2.0 * force * ((closed ? -1.0 : 1.0) - jaw_speed / speed);
-        const double inner = law.push(half_opening + 0.75 * thickness, -jaw_speed), outer = law.push(max_half_opening + thickness - half_opening, jaw_speed);
+        const double inner = law.push(half_opening + 0.75 * thickness, -jaw_speed),
+                     outer = law.push(max_half_opening + thickness - half_opening, jaw_speed);
         return (cloth_force + drive_force) / mass + (inner - outer);
     }
     /// Energy per mass, in U^2/2, that a stop has to absorb at that rate; zero if no stop is near.
-    double stop_energy(const ContactLaw<double>& law, double thickness, double half_opening, double jaw_speed, double horizon) const {
+    double stop_energy(const ContactLaw<double>& law, double thickness, double half_opening, double jaw_speed,
+                       double horizon) const {
         const auto at = [&](double gap, double closing) {
             const double w = larger(closing, 0.0) / ContactLaw<double>::speed;
             return gap - horizon * larger(closing, 0.0) < thickness ? w * w + law.shape(gap) : 0.0;
         };
-        return larger(at(half_opening + 0.75 * thickness, -jaw_speed), at(max_half_opening + thickness - half_opening, jaw_speed));
+        return larger(at(half_opening + 0.75 * thickness, -jaw_speed),
+                      at(max_half_opening + thickness - half_opening, jaw_speed));
     }
 };
 

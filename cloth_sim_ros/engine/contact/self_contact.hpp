@@ -110,7 +110,8 @@ private:
     double motion_since(const double* x, const Array<double>& reference) const {
         MotionBound motion;
         if (static_cast<std::int64_t>(reference.size()) == 4 * surface.count)
-            for (std::int64_t i = 0; i < surface.count; ++i) motion.include(load4(x + 4 * i) - load4(reference.data() + 4 * i));
+            for (std::int64_t i = 0; i < surface.count; ++i)
+                motion.include(load4(x + 4 * i) - load4(reference.data() + 4 * i));
         else
             for (std::int64_t i = 0; i < surface.count; ++i) motion.include(load4(x + 4 * i));
         return motion.diameter();
@@ -124,7 +125,8 @@ private:
     }
     /// Whether a list contains all pairs within the thickness and the margin. False for positions that are not finite.
     bool covers_outer(const double* x, double thickness, double margin) const {
-        return caches && thickness == thickness_ && thickness + margin + motion_since(x, outer_.positions) <= outer_.pairs.reach;
+        return caches && thickness == thickness_ &&
+               thickness + margin + motion_since(x, outer_.positions) <= outer_.pairs.reach;
     }
     bool covers_middle(const double* x, double thickness, double margin) const {
         return caches && thickness == thickness_ && margin + motion_since(x, middle_.positions) <= middle_.margin;
@@ -135,7 +137,8 @@ private:
         // flat sheet.
         const double range = thickness_ + margin, longer = smaller(1.5 * range, max_reach * surface.shortest);
         // Edges have half the thickness.
-        outer_.pairs.build(surface, x, larger(min_reach * surface.shortest, larger(1.2 * range, longer)), 0.5 * thickness_);
+        outer_.pairs.build(surface, x, larger(min_reach * surface.shortest, larger(1.2 * range, longer)),
+                           0.5 * thickness_);
         outer_.positions.assign(x, x + 4 * surface.count);
     }
     void rebuild_middle(const double* x, double margin) {
@@ -144,7 +147,8 @@ private:
         prune(x, outer_.pairs, margin + middle_margin * thickness_, middle_);
     }
     void rebuild_inner(const double* x, double margin) {
-        margin += smaller(larger(inner_margin_factor * margin, min_inner_margin * thickness_), middle_margin * thickness_);
+        margin +=
+            smaller(larger(inner_margin_factor * margin, min_inner_margin * thickness_), middle_margin * thickness_);
         rebuild_middle(x, margin);
         prune(x, middle_.pairs, margin, inner_);
         gaps.set_candidates(surface, inner_.pairs.triangles, x, thickness_ + margin);
@@ -221,7 +225,7 @@ public:
     /// Add a pair that comes into contact within a duration [s], because the step has to be short enough for its
     /// closing speed before that. Slower ones than `min_speed` [m/s] are ignored.
     void add_approaching(const std::array<Index, 4>& corner, bool edges, const SelfLaw<double>& law, const Quads& at,
-              const Quads& velocity, double duration, double min_speed = 0.0) {
+                         const Quads& velocity, double duration, double min_speed = 0.0) {
         Vec3<double> offset, relative_velocity;
         const Vec3<double> v[4] = {velocity(corner[0]), velocity(corner[1]), velocity(corner[2]), velocity(corner[3])};
         if (edges) {
@@ -235,7 +239,8 @@ public:
         }
         const Scaling<double> scaling =
             edges ? law.scaling({corner[0], corner[1]}, {corner[2], corner[3]}) : law.scaling(corner[0]);
-        const double distance = root(norm2(offset)), closing = scaling.closing(distance, -dot(offset, relative_velocity) / distance);
+        const double distance = root(norm2(offset)),
+                     closing = scaling.closing(distance, -dot(offset, relative_velocity) / distance);
         const double remaining = scaling.gap(distance) - law.thickness(edges);
         if (remaining >= 0.0 && remaining < duration * closing && closing >= min_speed) add_contact(edges, closing);
     }
@@ -251,7 +256,7 @@ public:
     }
     /// `friction_omega2` [1/s^2]: squared frequency of the anchor springs, which act at every contact.
     ContactBounds bounds(double thickness, double damping, double expected = 1.0, double friction_omega2 = 0.0,
-                    double frequency = 1.0) const {
+                         double frequency = 1.0) const {
         ContactBounds r;
         if (encountered[0] > 0.0) {
             r.omega2 += friction_omega2;

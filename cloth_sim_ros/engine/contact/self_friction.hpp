@@ -73,8 +73,8 @@ public:
     }
     /// Kinematics on a layer. Without an anchor it is at the particle.
     template <class X, class U>
-    AnchorKinematics<V> kinematics(const Surface& s, const Contact<V>& m, const Layer<V>& layer, const LayerAnchor& anchor, X&& at,
-                    U&& velocity) const {
+    AnchorKinematics<V> kinematics(const Surface& s, const Contact<V>& m, const Layer<V>& layer,
+                                   const LayerAnchor& anchor, X&& at, U&& velocity) const {
         const bool has_anchor = anchor.bond != no_bond;
         AnchorKinematics<V> on;
         on.triangle = has_anchor ? anchor.triangle : layer.triangle;
@@ -153,12 +153,13 @@ public:
     /// Anchor after sliding, at positions `at`: the particle advanced by `remaining` [m], minus the stretch. It stays
     /// in its triangle until the particle's foot has left it by `keep_margin`.
     template <class X>
-    LayerAnchor drag_anchor(const Surface& s, const AnchorKinematics<V>& on, const Layer<V>& layer, Vec3<V> remaining, Vec3<V> stretch,
-                        X&& at) const {
+    LayerAnchor drag_anchor(const Surface& s, const AnchorKinematics<V>& on, const Layer<V>& layer, Vec3<V> remaining,
+                            Vec3<V> stretch, X&& at) const {
         const Vec3<V> b = on.weights_at(remaining - stretch);
         if (contains(on.foot, keep_margin)) return {on.triangle, b.y, b.z, slides};
         const Index next = supporting_triangle(s, layer.triangle, on.corner[0], at);
-        return barycentric_anchor(s, next, b.x * at(on.corner[1]) + b.y * at(on.corner[2]) + b.z * at(on.corner[3]), at);
+        return barycentric_anchor(s, next, b.x * at(on.corner[1]) + b.y * at(on.corner[2]) + b.z * at(on.corner[3]),
+                                  at);
     }
     /// Triangle below a particle: of the nearest one and those about it, the first that contains the foot up to
     /// `enter_margin`. Over an edge or a corner, where rounding decides the nearest one, the choice is unique.
@@ -270,12 +271,13 @@ private:
 /// Friction between layers over a run, on one thread.
 class SelfFrictionRun {
 public:
-    SelfFrictionRun(const Surface& surface, const FrictionCoefficients& coefficients, double frequency, const SelfLaw<double>& law, double step,
-             const LayerAnchors& anchors)
-        : surface_(surface), friction_(coefficients, frequency, law), step_(step), anchors_(layer_sides * surface.count),
-          pushes_(anchors_.size(), 0.0), last_step_(anchors_.size(), -1) {
+    SelfFrictionRun(const Surface& surface, const FrictionCoefficients& coefficients, double frequency,
+                    const SelfLaw<double>& law, double step, const LayerAnchors& anchors)
+        : surface_(surface), friction_(coefficients, frequency, law), step_(step),
+          anchors_(layer_sides * surface.count), pushes_(anchors_.size(), 0.0), last_step_(anchors_.size(), -1) {
         for (int face = 0; face < layer_sides; ++face)
-            for (std::int64_t i = 0; i < surface.count; ++i) anchors_[slot(face, i)] = anchors(face, static_cast<Index>(i));
+            for (std::int64_t i = 0; i < surface.count; ++i)
+                anchors_[slot(face, i)] = anchors(face, static_cast<Index>(i));
     }
     /// Add the forces of a particle's contact at a step, and their power [W] to `dissipation`. Anchors move from step 0
     /// on.
@@ -286,7 +288,8 @@ public:
             const std::size_t k = slot(face, i);
             return last_step_[k] + 1 >= step ? anchors_[k] : LayerAnchor{};
         };
-        const auto add_layer = [&](int face, const Layer<double>& layer, const LayerAnchor& anchor, const AnchorKinematics<double>& on) {
+        const auto add_layer = [&](int face, const Layer<double>& layer, const LayerAnchor& anchor,
+                                   const AnchorKinematics<double>& on) {
             const auto friction = friction_.force(on);
             friction_.forces(on, friction, push);
             friction_.bounds(on, [&](Index c, double k) { load_.add(surface_, c, k); });
@@ -296,7 +299,8 @@ public:
             const std::size_t k = slot(face, on.corner[0]);
             const double previous = last_step_[k] + 1 == step ? pushes_[k] : 0.0;
             const double end_push = larger(fma(0.5, previous > 0.0 ? on.push - previous : 0.0, on.push), 0.0);
-            const Vec3<double> tangential = on.slip - dot(on.slip, on.normal) * on.normal, remaining = (0.5 * step_) * tangential;
+            const Vec3<double> tangential = on.slip - dot(on.slip, on.normal) * on.normal,
+                               remaining = (0.5 * step_) * tangential;
             const auto end = friction_.law().radial_return(on.offset + remaining, on.normal, on.slip, end_push);
             if (end.slides)
                 anchors_[k] = friction_.drag_anchor(surface_, on, layer, remaining, end.stretch, at);
@@ -315,7 +319,8 @@ public:
         for (int face = 0; face < layer_sides; ++face)
             for (std::int64_t i = 0; i < surface_.count; ++i) {
                 const std::size_t k = slot(face, i);
-                write_anchor(to, surface_.count, face, particle_of_rank[i], last_step_[k] + 1 == steps ? anchors_[k] : LayerAnchor{});
+                write_anchor(to, surface_.count, face, particle_of_rank[i],
+                             last_step_[k] + 1 == steps ? anchors_[k] : LayerAnchor{});
             }
     }
     /// Squared frequency [1/s^2] of anchor springs: two layers double that of one spring.

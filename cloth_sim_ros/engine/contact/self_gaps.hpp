@@ -61,7 +61,8 @@ public:
         for (std::size_t first = 0, last; first < triangles.size(); first = last) {
             const Index i = triangles.first[first];
             for (last = first; last < triangles.size() && triangles.first[last] == i;) ++last;
-            const Index *const listed = triangles.second.data(), *const begin = listed + first, *const end = listed + last;
+            const Index *const listed = triangles.second.data(), *const begin = listed + first,
+                               *const end = listed + last;
             for (const Index* triangle = begin; triangle != end; ++triangle) {
                 const auto& t = s.triangles[*triangle];
                 candidates_[0].add(i, t[0], t[1], t[2]);
@@ -102,8 +103,10 @@ public:
         measure<3>(0, x);
         measure<2>(1, x);
         measure<1>(2, x);
-        square.assign(geometry_[0][6].begin(), geometry_[0][6].begin() + static_cast<std::ptrdiff_t>(candidates_[0].size()));
-        const std::size_t max_size = candidates_[0].size() + candidates_[1].size() + candidates_[2].size() + lanes<double>;
+        square.assign(geometry_[0][6].begin(),
+                      geometry_[0][6].begin() + static_cast<std::ptrdiff_t>(candidates_[0].size()));
+        const std::size_t max_size =
+            candidates_[0].size() + candidates_[1].size() + candidates_[2].size() + lanes<double>;
         if (law_[0].size() < max_size) {
             for (auto& all : corner) all.resize(max_size);
             for (auto* of : {weight, away})
@@ -118,7 +121,8 @@ public:
             bool cancels = false;
             for (int half = 0; half < 2 && !cancels; ++half) {
                 const Index t = b.triangle[half];
-                cancels = t >= 0 && !cancelled_[t] && triangles[6][t] < max_square && triangles[b.opposite[half]][t] == 0.0;
+                cancels =
+                    t >= 0 && !cancelled_[t] && triangles[6][t] < max_square && triangles[b.opposite[half]][t] == 0.0;
                 if (cancels) cancelled_[t] = 1;
             }
             if (!cancels) remaining_.push_back(static_cast<Index>(k));
@@ -152,7 +156,8 @@ public:
             const V over = splat<V>(1.0) / gap;
             Vec3<V> speed = velocity[0];
             for (int j = 0; j < 3; ++j) speed = fma(load(weight[j].data() + k), velocity[j + 1], speed);
-            const Vec3<V> n{over * load(away[0].data() + k), over * load(away[1].data() + k), over * load(away[2].data() + k)};
+            const Vec3<V> n{over * load(away[0].data() + k), over * load(away[1].data() + k),
+                            over * load(away[2].data() + k)};
             store(away[0].data() + k, n.x), store(away[1].data() + k, n.y), store(away[2].data() + k, n.z);
             V closing = -dot(n, speed);
             if (self_law.reduced()) {
@@ -281,7 +286,7 @@ public:
             if (dissipation) *dissipation += mass * (scale_[k] - 1.0) * rate_[k] * (inverse_scale * inverse_scale);
             if (dissipation && law.reduced())
                 growth_power += mass * scaling.growth * (inverse_scale * inverse_scale) *
-                         SelfLaw<double>::growing(scale_[k] * lever_[k], shape_[k]);
+                                SelfLaw<double>::growing(scale_[k] * lever_[k], shape_[k]);
             scale_[k] *= mass * inverse_scale;
         }
     }

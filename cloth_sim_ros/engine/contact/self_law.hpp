@@ -71,7 +71,8 @@ class SelfLaw {
 public:
     /// Edges have half the thickness.
     SelfLaw(double thickness, double damping)
-        : thickness_(thickness), damping_(damping), particle_law_(thickness, damping), edge_law_(0.5 * thickness, damping) {}
+        : thickness_(thickness), damping_(damping), particle_law_(thickness, damping),
+          edge_law_(0.5 * thickness, damping) {}
 
     double thickness(bool edges) const { return edges ? 0.5 * thickness_ : thickness_; }
 
@@ -107,16 +108,22 @@ public:
             const OnTriangle<V> n = near_triangle(p, x[0], x[1], x[2]);
             if (!(value_of(n.square) < square_range)) continue;
             const V unit = splat<V>(1.0);
-            add_gap({1.0, {i, t[0], t[1], t[2]}, {unit, -n.weight[0], -n.weight[1], -n.weight[2]}, n.away, n.square, V{}},
-                 velocity, m);
+            add_gap(
+                {1.0, {i, t[0], t[1], t[2]}, {unit, -n.weight[0], -n.weight[1], -n.weight[2]}, n.away, n.square, V{}},
+                velocity, m);
             for (int k = 0; k < 3; ++k) {
                 const int next = (k + 1) % 3;
                 const Index neighbor = s.neighbors[*triangle][k];
                 if (neighbor >= 0 && (s.has(neighbor, i) || *triangle < neighbor)) {
                     const OnSegment<V> e = near_segment(p, x[k], x[next]);
                     if (value_of(e.square) < square_range)
-                        add_gap({-1.0, {i, t[k], t[next], i}, {unit, e.fraction - unit, -e.fraction, V{}}, e.away, e.square, V{}},
-                             velocity, m);
+                        add_gap({-1.0,
+                                 {i, t[k], t[next], i},
+                                 {unit, e.fraction - unit, -e.fraction, V{}},
+                                 e.away,
+                                 e.square,
+                                 V{}},
+                                velocity, m);
                 }
                 if (s.inner[t[k]] && s.first_about(t[k], i) == *triangle) {
                     const Vec3<V> away = p - x[k];
@@ -149,8 +156,13 @@ public:
         m.edges = true;
         m.mass = 0.25 * (s.masses[corner[0]] + s.masses[corner[1]] + s.masses[corner[2]] + s.masses[corner[3]]);
         const V unit = splat<V>(1.0);
-        add_gap({1.0, {corner[0], corner[1], corner[2], corner[3]},
-              {unit - n.first, n.first, n.second - unit, -n.second}, n.away, n.square, V{}}, velocity, m);
+        add_gap({1.0,
+                 {corner[0], corner[1], corner[2], corner[3]},
+                 {unit - n.first, n.first, n.second - unit, -n.second},
+                 n.away,
+                 n.square,
+                 V{}},
+                velocity, m);
         apply_fade(x[1] - x[0], x[3] - x[2], m);
         const GapTerm<V>& g = m.gaps[0];
         const V shape = edge_law_.shape(g.gap);

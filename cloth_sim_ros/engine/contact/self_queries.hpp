@@ -21,9 +21,9 @@ inline Array<double> quads_of(const Plan& plan, const double* a) {
 /// with derivatives dx and dv if V has them). Positions that are not finite have no contact.
 template <class V, class F>
 inline void for_each_self_contact(SelfContact& self, const SelfLaw<V>& law, double thickness, const Quads (&x)[2],
-                             const Quads (&v)[2], F&& visit) {
+                                  const Quads (&v)[2], F&& visit) {
     if (!self.find(x[0].from, thickness, 0.0)) return;
-    const auto of = [](const Quads (&a)[2]) {
+    const auto of = [](const Quads(&a)[2]) {
         return [&a](Index c) {
             if constexpr (std::is_same_v<V, double>)
                 return a[0](c);
@@ -59,30 +59,33 @@ inline void for_each_self_contact(Plan& plan, double t, const double* x, const d
     self_scalings(plan, t, scalings);
     law.reduce(&scalings);
     for_each_self_contact<double>(*plan.self, law, contacts.thickness, at, velocity,
-                             [&](const Contact<double>& m, auto& x_at, auto& v_at) { visit(law, m, x_at, v_at); });
+                                  [&](const Contact<double>& m, auto& x_at, auto& v_at) { visit(law, m, x_at, v_at); });
 }
 
 inline double self_energy(Plan& plan, double t, const double* x) {
     double total = 0.0;
-    for_each_self_contact(plan, t, x, nullptr, [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
-        total += law.energy(m) + layer_energy(plan, law, m, at, velocity);
-    });
+    for_each_self_contact(plan, t, x, nullptr,
+                          [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
+                              total += law.energy(m) + layer_energy(plan, law, m, at, velocity);
+                          });
     return total;
 }
 /// Power of damping and friction [W].
 inline double self_dissipation(Plan& plan, double t, const double* x, const double* v) {
     double dissipation = 0.0;
-    for_each_self_contact(plan, t, x, v, [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
-        dissipation += law.dissipation(m) + layer_dissipation(plan, law, m, at, velocity);
-    });
+    for_each_self_contact(plan, t, x, v,
+                          [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
+                              dissipation += law.dissipation(m) + layer_dissipation(plan, law, m, at, velocity);
+                          });
     return dissipation;
 }
 /// Power of friction between layers [W].
 inline double self_friction_power(Plan& plan, double t, const double* x, const double* v) {
     double dissipation = 0.0;
-    for_each_self_contact(plan, t, x, v, [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
-        dissipation += layer_dissipation(plan, law, m, at, velocity);
-    });
+    for_each_self_contact(plan, t, x, v,
+                          [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
+                              dissipation += layer_dissipation(plan, law, m, at, velocity);
+                          });
     return dissipation;
 }
 /// Power of contacts that recover their thickness [W].
@@ -95,12 +98,14 @@ inline double self_growth_power(Plan& plan, double t, const double* x, const dou
 }
 /// Combine the anchors on layers after runs, see combine_layer_anchors; those of obstacles come before them.
 inline void combine_self_anchors(Plan& plan, double t, const double* x, const double* v, std::int64_t runs,
-                        const double* weights, const double* ends, double* out) {
+                                 const double* weights, const double* ends, double* out) {
     if (!plan.has_self_friction()) return;
     const std::int64_t offset = plan.contacts.obstacle_anchors(plan.count);
-    for_each_self_contact(plan, t, x, v, [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
-        combine_layer_anchors(plan, law, m, at, velocity, runs, weights, ends + offset, plan.anchor_count(), out + offset);
-    });
+    for_each_self_contact(plan, t, x, v,
+                          [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
+                              combine_layer_anchors(plan, law, m, at, velocity, runs, weights, ends + offset,
+                                                    plan.anchor_count(), out + offset);
+                          });
 }
 
 /// Add blocks that bound stiffness and damping: for a gap k g g', g = weights times normal, at most 2 k |w_c| n n' at
@@ -108,22 +113,23 @@ inline void combine_self_anchors(Plan& plan, double t, const double* x, const do
 inline void add_self_bounds(Plan& plan, double t, const double* x, double* stiff, double* damp) {
     std::vector<std::int64_t> particle_of_rank(plan.count);
     for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
-    for_each_self_contact(plan, t, x, nullptr, [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
-        add_layer_bounds(plan, law, m, at, velocity, stiff, damp);
-        for (const GapTerm<double>& g : m.gaps) {
-            if (g.sign < 0.0) continue;
-            const double fade_factor = m.edges ? m.fade_factor : 1.0;
-            const double k = 2.0 * m.mass * fade_factor * law.law(m.edges).stiffness(g.gap);
-            const double c = 2.0 * m.mass * fade_factor * law.law(m.edges).damping(g.gap);
-            for (int corner = 0; corner < 4; ++corner) {
-                if (!m.edges && corner && g.corner[corner] == g.corner[0]) continue;
-                const double weight = absolute(g.weight[corner]);
-                const std::int64_t i = particle_of_rank[g.corner[corner]];
-                if (stiff) add_block(stiff, plan.count, i, outer(k * weight, g.normal, 0.0));
-                if (damp) add_block(damp, plan.count, i, outer(c * weight, g.normal, 0.0));
-            }
-        }
-    });
+    for_each_self_contact(plan, t, x, nullptr,
+                          [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
+                              add_layer_bounds(plan, law, m, at, velocity, stiff, damp);
+                              for (const GapTerm<double>& g : m.gaps) {
+                                  if (g.sign < 0.0) continue;
+                                  const double fade_factor = m.edges ? m.fade_factor : 1.0;
+                                  const double k = 2.0 * m.mass * fade_factor * law.law(m.edges).stiffness(g.gap);
+                                  const double c = 2.0 * m.mass * fade_factor * law.law(m.edges).damping(g.gap);
+                                  for (int corner = 0; corner < 4; ++corner) {
+                                      if (!m.edges && corner && g.corner[corner] == g.corner[0]) continue;
+                                      const double weight = absolute(g.weight[corner]);
+                                      const std::int64_t i = particle_of_rank[g.corner[corner]];
+                                      if (stiff) add_block(stiff, plan.count, i, outer(k * weight, g.normal, 0.0));
+                                      if (damp) add_block(damp, plan.count, i, outer(c * weight, g.normal, 0.0));
+                                  }
+                              }
+                          });
 }
 
 /// Add (df/dx) dx + (df/dv) dv to out, by the law on dual numbers.
@@ -157,7 +163,7 @@ inline void for_each_full_contact(Plan& plan, const double* x, F&& visit) {
     const Quads at[2] = {{positions.data()}, {nullptr}}, velocity[2] = {{velocities.data()}, {nullptr}};
     const SelfLaw<double> law(contacts.thickness, contacts.damping);
     for_each_self_contact<double>(*plan.self, law, contacts.thickness, at, velocity,
-                             [&](const Contact<double>& m, auto&, auto&) { visit(m); });
+                                  [&](const Contact<double>& m, auto&, auto&) { visit(m); });
 }
 
 /// Number of particles and pairs of edges in contact, and their least gap [m], infinite if there are none.
@@ -186,7 +192,8 @@ inline void self_gap_row(Plan& plan, const double* x, double* out) {
 /// Squared frequency and damping rate of self-contact once it has absorbed `expected` times its energy: of contacts,
 /// and of pairs that come into contact within a duration [s] at the present velocities. Infinite if a position is not
 /// finite.
-inline ContactBounds predict_self_contact(Plan& plan, double t, double duration, double expected, const double* x, const double* v) {
+inline ContactBounds predict_self_contact(Plan& plan, double t, double duration, double expected, const double* x,
+                                          const double* v) {
     SelfContact& self = *plan.self;
     const double d = plan.contacts.thickness;
     const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, v);
@@ -240,8 +247,7 @@ inline bool ccd_self(Plan& plan, const double* x0, const double* x1) {
     const double d = plan.contacts.thickness;
     const Array<double> from = quads_of(plan, x0), to = quads_of(plan, x1);
     MotionBound motion;
-    for (std::int64_t i = 0; i < plan.count; ++i)
-        motion.include(load4(to.data() + 4 * i) - load4(from.data() + 4 * i));
+    for (std::int64_t i = 0; i < plan.count; ++i) motion.include(load4(to.data() + 4 * i) - load4(from.data() + 4 * i));
     const double max_motion = motion.diameter();
     if (!self.find(from.data(), d, max_motion)) return true;
     const Quads start{from.data()}, end{to.data()};
@@ -249,7 +255,8 @@ inline bool ccd_self(Plan& plan, const double* x0, const double* x1) {
         Vec3<double> displacement[4];
         for (int k = 0; k < 4; ++k) displacement[k] = end(corner[k]) - start(corner[k]);
         const auto relative_motion = [&](int k) { return root(norm2(displacement[k] - displacement[0])); };
-        const double second_motion = larger(relative_motion(2), relative_motion(3)), length = edges ? relative_motion(1) + second_motion : larger(relative_motion(1), second_motion);
+        const double second_motion = larger(relative_motion(2), relative_motion(3)),
+                     length = edges ? relative_motion(1) + second_motion : larger(relative_motion(1), second_motion);
         double fraction = 0.0;
         for (int iteration = 0; fraction < 1.0; ++iteration) {
             Vec3<double> at[4];
@@ -264,8 +271,10 @@ inline bool ccd_self(Plan& plan, const double* x0, const double* x1) {
         return false;
     };
     bool intersected = false;
-    for (std::size_t k = 0; k < self.triangles.size() && !intersected; ++k) intersected = intersects(self.triangle_corners(k), false);
-    for (std::size_t k = 0; k < self.edges.size() && !intersected; ++k) intersected = intersects(self.edge_corners(k), true);
+    for (std::size_t k = 0; k < self.triangles.size() && !intersected; ++k)
+        intersected = intersects(self.triangle_corners(k), false);
+    for (std::size_t k = 0; k < self.edges.size() && !intersected; ++k)
+        intersected = intersects(self.edge_corners(k), true);
     return intersected;
 }
 
@@ -283,8 +292,8 @@ public:
         speed_limit_ = 2.0 * relative_speed(v0) + speed_margin;
         const double margin = speed_limit_ * duration;
         plan.self_culled = plan.contacts.thickness + margin < SelfContact::min_reach * self.surface.shortest &&
-                          self.find(positions.data(), plan.contacts.thickness, margin) && self.triangles.size() == 0 &&
-                          self.edges.size() == 0;
+                           self.find(positions.data(), plan.contacts.thickness, margin) && self.triangles.size() == 0 &&
+                           self.edges.size() == 0;
     }
     /// Whether a run with end velocities v violates the assumptions.
     bool is_violated(const double* v) const { return plan_.self_culled && !(relative_speed(v) <= speed_limit_); }

@@ -30,7 +30,8 @@ inline double min_of(const std::vector<double>& values) {
     using V = vec<double>;
     V lane_min = splat<V>(1e30);
     std::size_t k = 0;
-    for (; k + lanes<double> <= values.size(); k += lanes<double>) lane_min = smaller(load(values.data() + k), lane_min);
+    for (; k + lanes<double> <= values.size(); k += lanes<double>)
+        lane_min = smaller(load(values.data() + k), lane_min);
     double min = 1e30;
     for (int lane = 0; lane < lanes<double>; ++lane) min = smaller<double>(lane_min[lane], min);
     for (; k < values.size(); ++k) min = smaller(values[k], min);
@@ -41,7 +42,8 @@ inline double min_of(const std::vector<double>& values) {
 class SelfRun {
 public:
     SelfRun(SelfContact& self, double thickness, double damping, double step)
-        : self_(self), law_(thickness, damping), vector_law_(thickness, damping), thickness_(thickness), damping_(damping), step_(step) {}
+        : self_(self), law_(thickness, damping), vector_law_(thickness, damping), thickness_(thickness),
+          damping_(damping), step_(step) {}
 
     /// Use the reduced thickness of a plan over a run.
     void reduce(const Plan& plan, const Run& run) {
@@ -173,10 +175,12 @@ private:
         if (min_of(gaps.square) <= motion * motion)
             for (std::size_t k = 0; k < gaps.square.size(); ++k)
                 if (gaps.square[k] <= motion * motion)
-                    intersected_ = intersected_ || may_intersect(gaps.square[k], gaps.corners(k).data(), false, displacement);
+                    intersected_ =
+                        intersected_ || may_intersect(gaps.square[k], gaps.corners(k).data(), false, displacement);
         for (std::size_t k = 0; k < self_.edges.size(); ++k)
             if (self_.edge_squares[k] <= motion * motion)
-                intersected_ = intersected_ || may_intersect(self_.edge_squares[k], self_.edge_corners(k).data(), true, displacement);
+                intersected_ = intersected_ ||
+                               may_intersect(self_.edge_squares[k], self_.edge_corners(k).data(), true, displacement);
     }
     SelfContact& self_;
     SelfLaw<double> law_;

@@ -46,15 +46,15 @@ CLOTH_INLINE SurfacePoint<V> nearest_on(const Vec3<V>& p, const Vec3<V>& size) {
         const Vec3<V> q{absolute(p.x) - half * size.x, absolute(p.y) - half * size.y, absolute(p.z) - half * size.z};
         const V max = larger(larger(q.x, q.y), q.z);
         // Nearest to a face the normal is along an axis, and needs neither root nor division.
-        const auto face_normal = [&](V a, V along) CLOTH_INLINED { return with_sign_of(select(a > none, unit, none), along); };
+        const auto face_normal = [&](V a, V along)
+                                     CLOTH_INLINED { return with_sign_of(select(a > none, unit, none), along); };
         SurfacePoint<V> n{max, {face_normal(q.x, p.x), face_normal(q.y, p.y), face_normal(q.z, p.z)}};
         const auto corner = larger(smaller(q.x, q.y), smaller(larger(q.x, q.y), q.z)) > none;
         if (!any(corner)) return n;
         const Vec3<V> out{larger(q.x, none), larger(q.y, none), larger(q.z, none)};
         const V away = root(norm2(out)), inverse = unit / away;
-        const auto off = [&](V a, V along, V otherwise) CLOTH_INLINED {
-            return select(corner, inverse * with_sign_of(a, along), otherwise);
-        };
+        const auto off = [&](V a, V along, V otherwise)
+                             CLOTH_INLINED { return select(corner, inverse * with_sign_of(a, along), otherwise); };
         return {select(corner, away, n.gap),
                 {off(out.x, p.x, n.normal.x), off(out.y, p.y, n.normal.y), off(out.z, p.z, n.normal.z)}};
     } else {
@@ -89,7 +89,8 @@ inline SurfacePoint<V> nearest_on_mesh(const Mesh& mesh, const Vec3<V>& p) {
     } else {
         SurfacePoint<V> result;
         for (int k = 0; k < static_cast<int>(sizeof(V) / sizeof(scalar<V>)); ++k) {
-            const SurfacePoint<double> point = nearest_on_mesh<double>(mesh, {double(p.x[k]), double(p.y[k]), double(p.z[k])});
+            const SurfacePoint<double> point =
+                nearest_on_mesh<double>(mesh, {double(p.x[k]), double(p.y[k]), double(p.z[k])});
             result.gap[k] = static_cast<scalar<V>>(point.gap);
             result.normal.x[k] = static_cast<scalar<V>>(point.normal.x);
             result.normal.y[k] = static_cast<scalar<V>>(point.normal.y);

@@ -15,7 +15,7 @@ namespace cloth {
 using Index = std::int32_t;
 
 struct Surface {
-    std::int64_t count = 0;  ///< number of particles
+    std::int64_t count = 0;               ///< number of particles
     std::vector<double> masses, inverse;  ///< [kg], and inverse masses, zero if anchored
     std::vector<char> is_free;
     std::vector<std::array<Index, 3>> triangles;

@@ -55,9 +55,8 @@ CLOTH_INLINE Vec3<V> cross(Vec3<V> a, Vec3<V> b) {
 /// a x b - c x d, with one rounding less per product than two cross products.
 template <class V>
 CLOTH_INLINE Vec3<V> cross_difference(Vec3<V> a, Vec3<V> b, Vec3<V> c, Vec3<V> d) {
-    const auto part = [](V p, V q, V r, V s, V t, V u, V v, V w) CLOTH_INLINED {
-        return fma(p, q, fma(-r, s, fma(-t, u, v * w)));
-    };
+    const auto part = [](V p, V q, V r, V s, V t, V u, V v, V w)
+                          CLOTH_INLINED { return fma(p, q, fma(-r, s, fma(-t, u, v * w))); };
     return {part(a.y, b.z, a.z, b.y, c.y, d.z, c.z, d.y), part(a.z, b.x, a.x, b.z, c.z, d.x, c.x, d.z),
             part(a.x, b.y, a.y, b.x, c.x, d.y, c.y, d.x)};
 }

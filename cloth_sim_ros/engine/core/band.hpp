@@ -37,7 +37,8 @@ struct Band {
 /// Add a block B (xx, yy, zz, xy, xz, yz) that couples two block rows: B on both diagonals, -B between them. A negative
 /// row is fixed. Two rows that are not lie within the band.
 inline void add_pair(const Band& a, std::int64_t i, std::int64_t j, const double* block) {
-    const double b[3][3] = {{block[0], block[3], block[4]}, {block[3], block[1], block[5]}, {block[4], block[5], block[2]}};
+    const double b[3][3] = {
+        {block[0], block[3], block[4]}, {block[3], block[1], block[5]}, {block[4], block[5], block[2]}};
     for (const std::int64_t p : {i, j})
         if (p >= 0)
             for (int r = 0; r < 3; ++r)
@@ -50,7 +51,8 @@ inline void add_pair(const Band& a, std::int64_t i, std::int64_t j, const double
 }
 
 /// Add a mass and a block (xx, yy, zz, xy, xz, yz; spaced by `component_stride`) to the diagonal of row i.
-inline void add_diagonal(const Band& a, std::int64_t i, double mass, const double* block, std::int64_t component_stride) {
+inline void add_diagonal(const Band& a, std::int64_t i, double mass, const double* block,
+                         std::int64_t component_stride) {
     const double xy = block[3 * component_stride], xz = block[4 * component_stride], yz = block[5 * component_stride];
     double *x = a.row(i, 0), *y = a.row(i, 1), *z = a.row(i, 2);
     x[0] += mass + block[0];
@@ -142,8 +144,8 @@ inline bool factor_corner(const Band& a, std::int64_t top, std::int64_t above, b
 
 /// Factorise the same rows at the columns from `j` of the matrix on.
 template <int R, int N>
-inline void factor_columns(
-    const Band& a, std::int64_t top, std::int64_t above, bool eliminated, const Corner<R>& corner, std::int64_t j) {
+inline void factor_columns(const Band& a, std::int64_t top, std::int64_t above, bool eliminated,
+                           const Corner<R>& corner, std::int64_t j) {
     using V = vec<double>;
     constexpr int L = lanes<double>;
     const std::int64_t from = std::max<std::int64_t>(0, j / 3 - a.width), stride = a.stride();
@@ -210,8 +212,7 @@ inline void forward(const Band& a, std::int64_t inner, double* y) {
         const double y1 = fma(-u0[1], y0, y_i[1]) * u1[1];
         const double y2 = fma(-u1[2], y1, fma(-u0[2], y0, y_i[2])) * u2[2];
         const std::int64_t length = 3 * (1 + std::min(a.width, a.count - 1 - i));
-        for (std::int64_t j = 3; j < length; ++j)
-            y_i[j] = fma(-y2, u2[j], fma(-y1, u1[j], fma(-y0, u0[j], y_i[j])));
+        for (std::int64_t j = 3; j < length; ++j) y_i[j] = fma(-y2, u2[j], fma(-y1, u1[j], fma(-y0, u0[j], y_i[j])));
         y_i[0] = y0;
         y_i[1] = y1;
         y_i[2] = y2;
@@ -267,8 +268,8 @@ inline void backward(const Band& a, std::int64_t inner, double* y) {
 }
 
 /// Set `middle` to the sum of two Schur complements of the same block rows; those of `lower` are in reverse order.
-inline void join(
-    const Band& upper, const Band& lower, std::int64_t inner_upper, std::int64_t inner_lower, const Band& middle) {
+inline void join(const Band& upper, const Band& lower, std::int64_t inner_upper, std::int64_t inner_lower,
+                 const Band& middle) {
     for (std::int64_t i = 0; i < middle.count; ++i)
         for (std::int64_t j = i; j < middle.count; ++j) {
             // In reverse order the pair (i, j) is stored transposed, as (count - 1 - j, count - 1 - i).

@@ -21,7 +21,6 @@ class CuthillMcKee {
     }
 
 public:
-
     /// Particles 0 ... count - 1 and their coupled pairs; duplicates and loops are ignored.
     CuthillMcKee(Index count, const Index* pairs, Index pair_count)
         : count_(count), first_(count + 1), level_(count), rank_(count), visited_round_(count), ordered_(count) {

@@ -21,10 +21,10 @@ inline std::int64_t air_row_size(std::int64_t pitch) {
 
 template <class T>
 struct AirRow {
-    const T *x[2], *v;  ///< positions of a row and the next one, damping velocities
-    const T* panel_share;      ///< share of a corner in each cell below, see CellTable
+    const T *x[2], *v;     ///< positions of a row and the next one, damping velocities
+    const T* panel_share;  ///< share of a corner in each cell below, see CellTable
     T* f;
-    T *above, *below;   ///< data of the cells above and below the row
+    T *above, *below;                          ///< data of the cells above and below the row
     std::ptrdiff_t pitch, cell_pitch, length;  ///< distances between components, of particles and of cells; see RowView
 };
 
@@ -39,7 +39,8 @@ __attribute__((noinline)) void compute_cells(const AirRow<T>& row, const double*
             const T* const from = at.x[row] + column + j;
             return Vec3<V>{load(from), load(from + at.pitch), load(from + 2 * at.pitch)};
         };
-        const auto s = Panel<4>::shares(air, load(at.panel_share + j), point(1, 1) - point(0, 0), point(1, 0) - point(0, 1));
+        const auto s =
+            Panel<4>::shares(air, load(at.panel_share + j), point(1, 1) - point(0, 0), point(1, 0) - point(0, 1));
         T* const to = at.below + j;
         store(to, s.n.x), store(to + at.cell_pitch, s.n.y), store(to + 2 * at.cell_pitch, s.n.z);
         store(to + 3 * at.cell_pitch, s.across);
@@ -62,7 +63,8 @@ __attribute__((noinline)) void add_air(const AirRow<T>& row, const double* commo
         Vec3<V> f = three(to, at.pitch);
         V dissipation{}, external{};
         const auto add_cell = [&](const T* from) CLOTH_INLINED {
-            typename Panel<4>::template DragShares<V> s{three(from, at.cell_pitch), load(from + 3 * at.cell_pitch), V{}};
+            typename Panel<4>::template DragShares<V> s{three(from, at.cell_pitch), load(from + 3 * at.cell_pitch),
+                                                        V{}};
             if constexpr (Tangential) s.along = load(from + 4 * at.cell_pitch);
             f = Panel<4>::add<Tangential>(s, u, f);
             if constexpr (!Record) return;
@@ -81,18 +83,18 @@ __attribute__((noinline)) void add_air(const AirRow<T>& row, const double* commo
 /// Process one row of cells, and add the drag to the force row if the row is `owned`. `cell_rows` holds two rows of
 /// cells, zero before the first. Rows are processed in order. Powers are recorded if `powers` is not null.
 template <class T>
-inline void add_air_row(const RowView<T>& at, const T* panel_share, const double* common, T* cell_rows, std::int64_t row, bool owned,
-                     PowerSums* powers) {
+inline void add_air_row(const RowView<T>& at, const T* panel_share, const double* common, T* cell_rows,
+                        std::int64_t row, bool owned, PowerSums* powers) {
     T *const even = cell_rows + air_gap<T>, *const odd = even + air_row_size<T>(at.pitch);
     const AirRow<T> row_data{{at.row[0] + position * at.pitch, at.row[1] + position * at.pitch},
-                            at.row[0] + damping_velocity * at.pitch,
-                            panel_share,
-                            at.force_rows[0],
-                            row % 2 ? even : odd,
-                            row % 2 ? odd : even,
-                            at.pitch,
-                            at.pitch + air_gap<T>,
-                            at.length};
+                             at.row[0] + damping_velocity * at.pitch,
+                             panel_share,
+                             at.force_rows[0],
+                             row % 2 ? even : odd,
+                             row % 2 ? odd : even,
+                             at.pitch,
+                             at.pitch + air_gap<T>,
+                             at.length};
     const auto process = [&]<bool Along>(std::bool_constant<Along>) {
         compute_cells<T, Along>(row_data, common);
         if (owned && powers)

@@ -17,8 +17,8 @@ public:
     /// common coefficients of the panels of `cells`, or null.
     GridBounds(const Grid& grid, const GridTables<T>& tables, const double* x, const CellTable<T>* cells = nullptr,
                const double* air = nullptr)
-        : damped(air || grid.damped()), grid_(grid), tables_(tables), table_(cells), air_(air), positions_(grid, x, nullptr),
-          length_(row_length<T>(grid.columns)), table_pitch_(tables.pitch),
+        : damped(air || grid.damped()), grid_(grid), tables_(tables), table_(cells), air_(air),
+          positions_(grid, x, nullptr), length_(row_length<T>(grid.columns)), table_pitch_(tables.pitch),
           pitch_(length_ + row_reach <= tables.pitch ? tables.pitch : tables.pitch + margin) {
         for (const GridFamily& family : grid.families) {
             if (sizeof(T) == 8 || !family.present) continue;
@@ -189,9 +189,9 @@ inline void add_grid_bounds(const Grid& grid, const GridTables<double>& tables, 
 template <class V>
 inline V largest_eigenvalue(const Sym3<V>& block) {
     using T = scalar<V>;
-    constexpr double series[14] = {9.1371974490662e-05, -0.00074459295848305, 0.0028628194514527,  -0.0070378744145726,
-                                   0.012798556604318,   -0.01914712152288,    0.025832998977777,   -0.033906752945952,
-                                   0.045694566199183,   -0.065838662822131,   0.10691636217626,    -0.22222220890035,
+    constexpr double series[14] = {9.1371974490662e-05, -0.00074459295848305, 0.0028628194514527, -0.0070378744145726,
+                                   0.012798556604318,   -0.01914712152288,    0.025832998977777,  -0.033906752945952,
+                                   0.045694566199183,   -0.065838662822131,   0.10691636217626,   -0.22222220890035,
                                    1.1547005381807,     1.000000000001};
     const V third = splat<V>(T(1.0 / 3.0)), sixth = splat<V>(T(1.0 / 6.0)), half = splat<V>(T(0.5));
     const V mean = (block.xx + block.yy + block.zz) * third;
@@ -199,7 +199,8 @@ inline V largest_eigenvalue(const Sym3<V>& block) {
     V d = block.xy, e = block.xz, f = block.yz;
     const V off = fma(f, f, fma(e, e, d * d));
     const V p = root((fma(c, c, fma(b, b, a * a)) + off + off) * sixth);
-    const V scale = splat<V>(1) / (p + fma(splat<V>(sizeof(T) == 8 ? T(1e-15) : T(1e-6)), mean, splat<V>(sizeof(T) == 8 ? T(1e-300) : T(1e-30))));  // p = 0: a multiple of I
+    const V scale = splat<V>(1) / (p + fma(splat<V>(sizeof(T) == 8 ? T(1e-15) : T(1e-6)), mean,
+                                           splat<V>(sizeof(T) == 8 ? T(1e-300) : T(1e-30))));  // p = 0: a multiple of I
     a = a * scale, b = b * scale, c = c * scale, d = d * scale, e = e * scale, f = f * scale;
     const V h = half * (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e));
     const V clamped_h = select(h < splat<V>(-1), splat<V>(-1), select(h > splat<V>(1), splat<V>(1), h));

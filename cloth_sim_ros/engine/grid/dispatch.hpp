@@ -13,7 +13,8 @@ using StepRow = void (*)(const RowView<T>&, const GridConstants<T>&, const StepF
 
 template <class T, Mode M>
 inline StepRow<T> select_row_step(unsigned shape) {
-    constexpr unsigned edges = 1u << right | 1u << down, with_diagonal = 1u << diagonal, with_antidiagonal = 1u << antidiagonal;
+    constexpr unsigned edges = 1u << right | 1u << down, with_diagonal = 1u << diagonal,
+                       with_antidiagonal = 1u << antidiagonal;
     constexpr unsigned long_springs = 1u << right2 | 1u << down2;
     switch (shape & ~edges) {
         case 0: return step_row<T, edges, M>;

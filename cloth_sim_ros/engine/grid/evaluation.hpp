@@ -18,9 +18,11 @@ public:
     /// The accelerations are written to the end velocities of the run, which has no steps.
     GridForces(Plan& plan, const Run& run)
         : plan_(plan), run_(run), grid_(*plan.grid), off_grid_(plan, run), window_(plan.workspace<T>().window),
-          hinges_(plan.row_tables<T>()), cells_(plan.cell_table<T>()), pitch_(plan.tables.pitch), uses_velocity_(plan.mode() != Mode::position_only) {
+          hinges_(plan.row_tables<T>()), cells_(plan.cell_table<T>()), pitch_(plan.tables.pitch),
+          uses_velocity_(plan.mode() != Mode::position_only) {
         const std::int64_t n_cell_numbers = cells_.empty() ? 0 : 2 * air_row_size<T>(pitch_);
-        window_.resize((rows_of_window * (damping_velocity + 3) + 2 * 3 * 3 + 3) * pitch_ + n_cell_numbers + 64 / sizeof(T));
+        window_.resize((rows_of_window * (damping_velocity + 3) + 2 * 3 * 3 + 3) * pitch_ + n_cell_numbers +
+                       64 / sizeof(T));
         off_grid_.prepare_poses(1);
         off_grid_.init_contact_by_rows(1, pitch_);
     }
@@ -37,7 +39,9 @@ public:
         }
         const StepRow<T> step = select_row_step<T>(grid_.shape(), plan_.mode());
         const GridConstants<T> constants = grid_constants<T>(plan_);
-        T *const force_rows = window_.data() + rows_of_window * (damping_velocity + 3) * pitch_, *const hinge_forces = force_rows + 3 * 3 * pitch_;
+        T *const force_rows = window_.data() + rows_of_window * (damping_velocity + 3) * pitch_, *const hinge_forces =
+                                                                                                     force_rows +
+                                                                                                     3 * 3 * pitch_;
         T *const out = hinge_forces + 3 * 3 * pitch_, *const cell_rows = out + 3 * pitch_;
         std::fill(force_rows, window_.data() + window_.size(), T(0));
         load_row(0);

@@ -37,8 +37,8 @@ struct Grid {
         const int across = std::max(e.column0, e.column1);
         if (!f.present || row + e.row1 >= rows || column + across >= columns) return 0.0;
         if (f.parity >= 0 && (row + column) % 2 != f.parity) return 0.0;
-        const bool edge = (e.row1 == 0 && (row == 0 || row == rows - 1)) ||
-                          (across == 0 && (column == 0 || column == columns - 1));
+        const bool edge =
+            (e.row1 == 0 && (row == 0 || row == rows - 1)) || (across == 0 && (column == 0 || column == columns - 1));
         return edge ? f.border : 1.0;
     }
     /// Families with springs, as bits for `step_row`. Border springs count as present although their weights may be

@@ -37,7 +37,8 @@ struct HingeOperands {
     Vec3<V> d[Law::corners - 1], u[Law::corners] = {};
     typename Law::template Params<V> params;
 
-    CLOTH_INLINE HingeOperands(const HingeRow<T>& at, const Stencil& stencil, int index, std::ptrdiff_t j, bool damped) {
+    CLOTH_INLINE HingeOperands(const HingeRow<T>& at, const Stencil& stencil, int index, std::ptrdiff_t j,
+                               bool damped) {
         const auto differ = [&](const T* const(&rows)[3], Vec3<V>* to) CLOTH_INLINED {
             const auto point = [&](int c) CLOTH_INLINED {
                 const T* const from = rows[stencil.row[c]] + stencil.column[c] + j;
@@ -81,11 +82,13 @@ CLOTH_SCHEDULED void accumulate_hinges(const HingeRow<T>& row, PowerSums* powers
             Law::force(operands.params, operands.d, operands.u, f + 1, Damped);
             if constexpr (Record) {
                 const V dissipation = Law::dissipation(operands.params, operands.d, operands.u);
-                for (int k = 0; k < lanes<T>; ++k) powers->dissipation[(j + k) & 15] += static_cast<double>(dissipation[k]);
+                for (int k = 0; k < lanes<T>; ++k)
+                    powers->dissipation[(j + k) & 15] += static_cast<double>(dissipation[k]);
             }
             f[0] = -f[1];
             for (int c = 2; c < C; ++c) f[0] = f[0] - f[c];
-            for (int c = 0; c < C; ++c) sum[stencil.row[c]][stencil.column[c]] = sum[stencil.row[c]][stencil.column[c]] + f[c];
+            for (int c = 0; c < C; ++c)
+                sum[stencil.row[c]][stencil.column[c]] = sum[stencil.row[c]][stencil.column[c]] + f[c];
         };
         const auto put = [&]<int R>(std::integral_constant<int, R>) CLOTH_INLINED {
             T* const to = at.f[R] + j;
@@ -93,7 +96,8 @@ CLOTH_SCHEDULED void accumulate_hinges(const HingeRow<T>& row, PowerSums* powers
             const auto shifted = [&]<int N>(std::integral_constant<int, N>) CLOTH_INLINED {
                 const Vec3<V> current = sum[R][N], before = previous[R][N];
                 previous[R][N] = current;
-                return Vec3<V>{shift<N>(before.x, current.x), shift<N>(before.y, current.y), shift<N>(before.z, current.z)};
+                return Vec3<V>{shift<N>(before.x, current.x), shift<N>(before.y, current.y),
+                               shift<N>(before.z, current.z)};
             };
             if constexpr (has_corner<Law>(R, 0)) f = f + sum[R][0];
             if constexpr (has_corner<Law>(R, 1)) f = f + shifted(std::integral_constant<int, 1>{});
@@ -113,8 +117,8 @@ CLOTH_SCHEDULED void accumulate_hinges(const HingeRow<T>& row, PowerSums* powers
 /// `hinge_rows`: sums of this row and the next two; the last is cleared here. Dissipation is recorded if `powers` is
 /// not null. Hinges are skipped if `multirate`.
 template <class T>
-inline void add_hinge_row(const std::vector<RowTable<T>>& tables, std::int64_t row, const RowView<T>& at, T* const* hinge_rows,
-                       bool owned, PowerSums* powers, bool multirate) {
+inline void add_hinge_row(const std::vector<RowTable<T>>& tables, std::int64_t row, const RowView<T>& at,
+                          T* const* hinge_rows, bool owned, PowerSums* powers, bool multirate) {
     std::fill(hinge_rows[2], hinge_rows[2] + 3 * at.pitch, T(0));
     for (const RowTable<T>& table : tables) {
         if (!table.has(row) || (multirate && table.kind != Kind::spring)) continue;

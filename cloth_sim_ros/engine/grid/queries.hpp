@@ -21,8 +21,8 @@ inline double grid_sum(const Grid& grid, const GridTables<double>& tables, F&& e
     for (int f = 0; f < family_count; ++f) {
         const GridFamily& family = grid.families[f];
         if (!family.present) continue;
-        const typename Spring::Params<V> params{splat<V>(family.stiffness), splat<V>(family.stiffness / family.rest_length),
-                                                splat<V>(family.damping)};
+        const typename Spring::Params<V> params{
+            splat<V>(family.stiffness), splat<V>(family.stiffness / family.rest_length), splat<V>(family.damping)};
         for (std::int64_t row = 0; row < grid.rows; ++row) {
             const double* const weight = tables.of(row) + (weights + f) * tables.pitch;
             for (std::int64_t j = 0; j < length; j += lanes<double>)
@@ -42,7 +42,8 @@ inline double grid_energy(const Grid& grid, const GridTables<double>& tables, co
     const PaddedRows<double> p(grid, x, nullptr);
     return grid_sum(grid, tables, [&](int f, const auto& params, std::int64_t row, std::int64_t j) {
         const Ends e = family_ends[f];
-        const auto d = padded_point(p, row + e.row1, j + e.column1, 0) - padded_point(p, row + e.row0, j + e.column0, 0);
+        const auto d =
+            padded_point(p, row + e.row1, j + e.column1, 0) - padded_point(p, row + e.row0, j + e.column0, 0);
         return Spring::energy(params, &d);
     });
 }
@@ -52,8 +53,10 @@ inline double grid_dissipation(const Grid& grid, const GridTables<double>& table
     const PaddedRows<double> p(grid, x, v);
     return grid_sum(grid, tables, [&](int f, const auto& params, std::int64_t row, std::int64_t j) {
         const Ends e = family_ends[f];
-        const auto d = padded_point(p, row + e.row1, j + e.column1, 0) - padded_point(p, row + e.row0, j + e.column0, 0);
-        const auto u = padded_point(p, row + e.row1, j + e.column1, 3) - padded_point(p, row + e.row0, j + e.column0, 3);
+        const auto d =
+            padded_point(p, row + e.row1, j + e.column1, 0) - padded_point(p, row + e.row0, j + e.column0, 0);
+        const auto u =
+            padded_point(p, row + e.row1, j + e.column1, 3) - padded_point(p, row + e.row0, j + e.column0, 3);
         return Spring::dissipation(params, &d, &u);
     });
 }
@@ -75,10 +78,11 @@ inline void add_grid_product(const Grid& grid, const double* x, const double* v,
                 const auto difference = [=](const double* a) {
                     return Vec3<double>{a[k] - a[i], a[n + k] - a[n + i], a[2 * n + k] - a[2 * n + i]};
                 };
-                const Vec3<Dual> d = with_slope(difference(x), difference(dx)), u = with_slope(difference(v), difference(dv));
-                const typename Spring::Params<Dual> params{
-                    {weight * family.stiffness, 0.0}, {weight * family.stiffness / family.rest_length, 0.0},
-                    {weight * family.damping, 0.0}};
+                const Vec3<Dual> d = with_slope(difference(x), difference(dx)),
+                                 u = with_slope(difference(v), difference(dv));
+                const typename Spring::Params<Dual> params{{weight * family.stiffness, 0.0},
+                                                           {weight * family.stiffness / family.rest_length, 0.0},
+                                                           {weight * family.damping, 0.0}};
                 Vec3<Dual> g;
                 Spring::force(params, &d, &u, &g, true);
                 const Vec3<double> s = slope_of(g);

@@ -62,7 +62,8 @@ struct RowView {
 /// Add the force rows and the forces of the row's own springs, and advance the row by one step if it is `owned`;
 /// otherwise only add the forces on the rows below. Families: a set of bits, one for each that exists.
 template <class T, unsigned Families, Mode M>
-inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, const StepFactors<T>& motion, bool owned) {
+inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, const StepFactors<T>& motion,
+                     bool owned) {
     using V = vec<T>;
     constexpr auto has = [](Family family) { return (Families >> family & 1) != 0; };
     constexpr bool damped = M == Mode::damped, uses_velocity = M != Mode::position_only;
@@ -91,11 +92,13 @@ inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, co
             store(to + pitch + j, load(to + pitch + j) + f.y);
             store(to + 2 * pitch + j, load(to + 2 * pitch + j) + f.z);
         };
-        const auto shifted = [&]<int N>(Vec3<V>& previous, Vec3<V> current, std::integral_constant<int, N>) CLOTH_INLINED {
-            const Vec3<V> r{shift<N>(previous.x, current.x), shift<N>(previous.y, current.y), shift<N>(previous.z, current.z)};
-            previous = current;
-            return r;
-        };
+        const auto shifted = [&]<int N>(Vec3<V>& previous, Vec3<V> current, std::integral_constant<int, N>)
+                                 CLOTH_INLINED {
+                                     const Vec3<V> r{shift<N>(previous.x, current.x), shift<N>(previous.y, current.y),
+                                                     shift<N>(previous.z, current.z)};
+                                     previous = current;
+                                     return r;
+                                 };
         constexpr std::integral_constant<int, 1> by_one;
         constexpr std::integral_constant<int, 2> by_two;
 
@@ -103,7 +106,8 @@ inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, co
         Vec3<V> p{none, none, none};
         if constexpr (uses_velocity) p = point(0, 0, damping_velocity);
 
-        Vec3<V> force{load(at.force_rows[0] + j), load(at.force_rows[0] + pitch + j), load(at.force_rows[0] + 2 * pitch + j)};
+        Vec3<V> force{load(at.force_rows[0] + j), load(at.force_rows[0] + pitch + j),
+                      load(at.force_rows[0] + 2 * pitch + j)};
         if constexpr (has(down2)) {
             const Vec3<V> f = spring_force(down2, x, p);
             force = force + f;
@@ -165,7 +169,8 @@ inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, co
             if constexpr (uses_velocity) {
                 const V previous_a = load(x_c + previous_acceleration * pitch);
                 store(x_c + previous_acceleration * pitch, a);
-                store(x_c + damping_velocity * pitch, fma(splat<V>(motion.predict), a, fma(splat<V>(motion.predict_previous), previous_a, v)));
+                store(x_c + damping_velocity * pitch,
+                      fma(splat<V>(motion.predict), a, fma(splat<V>(motion.predict_previous), previous_a, v)));
             }
             const V x_old = c == 0 ? x.x : c == 1 ? x.y : x.z;
             if constexpr (sizeof(T) == 8) {

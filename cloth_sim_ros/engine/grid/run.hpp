@@ -19,19 +19,21 @@ class GridRun {
 public:
     GridRun(Plan& plan, const Run& run)
         : plan_(plan), run_(run), grid_(*plan.grid), tables_(plan.grid_tables<T>()), off_grid_(plan, run),
-          hinges_(plan.row_tables<T>()), cells_(plan.cell_table<T>()), mode_(plan.mode()), state_(plan.workspace<T>(run.workspace).state),
-          force_rows_(plan.workspace<T>(run.workspace).force_rows), messages_(plan.workspace<T>(run.workspace).messages), pitch_(tables_.pitch),
-          length_(row_length<T>(grid_.columns)),
-          stride_(components<T> * pitch_) {
+          hinges_(plan.row_tables<T>()), cells_(plan.cell_table<T>()), mode_(plan.mode()),
+          state_(plan.workspace<T>(run.workspace).state), force_rows_(plan.workspace<T>(run.workspace).force_rows),
+          messages_(plan.workspace<T>(run.workspace).messages), pitch_(tables_.pitch),
+          length_(row_length<T>(grid_.columns)), stride_(components<T> * pitch_) {
         const bool has_off_grid = off_grid_.needed();
         const std::int64_t max_bands = std::max<std::int64_t>(1, grid_.rows / row_reach);
-        bands_ = off_grid_.is_single_threaded() ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, max_bands));
+        bands_ =
+            off_grid_.is_single_threaded() ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, max_bands));
         off_grid_.prepare_poses(bands_);
         off_grid_.init_contact_by_rows(bands_, pitch_);
         // An anchor moves once a step with its particle, so copies of rows would need copies of anchors. Jaws move once
         // a step by the forces of all rows.
         synchronize_all_ = !plan.contacts.parallel_jaws.empty();
-        levels_ = has_off_grid || synchronize_all_ || (off_grid_.contact && plan.contacts.has_friction()) ? 1 : levels();
+        levels_ =
+            has_off_grid || synchronize_all_ || (off_grid_.contact && plan.contacts.has_friction()) ? 1 : levels();
         halo_ = row_reach * levels_;
         for (int b = 0; b <= bands_; ++b) border_.push_back(grid_.rows * b / bands_);
         if (has_off_grid) {
@@ -99,7 +101,8 @@ private:
         static const int cores = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
         const int workers = std::min(bands_, cores);
         ThreadPool::shared().run(
-            workers, [&](int w) { run_bands(bands_ * w / workers, bands_ * (w + 1) / workers); }, [&] { run_bands(0, bands_); });
+            workers, [&](int w) { run_bands(bands_ * w / workers, bands_ * (w + 1) / workers); },
+            [&] { run_bands(0, bands_); });
         return RunStatus::ok;
     }
     /// Listed elements may couple any particles: all threads wait until all positions are known, and again until they
@@ -126,7 +129,8 @@ private:
                 for (std::int64_t round = 0; round < rounds && done == RunStatus::ok; ++round) {
                     for (int b = 0; b < bands_; ++b) prepare(b, round);
                     if (off_grid_.is_active(round - 1))
-                        for (int b = 0; b < bands_ && done == RunStatus::ok; ++b) done = off_grid_.compute_forces(round - 1, b);
+                        for (int b = 0; b < bands_ && done == RunStatus::ok; ++b)
+                            done = off_grid_.compute_forces(round - 1, b);
                     for (int b = 0; b < bands_ && done == RunStatus::ok; ++b) end_round(b, round, rounds);
                 }
             });
@@ -140,7 +144,8 @@ private:
             load_band(b);
             return;
         }
-        for (int other_band = synchronize_all_ ? 0 : b - 1; other_band <= (synchronize_all_ ? bands_ - 1 : b + 1); ++other_band)
+        for (int other_band = synchronize_all_ ? 0 : b - 1; other_band <= (synchronize_all_ ? bands_ - 1 : b + 1);
+             ++other_band)
             if (other_band >= 0 && other_band < bands_ && other_band != b)
                 wait_until([&] { return counters_[other_band].rounds.load(std::memory_order_acquire) >= round; });
         receive_rows(b, round - 1);
@@ -196,7 +201,8 @@ private:
                 for (std::int64_t j = 0; run_.x && j < columns; ++j)
                     run_.x[at + j] = final_value<T>(x0[j], off_grid_.origin[c], x[j], sizeof(T) == 4 ? carry[j] : T(0));
                 const double* const v0 = run_.v0 + at;
-                for (std::int64_t j = 0; run_.v && j < columns; ++j) run_.v[at + j] = final_value<T>(v0[j], 0.0, v[j], T(0));
+                for (std::int64_t j = 0; run_.v && j < columns; ++j)
+                    run_.v[at + j] = final_value<T>(v0[j], 0.0, v[j], T(0));
             }
         }
     }
@@ -234,7 +240,8 @@ private:
             for (std::int64_t level = 0; level < levels; ++level) {
                 const std::int64_t row = front - row_reach * level, halo_rows = margin - row_reach * level;
                 const std::int64_t top = std::max<std::int64_t>(first - halo_rows, 0);
-                if (row < std::max<std::int64_t>(top - row_reach, 0) || row >= std::min(last + halo_rows, grid_.rows)) continue;
+                if (row < std::max<std::int64_t>(top - row_reach, 0) || row >= std::min(last + halo_rows, grid_.rows))
+                    continue;
                 advance_row(b, level, row, row >= top, begin + level);
             }
     }
@@ -254,7 +261,8 @@ private:
         PowerSums* const powers = run_.power_integrals && step >= 0 ? &powers_ : nullptr;
         if (!hinges_.empty()) add_hinge_row(hinges_, row, at, hinge_rows, owned, powers, off_grid_.multirate);
         if (!cells_.empty()) {
-            T* const cell_rows = force_rows_[b].data() + levels_ * rings() * 9 * pitch_ + 2 * level * air_row_size<T>(pitch_);
+            T* const cell_rows =
+                force_rows_[b].data() + levels_ * rings() * 9 * pitch_ + 2 * level * air_row_size<T>(pitch_);
             add_air_row(at, cells_.of(row), plan_.cells_air(), cell_rows, row, owned, powers);
         }
         step_row_(at, constants_, motion_of<T>(run_, step), owned);
@@ -269,7 +277,9 @@ private:
 
     /// Outer rows of a band for its neighbours. Two alternating buffers are enough: a band posts for round n + 2 after
     /// its neighbours have finished round n + 1 and therefore received n.
-    Array<T>& message(int border, int direction, std::int64_t round) { return messages_[(border * 2 + direction) * 2 + round % 2]; }
+    Array<T>& message(int border, int direction, std::int64_t round) {
+        return messages_[(border * 2 + direction) * 2 + round % 2];
+    }
     void post_rows(int b, std::int64_t round) {
         const std::size_t bytes = halo_ * stride_ * sizeof(T);
         if (b > 0) std::memcpy(message(b - 1, 0, round).data(), row_of(b, border_[b]), bytes);

@@ -16,9 +16,9 @@ struct Stencil {
 };
 /// Hinges of both checkerboard triangulations (sheets/surface.py): over a diagonal, then over an edge.
 inline constexpr int n_hinge_stencils = 6, n_spring_stencils = 2;
-inline constexpr Stencil hinge_stencils[n_hinge_stencils] = {{{1, 0, 0, 1}, {1, 0, 1, 0}}, {{0, 1, 0, 1}, {1, 0, 0, 1}},
-                                                   {{0, 1, 0, 0}, {1, 1, 0, 2}}, {{0, 1, 1, 1}, {1, 1, 0, 2}},
-                                                   {{1, 1, 0, 2}, {1, 0, 0, 0}}, {{1, 1, 0, 2}, {1, 0, 1, 1}}};
+inline constexpr Stencil hinge_stencils[n_hinge_stencils] = {
+    {{1, 0, 0, 1}, {1, 0, 1, 0}}, {{0, 1, 0, 1}, {1, 0, 0, 1}}, {{0, 1, 0, 0}, {1, 1, 0, 2}},
+    {{0, 1, 1, 1}, {1, 1, 0, 2}}, {{1, 1, 0, 2}, {1, 0, 0, 0}}, {{1, 1, 0, 2}, {1, 0, 1, 1}}};
 /// Springs between the wings of the hinges over an edge.
 inline constexpr Stencil spring_stencils[n_spring_stencils] = {{{0, 0}, {0, 2}}, {{0, 2}, {0, 0}}};
 
@@ -46,7 +46,8 @@ inline std::vector<std::int64_t> row_slots(const Grid& grid, const List& list) {
         const auto matches = [&](int k) {
             const Stencil stencil = stencil_of<Law>(k);
             for (int c = 0; c < C; ++c)
-                if (p[c] / grid.columns != top + stencil.row[c] || p[c] % grid.columns != left + stencil.column[c]) return false;
+                if (p[c] / grid.columns != top + stencil.row[c] || p[c] % grid.columns != left + stencil.column[c])
+                    return false;
             return true;
         };
         int k = 0;
@@ -67,7 +68,8 @@ class RowTable {
 public:
     RowTable(const Grid& grid, const List& list, const std::vector<std::int64_t>& slots)
         : kind(list.kind), damped(list.damped) {
-        const std::int64_t n_of_row = list.width == 4 ? n_hinge_stencils : n_spring_stencils, pitch = row_pitch<T>(grid.columns);
+        const std::int64_t n_of_row = list.width == 4 ? n_hinge_stencils : n_spring_stencils,
+                           pitch = row_pitch<T>(grid.columns);
         size_ = n_of_row * list.numbers * pitch;
         numbers_.assign(grid.rows * size_ + 64 / sizeof(T), T(0));
         has_.assign(grid.rows, 0);
@@ -75,13 +77,12 @@ public:
             const std::int64_t line = slots[e] / grid.columns, column = slots[e] % grid.columns;
             has_[line / n_of_row] = 1;
             for (std::int64_t p = 0; p < list.numbers; ++p)
-                numbers_[(line * list.numbers + p) * pitch + column] = static_cast<T>(list.params[e * list.numbers + p]);
+                numbers_[(line * list.numbers + p) * pitch + column] =
+                    static_cast<T>(list.params[e * list.numbers + p]);
         }
     }
     /// Whether a row, inside the sheet or not, owns an element.
-    bool has(std::int64_t row) const {
-        return row >= 0 && row < static_cast<std::int64_t>(has_.size()) && has_[row];
-    }
+    bool has(std::int64_t row) const { return row >= 0 && row < static_cast<std::int64_t>(has_.size()) && has_[row]; }
     const T* of(std::int64_t row) const { return numbers_.data() + row * size_; }
 
     Kind kind;

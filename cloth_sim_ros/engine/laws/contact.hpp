@@ -22,8 +22,9 @@ public:
 
     /// Thickness d [m] and damping kappa [s/m].
     ContactLaw(double thickness, double damping)
-        : inverse_(of(1.0 / thickness)), strength_(of(0.5 * speed * speed / thickness)), half_damping_(of(0.5 * damping)),
-          damping_speed_(of(damping * speed)), damping_scale_(of(0.5 * speed / thickness)) {}
+        : inverse_(of(1.0 / thickness)), strength_(of(0.5 * speed * speed / thickness)),
+          half_damping_(of(0.5 * damping)), damping_speed_(of(damping * speed)),
+          damping_scale_(of(0.5 * speed / thickness)) {}
 
     /// Accelerations [m/s^2] away from a surface, with and without damping, and b.
     struct ContactForce {

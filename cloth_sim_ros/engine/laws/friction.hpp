@@ -34,8 +34,8 @@ template <class V>
 class FrictionLaw {
 public:
     FrictionLaw(const FrictionCoefficients& coefficients, double frequency)
-        : sliding_(of(coefficients.sliding)), static_excess_(of(coefficients.at_rest - coefficients.sliding)), stiffness_(of(frequency * frequency)),
-          damping_(of(damping_per_frequency * frequency)) {}
+        : sliding_(of(coefficients.sliding)), static_excess_(of(coefficients.at_rest - coefficients.sliding)),
+          stiffness_(of(frequency * frequency)), damping_(of(damping_per_frequency * frequency)) {}
 
     /// Damping rate over frequency: a tenth of critical damping.
     static constexpr double damping_per_frequency = 0.2;
@@ -60,7 +60,8 @@ public:
             length = root(square);
             fraction = select(slides, cone_limit / select(slides, stiffness_ * length, of(1.0)), of(1.0));
         }
-        return Trial<std::remove_const_t<decltype(slides)>>{speed, fraction * tangential, square, length, cone_limit, slides};
+        return Trial<std::remove_const_t<decltype(slides)>>{speed, fraction * tangential, square, length, cone_limit,
+                                                            slides};
     }
 
     /// Friction force for the offset of the particle from the anchor, the normal, the relative velocity and the push.
@@ -74,29 +75,34 @@ public:
         const Vec3<V> speed = trial.speed, spring = stiffness_ * trial.stretch, damped = damping_ * speed;
         // Fraction of the damping that fits into the cone: |spring + fraction damped| = cone_limit, solved without
         // cancellation.
-        const V capacity = larger(fma(cone_limit, cone_limit, -norm2(spring)), none), square = norm2(damped), product = dot(spring, damped);
+        const V capacity = larger(fma(cone_limit, cone_limit, -norm2(spring)), none), square = norm2(damped),
+                product = dot(spring, damped);
         const auto exceeds = fma(of(2.0), product, square) > capacity;
         V fraction = unit;
         if (any(exceeds)) {
             const V size = root(fma(product, product, square * capacity));
             const auto against = product < none;
-            const V denominator = select(against, square, size + product), numerator = select(against, size - product, capacity);
+            const V denominator = select(against, square, size + product),
+                    numerator = select(against, size - product, capacity);
             const auto defined = denominator > none;
             const V solved = smaller(select(defined, numerator / select(defined, denominator, unit), none), unit);
             fraction = select(exceeds, solved, unit);
         }
         const Vec3<V> acceleration = -(spring + fraction * damped);
         const V elastic_power = select(slides, none, dot(spring, speed));
-        const V energy = select(slides, cone_limit * (trial.length - half * cone_limit / stiffness_), half * stiffness_ * trial.square);
+        const V energy = select(slides, cone_limit * (trial.length - half * cone_limit / stiffness_),
+                                half * stiffness_ * trial.square);
         using Mask = std::remove_const_t<decltype(slides)>;
-        return FrictionForce<V, Mask>{acceleration, trial.stretch, slides, -dot(acceleration, speed) - elastic_power, energy};
+        return FrictionForce<V, Mask>{acceleration, trial.stretch, slides, -dot(acceleration, speed) - elastic_power,
+                                      energy};
     }
 
 private:
     static CLOTH_INLINE V of(double a) { return splat<V>(scalar<V>(a)); }
     /// Friction coefficient at a squared sliding speed.
     CLOTH_INLINE V coefficient(V square) const {
-        const V none = of(0.0), unit = of(1.0), decline = fma(of(-1.0 / (stribeck_speed * stribeck_speed)), square, unit);
+        const V none = of(0.0), unit = of(1.0),
+                decline = fma(of(-1.0 / (stribeck_speed * stribeck_speed)), square, unit);
         const V r = smaller(larger(of(4.0 / 3.0) * decline, none), unit);
         return fma(static_excess_ * (r * r), fma(of(-2.0), r, of(3.0)), sliding_);
     }

@@ -99,7 +99,8 @@ struct Hinge {
 /// |(6V)''| <= sum of |opposite edge| |u_i||u_j|, |M'h'| <= |G||g|/M |u|^2 and |M M''| <= sum of max_area_curvature[i]
 /// |u_i|^2.
 template <class V, class L>
-CLOTH_INLINE void length_curvature(const Vec3<V>* p, const L& l, const Vec3<V>* g, const V* max_area_curvature, V* bound) {
+CLOTH_INLINE void length_curvature(const Vec3<V>* p, const L& l, const Vec3<V>* g, const V* max_area_curvature,
+                                   V* bound) {
     const Vec3<V> zero{}, x[4] = {zero, p[0], p[1], p[2]};
     const Vec3<V> area0 = -(l.area[0] + l.area[1] + l.area[2]);
     const V areas = norm2(area0) + norm2(l.area[0]) + norm2(l.area[1]) + norm2(l.area[2]);
@@ -138,7 +139,7 @@ struct CrossedAreas {
         const V length2 = norm2(a);
         V max_area_curvature[4];
         max_area_curvature[0] = splat<V>(2) * (length2 + norm2(w) + root(norm2(cross(a, w)))) +
-                  splat<V>(12 * parallel * parallel) * length2;
+                                splat<V>(12 * parallel * parallel) * length2;
         max_area_curvature[1] = max_area_curvature[2] = max_area_curvature[3] = max_area_curvature[0];
         length_curvature(d, l, g, max_area_curvature, bound);
     }

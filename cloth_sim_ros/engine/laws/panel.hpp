@@ -46,7 +46,8 @@ struct Panel {
     template <class V>
     static CLOTH_INLINE DragShares<V> shares(const Params<V>& p, const Vec3<V>* d) {
         const V corner_share = splat<V>(scalar<V>(1) / Corners);
-        return Corners == 3 ? shares(p, corner_share, d[0], d[1]) : shares(p, corner_share, d[1], d[Corners - 2] - d[0]);
+        return Corners == 3 ? shares(p, corner_share, d[0], d[1])
+                            : shares(p, corner_share, d[1], d[Corners - 2] - d[0]);
     }
     /// Add the drag on a corner to its force, u its velocity relative to the air. Tangential: whether there is drag
     /// along the surface.

@@ -49,7 +49,8 @@ struct Spring {
     template <class V>
     static CLOTH_INLINE void bounds(const Params<V>& p, const Vec3<V>* d, Bound<V>* b) {
         const Axis<V> at = axis(p, d[0]);
-        b[0] = b[1] = {outer(at.axial, at.unit, at.transverse), outer(at.damping, at.unit, V{}), splat<V>(1), V{}, at.transverse};
+        b[0] = b[1] = {outer(at.axial, at.unit, at.transverse), outer(at.damping, at.unit, V{}), splat<V>(1), V{},
+                       at.transverse};
     }
     /// The same as numbers: axial dd' + transverse I, and damping dd'.
     template <class V>
@@ -61,7 +62,8 @@ struct Spring {
     static CLOTH_INLINE Axis<V> axis(const Params<V>& p, Vec3<V> d) {
         const V inverse = inverse_root(norm2_plus(d, scalar<V>(min_length2)));
         const V two = splat<V>(2), axial = two * p.k;
-        const V transverse = smaller(absolute(fma(-two * p.ks, inverse, axial)), splat<V>(max_transverse_ratio) * axial);
+        const V transverse =
+            smaller(absolute(fma(-two * p.ks, inverse, axial)), splat<V>(max_transverse_ratio) * axial);
         return {inverse * d, axial - transverse, transverse, two * p.c};
     }
     /// Contribution to the matrix of an implicit step: `stiffness` (k dd' + transverse part of tension) + `damping` c

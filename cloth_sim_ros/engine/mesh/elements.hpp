@@ -76,7 +76,8 @@ public:
             return false;
         };
         for (std::int64_t begin = 0; begin < count; begin += chunk * interleave_stride) {
-            const std::int64_t n_in_chunk = std::min(chunk * interleave_stride, count - begin), rows = (n_in_chunk + interleave_stride - 1) / interleave_stride;
+            const std::int64_t n_in_chunk = std::min(chunk * interleave_stride, count - begin),
+                               rows = (n_in_chunk + interleave_stride - 1) / interleave_stride;
             for (std::int64_t i = 0; i < rows; ++i)
                 for (std::int64_t j = 0; j < interleave_stride; ++j)
                     if (j * rows + i < n_in_chunk && in_range(order[begin + j * rows + i]))
@@ -92,7 +93,8 @@ public:
         }
         for (int p = 0; p < numbers; ++p) {
             r.param[p].assign(r.count, T(0));
-            for (std::int64_t k = 0; k < count; ++k) r.param[p][k] = static_cast<T>(params[interleaved[k] * numbers + p]);
+            for (std::int64_t k = 0; k < count; ++k)
+                r.param[p][k] = static_cast<T>(params[interleaved[k] * numbers + p]);
         }
         return r;
     }
@@ -111,7 +113,8 @@ public:
 template <class Law, class V>
 inline typename Law::template Params<V> law_params(const V* numbers, const double* common) {
     using T = scalar<V>;
-    if constexpr (Law::params == 3) return {numbers[0], numbers[1], numbers[2]};
+    if constexpr (Law::params == 3)
+        return {numbers[0], numbers[1], numbers[2]};
     else if constexpr (Law::params == 2)
         return {numbers[0], numbers[1]};
     else

@@ -34,7 +34,8 @@ inline constexpr std::int64_t batch_size = 64;
 template <class Law, class V>
 struct Batch {
     using T = scalar<V>;
-    static constexpr int n_differences = Law::corners - 1, n_velocities = Law::absolute_velocities ? Law::corners : n_differences;
+    static constexpr int n_differences = Law::corners - 1,
+                         n_velocities = Law::absolute_velocities ? Law::corners : n_differences;
     alignas(64) T d[n_differences][3][batch_size], u[n_velocities][3][batch_size];
 
     static CLOTH_INLINE void put(Vec3<V> a, T (*to)[batch_size], std::int64_t k) {
@@ -82,8 +83,10 @@ public:
             for (std::int64_t begin = 0; begin < count_; begin += batch_size) {
                 const std::int64_t size = std::min(batch_size, count_ - begin);
                 for (std::int64_t k = 0; k < size; k += L) {
-                    const auto store_difference = [&](int c, Vec3<V> d, const quad<T>*) CLOTH_INLINED { batch.put(d, batch.d[c], k); };
-                    gather(begin + k, store_difference, [&](int c, Vec3<V> u) CLOTH_INLINED { batch.put(u, batch.u[c], k); });
+                    const auto store_difference = [&](int c, Vec3<V> d, const quad<T>*)
+                                                      CLOTH_INLINED { batch.put(d, batch.d[c], k); };
+                    gather(begin + k, store_difference,
+                           [&](int c, Vec3<V> u) CLOTH_INLINED { batch.put(u, batch.u[c], k); });
                 }
                 for (std::int64_t k = 0; k < size; k += L) {
                     Operands<Law, V> operands;
@@ -146,14 +149,16 @@ private:
         return g;
     }
     /// Forces of a central law: a number times the gathered quad, without deinterleaving.
-    CLOTH_INLINE void scatter_central(std::int64_t e, const Operands<Law, V>& operands, const quad<T>* differences) const {
+    CLOTH_INLINE void scatter_central(std::int64_t e, const Operands<Law, V>& operands,
+                                      const quad<T>* differences) const {
         const auto numbers = params(e);
         const V factor = Law::factor(numbers, operands.d[0], operands.u[0], Damped);
         record_powers(e, numbers, operands);
         T factors[L];
         store_as<V>(factors, factor);
         for (int k = 0; k < L; ++k) {
-            T *const first_force = f_ + std::size_t{corner_[0][e + k]}, *const second_force = f_ + std::size_t{corner_[1][e + k]};
+            T *const first_force = f_ + std::size_t{corner_[0][e + k]}, *const second_force =
+                                                                            f_ + std::size_t{corner_[1][e + k]};
             const quad<T> q{factors[k], factors[k], factors[k], factors[k]};
             store4(first_force, quad<T>(fma(q, differences[k], load4(first_force))));
             store4(second_force, quad<T>(fma(-q, differences[k], load4(second_force))));
@@ -174,8 +179,8 @@ private:
         }
     }
     CLOTH_INLINE void record_powers([[maybe_unused]] std::int64_t e,
-                            [[maybe_unused]] const typename Law::template Params<V>& numbers,
-                            [[maybe_unused]] const Operands<Law, V>& operands) const {
+                                    [[maybe_unused]] const typename Law::template Params<V>& numbers,
+                                    [[maybe_unused]] const Operands<Law, V>& operands) const {
         if constexpr (Record && Damped) {
             const V dissipation = Law::dissipation(numbers, operands.d, operands.u);
             for (int k = 0; k < L; ++k) powers_->dissipation[(e + k) & 15] += static_cast<double>(dissipation[k]);

@@ -22,7 +22,8 @@ inline double list_energy(const List& list, const double* x, std::int64_t n) {
 }
 
 /// Power of damping, and power of the wind [W].
-inline void list_power(const List& list, const double* x, const double* v, std::int64_t n, double& dissipation, double& external) {
+inline void list_power(const List& list, const double* x, const double* v, std::int64_t n, double& dissipation,
+                       double& external) {
     if (!list.damped) return;
     with_law(list.kind, [&](auto law) {
         using Law = decltype(law);
@@ -57,7 +58,8 @@ inline void add_list_bounds(const List& list, const double* x, std::int64_t n, d
                 const std::int64_t p = list.corners[e * list.width + i];
                 const Sym3<double>& k = bound[i].stiff;
                 const double isotropic = bound[i].isotropic;
-                if (stiff) add_block(stiff, n, p, {k.xx + isotropic, k.yy + isotropic, k.zz + isotropic, k.xy, k.xz, k.yz});
+                if (stiff)
+                    add_block(stiff, n, p, {k.xx + isotropic, k.yy + isotropic, k.zz + isotropic, k.xy, k.xz, k.yz});
                 if (damp && list.damped) add_block(damp, n, p, bound[i].damp);
                 if (transverse) transverse[p] += bound[i].transverse;
             }

@@ -16,8 +16,10 @@ class ListRun {
 public:
     ListRun(Plan& plan, const Run& run)
         : plan_(plan), run_(run), off_grid_(plan, run), velocity_(plan.workspace<T>(run.workspace).particle_arrays[0]),
-          previous_acceleration_(plan.workspace<T>(run.workspace).particle_arrays[1]), compensation_(plan.workspace<T>(run.workspace).particle_arrays[2]) {
-        threads_ = off_grid_.is_single_threaded() ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, plan.count));
+          previous_acceleration_(plan.workspace<T>(run.workspace).particle_arrays[1]),
+          compensation_(plan.workspace<T>(run.workspace).particle_arrays[2]) {
+        threads_ =
+            off_grid_.is_single_threaded() ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, plan.count));
         borders_ = threads_ > 1 ? plan.even_borders(threads_) : std::vector<std::int64_t>{0, plan.count};
         off_grid_.allocate(borders_);
         off_grid_.prepare_poses(threads_);
@@ -56,7 +58,8 @@ public:
             },
             [&] {
                 for (std::int64_t step = -1; step < run_.steps && done == RunStatus::ok; ++step) {
-                    for (int thread = 0; thread < threads_ && done == RunStatus::ok; ++thread) done = force(step, thread);
+                    for (int thread = 0; thread < threads_ && done == RunStatus::ok; ++thread)
+                        done = force(step, thread);
                     for (int thread = 0; thread < threads_ && done == RunStatus::ok; ++thread) move(step, thread);
                 }
             });
@@ -74,7 +77,8 @@ private:
             const std::int64_t rank = plan_.rank[plan_.grips.particle[grip]];
             if (rank < borders_[thread] || rank >= borders_[thread + 1]) continue;
             const T *const x = off_grid_.x.data() + 4 * rank, *const v = off_grid_.v.data() + 4 * rank;
-            const Vec3<T> force = off_grid_.grip_force(thread, grip, step, {x[0], x[1], x[2]}, {v[0], v[1], v[2]}, true);
+            const Vec3<T> force =
+                off_grid_.grip_force(thread, grip, step, {x[0], x[1], x[2]}, {v[0], v[1], v[2]}, true);
             f[4 * rank] += force.x, f[4 * rank + 1] += force.y, f[4 * rank + 2] += force.z;
         }
         off_grid_.add_contact(thread, step, f);
@@ -82,13 +86,17 @@ private:
     }
     void move(std::int64_t step, int thread) {
         // Loaded once, because the compiler has to assume that the stores in the loop alias these pointers.
-        const T *const f = (*off_grid_.partitions)[thread].f.data(), *const inverse = inverse_.data(), *const free = free_.data();
+        const T *const f = (*off_grid_.partitions)[thread].f.data(), *const inverse = inverse_.data(),
+                       *const free = free_.data();
         T *const position_quads = off_grid_.x.data(), *const damping_v = off_grid_.v.data();
-        T *const velocity = velocity_.data(), *const previous_a = previous_acceleration_.data(), *const carry = compensation_.data();
-        const quad<T> body_acceleration{T(plan_.body_acceleration(0)), T(plan_.body_acceleration(1)), T(plan_.body_acceleration(2)), T(0)};
+        T *const velocity = velocity_.data(), *const previous_a = previous_acceleration_.data(),
+                 *const carry = compensation_.data();
+        const quad<T> body_acceleration{T(plan_.body_acceleration(0)), T(plan_.body_acceleration(1)),
+                                        T(plan_.body_acceleration(2)), T(0)};
         const StepFactors<T> m = Evaluate ? evaluation<T> : motion_of<T>(run_, step);
         const auto all = [](T a) { return quad<T>{a, a, a, a}; };
-        const quad<T> kick = all(m.kick), predict = all(m.predict), predict_previous = all(m.predict_previous), drift = all(m.drift);
+        const quad<T> kick = all(m.kick), predict = all(m.predict), predict_previous = all(m.predict_previous),
+                      drift = all(m.drift);
         const quad<T> drag = all(static_cast<T>(-plan_.drag));
         for (std::int64_t p = borders_[thread]; p < borders_[thread + 1]; ++p) {
             const std::int64_t i = 4 * p;

@@ -26,7 +26,8 @@ inline RunStatus execute_run(Plan& plan, const Run& run) {
     return run_lists<T>(plan, run);
 }
 inline RunStatus execute_run(Plan& plan, const Run& run) {
-    return run.single_precision && !plan.is_surface_active() ? execute_run<float>(plan, run) : execute_run<double>(plan, run);
+    return run.single_precision && !plan.is_surface_active() ? execute_run<float>(plan, run)
+                                                             : execute_run<double>(plan, run);
 }
 
 inline void combine(std::int64_t arrays, const double* const* from, const double* weights, std::int64_t size,
@@ -53,19 +54,19 @@ inline double largest_distance(const double* x, const double* y, std::int64_t n)
 /// Request of a frame; the same layout as binding.Frame.
 struct Frame {
     double t, duration;
-    std::int64_t runs;               ///< number of runs, each with its number of steps
+    std::int64_t runs;  ///< number of runs, each with its number of steps
     const std::int64_t* steps;
-    const double* weights;           ///< of the runs in the combination
-    std::int64_t single_precision;             ///< whether runs use single precision
+    const double* weights;          ///< of the runs in the combination
+    std::int64_t single_precision;  ///< whether runs use single precision
     std::int64_t bands;
     const double *x0, *v0;
-    double* out;            ///< positions and velocities of each run, (runs, 2, 3, n)
-    double* result;         ///< of the combination, (2, 3, n), or null: then the first run is the result
+    double* out;     ///< positions and velocities of each run, (runs, 2, 3, n)
+    double* result;  ///< of the combination, (2, 3, n), or null: then the first run is the result
     /// For each run: the records of the grippers; dissipated and external power. With contact also: the records of the
     /// obstacles; the `ContactSummary`; squared frequency and damping rate of contact on the surface; friction work
     /// between layers; work of contacts that recover their thickness [J]. Null if none is requested.
     double* records;
-    std::int64_t record_powers;    ///< whether powers are recorded
+    std::int64_t record_powers;  ///< whether powers are recorded
     /// Nine numbers about the end of the frame, or null. 0: largest change of a particle's velocity over the frame
     /// [m/s]; infinite if the result is not finite, is beyond the surface of an obstacle, or the cloth may intersect
     /// itself. 1, 2: bounds of squared frequency [1/s^2] and damping rate [1/s] without contact. 3: energy per mass, in
@@ -74,13 +75,13 @@ struct Frame {
     /// [1/s] of hinges alone; 8: bound of the squared transverse frequency of springs. Zero without hinges, or if not
     /// requested.
     double* summary;
-    std::int64_t bounds_level;     ///< 1: bounds of frequency and damping are requested; 2: those of hinges too
-    std::int64_t record_obstacles;     ///< whether the work of obstacles is recorded
-    double* anchors;        ///< of each run at its end, as in `Contacts`, or null
-    double* jaw_states;        ///< of each run at its end, (runs, jaws, jaw_state_size), or null
-    std::int64_t multirate;     ///< steps per evaluation of hinges
-    std::int64_t combined;  ///< number of the runs in the combination, from the first on
-    std::int64_t concurrency;   ///< maximum number of concurrent runs
+    std::int64_t bounds_level;      ///< 1: bounds of frequency and damping are requested; 2: those of hinges too
+    std::int64_t record_obstacles;  ///< whether the work of obstacles is recorded
+    double* anchors;                ///< of each run at its end, as in `Contacts`, or null
+    double* jaw_states;             ///< of each run at its end, (runs, jaws, jaw_state_size), or null
+    std::int64_t multirate;         ///< steps per evaluation of hinges
+    std::int64_t combined;          ///< number of the runs in the combination, from the first on
+    std::int64_t concurrency;       ///< maximum number of concurrent runs
 };
 
 /// Size of a run's record of contact, see Frame::records.
@@ -97,22 +98,12 @@ inline std::vector<Run> runs_of(const Plan& plan, const Frame& frame) {
     for (std::int64_t k = 0; k < frame.runs; ++k) {
         double* const record = frame.records ? frame.records + k * size_of_record : nullptr;
         double* const out = frame.out + k * 6 * n;
-        runs.push_back({frame.t,
-                        frame.duration / static_cast<double>(frame.steps[k]),
-                        frame.steps[k],
-                        frame.single_precision != 0,
-                        static_cast<int>(frame.bands),
-                        frame.x0,
-                        frame.v0,
-                        out,
-                        out + 3 * n,
-                        record,
-                        frame.record_powers ? record + size : nullptr,
-                        contact_size ? record + size + 2 : nullptr,
-                        contact_size && frame.record_obstacles,
+        runs.push_back({frame.t, frame.duration / static_cast<double>(frame.steps[k]), frame.steps[k],
+                        frame.single_precision != 0, static_cast<int>(frame.bands), frame.x0, frame.v0, out,
+                        out + 3 * n, record, frame.record_powers ? record + size : nullptr,
+                        contact_size ? record + size + 2 : nullptr, contact_size && frame.record_obstacles,
                         frame.anchors ? frame.anchors + k * plan.anchor_count() : nullptr,
-                        frame.jaw_states ? frame.jaw_states + k * n_jaws * jaw_state_size : nullptr,
-                        frame.multirate});
+                        frame.jaw_states ? frame.jaw_states + k * n_jaws * jaw_state_size : nullptr, frame.multirate});
     }
     return runs;
 }
@@ -137,7 +128,8 @@ inline RunStatus execute_runs(Plan& plan, const Frame& frame) {
         execute_concurrently(plan, frame, runs);
         return RunStatus::ok;
     }
-    const std::int64_t contact_size = contact_record_size(plan), size = plan.grips.grippers * record_numbers + 2 + contact_size;
+    const std::int64_t contact_size = contact_record_size(plan),
+                       size = plan.grips.grippers * record_numbers + 2 + contact_size;
     ObstacleCulling obstacle_culling(plan, frame.duration, frame.x0, frame.v0);
     SelfCulling self_culling(plan, frame.duration, frame.x0, frame.v0);
     FeatureCulling feature_culling(plan, frame.t, frame.duration, frame.x0, frame.v0);
@@ -145,7 +137,8 @@ inline RunStatus execute_runs(Plan& plan, const Frame& frame) {
         const Run& run = runs[k];
         const RunStatus done = execute_run(plan, run);
         if (done != RunStatus::ok) return done;
-        const bool violated = contact_size && obstacle_culling.is_violated(run.v, run.contact_record + plan.contacts.count() * record_numbers);
+        const bool violated = contact_size && obstacle_culling.is_violated(
+                                                  run.v, run.contact_record + plan.contacts.count() * record_numbers);
         if (violated || self_culling.is_violated(run.v) || feature_culling.is_violated(run.v)) {
             if (violated) obstacle_culling.disable();
             self_culling.disable();
@@ -197,10 +190,11 @@ inline RunStatus execute_frame(Plan& plan, const Frame& frame) {
     frame.summary[4] = frame.summary[5] = 0.0;
     const double end = frame.t + frame.duration;
     if (plan.is_self_active())
-        include_bounds(predict_self_contact(plan, end, 0.0, 1.0, x, x + 3 * n), [&] { return ccd_self(plan, finest, x); });
+        include_bounds(predict_self_contact(plan, end, 0.0, 1.0, x, x + 3 * n),
+                       [&] { return ccd_self(plan, finest, x); });
     if (plan.is_feature_active())
         include_bounds(predict_feature_contact(plan, end, 0.0, 1.0, x, x + 3 * n),
-               [&] { return ccd_features(plan, end, 0.0, finest, x); });
+                       [&] { return ccd_features(plan, end, 0.0, finest, x); });
     if (frame.bounds_level) {
         const SpectralBounds r = spectral_bounds(plan, x, nullptr, nullptr, frame.bounds_level > 1);
         frame.summary[1] = r.omega2;

@@ -95,11 +95,17 @@ struct Grips {
         return f;
     }
     /// Accumulate the record of the force on a grip's particle over dt.
-    void accumulate(double* sums, std::int64_t grip, const Point& point, Vec3<double> f, Vec3<double> v, double dt) const {
+    void accumulate(double* sums, std::int64_t grip, const Point& point, Vec3<double> f, Vec3<double> v,
+                    double dt) const {
         const Vec3<double> reaction = -f, torque = cross(point.arm, reaction), slip = v - point.velocity;
-        const double rates[record_numbers] = {reaction.x,     reaction.y,     reaction.z,
-                                             torque.x, torque.y, torque.z,
-                                             dot(f, point.velocity), damping[grip] * norm2(slip)};
+        const double rates[record_numbers] = {reaction.x,
+                                              reaction.y,
+                                              reaction.z,
+                                              torque.x,
+                                              torque.y,
+                                              torque.z,
+                                              dot(f, point.velocity),
+                                              damping[grip] * norm2(slip)};
         for (int i = 0; i < record_numbers; ++i) sums[i] += dt * rates[i];
     }
 };

@@ -21,23 +21,24 @@ template <class T>
 struct OffGridForces {
     Plan& plan;
     const Run& run;
-    const bool multirate;  ///< whether hinges are evaluated once in several steps
-    const bool has_lists;   ///< whether lists exist that no row of the grid evaluates
-    const bool has_fast_lists;    ///< whether any of these are not hinges
+    const bool multirate;       ///< whether hinges are evaluated once in several steps
+    const bool has_lists;       ///< whether lists exist that no row of the grid evaluates
+    const bool has_fast_lists;  ///< whether any of these are not hinges
     double origin[3] = {};
-    Array<T>&x, &v;                  ///< positions and damping velocities, a quad per particle
-    std::vector<Partition<T>>* partitions = nullptr;  ///< partitions by thread, with their forces
+    Array<T>&x, &v;                                          ///< positions and damping velocities, a quad per particle
+    std::vector<Partition<T>>* partitions = nullptr;         ///< partitions by thread, with their forces
     std::vector<double> callback_x, callback_v, callback_f;  ///< arrays for the callback, (3, n)
-    std::vector<PoseCache> poses;        ///< one per thread
-    std::vector<double> grip_sums;       ///< (grips, record_numbers)
-    std::vector<T> quarter_impulse_factors;         ///< from hinge force to a quarter of the impulse over mass
+    std::vector<PoseCache> poses;                            ///< one per thread
+    std::vector<double> grip_sums;                           ///< (grips, record_numbers)
+    std::vector<T> quarter_impulse_factors;                  ///< from hinge force to a quarter of the impulse over mass
     std::optional<ObstacleRun<T>> contact;
     std::optional<SelfRun> self;
     std::optional<FeatureRun> features;
 
     OffGridForces(Plan& plan, const Run& run)
-        : plan(plan), run(run), multirate(run.multirate > 1 && plan.has_hinges()), has_lists(multirate || plan.has_off_grid_lists()),
-          has_fast_lists(plan.has_fast_off_grid_lists()), x(plan.workspace<T>(run.workspace).quads[0]), v(plan.workspace<T>(run.workspace).quads[1]) {
+        : plan(plan), run(run), multirate(run.multirate > 1 && plan.has_hinges()),
+          has_lists(multirate || plan.has_off_grid_lists()), has_fast_lists(plan.has_fast_off_grid_lists()),
+          x(plan.workspace<T>(run.workspace).quads[0]), v(plan.workspace<T>(run.workspace).quads[1]) {
         if constexpr (sizeof(T) == 4)
             for (int c = 0; c < 3; ++c) origin[c] = run.x0[c * plan.count];
         grip_sums.assign(plan.grips.count() * record_numbers, 0.0);
@@ -53,7 +54,8 @@ struct OffGridForces {
     bool needed() const { return has_lists || is_single_threaded(); }
     /// Whether these forces are needed in a step.
     bool is_active(std::int64_t step) const {
-        return needed() && (!multirate || run.evaluates_hinges(step) || has_fast_lists || self || features || needs_full_arrays());
+        return needed() &&
+               (!multirate || run.evaluates_hinges(step) || has_fast_lists || self || features || needs_full_arrays());
     }
     /// Whether a callback or the powers need all positions by component.
     bool needs_full_arrays() const { return plan.callback || run.power_integrals; }
@@ -86,10 +88,12 @@ struct OffGridForces {
         x.assign(4 * (plan.count + 1), T(0));
         v.assign(4 * (plan.count + 1), T(0));
         if (multirate) {
-            for (Array<T>& prediction : plan.workspace<T>(run.workspace).predicted_impulses) prediction.assign(4 * (plan.count + 1), T(0));
+            for (Array<T>& prediction : plan.workspace<T>(run.workspace).predicted_impulses)
+                prediction.assign(4 * (plan.count + 1), T(0));
             quarter_impulse_factors.resize(plan.count);
             for (std::int64_t i = 0; i < plan.count; ++i)
-                quarter_impulse_factors[plan.rank[i]] = static_cast<T>(0.25 * run.multirate * run.step * plan.inverse[i]);
+                quarter_impulse_factors[plan.rank[i]] =
+                    static_cast<T>(0.25 * run.multirate * run.step * plan.inverse[i]);
             for (Partition<T>& partition : *partitions) {
                 partition.hinge_forces.resize(4 * (plan.count + 1));
                 partition.hinge_velocities.resize(4 * (plan.count + 1));
@@ -111,8 +115,10 @@ struct OffGridForces {
         PowerSums list_powers;
         for (std::size_t k = 0; k < partition.lists.size(); ++k)
             if (!(multirate && plan.lists[k].slow))
-                add_forces<T>(plan.lists[k], partition.lists[k], x.data(), v.data(), f, record ? &list_powers : nullptr);
-        if (multirate && run.evaluates_hinges(step)) add_hinge_impulses(step, partition, record ? &list_powers : nullptr);
+                add_forces<T>(plan.lists[k], partition.lists[k], x.data(), v.data(), f,
+                              record ? &list_powers : nullptr);
+        if (multirate && run.evaluates_hinges(step))
+            add_hinge_impulses(step, partition, record ? &list_powers : nullptr);
         if constexpr (sizeof(T) == 8) {
             if (self) self->add(step, x.data(), v.data(), f, record ? list_powers.dissipation : nullptr);
             if (features) features->add(step, x.data(), v.data(), f);
@@ -129,20 +135,26 @@ struct OffGridForces {
         T *const next_prediction = predictions[evaluation % 2].data(), *const previous_quarter = predictions[2].data();
         for (std::int64_t i = 4 * partition.low; i < 4 * partition.high; i += 4)
             store4(partition.hinge_velocities.data() + i, quad<T>(load4(v.data() + i) + load4(prediction + i)));
-        std::fill(partition.hinge_forces.begin() + 4 * partition.low, partition.hinge_forces.begin() + 4 * partition.high, T(0));
+        std::fill(partition.hinge_forces.begin() + 4 * partition.low,
+                  partition.hinge_forces.begin() + 4 * partition.high, T(0));
         PowerSums hinge_powers;
         for (std::size_t k = 0; k < partition.lists.size(); ++k)
             if (plan.lists[k].slow)
-                add_forces<T>(plan.lists[k], partition.lists[k], x.data(), partition.hinge_velocities.data(), partition.hinge_forces.data(),
-                              list_powers ? &hinge_powers : nullptr);
-        for (int k = 0; list_powers && k < 16; ++k) list_powers->dissipation[k] += static_cast<double>(run.multirate) * hinge_powers.dissipation[k];
+                add_forces<T>(plan.lists[k], partition.lists[k], x.data(), partition.hinge_velocities.data(),
+                              partition.hinge_forces.data(), list_powers ? &hinge_powers : nullptr);
+        for (int k = 0; list_powers && k < 16; ++k)
+            list_powers->dissipation[k] += static_cast<double>(run.multirate) * hinge_powers.dissipation[k];
         const T weight = static_cast<T>(step < 0 ? 0 : run.multirate);
         T* const f = partition.f.data();
         for (std::int64_t p = partition.first; p < partition.last; ++p) {
-            const quad<T> impulse = load4(partition.hinge_forces.data() + 4 * p), weights{weight, weight, weight, weight};
-            const quad<T> factor{quarter_impulse_factors[p], quarter_impulse_factors[p], quarter_impulse_factors[p], quarter_impulse_factors[p]}, quarter_impulse = factor * impulse;
+            const quad<T> impulse = load4(partition.hinge_forces.data() + 4 * p),
+                          weights{weight, weight, weight, weight};
+            const quad<T> factor{quarter_impulse_factors[p], quarter_impulse_factors[p], quarter_impulse_factors[p],
+                                 quarter_impulse_factors[p]},
+                quarter_impulse = factor * impulse;
             store4(f + 4 * p, fma(weights, impulse, load4(f + 4 * p)));
-            store4(next_prediction + 4 * p, quad<T>(quarter_impulse + (step < 0 ? quarter_impulse : load4(previous_quarter + 4 * p))));
+            store4(next_prediction + 4 * p,
+                   quad<T>(quarter_impulse + (step < 0 ? quarter_impulse : load4(previous_quarter + 4 * p))));
             store4(previous_quarter + 4 * p, quarter_impulse);
         }
     }
@@ -158,7 +170,8 @@ struct OffGridForces {
         if (plan.callback) {
             std::fill(callback_f.begin(), callback_f.end(), 0.0);
             double* const callback_powers = record ? totals : nullptr;
-            if (plan.callback(midpoint_time(run, step), callback_x.data(), callback_v.data(), callback_f.data(), callback_powers) != callback_ok)
+            if (plan.callback(midpoint_time(run, step), callback_x.data(), callback_v.data(), callback_f.data(),
+                              callback_powers) != callback_ok)
                 return RunStatus::callback_failed;
         }
         if (record) {
@@ -200,15 +213,16 @@ struct OffGridForces {
         const std::int64_t columns = plan.grid->columns, first = row * columns, last = first + columns;
         T* const forces = at.force_rows[0];
         if (contact)
-            contact->add(thread, row, step, at.row[0] + position * at.pitch, at.row[0] + damping_velocity * at.pitch, forces, columns,
-                         record);
+            contact->add(thread, row, step, at.row[0] + position * at.pitch, at.row[0] + damping_velocity * at.pitch,
+                         forces, columns, record);
         const auto& particles = plan.grips.particle;
         auto grip = particles.empty() ? particles.end() : std::lower_bound(particles.begin(), particles.end(), first);
         for (; grip != particles.end() && *grip < last; ++grip) {
             const std::int64_t j = *grip - first;
-            const T *const x = at.row[0] + position * at.pitch + j, *const v = at.row[0] + damping_velocity * at.pitch + j;
+            const T *const x = at.row[0] + position * at.pitch + j, *const v =
+                                                                        at.row[0] + damping_velocity * at.pitch + j;
             const Vec3<T> f = grip_force(thread, grip - particles.begin(), step, {x[0], x[at.pitch], x[2 * at.pitch]},
-                                   {v[0], v[at.pitch], v[2 * at.pitch]}, record);
+                                         {v[0], v[at.pitch], v[2 * at.pitch]}, record);
             forces[j] += f.x, forces[at.pitch + j] += f.y, forces[2 * at.pitch + j] += f.z;
         }
         if (!is_active(step)) return;
@@ -246,15 +260,19 @@ struct OffGridForces {
         }
         if (!run.contact_record) return;
         double* const summary = run.contact_record + plan.contacts.count() * record_numbers;
-        const ContactBounds self_bounds = self ? self->bounds() : ContactBounds{}, feature_bounds = features ? features->bounds() : ContactBounds{};
+        const ContactBounds self_bounds = self ? self->bounds() : ContactBounds{},
+                            feature_bounds = features ? features->bounds() : ContactBounds{};
         if (self) summary[1] = smaller(self->gap(), summary[1]);
         if (features) summary[1] = smaller(features->gap(), summary[1]);
         summary[ContactSummary::numbers] = self_bounds.omega2 + feature_bounds.omega2;
         summary[ContactSummary::numbers + 1] = self_bounds.damping + feature_bounds.damping;
-        summary[ContactSummary::numbers + 3] += (self ? self->growth_work() : 0.0) + (features ? features->growth_work() : 0.0);
+        summary[ContactSummary::numbers + 3] +=
+            (self ? self->growth_work() : 0.0) + (features ? features->growth_work() : 0.0);
         if (!self) return;
         summary[ContactSummary::numbers + 2] = self->friction_work();
-        if (run.anchors) self->anchors(run.steps, plan.particle_of_rank.data(), run.anchors + plan.contacts.obstacle_anchors(plan.count));
+        if (run.anchors)
+            self->anchors(run.steps, plan.particle_of_rank.data(),
+                          run.anchors + plan.contacts.obstacle_anchors(plan.count));
     }
     /// Record that no obstacle was near.
     void record_no_contact() {
@@ -274,7 +292,8 @@ struct OffGridForces {
         if (!run.gripper_record) return;
         for (std::int64_t grip = 0; grip < plan.grips.count(); ++grip)
             for (int k = 0; k < record_numbers; ++k)
-                run.gripper_record[plan.grips.gripper[grip] * record_numbers + k] += grip_sums[grip * record_numbers + k];
+                run.gripper_record[plan.grips.gripper[grip] * record_numbers + k] +=
+                    grip_sums[grip * record_numbers + k];
     }
 };
 

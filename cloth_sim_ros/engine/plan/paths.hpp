@@ -53,10 +53,12 @@ inline void rotation_vector(const double* start, const double* end, double* out)
 /// The end velocity is the mean velocity times displacement . previous / |displacement|^2, clamped to 0 to 1, where
 /// `previous` is the displacement of the last frame. Therefore a steady stream of targets is followed without ripple,
 /// and a jump ends at rest without overshoot.
-inline void cubic_path(const double* displacement, const double* start, const double* previous, double duration, double* cubic,
-                       double* end_velocity) {
-    const double square = displacement[0] * displacement[0] + displacement[1] * displacement[1] + displacement[2] * displacement[2];
-    const double product = displacement[0] * previous[0] + displacement[1] * previous[1] + displacement[2] * previous[2];
+inline void cubic_path(const double* displacement, const double* start, const double* previous, double duration,
+                       double* cubic, double* end_velocity) {
+    const double square =
+        displacement[0] * displacement[0] + displacement[1] * displacement[1] + displacement[2] * displacement[2];
+    const double product =
+        displacement[0] * previous[0] + displacement[1] * previous[1] + displacement[2] * previous[2];
     double velocity_ratio = square > 0.0 ? product / square : 0.0;
     velocity_ratio = velocity_ratio > 0.0 ? velocity_ratio : 0.0;
     velocity_ratio = velocity_ratio < 1.0 ? velocity_ratio : 1.0;

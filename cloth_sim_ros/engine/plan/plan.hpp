@@ -142,7 +142,8 @@ struct Plan {
         auto& cached = workspace<T>(index).partitions[multirate][borders.size() > 2];
         bool is_current = cached.size() + 1 == borders.size();
         for (std::size_t k = 0; is_current && k < cached.size(); ++k)
-            is_current = cached[k].first == borders[k] && cached[k].last == borders[k + 1] && cached[k].lists.size() == lists.size();
+            is_current = cached[k].first == borders[k] && cached[k].last == borders[k + 1] &&
+                         cached[k].lists.size() == lists.size();
         if (is_current) return cached;
         assign_lists();
         // Stored once complete, because memory may run out.
@@ -235,16 +236,16 @@ struct Run {
     std::int64_t steps;
     bool single_precision;
     int bands;
-    const double *x0, *v0;  ///< at the start, (3, n)
-    double *x, *v;          ///< at the end; v may be null
-    double* gripper_record;         ///< (grippers, record_numbers), or null
-    double* power_integrals;         ///< time integrals of dissipated and external power [J], or null
+    const double *x0, *v0;             ///< at the start, (3, n)
+    double *x, *v;                     ///< at the end; v may be null
+    double* gripper_record;            ///< (grippers, record_numbers), or null
+    double* power_integrals;           ///< time integrals of dissipated and external power [J], or null
     double* contact_record = nullptr;  ///< (obstacles, record_numbers), then the `ContactSummary`, or null
-    bool record_obstacles = false;         ///< whether the work of obstacles is recorded
-    double* anchors = nullptr;  ///< at the end, (obstacles, anchor_numbers, n), or null
-    double* jaw_states = nullptr;  ///< jaw states at the end, (jaws, jaw_state_size), or null
-    std::int64_t multirate = 1;     ///< steps per evaluation of hinges, in the middle one; odd, divides `steps`
-    int workspace = 0;               ///< index of the workspace
+    bool record_obstacles = false;     ///< whether the work of obstacles is recorded
+    double* anchors = nullptr;         ///< at the end, (obstacles, anchor_numbers, n), or null
+    double* jaw_states = nullptr;      ///< jaw states at the end, (jaws, jaw_state_size), or null
+    std::int64_t multirate = 1;        ///< steps per evaluation of hinges, in the middle one; odd, divides `steps`
+    int workspace = 0;                 ///< index of the workspace
 
     /// Whether hinges are evaluated in a step. At the start they are evaluated without effect on the motion.
     bool evaluates_hinges(std::int64_t step) const { return step < 0 || step % multirate == multirate / 2; }
@@ -262,7 +263,9 @@ inline StepFactors<T> motion_of(const Run& run, std::int64_t step) {
 /// Factors of a single evaluation: nothing moves, and zero velocities become accelerations.
 template <class T>
 inline constexpr StepFactors<T> evaluation{T(1), T(0), T(0), T(0)};
-inline double midpoint_time(const Run& run, std::int64_t step) { return step < 0 ? run.t : run.t + (step + 0.5) * run.step; }
+inline double midpoint_time(const Run& run, std::int64_t step) {
+    return step < 0 ? run.t : run.t + (step + 0.5) * run.step;
+}
 
 /// Value at the end of a run; in single precision the change is added to the initial value.
 template <class T>
@@ -271,7 +274,7 @@ inline double final_value(double initial, double origin, T value, T compensation
         return static_cast<double>(value);
     else
         return initial + ((static_cast<double>(value) - static_cast<double>(static_cast<T>(initial - origin))) +
-                         static_cast<double>(compensation_));
+                          static_cast<double>(compensation_));
 }
 
 /// Scaling of the self-contact of each particle at a time t, by rank; empty without reduction.

@@ -41,7 +41,8 @@ inline Energy energy_of(Plan& plan, double t, const double* x, const double* v) 
     return e;
 }
 
-inline void grid_and_field_powers(const Plan& plan, const double* x, const double* v, double& dissipation, double& external) {
+inline void grid_and_field_powers(const Plan& plan, const double* x, const double* v, double& dissipation,
+                                  double& external) {
     const std::int64_t n = plan.count;
     if (plan.grid) dissipation += grid_dissipation(*plan.grid, plan.tables, x, v);
     const Vec3<double> wind{plan.wind[0], plan.wind[1], plan.wind[2]};
@@ -57,7 +58,8 @@ inline void grid_and_field_powers(const Plan& plan, const double* x, const doubl
     external += wind_power;
 }
 
-inline void total_powers(Plan& plan, double t, const double* x, const double* v, double& dissipation, double& external) {
+inline void total_powers(Plan& plan, double t, const double* x, const double* v, double& dissipation,
+                         double& external) {
     if (plan.self) dissipation += self_dissipation(plan, t, x, v);
     for (const List& list : plan.lists) list_power(list, x, v, plan.count, dissipation, external);
     grid_and_field_powers(plan, x, v, dissipation, external);
@@ -71,14 +73,14 @@ inline void add_grip_wrenches(const Plan& plan, double t, const double* x, const
         const auto point = grips.point(pose, grip);
         const Vec3<double> position = particle(x, plan.count, grips.particle[grip]);
         const Vec3<double> velocity = particle(v, plan.count, grips.particle[grip]);
-        grips.accumulate(wrenches + grips.gripper[grip] * record_numbers, grip, point, grips.force(grip, point, position, velocity), velocity,
-                  1.0);
+        grips.accumulate(wrenches + grips.gripper[grip] * record_numbers, grip, point,
+                         grips.force(grip, point, position, velocity), velocity, 1.0);
     }
 }
 
 /// Add (df/dx) dx + (df/dv) dv [N] to out.
-inline void add_product(Plan& plan, double t, const double* x, const double* v, const double* dx,
-                        const double* dv, double* out) {
+inline void add_product(Plan& plan, double t, const double* x, const double* v, const double* dx, const double* dv,
+                        double* out) {
     const std::int64_t n = plan.count;
     if (plan.grid) add_grid_product(*plan.grid, x, v, dx, dv, out);
     for (const List& list : plan.lists) add_list_product(list, x, v, dx, dv, n, out);

@@ -58,18 +58,20 @@ public:
     /// `blocks` (12, n) of all parts with equal weights, and the resulting stiffness and damping of each particle; or
     /// of hinges alone.
     PerronBound(const Plan& plan, const double* x, const Array<double>& blocks, const Array<double>& k,
-              const Array<double>& c, bool hinges)
+                const Array<double>& c, bool hinges)
         : plan_(plan), quantities_{Quantity(k), Quantity(c)} {
         if (!quantities_[0].has_outliers && !quantities_[1].has_outliers) return;
         index_.assign(plan.count, -1);
         std::vector<char> is_outlier(plan.count, 0);
         for (const Quantity& quantity : quantities_)
-            for (std::int64_t i = 0; quantity.has_outliers && i < plan.count; ++i) is_outlier[i] |= quantity.rows[i] > quantity.typical;
+            for (std::int64_t i = 0; quantity.has_outliers && i < plan.count; ++i)
+                is_outlier[i] |= quantity.rows[i] > quantity.typical;
         // The rows of outliers have to decrease.
         for (std::int64_t i = 0; i < plan.count; ++i)
             if (is_outlier[i]) index_of(i);
         for (const List& list : plan.lists)
-            if (list.slow || !hinges) with_law(list.kind, [&](auto law) { collect<decltype(law)>(list, x, is_outlier); });
+            if (list.slow || !hinges)
+                with_law(list.kind, [&](auto law) { collect<decltype(law)>(list, x, is_outlier); });
         gather(blocks);
         for (int round = 0; round < rounds; ++round) refine_weights(is_outlier);
     }
@@ -86,7 +88,8 @@ private:
     /// Stiffness or damping.
     struct Quantity {
         explicit Quantity(const Array<double>& rows) : rows(rows), best(largest_or_nan(rows.data(), rows.size())) {
-            const auto count = static_cast<std::int64_t>(rows.size()), n_weights = std::max(count / particles_per_weight, particles_per_weight);
+            const auto count = static_cast<std::int64_t>(rows.size()),
+                       n_weights = std::max(count / particles_per_weight, particles_per_weight);
             if (!(best > 0.0)) return;
             if (n_weights < count) {
                 Array<double> sorted = rows;
@@ -136,7 +139,9 @@ private:
         }
         return index_[i];
     }
-    static const Sym3<double>& block_of(const Bound<double>& bound, int quantity) { return quantity ? bound.damp : bound.stiff; }
+    static const Sym3<double>& block_of(const Bound<double>& bound, int quantity) {
+        return quantity ? bound.damp : bound.stiff;
+    }
 
     void gather(const Array<double>& blocks) {
         const auto count = static_cast<std::int64_t>(particles_.size());
@@ -151,7 +156,8 @@ private:
                     quantity.fixed[row * count + j] = blocks[(6 * k + row) * plan_.count + particles_[j]];
             }
             for (const SharedElement& e : elements_)
-                for (int i = 0; i < e.corners; ++i) add_scaled(quantity.fixed, count, e.at[i], -1.0, block_of(e.bound[i], k));
+                for (int i = 0; i < e.corners; ++i)
+                    add_scaled(quantity.fixed, count, e.at[i], -1.0, block_of(e.bound[i], k));
         }
     }
     static void add_scaled(Array<double>& blocks, std::int64_t n, std::int64_t i, double by, const Sym3<double>& b) {
@@ -174,7 +180,8 @@ private:
                 for (int i = 0; i < e.corners; ++i) total += e.bound[i].norm * quantity.weights[e.at[i]];
                 total /= e.total;
                 for (int i = 0; i < e.corners; ++i)
-                    add_scaled(quantity.blocks, count, e.at[i], total / quantity.weights[e.at[i]], block_of(e.bound[i], k));
+                    add_scaled(quantity.blocks, count, e.at[i], total / quantity.weights[e.at[i]],
+                               block_of(e.bound[i], k));
             }
             eigenvalues(quantity.blocks.data(), count, quantity.current.data());
             double bound = quantity.target;
@@ -232,7 +239,8 @@ inline SpectralBounds hinge_bounds(const Plan& plan, const double* x, double* bl
 /// Bounds of the squared highest frequency [1/s^2] and the highest damping rate [1/s], without contact. `stiff` [N/m]
 /// and `damp` [N s/m], (6, n) or null: blocks of forces in Python. `hinges`: whether those of hinges alone are
 /// requested.
-inline SpectralBounds spectral_bounds(Plan& plan, const double* x, const double* stiff, const double* damp, bool hinges) {
+inline SpectralBounds spectral_bounds(Plan& plan, const double* x, const double* stiff, const double* damp,
+                                      bool hinges) {
     const std::int64_t n = plan.count;
     Array<double> k(n), c(n, 0.0), blocks;
     SpectralBounds result{};
@@ -277,7 +285,7 @@ inline SpectralBounds spectral_bounds(Plan& plan, const double* x, const double*
         free = free || plan.inverse[i] > 0.0;
     }
     const SpectralBounds all = blocks.empty() ? SpectralBounds{largest_or_nan(k.data(), n), largest_or_nan(c.data(), n)}
-                                     : PerronBound(plan, x, blocks, k, c, false).result();
+                                              : PerronBound(plan, x, blocks, k, c, false).result();
     result.omega2 = all.omega2;
     result.damping = all.damping + (free ? plan.drag : 0.0);
     return result;
