@@ -1,9 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Installation of a missing C++ compiler.
-
-As root with apt-get the compiler is installed. Otherwise one sentence gives the remedy.
-"""
+"""Ensures that there is a C++ compiler: installs it with apt-get as root, otherwise prints the remedy."""
 
 from __future__ import annotations
 
@@ -19,22 +16,22 @@ ENGINE = Path(__file__).resolve().parent.parent / "cloth_sim_ros" / "engine"
 
 
 def load_build() -> SimpleNamespace:
-    """Load engine/build.py by its path, because the package can't be imported before it is installed."""
+    """Load the engine's build.py by its path, because the package can't be imported before it is installed."""
     return SimpleNamespace(**runpy.run_path(str(ENGINE / "build.py")))
 
 
-def say(text: str) -> None:
-    """Print a line at once, also through a pipe."""
+def report(text: str) -> None:
+    """Print at once, also into a pipe."""
     print(text, flush=True)
 
 
 def ensure() -> bool:
-    """Return True if a compiler exists, after an attempt to install a missing one."""
+    """Install a compiler if there is none; return whether there is one now. Reports its progress."""
     build = load_build()
     try:
         build.find_compiler()
     except build.NoCompilerError as error:
-        # A compiler that CXX names is not replaced, even if it is missing.
+        # A missing compiler that CXX names is not replaced.
         if os.environ.get("CXX", "").strip() or os.geteuid() != 0 or not shutil.which("apt-get"):
             report(str(error))
             return False
@@ -43,7 +40,7 @@ def ensure() -> bool:
     report(f"cloth_sim_ros: its engine is C++ and there is no compiler; installing {PACKAGE} with apt-get ...")
     environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
     for command in (["update", "-qq"], ["install", "-y", "-qq", "--no-install-recommends", PACKAGE]):
-        # The list of unpacked packages is of no use; errors go to the other stream.
+        # The progress of each package is discarded; errors are on the other stream.
         done = subprocess.run(["apt-get", *command], env=environment, check=False, stdout=subprocess.DEVNULL)
         if done.returncode:
             report(

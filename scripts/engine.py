@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Builds the engine beside its sources, for an environment that uses the package in place. Run by the Makefile.
 
-If nothing is to do, it ends within a tenth of a second. It builds the library that this machine loads; with `--every`
-all libraries that it can run, which the tests compare. With `--sanitize` it builds the engine with the address and the
-undefined-behaviour sanitizer, into a separate folder, and runs tests with it.
+Builds the library that this machine loads; with `--every` all that it can run, whose bits the tests compare. Takes a
+tenth of a second if they are up to date. With `--sanitize` it builds the engine with the address and the
+undefined-behaviour sanitizer, into a folder of its own, and runs tests with it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SANITIZED = ROOT / "build" / "sanitize"
 
 
 def preloaded() -> str:
-    """Return the libraries that must be loaded before Python's own: the sanitizer and its dependencies.
+    """Paths of the libraries to preload: the sanitizer, and the C++ library that it needs at its start.
 
     Raises:
         RuntimeError: if the compiler is not GCC, or has no sanitizer.
@@ -32,22 +32,22 @@ def preloaded() -> str:
     command = build.find_compiler()
     if "clang" in build.describe(command):
         raise RuntimeError("cloth_sim_ros: the sanitizers' tests run with g++, not with clang: make sanitize CXX=g++.")
-    found = []
-    # Without a preloaded C++ library the sanitizer stops at the first exception.
+    paths = []
+    # Without the C++ library at its start, the sanitizer aborts at the first exception.
     for name in ("libasan.so", "libstdc++.so.6"):
         done = subprocess.run([*command, f"-print-file-name={name}"], check=True, capture_output=True, text=True)
         path = done.stdout.strip()
-        if path == name:  # the compiler's answer for a missing file
+        if path == name:  # the compiler's answer if it has no such file
             raise RuntimeError(f"cloth_sim_ros: {command[0]} has no {name}; install the package libasan8 or its like.")
         paths.append(path)
     return " ".join(paths)
 
 
 def sanitize(tests: list[str]) -> int:
-    """Run tests with the libraries of the widest and the simplest vectors; return the first status other than 0."""
+    """Run tests with the widest and the plainest library; return the first exit status that is not 0."""
     build = compiler.load_build()
     libraries = runpy.run_path(str(compiler.ENGINE / "instruction_set.py"))["libraries"]()
-    names = list(dict.fromkeys([libraries[0], libraries[-1]]))  # the widest and the simplest vectors that run here
+    names = list(dict.fromkeys([libraries[0], libraries[-1]]))  # the widest vectors that run here, and the plainest
     try:
         preload = preloaded()
         build.build(
@@ -63,13 +63,13 @@ def sanitize(tests: list[str]) -> int:
             **os.environ,
             "CLOTH_SIM_ROS_ENGINE": str(library),
             "LD_PRELOAD": preload,
-            # Python itself does not free all of its memory.
+            # Python never frees all its memory.
             "ASAN_OPTIONS": "detect_leaks=0",
-            # With malloc each small array too has its own block with checked ends.
+            # Small arrays get memory of their own too, whose ends are checked.
             "PYTHONMALLOC": "malloc",
             "UBSAN_OPTIONS": "print_stacktrace=1",
         }
-        # The sanitizer writes its findings to the error stream itself, which pytest would capture.
+        # Sanitizers report on the error stream, which pytest would capture.
         command = [sys.executable, "-m", "pytest", "--capture=sys", *tests]
         status = subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
         if status:
