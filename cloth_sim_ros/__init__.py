@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0"
 
-_PLACES = {
+_MODULES = {
     "Advance": "physics.integrators.base",
     "AirPanels": "physics.forces.air_panels",
     "AltitudeSprings": "physics.forces.altitude",
@@ -117,6 +117,6 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import a public name's module at its first use."""
-    if name not in _PLACES:
+    if name not in _MODULES:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(importlib.import_module(f"{__name__}.{_PLACES[name]}"), name)
+    return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)

@@ -15,13 +15,13 @@ def main() -> None:
     positions = np.zeros((COUNT, 3))
     positions[:, 0] = np.linspace(0.0, LENGTH, COUNT)
     pairs = np.stack([np.arange(COUNT - 1), np.arange(1, COUNT)], axis=1)
-    rest, mass = LENGTH / (COUNT - 1), MASS / COUNT
-    springs = PairSprings(pairs, rest, STIFFNESS, DAMPING * np.sqrt(STIFFNESS * mass / rest))
+    rest_length, mass = LENGTH / (COUNT - 1), MASS / COUNT
+    springs = PairSprings(pairs, rest_length, STIFFNESS, DAMPING * np.sqrt(STIFFNESS * mass / rest_length))
     forces = [springs, Gravity([0.0, 0.0, -9.81]), Drag(0.2)]
     model = Model(np.full(COUNT, mass), forces, anchors=[0, COUNT - 1])
     motion = simulate(model, State(positions), until=1.0, save_at=[0.25, 0.5, 1.0], tolerance=1e-5)
-    for time, at in zip(motion.times, motion.positions, strict=True):
-        print(f"{time:.2f} s: lowest point {at[:, 2].min():.4f} m")
+    for time, positions_at in zip(motion.times, motion.positions, strict=True):
+        print(f"{time:.2f} s: lowest point {positions_at[:, 2].min():.4f} m")
     steps = sum(advance.steps for advance in motion.advances)
     print(f"{steps} steps by {motion.advances[-1].integrator}")
 

@@ -23,7 +23,7 @@ def main() -> None:
     if not close.wait_for_service(timeout_sec=30.0):
         raise SystemExit(f"no service {GRIPPER}/close within 30 s; does cloth_sim run?")
 
-    def lead(seconds: float, low: float, high: float) -> None:
+    def move(seconds: float, low: float, high: float) -> None:
         """Publish 100 targets a second, from the lower to the upper height [m] above the corner's position."""
         for k in range(count := round(seconds * 100)):
             message = PointStamped()  # an empty frame_id is the cloth's own, a zero stamp means now
@@ -37,9 +37,9 @@ def main() -> None:
         answer = future.result()
         print(answer.message if answer else "no answer within 10 s", flush=True)
 
-    lead(1.0, 0.5, 0.5)  # to the corner; targets are lost until the nodes have discovered each other
+    move(1.0, 0.5, 0.5)  # to the corner; targets are lost until the nodes have discovered each other
     set_closed(True)
-    lead(2.0, 0.5, 0.9)
+    move(2.0, 0.5, 0.9)
     set_closed(False)
     rclpy.shutdown()
 

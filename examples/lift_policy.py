@@ -12,13 +12,13 @@ class Lift:
     def __init__(self) -> None:
         self.corner = None
 
-    def __call__(self, seen: Observation) -> list[Target | Grasp]:
+    def __call__(self, observation: Observation) -> list[Target | Grasp]:
         """Return the events of the frame."""
         if self.corner is None:
-            self.corner = seen.positions[-1]
+            self.corner = observation.positions[-1]
             return [Target("gripper", self.corner), Grasp("gripper", True)]
-        shake = 1e-3 * seen.rng.normal(size=3)  # the run's own random numbers
-        shake[2] += seen.values["speed"] * seen.time
+        shake = 1e-3 * observation.rng.normal(size=3)  # the run's own random numbers
+        shake[2] += observation.values["speed"] * observation.time
         return [Target("gripper", self.corner + shake)]
 
 

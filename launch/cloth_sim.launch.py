@@ -40,7 +40,7 @@ _ARGUMENTS: list[tuple[str, Any, str, list[str] | None]] = [
 #: Meshes of scenes, which a node gets by absolute path.
 _MESHES = {"stack": "stack.obj"}
 #: Topics of the RViz configuration, written for a node /cloth_sim with a gripper `gripper`.
-_SHOWN = ("points", "mesh", "obstacles", "gripper/point")
+_RVIZ_TOPICS = ("points", "mesh", "obstacles", "gripper/point")
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -53,47 +53,47 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _actions(context: LaunchContext) -> list[Any]:
-    given = {name: LaunchConfiguration(name).perform(context) for name, *_ in _ARGUMENTS}
-    clock = [{"use_sim_time": given["use_sim_time"].lower() == "true"}] if given["use_sim_time"] else []
-    scene = [given["params_file"] or PathJoinSubstitution([_CONFIG, f"{given['scene']}.yaml"])]
-    if not given["params_file"] and given["scene"] in _MESHES:
-        scene.append({"cloth.mesh": PathJoinSubstitution([_CONFIG, _MESHES[given["scene"]]])})
+    arguments = {name: LaunchConfiguration(name).perform(context) for name, *_ in _ARGUMENTS}
+    clock = [{"use_sim_time": arguments["use_sim_time"].lower() == "true"}] if arguments["use_sim_time"] else []
+    scene = [arguments["params_file"] or PathJoinSubstitution([_CONFIG, f"{arguments['scene']}.yaml"])]
+    if not arguments["params_file"] and arguments["scene"] in _MESHES:
+        scene.append({"cloth.mesh": PathJoinSubstitution([_CONFIG, _MESHES[arguments["scene"]]])})
     cloth = Node(
         package="cloth_sim_ros",
         executable="cloth_sim",
-        name=given["name"],
-        namespace=given["namespace"],
+        name=arguments["name"],
+        namespace=arguments["namespace"],
         parameters=[*scene, *clock],
-        ros_arguments=["--log-level", given["log_level"]],
+        ros_arguments=["--log-level", arguments["log_level"]],
         output="screen",
         emulate_tty=True,
         # The node closes its recording within two seconds of a signal; leave it the time.
         sigterm_timeout="10",
         sigkill_timeout="10",
     )
-    actions = [*_misspelt(context, list(given)), cloth]
-    if given["rviz"].lower() == "true":
-        full = "/".join(["", *given["namespace"].strip("/").split("/"), given["name"]]).replace("//", "/")
+    actions = [*_misspelt_arguments(context, list(arguments)), cloth]
+    if arguments["rviz"].lower() == "true":
+        full = "/".join(["", *arguments["namespace"].strip("/").split("/"), arguments["name"]]).replace("//", "/")
         actions.append(
             Node(
                 package="rviz2",
                 executable="rviz2",
-                name=f"{given['name']}_rviz",
-                namespace=given["namespace"],
-                arguments=["-d", given["rviz_config"]],
+                name=f"{arguments['name']}_rviz",
+                namespace=arguments["namespace"],
+                arguments=["-d", arguments["rviz_config"]],
                 parameters=clock,
-                remappings=[(f"/cloth_sim/{topic}", f"{full}/{topic}") for topic in _SHOWN],
+                remappings=[(f"/cloth_sim/{topic}", f"{full}/{topic}") for topic in _RVIZ_TOPICS],
                 output="screen",
             )
         )
     return actions
 
 
-def _misspelt(context: LaunchContext, known: list[str]) -> list[Any]:
+def _misspelt_arguments(context: LaunchContext, known: list[str]) -> list[Any]:
     """Warn of arguments similar to one of this file, because launch itself accepts any name silently."""
     close = {name: difflib.get_close_matches(name, known, n=1, cutoff=0.85) for name in context.launch_configurations}
     return [
-        LogInfo(msg=f"cloth_sim.launch.py has no argument '{name}'; did you mean '{near[0]}'?")
-        for name, near in sorted(close.items())
-        if near and name not in known
+        LogInfo(msg=f"cloth_sim.launch.py has no argument '{name}'; did you mean '{matches[0]}'?")
+        for name, matches in sorted(close.items())
+        if matches and name not in known
     ]

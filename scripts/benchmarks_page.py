@@ -56,26 +56,26 @@ def main() -> int:
     """Run the requested sections and write the page; return 1 if a command failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sections", nargs="*", metavar="section", help=f"of {', '.join(SECTIONS)}; all if left out")
-    kept = f"where verdicts of {', '.join(RESUMED)} are kept"
-    parser.add_argument("--resume", type=Path, metavar="FOLDER", help=kept)
-    given = parser.parse_args()
-    wanted = given.sections or list(SECTIONS)
-    if unknown := [name for name in wanted if name not in SECTIONS]:
+    resume_help = f"where verdicts of {', '.join(RESUMED)} are kept"
+    parser.add_argument("--resume", type=Path, metavar="FOLDER", help=resume_help)
+    options = parser.parse_args()
+    names = options.sections or list(SECTIONS)
+    if unknown := [name for name in names if name not in SECTIONS]:
         parser.error(f"no section {', '.join(unknown)}; there are {', '.join(SECTIONS)}")
-    lost = 0
-    for name in wanted:
+    n_failed = 0
+    for name in names:
         print(f"{name}: python -m {SECTIONS[name]}", flush=True)
-        resume = ["--resume", f"{given.resume / name}.jsonl"] if given.resume and name in RESUMED else []
-        text = measured(SECTIONS[name].split(), resume)
+        resume = ["--resume", f"{options.resume / name}.jsonl"] if options.resume and name in RESUMED else []
+        text = run_section(SECTIONS[name].split(), resume)
         if text is None:
-            lost += 1
+            n_failed += 1
             continue
         # The page is written after each section, so that results survive an interruption.
-        write(known() | {name: text})
-    return 1 if lost else 0
+        write(page_sections() | {name: text})
+    return 1 if n_failed else 0
 
 
-def measured(command: list[str], resume: list[str]) -> str | None:
+def run_section(command: list[str], resume: list[str]) -> str | None:
     """Run a command, or its missing cases; return its section with pictures, or None if it failed."""
     with tempfile.TemporaryDirectory() as folder:
         page, plots = Path(folder) / "section.md", Path(folder) / "plots"
@@ -91,7 +91,7 @@ def measured(command: list[str], resume: list[str]) -> str | None:
         return text + "\n"
 
 
-def known() -> dict[str, str]:
+def page_sections() -> dict[str, str]:
     """Return the page's sections by name."""
     if not PAGE.exists():
         return {}

@@ -39,84 +39,90 @@ _HWCAPS = "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX,-AVX512F,-AVX2_Usable,-FMA_Usa
 _PERTURB = "glibc.malloc.perturb=165"
 
 
-class Way(NamedTuple):
+class RunConfiguration(NamedTuple):
     """One configuration in which all scenes run."""
 
     name: str
     environment: dict[str, str]
     #: Reason if this machine can't run it; else empty.
-    why_not: str = ""
+    skip_reason: str = ""
     #: True if the process may use one processor only.
-    alone: bool = False
+    single_processor: bool = False
 
 
 class Difference(NamedTuple):
     """A scene whose bits differ between two configurations."""
 
     scene: str
-    way: str
+    configuration: str
     frame: int
 
     def __str__(self) -> str:
-        return f"{self.scene}: {self.way} differs from frame {self.frame} on"
+        return f"{self.scene}: {self.configuration} differs from frame {self.frame} on"
 
 
-def run_here(scenes: Sequence[str], frames: int) -> None:
+def run_in_process(scenes: Sequence[str], frames: int) -> None:
     """Run scenes in this process; print the engine's name and the digests as JSON."""
     from cloth_sim_ros.engine.binding import engine_name
 
-    told = {"engine": engine_name(), "digests": {scene: list(frames_of(scene, frames)) for scene in scenes}}
-    print(json.dumps(told))
+    result = {"engine": engine_name(), "digests": {scene: list(frames_of(scene, frames)) for scene in scenes}}
+    print(json.dumps(result))
 
 
-def run_apart(way: Way, frames: int, *, scenes: Sequence[str] = tuple(SCENES), python: str = sys.executable) -> Any:
+def run_in_subprocess(
+    configuration: RunConfiguration, frames: int, *, scenes: Sequence[str] = tuple(SCENES), python: str = sys.executable
+) -> Any:
     """Run scenes in a new process and return the output of `run_in_process`.
 
     Raises:
         RuntimeError: if the process fails.
     """
     command = [python, str(Path(__file__).resolve()), "--frames", str(frames), "--here", *scenes]
-    if way.alone:
+    if configuration.single_processor:
         command = ["taskset", "-c", str(min(os.sched_getaffinity(0))), *command]
     path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
-    environment = {**os.environ, "PYTHONPATH": path, **way.environment}
-    done = subprocess.run(command, env=environment, check=False, capture_output=True, text=True)
-    if done.returncode:
-        raise RuntimeError(f"{way.name}: {done.stderr[-2000:]}")
-    return json.loads(done.stdout.splitlines()[-1])
+    environment = {**os.environ, "PYTHONPATH": path, **configuration.environment}
+    process = subprocess.run(command, env=environment, check=False, capture_output=True, text=True)
+    if process.returncode:
+        raise RuntimeError(f"{configuration.name}: {process.stderr[-2000:]}")
+    return json.loads(process.stdout.splitlines()[-1])
 
 
-def compare(first: dict[str, list[str]], other: dict[str, list[str]], way: str) -> list[Difference]:
+def compare(
+    first: dict[str, list[str]], digests_by_scene: dict[str, list[str]], configuration: str
+) -> list[Difference]:
     """Return the scenes with differing digests, each with its first differing frame."""
     differences = []
     for scene, digests in first.items():
-        unlike = [k for k, (a, b) in enumerate(zip(digests, other[scene], strict=True), start=1) if a != b]
-        if unlike:
-            differences.append(Difference(scene, way, unlike[0]))
+        differing_frames = [
+            k for k, (a, b) in enumerate(zip(digests, digests_by_scene[scene], strict=True), start=1) if a != b
+        ]
+        if differing_frames:
+            differences.append(Difference(scene, configuration, differing_frames[0]))
     return differences
 
 
-def ways() -> list[Way]:
+def run_configurations() -> list[RunConfiguration]:
     """Return the configurations that need nothing but installed software; the first is this machine's own."""
-    known = runpy.run_path(str(ENGINE / "instruction_set.py"))["libraries"]()
-    found = [Way(known[0], {"CLOTH_SIM_ROS_ENGINE": known[0]})]
+    libraries = runpy.run_path(str(ENGINE / "instruction_set.py"))["libraries"]()
+    configurations = [RunConfiguration(libraries[0], {"CLOTH_SIM_ROS_ENGINE": libraries[0]})]
     for name in {"x86_64": ("baseline", "avx2", "avx512"), "aarch64": ("neon",)}[platform.machine()]:
-        if name == known[0]:
+        if name == libraries[0]:
             continue
-        why_not = "" if name in known else "this processor has no such vectors"
-        found.append(Way(name, {"CLOTH_SIM_ROS_ENGINE": name}, why_not))
+        why_not = "" if name in libraries else "this processor has no such vectors"
+        configurations.append(RunConfiguration(name, {"CLOTH_SIM_ROS_ENGINE": name}, why_not))
     features = numpy_features()
-    plain = {
+    restricted = {
         "GLIBC_TUNABLES": f"{_HWCAPS}:{_PERTURB}",
         "NPY_DISABLE_CPU_FEATURES": " ".join(features),
         "OPENBLAS_CORETYPE": "PRESCOTT",
         "OPENBLAS_NUM_THREADS": "1",
         "PYTHONHASHSEED": "1",
     }
-    found.append(Way("plain C library and numpy", plain))
-    alone = "" if shutil.which("taskset") else "there is no taskset"
-    found.append(Way("one processor", {"PYTHONHASHSEED": "2"}, alone, alone=True))
-    return found
+    configurations.append(RunConfiguration("plain C library and numpy", restricted))
+    skip_alone = "" if shutil.which("taskset") else "there is no taskset"
+    configurations.append(RunConfiguration("one processor", {"PYTHONHASHSEED": "2"}, skip_alone, single_processor=True))
+    return configurations
 
 
 def numpy_features() -> list[str]:
@@ -126,29 +132,33 @@ def numpy_features() -> list[str]:
     return [name for name in inside.__cpu_dispatch__ if inside.__cpu_features__.get(name)]
 
 
-def built_by_other_compilers(folder: Path) -> list[Way]:
+def build_with_other_compilers(folder: Path) -> list[RunConfiguration]:
     """Build the engine with each installed compiler, for the widest vectors here; return the configurations."""
     name = runpy.run_path(str(ENGINE / "instruction_set.py"))["libraries"]()[0]
-    found = []
+    configurations = []
     for compiler in ("g++", "clang++"):
         label = f"{name} by {compiler}"
         if shutil.which(compiler) is None:
-            found.append(Way(label, {}, f"there is no {compiler}"))
+            configurations.append(RunConfiguration(label, {}, f"there is no {compiler}"))
             continue
-        place = folder / compiler
-        command = [sys.executable, str(ENGINE / "build.py"), "--only", name, "--folder", str(place)]
-        done = subprocess.run(command, env={**os.environ, "CXX": compiler}, check=False, capture_output=True, text=True)
-        why_not = done.stderr.strip()[-300:] if done.returncode else ""
-        found.append(Way(label, {"CLOTH_SIM_ROS_ENGINE": str(place / f"_{name}.so")}, why_not))
-    return found
+        build_folder = folder / compiler
+        command = [sys.executable, str(ENGINE / "build.py"), "--only", name, "--folder", str(build_folder)]
+        process = subprocess.run(
+            command, env={**os.environ, "CXX": compiler}, check=False, capture_output=True, text=True
+        )
+        why_not = process.stderr.strip()[-300:] if process.returncode else ""
+        configurations.append(
+            RunConfiguration(label, {"CLOTH_SIM_ROS_ENGINE": str(build_folder / f"_{name}.so")}, why_not)
+        )
+    return configurations
 
 
-def traced(scene: str) -> str:
+def n_traced_frames(scene: str) -> str:
     """Return the number of frames to repeat in the emulator; with contact there are more, until all bodies touch."""
     return "24" if "contact.thickness" in SCENES[scene] else "4"
 
 
-def replayed_on_arm(folder: Path, scenes: Sequence[str] = tuple(SCENES)) -> Iterator[tuple[str, bool]]:
+def replay_on_arm(folder: Path, scenes: Sequence[str] = tuple(SCENES)) -> Iterator[tuple[str, bool]]:
     """Repeat the engine's calls on an emulated 64-bit ARM processor.
 
     Yields:
@@ -158,7 +168,7 @@ def replayed_on_arm(folder: Path, scenes: Sequence[str] = tuple(SCENES)) -> Iter
     emulator = next(filter(shutil.which, ("qemu-aarch64-static", "qemu-aarch64")), None)
     if platform.machine() != "x86_64" or compiler is None or emulator is None:
         missing = " and ".join(
-            name for name, found in (("g++-aarch64-linux-gnu", compiler), ("qemu-user-static", emulator)) if not found
+            name for name, path in (("g++-aarch64-linux-gnu", compiler), ("qemu-user-static", emulator)) if not path
         )
         yield f"neon, emulated: left out, there is no {missing or 'x86-64 to record on'}", True
         return
@@ -169,14 +179,25 @@ def replayed_on_arm(folder: Path, scenes: Sequence[str] = tuple(SCENES)) -> Iter
     trace = folder / "trace"
     replay = [emulator, "-L", f"/usr/{_ARM}", str(folder / "replay"), str(folder / "_neon.so"), str(trace)]
     for scene in scenes:
-        record = [sys.executable, str(ROOT / "scripts" / "bits_trace.py"), str(trace), "--frames", traced(scene), scene]
+        record = [
+            sys.executable,
+            str(ROOT / "scripts" / "bits_trace.py"),
+            str(trace),
+            "--frames",
+            n_traced_frames(scene),
+            scene,
+        ]
         subprocess.run(record, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True)
-        done = subprocess.run(replay, check=False, capture_output=True, text=True)
+        process = subprocess.run(replay, check=False, capture_output=True, text=True)
         trace.unlink()
-        if done.returncode not in (0, 1):
-            raise RuntimeError(f"neon, emulated: {scene}: {done.stderr.strip()}")
-        told = f"{done.stdout.strip()}, the same bits" if done.returncode == 0 else f"differs at {done.stdout.strip()}"
-        yield f"neon, emulated: {scene}: {told}", done.returncode == 0
+        if process.returncode not in (0, 1):
+            raise RuntimeError(f"neon, emulated: {scene}: {process.stderr.strip()}")
+        outcome = (
+            f"{process.stdout.strip()}, the same bits"
+            if process.returncode == 0
+            else f"differs at {process.stdout.strip()}"
+        )
+        yield f"neon, emulated: {scene}: {outcome}", process.returncode == 0
 
 
 def main() -> int:
@@ -189,32 +210,35 @@ def main() -> int:
     if options.frames < 1:
         parser.error(f"--frames is {options.frames}; at least 1 is needed")
     if options.here:
-        run_here(options.here, options.frames)
+        run_in_process(options.here, options.frames)
         return 0
     with tempfile.TemporaryDirectory() as folder:
-        found = [(way, sys.executable) for way in [*ways(), *built_by_other_compilers(Path(folder))]]
-        found += [(Way(python, {}), python) for python in options.python]
-        status = tell(found, options.frames)
-        for line, same in replayed_on_arm(Path(folder)):
+        runs = [
+            (configuration, sys.executable)
+            for configuration in [*run_configurations(), *build_with_other_compilers(Path(folder))]
+        ]
+        runs += [(RunConfiguration(python, {}), python) for python in options.python]
+        status = compare_runs(runs, options.frames)
+        for line, same in replay_on_arm(Path(folder)):
             print(line, flush=True)
             status = status if same else 1
         return status
 
 
-def tell(found: Sequence[tuple[Way, str]], frames: int) -> int:
+def compare_runs(runs: Sequence[tuple[RunConfiguration, str]], frames: int) -> int:
     """Run each configuration, print its comparison with the first, and return the exit status."""
     first: dict[str, list[str]] | None = None
     status = 0
-    for way, python in found:
-        if way.why_not:
-            print(f"{way.name}: left out, {way.why_not}", flush=True)
+    for configuration, python in runs:
+        if configuration.skip_reason:
+            print(f"{configuration.name}: left out, {configuration.skip_reason}", flush=True)
             continue
-        told = run_apart(way, frames, python=python)
-        first = first or told["digests"]
-        differences = compare(first, told["digests"], way.name)
+        result = run_in_subprocess(configuration, frames, python=python)
+        first = first or result["digests"]
+        differences = compare(first, result["digests"], configuration.name)
         status = 1 if differences else status
         total = sum(len(digests) for digests in first.values())
-        same = f"{way.name} ({told['engine']}): {total} frames of {len(first)} scenes"
+        same = f"{configuration.name} ({result['engine']}): {total} frames of {len(first)} scenes"
         print(f"{same}, {len(differences)} scenes differ" if differences else f"{same}, the same bits", flush=True)
         for difference in differences:
             print(f"  {difference}", flush=True)

@@ -135,9 +135,9 @@ SCENES: dict[str, dict[str, Any]] = {
     },
 }
 #: Fraction of the frames to run, for scenes with expensive frames.
-_SHARE = {"two threads": 0.2, "tight tolerance": 0.5, "friction, implicit": 0.25}
+_FRAME_FRACTION = {"two threads": 0.2, "tight tolerance": 0.5, "friction, implicit": 0.25}
 #: Smallest number of frames of a whole motion; shorter runs contain only its beginning.
-_SLOWEST = 40
+_MIN_MOTION_FRAMES = 40
 #: Total displacement of obstacles [m]; they rotate as well.
 MOVED = {
     "obstacles": {
@@ -202,7 +202,7 @@ def frames_of(scene: str, frames: int) -> Iterator[str]:
     import xxhash
 
     for frame, simulation in run(scene, frames):
-        loads = xxhash.xxh3_64_hexdigest(frame.wrenches.tobytes() + frame.loads.tobytes())
+        loads = xxhash.xxh3_64_hexdigest(frame.wrenches.tobytes() + frame.obstacle_wrenches.tobytes())
         yield f"{simulation.state.digest()} {loads}"
 
 
@@ -218,16 +218,21 @@ def run(scene: str, frames: int) -> Iterator[tuple[Any, Any]]:
     values = SCENES[scene]
     files = {name: FILES[name]() for name in values.values() if isinstance(name, str) and name in FILES}
     simulation = Simulation(Scene.from_parameters(values, files=files))
-    held, moved = simulation.positions[-1], MOVED.get(scene, {})
-    count = max(1, round(frames * _SHARE.get(scene, 1.0)))
+    start_of_grasp, moved = simulation.positions[-1], MOVED.get(scene, {})
+    count = max(1, round(frames * _FRAME_FRACTION.get(scene, 1.0)))
     for k in range(count):
-        share = k / max(count, _SLOWEST)
-        turn = (share / 3.0, 0.0, share, 1.0)
-        aside = (-0.3 * share, -0.35 * share, 0.3 * share * (1.0 - share))
-        events: list[Event] = [Target("gripper", _further(held, aside), turn)]
+        fraction = k / max(count, _MIN_MOTION_FRAMES)
+        orientation = (fraction / 3.0, 0.0, fraction, 1.0)
+        displacement = (-0.3 * fraction, -0.35 * fraction, 0.3 * fraction * (1.0 - fraction))
+        events: list[Event] = [Target("gripper", _translated(start_of_grasp, displacement), orientation)]
         for name in moved.keys() & set(simulation.scene.obstacle_names):
-            start, way = simulation.scene.described[name].position, [share * c for c in moved[name]]
-            events.append(Move(name, _further(start, way), (0.1 * share, 0.0, 0.2 * share, 1.0)))
+            start, displacement_of_obstacle = (
+                simulation.scene.described[name].position,
+                [fraction * c for c in moved[name]],
+            )
+            events.append(
+                Move(name, _translated(start, displacement_of_obstacle), (0.1 * fraction, 0.0, 0.2 * fraction, 1.0))
+            )
         if k == count // 8:
             events.append(Grasp("gripper", True))
         if k == count // 2:
@@ -237,5 +242,5 @@ def run(scene: str, frames: int) -> Iterator[tuple[Any, Any]]:
         yield simulation.advance(events), simulation
 
 
-def _further(place: Sequence[float], way: Sequence[float]) -> tuple[float, ...]:
-    return tuple(float(a + b) for a, b in zip(place, way, strict=True))
+def _translated(position: Sequence[float], displacement: Sequence[float]) -> tuple[float, ...]:
+    return tuple(float(a + b) for a, b in zip(position, displacement, strict=True))

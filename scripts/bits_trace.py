@@ -36,7 +36,7 @@ from typing import Any, BinaryIO
 import xxhash
 
 from cloth_sim_ros.engine import binding
-from cloth_sim_ros.physics.remembered import LAYER_SIDES
+from cloth_sim_ros.physics.controller_state import LAYER_SIDES
 
 #: Function of a call's arguments and its plan's sizes that returns the size of a memory argument, in 8-byte numbers.
 Size = Callable[[Sequence[Any], dict[str, Any]], int]
@@ -46,7 +46,7 @@ def _particles(factor: int) -> Size:
     return lambda _, plan: factor * plan["n"]
 
 
-def _given(factor: int, at: int) -> Size:
+def _argument_size(factor: int, at: int) -> Size:
     return lambda a, _: factor * a[at]
 
 
@@ -81,7 +81,7 @@ _LISTS = list(binding.KINDS.values())
 
 #: Result kind and argument kinds of each function: h, i, d, or the size of memory.
 CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
-    "cloth_plan_new": ("h", ("i", _given(1, 0), _given(1, 0))),
+    "cloth_plan_new": ("h", ("i", _argument_size(1, 0), _argument_size(1, 0))),
     "cloth_plan_free": ("v", ("h",)),
     "cloth_plan_grid": ("i", ("h", "i", "i", _fixed(6 * len(binding.FAMILIES)))),
     "cloth_plan_list": (
@@ -104,11 +104,11 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
             "h",
             "i",
             "i",
-            _given(1, 2),
-            _given(1, 2),
-            _given(3, 2),
-            _given(1, 2),
-            _given(1, 2),
+            _argument_size(1, 2),
+            _argument_size(1, 2),
+            _argument_size(3, 2),
+            _argument_size(1, 2),
+            _argument_size(1, 2),
         ),
     ),
     "cloth_plan_gripper_paths": ("i", ("h", _PATHS)),
@@ -117,28 +117,28 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
         (
             "h",
             "i",
-            _given(1, 1),
-            _given(3, 1),
-            _given(1, 1),
-            _given(2, 1),
-            _given(binding.PATH_NUMBERS, 1),
+            _argument_size(1, 1),
+            _argument_size(3, 1),
+            _argument_size(1, 1),
+            _argument_size(2, 1),
+            _argument_size(binding.PATH_NUMBERS, 1),
             "d",
             "d",
             "d",
         ),
     ),
     "cloth_plan_contact_paths": ("i", ("h", _obstacles(binding.PATH_NUMBERS))),
-    "cloth_plan_jaws": ("i", ("h", "i", _given(2, 1), _given(binding.DRIVE_NUMBERS, 1))),
-    "cloth_plan_mesh": ("i", ("h", "i", "i", _given(3, 2), "i", _given(3, 4))),
-    "cloth_plan_faces": ("i", ("h", "i", _given(3, 1), "d")),
-    "cloth_plan_features": ("i", ("h", "i", "i", _given(3, 2), "i", _given(2, 4), "d")),
+    "cloth_plan_jaws": ("i", ("h", "i", _argument_size(2, 1), _argument_size(binding.DRIVE_NUMBERS, 1))),
+    "cloth_plan_mesh": ("i", ("h", "i", "i", _argument_size(3, 2), "i", _argument_size(3, 4))),
+    "cloth_plan_faces": ("i", ("h", "i", _argument_size(3, 1), "d")),
+    "cloth_plan_features": ("i", ("h", "i", "i", _argument_size(3, 2), "i", _argument_size(2, 4), "d")),
     "cloth_features_culled": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
     "cloth_predict_contact": ("i", ("h", "d", "d", "d", "d", _X, _X, _fixed(8))),
     "cloth_predict_surface_contact": ("i", ("h", "d", "d", "d", _X, _X, _fixed(3))),
     "cloth_ccd_features": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
     "cloth_ccd_jaws": ("i", ("h", "d", _X, _pinches(1), _pinches(1))),
     "cloth_feature_intersection": ("i", ("h", "d", _X, _fixed(3))),
-    "cloth_plan_self": ("i", ("h", "i", _given(3, 1), "d")),
+    "cloth_plan_self": ("i", ("h", "i", _argument_size(3, 1), "d")),
     "cloth_self_friction": ("i", ("h", "d", "d")),
     "cloth_self_friction_power": ("i", ("h", "d", _X, _X, _fixed(1))),
     "cloth_plan_jaw_states": ("i", ("h", _pinches(binding.PINCH_NUMBERS))),
@@ -151,7 +151,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
             _X,
             _X,
             "i",
-            _given(1, 4),
+            _argument_size(1, 4),
             lambda a, plan: a[4] * _anchors(plan),
             lambda _, plan: _anchors(plan),
         ),
@@ -182,41 +182,55 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     ),
     "cloth_spectral_bounds": ("i", ("h", _X, _B, _B, "i", _fixed(5))),
     "cloth_bounds": ("i", ("h", _X, _B, _B)),
-    "cloth_eigenvalues": ("i", (_given(6, 1), "i", _given(1, 1))),
+    "cloth_eigenvalues": ("i", (_argument_size(6, 1), "i", _argument_size(1, 1))),
     "cloth_derivative_product": ("i", ("h", "d", _X, _X, _X, _X, _X)),
     "cloth_pair_blocks": ("i", ("h", "i", _X, "d", "d", lambda a, plan: 6 * plan["lists"][a[1]])),
     "cloth_paths": (
         "i",
-        ("i", "d", "d", *(_given(size, 0) for size in (7, 6, 6, 7, binding.PATH_NUMBERS, 6, 6, 1))),
+        ("i", "d", "d", *(_argument_size(size, 0) for size in (7, 6, 6, 7, binding.PATH_NUMBERS, 6, 6, 1))),
     ),
     "cloth_rotation_vector": ("i", (_fixed(4), _fixed(4), _fixed(3))),
     "cloth_pose": ("i", (_fixed(binding.PATH_NUMBERS), "d", _fixed(18))),
-    "cloth_hinge_lengths": ("i", ("i", "i", _given(4, 1), _given(3, 4), "i", _given(1, 1), _given(4, 1))),
-    "cloth_combine": ("i", ("i", "a", _given(1, 0), "i", _given(1, 3))),
-    "cloth_distance": ("i", (_given(3, 2), _given(3, 2), "i", _fixed(1))),
-    "cloth_weighted_dot": ("i", (_given(1, 3), _given(3, 3), _given(3, 3), "i", _fixed(1))),
+    "cloth_hinge_lengths": (
+        "i",
+        ("i", "i", _argument_size(4, 1), _argument_size(3, 4), "i", _argument_size(1, 1), _argument_size(4, 1)),
+    ),
+    "cloth_combine": ("i", ("i", "a", _argument_size(1, 0), "i", _argument_size(1, 3))),
+    "cloth_distance": ("i", (_argument_size(3, 2), _argument_size(3, 2), "i", _fixed(1))),
+    "cloth_weighted_dot": ("i", (_argument_size(1, 3), _argument_size(3, 3), _argument_size(3, 3), "i", _fixed(1))),
     "cloth_band_stride": ("n", ("i",)),
     "cloth_band_assemble": (
         "i",
-        (_matrix(1, 2), "i", "i", _given(1, 4), "i", _given(2, 7), _given(6, 7), "i", _given(1, 9), "i"),
+        (
+            _matrix(1, 2),
+            "i",
+            "i",
+            _argument_size(1, 4),
+            "i",
+            _argument_size(2, 7),
+            _argument_size(6, 7),
+            "i",
+            _argument_size(1, 9),
+            "i",
+        ),
     ),
     "cloth_band_assemble_diagonal": (
         "i",
-        (_matrix(1, 2), "i", "i", _given(1, 4), "i", _given(1, 4), _given(6, 4)),
+        (_matrix(1, 2), "i", "i", _argument_size(1, 4), "i", _argument_size(1, 4), _argument_size(6, 4)),
     ),
     "cloth_band_factor": ("i", (_matrix(1, 2), "i", "i", "i")),
-    "cloth_band_forward": ("i", (_matrix(1, 2), "i", "i", "i", _given(3, 1))),
-    "cloth_band_backward": ("i", (_matrix(1, 2), "i", "i", "i", _given(3, 1))),
+    "cloth_band_forward": ("i", (_matrix(1, 2), "i", "i", "i", _argument_size(3, 1))),
+    "cloth_band_backward": ("i", (_matrix(1, 2), "i", "i", "i", _argument_size(3, 1))),
     "cloth_band_join": (
         "i",
         (_matrix(1, 4), "i", _matrix(3, 4), "i", "i", "i", "i", _matrix(8, 9), "i", "i"),
     ),
-    "cloth_cuthill_mckee": ("i", ("i", _given(2, 2), "i", _given(1, 0))),
-    "cloth_sum": ("i", (_given(1, 1), "i", _fixed(1))),
+    "cloth_cuthill_mckee": ("i", ("i", _argument_size(2, 2), "i", _argument_size(1, 0))),
+    "cloth_sum": ("i", (_argument_size(1, 1), "i", _fixed(1))),
 }
 
 
-class Traced:
+class TracedLibrary:
     """Replaces the engine's library and records every call."""
 
     def __init__(self, library: ctypes.CDLL, file: BinaryIO) -> None:
@@ -240,7 +254,7 @@ class Traced:
             self._functions[name] = getattr(self._library, name) if name == "cloth_engine_name" else _Call(self, name)
         return self._functions[name]
 
-    def make(self, name: str, arguments: tuple[Any, ...]) -> Any:
+    def call(self, name: str, arguments: tuple[Any, ...]) -> Any:
         """Make a call and record it.
 
         Raises:
@@ -294,27 +308,27 @@ class Traced:
         if kind == "f":
             return self._frame(value._obj, plan)
         if kind == "a":
-            places = (ctypes.c_int64 * arguments[0]).from_address(value)
-            several = [self._memory(place, 8 * arguments[3]) for place in places]
+            addresses = (ctypes.c_int64 * arguments[0]).from_address(value)
+            several = [self._memory(address, 8 * arguments[3]) for address in addresses]
             return lambda: b"a" + struct.pack("<q", len(several)) + b"".join(part() for part in several)
         return self._memory(value, 8 * kind(arguments, plan)) if value else lambda: b"0"
 
-    def _memory(self, place: int, size: int) -> Callable[[], bytes]:
-        before = ctypes.string_at(place, size)
+    def _memory(self, address: int, size: int) -> Callable[[], bytes]:
+        before = ctypes.string_at(address, size)
 
         def write() -> bytes:
-            contents = self._content(before) + self._content(ctypes.string_at(place, size))
+            contents = self._content(before) + self._content(ctypes.string_at(address, size))
             return b"b" + struct.pack("<q", size) + contents
 
         return write
 
     def _content(self, content: bytes) -> bytes:
         key = xxhash.xxh3_128_digest(content) + struct.pack("<q", len(content))
-        known = self._contents.get(key)
-        if known is not None:
-            return struct.pack("<q", known)
-        number = self._contents[key] = len(self._contents)
-        return struct.pack("<q", number) + content
+        known_index = self._contents.get(key)
+        if known_index is not None:
+            return struct.pack("<q", known_index)
+        index = self._contents[key] = len(self._contents)
+        return struct.pack("<q", index) + content
 
     def _frame(self, frame: binding.Frame, plan: dict[str, Any]) -> Callable[[], bytes]:
         n, runs = plan["n"], frame.runs
@@ -332,8 +346,8 @@ class Traced:
         }
         names = [name for name, *_ in binding.Frame._fields_]
         raw = bytes(frame)
-        places = {name: getattr(frame, name) for name in sizes if getattr(frame, name)}
-        arrays = [(names.index(name), self._memory(place, 8 * sizes[name])) for name, place in places.items()]
+        addresses = {name: getattr(frame, name) for name in sizes if getattr(frame, name)}
+        arrays = [(names.index(name), self._memory(address, 8 * sizes[name])) for name, address in addresses.items()]
 
         def write() -> bytes:
             inside = b"".join(struct.pack("<q", at) + part() for at, part in arrays)
@@ -345,7 +359,7 @@ class Traced:
 class _Call:
     """A function of the library. Its types may be set as usual."""
 
-    def __init__(self, traced: Traced, name: str) -> None:
+    def __init__(self, traced: TracedLibrary, name: str) -> None:
         self._traced, self._name = traced, name
         self._real = getattr(traced._library, name)
 
@@ -356,7 +370,7 @@ class _Call:
             object.__setattr__(self, name, value)
 
     def __call__(self, *arguments: Any) -> Any:
-        return self._traced.make(self._name, arguments)
+        return self._traced.call(self._name, arguments)
 
 
 def main() -> None:
@@ -367,7 +381,7 @@ def main() -> None:
     parser.add_argument("scenes", nargs="+")
     options = parser.parse_args()
     with options.file.open("wb") as file:
-        traced = Traced(binding.library(), file)
+        traced = TracedLibrary(binding.library(), file)
         # This precedes the import of modules that use the library by name.
         binding.library = lambda: traced  # type: ignore[assignment]
         import bits

@@ -39,8 +39,8 @@ def is_sound(folder: Path) -> bool:
     """Return True if the environment can be completed: it is whole, in its original folder, and its Python works."""
     if (folder / "unfinished").exists():
         return False
-    made_in = folder / "made_in"
-    if made_in.exists() and made_in.read_text().strip() != str(ROOT):
+    origin = folder / "made_in"
+    if origin.exists() and origin.read_text().strip() != str(ROOT):
         return False  # the project was moved: scripts of the environment name the old folder
     probe = "import sys, pip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))"
     try:
@@ -55,11 +55,11 @@ def install(folder: Path, extras: str) -> None:
     unfinished = folder / "unfinished"
     if is_sound(folder):
         unfinished.touch()
-        say(f"adding to {folder.name} what {purpose} from PyPI; a minute or two, once ...")
+        report(f"adding to {folder.name} what {purpose} from PyPI; a minute or two, once ...")
     else:
         version = ".".join(map(str, sys.version_info[:3]))
-        say(f"making {folder.name} with Python {version} and what {purpose}, real ROS 2 included, from PyPI:")
-        say("some 400 MB, half a minute with a fast connection, minutes with a slow one, once ...")
+        report(f"making {folder.name} with Python {version} and what {purpose}, real ROS 2 included, from PyPI:")
+        report("some 400 MB, half a minute with a fast connection, minutes with a slow one, once ...")
         if folder.exists():
             shutil.rmtree(folder)
         folder.mkdir()
@@ -91,7 +91,7 @@ def packages(folder: Path) -> set[tuple[str, int]]:
     return {(path.name, path.stat().st_mtime_ns) for path in folder.glob("lib/python*/site-packages/*")}
 
 
-def say(text: str) -> None:
+def report(text: str) -> None:
     """Print a line at once, also through a pipe."""
     print(f"cloth_sim_ros: {text}", flush=True)
 
@@ -110,7 +110,7 @@ def main() -> int:
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        say("another `make` is at work on the environment; waiting for it ...")
+        report("another `make` is at work on the environment; waiting for it ...")
         fcntl.flock(lock, fcntl.LOCK_EX)
 
     stamps: list[Path] = arguments.stamp
@@ -128,17 +128,17 @@ def main() -> int:
         install(folder, arguments.extras)
     except subprocess.CalledProcessError as error:
         step = "pip" if "pip" in error.cmd else "venv"
-        say(
+        report(
             f"{step} could not make {folder.name}, status {error.returncode}; see above (PyPI out of reach? disk full?)"
         )
-        say("the next `make` tries again.")
+        report("the next `make` tries again.")
         return 1
     except KeyboardInterrupt:
-        say("interrupted; the next `make` continues, or starts again if it must.")
+        report("interrupted; the next `make` continues, or starts again if it must.")
         return 130
     for stamp in stamps:
         stamp.write_text(fingerprint())
-    say(f"{folder.name} is ready, after {time.monotonic() - start:.0f} s.")
+    report(f"{folder.name} is ready, after {time.monotonic() - start:.0f} s.")
     return 0
 
 

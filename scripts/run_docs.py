@@ -42,10 +42,10 @@ LIMIT = 3600.0
 READY, PATIENCE = 60.0, 15.0
 #: Variables that are not passed to the blocks: those of other Python or ROS environments, and those that make would
 #: pass from `make docs-check` to each make of a block.
-_NOT_A_USERS = {"PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "AMENT_PREFIX_PATH"}
-_NOT_A_USERS |= {"MAKEFLAGS", "MAKELEVEL", "MFLAGS", "MAKEOVERRIDES", "ARGS", "TESTS", "VENV"}
+_EXCLUDED_VARIABLES = {"PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "AMENT_PREFIX_PATH"}
+_EXCLUDED_VARIABLES |= {"MAKEFLAGS", "MAKELEVEL", "MFLAGS", "MAKEOVERRIDES", "ARGS", "TESTS", "VENV"}
 _MARK = re.compile(r"<!--\s*(output|file|background|skip)(?::\s*(.*?))?\s*-->\s*$")
-_NUMBER = re.compile(r"\d+(?:[.,:]\d+)*(?:e[+-]?\d+)?")
+_NUMBER_PATTERN = re.compile(r"\d+(?:[.,:]\d+)*(?:e[+-]?\d+)?")
 
 
 class PageError(ValueError):
@@ -56,7 +56,7 @@ class PageError(ValueError):
 class Block:
     """A code block of a page."""
 
-    place: str
+    location: str
     language: str
     code: str
     mark: str = ""
@@ -76,22 +76,22 @@ def blocks_of(text: str, name: str) -> list[Block]:
     blocks: list[Block] = []
     mark, words = "", ""
     for token in MarkdownIt("commonmark").parse(text):
-        found = _MARK.match(token.content) if token.type == "html_block" else None
-        if found:
-            mark, words = found.group(1), found.group(2) or ""
+        match = _MARK.match(token.content) if token.type == "html_block" else None
+        if match:
+            mark, words = match.group(1), match.group(2) or ""
         if token.type != "fence" or token.info.startswith("{"):
             continue
-        place = f"{name}:{(token.map or [0])[0] + 1}"
+        location = f"{name}:{(token.map or [0])[0] + 1}"
         if mark == "output":
             if not blocks or blocks[-1].mark or blocks[-1].output is not None:
-                raise PageError(f"{place}: output of no block")
+                raise PageError(f"{location}: output of no block")
             if words not in ("", "numbers vary"):
-                raise PageError(f"{place}: output: '{words}' is unknown; write 'numbers vary' or nothing")
+                raise PageError(f"{location}: output: '{words}' is unknown; write 'numbers vary' or nothing")
             blocks[-1].output, blocks[-1].numbers_vary = token.content, words == "numbers vary"
         elif mark or token.info in RUNS:
-            blocks.append(Block(place=place, language=token.info, code=token.content, mark=mark, words=words))
+            blocks.append(Block(location=location, language=token.info, code=token.content, mark=mark, words=words))
         else:
-            raise PageError(f"{place}: a block of '{token.info}' is neither run nor marked; see scripts/run_docs.py")
+            raise PageError(f"{location}: a block of '{token.info}' is neither run nor marked; see scripts/run_docs.py")
         mark, words = "", ""
     return blocks
 
@@ -100,20 +100,20 @@ def difference(shown: str, printed: str, *, numbers_vary: bool) -> str:
     """Return the difference between printed output and the page; empty if there is none."""
 
     def lines(text: str) -> list[str]:
-        kept = [" ".join(line.split()) for line in text.strip().splitlines()]
-        return [_NUMBER.sub("#", line) for line in kept] if numbers_vary else kept
+        stripped = [" ".join(line.split()) for line in text.strip().splitlines()]
+        return [_NUMBER_PATTERN.sub("#", line) for line in stripped] if numbers_vary else stripped
 
-    wanted, got = lines(shown), lines(printed)
-    pattern = "".join("(?:.*\n)*?" if line == "..." else re.escape(line) + "\n" for line in wanted)
+    expected, got = lines(shown), lines(printed)
+    pattern = "".join("(?:.*\n)*?" if line == "..." else re.escape(line) + "\n" for line in expected)
     if re.fullmatch(pattern, "".join(f"{line}\n" for line in got)):
         return ""
-    return "\n".join(difflib.unified_diff(wanted, got, "the page", "printed", lineterm=""))
+    return "\n".join(difflib.unified_diff(expected, got, "the page", "printed", lineterm=""))
 
 
-def users_environment(own: Mapping[str, str]) -> dict[str, str]:
+def user_environment(environment: Mapping[str, str]) -> dict[str, str]:
     """Return the environment of a user's shell: this process's variables without those of the check itself."""
-    kept = {name: value for name, value in own.items() if name not in _NOT_A_USERS}
-    return kept | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONUNBUFFERED": "1"}
+    inherited = {name: value for name, value in environment.items() if name not in _EXCLUDED_VARIABLES}
+    return inherited | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONUNBUFFERED": "1"}
 
 
 class Clone:
@@ -122,7 +122,7 @@ class Clone:
     def __init__(self, folder: Path, *, logs: Path) -> None:
         self.folder, self._logs = folder, logs
         subprocess.run(["git", "clone", "--quiet", str(ROOT), str(folder)], check=True)
-        self._environment = users_environment(os.environ)
+        self._environment = user_environment(os.environ)
         self._background: list[tuple[subprocess.Popen[str], Path]] = []
 
     def run(self, block: Block) -> str:
@@ -200,26 +200,28 @@ def main() -> int:
         wrong = run = skipped = 0
         for name in options.pages:
             for block in blocks_of((clone.folder / name).read_text(), name):
-                title = f"{block.place}: {(block.words if block.mark == 'file' else block.code.splitlines()[0])[:90]}"
+                title = (
+                    f"{block.location}: {(block.words if block.mark == 'file' else block.code.splitlines()[0])[:90]}"
+                )
                 if block.mark == "skip" or block.code.splitlines()[0] in options.leave_out:
                     skipped += 1
-                    say(f"skipped   {title} ({block.words or 'left out'})")
+                    report(f"skipped   {title} ({block.words or 'left out'})")
                     continue
                 start, run = time.monotonic(), run + 1
                 fault = clone.run(block)
                 wrong += bool(fault)
-                say(f"{'WRONG' if fault else 'ok':5s} {time.monotonic() - start:6.1f} s  {title}")
+                report(f"{'WRONG' if fault else 'ok':5s} {time.monotonic() - start:6.1f} s  {title}")
                 if fault:
-                    say(fault)
+                    report(fault)
             for fault in clone.end_background():
                 wrong += 1
-                say(f"WRONG {name}: {fault}")
+                report(f"WRONG {name}: {fault}")
         minutes, seconds = divmod(round(time.monotonic() - begun), 60)
-        say(f"{run} blocks run in {minutes} min {seconds} s, {wrong} wrong, {skipped} skipped")
+        report(f"{run} blocks run in {minutes} min {seconds} s, {wrong} wrong, {skipped} skipped")
     return 1 if wrong else 0
 
 
-def say(text: str) -> None:
+def report(text: str) -> None:
     """Print a line at once, also through a pipe."""
     print(text, flush=True)
 

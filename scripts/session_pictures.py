@@ -33,7 +33,7 @@ UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
 @attrs.frozen(kw_only=True)
-class Picture:
+class SessionPicture:
     """A session and the time of its picture."""
 
     values: dict[str, Any]
@@ -53,8 +53,8 @@ def fold(scene: Scene) -> Iterator[list[Event]]:
     rows, columns = scene.shape
     corners = {"left": start[(rows - 1) * columns], "right": start[-1]}
     for k in range(240):
-        way = _smooth((k - 20) / 180.0)
-        rise = np.array([0.0, -0.55 * np.sin(np.pi * way), 1.25 * way * scene.cloth.size[0] * 0.8])
+        progress = _smooth((k - 20) / 180.0)
+        rise = np.array([0.0, -0.55 * np.sin(np.pi * progress), 1.25 * progress * scene.cloth.size[0] * 0.8])
         events: list[Event] = [Target(name, tuple(at + rise), UPRIGHT) for name, at in corners.items()]
         if k == 10:
             events += [Grasp(name, True) for name in corners]
@@ -67,8 +67,8 @@ def swing(scene: Scene) -> Iterator[list[Event]]:
     rows, columns = scene.shape
     middle = start[(rows - 1) * columns + columns // 2]
     for k in range(180):
-        aside = _smooth((k - 10) / 80.0) * np.array([0.0, -0.6, 0.35])
-        events: list[Event] = [Target("gripper", tuple(middle + aside), UPRIGHT)]
+        displacement = _smooth((k - 10) / 80.0) * np.array([0.0, -0.6, 0.35])
+        events: list[Event] = [Target("gripper", tuple(middle + displacement), UPRIGHT)]
         if k in (8, 110):
             events.append(Grasp("gripper", k == 8))
         yield events
@@ -98,15 +98,15 @@ def pinch(scene: Scene) -> Iterator[list[Event]]:
 
 
 PICTURES = {
-    "grasp": Picture(values={}, events=carry, at=2.4, strain_limit=3.0),
-    "fold": Picture(values={"grippers": ["left", "right"]}, events=fold, at=2.4, strain_limit=3.0),
-    "swing": Picture(
+    "grasp": SessionPicture(values={}, events=carry, at=2.4, strain_limit=3.0),
+    "fold": SessionPicture(values={"grippers": ["left", "right"]}, events=fold, at=2.4, strain_limit=3.0),
+    "swing": SessionPicture(
         values={"cloth.anchors": ["top_left", "top_right"], "gripper.radius": 0.08},
         events=swing,
         at=2.25,
         strain_limit=5.0,
     ),
-    "lift": Picture(
+    "lift": SessionPicture(
         values={
             "cloth.orientation": FLAT,
             "cloth.position": [0.0, 0.0, 0.6],
@@ -118,13 +118,15 @@ PICTURES = {
         at=3.6,
         strain_limit=30.0,
     ),
-    "pinch": Picture(values=read_parameters(ROOT / "config" / "pinch.yaml"), events=pinch, at=8.6, strain_limit=2.0),
+    "pinch": SessionPicture(
+        values=read_parameters(ROOT / "config" / "pinch.yaml"), events=pinch, at=8.6, strain_limit=2.0
+    ),
 }
 
 
-def _smooth(way: float) -> float:
-    way = float(np.clip(way, 0.0, 1.0))
-    return way * way * (3.0 - 2.0 * way)
+def _smooth(progress: float) -> float:
+    progress = float(np.clip(progress, 0.0, 1.0))
+    return progress * progress * (3.0 - 2.0 * progress)
 
 
 def paint(name: str) -> int:

@@ -45,15 +45,15 @@ _SEGMENTS, _WHOLE = Path("/dev/shm"), (2).to_bytes(4, sys.byteorder)
 _PORTS, _PORTS_EACH = 7400, 250
 
 
-def remove_half_made_ports(domain: int) -> None:
+def remove_broken_ports(domain: int) -> None:
     """Remove incomplete ports of a domain, which a killed process left: a process that opens one waits for ever.
 
     The segment of such a port is empty, or lacks the first number that Boost.Interprocess writes at the end.
     """
     first = _PORTS + _PORTS_EACH * domain
     for path in _SEGMENTS.glob("fastrtps_port*"):
-        number = re.fullmatch(r"fastrtps_port(\d+)", path.name)
-        if number is None or not first <= int(number[1]) < first + _PORTS_EACH:
+        match = re.fullmatch(r"fastrtps_port(\d+)", path.name)
+        if match is None or not first <= int(match[1]) < first + _PORTS_EACH:
             continue
         with contextlib.suppress(FileNotFoundError):
             with path.open("rb") as file:
@@ -77,7 +77,7 @@ def _reserve_domain() -> tuple[int, socket.socket]:
         except OSError:
             reservation.close()
         else:
-            remove_half_made_ports(domain)
+            remove_broken_ports(domain)
             return domain, reservation
     raise RuntimeError(f"all ROS domains 1 to {_DOMAINS} are reserved by other tests on this machine; end some of them")
 
@@ -144,7 +144,9 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     reservation.close()
 
 
-def _wait_until(condition: Callable[[], object], *, limit: float = PATIENCE, what: str = "the condition") -> object:
+def _wait_until(
+    condition: Callable[[], object], *, limit: float = PATIENCE, description: str = "the condition"
+) -> object:
     """Poll until `condition()` is true and return its value; fail after `limit` [s] with the description."""
     end = time.monotonic() + limit
     while True:
@@ -152,7 +154,7 @@ def _wait_until(condition: Callable[[], object], *, limit: float = PATIENCE, wha
         if value:
             return value
         if time.monotonic() >= end:
-            pytest.fail(f"waited {limit:g} s in vain for {what}")
+            pytest.fail(f"waited {limit:g} s in vain for {description}")
         time.sleep(0.01)
 
 
@@ -201,7 +203,9 @@ class RunningProcess:
                 pytest.fail(f"{self.arguments} ended with {self.popen.returncode} before {text!r}:\n{output}")
             return None
 
-        return str(_wait_until(seen, limit=limit, what=f"{text!r} from {self.arguments}, which wrote:\n{self.output}"))
+        return str(
+            _wait_until(seen, limit=limit, description=f"{text!r} from {self.arguments}, which wrote:\n{self.output}")
+        )
 
     def wait(self, *, limit: float = PATIENCE) -> int:
         """Wait for the end and return the exit status; fail after `limit` [s]."""
@@ -210,10 +214,10 @@ class RunningProcess:
         except subprocess.TimeoutExpired:
             pytest.fail(f"{self.arguments} still runs after {limit:g} s; it wrote:\n{self.output}")
 
-    def send_signal(self, number: int) -> None:
+    def send_signal(self, signum: int) -> None:
         """Send a signal to the process and its children, as a terminal or `ros2 launch` does."""
         with contextlib.suppress(ProcessLookupError):
-            os.killpg(self.pid, number)
+            os.killpg(self.pid, signum)
 
     def interrupt(self, *, limit: float = PATIENCE) -> int:
         """Send SIGINT and return the exit status."""
@@ -224,7 +228,7 @@ class RunningProcess:
         """Kill the process and its children."""
         self.send_signal(signal.SIGKILL)
         self.popen.wait()
-        remove_half_made_ports(int(os.environ["ROS_DOMAIN_ID"]))
+        remove_broken_ports(int(os.environ["ROS_DOMAIN_ID"]))
 
 
 def _stop(process: RunningProcess) -> None:
@@ -269,9 +273,9 @@ def find_executable() -> Callable[[str], str]:
     """`find_executable(name)`: a command of the package in this Python's folder; skips if it is not installed."""
 
     def find(name: str) -> str:
-        found = shutil.which(name, path=str(Path(sys.executable).parent)) or shutil.which(name)
-        if found is None:
+        path = shutil.which(name, path=str(Path(sys.executable).parent)) or shutil.which(name)
+        if path is None:
             pytest.skip(f"the command {name} is not installed; `make test` installs it")
-        return found
+        return path
 
     return find

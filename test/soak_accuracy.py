@@ -28,42 +28,44 @@ from cloth_sim_ros.session.cdr import decode_cloud
 from cloth_sim_ros.session.frame_record import FrameRecord
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 from cloth_sim_ros.verify.accuracy import certify
-from cloth_sim_ros.verify.certificate import MOST_GROWTH, WITHOUT_TOLERANCE, Certificate
-from cloth_sim_ros.verify.fine import distance
-from cloth_sim_ros.verify.independent import dop853
-from cloth_sim_ros.verify.motion import Equations, FrameWatch, Motion, starting_state
+from cloth_sim_ros.verify.certificate import DEFAULT_TOLERANCE, MAX_AMPLIFICATION, Certificate
+from cloth_sim_ros.verify.independent_integrator import dop853
+from cloth_sim_ros.verify.reference_integrator import max_distance
+from cloth_sim_ros.verify.reference_motion import Equations, FrameCapture, ReferenceMotion, starting_state
 from cloth_sim_ros.verify.run import verify
 
 #: Call of `advance` whose cloud is changed.
 CHANGED = 8
 
 
-class _Independent:
+class _IndependentCheck:
     """Runs the windows of a certificate with DOP853; a `RunObserver`."""
 
     def __init__(self, certificate: Certificate) -> None:
         self._stated = {frame.frame: frame for frame in certificate.frames}
-        self._watch, self._equations = FrameWatch(), Equations()
-        self._motion: Motion | None = None
+        self._watch, self._equations = FrameCapture(), Equations()
+        self._motion: ReferenceMotion | None = None
         self._window = -1
         #: Difference and its bound for each compared frame [m].
-        self.found: list[tuple[float, float]] = []
+        self.differences: list[tuple[float, float]] = []
 
-    def frame(self, simulation: Simulation, was: Scene, before: State, frame: Frame, _record: FrameRecord) -> None:
-        ran = self._watch.after(simulation, was, before, frame)
+    def frame(
+        self, simulation: Simulation, scene_before: Scene, before: State, frame: Frame, _record: FrameRecord
+    ) -> None:
+        ran = self._watch.capture(simulation, scene_before, before, frame)
         stated = self._stated.get(frame.index)
         if ran is None or stated is None:
             return
         if self._motion is None or stated.window != self._window:
-            self._motion, self._window = Motion(starting_state(ran)), stated.window
-        if stated.growth > MOST_GROWTH:
+            self._motion, self._window = ReferenceMotion(starting_state(ran)), stated.window
+        if stated.growth > MAX_AMPLIFICATION:
             return
-        self._motion.take_hold(ran)
+        self._motion.apply_grasps(ran)
         plan = self._equations.plan(ran, self._motion)
-        self._motion.now = dop853(plan, ran.t, ran.duration, self._motion.now)
-        error = distance(ran.after.x, self._motion.x)
-        allowed = max(0.2 * error, 0.1 * (stated.tolerance or WITHOUT_TOLERANCE))
-        self.found.append((abs(error - stated.error), allowed))
+        self._motion.state = dop853(plan, ran.t, ran.duration, self._motion.state)
+        error = max_distance(ran.after.x, self._motion.x)
+        allowed = max(0.2 * error, 0.1 * (stated.tolerance or DEFAULT_TOLERANCE))
+        self.differences.append((abs(error - stated.error), allowed))
 
     def cloud(self, _recorded: np.ndarray, _same: bool) -> None:
         """Do nothing: the positions of the re-run are compared."""
@@ -94,15 +96,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with tempfile.TemporaryDirectory() as folder:
             paths = make_random_session(Path(folder), seed)
             _, certificate = certify(paths, every_sample=True)
-            independent = _Independent(certificate)
-            verify(paths, watch=independent)
+            independent = _IndependentCheck(certificate)
+            verify(paths, observer=independent)
         if not certificate.frames:
             continue
         verdicts.update(window.verdict for window in certificate.windows)
-        frames, windows = frames + len(certificate.samples), windows + len(independent.found)
+        frames, windows = frames + len(certificate.samples), windows + len(independent.differences)
         seconds += certificate.seconds
         wrong = [sample.frame for sample in certificate.samples if not sample.agrees]
-        apart = [difference / allowed for difference, allowed in independent.found]
+        apart = [difference / allowed for difference, allowed in independent.differences]
         largest_frame = max([largest_frame, *(sample.difference for sample in certificate.samples)])
         largest_window = max([largest_window, *apart])
         if wrong or max(apart, default=0.0) > 1.0:

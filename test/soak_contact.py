@@ -20,18 +20,18 @@ from tqdm import tqdm
 
 
 @attrs.define
-class Sum:
+class SceneTotals:
     """Totals over all runs of a scene."""
 
     runs: int = 0
     frames: int = 0
     steps: int = 0
     contacts: int = 0
-    least: float = math.inf
+    min_gap: float = math.inf
     flagged: int = 0
     implicit: int = 0
-    halted: int = 0
-    passing: int = 0
+    stopped: int = 0
+    n_penetrating: int = 0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -41,42 +41,50 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--scenes", nargs="+", choices=list(RUNS), default=list(RUNS), metavar="SCENE")
     options = parser.parse_args(arguments)
-    sums = {name: Sum() for name in options.scenes}
-    number = 0
+    sums = {name: SceneTotals() for name in options.scenes}
+    repetition = 0
     with tqdm(total=options.steps, unit="step", disable=None) as bar:
-        while not number or sum(each.steps for each in sums.values()) < options.steps:
+        while not repetition or sum(totals.steps for totals in sums.values()) < options.steps:
             for index, name in enumerate(options.scenes):
-                _follow(name, np.random.default_rng((options.seed, number, index)), sums[name], bar)
-            number += 1
-    return _told(sums)
+                _follow(name, np.random.default_rng((options.seed, repetition, index)), sums[name], bar)
+            repetition += 1
+    return _print_table(sums)
 
 
-def _follow(name: str, rng: np.random.Generator, into: Sum, bar: tqdm) -> None:
+def _follow(name: str, rng: np.random.Generator, totals: SceneTotals, bar: tqdm) -> None:
     run = RUNS[name](rng)
     simulation, oracle = run.simulation, Oracle(run.simulation.scene)
-    into.runs += 1
+    totals.runs += 1
     for events in run.events:
         frame = simulation.advance(events)
-        if oracle.look(simulation):
-            into.passing += 1
-            print(f"{name}, run {into.runs - 1}: passes through itself in frame {frame.index}", file=sys.stderr)
+        if oracle.observe(simulation):
+            totals.n_penetrating += 1
+            print(f"{name}, run {totals.runs - 1}: passes through itself in frame {frame.index}", file=sys.stderr)
         steps = frame.advance.steps if frame.advance else 0
-        into.frames, into.steps, into.halted = into.frames + 1, into.steps + steps, into.halted + bool(frame.halted)
-        into.flagged += bool(frame.advance and frame.advance.flagged)
-        into.implicit += bool(frame.advance and ("implicit" in frame.advance.reason and frame.advance.flagged))
+        totals.frames, totals.steps, totals.stopped = (
+            totals.frames + 1,
+            totals.steps + steps,
+            totals.stopped + bool(frame.stopped),
+        )
+        totals.flagged += bool(frame.advance and frame.advance.flagged)
+        totals.implicit += bool(frame.advance and ("implicit" in frame.advance.reason and frame.advance.flagged))
         bar.update(steps)
-    into.contacts, into.least = into.contacts + oracle.met, min(into.least, oracle.least)
+    totals.contacts, totals.min_gap = totals.contacts + oracle.n_contacts, min(totals.min_gap, oracle.min_gap)
 
 
-def _told(sums: dict[str, Sum]) -> int:
+def _print_table(sums: dict[str, SceneTotals]) -> int:
     print("| scene | runs | frames | steps | contacts at frames' ends | smallest gap mm | frames flagged | of these"
           " finished by implicit steps | halted | pass through |")  # fmt: skip
     print("|---|---|---|---|---|---|---|---|---|---|")
-    for name, each in sums.items():
-        row = [name, each.runs, each.frames, each.steps, each.contacts, f"{1e3 * each.least:.3g}"]
-        print("|", " | ".join(map(str, [*row, each.flagged, each.implicit, each.halted, each.passing])), "|")
-    passing = sum(each.passing for each in sums.values())
-    steps, frames = (sum(getattr(each, what) for each in sums.values()) for what in ("steps", "frames"))
+    for name, totals in sums.items():
+        row = [name, totals.runs, totals.frames, totals.steps, totals.contacts, f"{1e3 * totals.min_gap:.3g}"]
+        print(
+            "|",
+            " | ".join(map(str, [*row, totals.flagged, totals.implicit, totals.stopped, totals.n_penetrating])),
+            "|",
+        )
+    passing = sum(totals.n_penetrating for totals in sums.values())
+    steps, frames = (sum(getattr(totals, field) for totals in sums.values()) for field in ("steps", "frames"))
     print(f"{steps:,} steps, {frames} frames: {passing} in which a cloth passes through itself")
     return 1 if passing else 0
 

@@ -192,12 +192,12 @@ class Samples:
         """Run a study in this process."""
         from cloth_sim_ros.batch import index, study_file
         from cloth_sim_ros.batch.folder import StudyFolder
-        from cloth_sim_ros.batch.forecast import draw
+        from cloth_sim_ros.batch.study_estimate import sample_and_estimate
         from cloth_sim_ros.batch.study_run import perform
 
         study = study_file.read(self.folder / "study.yaml")
         study_folder = StudyFolder(self.study)
-        samples, _ = draw(study, 1)
+        samples, _ = sample_and_estimate(study, 1)
         study_folder.create(study, samples, STUDY)
         for run, values in enumerate(samples):
             perform(study_folder, study, run, values)
@@ -208,7 +208,7 @@ def frames_damaged(session: Path, target: Path, rng: random.Random) -> None:
     """Write a copy of a session with one damaged frame record or other message, and correct checksums."""
     from cloth_sim_ros.session.cdr import decode_string, encode_string
     from cloth_sim_ros.session.reader import SessionReader
-    from cloth_sim_ros.session.writer import SessionWriter, Snapshot, WriterOptions
+    from cloth_sim_ros.session.writer import SessionSnapshot, SessionWriter, WriterOptions
 
     with SessionReader(session) as reader:
         scene, state = reader.scene_yaml, reader.state
@@ -217,7 +217,7 @@ def frames_damaged(session: Path, target: Path, rng: random.Random) -> None:
             scene = damaged_text(scene, rng).decode(errors="replace")
         elif kind == 1:
             state = damaged_bytes(state, rng)
-        shot = Snapshot(scene_yaml=scene, state=state, metadata={**reader.metadata}, files=dict(reader.files))
+        shot = SessionSnapshot(scene_yaml=scene, state=state, metadata={**reader.metadata}, files=dict(reader.files))
         messages = list(reader.messages())
     frames = [k for k, message in enumerate(messages) if message.topic.endswith("/frame")]
     at = rng.choice(frames) if kind < 4 else rng.randrange(len(messages))

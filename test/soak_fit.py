@@ -36,14 +36,14 @@ def fitted(seed: int, strength: float, workers: int | None) -> tuple[dict[str, f
     with tempfile.TemporaryDirectory() as folder:
         path = record_swing(Path(folder), truth, seed=seed, strength=strength)
         begun, used = time.perf_counter(), processor_time()
-        found = fit(read_session([path]), list(RANGES), start=START, workers=workers)
-    return truth, found, (time.perf_counter() - begun, processor_time() - used)
+        result = fit(read_session([path]), list(RANGES), start=START, workers=workers)
+    return truth, result, (time.perf_counter() - begun, processor_time() - used)
 
 
 def processor_time() -> float:
     """Return the processor time of this process and its finished children [s]."""
     both = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in both)
+    return sum(usage.ru_utime + usage.ru_stime for usage in both)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -61,27 +61,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
         + "".join(f"{name:>18}" for name in short)
         + "   until     time   processor"
     )
-    wrong, slow, covered, told, ratios = 0, 0, 0, 0, []
+    wrong, slow, covered, n_identified, ratios = 0, 0, 0, 0, []
     longest = 0.0
     for seed in tqdm(range(options.first, options.first + options.count), unit="cloth", disable=None):
-        truth, found, (seconds, work) = fitted(seed, options.strength, options.workers)
+        truth, result, (seconds, work) = fitted(seed, options.strength, options.workers)
         cells = []
-        for estimate in found.estimates:
+        for estimate in result.estimates:
             true = truth[estimate.parameter.name]
             error = estimate.value / true - 1.0
             low, high = estimate.interval
             covered += low <= true <= high
             ratios.append(np.log(estimate.value / true) / estimate.bound)
-            told += estimate.told
-            wrong += estimate.told and abs(error) > LARGEST
-            cells.append(f"{100 * error:+8.2f} ({100 * estimate.bound:.2g}){'' if estimate.told else '*'}")
+            n_identified += estimate.is_identified
+            wrong += estimate.is_identified and abs(error) > LARGEST
+            cells.append(f"{100 * error:+8.2f} ({100 * estimate.bound:.2g}){'' if estimate.is_identified else '*'}")
         slow += seconds > LONGEST
         longest = max(longest, seconds)
         row = "".join(f"{cell:>18}" for cell in cells)
-        tqdm.write(f"cloth {seed:<4}" + " " * 30 + f"{row} {found.until:6.2f} s {seconds:6.1f} s {work:8.1f} s")
+        tqdm.write(f"cloth {seed:<4}" + " " * 30 + f"{row} {result.end_time:6.2f} s {seconds:6.1f} s {work:8.1f} s")
     total = len(RANGES) * options.count
     print(
-        f"{options.count} cloths: {told} of {total} parameters told, {wrong} of those off by more than "
+        f"{options.count} cloths: {n_identified} of {total} parameters told, {wrong} of those off by more than "
         f"{100 * LARGEST:.0f} %; {covered} of {total} 95 % intervals hold the truth; errors over bounds deviate by "
         f"{np.std(ratios):.2f} (1 is right); the longest fit took {longest:.0f} s"
     )

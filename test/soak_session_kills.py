@@ -28,7 +28,7 @@ import numpy as np
 from support import session_samples as samples
 
 from cloth_sim_ros.session import cdr
-from cloth_sim_ros.session.layouts import standard_types
+from cloth_sim_ros.session.channel_description import standard_types
 from cloth_sim_ros.session.reader import SessionReader, session_files
 from cloth_sim_ros.session.recorder import Recorder, RecorderOptions
 from cloth_sim_ros.session.recover import recover
@@ -81,21 +81,21 @@ def check(folder: Path, notes: mmap.mmap, killed: int, within: float) -> tuple[s
         with SessionReader(paths) as reader:
             for recorded in reader.clouds():
                 assert recorded.frame is not None, f"{paths}: a cloud without its frame"
-                number = recorded.frame.frame
-                assert number == expected, f"{paths}: frame {number} where {expected} was recorded"
-                assert recorded.frame == samples.frame_record(number)
-                assert recorded.log_time == NOTE.unpack_from(notes, NOTE.size * number)[1]
-                assert np.array_equal(recorded.cloud.xyz, samples.positions(number, len(recorded.cloud.xyz)))
+                frame_index = recorded.frame.frame
+                assert frame_index == expected, f"{paths}: frame {frame_index} where {expected} was recorded"
+                assert recorded.frame == samples.frame_record(frame_index)
+                assert recorded.log_time == NOTE.unpack_from(notes, NOTE.size * frame_index)[1]
+                assert np.array_equal(recorded.cloud.xyz, samples.positions(frame_index, len(recorded.cloud.xyz)))
                 expected += 1
             damage = [sentence for part in reader.parts for sentence in part.damage]
             assert not damage, damage
     handed = [
-        NOTE.unpack_from(notes, NOTE.size * number)[1]
-        for number in range(expected, LIMIT)
-        if NOTE.unpack_from(notes, NOTE.size * number)[1]
+        NOTE.unpack_from(notes, NOTE.size * frame_index)[1]
+        for frame_index in range(expected, LIMIT)
+        if NOTE.unpack_from(notes, NOTE.size * frame_index)[1]
     ]
-    lost = (killed - handed[0]) * 1e-9 if handed else 0.0
-    assert lost <= within, f"what was handed over {lost:.3f} s before the kill is missing"
+    missing_seconds = (killed - handed[0]) * 1e-9 if handed else 0.0
+    assert missing_seconds <= within, f"what was handed over {missing_seconds:.3f} s before the kill is missing"
     state = "nothing visible yet"
     for paths in sessions:
         for path in paths:
@@ -108,7 +108,7 @@ def check(folder: Path, notes: mmap.mmap, killed: int, within: float) -> tuple[s
                     list(reader.messages())
                     assert reader.complete
                 mended.path.unlink()
-    return state, lost
+    return state, missing_seconds
 
 
 def _first_frame(paths: tuple[Path, ...]) -> float:
@@ -132,14 +132,14 @@ def main() -> int:
     states: Counter[str] = Counter()
     worst = 0.0
     leftovers = 0
-    for number in range(options.seed, options.seed + options.count):
+    for seed in range(options.seed, options.seed + options.count):
         folder = Path(tempfile.mkdtemp(prefix="kill_", dir=options.folder))
         notes = mmap.mmap(-1, NOTE.size * LIMIT)
-        wait = random.Random(f"kill {number}").uniform(0.0, options.longest)
+        wait = random.Random(f"kill {seed}").uniform(0.0, options.longest)
         child = os.fork()
         if child == 0:
             try:
-                record(folder, number, notes)
+                record(folder, seed, notes)
             finally:
                 os._exit(3)
         time.sleep(wait)
@@ -147,15 +147,15 @@ def main() -> int:
         os.kill(child, signal.SIGKILL)
         _, status = os.waitpid(child, 0)
         if not os.WIFSIGNALED(status):
-            print(f"kill {number}: the child ended by itself, status {status}", file=sys.stderr)
+            print(f"kill {seed}: the child ended by itself, status {status}", file=sys.stderr)
             return 1
         try:
-            state, lost = check(folder, notes, killed, options.within)
+            state, missing_seconds = check(folder, notes, killed, options.within)
         except Exception as error:
-            print(f"kill {number} after {wait:.3f} s, files kept in {folder}: {error!r}", file=sys.stderr)
+            print(f"kill {seed} after {wait:.3f} s, files kept in {folder}: {error!r}", file=sys.stderr)
             return 1
         states[state] += 1
-        worst = max(worst, lost)
+        worst = max(worst, missing_seconds)
         leftovers += len(list(folder.glob(".*")))
         shutil.rmtree(folder)
     print(

@@ -48,8 +48,8 @@ def creeping(speed: float) -> Commands:
             return [Target("gripper", tuple(creeping.corner)), Grasp("gripper", True)]  # type: ignore[attr-defined]
         if frame % 3:
             return []
-        ahead = creeping.corner + np.array([0.0, speed * frame / simulation.scene.rate, 0.0])  # type: ignore[attr-defined]
-        return [Target("gripper", tuple(ahead))]
+        target = creeping.corner + np.array([0.0, speed * frame / simulation.scene.rate, 0.0])  # type: ignore[attr-defined]
+        return [Target("gripper", tuple(target))]
 
     return commands
 
@@ -67,21 +67,21 @@ def pendulum(period: float) -> dict[str, Any]:
 def motions() -> dict[str, tuple[dict[str, Any], Commands]]:
     """Return all motions by name."""
     wind = {f"wind of {speed:g} m/s": {"wind.velocity": [0.0, speed, 0.0]} for speed in (1e-4, 1e-3)}
-    found: dict[str, tuple[dict[str, Any], Commands]] = {}
+    by_name: dict[str, tuple[dict[str, Any], Commands]] = {}
     for speed in (1e-6, 1e-5, 1e-4, 1e-3):
-        found[f"gripper at {speed:g} m/s"] = ({}, creeping(speed))
-    found["gripper at 1e-05 m/s, weightless"] = (WEIGHTLESS, creeping(1e-5))
+        by_name[f"gripper at {speed:g} m/s"] = ({}, creeping(speed))
+    by_name["gripper at 1e-05 m/s, weightless"] = (WEIGHTLESS, creeping(1e-5))
     for name, values in wind.items():
-        found[name] = (values, alone)
-        found[f"{name}, weightless"] = ({**values, **WEIGHTLESS, "cloth.anchors": [""]}, alone)
-        found[f"{name}, weightless, held"] = ({**values, **WEIGHTLESS}, alone)
+        by_name[name] = (values, alone)
+        by_name[f"{name}, weightless"] = ({**values, **WEIGHTLESS, "cloth.anchors": [""]}, alone)
+        by_name[f"{name}, weightless, held"] = ({**values, **WEIGHTLESS}, alone)
     for drag in (50.0, 200.0, 1000.0):
-        found[f"air of {drag:g} 1/s"] = ({"air.drag": drag}, alone)
-    found["falls in air of 1000 1/s"] = ({"air.drag": 1000.0, "cloth.anchors": [""]}, alone)
+        by_name[f"air of {drag:g} 1/s"] = ({"air.drag": drag}, alone)
+    by_name["falls in air of 1000 1/s"] = ({"air.drag": 1000.0, "cloth.anchors": [""]}, alone)
     for period in (10.0, 30.0, 100.0, 300.0):
-        found[f"pendulum of {period:g} s"] = (pendulum(period), alone)
-    found["pendulum of 30 s, 1e-05 m"] = ({**pendulum(30.0), "tolerance": 1e-5}, alone)
-    return found
+        by_name[f"pendulum of {period:g} s"] = (pendulum(period), alone)
+    by_name["pendulum of 30 s, 1e-05 m"] = ({**pendulum(30.0), "tolerance": 1e-5}, alone)
+    return by_name
 
 
 def run(
@@ -90,11 +90,11 @@ def run(
     """Return positions and sleep flag of each frame, for a minimum calm time before sleep [s]."""
     simulation = Simulation(Scene.from_parameters({**BASE, **values}))
     for frame in range(round(seconds * simulation.scene.rate)):
-        known, CONSTANTS.calm = CONSTANTS.calm, calm
+        known, CONSTANTS.sleep_quiet_time = CONSTANTS.sleep_quiet_time, calm
         try:
             simulation.advance(commands(simulation, frame))
         finally:
-            CONSTANTS.calm = known
+            CONSTANTS.sleep_quiet_time = known
         yield simulation.positions, simulation.asleep
 
 
@@ -104,12 +104,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=60.0, help="simulated time of each motion [s]")
     parser.add_argument("--only", help="run only motions with this text in their name")
     options = parser.parse_args(arguments)
-    chosen = {name: each for name, each in motions().items() if (options.only or "") in name}
+    chosen = {name: motion for name, motion in motions().items() if (options.only or "") in name}
     wrong = 0
     for name, (values, commands) in tqdm(chosen.items(), unit="motion", disable=None):
         most = slept = moved = 0.0
         # An infinite calm time: it never sleeps.
-        twins = (run(values, commands, options.seconds, calm=calm) for calm in (CONSTANTS.calm, math.inf))
+        twins = (run(values, commands, options.seconds, calm=calm) for calm in (CONSTANTS.sleep_quiet_time, math.inf))
         first = None
         for (x, asleep), (awake, _) in zip(*twins, strict=True):
             first = awake if first is None else first

@@ -131,11 +131,11 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 @contextlib.contextmanager
 def cluster(workers: int, folder: Path) -> Iterator[Cluster]:
     """Yield a cluster that ends with the context."""
-    made = Cluster(workers, folder)
+    new_cluster = Cluster(workers, folder)
     try:
-        yield made
+        yield new_cluster
     finally:
-        made.stop()
+        new_cluster.stop()
 
 
 def rows_in(folder: Path) -> int:
@@ -144,7 +144,7 @@ def rows_in(folder: Path) -> int:
 
 
 def disturbed(
-    study: Path, out: Path, *, runs: int, kills: int, workers: int, seed: int, say: Callable[[str], None]
+    study: Path, out: Path, *, runs: int, kills: int, workers: int, seed: int, on_message: Callable[[str], None]
 ) -> dict[str, int]:
     """Run a study on a cluster with injected failures until it is complete; return the counts of failures."""
     chance = random.Random(seed)
@@ -168,7 +168,7 @@ def disturbed(
                 count["clients"] += 1
             elif client.poll() is not None:
                 text = client.stdout.read() if client.stdout else ""
-                say(f"client ended with {client.returncode}: {text.strip().splitlines()[-3:]}")
+                on_message(f"client ended with {client.returncode}: {text.strip().splitlines()[-3:]}")
                 if client.returncode == 0:
                     return count
                 assert "no space left in" in text, text
@@ -197,11 +197,14 @@ def compare(calm: Path, shot: Path, runs: int) -> int:
         assert not list(folder.rglob(".unfinished-*")), f"{folder}: leftovers"
         assert rows_in(folder) == runs
         assert all((folder / name).is_file() for name in table["session"])
-    return sum(one != other for one, other in zip(tables[0]["digest"], tables[1]["digest"], strict=True))
+    return sum(
+        undisturbed != disturbed_digest
+        for undisturbed, disturbed_digest in zip(tables[0]["digest"], tables[1]["digest"], strict=True)
+    )
 
 
 def soak(
-    folder: Path, *, runs: int, kills: int, workers: int = 2, seed: int = 1, duration: float = 2.5, say=print
+    folder: Path, *, runs: int, kills: int, workers: int = 2, seed: int = 1, duration: float = 2.5, on_message=print
 ) -> dict[str, int]:
     """Run the study undisturbed and with failures; return the counts of failures and differing runs."""
     study = folder / "study.yaml"
@@ -212,7 +215,7 @@ def soak(
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         stdout=subprocess.DEVNULL,
     )
-    count = disturbed(study, folder / "shot", runs=runs, kills=kills, workers=workers, seed=seed, say=say)
+    count = disturbed(study, folder / "shot", runs=runs, kills=kills, workers=workers, seed=seed, on_message=on_message)
     count["runs that differ"] = compare(folder / "calm", folder / "shot", runs)
     return count
 
@@ -229,8 +232,8 @@ def main() -> int:
     begun = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="soak_studies_") as folder:
         count = soak(Path(folder), **vars(options))
-    told = ", ".join(f"{number} {what}" for what, number in count.items())
-    print(f"{options.runs} runs: {told}; {time.monotonic() - begun:.0f} s")
+    totals = ", ".join(f"{n_events} {event}" for event, n_events in count.items())
+    print(f"{options.runs} runs: {totals}; {time.monotonic() - begun:.0f} s")
     return 1 if count["runs that differ"] or count["worker kills"] < options.kills else 0
 
 

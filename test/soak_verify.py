@@ -46,13 +46,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     coverage = Coverage()
     for seed in tqdm(range(options.first, options.first + options.sessions), unit="session", disable=None):
         with tempfile.TemporaryDirectory() as folder:
-            asked = {
+            options_of_session = {
                 "obstacles": options.obstacles,
                 "contact": options.contact,
                 "hinges": seed % 2 == 1,
                 "frames": 30 if options.contact else 60,
             }
-            paths = make_random_session(Path(folder), seed, **asked, watch=coverage)
+            paths = make_random_session(Path(folder), seed, **options_of_session, watch=coverage)
             coverage.close()
             verdicts = [run_again(paths, count) for count in (THREADS if options.contact else (None,))]
         verdict = verdicts[0]

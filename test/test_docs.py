@@ -73,14 +73,14 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
 def links_of(name: str) -> set[str]:
     """Return the pages, with headings, that a page links to, as paths from docs/."""
     path = DOCS / name
-    found = set()
+    links = set()
     for link in LINK.findall(path.read_text()) if path.is_file() else []:
         target, _, heading = link.partition("#")
         if "://" not in link and target.endswith(".md"):
-            place = (path.parent / target).resolve()
-            if place.is_relative_to(DOCS):
-                found.add(str(place.relative_to(DOCS)) + (f"#{heading}" if heading else ""))
-    return found
+            linked_file = (path.parent / target).resolve()
+            if linked_file.is_relative_to(DOCS):
+                links.add(str(linked_file.relative_to(DOCS)) + (f"#{heading}" if heading else ""))
+    return links
 
 
 @pytest.mark.parametrize("question", ANSWERS)
@@ -114,7 +114,7 @@ def test_blocks_run_in_a_clean_user_environment(run_docs: ModuleType, tmp_path: 
     makefile.write_text(f"all:\n\t@{sys.executable} -c 'import json, os; print(json.dumps(dict(os.environ)))'\n")
     command = ["make", "-s", "-f", makefile, "ARGS=--leave-out x", "VENV=other", "PYTHON=python3.12"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
-    seen = run_docs.users_environment(json.loads(done.stdout))
+    seen = run_docs.user_environment(json.loads(done.stdout))
     assert not {"ARGS", "VENV"} & seen.keys()
     assert not any("--leave-out" in value for value in seen.values())
     assert seen["PYTHON"] == "python3.12"

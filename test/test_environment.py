@@ -47,9 +47,9 @@ def link_this_python(path: Path) -> None:
 def test_a_name_that_does_not_run_is_passed_over(machine: Path) -> None:
     write_script(machine / "python3.13", "echo 'python3.13: command not found' >&2; exit 127")
     link_this_python(machine / "python3")
-    found = find_python(machine)
-    assert found.returncode == 0, found.stderr
-    assert Path(found.stdout.strip()).resolve() == Path(sys.executable).resolve()
+    result = find_python(machine)
+    assert result.returncode == 0, result.stderr
+    assert Path(result.stdout.strip()).resolve() == Path(sys.executable).resolve()
 
 
 def test_python_that_was_named_is_the_one(machine: Path) -> None:
@@ -64,20 +64,20 @@ def test_python_that_was_named_is_the_one(machine: Path) -> None:
 def test_no_python_gets_one_sentence(machine: Path) -> None:
     # A Python of another version prints its version for the probe.
     write_script(machine / "python3", "echo 'is Python 3.8.18'; exit 1")
-    found = find_python(machine)
-    assert found.returncode == 1
-    assert len(found.stderr.splitlines()) == 1
-    assert "Python 3.11, 3.12 or 3.13" in found.stderr
-    assert "python3 is Python 3.8.18" in found.stderr
+    result = find_python(machine)
+    assert result.returncode == 1
+    assert len(result.stderr.splitlines()) == 1
+    assert "Python 3.11, 3.12 or 3.13" in result.stderr
+    assert "python3 is Python 3.8.18" in result.stderr
 
 
 def test_another_processor_gets_one_sentence(machine: Path) -> None:
     link_this_python(machine / "python3")
-    found = find_python(machine, MACHINE="aarch64")
-    assert found.returncode == 1
-    assert len(found.stderr.splitlines()) == 1
-    assert "x86-64 Linux" in found.stderr
-    assert "installed ROS 2" in found.stderr
+    result = find_python(machine, MACHINE="aarch64")
+    assert result.returncode == 1
+    assert len(result.stderr.splitlines()) == 1
+    assert "x86-64 Linux" in result.stderr
+    assert "installed ROS 2" in result.stderr
 
 
 @pytest.fixture
@@ -141,23 +141,23 @@ def test_interrupted_environment_is_created_again(project: Path) -> None:
     assert make(project, PIP_STATUS="1").returncode == 1
     assert (project / "env" / "unfinished").exists()
     # A new environment comes from venv with a real pip. It fails here, because the project's sources are missing.
-    made = make(project, PIP_NO_INDEX="1", PIP_FIND_LINKS="")
-    assert "making env with Python" in made.stdout
+    process = make(project, PIP_NO_INDEX="1", PIP_FIND_LINKS="")
+    assert "making env with Python" in process.stdout
     assert not (project / "env" / "calls").exists()
     assert not (project / "env" / "has_demo").exists()
 
 
 def test_missing_compiler_is_reported_before_pip_starts(project: Path, tmp_path: Path) -> None:
     # Nothing on the PATH, and so neither a compiler nor apt-get.
-    made = make(project, PATH=str(tmp_path), CXX="")
-    assert made.returncode == 1
-    assert len(made.stdout.splitlines()) == 1
-    assert "install the package g++" in made.stdout
+    process = make(project, PATH=str(tmp_path), CXX="")
+    assert process.returncode == 1
+    assert len(process.stdout.splitlines()) == 1
+    assert "install the package g++" in process.stdout
     assert pip_calls(project) == 0
     # A named compiler that is missing is not replaced by another.
-    made = make(project, CXX="absent-compiler")
-    assert made.returncode == 1
-    assert "absent-compiler, was not found" in made.stdout
+    process = make(project, CXX="absent-compiler")
+    assert process.returncode == 1
+    assert "absent-compiler, was not found" in process.stdout
     assert pip_calls(project) == 0
 
 
@@ -167,9 +167,9 @@ def test_as_root_with_apt_the_compiler_is_installed(project: Path, tmp_path: Pat
     write_script(folder / "apt-get", f'echo "$@" >> {tmp_path}/apt\n[ "$1" = update ] || {{ echo; }} > {folder}/g++')
     for tool in ("dirname", "touch"):  # used by the fake pip
         (folder / tool).symlink_to(shutil.which(tool) or f"/bin/{tool}")
-    made = make(project, PATH=str(folder), CXX="")
-    assert made.returncode == 0, made.stdout + made.stderr
-    assert "installing g++ with apt-get" in made.stdout
+    process = make(project, PATH=str(folder), CXX="")
+    assert process.returncode == 0, process.stdout + process.stderr
+    assert "installing g++ with apt-get" in process.stdout
     assert (tmp_path / "apt").read_text().splitlines()[-1].endswith("g++")
     assert pip_calls(project) == 1
 
@@ -177,9 +177,9 @@ def test_as_root_with_apt_the_compiler_is_installed(project: Path, tmp_path: Pat
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root installs packages")
 def test_failed_apt_is_reported(project: Path, tmp_path: Path) -> None:
     write_script(tmp_path / "packages" / "apt-get", "exit 100")
-    made = make(project, PATH=str(tmp_path / "packages"), CXX="")
-    assert made.returncode == 1
-    assert "apt-get update ended with status 100" in made.stdout
+    process = make(project, PATH=str(tmp_path / "packages"), CXX="")
+    assert process.returncode == 1
+    assert "apt-get update ended with status 100" in process.stdout
     assert pip_calls(project) == 0
 
 
@@ -188,9 +188,9 @@ def test_moved_environment_or_missing_python_is_not_sound(project: Path, monkeyp
     scripts = runpy.run_path(str(project / "scripts" / "environment.py"))
     assert make(project).returncode == 0
     assert scripts["is_sound"](project / "env")
-    made_in = (project / "env" / "made_in").read_text()
+    origin = (project / "env" / "made_in").read_text()
     (project / "env" / "made_in").write_text("/another/place\n")
     assert not scripts["is_sound"](project / "env")
-    (project / "env" / "made_in").write_text(made_in)
+    (project / "env" / "made_in").write_text(origin)
     (project / "env" / "bin" / "python").unlink()
     assert not scripts["is_sound"](project / "env")

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from cloth_sim_ros import Scene, Simulation
-from cloth_sim_ros.scene.without_effect import without_effect
+from cloth_sim_ros.scene.parameter_warnings import ineffective_parameters
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = sorted((ROOT / "examples").iterdir())
@@ -71,7 +71,7 @@ def test_read_session_prints_grasps_and_digests(tmp_path: Path) -> None:
 
 
 def test_custom_force_carries_the_weight(tmp_path: Path) -> None:
-    output = run("own_force.py", cwd=tmp_path)
+    output = run("custom_force.py", cwd=tmp_path)
     (expected,) = numbers(r"sink by m g / k = (\S+) mm", output)
     assert numbers(r"lowest bead (\S+) mm", output)[-1] == pytest.approx(-expected, abs=0.02)
 
@@ -87,7 +87,7 @@ def test_every_towel_parameter_has_an_effect() -> None:
     path = ROOT / "examples" / "towel.yaml"
     assert path.name == "towel.yaml"
     scene = Scene.from_file(path, node="towel")
-    assert without_effect(scene, scene.parameters()) == without_effect(Scene(), Scene().parameters())
+    assert ineffective_parameters(scene, scene.parameters()) == ineffective_parameters(Scene(), Scene().parameters())
     assert scene.gripper_names == ["left", "right"]
     assert Simulation(scene).advance().moved
 
@@ -99,16 +99,16 @@ def test_lift_study_lifts_as_fast_as_its_run_says(tmp_path: Path) -> None:
 
     from cloth_sim_ros.batch import study_file
     from cloth_sim_ros.batch.folder import StudyFolder
-    from cloth_sim_ros.batch.forecast import draw
+    from cloth_sim_ros.batch.study_estimate import sample_and_estimate
     from cloth_sim_ros.batch.study_run import perform
 
     assert (ROOT / "examples" / "lift_policy.py").is_file()
     study = attrs.evolve(study_file.read(ROOT / "examples" / "lift_study.yaml"), runs=2, duration=1.0)
-    place = StudyFolder(tmp_path / "lift")
-    samples, _ = draw(study, 1)
-    place.create(study, samples, "")
+    study_folder = StudyFolder(tmp_path / "lift")
+    samples, _ = sample_and_estimate(study, 1)
+    study_folder.create(study, samples, "")
     for run, values in enumerate(samples):
-        row = perform(place, study, run, values)
+        row = perform(study_folder, study, run, values)
         # The targets are shaken by a millimetre, and springs hold the corner's particles.
         assert row["outcomes"]["lifted"] == pytest.approx(row["values"]["policy.speed"], abs=0.02), row["error"]
 

@@ -57,7 +57,7 @@ def screen(start_process: Callable[..., Any], wait_until: Callable[..., Any]) ->
         pytest.skip("Xvfb is not installed")
     display = 1000 + os.getpid() % 50000
     server = start_process([shutil.which("Xvfb"), f":{display}", "-screen", "0", "640x480x24", "-nolisten", "tcp"])
-    wait_until(lambda: Path(f"/tmp/.X11-unix/X{display}").exists(), what="the screen")
+    wait_until(lambda: Path(f"/tmp/.X11-unix/X{display}").exists(), description="the screen")
     yield f":{display}"
     server.kill()
 

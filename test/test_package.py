@@ -158,16 +158,16 @@ def test_every_data_file_is_declared(setup_arguments: dict[str, object]) -> None
 
 def test_console_scripts_lead_to_functions(setup_arguments: dict[str, object]) -> None:
     scripts = setup_arguments["entry_points"]["console_scripts"]  # type: ignore[index,call-overload]
-    found = set()
+    commands = set()
     for script in scripts:
         name, _, target = script.replace(" ", "").partition("=")
         module, _, function = target.partition(":")
-        found.add(name)
+        commands.add(name)
         # Modules are read, not imported, because rclpy or rerun may not be installed.
         source = ROOT.joinpath(*module.split(".")).with_suffix(".py")
         definitions = {node.name for node in ast.parse(source.read_bytes()).body if isinstance(node, ast.FunctionDef)}
         assert function in definitions, f"{name} leads to {target}, which is not defined in {source}"
-    assert found == COMMANDS
+    assert commands == COMMANDS
 
 
 def test_executables_go_where_ros2_run_looks() -> None:

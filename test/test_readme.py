@@ -17,11 +17,11 @@ WRITTEN = [page for page in sorted((ROOT / "docs").rglob("*.md")) if page.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *WRITTEN]
 
 
-@pytest.mark.parametrize("number", range(len(EXAMPLES)))
-def test_an_example_runs_as_printed(number):
-    assert len(EXAMPLES[number].splitlines()) <= 20
+@pytest.mark.parametrize("index", range(len(EXAMPLES)))
+def test_an_example_runs_as_printed(index):
+    assert len(EXAMPLES[index].splitlines()) <= 20
     done = subprocess.run(
-        [sys.executable, "-c", EXAMPLES[number]], cwd=ROOT, capture_output=True, text=True, timeout=100
+        [sys.executable, "-c", EXAMPLES[index]], cwd=ROOT, capture_output=True, text=True, timeout=100
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout

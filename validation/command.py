@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from cloth_sim_ros.session.child_process import child_environment, module_command, safe_imports
-from cloth_sim_ros.session.outputs import OutputError, check_outputs
+from cloth_sim_ros.session.output_files import OutputError, check_outputs
 
 
 def run_command(

@@ -14,7 +14,7 @@ from typing import Any, Self
 import attrs
 import numpy as np
 
-from cloth_sim_ros.batch.futures import rollouts
+from cloth_sim_ros.batch.parallel_rollouts import rollouts
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation

@@ -15,12 +15,12 @@ import attrs
 
 from cloth_sim_ros.batch import study_file
 from cloth_sim_ros.batch.cluster import SchedulerAddress, connect, local_scheduler
-from cloth_sim_ros.batch.conduct import Conductor
 from cloth_sim_ros.batch.folder import StudyFolder
-from cloth_sim_ros.batch.forecast import quantity
 from cloth_sim_ros.batch.sampling import sample
 from cloth_sim_ros.batch.study import Study
-from cloth_sim_ros.batch.study_run import Motion
+from cloth_sim_ros.batch.study_estimate import format_quantity
+from cloth_sim_ros.batch.study_run import CommandedSimulation
+from cloth_sim_ros.batch.study_runner import StudyRunner
 from validation.report import Report, Table
 
 #: Runs of the sizing on paper, and the length of each [s].
@@ -124,8 +124,8 @@ def _plain(study: Study, workers: int) -> tuple[float, float]:
 def _simulate(study: Study, run: int, named: dict[str, Any]) -> float:
     """Run a simulation; its core time [s]."""
     begun = time.process_time()
-    motion = Motion.of(study, run, named)
-    for _ in range(motion.frames):
+    motion = CommandedSimulation.create(study, run, named)
+    for _ in range(motion.n_frames):
         motion.advance()
     return time.process_time() - begun
 
@@ -137,9 +137,9 @@ def _through_cloth_batch(address: SchedulerAddress, study: Study) -> tuple[float
     with tempfile.TemporaryDirectory() as folder:
         place = StudyFolder(Path(folder) / "study")
         place.create(study, samples, "")
-        conductor = Conductor(place, study, samples, 10.0, rows.__setitem__)
+        conductor = StudyRunner(place, study, samples, 10.0, rows.__setitem__)
         begun = time.perf_counter()
-        conductor.conduct(address, range(study.runs), wait=30.0)
+        conductor.run(address, range(study.runs), wait=30.0)
         wall = time.perf_counter() - begun
     return wall, sum(row["cpu_time"] for row in rows.values()), float(sum(row["bytes"] for row in rows.values()))
 
@@ -155,6 +155,6 @@ def _sizing(options: argparse.Namespace, rows: list[list[Any]], task: float) -> 
         hours = work / simulated * _LENGTH * _MILLION / 3600.0
         rate = _MILLION / (_HOURS * 3600.0)
         cloud = "yes" if what.endswith("with clouds") else "no"
-        total = quantity(size / simulated * _LENGTH * _MILLION, "B")
+        total = format_quantity(size / simulated * _LENGTH * _MILLION, "B")
         table.rows.append([cloud, f"{hours:,.0f}", f"{hours / _HOURS:,.0f}", total, rate, 100.0 * rate * task])
     return table

@@ -60,7 +60,7 @@ def _energy(report: Report) -> None:
     table = Table(
         "Energy of a stack that slides", ["lost J", "by friction J", "least in a frame J", "residual / turned over"]
     )
-    table.rows.append([balance.lost, balance.rubbed, least, worst / balance.turned_over])
+    table.rows.append([balance.dissipation, balance.friction_work, least, worst / balance.energy_turnover])
     report.tables.append(table)
-    if not (least >= 0.0 and worst <= 1e-3 * balance.turned_over):
+    if not (least >= 0.0 and worst <= 1e-3 * balance.energy_turnover):
         report.failures.append(f"friction gave energy, or the balance is open: {least:.2g} J, {worst:.2g} J")

@@ -22,7 +22,7 @@ from benchmarks.contact.layers import layers
 from benchmarks.contact.pinch import pinch
 from benchmarks.contact.recovery import starts
 from benchmarks.timing import take_turns
-from cloth_sim_ros.physics.remembered import ANCHORS
+from cloth_sim_ros.physics.controller_state import ANCHORS_KEY
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from validation.report import Report, Table, say
@@ -102,10 +102,10 @@ def _held(kind: str, count: int, degrees: float, mu: float) -> tuple[float, int]
     motion = slope(kind, count, degrees, (mu, mu))
     for _ in range(60):
         motion.advance()
-    start, kept = downhill(motion, degrees), motion.state.memory[ANCHORS].copy()
+    start, kept = downhill(motion, degrees), motion.state.memory[ANCHORS_KEY].copy()
     for _ in range(60):
         motion.advance()
-    moved = int((motion.state.memory[ANCHORS] != kept).any(axis=1).sum())
+    moved = int((motion.state.memory[ANCHORS_KEY] != kept).any(axis=1).sum())
     return abs(downhill(motion, degrees) - start), moved
 
 
@@ -126,11 +126,11 @@ def drift(report: Report, options: argparse.Namespace) -> None:
     motion = slope("grid", 8, steep, (0.5, 0.5))
     for _ in range(60):
         motion.advance()
-    start, kept = motion.state.x.copy(), motion.state.memory[ANCHORS].copy()
+    start, kept = motion.state.x.copy(), motion.state.memory[ANCHORS_KEY].copy()
     for _ in range(round(options.drift / FRAME)):
         motion.advance()
     way = float(np.abs(motion.state.x - start).max())
-    slipped = int((motion.state.memory[ANCHORS] != kept).sum())
+    slipped = int((motion.state.memory[ANCHORS_KEY] != kept).sum())
     report.tables.append(
         Table(
             "Drift",
@@ -226,8 +226,10 @@ def impacts(report: Report, options: argparse.Namespace) -> None:
                 done = motion.advance()
                 # The same frame once more in one run, which tells the least gap that it met.
                 steps = [math.ceil(FRAME / done.step)]
-                (again,), _ = motion.plan.runs(motion.frames * FRAME - FRAME, FRAME, start, steps, touches=True)
-                deepest = min(deepest, again.gap)
+                (again,), _ = motion.plan.runs(
+                    motion.frames * FRAME - FRAME, FRAME, start, steps, record_obstacles=True
+                )
+                deepest = min(deepest, again.min_gap)
                 finest, evaluations = min(finest, done.step), evaluations + done.evaluations
                 flagged += done.flagged
             table.rows.append([speed, name, deepest / THICKNESS, 1e6 * finest, evaluations, flagged])

@@ -16,13 +16,13 @@ from support.obstacle_sheets import FRAME, SHEET, THICKNESS
 from support.random_meshes import shuffled_mesh
 
 from cloth_sim_ros.physics.control.automatic import make_integrator
+from cloth_sim_ros.physics.controller_state import ANCHORS_KEY, JAWS_KEY
 from cloth_sim_ros.physics.forces.contact import Contact
 from cloth_sim_ros.physics.forces.drag import Drag
 from cloth_sim_ros.physics.forces.gravity import Gravity
 from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.pinch import Pads, inertia
+from cloth_sim_ros.physics.parallel_jaw import ParallelJaw, drive_inertia
 from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.remembered import ANCHORS, PINCHED
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from validation.report import Report, Table
@@ -58,26 +58,26 @@ class Pinched:
         places[:, 2] -= places[:, 2].max()
         mass = float(free.masses.sum())
         force, speed = share * mass * G / (2.0 * mu), 0.05
-        pads = Pads(
+        pads = ParallelJaw(
             gripper="hand",
             size=(2.0 * WIDTH, 0.01, 2.0 * BETWEEN),
             friction=(mu, mu),
             force=force,
             speed=speed,
             opening=0.02,
-            inertia=inertia(mass, force, speed),
+            inertia=drive_inertia(mass, force, speed),
         )
-        self.contact = Contact([], thickness=THICKNESS, pads=[pads])
+        self.contact = Contact([], thickness=THICKNESS, jaws=[pads])
         kept = [each for each in free.forces if each.name not in ("gravity", "drag")]
         self._kept = [*kept, self.contact]
         self.plan = compile(Model(free.masses, self._kept))
         self.state = State(places)
-        self.state.memory[PINCHED] = np.array([[1.2 * THICKNESS, 0.0]])
+        self.state.memory[JAWS_KEY] = np.array([[1.2 * THICKNESS, 0.0]])
         self._steps, self._frames = make_integrator("auto", tolerance=1e-5), 0
         self.between = places[:, 2] > -BETWEEN
         self.spacing = WIDTH / (columns - 1)
         self.move(np.zeros(3), np.zeros(3), np.zeros(3))
-        self.contact.drive(np.array([[True, True]]))
+        self.contact.set_jaw_commands(np.array([[True, True]]))
         # Its weight comes on it within half a second, through thick air, so that it does not fall into the pads.
         for k in range(SETTLED):
             self._uniform(G * min(1.0, max(0.0, (k - 10) / 30)), 5.0)
@@ -97,7 +97,7 @@ class Pinched:
         path = np.zeros((2, 26))
         path[:, 0], path[:, 16] = self._frames * FRAME, 1.0
         path[:, 1:4], path[:, 4:7], path[:, 7:10] = place, speed, 0.5 * np.asarray(rise)
-        self.contact.move(path)
+        self.contact.set_paths(path)
 
     def advance(self, frames: int = 1) -> None:
         """Let frames pass."""
@@ -108,7 +108,7 @@ class Pinched:
     @property
     def anchors(self) -> Any:
         """Friction's."""
-        return self.state.memory[ANCHORS].copy()
+        return self.state.memory[ANCHORS_KEY].copy()
 
 
 def _sheet(kind: str, columns: int) -> tuple[dict[str, Any], dict[str, bytes]]:

@@ -119,7 +119,7 @@ def fold(count: int, thickness: float, frames: int) -> Folded:
         found.seconds.append(time.process_time() - start)
         found.evaluations.append(0 if done.advance is None else done.advance.evaluations)
         contact = simulation.plan.contact
-        found.contacts.append(0 if contact is None else contact.own_gaps(simulation.state.x)[0])
+        found.contacts.append(0 if contact is None else contact.self_gaps(simulation.state.x)[0])
     return found
 
 

@@ -7,14 +7,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics import touching_layers
-from cloth_sim_ros.physics.clear_start import pierced
-from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
+from cloth_sim_ros.physics import self_contact_binding
+from cloth_sim_ros.physics.forces.contact import Contact, ContactSurface
 from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.initial_penetration import find_self_intersection
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.obstacle_mesh import nearest_points
 from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.owner import Owner
+from cloth_sim_ros.physics.plan_handle import PlanHandle
 
 
 def depth_in_ball(frames: Array, triangles: NDArray[np.int64], radius: float) -> float:
@@ -67,11 +67,15 @@ def crossings(frames: Array, triangles: NDArray[np.int64], rest: Array) -> list[
         triangles: (t, 3).
         rest: positions at rest [m], (n, 3).
     """
-    owner = Owner(Model(np.ones(len(rest)), []))
+    owner = PlanHandle(Model(np.ones(len(rest)), []))
     # How near it may come to itself plays no part.
-    surface = OwnSurface(triangles, rest, thickness=1e-9)
-    touching_layers.tell_surface(owner.handle, Contact(thickness=1e-9, surface=surface))
-    return [number for number, x in enumerate(frames) if pierced(owner, np.ascontiguousarray(x.T)) is not None]
+    surface = ContactSurface(triangles, rest, thickness=1e-9)
+    self_contact_binding.upload_surface(owner.pointer, Contact(thickness=1e-9, surface=surface))
+    return [
+        number
+        for number, x in enumerate(frames)
+        if find_self_intersection(owner, np.ascontiguousarray(x.T)) is not None
+    ]
 
 
 def creep_on_ball(frames: Array, seconds: float, radius: float, near: float) -> float:

@@ -101,9 +101,9 @@ def sheet_tables(problem: Problem) -> dict[str, Any]:
             gravity = force.acceleration
         elif isinstance(force, Drag):
             drag = force.rate
-    springs = sheet.listed
+    springs = sheet.pair_springs
     threads = [family for family in sheet.families if family.name in ("right", "down")]
-    along = GridSprings(sheet.rows, sheet.columns, threads).listed
+    along = GridSprings(sheet.rows, sheet.columns, threads).pair_springs
     return {
         "positions": state.positions,
         "masses": model.masses,

@@ -23,11 +23,11 @@ from cloth_sim_ros.session.mcap_builder import Compression
 from cloth_sim_ros.session.part import Message
 from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.session.recorder import Recorder, RecorderOptions
-from cloth_sim_ros.session.writer import SessionWriter, Snapshot, WriterOptions
+from cloth_sim_ros.session.writer import SessionSnapshot, SessionWriter, WriterOptions
 
 _MEMORY = 256 << 20
 """How much of the session is loaded, to be written again and again [bytes]."""
-_SNAPSHOT = Snapshot(scene_yaml="/**: {}\n", state=b"-", metadata={"node": "/measure"})
+_SNAPSHOT = SessionSnapshot(scene_yaml="/**: {}\n", state=b"-", metadata={"node": "/measure"})
 
 
 class _Timing(NamedTuple):

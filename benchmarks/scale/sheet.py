@@ -75,7 +75,7 @@ def _scene(kind: str, resolution: int) -> Scene:
     trial = Scene.from_parameters(values, files=files)
     plan = trial.plan()
     x = np.ascontiguousarray(trial.initial_positions().T)
-    limit = trial.build_integrator().step_limit(*plan.rates(x))
+    limit = trial.build_integrator().step_limit(*plan.spectral_bounds(x))
     return Scene.from_parameters({**values, "rate": 1.0 / (0.9 * STEPS * limit)}, files=files)
 
 

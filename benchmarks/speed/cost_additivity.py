@@ -209,7 +209,7 @@ def turn(wanted: Scene) -> Callable[[], None]:
 
     if wanted.gripper_names:
         done = simulation.advance([Target("gripper", corner), Grasp("gripper", True)])
-        if not done.grasps[0].held:
+        if not done.grasps[0].grasped_count:
             raise RuntimeError(f"the gripper holds nothing: {done.grasps[0].reason}")
     for frame in range(_WARM):
         simulation.advance(events(frame))
@@ -236,4 +236,4 @@ def _limit(wanted: Scene) -> float:
     simulation = Simulation(attrs.evolve(wanted, step=0.0))
     if wanted.gripper_names:
         simulation.advance([Target("gripper", lower_corner(simulation)), Grasp("gripper", True)])
-    return leapfrog_limit(*simulation.plan.rates(simulation.state.x))
+    return leapfrog_limit(*simulation.plan.spectral_bounds(simulation.state.x))

@@ -42,11 +42,11 @@ class HandMadeLoop:
         self._period = scene.period
         state = swinging(scene)
         self.x, self.v = state.x, state.v
-        self._limit = leapfrog_limit(*self._plan.rates(self.x))
+        self._limit = leapfrog_limit(*self._plan.spectral_bounds(self.x))
         #: Steps of the newest frame.
         self.steps = 0
         self._counts = np.zeros(1, dtype=np.int64)
-        self._told = np.zeros(SUMMARY_NUMBERS)
+        self._summary = np.zeros(SUMMARY_NUMBERS)
         #: Positions and velocities of the run that is made, and of the one before, which the next one starts from.
         self._ends = np.empty((1, 2, *self.x.shape)), np.empty((1, 2, *self.x.shape))
         self._frame = Frame(duration=self._period, runs=1, steps=self._counts.ctypes.data, bands=1, combined=1)
@@ -57,15 +57,15 @@ class HandMadeLoop:
         Raises:
             ValueError: if the motion does not stay finite.
         """
-        self._frame.told, self._frame.rates = self._told.ctypes.data, 1
+        self._frame.summary, self._frame.bounds_level = self._summary.ctypes.data, 1
         self.bare_frame()
-        if not self._told[0] < np.inf:
+        if not self._summary[0] < np.inf:
             raise ValueError("the motion did not stay finite")
-        self._limit = leapfrog_limit(float(self._told[1]), float(self._told[2]))
+        self._limit = leapfrog_limit(float(self._summary[1]), float(self._summary[2]))
 
     def bare_frame(self) -> None:
         """The steps alone: nothing is kept, nothing is looked at."""
-        self._counts[0] = self.steps = steps_for(self._period, CONSTANTS.safety * self._limit)
+        self._counts[0] = self.steps = steps_for(self._period, CONSTANTS.stability_safety * self._limit)
         frame = self._frame
         frame.x0, frame.v0, frame.out = self.x.ctypes.data, self.v.ctypes.data, self._ends[0].ctypes.data
         check(self._library.cloth_frame(self._handle, ctypes.byref(frame)))

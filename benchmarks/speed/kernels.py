@@ -83,7 +83,7 @@ def kernel_time(resolution: int, dtype: Any, *, compiler: str | None, seconds: f
 
     def runner(count: int) -> Callable[[], None]:
         def run() -> None:
-            plan.runs(0.0, count * _STILL, (x, v), [count], narrow=single, threads=1)
+            plan.runs(0.0, count * _STILL, (x, v), [count], single_precision=single, threads=1)
 
         return run
 
@@ -119,18 +119,18 @@ def thread_gain(resolution: int, dtype: Any, *, seconds: float) -> ThreadGain:
     sheet = RawSheet(resolution=resolution, drag=1.0)
     plan, start = sheet.plan(sheet.index[0]), _start(sheet)
     single = np.dtype(dtype) == np.float32
-    steps = int(np.ceil(PERIOD / (_SHARE * leapfrog_limit(*plan.rates(start[0])))))
+    steps = int(np.ceil(PERIOD / (_SHARE * leapfrog_limit(*plan.spectral_bounds(start[0])))))
     # As many frames a turn as make some milliseconds.
     frames = max(_UPDATES_A_TURN // (steps * resolution**2), 1)
 
     def repeat(which: Plan, threads: int) -> None:
         # Frames of hardly any length: they do all that others do.
         for _ in range(frames):
-            which.runs(0.0, steps * _STILL, start, [steps], narrow=single, threads=threads)
+            which.runs(0.0, steps * _STILL, start, [steps], single_precision=single, threads=threads)
 
     ends = []
     for threads in (1, 2):
-        (run,), _ = plan.runs(0.0, 3 * PERIOD, start, [3 * steps], narrow=single, threads=threads)
+        (run,), _ = plan.runs(0.0, 3 * PERIOD, start, [3 * steps], single_precision=single, threads=threads)
         ends.append((run.x.tobytes(), run.v.tobytes()))
     others = [sheet.plan(sheet.index[0]) for _ in range(2)]
     with ThreadPoolExecutor(len(others)) as pool:

@@ -80,7 +80,7 @@ def grip_time(resolution: int, *, turning: bool, seconds: float) -> PlanTime:
 def shuffled_sheet(particles: int) -> MeshSheet:
     """A square sheet of irregular triangles whose vertices come in random order."""
     rest, triangles = shuffled_mesh(particles)
-    return MeshSheet(rest=rest, surface=Surface.from_triangles(triangles))
+    return MeshSheet(rest_positions=rest, surface=Surface.from_triangles(triangles))
 
 
 class _Swirl(Force):

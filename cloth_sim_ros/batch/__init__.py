@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from cloth_sim_ros.batch.env import ClothEnv
-    from cloth_sim_ros.batch.futures import Trajectories, rollouts
     from cloth_sim_ros.batch.outcome import Outcome
+    from cloth_sim_ros.batch.parallel_rollouts import Trajectories, rollouts
     from cloth_sim_ros.batch.vector_env import ClothVectorEnv
 
-_PLACES = {
+_MODULES = {
     "ClothEnv": "env",
     "ClothVectorEnv": "vector_env",
     "Outcome": "outcome",
-    "Trajectories": "futures",
-    "rollouts": "futures",
+    "Trajectories": "parallel_rollouts",
+    "rollouts": "parallel_rollouts",
 }
 
 __all__ = ["ClothEnv", "ClothVectorEnv", "Outcome", "Trajectories", "rollouts"]
@@ -31,6 +31,6 @@ __all__ = ["ClothEnv", "ClothVectorEnv", "Outcome", "Trajectories", "rollouts"]
 
 def __getattr__(name: str) -> Any:
     # Import a public name's module at its first use.
-    if name not in _PLACES:
+    if name not in _MODULES:
         raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
-    return getattr(importlib.import_module(f"{__name__}.{_PLACES[name]}"), name)
+    return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)

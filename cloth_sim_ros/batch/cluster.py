@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from distributed import Client, Security
 
 #: Workers ignore Ctrl-C, which the terminal sends to them as well. This process stops them and prints one message.
-_UNINTERRUPTED = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
+_IGNORE_INTERRUPT = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 #: Number of workers that may die with a task before Dask reports the task as failed.
 _ALLOWED_FAILURES = 3
 
@@ -38,13 +38,13 @@ class SchedulerAddress:
     security: Security | None = attrs.field(default=None, repr=False)
 
 
-def cores() -> int:
+def core_count() -> int:
     """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
 @contextlib.contextmanager
-def local_scheduler(workers: int | None, say: Callable[[str], None]) -> Iterator[SchedulerAddress]:
+def local_scheduler(workers: int | None, on_message: Callable[[str], None]) -> Iterator[SchedulerAddress]:
     """Start a scheduler and one worker process per core on this machine.
 
     Connections are encrypted and need a certificate that exists in these processes alone. Without it, every account of
@@ -57,7 +57,7 @@ def local_scheduler(workers: int | None, say: Callable[[str], None]) -> Iterator
     import dask
     from distributed import LocalCluster, Security
 
-    _be_quiet()
+    _silence_dask_logs()
     # A worker's profiler interrupts its thread a hundred times a second, and holds the interpreter lock meanwhile.
     settings = {
         "distributed.scheduler.allowed-failures": _ALLOWED_FAILURES,
@@ -75,7 +75,7 @@ def local_scheduler(workers: int | None, say: Callable[[str], None]) -> Iterator
             # Dask warns if the dashboard's port is in use, and takes another one.
             warnings.simplefilter("ignore")
             cluster = LocalCluster(
-                n_workers=workers or cores(),
+                n_workers=workers or core_count(),
                 threads_per_worker=1,
                 processes=True,
                 host="127.0.0.1",
@@ -83,10 +83,10 @@ def local_scheduler(workers: int | None, say: Callable[[str], None]) -> Iterator
                 security=security,
                 local_directory=folder,
                 silence_logs=logging.CRITICAL,
-                preload=[*dask.config.get("distributed.worker.preload"), _UNINTERRUPTED],
+                preload=[*dask.config.get("distributed.worker.preload"), _IGNORE_INTERRUPT],
             )
         try:
-            say(f"{workers or cores()} workers on this machine; Dask's dashboard: {cluster.dashboard_link}")
+            on_message(f"{workers or core_count()} workers on this machine; Dask's dashboard: {cluster.dashboard_link}")
             yield SchedulerAddress(cluster.scheduler_address, security)
         finally:
             with contextlib.suppress(Exception):
@@ -106,15 +106,15 @@ def connect(scheduler: SchedulerAddress, *, wait: float) -> Client:
     """
     from distributed import Client
 
-    _be_quiet()
+    _silence_dask_logs()
     address = scheduler.address
     if "://" not in address:
         raise StudyError(f"scheduler '{address}' is no address; give tcp://host:8786, as `dask scheduler` prints it")
     end = time.monotonic() + wait
     while True:
-        left = end - time.monotonic()
+        remaining = end - time.monotonic()
         try:
-            timeout = f"{max(min(left, 10.0), 0.5):.1f}s"
+            timeout = f"{max(min(remaining, 10.0), 0.5):.1f}s"
             return Client(address, security=scheduler.security, timeout=timeout, set_as_default=False)
         except (OSError, TimeoutError, RuntimeError) as error:
             if time.monotonic() >= end:
@@ -127,7 +127,7 @@ def connect(scheduler: SchedulerAddress, *, wait: float) -> Client:
             raise StudyError(f"scheduler '{address}' is no address: {error}") from error
 
 
-def check_workers(client: Client, folder: Path, source: str) -> None:
+def check_workers(client: Client, folder: Path, version: str) -> None:
     """Check that every worker can use the study's folder and runs the same code.
 
     Args:
@@ -138,32 +138,34 @@ def check_workers(client: Client, folder: Path, source: str) -> None:
     Raises:
         StudyError: if a worker can't read or write the folder, or has other code.
     """
-    for worker, (said, theirs) in client.run(look, str(folder)).items():
-        if said:
+    for worker, (problem, worker_version) in client.run(probe_folder, str(folder)).items():
+        if problem:
             raise StudyError(
-                f"worker {worker} can't use {folder}: {said}. Workers on other machines need a shared folder under "
+                f"worker {worker} can't use {folder}: {problem}. Workers on other machines need a shared folder under "
                 "the same name (NFS, Lustre, a persistent volume)"
             )
-        if theirs != source:
+        if worker_version != version:
             raise StudyError(
-                f"worker {worker} has another version of cloth_sim_ros ({theirs}, here {source}): its bits "
+                f"worker {worker} has another version of cloth_sim_ros ({worker_version}, here {version}): its bits "
                 "may differ; install the same version there"
             )
 
 
-def look(folder: str) -> tuple[str, str]:
+def probe_folder(folder: str) -> tuple[str, str]:
     """Return the problem that a worker has with the folder (empty if none), and its code's version."""
     import secrets
     import socket
 
     from cloth_sim_ros.simulation.environment import environment
 
-    known = environment()
-    version = f"{known['version']}, {known['source']}, numerics {known['numerics']}"
-    place = Path(folder)
-    probe = place / f".unfinished-probe-{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(4)}"
+    environment_record = environment()
+    version = (
+        f"{environment_record['version']}, {environment_record['source']}, numerics {environment_record['numerics']}"
+    )
+    study_path = Path(folder)
+    probe = study_path / f".unfinished-probe-{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(4)}"
     try:
-        (place / "study.json").stat()
+        (study_path / "study.json").stat()
         probe.write_text("seen")
         probe.unlink()
     except OSError as error:
@@ -171,15 +173,15 @@ def look(folder: str) -> tuple[str, str]:
     return "", version
 
 
-def own_version() -> str:
+def local_version() -> str:
     """Return the version of this process's code, in the form of `probe_folder`."""
     from cloth_sim_ros.simulation.environment import environment
 
-    known = environment()
-    return f"{known['version']}, {known['source']}, numerics {known['numerics']}"
+    environment_record = environment()
+    return f"{environment_record['version']}, {environment_record['source']}, numerics {environment_record['numerics']}"
 
 
-def _be_quiet() -> None:
+def _silence_dask_logs() -> None:
     """Silence Dask's logs of lost connections, because this module handles them."""
     for name in ("distributed", "distributed.client", "distributed.nanny", "distributed.worker", "distributed.core"):
         logging.getLogger(name).setLevel(logging.CRITICAL)

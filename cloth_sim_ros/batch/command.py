@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cloth_sim_ros.session.loading import run_command
+from cloth_sim_ros.session.command_runner import run_command
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

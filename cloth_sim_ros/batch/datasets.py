@@ -20,72 +20,76 @@ from cloth_sim_ros.batch.study_run import OK
 from cloth_sim_ros.batch.trajectories import Trajectory
 
 #: Returns a new iterator over the runs at each call.
-Runs = Callable[[], Iterator[Trajectory]]
+TrajectorySource = Callable[[], Iterator[Trajectory]]
 
 
 def to_zarr(folder: Path, out: Path) -> int:
     """Write a zarr v3 group and return exit status 0."""
     from cloth_sim_ros.batch import zarr_export
 
-    return _write(folder, out, lambda place, there, runs, count: zarr_export.write(there, runs(), count, place))
+    return _export(
+        folder, out, lambda study_folder, target, runs, count: zarr_export.write(target, runs(), count, study_folder)
+    )
 
 
 def to_lerobot(folder: Path, out: Path, *, task: str, video: bool) -> int:
     """Write a LeRobotDataset v3.0 and return exit status 0."""
     from cloth_sim_ros.batch import lerobot_export
 
-    return _write(
-        folder, out, lambda _place, there, runs, _count: lerobot_export.write(there, runs(), task=task, video=video)
+    return _export(
+        folder,
+        out,
+        lambda _study_folder, target, runs, _count: lerobot_export.write(target, runs(), task=task, video=video),
     )
 
 
 def to_mcap(folder: Path, out: Path) -> int:
     """Write sessions with clouds and return exit status 0."""
-    place = StudyFolder(folder)
+    study_folder = StudyFolder(folder)
 
-    def write(_place: StudyFolder, there: Path, _runs: Runs, count: int) -> None:
-        there.mkdir()
-        for _ in _read(place, sessions_of(place), copy_into=there):
+    def write(_study_folder: StudyFolder, target: Path, _runs: TrajectorySource, count: int) -> None:
+        target.mkdir()
+        for _ in _trajectories(study_folder, successful_sessions(study_folder), copy_into=target):
             pass
 
-    return _write(folder, out, write)
+    return _export(folder, out, write)
 
 
-def sessions_of(place: StudyFolder) -> list[tuple[int, Path]]:
+def successful_sessions(study_folder: StudyFolder) -> list[tuple[int, Path]]:
     """Return the index and the session file of each successful run.
 
     Raises:
         StudyError: if no run was successful.
     """
-    table = index.read(place)
+    table = index.read(study_folder)
     columns = (table[name].to_pylist() for name in ("run", "status", "session"))
-    found = [(run, place.path / path) for run, status, path in zip(*columns, strict=True) if status == OK]
-    if not found:
-        raise StudyError(f"{place.path} has no successful run to export; run the study first")
-    return found
+    sessions = [(run, study_folder.path / path) for run, status, path in zip(*columns, strict=True) if status == OK]
+    if not sessions:
+        raise StudyError(f"{study_folder.path} has no successful run to export; run the study first")
+    return sessions
 
 
-def _write(folder: Path, out: Path, write: Callable[[StudyFolder, Path, Runs, int], None]) -> int:
-    place = StudyFolder(folder)
-    sessions = sessions_of(place)
+def _export(folder: Path, out: Path, write: Callable[[StudyFolder, Path, TrajectorySource, int], None]) -> int:
+    study_folder = StudyFolder(folder)
+    sessions = successful_sessions(study_folder)
     if out.exists():
         raise StudyError(f"{out} exists already; choose another name, or remove it")
-    hidden = out.absolute().parent / f".unfinished-{out.name}-{secrets.token_hex(4)}"
+    partial = out.absolute().parent / f".unfinished-{out.name}-{secrets.token_hex(4)}"
     try:
-        hidden.parent.mkdir(parents=True, exist_ok=True)
-        write(place, hidden, lambda: _read(place, sessions), len(sessions))
-        hidden.rename(out)
+        partial.parent.mkdir(parents=True, exist_ok=True)
+        write(study_folder, partial, lambda: _trajectories(study_folder, sessions), len(sessions))
+        partial.rename(out)
     except OSError as error:
         raise folder_error(out, error) from error
     finally:
         with contextlib.suppress(OSError):
-            shutil.rmtree(hidden)
-    print(f"{out}: {len(sessions)} runs of {place.path}")
+            shutil.rmtree(partial)
+    print(f"{out}: {len(sessions)} runs of {study_folder.path}")
     return 0
 
 
-def _read(
-    place: StudyFolder, sessions: list[tuple[int, Path]], *, copy_into: Path | None = None
+def _trajectories(
+    study_folder: StudyFolder, sessions: list[tuple[int, Path]], *, copy_into: Path | None = None
 ) -> Iterator[Trajectory]:
     from tqdm import tqdm
 

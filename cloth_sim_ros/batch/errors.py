@@ -11,7 +11,7 @@ import errno
 from pathlib import Path
 
 #: System errors of a full disk, an exceeded quota and a file size limit.
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class StudyError(ValueError):
@@ -28,7 +28,7 @@ class FolderError(StoppedError):
 
 def folder_error(folder: Path, error: OSError) -> FolderError:
     """Return an exception with cause and remedy of a failed write."""
-    if error.errno in _FULL:
+    if error.errno in _DISK_FULL:
         return FolderError(
             f"no space left in {folder}: {error.strerror}. Finished runs are kept, incomplete files are removed. "
             "Free disk space (or start in another folder with 'clouds: false'), then continue with --resume"

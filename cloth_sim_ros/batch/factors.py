@@ -11,10 +11,10 @@ from typing import Any
 import attrs
 
 from cloth_sim_ros.batch.errors import StudyError
-from cloth_sim_ros.scene.unknown import suggestion
+from cloth_sim_ros.scene.unknown_parameters import suggestion
 
 #: Limit of the number of values of a list or of `steps`.
-MOST_CHOICES = 1_000_000
+MAX_CHOICES = 1_000_000
 
 
 @attrs.frozen(kw_only=True)
@@ -37,9 +37,9 @@ class Factor:
             return int(self.values[2])
         return int(self.values[1] - self.values[0]) + 1 if self.kind == "integers" else None
 
-    def value(self, share: float) -> Any:
+    def value(self, quantile: float) -> Any:
         """Return the value at a quantile of the distribution, from 0 to 1."""
-        return KINDS[self.kind][1](self.values, min(max(share, 0.0), 1.0))
+        return KINDS[self.kind][1](self.values, min(max(quantile, 0.0), 1.0))
 
     def at(self, index: int) -> Any:
         """Return the value with an index below `count`."""
@@ -56,8 +56,8 @@ class Factor:
         return [] if self.kind == "normal" else [self.value(0.0), self.value(1.0)]
 
 
-def _choice(values: tuple[Any, ...], share: float) -> Any:
-    return values[min(int(share * len(values)), len(values) - 1)]
+def _choice(values: tuple[Any, ...], quantile: float) -> Any:
+    return values[min(int(quantile * len(values)), len(values) - 1)]
 
 
 def _steps_at(values: tuple[Any, ...], index: int) -> float:
@@ -65,31 +65,31 @@ def _steps_at(values: tuple[Any, ...], index: int) -> float:
     return high if index == count - 1 else low + (high - low) * (index / (count - 1))
 
 
-def _steps(values: tuple[Any, ...], share: float) -> float:
-    return _steps_at(values, min(int(share * values[2]), int(values[2]) - 1))
+def _steps(values: tuple[Any, ...], quantile: float) -> float:
+    return _steps_at(values, min(int(quantile * values[2]), int(values[2]) - 1))
 
 
-def _uniform(values: tuple[Any, ...], share: float) -> float:
-    return float(values[1]) if share == 1.0 else float(values[0]) + (float(values[1]) - float(values[0])) * share
+def _uniform(values: tuple[Any, ...], quantile: float) -> float:
+    return float(values[1]) if quantile == 1.0 else float(values[0]) + (float(values[1]) - float(values[0])) * quantile
 
 
-def _log_uniform(values: tuple[Any, ...], share: float) -> float:
+def _log_uniform(values: tuple[Any, ...], quantile: float) -> float:
     low, high = float(values[0]), float(values[1])
     # Clip rounding errors to the range.
-    return min(max(math.exp(math.log(low) + (math.log(high) - math.log(low)) * share), low), high)
+    return min(max(math.exp(math.log(low) + (math.log(high) - math.log(low)) * quantile), low), high)
 
 
-def _normal(values: tuple[Any, ...], share: float) -> float:
+def _normal(values: tuple[Any, ...], quantile: float) -> float:
     from scipy.special import ndtri
 
     # The quantiles 0 and 1 of a normal distribution are infinite.
-    inside = min(max(share, 2.0**-53), 1.0 - 2.0**-53)
-    return float(values[0]) + float(values[1]) * float(ndtri(inside))
+    clipped = min(max(quantile, 2.0**-53), 1.0 - 2.0**-53)
+    return float(values[0]) + float(values[1]) * float(ndtri(clipped))
 
 
-def _integers(values: tuple[Any, ...], share: float) -> int:
+def _integers(values: tuple[Any, ...], quantile: float) -> int:
     low, high = int(values[0]), int(values[1])
-    return min(low + int(share * (high - low + 1)), high)
+    return min(low + int(quantile * (high - low + 1)), high)
 
 
 #: Distributions: description of the arguments, and the quantile function.
@@ -114,36 +114,36 @@ def read(name: str, content: Any) -> Factor:
     if not isinstance(content, Mapping) or len(content) != 1:
         known = ", ".join(f"{{{kind}: {takes}}}" for kind, (takes, _) in KINDS.items() if kind != "choices")
         raise StudyError(f"vary: '{name}' is {content!r}; give a list of values, or one of {known}")
-    ((kind, given),) = content.items()
+    ((kind, entries),) = content.items()
     if kind not in KINDS:
         raise StudyError(
             f"vary: '{name}' has the unknown distribution '{kind}'; known are {', '.join(KINDS)}"
             f"{suggestion(str(kind), KINDS)}"
         )
-    if not isinstance(given, list) or not given:
-        what = "is empty" if given == [] else f"has {given!r}"
-        raise StudyError(f"vary: '{name}' {what}; {kind} takes {KINDS[kind][0]}")
-    if len(given) > MOST_CHOICES:
-        raise StudyError(f"vary: '{name}' has {len(given)} values; at most {MOST_CHOICES}")
+    if not isinstance(entries, list) or not entries:
+        problem = "is empty" if entries == [] else f"has {entries!r}"
+        raise StudyError(f"vary: '{name}' {problem}; {kind} takes {KINDS[kind][0]}")
+    if len(entries) > MAX_CHOICES:
+        raise StudyError(f"vary: '{name}' has {len(entries)} values; at most {MAX_CHOICES}")
     if kind == "choices":
-        return Factor(name=name, kind=kind, values=tuple(tuple(v) if isinstance(v, list) else v for v in given))
-    return Factor(name=name, kind=kind, values=_numbers(name, kind, given))
+        return Factor(name=name, kind=kind, values=tuple(tuple(v) if isinstance(v, list) else v for v in entries))
+    return Factor(name=name, kind=kind, values=_parse_numbers(name, kind, entries))
 
 
-def _numbers(name: str, kind: str, given: list[Any]) -> tuple[Any, ...]:
-    wanted = 3 if kind == "steps" else 2
-    whole = kind == "integers"
-    for value in given:
-        fits = isinstance(value, int) if whole else isinstance(value, int | float) and math.isfinite(value)
-        if isinstance(value, bool) or not fits:
+def _parse_numbers(name: str, kind: str, entries: list[Any]) -> tuple[Any, ...]:
+    n_expected = 3 if kind == "steps" else 2
+    is_integer = kind == "integers"
+    for value in entries:
+        is_valid = isinstance(value, int) if is_integer else isinstance(value, int | float) and math.isfinite(value)
+        if isinstance(value, bool) or not is_valid:
             raise StudyError(f"vary: '{name}' has {value!r}; {kind} takes {KINDS[kind][0]}")
-    if len(given) != wanted:
-        raise StudyError(f"vary: '{name}' has {len(given)} numbers, {given}; {kind} takes {KINDS[kind][0]}")
-    low, high = given[:2]
+    if len(entries) != n_expected:
+        raise StudyError(f"vary: '{name}' has {len(entries)} numbers, {entries}; {kind} takes {KINDS[kind][0]}")
+    low, high = entries[:2]
     if kind == "normal":
         if high <= 0:
             raise StudyError(f"vary: '{name}' has the standard deviation {high}; it must be above 0")
-        return tuple(given)
+        return tuple(entries)
     if not low < high:
         raise StudyError(
             f"vary: '{name}' has the empty range from {low} to {high}; the lowest comes first and is below the highest "
@@ -151,6 +151,6 @@ def _numbers(name: str, kind: str, given: list[Any]) -> tuple[Any, ...]:
         )
     if kind == "log_uniform" and low <= 0:
         raise StudyError(f"vary: '{name}' has the lowest value {low}; log_uniform takes {KINDS[kind][0]}")
-    if kind == "steps" and not (isinstance(given[2], int) and 2 <= given[2] <= MOST_CHOICES):
-        raise StudyError(f"vary: '{name}' has {given[2]} steps; from 2 to {MOST_CHOICES} are possible")
-    return tuple(given)
+    if kind == "steps" and not (isinstance(entries[2], int) and 2 <= entries[2] <= MAX_CHOICES):
+        raise StudyError(f"vary: '{name}' has {entries[2]} steps; from 2 to {MAX_CHOICES} are possible")
+    return tuple(entries)

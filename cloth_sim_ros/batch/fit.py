@@ -11,36 +11,36 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.fit_information import Tie, correlation, ties
-from cloth_sim_ros.batch.fit_misfit import WORSE
-from cloth_sim_ros.batch.fit_parameters import FitError, Fitted, choose
-from cloth_sim_ros.batch.fit_recording import Recording, check, cloud_offsets, visible
-from cloth_sim_ros.batch.fit_runs import Run, Runs, followed, residuals, shift, simulate
-from cloth_sim_ros.batch.fit_solver import Problem, deviations, information
-from cloth_sim_ros.batch.fit_windows import TOLD, Windows, solve
+from cloth_sim_ros.batch.fit_information import ConfoundedDirection, confounded_directions, correlation
+from cloth_sim_ros.batch.fit_misfit import MISFIT_RATIO
+from cloth_sim_ros.batch.fit_parameters import FitError, FitParameter, choose_parameters
+from cloth_sim_ros.batch.fit_recording import FitRecording, check_recording, residual_offsets, visible
+from cloth_sim_ros.batch.fit_runs import FitRun, FitRunPool, mean_offset, residuals, simulate, simulate_with_misses
+from cloth_sim_ros.batch.fit_solver import FitProblem, fisher_information, standard_deviations
+from cloth_sim_ros.batch.fit_windows import IDENTIFIED_DEVIATION, WindowedFit, solve_windows
 
 #: Half width of the 95 % interval of a normal distribution [standard deviations].
 NORMAL_95 = 1.959963984540054
 #: Correlation of successive residuals above which the intervals are widened.
-LEAST_CORRELATION = 0.1
+MIN_CORRELATION = 0.1
 
 
 @attrs.frozen(kw_only=True)
 class Estimate:
     """Estimate of one parameter."""
 
-    parameter: Fitted
+    parameter: FitParameter
     #: Fitted value, in the parameter's unit.
     value: float
     #: Relative standard deviation (of the logarithm): the Cramér-Rao bound, widened if residuals are correlated;
     #: infinite if the clouds do not depend on the parameter.
     bound: float
     #: True if the bound is at most the requested deviation, and no doubt exists.
-    told: bool
+    is_identified: bool
     #: True if the value lies at a limit of the search range.
-    at_end: bool = False
+    is_at_limit: bool = False
     #: True if the model explains the recording, as the bound assumes; see `Fit.doubt`.
-    followed: bool = True
+    is_explained: bool = True
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -57,21 +57,21 @@ class Fit:
     name: str
     estimates: tuple[Estimate, ...]
     #: Confounded directions, the most uncertain first.
-    ties: tuple[Tie, ...]
+    confounded: tuple[ConfoundedDirection, ...]
     #: Standard deviation of a measured coordinate [m]: prescribed, or estimated from the residuals.
     sigma: float
     #: True if the caller prescribed `sigma`.
-    sigma_given: bool
+    is_sigma_prescribed: bool
     #: Standard deviation of the residuals [m].
     rms: float
     #: Correlation between a particle's residuals in successive clouds.
     correlation: float
     #: Number of used clouds, number of recorded clouds, and time of the last used cloud [s].
-    clouds: int
-    all_clouds: int
-    until: float
+    n_clouds: int
+    n_recorded_clouds: int
+    end_time: float
     #: Fraction of the particles that the used clouds lack; None if the clouds are bare points.
-    missing: float | None
+    missing_fraction: float | None
     #: Common offset of the clouds from the fitted cloth [m], 3 numbers; None if it was not fitted.
     shift: tuple[float, ...] | None
     #: Reason why later clouds were not used; empty if all were used.
@@ -79,17 +79,17 @@ class Fit:
     #: Reason why no parameter counts as identified, and the remedy; empty if the bounds are valid.
     doubt: str
     #: Number of simulations.
-    runs: int
+    n_runs: int
     #: Tolerance of the last window's simulations [m].
     tolerance: float
     #: Largest relative standard deviation of an identified parameter.
     within: float
-    recording: Recording
+    recording: FitRecording
     #: Time of each used cloud [s], and the standard deviation of its residuals before and after the fit [m]; NaN
     #: if the cloud has no points. Shape (clouds,).
     seconds: NDArray[np.float64]
-    before: NDArray[np.float64]
-    after: NDArray[np.float64]
+    rms_before: NDArray[np.float64]
+    rms_after: NDArray[np.float64]
 
     @property
     def values(self) -> dict[str, float]:
@@ -97,20 +97,20 @@ class Fit:
         return {estimate.parameter.name: estimate.value for estimate in self.estimates}
 
     @property
-    def all_told(self) -> bool:
+    def all_identified(self) -> bool:
         """True if every parameter is identified."""
-        return all(estimate.told for estimate in self.estimates)
+        return all(estimate.is_identified for estimate in self.estimates)
 
 
 def fit(
-    recording: Recording,
+    recording: FitRecording,
     names: Sequence[str],
     *,
     start: Mapping[str, float] | None = None,
     sigma: float | None = None,
-    within: float = TOLD,
+    within: float = IDENTIFIED_DEVIATION,
     workers: int | None = None,
-    tick: Callable[[int], None] = lambda _runs: None,
+    on_progress: Callable[[int], None] = lambda _runs: None,
 ) -> Fit:
     """Fit parameters by least squares between the simulated cloth and the clouds.
 
@@ -135,92 +135,107 @@ def fit(
         raise FitError(f"within is {within:g}; a relative deviation must be between 0 and 1, e.g. 0.025")
     if workers is not None and workers < 1:
         raise FitError(f"workers is {workers}; at least 1 is needed")
-    fitted = choose(recording.scene, names, start)
-    check(recording, [parameter.name for parameter in fitted])
-    offsets = cloud_offsets(recording)
-    with Runs(recording, fitted, workers=workers) as runs:
-        problem = Problem(runs=runs, offsets=offsets, sigma=sigma, tick=tick)
-        windows = solve(problem, recording.seconds)
-        last = windows.done[-1]
-        (before,) = problem.ask([problem.start], last.clouds, last.tolerance)
-    return _told(problem, windows, before, within)
+    parameters = choose_parameters(recording.scene, names, start)
+    check_recording(recording, [parameter.name for parameter in parameters])
+    offsets = residual_offsets(recording)
+    with FitRunPool(recording, parameters, workers=workers) as runs:
+        problem = FitProblem(pool=runs, offsets=offsets, sigma=sigma, on_progress=on_progress)
+        windows = solve_windows(problem, recording.seconds)
+        last = windows.windows[-1]
+        (start_residuals,) = problem.evaluate([problem.start], last.n_clouds, last.tolerance)
+    return _build_fit(problem, windows, start_residuals, within)
 
 
-def _told(problem: Problem, windows: Windows, before: object, within: float) -> Fit:
-    recording, last, fitted = problem.runs.recording, windows.done[-1], problem.runs.fitted
-    r, offsets = last.linear.r, problem.offsets[: last.clouds + 1]
-    fisher = information(last.linear, last.sigma)
-    related = correlation(recording, r, last.clouds)
-    wider = math.sqrt((1.0 + related) / (1.0 - related)) if related > LEAST_CORRELATION else 1.0
-    bounds = wider * deviations(fisher)
-    rms = float(np.sqrt(np.square(r).sum() / max(r.size - len(fitted), 1)))
-    run = Run(values=tuple(np.exp(last.linear.theta).tolist()), clouds=last.clouds, tolerance=last.tolerance)
+def _build_fit(problem: FitProblem, windows: WindowedFit, start_residuals: object, within: float) -> Fit:
+    recording, last, parameters = problem.pool.recording, windows.windows[-1], problem.pool.parameters
+    r, offsets = last.linearization.r, problem.offsets[: last.n_clouds + 1]
+    fisher = fisher_information(last.linearization, last.sigma)
+    residual_correlation = correlation(recording, r, last.n_clouds)
+    inflation = (
+        math.sqrt((1.0 + residual_correlation) / (1.0 - residual_correlation))
+        if residual_correlation > MIN_CORRELATION
+        else 1.0
+    )
+    bounds = inflation * standard_deviations(fisher)
+    rms = float(np.sqrt(np.square(r).sum() / max(r.size - len(parameters), 1)))
+    run = FitRun(
+        values=tuple(np.exp(last.linearization.theta).tolist()), n_clouds=last.n_clouds, tolerance=last.tolerance
+    )
     doubt = windows.doubt or _doubt(problem, run, rms)
     estimates = []
-    for parameter, theta, bound in zip(fitted, last.linear.theta.tolist(), bounds.tolist(), strict=True):
+    for parameter, theta, bound in zip(parameters, last.linearization.theta.tolist(), bounds.tolist(), strict=True):
         value = math.exp(theta)
-        at_end = min(abs(value / parameter.least - 1.0), abs(value / parameter.most - 1.0)) < 1e-6
-        told = bound <= within and not at_end and not doubt
+        is_at_limit = min(abs(value / parameter.min_value - 1.0), abs(value / parameter.max_value - 1.0)) < 1e-6
+        is_identified = bound <= within and not is_at_limit and not doubt
         estimates.append(
-            Estimate(parameter=parameter, value=value, bound=bound, told=told, at_end=at_end, followed=not doubt)
+            Estimate(
+                parameter=parameter,
+                value=value,
+                bound=bound,
+                is_identified=is_identified,
+                is_at_limit=is_at_limit,
+                is_explained=not doubt,
+            )
         )
-    seen = [int(visible(cloud).sum()) for cloud in recording.clouds[: last.clouds]]
-    every = sum(len(cloud) for cloud in recording.clouds[: last.clouds])
-    moved = None
-    if recording.shifted:
-        bare = residuals(attrs.evolve(recording, shifted=False), fitted, run)
-        moved = tuple(shift(bare).tolist())
+    n_seen = [int(visible(cloud).sum()) for cloud in recording.clouds[: last.n_clouds]]
+    n_points = sum(len(cloud) for cloud in recording.clouds[: last.n_clouds])
+    offset = None
+    if recording.has_shift:
+        unshifted = residuals(attrs.evolve(recording, has_shift=False), parameters, run)
+        offset = tuple(mean_offset(unshifted).tolist())
     return Fit(
         name=recording.name,
         estimates=tuple(estimates),
-        ties=tuple(ties(fitted, fisher / wider**2, within)),
+        confounded=tuple(confounded_directions(parameters, fisher / inflation**2, within)),
         sigma=last.sigma,
-        sigma_given=problem.sigma is not None,
+        is_sigma_prescribed=problem.sigma is not None,
         rms=rms,
-        correlation=related,
-        clouds=last.clouds,
-        all_clouds=len(recording.clouds),
-        until=float(recording.seconds[last.clouds - 1]),
-        missing=1.0 - sum(seen) / every if recording.matched else None,
-        shift=moved,
+        correlation=residual_correlation,
+        n_clouds=last.n_clouds,
+        n_recorded_clouds=len(recording.clouds),
+        end_time=float(recording.seconds[last.n_clouds - 1]),
+        missing_fraction=1.0 - sum(n_seen) / n_points if recording.matched else None,
+        shift=offset,
         reason=windows.reason,
         doubt=doubt,
-        runs=problem.runs.made,
+        n_runs=problem.pool.n_runs,
         tolerance=last.tolerance,
         within=within,
         recording=recording,
-        seconds=recording.seconds[: last.clouds],
-        before=_by_cloud(before, offsets) if isinstance(before, np.ndarray) else np.full(last.clouds, np.nan),
-        after=_by_cloud(r, offsets),
+        seconds=recording.seconds[: last.n_clouds],
+        rms_before=_rms_by_cloud(start_residuals, offsets)
+        if isinstance(start_residuals, np.ndarray)
+        else np.full(last.n_clouds, np.nan),
+        rms_after=_rms_by_cloud(r, offsets),
     )
 
 
-def _doubt(problem: Problem, run: Run, rms: float) -> str:
+def _doubt(problem: FitProblem, run: FitRun, rms: float) -> str:
     """Return the reason to doubt the bounds of a fit that used all clouds; empty if none."""
-    if problem.sigma is not None and rms > WORSE * problem.sigma:
+    if problem.sigma is not None and rms > MISFIT_RATIO * problem.sigma:
         return (
             f"the residuals are {rms / problem.sigma:.1f} times the deviation that --sigma gives: the model does not "
             "explain these clouds, and the bounds are too small. Omit --sigma, or add the missing effect to the scene"
         )
-    _, missed = followed(problem.runs.recording, problem.runs.fitted, run)
-    if missed:
+    _, n_missed = simulate_with_misses(problem.pool.recording, problem.pool.parameters, run)
+    if n_missed:
         return (
-            f"the simulation missed its tolerance of {run.tolerance:g} m in {missed} frames, because they exceeded "
+            f"the simulation missed its tolerance of {run.tolerance:g} m in {n_missed} frames, because they exceeded "
             "the work limit: the motion is inexact and the bounds are invalid. Use fewer particles, or end before the "
             "violent part by --until"
         )
     return ""
 
 
-def _by_cloud(r: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
+def _rms_by_cloud(r: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the root mean square of each cloud's residuals [m], shape (clouds,); NaN if a cloud has none."""
     sums = np.concatenate([[0.0], np.cumsum(np.square(r))])[offsets]
     counts = np.diff(offsets)
     return np.where(counts > 0, np.sqrt(np.maximum(np.diff(sums), 0.0) / np.maximum(counts, 1)), np.nan)
 
 
-def path_of(fit: Fit) -> NDArray[np.float64]:
+def fitted_positions(fit: Fit) -> NDArray[np.float64]:
     """Return the fitted cloth's positions at the times of the used clouds [m], shape (clouds, particles, 3)."""
-    fitted = [estimate.parameter for estimate in fit.estimates]
-    run = Run(values=tuple(fit.values.values()), clouds=fit.clouds, tolerance=fit.tolerance)
-    return simulate(fit.recording, fitted, run)
+    parameters = [estimate.parameter for estimate in fit.estimates]
+    run = FitRun(values=tuple(fit.values.values()), n_clouds=fit.n_clouds, tolerance=fit.tolerance)
+    return simulate(fit.recording, parameters, run)

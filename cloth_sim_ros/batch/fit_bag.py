@@ -12,10 +12,17 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.fit_held import SPAN, HeldParticles, check_distinct, find_held, parse_all_held, rest_held
+from cloth_sim_ros.batch.fit_grasped import (
+    GRASP_SPAN,
+    GraspedParticles,
+    check_distinct,
+    find_grasped,
+    find_grasped_at_rest,
+    parse_all_grasped,
+)
 from cloth_sim_ros.batch.fit_motion import GripperPath, check_rest
 from cloth_sim_ros.batch.fit_parameters import FitError
-from cloth_sim_ros.batch.fit_recording import Recording, visible
+from cloth_sim_ros.batch.fit_recording import FitRecording, visible
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.gripper_path import rotation_matrix
 from cloth_sim_ros.physics.state import State
@@ -25,9 +32,9 @@ from cloth_sim_ros.simulation.grippers import Grippers
 
 _CLOUD, _POSE, _BOOL = "sensor_msgs/msg/PointCloud2", "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Bool"
 #: Names of a cloud's field with the particle index, and numpy types of PointField's integer types.
-_NUMBERS, _KINDS = ("index", "id", "particle"), {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4"}
+_INDEX_FIELDS, _INTEGER_TYPES = ("index", "id", "particle"), {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4"}
 #: Longest accepted recording [s].
-LONGEST = 3600.0
+MAX_DURATION = 3600.0
 
 
 @attrs.define(kw_only=True)
@@ -41,27 +48,27 @@ class _Track:
     #: Stamps [ns] of its grasps, and true if closed.
     grasps: list[tuple[int, bool]] = attrs.field(factory=list)
 
-    def at(self, stamp: float) -> tuple[list[float], list[float]]:
+    def pose_at(self, stamp: float) -> tuple[list[float], list[float]]:
         """Return position [m] and quaternion at a stamp [ns], linear between poses and constant outside them."""
         order = np.argsort(np.array(self.stamps), kind="stable")
         times, poses = np.array(self.stamps, dtype=np.float64)[order], np.array(self.poses)[order]
         k = int(np.clip(np.searchsorted(times, stamp, side="right") - 1, 0, max(len(times) - 2, 0)))
         after = min(k + 1, len(times) - 1)
         span = times[after] - times[k]
-        share = float(np.clip((stamp - times[k]) / span, 0.0, 1.0)) if span > 0.0 else 0.0
-        one, two = poses[k], poses[after].copy()
-        if float(one[3:] @ two[3:]) < 0.0:
-            two[3:] *= -1.0
-        pose = (1.0 - share) * one + share * two
+        fraction = float(np.clip((stamp - times[k]) / span, 0.0, 1.0)) if span > 0.0 else 0.0
+        pose_before, pose_after = poses[k], poses[after].copy()
+        if float(pose_before[3:] @ pose_after[3:]) < 0.0:
+            pose_after[3:] *= -1.0
+        pose = (1.0 - fraction) * pose_before + fraction * pose_after
         pose[3:] /= np.sqrt(float(pose[3:] @ pose[3:]))
         return pose[:3].tolist(), pose[3:].tolist()
 
 
-def _path(track: _Track, start: int) -> GripperPath:
+def _gripper_path(track: _Track, start: int) -> GripperPath:
     """Return the path of a gripper over the time since a stamp [ns]."""
     order = np.argsort(np.array(track.stamps), kind="stable")
     times = np.asarray(1e-9 * (np.array(track.stamps, dtype=np.int64)[order] - start), dtype=np.float64)
-    return GripperPath(times=times, places=np.array(track.poses)[order, :3])
+    return GripperPath(times=times, positions=np.array(track.poses)[order, :3])
 
 
 def is_session(path: Path) -> bool:
@@ -88,11 +95,11 @@ def read_bag(
     *,
     topic: str | None = None,
     poses: Mapping[str, str] | None = None,
-    settle: float = 4.0,
+    settle_time: float = 4.0,
     matched: bool = True,
-    held: Mapping[str, str] | None = None,
-    begin: float = 0.0,
-) -> Recording:
+    grasped: Mapping[str, str] | None = None,
+    first_time: float = 0.0,
+) -> FitRecording:
     """Read clouds and gripper poses of a cloth that hangs at rest in its grippers at the first cloud.
 
     Args:
@@ -108,35 +115,44 @@ def read_bag(
     Raises:
         FitError: if the recording is unusable; the text names cause and remedy.
     """
-    named = parse_all_held(scene, held or {})
-    if not (np.isfinite(settle) and 0.0 <= settle <= LONGEST):
-        raise FitError(f"--settle is {settle:g} s; it must be from 0 to {LONGEST:g}")
-    heard = _heard(paths)
-    cloud_topic = _one(
-        [name for name, (kind, _) in heard.items() if kind == _CLOUD], topic, "clouds (PointCloud2)", "--topic NAME"
+    named_particles = parse_all_grasped(scene, grasped or {})
+    if not (np.isfinite(settle_time) and 0.0 <= settle_time <= MAX_DURATION):
+        raise FitError(f"--settle is {settle_time:g} s; it must be from 0 to {MAX_DURATION:g}")
+    messages_by_topic = _read_messages(paths)
+    cloud_topic = _select_topic(
+        [name for name, (kind, _) in messages_by_topic.items() if kind == _CLOUD],
+        topic,
+        "clouds (PointCloud2)",
+        "--topic NAME",
     )
-    tracks = {name: _track(heard, name, dict(poses or {}).get(name)) for name in scene.gripper_names}
+    tracks = {name: _read_track(messages_by_topic, name, dict(poses or {}).get(name)) for name in scene.gripper_names}
     unknown = [name for name in poses or {} if name not in tracks]
     if unknown:
         raise FitError(f"--pose names '{unknown[0]}'; the scene's grippers are {', '.join(tracks) or 'none'}")
     count = len(scene.initial_positions())
-    seen = sorted(
-        (_cloud(data, time, scene, count, matched) for time, data in heard[cloud_topic][1]), key=lambda entry: entry[0]
+    stamped_clouds = sorted(
+        (_read_cloud(data, time, scene, count, matched) for time, data in messages_by_topic[cloud_topic][1]),
+        key=lambda entry: entry[0],
     )
-    stamps = np.array([stamp for stamp, _ in seen], dtype=np.int64)
+    stamps = np.array([stamp for stamp, _ in stamped_clouds], dtype=np.int64)
     if not stamps.size:
         raise FitError(f"{paths[0]} holds no cloud on {cloud_topic}")
-    if not (np.isfinite(begin) and 0.0 <= begin <= 1e-9 * (stamps[-1] - stamps[0])):
+    if not (np.isfinite(first_time) and 0.0 <= first_time <= 1e-9 * (stamps[-1] - stamps[0])):
         raise FitError(
-            f"--from is {begin:g} s; it must be from 0 to {1e-9 * (stamps[-1] - stamps[0]):.2f}, the last cloud"
+            f"--from is {first_time:g} s; it must be from 0 to {1e-9 * (stamps[-1] - stamps[0]):.2f}, the last cloud"
         )
-    late = stamps >= stamps[0] + round(1e9 * begin) - 1_000_000
-    seen, stamps = [entry for entry, is_late in zip(seen, late, strict=True) if is_late], stamps[late]
-    first = np.concatenate([[True], np.diff(stamps) > 0])
-    seconds = (stamps[first] - stamps[0]) * 1e-9
-    clouds = [cloud for (_, cloud), new in zip(seen, first, strict=True) if new]
-    if seconds[-1] > LONGEST:
-        raise FitError(f"clouds span {seconds[-1]:.0f} s; the limit is {LONGEST:g} s. Stamp all messages by one clock")
+    is_used = stamps >= stamps[0] + round(1e9 * first_time) - 1_000_000
+    stamped_clouds, stamps = (
+        [entry for entry, is_late in zip(stamped_clouds, is_used, strict=True) if is_late],
+        stamps[is_used],
+    )
+    is_first = np.concatenate([[True], np.diff(stamps) > 0])
+    seconds = (stamps[is_first] - stamps[0]) * 1e-9
+    clouds = [cloud for (_, cloud), is_new in zip(stamped_clouds, is_first, strict=True) if is_new]
+    if seconds[-1] > MAX_DURATION:
+        raise FitError(
+            f"clouds span {seconds[-1]:.0f} s; the limit is {MAX_DURATION:g} s. Stamp all messages by one clock"
+        )
     for name, track in tracks.items():
         if min(track.stamps) > stamps[-1] or max(track.stamps) < stamps[0] - 60 * 10**9:
             raise FitError(
@@ -144,79 +160,92 @@ def read_bag(
                 f"{min(track.stamps) * 1e-9:.3f} to {max(track.stamps) * 1e-9:.3f} s and {stamps[0] * 1e-9:.3f} to "
                 f"{stamps[-1] * 1e-9:.3f} s; stamp both by one clock"
             )
-    lead = max(round(settle * scene.rate), 1)
-    frames = lead + seconds * scene.rate
+    n_settle_frames = max(round(settle_time * scene.rate), 1)
+    frames = n_settle_frames + seconds * scene.rate
     start = int(stamps[0])
-    closed = _closed(scene, tracks, start)
-    open_ones = [name for name in named if name not in closed]
-    if open_ones:
-        raise FitError(f"--held names '{open_ones[0]}', which is open at the first cloud")
-    led = {name: _path(tracks[name], start) for name in closed}
-    check_rest(clouds if matched else (), seconds, scene.sheet.positions(), led)
-    state, held_particles = _start(
-        scene, clouds, seconds, matched, {name: tracks[name] for name in closed}, start, named
+    closed = _closed_grippers(scene, tracks, start)
+    open_grippers = [name for name in named_particles if name not in closed]
+    if open_grippers:
+        raise FitError(f"--held names '{open_grippers[0]}', which is open at the first cloud")
+    gripper_paths = {name: _gripper_path(tracks[name], start) for name in closed}
+    check_rest(clouds if matched else (), seconds, scene.sheet.positions(), gripper_paths)
+    state, grasped_particles = _initial_state(
+        scene, clouds, seconds, matched, {name: tracks[name] for name in closed}, start, named_particles
     )
-    return Recording(
+    return FitRecording(
         name=", ".join(Path(path).name for path in paths),
         scene=scene,
         state=state,
         events=tuple(
             _events(
-                scene, tracks, start, lead, int(np.ceil(frames[-1] - 1e-9)), [entry.gripper for entry in held_particles]
+                scene,
+                tracks,
+                start,
+                n_settle_frames,
+                int(np.ceil(frames[-1] - 1e-9)),
+                [entry.gripper for entry in grasped_particles],
             )
         ),
         frames=frames,
         seconds=seconds,
         clouds=tuple(clouds),
         matched=matched,
-        lead=lead,
-        shifted=matched,
-        held=tuple(held_particles),
+        n_settle_frames=n_settle_frames,
+        has_shift=matched,
+        grasped=tuple(grasped_particles),
     )
 
 
-def _closed(scene: Scene, tracks: Mapping[str, _Track], begin: int) -> list[str]:
+def _closed_grippers(scene: Scene, tracks: Mapping[str, _Track], stamp: int) -> list[str]:
     """Return the grippers that hold particles at a stamp [ns]: closed by their last grasp, or without any grasp."""
-    before = {name: [closed for time, closed in track.grasps if time <= begin] for name, track in tracks.items()}
-    return [name for name, said in before.items() if not scene.pinches(name) and (not said or said[-1])]
+    earlier_grasps = {
+        name: [closed for time, closed in track.grasps if time <= stamp] for name, track in tracks.items()
+    }
+    return [name for name, grasps in earlier_grasps.items() if not scene.pinches(name) and (not grasps or grasps[-1])]
 
 
-def _heard(paths: Sequence[Path]) -> dict[str, tuple[str, list[tuple[int, bytes]]]]:
+def _read_messages(paths: Sequence[Path]) -> dict[str, tuple[str, list[tuple[int, bytes]]]]:
     """Read the messages of clouds, poses and grasps: for each topic, the type, log times [ns] and bytes."""
     from cloth_sim_ros.session.bag import bag_messages
     from cloth_sim_ros.session.errors import DamagedSessionError
 
-    heard: dict[str, tuple[str, list[tuple[int, bytes]]]] = {}
+    messages_by_topic: dict[str, tuple[str, list[tuple[int, bytes]]]] = {}
     for path in paths:
         try:
             for topic, kind, time, data in bag_messages(path):
                 if kind in (_CLOUD, _POSE, _BOOL):
-                    heard.setdefault(topic, (kind, []))[1].append((time, data))
+                    messages_by_topic.setdefault(topic, (kind, []))[1].append((time, data))
         except DamagedSessionError as error:
             raise FitError(str(error)) from error
-    return heard
+    return messages_by_topic
 
 
-def _one(found: Sequence[str], asked: str | None, what: str, remedy: str) -> str:
-    if asked is not None:
-        if asked not in found:
-            raise FitError(f"there is no topic '{asked}' of {what}; available: {', '.join(found) or 'none'}")
-        return asked
-    if len(found) != 1:
-        raise FitError(f"{len(found)} topics hold {what}: {', '.join(found) or 'none'}; select one by {remedy}")
-    return found[0]
+def _select_topic(topics: Sequence[str], requested: str | None, description: str, remedy: str) -> str:
+    if requested is not None:
+        if requested not in topics:
+            raise FitError(
+                f"there is no topic '{requested}' of {description}; available: {', '.join(topics) or 'none'}"
+            )
+        return requested
+    if len(topics) != 1:
+        raise FitError(
+            f"{len(topics)} topics hold {description}: {', '.join(topics) or 'none'}; select one by {remedy}"
+        )
+    return topics[0]
 
 
-def _track(heard: Mapping[str, tuple[str, list[tuple[int, bytes]]]], gripper: str, asked: str | None) -> _Track:
+def _read_track(
+    messages_by_topic: Mapping[str, tuple[str, list[tuple[int, bytes]]]], gripper: str, requested: str | None
+) -> _Track:
     from cloth_sim_ros.session.cdr import decode
 
-    found = [name for name, (kind, _) in heard.items() if kind == _POSE]
-    if asked is None:
-        ending = [name for name in found if name.endswith((f"/{gripper}/target", f"/{gripper}/pose"))]
-        found = ending or found
-    topic = _one(found, asked, f"poses of gripper '{gripper}' (PoseStamped)", f"--pose {gripper}=TOPIC")
+    topics = [name for name, (kind, _) in messages_by_topic.items() if kind == _POSE]
+    if requested is None:
+        matching = [name for name in topics if name.endswith((f"/{gripper}/target", f"/{gripper}/pose"))]
+        topics = matching or topics
+    topic = _select_topic(topics, requested, f"poses of gripper '{gripper}' (PoseStamped)", f"--pose {gripper}=TOPIC")
     track = _Track()
-    for time, data in heard[topic][1]:
+    for time, data in messages_by_topic[topic][1]:
         message = decode(data, _POSE)
         p, q = message.pose.position, message.pose.orientation
         pose = [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
@@ -224,13 +253,13 @@ def _track(heard: Mapping[str, tuple[str, list[tuple[int, bytes]]]], gripper: st
             raise FitError(f"a pose on {topic} is {pose}; it must be finite, with a unit quaternion")
         track.stamps.append(_stamp(message.header) or time)
         track.poses.append(pose)
-    for name, (kind, messages) in heard.items():
+    for name, (kind, messages) in messages_by_topic.items():
         if kind == _BOOL and name.endswith(f"/{gripper}/grasp"):
             track.grasps = [(time, bool(decode(data, _BOOL).data)) for time, data in messages]
     return track
 
 
-def _cloud(data: bytes, time: int, scene: Scene, count: int, matched: bool) -> tuple[int, NDArray[np.float64]]:
+def _read_cloud(data: bytes, time: int, scene: Scene, count: int, matched: bool) -> tuple[int, NDArray[np.float64]]:
     """Return stamp [ns] and points [m] of a cloud; a matched cloud has a row for each particle, NaN if unseen."""
     from cloth_sim_ros.session.cdr import decode, decode_cloud
 
@@ -244,102 +273,112 @@ def _cloud(data: bytes, time: int, scene: Scene, count: int, matched: bool) -> t
     if not matched:
         return cloud.stamp or time, points[visible(points)]
     message = decode(data, _CLOUD)
-    fields = [field for field in message.fields if field.name in _NUMBERS and field.datatype in _KINDS]
+    fields = [field for field in message.fields if field.name in _INDEX_FIELDS and field.datatype in _INTEGER_TYPES]
     if not fields:
         return cloud.stamp or time, points
     order = ">" if message.is_bigendian else "<"
-    numbers = np.ndarray(
+    indices = np.ndarray(
         (message.height, message.width),
-        dtype=order + _KINDS[fields[0].datatype],
+        dtype=order + _INTEGER_TYPES[fields[0].datatype],
         buffer=np.ascontiguousarray(message.data),
         offset=fields[0].offset,
         strides=(message.row_step, message.point_step),
     ).ravel()
-    wrong = np.flatnonzero((numbers < 0) | (numbers >= count))
+    wrong = np.flatnonzero((indices < 0) | (indices >= count))
     if wrong.size:
         raise FitError(
-            f"a cloud's field '{fields[0].name}' names particle {numbers[wrong[0]]}; there are {count}, from index 0"
+            f"a cloud's field '{fields[0].name}' names particle {indices[wrong[0]]}; there are {count}, from index 0"
         )
-    whole = np.full((count, 3), np.nan)
-    whole[numbers.astype(np.int64)] = points
-    return cloud.stamp or time, whole
+    ordered = np.full((count, 3), np.nan)
+    ordered[indices.astype(np.int64)] = points
+    return cloud.stamp or time, ordered
 
 
-def _start(
+def _initial_state(
     scene: Scene,
     clouds: Sequence[Array],
     seconds: NDArray[np.float64],
     matched: bool,
     tracks: Mapping[str, _Track],
-    begin: int,
-    named: Mapping[str, Sequence[int]],
-) -> tuple[State | None, list[HeldParticles]]:
+    stamp: int,
+    named_particles: Mapping[str, Sequence[int]],
+) -> tuple[State | None, list[GraspedParticles]]:
     """Return an initial state near the first cloud, and the grasped particles.
 
     The cloth settles from this state. Gaps of a matched cloud are filled. Bare points deform the scene's flat sheet.
     Grasped particles lie at their gripper's origin, anchors at the scene's positions. The state is None if
     the cloud has no usable point.
     """
-    rest, cloud = scene.initial_positions(), clouds[0]
+    rest_positions, cloud = scene.initial_positions(), clouds[0]
     seen = cloud[visible(cloud)]
-    if not len(seen) or (matched and len(cloud) != len(rest)):
+    if not len(seen) or (matched and len(cloud) != len(rest_positions)):
         return None, []
-    poses = {name: track.at(begin) for name, track in tracks.items()}
-    selected: list[HeldParticles] = []
+    poses = {name: track.pose_at(stamp) for name, track in tracks.items()}
+    grasped: list[GraspedParticles] = []
     if matched:
         x = cloud.copy()
         for name, track in tracks.items():
-            used = _held_clouds(clouds, seconds, track, begin)
-            at = [[value for part in track.at(begin + 1e9 * seconds[k]) for value in part] for k in used]
-            selection, local = find_held(scene, name, [clouds[k] for k in used], at, named.get(name, ()))
+            cloud_indices = _clouds_while_grasped(clouds, seconds, track, stamp)
+            local_poses = [
+                [value for part in track.pose_at(stamp + 1e9 * seconds[k]) for value in part] for k in cloud_indices
+            ]
+            selection, local_positions = find_grasped(
+                scene, name, [clouds[k] for k in cloud_indices], local_poses, named_particles.get(name, ())
+            )
             position, turn = poses[name]
             particles = list(selection.particles)
-            x[particles] = np.array(position) + local[particles] @ np.array(rotation_matrix(np.array(turn))).T
-            selected.append(selection)
+            x[particles] = np.array(position) + local_positions[particles] @ np.array(rotation_matrix(np.array(turn))).T
+            grasped.append(selection)
         anchors = scene.anchored_particles()
-        x[anchors] = rest[anchors]
-        x = _filled(x, scene.sheet.triangles())
+        x[anchors] = rest_positions[anchors]
+        x = _fill_gaps(x, scene.sheet.triangles())
     else:
-        selected = [rest_held(scene, name, poses[name][0], named.get(name, ())) for name in tracks]
-        x = _bent(rest, seen, {selection.particles[0]: np.array(poses[selection.gripper][0]) for selection in selected})
+        grasped = [find_grasped_at_rest(scene, name, poses[name][0], named_particles.get(name, ())) for name in tracks]
+        x = _deform_sheet(
+            rest_positions,
+            seen,
+            {selection.particles[0]: np.array(poses[selection.gripper][0]) for selection in grasped},
+        )
         anchors = scene.anchored_particles()
-        x[anchors] = rest[anchors]
+        x[anchors] = rest_positions[anchors]
     state = State(x, cloth=scene.starting_state().cloth)
-    check_distinct(selected)
+    check_distinct(grasped)
     grippers = Grippers(scene.gripper_names, state)
-    for selection in selected:
+    for selection in grasped:
         grippers.set_target(Target(selection.gripper, *poses[selection.gripper]))
-        grippers.take(selection.gripper, np.setdiff1d(selection.particles, anchors))
-    return state, selected
+        grippers.attach(selection.gripper, np.setdiff1d(selection.particles, anchors))
+    return state, grasped
 
 
-def _held_clouds(clouds: Sequence[Array], seconds: NDArray[np.float64], track: _Track, begin: int) -> NDArray[np.int64]:
+def _clouds_while_grasped(
+    clouds: Sequence[Array], seconds: NDArray[np.float64], track: _Track, stamp: int
+) -> NDArray[np.int64]:
     """Return the indices of the clouds of the first second before a gripper opens: they show its grasped particles."""
-    opens = [1e-9 * (time - begin) for time, closed in track.grasps if time > begin and not closed]
-    whole = [len(cloud) == len(clouds[0]) for cloud in clouds]
-    return np.flatnonzero((seconds <= SPAN) & (seconds < min(opens, default=np.inf)) & np.array(whole))
+    opening_times = [1e-9 * (time - stamp) for time, closed in track.grasps if time > stamp and not closed]
+    is_whole = [len(cloud) == len(clouds[0]) for cloud in clouds]
+    return np.flatnonzero((seconds <= GRASP_SPAN) & (seconds < min(opening_times, default=np.inf)) & np.array(is_whole))
 
 
-def _bent(rest: Array, points: Array, places: Mapping[int, Array]) -> Array:
+def _deform_sheet(rest_positions: Array, points: Array, grasped_positions: Mapping[int, Array]) -> Array:
     """Return a flat sheet, moved to the grasped particles and deformed along its normal to the nearest points."""
     from scipy.spatial import cKDTree
 
-    x, held = rest.copy(), list(places)
-    if held:
-        away = np.sqrt(np.square(rest[:, None] - rest[held]).sum(axis=2))
-        shares = 1.0 / np.square(np.maximum(away, 1e-6))
-        shares /= shares.sum(axis=1, keepdims=True)
-        x += shares @ (np.array([places[particle] for particle in held]) - rest[held])
-    across = np.linalg.svd(rest - rest.mean(axis=0), full_matrices=False)[2][2]
-    _, near = cKDTree(points).query(x, k=min(8, len(points)))
-    about = points[np.asarray(near).reshape(len(x), -1)].mean(axis=1)
-    x = np.asarray(x + ((about - x) @ across)[:, None] * across)
-    for particle, position in places.items():
+    x, grasped = rest_positions.copy(), list(grasped_positions)
+    if grasped:
+        distances = np.sqrt(np.square(rest_positions[:, None] - rest_positions[grasped]).sum(axis=2))
+        weights = 1.0 / np.square(np.maximum(distances, 1e-6))
+        weights /= weights.sum(axis=1, keepdims=True)
+        x += weights @ (np.array([grasped_positions[particle] for particle in grasped]) - rest_positions[grasped])
+    normal = np.linalg.svd(rest_positions - rest_positions.mean(axis=0), full_matrices=False)[2][2]
+    _, nearest = cKDTree(points).query(x, k=min(8, len(points)))
+    local_means = points[np.asarray(nearest).reshape(len(x), -1)].mean(axis=1)
+    x = np.asarray(x + ((local_means - x) @ normal)[:, None] * normal)
+    for particle, position in grasped_positions.items():
         x[particle] = position
     return x
 
 
-def _filled(cloud: Array, triangles: NDArray[np.integer]) -> Array:
+def _fill_gaps(cloud: Array, triangles: NDArray[np.integer]) -> Array:
     """Return a cloud with each gap filled by the mean of its neighbours (Jacobi iteration)."""
     x, seen = cloud.copy(), visible(cloud)
     x[~seen] = cloud[seen].mean(axis=0)
@@ -350,16 +389,21 @@ def _filled(cloud: Array, triangles: NDArray[np.integer]) -> Array:
         sums = np.zeros_like(x)
         np.add.at(sums, pairs[:, 0], x[pairs[:, 1]])
         np.add.at(sums, pairs[:, 1], x[pairs[:, 0]])
-        moved = sums / degree
-        change = float(np.abs(moved[~seen] - x[~seen]).max())
-        x[~seen] = moved[~seen]
+        means = sums / degree
+        change = float(np.abs(means[~seen] - x[~seen]).max())
+        x[~seen] = means[~seen]
         if change < 1e-5:
             break
     return x
 
 
 def _events(
-    scene: Scene, tracks: Mapping[str, _Track], begin: int, lead: int, frames: int, holding: Sequence[str]
+    scene: Scene,
+    tracks: Mapping[str, _Track],
+    first_stamp: int,
+    n_settle_frames: int,
+    frames: int,
+    grasping: Sequence[str],
 ) -> list[tuple[Event, ...]]:
     """Return the events of each frame: grippers close at their first pose, wait while settling, then follow the poses.
 
@@ -368,18 +412,20 @@ def _events(
     period = scene.period * 1e9
     events: list[tuple[Event, ...]] = []
     for k in range(frames):
-        stamp = begin + max(k + 1 - lead, 0) * period
-        now: list[Event] = []
+        stamp = first_stamp + max(k + 1 - n_settle_frames, 0) * period
+        frame_events: list[Event] = []
         for name, track in tracks.items():
-            if not k or k >= lead:
-                now.append(Target(name, *track.at(stamp)))
-            before = [closed for time, closed in track.grasps if time <= begin]
-            if not k and name not in holding and (not before or before[-1]):
-                now.append(Grasp(name, True))
-            now += [
-                Grasp(name, closed) for time, closed in track.grasps if k >= lead and stamp - period < time <= stamp
+            if not k or k >= n_settle_frames:
+                frame_events.append(Target(name, *track.pose_at(stamp)))
+            earlier_grasps = [closed for time, closed in track.grasps if time <= first_stamp]
+            if not k and name not in grasping and (not earlier_grasps or earlier_grasps[-1]):
+                frame_events.append(Grasp(name, True))
+            frame_events += [
+                Grasp(name, closed)
+                for time, closed in track.grasps
+                if k >= n_settle_frames and stamp - period < time <= stamp
             ]
-        events.append(tuple(now))
+        events.append(tuple(frame_events))
     return events
 
 

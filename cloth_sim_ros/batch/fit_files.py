@@ -12,19 +12,19 @@ from typing import Any
 import attrs
 import numpy as np
 
-from cloth_sim_ros.batch.fit import Fit, path_of
+from cloth_sim_ros.batch.fit import Fit, fitted_positions
 from cloth_sim_ros.batch.fit_parameters import scene_with
 from cloth_sim_ros.batch.fit_recording import visible
 from cloth_sim_ros.batch.fit_text import verdict
 from cloth_sim_ros.scene import parameter_file
-from cloth_sim_ros.session.outputs import written_whole
+from cloth_sim_ros.session.output_files import atomic_write
 
 
 def write_json(fit: Fit, path: Path) -> None:
     """Write all numbers of a fit as JSON; numbers that are not finite are null."""
     content: dict[str, Any] = {
         "name": fit.name,
-        "all_told": fit.all_told,
+        "all_told": fit.all_identified,
         "parameters": [
             {
                 "name": estimate.parameter.name,
@@ -33,39 +33,43 @@ def write_json(fit: Fit, path: Path) -> None:
                 "start": estimate.parameter.start,
                 "bound": estimate.bound,
                 "interval": estimate.interval if math.isfinite(estimate.bound) else None,
-                "told": estimate.told,
+                "told": estimate.is_identified,
                 "verdict": verdict(estimate, fit.within),
             }
             for estimate in fit.estimates
         ],
         "ties": [
-            {"parameters": [p.name for p in tie.parameters], "parts": list(tie.parts), "bound": tie.bound}
-            for tie in fit.ties
+            {
+                "parameters": [p.name for p in direction.parameters],
+                "parts": list(direction.components),
+                "bound": direction.bound,
+            }
+            for direction in fit.confounded
         ],
         "sigma": fit.sigma,
-        "sigma_given": fit.sigma_given,
+        "sigma_given": fit.is_sigma_prescribed,
         "rms": fit.rms,
         "correlation": fit.correlation,
-        "clouds": fit.clouds,
-        "all_clouds": fit.all_clouds,
-        "until": fit.until,
-        "missing": fit.missing,
+        "clouds": fit.n_clouds,
+        "all_clouds": fit.n_recorded_clouds,
+        "until": fit.end_time,
+        "missing": fit.missing_fraction,
         "shift": fit.shift,
         "reason": fit.reason,
         "doubt": fit.doubt,
-        "lost": fit.recording.lost,
-        "runs": fit.runs,
+        "lost": fit.recording.unreadable,
+        "runs": fit.n_runs,
         "tolerance": fit.tolerance,
         "within": fit.within,
-        "held": [attrs.asdict(held) for held in fit.recording.held],
+        "held": [attrs.asdict(grasped) for grasped in fit.recording.grasped],
         "by_cloud": {
             "seconds": fit.seconds.tolist(),
-            "before": fit.before.tolist(),
-            "after": fit.after.tolist(),
+            "before": fit.rms_before.tolist(),
+            "after": fit.rms_after.tolist(),
         },
     }
-    with written_whole(path) as place:
-        place.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    with atomic_write(path) as output:
+        output.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def write_parameters(fit: Fit, path: Path) -> list[str]:
@@ -76,20 +80,20 @@ def write_parameters(fit: Fit, path: Path) -> list[str]:
     Returns:
         Full names of the identified parameters.
     """
-    told = [estimate for estimate in fit.estimates if estimate.told]
-    values = [float(f"{estimate.value:.6g}") for estimate in told]
-    scene = scene_with(fit.recording.scene, [estimate.parameter for estimate in told], values)
+    identified = [estimate for estimate in fit.estimates if estimate.is_identified]
+    values = [float(f"{estimate.value:.6g}") for estimate in identified]
+    scene = scene_with(fit.recording.scene, [estimate.parameter for estimate in identified], values)
     lines = [f"# The scene of {fit.name} with the parameters that cloth_fit identified:"]
     for estimate in fit.estimates:
         low, high = estimate.interval
-        if estimate.told:
+        if estimate.is_identified:
             lines.append(f"#   {estimate.parameter.name}: {estimate.value:.6g}, 95 % {low:.4g} to {high:.4g}")
         else:
             lines.append(f"#   {estimate.parameter.name}: not identified by these clouds; the scene's value is kept")
     lines += [f"# No parameter is identified: {fit.doubt}."] if fit.doubt else []
-    with written_whole(path) as place:
-        place.write_text("\n".join(lines) + "\n" + parameter_file.dump(scene.parameters()), encoding="utf-8")
-    return [estimate.parameter.name for estimate in told]
+    with atomic_write(path) as output:
+        output.write_text("\n".join(lines) + "\n" + parameter_file.dump(scene.parameters()), encoding="utf-8")
+    return [estimate.parameter.name for estimate in identified]
 
 
 def write_plot(fit: Fit, path: Path) -> None:
@@ -100,8 +104,8 @@ def write_plot(fit: Fit, path: Path) -> None:
     figure = Figure(figsize=(9.0, 7.0), layout="constrained")
     FigureCanvasAgg(figure)
     above, below = figure.subplots(2, 1)
-    above.semilogy(fit.seconds, 1e3 * fit.before, "0.6", linewidth=1.2, label="with the starting values")
-    above.semilogy(fit.seconds, 1e3 * fit.after, "C0-", linewidth=1.4, label="fitted")
+    above.semilogy(fit.seconds, 1e3 * fit.rms_before, "0.6", linewidth=1.2, label="with the starting values")
+    above.semilogy(fit.seconds, 1e3 * fit.rms_after, "C0-", linewidth=1.4, label="fitted")
     above.axhline(1e3 * fit.sigma, color="k", linestyle=":", linewidth=1.0, label="deviation of a coordinate")
     above.set(
         xlabel="time of the cloud [s]",
@@ -111,24 +115,24 @@ def write_plot(fit: Fit, path: Path) -> None:
     above.legend(fontsize=8)
     above.grid(which="both", alpha=0.2)
     if fit.recording.matched:
-        found = path_of(fit) + (0.0 if fit.shift is None else np.array(fit.shift))
-        parts = [
-            cloud[visible(cloud)] - x[visible(cloud)] for cloud, x in zip(fit.recording.clouds, found, strict=False)
+        positions = fitted_positions(fit) + (0.0 if fit.shift is None else np.array(fit.shift))
+        residuals = [
+            cloud[visible(cloud)] - x[visible(cloud)] for cloud, x in zip(fit.recording.clouds, positions, strict=False)
         ]
-        away = 1e3 * np.concatenate(parts)
-        reach = max(4.0 * 1e3 * fit.rms, 1e-6)
-        grid = np.linspace(-reach, reach, 81)
+        residuals_mm = 1e3 * np.concatenate(residuals)
+        limit = max(4.0 * 1e3 * fit.rms, 1e-6)
+        grid = np.linspace(-limit, limit, 81)
         for axis, name in enumerate("xyz"):
-            below.hist(away[:, axis], bins=list(grid), histtype="step", density=True, label=name)
+            below.hist(residuals_mm[:, axis], bins=list(grid), histtype="step", density=True, label=name)
         sigma = 1e3 * fit.sigma
         below.plot(grid, np.exp(-0.5 * (grid / sigma) ** 2) / (sigma * math.sqrt(2.0 * math.pi)), "k:", label="normal")
         below.set(xlabel="measured less fitted [mm]", ylabel="density")
         below.legend(fontsize=8)
     else:
-        below.plot(fit.seconds, 1e3 * fit.after, "C0.")
+        below.plot(fit.seconds, 1e3 * fit.rms_after, "C0.")
         below.set(xlabel="time of the cloud [s]", ylabel="distance from the surface, rms [mm]")
-    with written_whole(path) as place:
-        figure.savefig(place, dpi=120, format="png")
+    with atomic_write(path) as output:
+        figure.savefig(output, dpi=120, format="png")
 
 
 def _plain(value: Any) -> Any:

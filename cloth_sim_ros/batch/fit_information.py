@@ -10,31 +10,33 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.fit_parameters import Fitted
-from cloth_sim_ros.batch.fit_recording import Recording, visible
+from cloth_sim_ros.batch.fit_parameters import FitParameter
+from cloth_sim_ros.batch.fit_recording import FitRecording, visible
 from cloth_sim_ros.physics.forces.force import Array
 
 #: Least component of a parameter that belongs to a direction, relative to the largest component.
-PART = 0.3
+MIN_COMPONENT = 0.3
 
 
 @attrs.frozen(kw_only=True)
-class Tie:
+class ConfoundedDirection:
     """Direction of joint parameter changes to which the clouds are insensitive."""
 
-    parameters: tuple[Fitted, ...]
+    parameters: tuple[FitParameter, ...]
     #: Change of each parameter's logarithm, relative to the largest.
-    parts: tuple[float, ...]
+    components: tuple[float, ...]
     #: Relative standard deviation of the first parameter if the others change with it.
     bound: float
 
     @property
-    def single(self) -> bool:
+    def is_single(self) -> bool:
         """True if the direction has only one parameter."""
         return len(self.parameters) == 1
 
 
-def ties(fitted: Sequence[Fitted], fisher: Array, within: float) -> Iterator[Tie]:
+def confounded_directions(
+    parameters: Sequence[FitParameter], fisher: Array, within: float
+) -> Iterator[ConfoundedDirection]:
     """Yield the directions with a standard deviation above a limit, the most uncertain first.
 
     Args:
@@ -49,33 +51,33 @@ def ties(fitted: Sequence[Fitted], fisher: Array, within: float) -> Iterator[Tie
         bound = largest / np.sqrt(value) if value > floor else np.inf
         if bound <= within:
             return
-        parts = vector / vector[int(np.argmax(np.abs(vector)))]
-        chosen = [i for i in np.argsort(-np.abs(parts), kind="stable") if abs(parts[i]) >= PART]
-        yield Tie(
-            parameters=tuple(fitted[i] for i in chosen),
-            parts=tuple(float(parts[i]) for i in chosen),
+        components = vector / vector[int(np.argmax(np.abs(vector)))]
+        indices = [i for i in np.argsort(-np.abs(components), kind="stable") if abs(components[i]) >= MIN_COMPONENT]
+        yield ConfoundedDirection(
+            parameters=tuple(parameters[i] for i in indices),
+            components=tuple(float(components[i]) for i in indices),
             bound=float(bound),
         )
 
 
-def correlation(recording: Recording, r: Array, clouds: int) -> float:
+def correlation(recording: FitRecording, r: Array, n_clouds: int) -> float:
     """Return the correlation between a particle's residuals in successive clouds; 0 for bare points."""
     if not recording.matched or not r.size:
         return 0.0
-    at = 0
-    together = own = 0.0
-    pairs = 0
-    before: NDArray[np.float64] | None = None
-    for cloud in recording.clouds[:clouds]:
+    offset = 0
+    covariance_sum = variance_sum = 0.0
+    n_pairs = 0
+    previous: NDArray[np.float64] | None = None
+    for cloud in recording.clouds[:n_clouds]:
         seen = visible(cloud)
-        whole = np.full(cloud.shape, np.nan)
+        residuals = np.full(cloud.shape, np.nan)
         count = 3 * int(seen.sum())
-        whole[seen] = r[at : at + count].reshape(-1, 3)
-        at += count
-        if before is not None:
-            both = np.isfinite(before) & np.isfinite(whole)
-            together += float((before[both] * whole[both]).sum())
-            own += 0.5 * float((before[both] ** 2 + whole[both] ** 2).sum())
-            pairs += int(both.sum())
-        before = whole
-    return min(max(together / own, 0.0), 0.99) if pairs > 30 and own > 0.0 else 0.0
+        residuals[seen] = r[offset : offset + count].reshape(-1, 3)
+        offset += count
+        if previous is not None:
+            is_paired = np.isfinite(previous) & np.isfinite(residuals)
+            covariance_sum += float((previous[is_paired] * residuals[is_paired]).sum())
+            variance_sum += 0.5 * float((previous[is_paired] ** 2 + residuals[is_paired] ** 2).sum())
+            n_pairs += int(is_paired.sum())
+        previous = residuals
+    return min(max(covariance_sum / variance_sum, 0.0), 0.99) if n_pairs > 30 and variance_sum > 0.0 else 0.0

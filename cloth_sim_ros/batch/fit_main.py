@@ -15,12 +15,12 @@ from cloth_sim_ros.session.console import escape_unencodable
 
 if TYPE_CHECKING:
     from cloth_sim_ros.batch.fit import Fit
-    from cloth_sim_ros.batch.fit_recording import Recording
+    from cloth_sim_ros.batch.fit_recording import FitRecording
 
 #: Exit status: every parameter is identified.
-TOLD = 0
+IDENTIFIED = 0
 #: Exit status: a parameter is not identified, or the simulated cloth does not follow the recording.
-NOT_TOLD = 1
+NOT_IDENTIFIED = 1
 #: Exit status: the fit is impossible.
 REFUSED = 2
 
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from cloth_sim_ros.batch.fit_parameters import FitError
     from cloth_sim_ros.scene.parameters import ParameterError
     from cloth_sim_ros.session.errors import SessionError
-    from cloth_sim_ros.session.outputs import check_outputs
+    from cloth_sim_ros.session.output_files import check_outputs
 
     try:
         check_outputs(
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             endings={"--plot": ".png"},
         )
         fit = _fit(options)
-        _tell(fit, options)
+        _report(fit, options)
     except (SessionError, FitError, ParameterError) as error:
         print(f"cloth_fit: {error}", file=sys.stderr)
         return REFUSED
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("cloth_fit: interrupted", file=sys.stderr)
         return 130
-    return TOLD if fit.all_told else NOT_TOLD
+    return IDENTIFIED if fit.all_identified else NOT_IDENTIFIED
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -92,7 +92,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--until", type=float, metavar="S", help="use clouds up to this time from the beginning [s]")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="use every N-th cloud")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
-    _add_real(parser)
+    _add_bag_options(parser)
     output = parser.add_argument_group("output files besides the table")
     output.add_argument("--write", type=Path, metavar="OUT.yaml", help="scene with the identified parameters")
     output.add_argument("--json", type=Path, metavar="OUT.json", help="all numbers")
@@ -100,7 +100,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_real(parser: argparse.ArgumentParser) -> None:
+def _add_bag_options(parser: argparse.ArgumentParser) -> None:
     real = parser.add_argument_group("an MCAP that cloth_sim did not record")
     real.add_argument("--topic", metavar="NAME", help="topic of the clouds, if several topics have clouds")
     real.add_argument(
@@ -149,7 +149,7 @@ def _fit(options: argparse.Namespace) -> Fit:
     if options.until is not None and not options.until > 0.0:
         raise FitError(f"--until is {options.until:g} s; it must be above 0")
     names = [name.strip() for name in options.parameters.split(",") if name.strip()]
-    start = {name: _number(value, f"--start {name}") for name, value in _pairs(options.start, "--start").items()}
+    start = {name: _parse_number(value, f"--start {name}") for name, value in _pairs(options.start, "--start").items()}
     recording = _recording(options).part(until=options.until, every=options.every)
     with tqdm(unit=" simulations", desc="fit", delay=1.0, disable=None, leave=False) as bar:
         return fit(
@@ -159,11 +159,11 @@ def _fit(options: argparse.Namespace) -> Fit:
             sigma=options.sigma,
             within=options.within,
             workers=options.workers,
-            tick=bar.update,
+            on_progress=bar.update,
         )
 
 
-def _recording(options: argparse.Namespace) -> Recording:
+def _recording(options: argparse.Namespace) -> FitRecording:
     from cloth_sim_ros.batch.fit_bag import is_session, read_bag
     from cloth_sim_ros.batch.fit_parameters import FitError
     from cloth_sim_ros.batch.fit_recording import read_session
@@ -171,10 +171,10 @@ def _recording(options: argparse.Namespace) -> Recording:
     from cloth_sim_ros.session.opening import open_file
 
     scene = None if options.scene is None else Scene.from_file(options.scene)
-    poses, held = _pairs(options.pose, "--pose"), _pairs(options.held, "--held")
+    poses, grasped = _pairs(options.pose, "--pose"), _pairs(options.held, "--held")
     if is_session(options.session[0]):
         session_options = [
-            name for name, value in (("--topic", options.topic), ("--pose", poses), ("--held", held)) if value
+            name for name, value in (("--topic", options.topic), ("--pose", poses), ("--held", grasped)) if value
         ]
         session_options += ["--from"] if options.begin is not None else []
         session_options += ["--settle"] if options.settle is not None else []
@@ -193,9 +193,9 @@ def _recording(options: argparse.Namespace) -> Recording:
         scene,
         topic=options.topic,
         poses=poses,
-        held=held,
-        begin=options.begin or 0.0,
-        settle=4.0 if options.settle is None else options.settle,
+        grasped=grasped,
+        first_time=options.begin or 0.0,
+        settle_time=4.0 if options.settle is None else options.settle,
         matched=not options.unordered,
     )
 
@@ -212,16 +212,16 @@ def _pairs(texts: Sequence[str], option: str) -> dict[str, str]:
     return pairs
 
 
-def _number(text: str, what: str) -> float:
+def _parse_number(text: str, option: str) -> float:
     from cloth_sim_ros.batch.fit_parameters import FitError
 
     try:
         return float(text)
     except ValueError:
-        raise FitError(f"{what} is '{text}'; it must be a number") from None
+        raise FitError(f"{option} is '{text}'; it must be a number") from None
 
 
-def _tell(fit: Fit, options: argparse.Namespace) -> None:
+def _report(fit: Fit, options: argparse.Namespace) -> None:
     from cloth_sim_ros.batch.fit_files import write_json, write_parameters, write_plot
     from cloth_sim_ros.batch.fit_text import describe
 
@@ -229,8 +229,8 @@ def _tell(fit: Fit, options: argparse.Namespace) -> None:
     if options.json is not None:
         write_json(fit, options.json)
     if options.write is not None:
-        told = write_parameters(fit, options.write)
-        print(f"\n{options.write}: the scene with {', '.join(told) or 'nothing new'}")
+        identified = write_parameters(fit, options.write)
+        print(f"\n{options.write}: the scene with {', '.join(identified) or 'nothing new'}")
     if options.plot is not None:
         write_plot(fit, options.plot)
 

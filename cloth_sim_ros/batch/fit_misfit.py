@@ -7,11 +7,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.fit_solver import Linear
+from cloth_sim_ros.batch.fit_solver import Linearization
 from cloth_sim_ros.physics.forces.force import Array
 
 #: Ratio of residuals to noise above which the model does not explain the clouds.
-WORSE = 1.5
+MISFIT_RATIO = 1.5
 #: Accepted parameter error [standard deviations].
 _DEVIATIONS = 2.0
 
@@ -19,11 +19,11 @@ MISFIT = (
     "the simulated cloth follows only a part of the recording. The scene lacks something that moves the cloth "
     "(a grasped particle, wind, an obstacle, a parameter that is not fitted, an initial motion): add it, and fit again"
 )
-UNSTEADY = (
+UNCONFIRMED = (
     "only the first window was fitted, and no later cloud confirms its result. Record a gentler motion, or "
     "restrict the recording to these clouds by --until"
 )
-UNSETTLED = (
+NOT_CONVERGED = (
     "the search did not converge within its iterations: the result is no least-squares minimum. Start closer by "
     "--start, or fit fewer parameters"
 )
@@ -34,7 +34,7 @@ def root_mean_square(r: Array) -> float:
     return float(np.sqrt(np.square(r).mean())) if r.size else 0.0
 
 
-def is_misfit(r: Array, earlier: int, noise: float) -> bool:
+def is_misfit(r: Array, n_earlier: int, noise: float) -> bool:
     """Return true if a longer window's residuals exceed the noise, in all clouds or in the added clouds.
 
     Args:
@@ -42,10 +42,12 @@ def is_misfit(r: Array, earlier: int, noise: float) -> bool:
         n_earlier: number of residuals of the previous window.
         noise: standard deviation of the residuals of shorter windows [m].
     """
-    return max(root_mean_square(r), root_mean_square(r[earlier:])) > WORSE * noise
+    return max(root_mean_square(r), root_mean_square(r[n_earlier:])) > MISFIT_RATIO * noise
 
 
-def is_rest_misfit(linear: Linear, offsets: NDArray[np.int64], cloud: int, noise: float) -> bool:
+def is_remainder_misfit(
+    linearization: Linearization, offsets: NDArray[np.int64], first_cloud: int, noise: float
+) -> bool:
     """Return true if parameter uncertainty does not explain the residuals of the unused clouds.
 
     A difference step is one standard deviation of a parameter. The limit is two of them, and 1.5 times the noise.
@@ -56,11 +58,11 @@ def is_rest_misfit(linear: Linear, offsets: NDArray[np.int64], cloud: int, noise
         first_cloud: index of the first unused cloud.
         noise: standard deviation of the residuals of the used clouds [m].
     """
-    begin = int(offsets[cloud])
-    r = linear.r[begin:]
+    begin = int(offsets[first_cloud])
+    r = linearization.r[begin:]
     if not r.size:
         return False
-    slopes = np.square(linear.jacobian[:, begin:] * linear.steps[:, None]).sum(axis=0)
-    bends = np.square(linear.bend[:, begin:]).sum(axis=0)
-    allowed = (WORSE * noise) ** 2 + _DEVIATIONS**2 * (slopes + bends)
+    slope_squares = np.square(linearization.jacobian[:, begin:] * linearization.steps[:, None]).sum(axis=0)
+    curvature_squares = np.square(linearization.curvature[:, begin:]).sum(axis=0)
+    allowed = (MISFIT_RATIO * noise) ** 2 + _DEVIATIONS**2 * (slope_squares + curvature_squares)
     return float(np.square(r).sum()) > float(allowed.sum())

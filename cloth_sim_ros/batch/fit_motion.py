@@ -20,19 +20,19 @@ from cloth_sim_ros.physics.forces.force import Array
 #: Length of the examined beginning [s], and the least number of its clouds.
 SPAN, MIN_CLOUDS = 0.27, 7
 #: Significance level: probability that a cloth at rest is reported as moving.
-_RARELY = 1e-4
+_SIGNIFICANCE = 1e-4
 #: Largest gripper speed at the first cloud [m/s].
-_SPEED = 0.02
+_MAX_GRIPPER_SPEED = 0.02
 #: Largest displacement of a gripper that stands still [m].
-_STILL = 1e-3
+_STILL_DISTANCE = 1e-3
 #: Powers of time at the onset of motion: a cloth at rest has neither velocity nor acceleration.
-_ONSET = (3, 4, 5)
+_ONSET_POWERS = (3, 4, 5)
 #: Least displacement of a moving cloth within the span [standard deviations of the residuals].
-_BEYOND = 2.0
+_MIN_TRAVEL_SIGMAS = 2.0
 #: Largest gripper velocity that noise explains [standard deviations].
 _SPEED_DEVIATIONS = 4.0
 #: Number of clouds that are tested as the start of a rest period.
-_STARTS = 200
+_MAX_STARTS = 200
 
 
 @attrs.frozen(kw_only=True, eq=False)
@@ -42,16 +42,16 @@ class GripperPath:
     #: Times since the first cloud [s], ascending, shape (n,).
     times: NDArray[np.float64]
     #: Positions [m], shape (n, 3).
-    places: Array
+    positions: Array
 
-    def at(self, seconds: float) -> Array:
+    def position_at(self, seconds: float) -> Array:
         """Return the position at a time [s] as an array [m], shape (3,): linear between poses, constant outside."""
-        return np.array([np.interp(seconds, self.times, column) for column in self.places.T])
+        return np.array([np.interp(seconds, self.times, column) for column in self.positions.T])
 
     @property
     def noise(self) -> float:
         """Standard deviation of a coordinate [m], by third differences of the poses near the first cloud."""
-        early = self.places[np.abs(self.times) <= 2.0 * SPAN]
+        early = self.positions[np.abs(self.times) <= 2.0 * SPAN]
         third = np.diff(early, n=3, axis=0)
         # The third difference of independent numbers with variance 1 has the variance 1 + 9 + 9 + 1.
         return float(np.sqrt(np.square(third).mean() / 20.0)) if len(third) else 0.0
@@ -83,20 +83,20 @@ def check_rest(
         FitError: if the cloth or a gripper moves; the text names the velocity and the remedy.
     """
     for name, path in paths.items():
-        speed, error = _gripper_speed(path)
-        if speed > max(_SPEED, error):
+        speed, speed_bound = _gripper_speed(path)
+        if speed > max(_MAX_GRIPPER_SPEED, speed_bound):
             raise FitError(
                 f"gripper '{name}' moves at {1e3 * speed:.0f} mm/s at the first cloud, and the fit starts from a cloth "
                 f"at rest. {_remedy(clouds, seconds, rest_shape, paths)}"
             )
-    if paths and not any(_moves(path, 0.0) for path in paths.values()):
-        velocity = _velocity(clouds, seconds, 0, rest_shape, (1, 2, *_ONSET))
+    if paths and not any(_is_moving(path, 0.0) for path in paths.values()):
+        velocity = _test_velocity(clouds, seconds, 0, rest_shape, (1, 2, *_ONSET_POWERS))
         if velocity is not None and not velocity.is_noise:
             raise FitError(
                 f"the cloth moves in the first {SPAN} s though its grippers stand still, and the fit starts from a "
                 f"cloth at rest. {_remedy(clouds, seconds, rest_shape, paths)}"
             )
-    velocity = _velocity(clouds, seconds, 0, rest_shape, (1,))
+    velocity = _test_velocity(clouds, seconds, 0, rest_shape, (1,))
     if velocity is not None and not velocity.is_noise:
         raise FitError(
             f"the cloth moves at {1e3 * velocity.speed:.0f} mm/s at the first cloud (noise explains "
@@ -108,15 +108,15 @@ def check_rest(
 def _remedy(
     clouds: Sequence[Array], seconds: NDArray[np.float64], rest_shape: Array, paths: Mapping[str, GripperPath]
 ) -> str:
-    begun = "Begin the recording before the robot moves"
-    for first in range(1, min(len(clouds), _STARTS)):
+    advice = "Begin the recording before the robot moves"
+    for first in range(1, min(len(clouds), _MAX_STARTS)):
         start = float(seconds[first])
-        if any(_moves(path, start) for path in paths.values()):
+        if any(_is_moving(path, start) for path in paths.values()):
             continue
-        velocity = _velocity(clouds, seconds, first, rest_shape, (1, 2, *_ONSET))
+        velocity = _test_velocity(clouds, seconds, first, rest_shape, (1, 2, *_ONSET_POWERS))
         if velocity is not None and velocity.is_noise:
-            return f"{begun}, or start when the cloth hangs still: --from {start:.2f}"
-    return f"{begun}: in this recording the cloth never hangs still for {SPAN} s"
+            return f"{advice}, or start when the cloth hangs still: --from {start:.2f}"
+    return f"{advice}: in this recording the cloth never hangs still for {SPAN} s"
 
 
 def _gripper_speed(path: GripperPath) -> tuple[float, float]:
@@ -125,27 +125,27 @@ def _gripper_speed(path: GripperPath) -> tuple[float, float]:
     Speeds before and after the cloud are computed separately, because the acceleration may begin there.
     """
     step = max(0.02, float(np.median(np.diff(path.times))) if len(path.times) > 1 else 0.0)
-    start, middle, end = (path.at(share * step) for share in (0.0, 1.0, 2.0))
+    start, middle, end = (path.position_at(fraction * step) for fraction in (0.0, 1.0, 2.0))
     after = (4.0 * middle - end - 3.0 * start) / (2.0 * step)
     # The path is constant before its first pose.
-    before = (start - path.at(-step)) / step
+    before = (start - path.position_at(-step)) / step
     error = _SPEED_DEVIATIONS * path.noise * math.sqrt(4.0**2 + 1.0 + 3.0**2) / (2.0 * step)
     return float(max(np.linalg.norm(after), np.linalg.norm(before))), error
 
 
-def _moves(path: GripperPath, start: float) -> bool:
+def _is_moving(path: GripperPath, start: float) -> bool:
     """Return true if a gripper moves near a time [s]: from half a span before it to one span after it."""
-    origin, shares = path.at(start), (-0.5, 0.25, 0.5, 0.75, 1.0)
-    travel = max(float(np.linalg.norm(path.at(start + share * SPAN) - origin)) for share in shares)
-    return travel > max(_STILL, 5.0 * path.noise)
+    origin, fractions = path.position_at(start), (-0.5, 0.25, 0.5, 0.75, 1.0)
+    travel = max(float(np.linalg.norm(path.position_at(start + fraction * SPAN) - origin)) for fraction in fractions)
+    return travel > max(_STILL_DISTANCE, 5.0 * path.noise)
 
 
-def _velocity(
+def _test_velocity(
     clouds: Sequence[Array],
     seconds: NDArray[np.float64],
     first: int,
     rest_shape: Array,
-    tested: Sequence[int],
+    tested_powers: Sequence[int],
 ) -> _Velocity | None:
     """Test if noise explains some powers of time in the motion after a cloud; None if there are too few clouds.
 
@@ -170,42 +170,46 @@ def _velocity(
     times = np.array([seconds[k] - seconds[first] for k in used])
     span = float(times[-1])
     seen = np.isfinite(stack).all(axis=2)
-    modes = _modes(rest_shape)
-    powers = [*tested, *(power for power in _ONSET if power not in tested)]
+    modes = _linear_modes(rest_shape)
+    powers = [*tested_powers, *(power for power in _ONSET_POWERS if power not in tested_powers)]
     in_time = [np.power(times / span, power) for power in powers]
     count, coefficients = modes.shape[1], []
-    statistic, squares, freedom, blocks = 0.0, 0.0, 0, []
+    statistic, squares, n_free, blocks = 0.0, 0.0, 0, []
     for axis in range(3):
         design = np.concatenate([column[:, None, None] * modes[None] for column in in_time], axis=2)
-        matrix, values = _centred(design, stack[..., axis], seen)
+        matrix, values = _centre(design, stack[..., axis], seen)
         inverse = np.linalg.pinv(matrix.T @ matrix, rcond=1e-10)
         solution = inverse @ (matrix.T @ values)
         squares += float(np.square(values - matrix @ solution).sum())
-        freedom += len(values) - int((seen.sum(axis=0) > 0).sum()) - matrix.shape[1]
-        part = len(tested) * count
-        coefficients.append(solution[:part])
-        blocks.append(inverse[:part, :part])
-        statistic += float(solution[:part] @ np.linalg.pinv(inverse[:part, :part], rcond=1e-10) @ solution[:part])
-    if freedom < 30:
+        n_free += len(values) - int((seen.sum(axis=0) > 0).sum()) - matrix.shape[1]
+        n_tested = len(tested_powers) * count
+        coefficients.append(solution[:n_tested])
+        blocks.append(inverse[:n_tested, :n_tested])
+        statistic += float(
+            solution[:n_tested] @ np.linalg.pinv(inverse[:n_tested, :n_tested], rcond=1e-10) @ solution[:n_tested]
+        )
+    if n_free < 30:
         return None
-    variance = squares / freedom
+    variance = squares / n_free
     velocities = np.array([modes @ block[:count] for block in coefficients]) / span
     errors = sum(variance * np.einsum("im,mk,ik->i", modes, block[:count, :count], modes) for block in blocks) / span**2
     speed = float(np.sqrt(np.square(velocities).sum(axis=0).mean()))
     # A displacement below the residuals of this model may be an error of the model.
-    is_small = tuple(tested) == (1,) and speed * span < _BEYOND * float(np.sqrt(3.0 * variance))
-    is_likely = chi2.sf(statistic / max(variance, 1e-18), 3 * len(tested) * count) > _RARELY
+    is_small = tuple(tested_powers) == (1,) and speed * span < _MIN_TRAVEL_SIGMAS * float(np.sqrt(3.0 * variance))
+    is_likely = chi2.sf(statistic / max(variance, 1e-18), 3 * len(tested_powers) * count) > _SIGNIFICANCE
     return _Velocity(speed=speed, error=float(np.sqrt(np.mean(errors))), is_noise=bool(is_small or is_likely))
 
 
-def _modes(rest_shape: Array) -> Array:
+def _linear_modes(rest_shape: Array) -> Array:
     """Return a constant and the in-plane coordinates of the rest shape, in units of its size, shape (n, 3)."""
-    middle = rest_shape - rest_shape.mean(axis=0)
-    flat = middle @ np.linalg.svd(middle, full_matrices=False)[2][:2].T
-    return np.column_stack([np.ones(len(rest_shape)), flat / max(float(np.abs(flat).max()), 1e-12)])
+    centred = rest_shape - rest_shape.mean(axis=0)
+    plane_coordinates = centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T
+    return np.column_stack(
+        [np.ones(len(rest_shape)), plane_coordinates / max(float(np.abs(plane_coordinates).max()), 1e-12)]
+    )
 
 
-def _centred(design: Array, values: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _centre(design: Array, values: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return rows of the visible particles minus each particle's mean, because its position is free."""
     counts = np.maximum(seen.sum(axis=0), 1)
     shown = np.where(seen[..., None], design, 0.0)

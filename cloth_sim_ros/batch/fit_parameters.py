@@ -11,9 +11,9 @@ from typing import Any
 
 import attrs
 
+from cloth_sim_ros.scene.parameter_warnings import ineffective_parameters
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.scene.without_effect import without_effect
 
 #: Full names by short name; `bending` depends on the scene's bending model.
 _SHORT = {
@@ -29,7 +29,7 @@ _SHORT = {
 }
 _BENDING = "bending"
 #: Further full names; each obstacle of the scene adds `<obstacle>.friction`.
-_FURTHER = (
+_OTHER_NAMES = (
     "material.bending_modulus",
     "bending.stiffness",
     "contact.damping",
@@ -38,7 +38,7 @@ _FURTHER = (
     "gripper.friction",
 )
 #: Ratio of the search limits to the starting value.
-RANGE = 100.0
+SEARCH_FACTOR = 100.0
 
 
 class FitError(ValueError):
@@ -46,7 +46,7 @@ class FitError(ValueError):
 
 
 @attrs.frozen(kw_only=True)
-class Fitted:
+class FitParameter:
     """Parameter of a fit.
 
     For an array (static and kinetic friction) the first entry is fitted; the others keep their ratio to it.
@@ -58,17 +58,19 @@ class Fitted:
     #: Starting value, above 0, in `unit`.
     start: float
     #: Limits of the search, in `unit`.
-    least: float
-    most: float
+    min_value: float
+    max_value: float
 
     @property
-    def short(self) -> str:
+    def short_name(self) -> str:
         """Last part of the name; the full name if the last part is ambiguous."""
         group, _, last = self.name.rpartition(".")
         return self.name if last in ("friction", "stiffness") or group in ("gripper", "contact") else last
 
 
-def choose(scene: Scene, names: Sequence[str], start: Mapping[str, float] | None = None) -> list[Fitted]:
+def choose_parameters(
+    scene: Scene, names: Sequence[str], start: Mapping[str, float] | None = None
+) -> list[FitParameter]:
     """Return the fit parameters of a scene by their names.
 
     Args:
@@ -79,70 +81,70 @@ def choose(scene: Scene, names: Sequence[str], start: Mapping[str, float] | None
     Raises:
         FitError: if a name is unknown or given twice, has no effect in the scene, or starts at 0.
     """
-    begin = {_full(scene, name): float(value) for name, value in (start or {}).items()}
-    full = [_full(scene, name) for name in names]
-    if not full:
+    starts = {_full_name(scene, name): float(value) for name, value in (start or {}).items()}
+    full_names = [_full_name(scene, name) for name in names]
+    if not full_names:
         raise FitError("no parameter is given; e.g. --parameters stretch,shear,bending,damping")
-    for name in full:
-        if full.count(name) > 1:
+    for name in full_names:
+        if full_names.count(name) > 1:
             raise FitError(f"parameter '{name}' is given twice")
-    stray = [name for name in begin if name not in full]
+    stray = [name for name in starts if name not in full_names]
     if stray:
-        raise FitError(f"--start names '{stray[0]}', which is not among the parameters: {', '.join(full)}")
-    return [_fitted(scene, name, begin.get(name)) for name in full]
+        raise FitError(f"--start names '{stray[0]}', which is not among the parameters: {', '.join(full_names)}")
+    return [_fit_parameter(scene, name, starts.get(name)) for name in full_names]
 
 
-def scene_with(scene: Scene, fitted: Sequence[Fitted], values: Sequence[float], **further: Any) -> Scene:
+def scene_with(scene: Scene, parameters: Sequence[FitParameter], values: Sequence[float], **further: Any) -> Scene:
     """Return a scene with other values of the fit parameters, and of further parameters.
 
     Raises:
         ParameterError: if the values are invalid.
     """
-    now = scene.parameters()
+    current = scene.parameters()
     changed = dict(further)
-    for parameter, value in zip(fitted, values, strict=True):
-        before = now[parameter.name]
-        if isinstance(before, tuple):
-            ratio = float(value) / before[0] if before[0] else 0.0
-            changed[parameter.name] = tuple(entry * ratio if ratio else float(value) for entry in before)
+    for parameter, value in zip(parameters, values, strict=True):
+        current_value = current[parameter.name]
+        if isinstance(current_value, tuple):
+            ratio = float(value) / current_value[0] if current_value[0] else 0.0
+            changed[parameter.name] = tuple(entry * ratio if ratio else float(value) for entry in current_value)
         else:
             changed[parameter.name] = float(value)
-    return Scene.from_parameters({**now, **changed}, files=scene.files)
+    return Scene.from_parameters({**current, **changed}, files=scene.files)
 
 
-def _full(scene: Scene, name: str) -> str:
+def _full_name(scene: Scene, name: str) -> str:
     if name == _BENDING:
         return "bending.stiffness" if scene.bending.model in ("axial", "opposite") else "material.bending_modulus"
     frictions = [f"{obstacle}.friction" for obstacle in scene.obstacle_names]
-    known = {**_SHORT, **{full: full for full in (*_SHORT.values(), *_FURTHER, *frictions)}}
+    known = {**_SHORT, **{full_name: full_name for full_name in (*_SHORT.values(), *_OTHER_NAMES, *frictions)}}
     if name in known:
         return known[name]
     close = difflib.get_close_matches(name, [*known, _BENDING], n=1)
     hint = f"; did you mean '{close[0]}'?" if close else ""
     if name in scene.parameters():
-        raise FitError(f"'{name}' is no parameter of the sheet that clouds can identify; {_offer(frictions)}")
-    raise FitError(f"unknown parameter '{name}'{hint or '; ' + _offer(frictions)}")
+        raise FitError(f"'{name}' is no parameter of the sheet that clouds can identify; {_list_known(frictions)}")
+    raise FitError(f"unknown parameter '{name}'{hint or '; ' + _list_known(frictions)}")
 
 
-def _offer(frictions: Sequence[str]) -> str:
-    return "known parameters: " + ", ".join([*_SHORT, _BENDING, *_FURTHER, *frictions])
+def _list_known(frictions: Sequence[str]) -> str:
+    return "known parameters: " + ", ".join([*_SHORT, _BENDING, *_OTHER_NAMES, *frictions])
 
 
-def _fitted(scene: Scene, name: str, start: float | None) -> Fitted:
+def _fit_parameter(scene: Scene, name: str, start: float | None) -> FitParameter:
     (entry,) = (entry for entry in scene.entries if entry.name == name)
-    now = scene.parameters()[name]
-    value = (now[0] if isinstance(now, tuple) else now) if start is None else start
+    current = scene.parameters()[name]
+    value = (current[0] if isinstance(current, tuple) else current) if start is None else start
     _check_effect(scene, name, value if math.isfinite(value) and value > 0.0 else 0.5 * min(entry.most or 1.0, 1.0))
     if not (math.isfinite(value) and value > 0.0):
         raise FitError(
             f"{name} begins at {value:g}; a fit needs a start above 0, within a factor of about ten: "
             f"--start {name}=VALUE"
         )
-    least = max(value / RANGE, entry.least or 0.0)
-    most = value * RANGE if entry.most is None else min(value * RANGE, entry.most)
-    if not least <= value <= most:
+    min_value = max(value / SEARCH_FACTOR, entry.least or 0.0)
+    max_value = value * SEARCH_FACTOR if entry.most is None else min(value * SEARCH_FACTOR, entry.most)
+    if not min_value <= value <= max_value:
         raise FitError(f"{name} begins at {value:g} {entry.unit}; it must be from {entry.least:g} to {entry.most:g}")
-    return Fitted(name=name, unit=entry.unit, start=value, least=least, most=most)
+    return FitParameter(name=name, unit=entry.unit, start=value, min_value=min_value, max_value=max_value)
 
 
 def _check_effect(scene: Scene, name: str, value: float) -> None:
@@ -151,11 +153,11 @@ def _check_effect(scene: Scene, name: str, value: float) -> None:
     Raises:
         FitError: if the parameter has no effect in the scene.
     """
-    probe = Fitted(name=name, unit="", start=value, least=value, most=value)
+    probe = FitParameter(name=name, unit="", start=value, min_value=value, max_value=value)
     try:
         # The value must differ from the default, because only set parameters are checked.
         tried = scene_with(scene, [probe], [value * 0.9990234375])
     except ParameterError as error:
         raise FitError(str(error)) from error
-    for sentence in without_effect(tried, [name]):
+    for sentence in ineffective_parameters(tried, [name]):
         raise FitError(sentence.replace(" is set and has", " has", 1) + "; omit it")

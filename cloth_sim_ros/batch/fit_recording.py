@@ -13,26 +13,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.batch.fit_parameters import FitError
+from cloth_sim_ros.physics.controller_state import reset_step_control
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.remembered import restart
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import relaxation
-from cloth_sim_ros.scene.recorded import recorded_values
+from cloth_sim_ros.scene.recorded_scene import recorded_values
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Relax, SetParameters, from_dict
 from cloth_sim_ros.simulation.sleep import wake
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.batch.fit_held import HeldParticles
+    from cloth_sim_ros.batch.fit_grasped import GraspedParticles
 
 #: Least number of clouds with points.
-LEAST_CLOUDS = 3
+MIN_CLOUDS = 3
 #: Memory limit of residuals and derivatives of two windows [bytes].
-MOST_BYTES = 4 << 30
+MAX_BYTES = 4 << 30
 
 
 @attrs.frozen(eq=False, kw_only=True)
-class Recording:
+class FitRecording:
     """Commands and clouds of one cloth.
 
     Clouds are matched (row k is particle k, NaN if it is hidden) or bare points of the surface.
@@ -54,16 +54,16 @@ class Recording:
     #: True if row k of a cloud is particle k.
     matched: bool = True
     #: Number of settling frames, in which the cloth comes to rest in thick air; 0 if the initial state is known.
-    lead: int = 0
+    n_settle_frames: int = 0
     #: True if all matched clouds may have a common offset. The camera's calibration and the cloth's position in the
     #: gripper are known to millimetres at best.
-    shifted: bool = False
+    has_shift: bool = False
     #: Description of the unreadable part of the recording; empty if it is complete.
-    lost: str = ""
+    unreadable: str = ""
     #: Grasped particles of each gripper that is closed at the first cloud; empty for a session, whose state has them.
-    held: tuple[HeldParticles, ...] = ()
+    grasped: tuple[GraspedParticles, ...] = ()
 
-    def part(self, *, until: float | None = None, every: int = 1) -> Recording:
+    def part(self, *, until: float | None = None, every: int = 1) -> FitRecording:
         """Return the recording up to a time [s], with every n-th cloud.
 
         Args:
@@ -82,7 +82,7 @@ class Recording:
         )
 
 
-def read_session(paths: Sequence[Path], *, scene: Scene | None = None, matched: bool = True) -> Recording:
+def read_session(paths: Sequence[Path], *, scene: Scene | None = None, matched: bool = True) -> FitRecording:
     """Read a recorded session of this package: its scene, state, events and clouds.
 
     Args:
@@ -124,30 +124,30 @@ def read_session(paths: Sequence[Path], *, scene: Scene | None = None, matched: 
                 frames.append(len(events))
                 seconds.append((begin - state.frame) * scene.period)
                 clouds.append(np.array(decode_cloud(message.data).xyz, dtype=np.float64))
-        lost = "; ".join(filter(None, (gap, reader.missing)))
-    return Recording(
+        unreadable = "; ".join(filter(None, (gap, reader.missing)))
+    return FitRecording(
         name=", ".join(Path(path).name for path in paths),
         scene=scene,
-        state=prepared(state),
+        state=prepare_state(state),
         events=tuple(events),
         frames=np.array(frames),
         seconds=np.array(seconds),
         clouds=tuple(clouds),
         matched=matched,
-        lost=lost,
+        unreadable=unreadable,
     )
 
 
-def prepared(state: State) -> State:
+def prepare_state(state: State) -> State:
     """Return a copy of a state for other parameters: awake, with a reset step controller and tolerance."""
     copy = state.copy()
     wake(copy)
-    restart(copy, entirely=True)
+    reset_step_control(copy, entirely=True)
     relaxation.set_factor(copy, 1.0)
     return copy
 
 
-def check(recording: Recording, fitted_names: Sequence[str]) -> None:
+def check_recording(recording: FitRecording, parameter_names: Sequence[str]) -> None:
     """Refuse a recording that can't be compared with the scene's cloth.
 
     Raises:
@@ -155,7 +155,7 @@ def check(recording: Recording, fitted_names: Sequence[str]) -> None:
     """
     scene, clouds = recording.scene, recording.clouds
     if not clouds:
-        damage = f" ({recording.lost})" if recording.lost else ""
+        damage = f" ({recording.unreadable})" if recording.unreadable else ""
         raise FitError(
             f"{recording.name} holds no cloud of the cloth in the requested time; there is nothing to fit{damage}"
         )
@@ -168,33 +168,33 @@ def check(recording: Recording, fitted_names: Sequence[str]) -> None:
                     "particles: each point must be a particle, NaN if it is hidden, or carry its index in a "
                     "field 'index'; for points without index give --unordered"
                 )
-    seen = [bool(np.isfinite(cloud).all(axis=1).any()) for cloud in clouds]
-    if sum(seen) < LEAST_CLOUDS:
+    has_points = [bool(np.isfinite(cloud).all(axis=1).any()) for cloud in clouds]
+    if sum(has_points) < MIN_CLOUDS:
         raise FitError(
-            f"{sum(seen)} of {len(clouds)} clouds hold a point with finite coordinates; a fit needs "
-            f"{LEAST_CLOUDS} or more"
+            f"{sum(has_points)} of {len(clouds)} clouds hold a point with finite coordinates; a fit needs "
+            f"{MIN_CLOUDS} or more"
         )
-    numbers = sum(cloud.size for cloud in clouds)
-    needed = 8 * numbers * (4 * len(fitted_names) + 4)
-    if needed > MOST_BYTES:
+    n_coordinates = sum(cloud.size for cloud in clouds)
+    needed = 8 * n_coordinates * (4 * len(parameter_names) + 4)
+    if needed > MAX_BYTES:
         raise FitError(
-            f"{len(clouds)} clouds of {numbers // 3} points in all would take {needed / 2**30:.1f} GiB of "
-            f"memory; at most {MOST_BYTES / 2**30:.0f}: use fewer by --until SECONDS or --every N"
+            f"{len(clouds)} clouds of {n_coordinates // 3} points in all would take {needed / 2**30:.1f} GiB of "
+            f"memory; at most {MAX_BYTES / 2**30:.0f}: use fewer by --until SECONDS or --every N"
         )
-    for number, events in enumerate(recording.events):
+    for frame, events in enumerate(recording.events):
         for event in events:
-            for name in fitted_names:
+            for name in parameter_names:
                 if isinstance(event, SetParameters) and name in event.values:
                     raise FitError(
-                        f"{name} was changed during the recording, at frame {number}; end before it by --until "
-                        f"{number * scene.period:.3f}, or omit the parameter"
+                        f"{name} was changed during the recording, at frame {frame}; end before it by --until "
+                        f"{frame * scene.period:.3f}, or omit the parameter"
                     )
 
 
-def cloud_offsets(recording: Recording) -> NDArray[np.int64]:
+def residual_offsets(recording: FitRecording) -> NDArray[np.int64]:
     """Return the index of each cloud's first residual, and their total number, shape (clouds + 1,)."""
-    each = 3 if recording.matched else 1
-    counts = [each * int(np.isfinite(cloud).all(axis=1).sum()) for cloud in recording.clouds]
+    width = 3 if recording.matched else 1
+    counts = [width * int(np.isfinite(cloud).all(axis=1).sum()) for cloud in recording.clouds]
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
@@ -203,9 +203,9 @@ def visible(cloud: Array) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(cloud).all(axis=1))
 
 
-def _events(told: Sequence[Mapping[str, Any]], time: float) -> tuple[Event, ...]:
+def _events(records: Sequence[Mapping[str, Any]], time: float) -> tuple[Event, ...]:
     try:
-        events = [from_dict(dict(event)) for event in told]
+        events = [from_dict(dict(event)) for event in records]
     except ValueError as error:
         raise FitError(f"the record of the frame at {time:.3f} s can't be run here: {error}") from error
     # The fit sets its own tolerance.

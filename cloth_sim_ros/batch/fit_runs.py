@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Self
 import attrs
 import numpy as np
 
-from cloth_sim_ros.batch.fit_parameters import FitError, Fitted, scene_with
-from cloth_sim_ros.batch.fit_recording import Recording, visible
+from cloth_sim_ros.batch.fit_parameters import FitError, FitParameter, scene_with
+from cloth_sim_ros.batch.fit_recording import FitRecording, visible
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.scene.scene import Scene
@@ -29,24 +29,24 @@ if TYPE_CHECKING:
     from loky import ProcessPoolExecutor
 
 #: Air drag of settling frames [1/s]: the slowest oscillation of a sheet of 0.5 m is close to critically damped.
-THICK = 6.0
+SETTLING_DRAG = 6.0
 #: Work limit of a frame [multiple of real time, estimated]. It stops simulations of parameters that crumple the cloth.
-MOST_WORK = 30.0
+MAX_WORK = 30.0
 
 
 @attrs.frozen(kw_only=True)
-class Run:
+class FitRun:
     """Request of one simulation."""
 
     #: Values of the parameters, in their units.
     values: tuple[float, ...]
     #: Number of compared clouds, from the first one.
-    clouds: int
+    n_clouds: int
     #: Tolerance of the simulation [m].
     tolerance: float
 
 
-def simulate(recording: Recording, fitted: Sequence[Fitted], run: Run) -> Array:
+def simulate(recording: FitRecording, parameters: Sequence[FitParameter], run: FitRun) -> Array:
     """Return the particles' positions at the time of each cloud [m], shape (clouds, particles, 3).
 
     Positions between two frames' ends are interpolated by cubic Hermite polynomials.
@@ -60,51 +60,53 @@ def simulate(recording: Recording, fitted: Sequence[Fitted], run: Run) -> Array:
         ValueError: if the values are invalid, or an event can't take effect.
         UnstableError: if the motion does not stay finite.
     """
-    return followed(recording, fitted, run)[0]
+    return simulate_with_misses(recording, parameters, run)[0]
 
 
-def followed(recording: Recording, fitted: Sequence[Fitted], run: Run) -> tuple[Array, int]:
+def simulate_with_misses(recording: FitRecording, parameters: Sequence[FitParameter], run: FitRun) -> tuple[Array, int]:
     """Return the positions as `simulate` does, and the number of frames that missed the tolerance."""
-    scene = scene_with(recording.scene, fitted, run.values, tolerance=run.tolerance, step=0.0, work_limit=MOST_WORK)
+    scene = scene_with(recording.scene, parameters, run.values, tolerance=run.tolerance, step=0.0, work_limit=MAX_WORK)
     simulation = Simulation(scene, recording.state)
-    frames, period = recording.frames[: run.clouds], scene.period
-    found = np.empty((len(frames), simulation.state.particle_count, 3))
+    frames, period = recording.frames[: run.n_clouds], scene.period
+    positions = np.empty((len(frames), simulation.state.particle_count, 3))
     x0, v0 = simulation.state.x, simulation.state.v
-    done = missed = 0
-    for k, moment in enumerate(frames):
-        while done < moment:
+    n_frames = n_missed = 0
+    for k, frame_time in enumerate(frames):
+        while n_frames < frame_time:
             x0, v0 = simulation.state.x, simulation.state.v
-            advance = simulation.advance([*recording.events[done], *_air(scene, done, recording.lead)]).advance
-            missed += advance is not None and advance.flagged > 0
-            done += 1
+            advance = simulation.advance(
+                [*recording.events[n_frames], *_drag_events(scene, n_frames, recording.n_settle_frames)]
+            ).advance
+            n_missed += advance is not None and advance.flagged > 0
+            n_frames += 1
         x1, v1 = simulation.state.x, simulation.state.v
-        s = moment - (done - 1)
-        found[k] = (x1 if done == moment else _between(x0, v0, x1, v1, s, period)).T
-    return found, missed
+        s = frame_time - (n_frames - 1)
+        positions[k] = (x1 if n_frames == frame_time else _interpolate(x0, v0, x1, v1, s, period)).T
+    return positions, n_missed
 
 
-def residuals(recording: Recording, fitted: Sequence[Fitted], run: Run) -> Array:
+def residuals(recording: FitRecording, parameters: Sequence[FitParameter], run: FitRun) -> Array:
     """Return the residuals of all clouds [m]: measured minus simulated, shape (n,).
 
     A matched cloud gives three coordinates per visible particle. Bare points give their distances from the surface.
     """
-    found = simulate(recording, fitted, run)
+    positions = simulate(recording, parameters, run)
     parts = []
     if not recording.matched:
-        from cloth_sim_ros.batch.fit_surface import distances
+        from cloth_sim_ros.batch.fit_surface import signed_distances
 
         triangles = recording.scene.sheet.triangles()
-        for cloud, x in zip(recording.clouds, found, strict=False):
-            parts.append(distances(cloud[visible(cloud)], x, triangles))
+        for cloud, x in zip(recording.clouds, positions, strict=False):
+            parts.append(signed_distances(cloud[visible(cloud)], x, triangles))
     else:
-        for cloud, x in zip(recording.clouds, found, strict=False):
+        for cloud, x in zip(recording.clouds, positions, strict=False):
             seen = visible(cloud)
             parts.append((cloud[seen] - x[seen]).ravel())
     r = np.concatenate(parts)
-    return r - np.tile(shift(r), r.size // 3) if recording.shifted else r
+    return r - np.tile(mean_offset(r), r.size // 3) if recording.has_shift else r
 
 
-def shift(r: Array) -> Array:
+def mean_offset(r: Array) -> Array:
     """Return the mean offset of the residuals of matched clouds [m], shape (3,).
 
     After subtraction of this vector, residuals and derivatives are those of a fit that includes it.
@@ -112,7 +114,7 @@ def shift(r: Array) -> Array:
     return np.asarray(r.reshape(-1, 3).mean(axis=0)) if r.size else np.zeros(3)
 
 
-class Runs:
+class FitRunPool:
     """Process pool that simulates one recording with many parameter values.
 
     Args:
@@ -121,11 +123,13 @@ class Runs:
         workers: number of processes; 1 uses this process, None starts one per core.
     """
 
-    def __init__(self, recording: Recording, fitted: Sequence[Fitted], *, workers: int | None = None) -> None:
-        self.recording, self.fitted = recording, list(fitted)
+    def __init__(
+        self, recording: FitRecording, parameters: Sequence[FitParameter], *, workers: int | None = None
+    ) -> None:
+        self.recording, self.parameters = recording, list(parameters)
         self.workers = workers or len(os.sched_getaffinity(0))
         #: Number of simulations so far.
-        self.made = 0
+        self.n_runs = 0
         self._pool: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> Self:
@@ -138,15 +142,15 @@ class Runs:
             # After an error, pending simulations are useless.
             self._pool.shutdown(wait=kind is None, kill_workers=kind is not None)
 
-    def make(self, runs: Sequence[Run]) -> list[Array | str]:
+    def compute_residuals(self, runs: Sequence[FitRun]) -> list[Array | str]:
         """Return the residuals of each run [m], shape (n,), or the text of its error.
 
         Raises:
             FitError: if a worker process was killed, or loky is not installed.
         """
-        self.made += len(runs)
+        self.n_runs += len(runs)
         if self.workers == 1 or len(runs) == 1:
-            return [_made(self.recording, self.fitted, run) for run in runs]
+            return [_residuals_or_error(self.recording, self.parameters, run) for run in runs]
         try:
             from loky.process_executor import BrokenProcessPool, ProcessPoolExecutor
         except ImportError as error:
@@ -159,45 +163,48 @@ class Runs:
                 if self._pool is None:
                     # The standard library's processes would run the user's program again at their start.
                     self._pool = ProcessPoolExecutor(
-                        self.workers, initializer=_begin, initargs=(self.recording, self.fitted), env=overrides()
+                        self.workers,
+                        initializer=_init_worker,
+                        initargs=(self.recording, self.parameters),
+                        env=overrides(),
                     )
-                results = self._pool.map(_work, runs)
+                results = self._pool.map(_residuals_in_worker, runs)
             return list(results)
         except BrokenProcessPool as error:
             raise FitError("a worker process was killed, possibly out of memory; use --workers 1") from error
 
 
-def _air(scene: Scene, frame: int, lead: int) -> list[SetParameters]:
+def _drag_events(scene: Scene, frame: int, n_settle_frames: int) -> list[SetParameters]:
     """Return the events that set the settling drag in frame 0, and the scene's drag after settling."""
-    if not lead or frame not in (0, lead):
+    if not n_settle_frames or frame not in (0, n_settle_frames):
         return []
-    return [SetParameters({"air.drag": scene.air.drag if frame else max(THICK, scene.air.drag)})]
+    return [SetParameters({"air.drag": scene.air.drag if frame else max(SETTLING_DRAG, scene.air.drag)})]
 
 
-def _between(x0: Array, v0: Array, x1: Array, v1: Array, s: float, period: float) -> Array:
+def _interpolate(x0: Array, v0: Array, x1: Array, v1: Array, s: float, period: float) -> Array:
     """Return the cubic Hermite interpolation of positions [m] and velocities [m/s] at a fraction s of a frame."""
     a, b = s * s * (3.0 - 2.0 * s), s * (1.0 - s)
     return np.asarray(x0 + a * (x1 - x0) + period * b * ((1.0 - s) * v0 - s * v1))
 
 
-def _made(recording: Recording, fitted: Sequence[Fitted], run: Run) -> Array | str:
+def _residuals_or_error(recording: FitRecording, parameters: Sequence[FitParameter], run: FitRun) -> Array | str:
     try:
-        return residuals(recording, fitted, run)
+        return residuals(recording, parameters, run)
     except (ValueError, UnstableError) as error:
         return str(error)
 
 
 #: Recording and parameters of a worker process.
-_task: tuple[Recording, Sequence[Fitted]] | None = None
+_worker_inputs: tuple[FitRecording, Sequence[FitParameter]] | None = None
 
 
-def _begin(recording: Recording, fitted: Sequence[Fitted]) -> None:
-    global _task
-    _task = recording, fitted
+def _init_worker(recording: FitRecording, parameters: Sequence[FitParameter]) -> None:
+    global _worker_inputs
+    _worker_inputs = recording, parameters
     # Ctrl-C reaches all processes. The parent process stops its workers.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _work(run: Run) -> Array | str:
-    assert _task is not None
-    return _made(*_task, run)
+def _residuals_in_worker(run: FitRun) -> Array | str:
+    assert _worker_inputs is not None
+    return _residuals_or_error(*_worker_inputs, run)

@@ -15,7 +15,7 @@ import attrs
 import numpy as np
 
 from cloth_sim_ros.batch.fit_parameters import FitError
-from cloth_sim_ros.batch.fit_runs import Run, Runs
+from cloth_sim_ros.batch.fit_runs import FitRun, FitRunPool
 from cloth_sim_ros.physics.forces.force import Array
 
 if TYPE_CHECKING:
@@ -23,22 +23,22 @@ if TYPE_CHECKING:
 
 #: Prior standard deviation of a logarithm about its start: a factor of ten. The prior bounds unidentified parameters.
 #: It changes a parameter that is identified to 2.5 % by 1e-4 of the distance from its start.
-EXPECTED = math.log(10.0)
+PRIOR_SIGMA = math.log(10.0)
 #: Largest step of a logarithm: a factor of two.
-LONGEST = math.log(2.0)
+MAX_LOG_STEP = math.log(2.0)
 #: Limits of the difference steps of logarithms; between them a step is one standard deviation.
-LEAST_DIFFERENCE, MOST_DIFFERENCE = 1e-3, 0.05
+MIN_DIFFERENCE, MAX_DIFFERENCE = 1e-3, 0.05
 #: Convergence limits of a step: fraction of a standard deviation, and absolute size of a logarithm's step.
-SMALL, TINY = 0.1, 1e-6
-MOST_ITERATIONS = 15
+CONVERGED_FRACTION, CONVERGED_STEP = 0.1, 1e-6
+MAX_ITERATIONS = 15
 #: Largest damping factor (Marquardt's lambda).
-MOST_DAMPING = 1e4
+MAX_DAMPING = 1e4
 #: Least standard deviation [m]: the rounding of float32 clouds.
-LEAST_SIGMA = 1e-8
+MIN_SIGMA = 1e-8
 
 
 @attrs.define(kw_only=True)
-class Linear:
+class Linearization:
     """Residuals at a point, and their first and second differences."""
 
     #: Logarithms of the parameters, shape (p,).
@@ -48,37 +48,39 @@ class Linear:
     #: Derivatives by the logarithms [m], shape (p, n).
     jacobian: Array
     #: Half the second difference of each, over its step [m], shape (p, n).
-    bend: Array
+    curvature: Array
     #: Difference steps of the logarithms, shape (p,).
     steps: Array
     #: True if the point is a least-squares minimum: the next step is at most a standard deviation of each parameter, or
     #: 0.1 %.
-    settled: bool = False
+    is_converged: bool = False
 
-    def first(self, count: int) -> Linear:
+    def truncate(self, count: int) -> Linearization:
         """Return the linearization of the first `count` residuals."""
-        return attrs.evolve(self, r=self.r[:count], jacobian=self.jacobian[:, :count], bend=self.bend[:, :count])
+        return attrs.evolve(
+            self, r=self.r[:count], jacobian=self.jacobian[:, :count], curvature=self.curvature[:, :count]
+        )
 
 
 @attrs.frozen(kw_only=True)
-class Problem:
+class FitProblem:
     """Least-squares problem that all windows share."""
 
     #: Pool that computes residuals.
-    runs: Runs
+    pool: FitRunPool
     #: Index of each cloud's first residual, shape (clouds + 1,).
     offsets: NDArray[np.int64]
     #: Standard deviation of a measured coordinate [m]; None to estimate it from the residuals.
     sigma: float | None
     #: Called with the number of new simulations.
-    tick: Callable[[int], None]
+    on_progress: Callable[[int], None]
 
     @property
     def start(self) -> Array:
         """Logarithms of the starting values, shape (p,)."""
-        return np.log([parameter.start for parameter in self.runs.fitted])
+        return np.log([parameter.start for parameter in self.pool.parameters])
 
-    def ask(self, thetas: Sequence[Array], clouds: int, tolerance: float) -> list[Array | str]:
+    def evaluate(self, thetas: Sequence[Array], n_clouds: int, tolerance: float) -> list[Array | str]:
         """Return the residuals [m] of several points, or the text of an error.
 
         Args:
@@ -86,26 +88,28 @@ class Problem:
             n_clouds: number of compared clouds.
             tolerance: tolerance of the simulations [m].
         """
-        made = self.runs.make(
-            [Run(values=tuple(np.exp(theta).tolist()), clouds=clouds, tolerance=tolerance) for theta in thetas]
+        results = self.pool.compute_residuals(
+            [FitRun(values=tuple(np.exp(theta).tolist()), n_clouds=n_clouds, tolerance=tolerance) for theta in thetas]
         )
-        self.tick(len(thetas))
-        return made
+        self.on_progress(len(thetas))
+        return results
 
     def deviation(self, r: Array) -> float:
         """Return the standard deviation of a coordinate [m]: prescribed, or estimated from residuals."""
         if self.sigma is not None:
             return self.sigma
-        freedom = max(r.size - len(self.runs.fitted), 1)
-        return max(math.sqrt(float(r @ r) / freedom), LEAST_SIGMA)
+        n_free = max(r.size - len(self.pool.parameters), 1)
+        return max(math.sqrt(float(r @ r) / n_free), MIN_SIGMA)
 
-    def within(self, theta: Array) -> Array:
+    def clamp(self, theta: Array) -> Array:
         """Return a point clipped to the parameters' limits, shape (p,)."""
-        fitted = self.runs.fitted
-        least, most = np.log([p.least for p in fitted]), np.log([p.most for p in fitted])
-        return np.clip(theta, least, most)
+        parameters = self.pool.parameters
+        lower, upper = np.log([p.min_value for p in parameters]), np.log([p.max_value for p in parameters])
+        return np.clip(theta, lower, upper)
 
-    def linear(self, theta: Array, steps: Array, clouds: int, tolerance: float, r: Array | None = None) -> Linear:
+    def linearize(
+        self, theta: Array, steps: Array, n_clouds: int, tolerance: float, r: Array | None = None
+    ) -> Linearization:
         """Return residuals and central differences at a point.
 
         Args:
@@ -120,32 +124,32 @@ class Problem:
         """
         count = len(theta)
         points = [theta + sign * steps * (np.arange(count) == i) for i in range(count) for sign in (1.0, -1.0)]
-        made = self.ask(points if r is not None else [*points, theta], clouds, tolerance)
-        for one in made:
-            if isinstance(one, str):
-                raise FitError(f"near {_values(self, theta)} the motion can't be simulated: {one}")
-        whole = [one for one in made if not isinstance(one, str)]
-        here = whole.pop() if r is None else r
-        up, down = np.array(whole[0::2]), np.array(whole[1::2])
-        return Linear(
+        results = self.evaluate(points if r is not None else [*points, theta], n_clouds, tolerance)
+        for result in results:
+            if isinstance(result, str):
+                raise FitError(f"near {_format_values(self, theta)} the motion can't be simulated: {result}")
+        residuals = [result for result in results if not isinstance(result, str)]
+        centre = residuals.pop() if r is None else r
+        up, down = np.array(residuals[0::2]), np.array(residuals[1::2])
+        return Linearization(
             theta=theta,
-            r=here,
+            r=centre,
             jacobian=(up - down) / (2.0 * steps[:, None]),
-            bend=(up + down) / 2.0 - here,
+            curvature=(up + down) / 2.0 - centre,
             steps=steps,
         )
 
 
-def information(linear: Linear, sigma: float) -> Array:
+def fisher_information(linearization: Linearization, sigma: float) -> Array:
     """Return Fisher's information matrix of the logarithms, J J' / sigma^2, shape (p, p)."""
-    return np.asarray(linear.jacobian @ linear.jacobian.T / sigma**2)
+    return np.asarray(linearization.jacobian @ linearization.jacobian.T / sigma**2)
 
 
-def deviations(fisher: Array) -> Array:
+def standard_deviations(fisher: Array) -> Array:
     """Return the Cramér-Rao bound of each logarithm's standard deviation, shape (p,); infinite if undetermined."""
     values, vectors = np.linalg.eigh(fisher)
-    told = values > 1e-12 * max(float(values[-1]), 1e-300)
-    variances = np.where(told, 1.0 / np.where(told, values, 1.0), np.inf)
+    is_known = values > 1e-12 * max(float(values[-1]), 1e-300)
+    variances = np.where(is_known, 1.0 / np.where(is_known, values, 1.0), np.inf)
     weights = vectors**2
     # Rounding gives each parameter a small component of every direction.
     weights[weights < 1e-10] = 0.0
@@ -155,11 +159,11 @@ def deviations(fisher: Array) -> Array:
 
 def difference_steps(fisher: Array) -> Array:
     """Return difference steps of the logarithms: their standard deviations, within limits, shape (p,)."""
-    known = fisher + np.eye(len(fisher)) / EXPECTED**2
-    return np.clip(np.sqrt(np.diag(np.linalg.inv(known))), LEAST_DIFFERENCE, MOST_DIFFERENCE)
+    known = fisher + np.eye(len(fisher)) / PRIOR_SIGMA**2
+    return np.clip(np.sqrt(np.diag(np.linalg.inv(known))), MIN_DIFFERENCE, MAX_DIFFERENCE)
 
 
-def descend(problem: Problem, linear: Linear, clouds: int, tolerance: float) -> Linear:
+def minimize(problem: FitProblem, linearization: Linearization, n_clouds: int, tolerance: float) -> Linearization:
     """Return the linearization at the least-squares minimum of a window.
 
     Args:
@@ -168,55 +172,60 @@ def descend(problem: Problem, linear: Linear, clouds: int, tolerance: float) -> 
         n_clouds: number of compared clouds.
         tolerance: tolerance of the simulations [m].
     """
-    damping, expected = 1e-3, 1.0 / EXPECTED**2
-    identity = np.eye(len(linear.theta))
-    for iteration in range(MOST_ITERATIONS + 1):
-        sigma = problem.deviation(linear.r)
-        fisher = information(linear, sigma)
-        slope = linear.jacobian @ linear.r / sigma**2 + expected * (linear.theta - problem.start)
-        matrix = fisher + expected * identity
-        newton = _step(matrix, slope)
-        unknown = np.sqrt(np.diag(np.linalg.inv(matrix)))
+    damping, prior_weight = 1e-3, 1.0 / PRIOR_SIGMA**2
+    identity = np.eye(len(linearization.theta))
+    for iteration in range(MAX_ITERATIONS + 1):
+        sigma = problem.deviation(linearization.r)
+        fisher = fisher_information(linearization, sigma)
+        gradient = linearization.jacobian @ linearization.r / sigma**2 + prior_weight * (
+            linearization.theta - problem.start
+        )
+        matrix = fisher + prior_weight * identity
+        newton = _step(matrix, gradient)
+        sigmas = np.sqrt(np.diag(np.linalg.inv(matrix)))
         # A parameter at its limit stays there.
-        possible = problem.within(linear.theta + newton) - linear.theta
-        linear.settled = bool(np.all(np.abs(possible) <= np.maximum(unknown, LEAST_DIFFERENCE)))
-        if np.all(np.abs(newton) <= np.maximum(SMALL * unknown, TINY)) or iteration == MOST_ITERATIONS:
-            return linear
+        clamped_step = problem.clamp(linearization.theta + newton) - linearization.theta
+        linearization.is_converged = bool(np.all(np.abs(clamped_step) <= np.maximum(sigmas, MIN_DIFFERENCE)))
+        if (
+            np.all(np.abs(newton) <= np.maximum(CONVERGED_FRACTION * sigmas, CONVERGED_STEP))
+            or iteration == MAX_ITERATIONS
+        ):
+            return linearization
         better = None
-        while better is None and damping < MOST_DAMPING:
+        while better is None and damping < MAX_DAMPING:
             # Two damping factors are tried in parallel, in case the first one fails.
             factors = (damping, 30.0 * damping)
             weights = [matrix + factor * np.diag(np.diag(matrix)) for factor in factors]
-            points = [problem.within(linear.theta + _step(one, slope)) for one in weights]
-            made = problem.ask(points, clouds, tolerance)
-            now = _cost(problem, linear.theta, linear.r, sigma)
+            points = [problem.clamp(linearization.theta + _step(damped, gradient)) for damped in weights]
+            results = problem.evaluate(points, n_clouds, tolerance)
+            current_cost = _cost(problem, linearization.theta, linearization.r, sigma)
             costs = [
                 math.inf if isinstance(r, str) else _cost(problem, x, r, sigma)
-                for x, r in zip(points, made, strict=True)
+                for x, r in zip(points, results, strict=True)
             ]
             best = int(np.argmin(costs))
-            if costs[best] < now:
-                better, damping = (points[best], made[best]), max(factors[best] / 10.0, 1e-6)
+            if costs[best] < current_cost:
+                better, damping = (points[best], results[best]), max(factors[best] / 10.0, 1e-6)
             else:
                 damping = 30.0 * factors[1]
         if better is None or isinstance(better[1], str):
-            return linear
-        linear = problem.linear(better[0], difference_steps(fisher), clouds, tolerance, better[1])
-    return linear
+            return linearization
+        linearization = problem.linearize(better[0], difference_steps(fisher), n_clouds, tolerance, better[1])
+    return linearization
 
 
-def _step(matrix: Array, slope: Array) -> Array:
+def _step(matrix: Array, gradient: Array) -> Array:
     """Return the Newton step for a gradient, limited to `MAX_LOG_STEP`."""
-    step = np.asarray(-np.linalg.solve(matrix, slope), dtype=np.float64)
-    longest = float(np.abs(step).max())
-    return step if longest <= LONGEST else step * (LONGEST / longest)
+    step = np.asarray(-np.linalg.solve(matrix, gradient), dtype=np.float64)
+    max_change = float(np.abs(step).max())
+    return step if max_change <= MAX_LOG_STEP else step * (MAX_LOG_STEP / max_change)
 
 
-def _cost(problem: Problem, theta: Array, r: Array, sigma: float) -> float:
-    away = (theta - problem.start) / EXPECTED
-    return float(r @ r) / sigma**2 + float(away @ away)
+def _cost(problem: FitProblem, theta: Array, r: Array, sigma: float) -> float:
+    distance = (theta - problem.start) / PRIOR_SIGMA
+    return float(r @ r) / sigma**2 + float(distance @ distance)
 
 
-def _values(problem: Problem, theta: Array) -> str:
-    pairs = zip(problem.runs.fitted, np.exp(theta), strict=True)
+def _format_values(problem: FitProblem, theta: Array) -> str:
+    pairs = zip(problem.pool.parameters, np.exp(theta), strict=True)
     return ", ".join(f"{parameter.name} = {value:.3g}" for parameter, value in pairs)

@@ -7,27 +7,33 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from cloth_sim_ros.batch.fit import LEAST_CORRELATION, Estimate, Fit
-from cloth_sim_ros.batch.fit_held import describe_held
-from cloth_sim_ros.batch.fit_information import Tie
-from cloth_sim_ros.session.words import counted
+from cloth_sim_ros.batch.fit import MIN_CORRELATION, Estimate, Fit
+from cloth_sim_ros.batch.fit_grasped import describe_grasped
+from cloth_sim_ros.batch.fit_information import ConfoundedDirection
+from cloth_sim_ros.session.plurals import pluralize
 
 
 def describe(fit: Fit) -> str:
     """Return the text report of a fit, which starts with a table."""
-    return "\n".join([*_head(fit), "", *_table(fit), *_explained(fit)])
+    return "\n".join([*_head(fit), "", *_table(fit), *_explanations(fit)])
 
 
 def _head(fit: Fit) -> Iterator[str]:
-    lost = "" if fit.missing is None else f", {100 * fit.missing:.0f} % of the particles not seen"
-    used = f"{fit.clouds} of {counted(fit.all_clouds, 'cloud')}" if fit.reason else counted(fit.clouds, "cloud")
-    yield f"{fit.name}: {used} up to {fit.until:.2f} s{lost}; {fit.runs} simulations."
-    if fit.recording.lost:
-        yield f"A part of the recording is unreadable: {fit.recording.lost}."
-    for held in fit.recording.held:
-        yield describe_held(held, fit.recording.scene)
-    said = "prescribed" if fit.sigma_given else "from the residuals"
-    yield f"Deviation of a coordinate: {1e3 * fit.sigma:.3g} mm ({said}); residuals: {1e3 * fit.rms:.3g} mm."
+    missing_text = (
+        "" if fit.missing_fraction is None else f", {100 * fit.missing_fraction:.0f} % of the particles not seen"
+    )
+    used = (
+        f"{fit.n_clouds} of {pluralize(fit.n_recorded_clouds, 'cloud')}"
+        if fit.reason
+        else pluralize(fit.n_clouds, "cloud")
+    )
+    yield f"{fit.name}: {used} up to {fit.end_time:.2f} s{missing_text}; {fit.n_runs} simulations."
+    if fit.recording.unreadable:
+        yield f"A part of the recording is unreadable: {fit.recording.unreadable}."
+    for grasped in fit.recording.grasped:
+        yield describe_grasped(grasped, fit.recording.scene)
+    source = "prescribed" if fit.is_sigma_prescribed else "from the residuals"
+    yield f"Deviation of a coordinate: {1e3 * fit.sigma:.3g} mm ({source}); residuals: {1e3 * fit.rms:.3g} mm."
     if fit.shift is not None:
         x, y, z = (1e3 * value for value in fit.shift)
         yield f"The clouds have a common offset of ({x:.2g}, {y:.2g}, {z:.2g}) mm, which was fitted too."
@@ -41,9 +47,9 @@ def _table(fit: Fit) -> Iterator[str]:
             (
                 estimate.parameter.name,
                 f"{estimate.value:.4g}",
-                f"{_number(low)} to {_number(high)}" if math.isfinite(estimate.bound) else "any",
+                f"{_format_number(low)} to {_format_number(high)}" if math.isfinite(estimate.bound) else "any",
                 estimate.parameter.unit or "1",
-                _percent(estimate.bound),
+                _format_percent(estimate.bound),
                 verdict(estimate, fit.within),
             )
         )
@@ -58,20 +64,20 @@ def _table(fit: Fit) -> Iterator[str]:
 
 def verdict(estimate: Estimate, within: float) -> str:
     """Return a short text: identified, or the reason why not."""
-    if estimate.at_end:
+    if estimate.is_at_limit:
         return "NOT IDENTIFIED: at the limit of the search range"
-    if not estimate.followed:
+    if not estimate.is_explained:
         return "NOT IDENTIFIED: the simulated cloth does not follow the recording"
-    return "identified" if estimate.told else f"NOT IDENTIFIED: bound above {100 * within:.3g} %"
+    return "identified" if estimate.is_identified else f"NOT IDENTIFIED: bound above {100 * within:.3g} %"
 
 
-def _explained(fit: Fit) -> Iterator[str]:
-    for tie in fit.ties:
+def _explanations(fit: Fit) -> Iterator[str]:
+    for direction in fit.confounded:
         yield ""
-        yield _tied(tie, fit.within)
-        yield _remedy(tie, fit)
+        yield _describe_direction(direction, fit.within)
+        yield _remedy(direction, fit)
     for estimate in fit.estimates:
-        if estimate.at_end:
+        if estimate.is_at_limit:
             yield ""
             yield (
                 f"{estimate.parameter.name} is {estimate.value:.3g}, the limit of its search range: set the start by "
@@ -83,7 +89,7 @@ def _explained(fit: Fit) -> Iterator[str]:
     if fit.doubt:
         yield ""
         yield f"No parameter is identified: {fit.doubt}."
-    if fit.correlation > LEAST_CORRELATION:
+    if fit.correlation > MIN_CORRELATION:
         yield ""
         yield (
             f"Residuals of successive clouds are correlated ({fit.correlation:.2f}), unlike noise: the model lacks "
@@ -92,56 +98,56 @@ def _explained(fit: Fit) -> Iterator[str]:
         )
 
 
-def _tied(tie: Tie, within: float) -> str:
-    names = [parameter.name for parameter in tie.parameters]
-    if tie.single:
-        hardly = "these clouds hardly depend on it; " if tie.bound > 0.5 else ""
-        return f"{names[0]}: {hardly}its standard deviation is at least {_percent(tie.bound)}."
+def _describe_direction(direction: ConfoundedDirection, within: float) -> str:
+    names = [parameter.name for parameter in direction.parameters]
+    if direction.is_single:
+        hardly = "these clouds hardly depend on it; " if direction.bound > 0.5 else ""
+        return f"{names[0]}: {hardly}its standard deviation is at least {_format_percent(direction.bound)}."
     changes = " and ".join(
-        f"{name} by {'+' if part > 0 else '-'}{abs(10 * part):.2g} %"
-        for name, part in zip(names, tie.parts, strict=True)
+        f"{name} by {'+' if component > 0 else '-'}{abs(10 * component):.2g} %"
+        for name, component in zip(names, direction.components, strict=True)
     )
-    if tie.bound < 4.0 * within:
-        return f"The most uncertain combination is {changes}, together (sigma {_percent(tie.bound)})."
+    if direction.bound < 4.0 * within:
+        return f"The most uncertain combination is {changes}, together (sigma {_format_percent(direction.bound)})."
     known = ""
-    if len(names) == 2 and abs(abs(tie.parts[1]) - 1.0) < 0.15:
-        known = f": only their {'ratio' if tie.parts[1] > 0 else 'product'} is identified"
+    if len(names) == 2 and abs(abs(direction.components[1]) - 1.0) < 0.15:
+        known = f": only their {'ratio' if direction.components[1] > 0 else 'product'} is identified"
     return (
         f"{' and '.join(names)} are confounded{known}. Changing {changes}, together, changes these clouds by less than "
-        f"the noise (standard deviation at least {_percent(tie.bound)})."
+        f"the noise (standard deviation at least {_format_percent(direction.bound)})."
     )
 
 
-def _remedy(tie: Tie, fit: Fit) -> str:
-    names = {parameter.name for parameter in tie.parameters}
-    if not tie.single and "material.density" in names:
+def _remedy(direction: ConfoundedDirection, fit: Fit) -> str:
+    names = {parameter.name for parameter in direction.parameters}
+    if not direction.is_single and "material.density" in names:
         return (
             "  Remedy: without measured forces, positions identify only the ratio of moduli to density. Weigh the "
             "cloth, set material.density in the scene and omit it here."
         )
-    if not tie.bound < 2.0:
+    if not direction.bound < 2.0:
         return "  Remedy: omit it, or record a motion that depends on it."
-    factor = tie.bound / fit.within
-    ways = [
+    factor = direction.bound / fit.within
+    remedies = [
         f"noise {factor:.1f} times lower ({1e3 * fit.sigma / factor:.2g} mm)",
         f"{factor**2:.1f} times as many clouds",
     ]
     if names & {"material.stretch_modulus", "material.shear_modulus"}:
-        ways.append("stronger shaking in the sheet's plane (larger accelerations, a weight at the free edge)")
+        remedies.append("stronger shaking in the sheet's plane (larger accelerations, a weight at the free edge)")
     elif names & {"material.damping", "material.viscosity", "air.drag"}:
-        ways.append("faster shaking, and its decay after it stops")
+        remedies.append("faster shaking, and its decay after it stops")
     elif names & {"material.bending_modulus", "bending.stiffness"}:
-        ways.append("folds: hands closer together, waves across the sheet")
+        remedies.append("folds: hands closer together, waves across the sheet")
     else:
-        ways.append("more motion")
-    if not tie.single:
-        ways.append("an independent measurement of one of them, which is then omitted")
-    return "  Remedy: " + ", or ".join(ways) + "."
+        remedies.append("more motion")
+    if not direction.is_single:
+        remedies.append("an independent measurement of one of them, which is then omitted")
+    return "  Remedy: " + ", or ".join(remedies) + "."
 
 
-def _percent(part: float) -> str:
-    return "infinite" if not math.isfinite(part) else f"{100 * part:.2g} %" if part < 10.0 else "> 1000 %"
+def _format_percent(fraction: float) -> str:
+    return "infinite" if not math.isfinite(fraction) else f"{100 * fraction:.2g} %" if fraction < 10.0 else "> 1000 %"
 
 
-def _number(value: float) -> str:
+def _format_number(value: float) -> str:
     return f"{value:.4g}"

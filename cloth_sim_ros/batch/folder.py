@@ -30,14 +30,14 @@ from cloth_sim_ros.scene import input_file
 from cloth_sim_ros.session import plain_json
 
 #: Limit of files per folder, because file systems slow down with many files.
-_SHARD = 1000
-_HIDDEN = ".unfinished-"
+_FILES_PER_FOLDER = 1000
+_PARTIAL_PREFIX = ".unfinished-"
 #: Remedy for an unreadable file of the study.
 _BROKEN = "; the study can't continue with it: restore the file, or start in another folder"
 #: Limit of the size of samples.json [bytes].
 _MAX_SAMPLES = 1 << 26
 #: Keys of a row, and their types.
-_ROW: dict[str, type | tuple[type, ...]] = {
+_ROW_TYPES: dict[str, type | tuple[type, ...]] = {
     "run": int,
     "status": str,
     "error": str,
@@ -71,17 +71,17 @@ class StudyFolder:
         return self.path / "study.json"
 
     @property
-    def index(self) -> Path:
+    def index_file(self) -> Path:
         """File of the index: a table with a row for each run."""
         return self.path / "index.parquet"
 
-    def session(self, run: int) -> Path:
+    def session_file(self, run: int) -> Path:
         """Return the session file of a run."""
-        return self.path / "runs" / f"{run // _SHARD:03d}" / f"run_{run:07d}.mcap"
+        return self.path / "runs" / f"{run // _FILES_PER_FOLDER:03d}" / f"run_{run:07d}.mcap"
 
     def row_file(self, run: int) -> Path:
         """Return the row file of a run."""
-        return self.path / "rows" / f"{run // _SHARD:03d}" / f"{run:07d}.json"
+        return self.path / "rows" / f"{run // _FILES_PER_FOLDER:03d}" / f"{run:07d}.json"
 
     def create(self, study: Study, samples: Sequence[Sequence[Any]], text: str) -> None:
         """Write a study's files, study.json last; a folder with the same study is unchanged.
@@ -105,7 +105,7 @@ class StudyFolder:
             for name in ("files", "runs", "rows"):
                 (self.path / name).mkdir(parents=True, exist_ok=True)
             for data in study.files.values():
-                self.write(self.path / "files" / _name_of(data), data)
+                self.write(self.path / "files" / _content_name(data), data)
             self.write(self.path / "study.yaml", text.encode())
             self.write(self.path / "samples.json", json.dumps([list(values) for values in samples]).encode())
             self.write(self.study_file, content.encode())
@@ -118,17 +118,17 @@ class StudyFolder:
         Raises:
             StudyError: if the studies differ; the text names the differences.
         """
-        held, asked = self._content(self.study_file, dict), json.loads(self.fingerprint(study))
-        other = [name for name in asked if held.get(name) != asked[name]]
-        if other:
+        stored, requested = self._read_json(self.study_file, dict), json.loads(self.fingerprint(study))
+        differing = [name for name in requested if stored.get(name) != requested[name]]
+        if differing:
             raise StudyError(
-                f"{self.path} holds another study: it differs in {', '.join(other)}; choose another folder"
+                f"{self.path} holds another study: it differs in {', '.join(differing)}; choose another folder"
             )
 
     @staticmethod
     def fingerprint(study: Study) -> str:
         """Return the study's exact text; two studies are the same if their texts are."""
-        return study.to_json({name: _name_of(data) for name, data in study.files.items()})
+        return study.to_json({name: _content_name(data) for name, data in study.files.items()})
 
     def read(self) -> Study:
         """Return the study.
@@ -138,8 +138,8 @@ class StudyFolder:
         """
         try:
             text = input_file.read_text(self.study_file)
-            named = dict(plain_json.loads(text, most=input_file.MAX_TEXT)["files"])
-            files = {name: self._file(held) for name, held in named.items()}
+            stored_names = dict(plain_json.loads(text, max_length=input_file.MAX_TEXT)["files"])
+            files = {name: self._file(stored_name) for name, stored_name in stored_names.items()}
             return Study.from_json(text, files)
         except StudyError:
             raise
@@ -150,11 +150,11 @@ class StudyFolder:
                 f"{self.path} holds no readable study: {error or type(error).__name__}{_BROKEN}"
             ) from error
 
-    def _file(self, held: str) -> bytes:
+    def _file(self, stored_name: str) -> bytes:
         """Return the content of a parameter's file by its stored name, which can't lead out of the folder."""
-        if not held.isalnum():
-            raise ValueError(f"'{held}' is no file name of the study")
-        return input_file.read_bytes(self.path / "files" / held, most=scene_files.MOST_BYTES)
+        if not stored_name.isalnum():
+            raise ValueError(f"'{stored_name}' is no file name of the study")
+        return input_file.read_bytes(self.path / "files" / stored_name, max_bytes=scene_files.MAX_BYTES)
 
     def samples(self, study: Study) -> list[tuple[Any, ...]]:
         """Return the values of the factors for each run, as they were drawn at the study's start.
@@ -163,10 +163,10 @@ class StudyFolder:
             StudyError: if the file is unreadable, or its shape does not match the study.
         """
         path = self.path / "samples.json"
-        drawn = self._content(path, list)
-        if len(drawn) != study.runs or any(not isinstance(v, list) or len(v) != len(study.factors) for v in drawn):
+        rows = self._read_json(path, list)
+        if len(rows) != study.runs or any(not isinstance(v, list) or len(v) != len(study.factors) for v in rows):
             raise StudyError(f"{path} does not hold the values of {study.runs} runs{_BROKEN}")
-        return [tuple(tuple(v) if isinstance(v, list) else v for v in values) for values in drawn]
+        return [tuple(tuple(v) if isinstance(v, list) else v for v in values) for values in rows]
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """Yield the rows of all finished runs, in their order; unreadable rows are skipped."""
@@ -175,38 +175,38 @@ class StudyFolder:
             if row is not None:
                 yield row
 
-    def _content(self, path: Path, kind: type) -> Any:
+    def _read_json(self, path: Path, kind: type) -> Any:
         """Return the JSON content of one of the study's own files.
 
         Raises:
             StudyError: if the file is unreadable or has another type of content.
         """
         try:
-            content = plain_json.loads(input_file.read_text(path, most=_MAX_SAMPLES), most=_MAX_SAMPLES)
+            content = plain_json.loads(input_file.read_text(path, max_bytes=_MAX_SAMPLES), max_length=_MAX_SAMPLES)
         except (OSError, ValueError) as error:
             raise StudyError(f"{path} can't be read: {error}{_BROKEN}") from error
         if not isinstance(content, kind):
             raise StudyError(f"{path} holds {str(content)[:40]!r}{_BROKEN}")
         return content
 
-    def workplace(self, run: int) -> Path:
+    def create_run_folder(self, run: int) -> Path:
         """Create and return a folder for one attempt of a run, which no other process uses."""
-        place = self.path / "runs" / f"{_HIDDEN}{run:07d}-{secrets.token_hex(6)}"
-        place.mkdir(parents=True)
-        return place
+        run_folder = self.path / "runs" / f"{_PARTIAL_PREFIX}{run:07d}-{secrets.token_hex(6)}"
+        run_folder.mkdir(parents=True)
+        return run_folder
 
     def write(self, path: Path, data: bytes) -> None:
         """Write a file atomically: a reader finds the new content or the previous one."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        hidden = path.parent / f"{_HIDDEN}{path.name}-{secrets.token_hex(6)}"
+        partial = path.parent / f"{_PARTIAL_PREFIX}{path.name}-{secrets.token_hex(6)}"
         try:
-            with hidden.open("xb") as file:
+            with partial.open("xb") as file:
                 file.write(data)
                 file.flush()
                 os.fsync(file.fileno())
-            os.replace(hidden, path)
+            os.replace(partial, path)
         except BaseException:
-            hidden.unlink(missing_ok=True)
+            partial.unlink(missing_ok=True)
             raise
 
     def write_row(self, row: Mapping[str, Any]) -> None:
@@ -214,7 +214,7 @@ class StudyFolder:
         self.write(self.row_file(int(row["run"])), json.dumps(row, allow_nan=False).encode())
 
     @contextlib.contextmanager
-    def held(self) -> Iterator[None]:
+    def lock(self) -> Iterator[None]:
         """Lock the folder for one client.
 
         Raises:
@@ -238,7 +238,7 @@ class StudyFolder:
 
         A worker of a lost client that still runs fails because of it, without a message.
         """
-        for path in list(self.path.rglob(f"{_HIDDEN}*")):
+        for path in list(self.path.rglob(f"{_PARTIAL_PREFIX}*")):
             if path.is_dir():
                 shutil.rmtree(path, ignore_errors=True)
             else:
@@ -251,12 +251,12 @@ def read_row(path: Path) -> dict[str, Any] | None:
         run, row = int(path.stem), plain_json.loads(input_file.read_text(path))
     except (OSError, ValueError):
         return None
-    if not isinstance(row, dict) or not row.keys() >= _ROW.keys() or row["run"] != run:
+    if not isinstance(row, dict) or not row.keys() >= _ROW_TYPES.keys() or row["run"] != run:
         return None
-    return row if all(isinstance(row[name], kinds) for name, kinds in _ROW.items()) else None
+    return row if all(isinstance(row[name], kinds) for name, kinds in _ROW_TYPES.items()) else None
 
 
-def _name_of(data: bytes) -> str:
+def _content_name(data: bytes) -> str:
     import xxhash
 
     return str(xxhash.xxh3_128_hexdigest(data))

@@ -31,7 +31,7 @@ COLUMNS = {
     "bytes": "int64",
 }
 #: Prefix of the names of outcomes, which separates them from parameters.
-OUTCOME = "outcome."
+OUTCOME_PREFIX = "outcome."
 #: Limits of an index in memory [bytes] and of its cells. Repeated cells take no space on the disk.
 _MAX_BYTES, _MAX_CELLS = 256 << 20, 20_000_000
 
@@ -44,14 +44,14 @@ def table_of(rows: Iterable[dict[str, Any]]) -> pa.Table:
     columns: dict[str, Any] = {
         name: pa.array([row[name] for row in ordered], type=pa.type_for_alias(kind)) for name, kind in COLUMNS.items()
     }
-    for group, prefix in (("values", ""), ("outcomes", OUTCOME)):
+    for group, prefix in (("values", ""), ("outcomes", OUTCOME_PREFIX)):
         names = dict.fromkeys(name for row in ordered for name in row[group])
         for name in names:
             columns[prefix + name] = _column([row[group].get(name) for row in ordered])
     return pa.table(columns)
 
 
-def write(place: StudyFolder, rows: Iterable[dict[str, Any]]) -> None:
+def write(study_folder: StudyFolder, rows: Iterable[dict[str, Any]]) -> None:
     """Write the index atomically.
 
     Raises:
@@ -62,12 +62,12 @@ def write(place: StudyFolder, rows: Iterable[dict[str, Any]]) -> None:
     sink = io.BytesIO()
     pq.write_table(table_of(rows), sink)
     try:
-        place.write(place.index, sink.getvalue())
+        study_folder.write(study_folder.index_file, sink.getvalue())
     except OSError as error:
-        raise folder_error(place.path, error) from error
+        raise folder_error(study_folder.path, error) from error
 
 
-def read(place: StudyFolder) -> pa.Table:
+def read(study_folder: StudyFolder) -> pa.Table:
     """Return the index; if the file is missing, for instance after a crash, it is rebuilt from the rows.
 
     Raises:
@@ -76,15 +76,17 @@ def read(place: StudyFolder) -> pa.Table:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    if not place.study_file.is_file():
-        raise StudyError(f"{place.path} is no study's folder: study.json is missing")
+    if not study_folder.study_file.is_file():
+        raise StudyError(f"{study_folder.path} is no study's folder: study.json is missing")
     try:
-        if place.index.is_file():
-            _check_size(place)
-            return _checked(pq.read_table(place.index))
+        if study_folder.index_file.is_file():
+            _check_size(study_folder)
+            return _check_columns(pq.read_table(study_folder.index_file))
     except (OSError, ValueError, pa.ArrowException) as error:
-        raise StudyError(f"cannot read {place.index}: {error} Remove it: it is rebuilt from the rows") from error
-    return table_of(place.rows())
+        raise StudyError(
+            f"cannot read {study_folder.index_file}: {error} Remove it: it is rebuilt from the rows"
+        ) from error
+    return table_of(study_folder.rows())
 
 
 def _column(values: list[Any]) -> pa.Array:
@@ -108,14 +110,14 @@ def _check_size(folder: StudyFolder) -> None:
     """
     import pyarrow.parquet as pq
 
-    held = pq.read_metadata(folder.index)
-    size = sum(held.row_group(k).total_byte_size for k in range(held.num_row_groups))
-    cells = held.num_rows * held.num_columns
+    metadata = pq.read_metadata(folder.index_file)
+    size = sum(metadata.row_group(k).total_byte_size for k in range(metadata.num_row_groups))
+    cells = metadata.num_rows * metadata.num_columns
     if size > _MAX_BYTES or cells > _MAX_CELLS:
         raise ValueError(f"it has {cells} cells and {size} bytes; the limits are {_MAX_CELLS} and {_MAX_BYTES}.")
 
 
-def _checked(table: pa.Table) -> pa.Table:
+def _check_columns(table: pa.Table) -> pa.Table:
     """Return the table after a check of its columns.
 
     Raises:

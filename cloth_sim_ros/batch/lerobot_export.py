@@ -94,7 +94,7 @@ def columns_of(run: Trajectory) -> dict[str, np.ndarray]:
     count = len(run.actions)
     # The observed wrench is that of the previous frame; the first frame has none.
     wrenches = np.concatenate([np.zeros_like(run.wrenches[:1]), run.wrenches[:-1]])
-    found = {
+    arrays = {
         "observation.state": run.poses[:-1],
         "observation.environment_state": run.positions[:-1],
         "observation.velocities": run.velocities[:-1],
@@ -102,7 +102,7 @@ def columns_of(run: Trajectory) -> dict[str, np.ndarray]:
         "observation.obstacles": run.obstacle_poses[:-1],
         "action": run.actions,
     }
-    return {name: values.reshape(count, -1) for name, values in found.items() if values.size}
+    return {name: values.reshape(count, -1) for name, values in arrays.items() if values.size}
 
 
 class _Dataset:
@@ -236,17 +236,17 @@ def _table(columns: dict[str, np.ndarray], features: dict[str, dict[str, Any]]) 
     """Return rows as an Arrow table with fixed-length lists and the schema metadata of Hugging Face's datasets."""
     import pyarrow as pa
 
-    arrays, told = {}, {}
+    arrays, schema = {}, {}
     for name, feature in features.items():
         values, kind = columns[name], pa.type_for_alias(feature["dtype"])
         value = {"dtype": feature["dtype"], "_type": "Value"}
         if values.ndim == 1:
-            arrays[name], told[name] = pa.array(values, type=kind), value
+            arrays[name], schema[name] = pa.array(values, type=kind), value
         else:
             flat = pa.array(values.astype(feature["dtype"]).ravel(), type=kind)
             arrays[name] = pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
-            told[name] = {"feature": value, "length": values.shape[1], "_type": "Sequence"}
-    metadata = {"huggingface": json.dumps({"info": {"features": told}})}
+            schema[name] = {"feature": value, "length": values.shape[1], "_type": "Sequence"}
+    metadata = {"huggingface": json.dumps({"info": {"features": schema}})}
     return pa.table(arrays).replace_schema_metadata(metadata)
 
 

@@ -25,7 +25,7 @@ def statistics(values: NDArray[np.generic]) -> Statistics:
         Arrays of shape (width,); `count` is the number of frames, shape (1,).
     """
     wide = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
-    found = {
+    summary = {
         "min": wide.min(axis=0),
         "max": wide.max(axis=0),
         "mean": wide.mean(axis=0),
@@ -33,7 +33,7 @@ def statistics(values: NDArray[np.generic]) -> Statistics:
         "count": np.array([len(wide)]),
     }
     quantiles = np.quantile(wide, list(QUANTILES.values()), axis=0)
-    return found | dict(zip(QUANTILES, quantiles, strict=True))
+    return summary | dict(zip(QUANTILES, quantiles, strict=True))
 
 
 def aggregate(episodes: Sequence[dict[str, Statistics]]) -> dict[str, Statistics]:
@@ -43,17 +43,17 @@ def aggregate(episodes: Sequence[dict[str, Statistics]]) -> dict[str, Statistics
     """
     total: dict[str, Statistics] = {}
     for name in episodes[0]:
-        each = {key: np.array([episode[name][key] for episode in episodes]) for key in episodes[0][name]}
-        frames = each["count"].sum()
-        weights = (each["count"] / frames).reshape(-1, *(1,) * (each["mean"].ndim - 1))
-        mean = (each["mean"] * weights).sum(axis=0)
-        variance = ((each["std"] ** 2 + (each["mean"] - mean) ** 2) * weights).sum(axis=0)
+        stacked = {key: np.array([episode[name][key] for episode in episodes]) for key in episodes[0][name]}
+        frames = stacked["count"].sum()
+        weights = (stacked["count"] / frames).reshape(-1, *(1,) * (stacked["mean"].ndim - 1))
+        mean = (stacked["mean"] * weights).sum(axis=0)
+        variance = ((stacked["std"] ** 2 + (stacked["mean"] - mean) ** 2) * weights).sum(axis=0)
         total[name] = {
-            "min": each["min"].min(axis=0),
-            "max": each["max"].max(axis=0),
+            "min": stacked["min"].min(axis=0),
+            "max": stacked["max"].max(axis=0),
             "mean": mean,
             "std": np.sqrt(variance),
             "count": np.array([frames]),
-            **{key: (each[key] * weights).sum(axis=0) for key in QUANTILES},
+            **{key: (stacked[key] * weights).sum(axis=0) for key in QUANTILES},
         }
     return total

@@ -15,17 +15,17 @@ from cloth_sim_ros.batch.errors import StoppedError, StudyError
 from cloth_sim_ros.session.console import escape_unencodable
 
 #: Exit statuses: every run was successful; a run failed, or the study stopped; bad input; interrupted.
-WELL, NOT_ALL, REFUSED, INTERRUPTED = 0, 1, 2, 130
+SUCCESS, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
 _COMMANDS = ("check", "view", "export")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit status."""
     escape_unencodable()
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    name = given[0] if given and given[0] in _COMMANDS else "run"
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    name = words[0] if words and words[0] in _COMMANDS else "run"
     parser = {"run": _run_parser, "check": _check_parser, "view": _view_parser, "export": _export_parser}[name]()
-    options = parser.parse_args(given if name == "run" else given[1:])
+    options = parser.parse_args(words if name == "run" else words[1:])
     try:
         _check_libraries()
         status: int = options.run(options)
@@ -34,11 +34,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return REFUSED
     except StoppedError as error:
         print(f"cloth_batch: {error}", file=sys.stderr)
-        return NOT_ALL
+        return INCOMPLETE
     except BrokenPipeError:
         # The reader of the output (head, less) has closed the pipe.
         sys.stderr.close()
-        return WELL
+        return SUCCESS
     except OSError as error:
         print(f"cloth_batch: {error.filename or 'output'}: {error.strerror or error}", file=sys.stderr)
         return REFUSED
@@ -66,9 +66,13 @@ def _run_parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the results")
     parser.add_argument("--resume", action="store_true", help="continue an interrupted study")
     parser.add_argument("--retry-failed", action="store_true", help="with --resume: repeat failed runs")
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument("--scheduler", metavar="tcp://HOST:PORT", help="a running Dask cluster, instead of this machine")
-    where.add_argument("--workers", type=_positive, metavar="N", help="local worker processes (default: one per core)")
+    destination = parser.add_mutually_exclusive_group()
+    destination.add_argument(
+        "--scheduler", metavar="tcp://HOST:PORT", help="a running Dask cluster, instead of this machine"
+    )
+    destination.add_argument(
+        "--workers", type=_positive, metavar="N", help="local worker processes (default: one per core)"
+    )
     parser.add_argument(
         "--wait",
         type=_seconds,
@@ -137,16 +141,16 @@ def _run(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace) -> int:
     """Check a study."""
     from cloth_sim_ros.batch import study_file
-    from cloth_sim_ros.batch.cluster import cores
-    from cloth_sim_ros.batch.forecast import draw
+    from cloth_sim_ros.batch.cluster import core_count
+    from cloth_sim_ros.batch.study_estimate import sample_and_estimate
 
     study = study_file.read(options.study)
-    _, forecast = draw(study, cores())
-    print(f"{study.runs} runs of {study.duration:g} s, {forecast.frames} frames, {study.sampling}, seed {study.seed}")
+    _, estimate = sample_and_estimate(study, core_count())
+    print(f"{study.runs} runs of {study.duration:g} s, {estimate.n_frames} frames, {study.sampling}, seed {study.seed}")
     for factor in study.factors:
         print(f"  {factor.name}: {factor.kind} {', '.join(map(str, factor.values[:8]))}")
-    print(f"they take {forecast.in_words(study.runs, cores())}")
-    return WELL
+    print(f"they take {estimate.describe(study.runs, core_count())}")
+    return SUCCESS
 
 
 def _view(options: argparse.Namespace) -> int:

@@ -42,10 +42,10 @@ class Outcome:
 
 
 #: Function of the user: takes the outcome of a step and returns a number or bool for each cloth, shape (N,).
-Judge: TypeAlias = Callable[[Outcome], Any]
+OutcomeFunction: TypeAlias = Callable[[Outcome], Any]
 
 
-def judged(what: str, judge: Judge | None, outcome: Outcome, dtype: type) -> NDArray[Any]:
+def evaluate_outcome(name: str, function: OutcomeFunction | None, outcome: Outcome, dtype: type) -> NDArray[Any]:
     """Return the values of a user's function for all cloths, shape (N,); zeros or false without a function.
 
     Args:
@@ -58,16 +58,16 @@ def judged(what: str, judge: Judge | None, outcome: Outcome, dtype: type) -> NDA
         ValueError: if the result has another shape or is not finite.
     """
     count = len(outcome.states)
-    if judge is None:
+    if function is None:
         return np.zeros(count, dtype=dtype)
-    found = np.asarray(judge(outcome))
-    if found.shape != (count,) or found.dtype.kind not in ("b" if dtype is bool else "biuf"):
+    values = np.asarray(function(outcome))
+    if values.shape != (count,) or values.dtype.kind not in ("b" if dtype is bool else "biuf"):
         kind = "bool" if dtype is bool else "number"
         raise ValueError(
-            f"{what} gave an array of shape {found.shape} and type {found.dtype}; it must give one {kind} for each "
+            f"{name} gave an array of shape {values.shape} and type {values.dtype}; it must give one {kind} for each "
             f"cloth, shape ({count},)"
         )
-    if dtype is not bool and not np.isfinite(found).all():
-        k = int(np.flatnonzero(~np.isfinite(found))[0])
-        raise ValueError(f"{what} gave {found[k]} for cloth {k}; it must be finite")
-    return found.astype(dtype)
+    if dtype is not bool and not np.isfinite(values).all():
+        k = int(np.flatnonzero(~np.isfinite(values))[0])
+        raise ValueError(f"{name} gave {values[k]} for cloth {k}; it must be finite")
+    return values.astype(dtype)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cloth_sim_ros.batch.user_code import USER_ERRORS, Finished, in_words
+from cloth_sim_ros.batch.user_code import USER_ERRORS, Finished, format_error
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 
@@ -32,7 +32,7 @@ BUILT_IN = {
 }
 
 
-class OutcomeWatch:
+class OutcomeRecorder:
     """Records the frames of a simulation and computes its outcomes.
 
     Args:
@@ -45,12 +45,12 @@ class OutcomeWatch:
         self._times: list[float] = []
         self._wrenches: list[Any] = []
         #: Number of frames that may have missed the tolerance.
-        self.flagged = 0
+        self.n_flagged = 0
         #: Sum of the frames' estimated position errors [m]; None if no tolerance is set.
-        self.error: float | None = None
+        self.error_estimate: float | None = None
 
     @property
-    def frames(self) -> int:
+    def n_frames(self) -> int:
         """Number of recorded frames."""
         return len(self._times)
 
@@ -59,9 +59,9 @@ class OutcomeWatch:
         self._times.append(frame.time)
         self._wrenches.append(frame.wrenches.copy())
         if frame.advance is not None:
-            self.flagged += bool(frame.advance.flagged)
+            self.n_flagged += bool(frame.advance.flagged)
             if frame.advance.error is not None:
-                self.error = (self.error or 0.0) + float(frame.advance.error)
+                self.error_estimate = (self.error_estimate or 0.0) + float(frame.advance.error)
 
     def outcomes(self) -> dict[str, float]:
         """Return the built-in outcomes by name."""
@@ -77,10 +77,10 @@ class OutcomeWatch:
             "largest_speed": _largest(v.T),
             "largest_force": _largest(forces),
             "largest_torque": _largest(torques),
-            "held": float(sum(self._simulation.held(k) for k in range(len(names)))),
+            "held": float(sum(self._simulation.grasped_count(k) for k in range(len(names)))),
         }
 
-    def own(self, functions: Mapping[str, Callable[..., Any]], values: dict[str, Any]) -> dict[str, Any]:
+    def user_outcomes(self, functions: Mapping[str, Callable[..., Any]], values: dict[str, Any]) -> dict[str, Any]:
         """Return the outcomes of the user's functions by name.
 
         Args:
@@ -99,25 +99,25 @@ class OutcomeWatch:
             velocities=simulation.velocities,
             values=dict(values),
         )
-        found: dict[str, Any] = {}
+        results: dict[str, Any] = {}
         for reference, function in functions.items():
             try:
                 answer = function(finished)
             except USER_ERRORS as error:
-                raise OutcomeError(f"outcome '{reference}' raised {in_words(error)}") from error
+                raise OutcomeError(f"outcome '{reference}' raised {format_error(error)}") from error
             answers = answer if isinstance(answer, Mapping) else {reference.rpartition(":")[2]: answer}
             for name, value in answers.items():
                 if name in BUILT_IN:
                     raise OutcomeError(f"outcome '{reference}' gives '{name}', which every run has; rename it")
-                found[str(name)] = _plain(reference, str(name), value)
-        return found
+                results[str(name)] = _to_float(reference, str(name), value)
+        return results
 
 
 def _largest(vectors: Any) -> float:
     return float(np.sqrt((vectors * vectors).sum(axis=1).max())) if len(vectors) else 0.0
 
 
-def _plain(reference: str, name: str, value: Any) -> Any:
+def _to_float(reference: str, name: str, value: Any) -> Any:
     if isinstance(value, bool | np.bool_):
         return float(value)
     if isinstance(value, numbers.Real) and np.isfinite(float(value)):

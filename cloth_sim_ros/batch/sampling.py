@@ -52,14 +52,14 @@ def sample(factors: Sequence[Factor], *, runs: int, seed: int, sampling: str) ->
         return [()] * runs
     if sampling == "grid":
         shape = [factor.count or 1 for factor in factors]
-        places = (np.unravel_index(k, shape) for k in range(runs))
-        return [tuple(f.at(int(i)) for f, i in zip(factors, place, strict=True)) for place in places]
-    shares = _shares(len(factors), runs, seed, sampling)
-    columns = [[factor.value(float(share)) for share in shares[:, k]] for k, factor in enumerate(factors)]
+        grid_indices = (np.unravel_index(k, shape) for k in range(runs))
+        return [tuple(f.at(int(i)) for f, i in zip(factors, indices, strict=True)) for indices in grid_indices]
+    unit_samples = _unit_samples(len(factors), runs, seed, sampling)
+    columns = [[factor.value(float(quantile)) for quantile in unit_samples[:, k]] for k, factor in enumerate(factors)]
     return list(zip(*columns, strict=True))
 
 
-def _shares(dimensions: int, runs: int, seed: int, sampling: str) -> NDArray[np.float64]:
+def _unit_samples(dimensions: int, runs: int, seed: int, sampling: str) -> NDArray[np.float64]:
     """Return samples of the unit cube, shape (runs, dimensions)."""
     from scipy.stats import qmc
 

@@ -17,7 +17,7 @@ class Generators:
     """
 
     def __init__(self, count: int) -> None:
-        self._made: list[tuple[np.random.Generator, int] | None] = [None] * count
+        self._generators: list[tuple[np.random.Generator, int] | None] = [None] * count
 
     def seed(self, seed: int | Sequence[int | None] | None, indices: Sequence[int]) -> None:
         """Seed some generators.
@@ -30,7 +30,7 @@ class Generators:
         Raises:
             ValueError: if the number of seeds is wrong, or a seed is no whole number of at least 0.
         """
-        count = len(self._made)
+        count = len(self._generators)
         if seed is None:
             return
         seeds = [int(seed) + i for i in range(count)] if isinstance(seed, int | np.integer) else list(seed)
@@ -40,23 +40,23 @@ class Generators:
             if seeds[i] is not None:
                 self._make(i, seeds[i])
 
-    def of(self, index: int) -> np.random.Generator:
+    def generator(self, index: int) -> np.random.Generator:
         """Return the generator of a cloth."""
-        made = self._made[index]
-        return self._make(index, None) if made is None else made[0]
+        entry = self._generators[index]
+        return self._make(index, None) if entry is None else entry[0]
 
-    def all(self) -> tuple[np.random.Generator, ...]:
+    def generators(self) -> tuple[np.random.Generator, ...]:
         """Return all generators."""
-        return tuple(self.of(i) for i in range(len(self._made)))
+        return tuple(self.generator(i) for i in range(len(self._generators)))
 
     def seeds(self) -> tuple[int, ...]:
         """Return the seeds of all generators."""
-        self.all()
-        return tuple(made[1] for made in self._made if made is not None)
+        self.generators()
+        return tuple(entry[1] for entry in self._generators if entry is not None)
 
     def _make(self, index: int, seed: int | None) -> np.random.Generator:
         from gymnasium.utils import seeding
 
         generator, used = seeding.np_random(seed)
-        self._made[index] = generator, used
+        self._generators[index] = generator, used
         return generator

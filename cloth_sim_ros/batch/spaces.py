@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cloth_sim_ros.batch.actions import Commands
+from cloth_sim_ros.batch.actions import ActionDecoder
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.event_checks import REACH
+from cloth_sim_ros.simulation.event_checks import MAX_COORDINATE
 
 if TYPE_CHECKING:
     from gymnasium.spaces import Box
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 TOLERANCE = 1e-3
 
 
-def scene_of(given: Scene | str | Path | Mapping[str, Any] | None, base: Scene | None = None) -> Scene:
+def scene_of(source: Scene | str | Path | Mapping[str, Any] | None, base: Scene | None = None) -> Scene:
     """Return a scene from a scene, a ROS parameter file, or values by full name.
 
     Args:
@@ -34,18 +34,18 @@ def scene_of(given: Scene | str | Path | Mapping[str, Any] | None, base: Scene |
     Raises:
         ValueError: if a name is unknown or a value is invalid.
     """
-    if isinstance(given, Scene):
-        return given
-    if isinstance(given, str | Path):
-        return Scene.from_file(given)
-    if given is not None and not isinstance(given, Mapping):
-        raise ValueError(f"scene is {given!r}; give a Scene, a parameter file, or values of parameters by full name")
+    if isinstance(source, Scene):
+        return source
+    if isinstance(source, str | Path):
+        return Scene.from_file(source)
+    if source is not None and not isinstance(source, Mapping):
+        raise ValueError(f"scene is {source!r}; give a Scene, a parameter file, or values of parameters by full name")
     if base is None:
-        return Scene.from_parameters({"tolerance": TOLERANCE, **(given or {})})
-    return Scene.from_parameters({**base.parameters(), **(given or {})}, files=base.files)
+        return Scene.from_parameters({"tolerance": TOLERANCE, **(source or {})})
+    return Scene.from_parameters({**base.parameters(), **(source or {})}, files=base.files)
 
 
-def whole_number(name: str, value: Any) -> int:
+def check_positive_integer(name: str, value: Any) -> int:
     """Return a whole number of at least 1.
 
     Args:
@@ -60,7 +60,7 @@ def whole_number(name: str, value: Any) -> int:
     return int(value)
 
 
-def workspace_of(given: ArrayLike | None, start: Array) -> Array:
+def make_workspace(bounds: ArrayLike | None, start: Array) -> Array:
     """Return the lowest and the highest corner of the targets' box [m], shape (2, 3).
 
     Args:
@@ -70,21 +70,21 @@ def workspace_of(given: ArrayLike | None, start: Array) -> Array:
     Raises:
         ValueError: if the shape is wrong, a number is not finite, or the first corner is not the lowest.
     """
-    if given is None:
+    if bounds is None:
         low, high = start.min(axis=0), start.max(axis=0)
         margin = 2.0 * float((high - low).max())
         return np.array([low - margin, high + margin])
-    box = np.asarray(given, dtype=np.float64)
+    box = np.asarray(bounds, dtype=np.float64)
     if box.shape != (2, 3) or not np.isfinite(box).all() or not (box[0] < box[1]).all():
         raise ValueError(
             f"workspace is {box.tolist()}; give the lowest and the highest corner [m], [[x, y, z], [x, y, z]]"
         )
-    if np.abs(box).max() > REACH:
-        raise ValueError(f"workspace is {box.tolist()} m; no coordinate may be beyond {REACH:g} m")
+    if np.abs(box).max() > MAX_COORDINATE:
+        raise ValueError(f"workspace is {box.tolist()} m; no coordinate may be beyond {MAX_COORDINATE:g} m")
     return box
 
 
-def action_space(commands: Commands, workspace: Array) -> Box:
+def action_space(decoder: ActionDecoder, workspace: Array) -> Box:
     """Return the space of one cloth's actions: targets in the workspace, quaternions, grasps.
 
     Args:
@@ -93,7 +93,7 @@ def action_space(commands: Commands, workspace: Array) -> Box:
     """
     from gymnasium.spaces import Box
 
-    low, high = (np.zeros(commands.shape, dtype=np.float32) for _ in range(2))
+    low, high = (np.zeros(decoder.shape, dtype=np.float32) for _ in range(2))
     low[:, :3], high[:, :3] = workspace
     # The box contains the quaternion of length zero, but random samples never hit it.
     low[:, 3:-1], high[:, 3:-1], high[:, -1] = -1.0, 1.0, 1.0
@@ -111,7 +111,7 @@ def observation_space(shape: tuple[int, ...]) -> Box:
     return space
 
 
-def mode_of(given: str | AutoresetMode) -> AutoresetMode:
+def mode_of(name: str | AutoresetMode) -> AutoresetMode:
     """Return an autoreset mode by its name.
 
     Raises:
@@ -120,10 +120,10 @@ def mode_of(given: str | AutoresetMode) -> AutoresetMode:
     from gymnasium.vector import AutoresetMode
 
     try:
-        return AutoresetMode(given)
+        return AutoresetMode(name)
     except ValueError as error:
         names = ", ".join(mode.value for mode in AutoresetMode)
-        raise ValueError(f"autoreset_mode is {given!r}; it must be one of {names}") from error
+        raise ValueError(f"autoreset_mode is {name!r}; it must be one of {names}") from error
 
 
 def mask_of(options: Mapping[str, Any] | None, count: int) -> NDArray[np.bool_]:
@@ -132,10 +132,10 @@ def mask_of(options: Mapping[str, Any] | None, count: int) -> NDArray[np.bool_]:
     Raises:
         ValueError: if an option is unknown, or the mask has another shape or type or selects no cloth.
     """
-    given = dict(options or {})
-    mask = given.pop("reset_mask", None)
-    if given:
-        raise ValueError(f"options has {', '.join(map(repr, given))}; the only option is 'reset_mask'")
+    remaining = dict(options or {})
+    mask = remaining.pop("reset_mask", None)
+    if remaining:
+        raise ValueError(f"options has {', '.join(map(repr, remaining))}; the only option is 'reset_mask'")
     if mask is None:
         return np.ones(count, dtype=bool)
     if not isinstance(mask, np.ndarray) or mask.shape != (count,) or mask.dtype != np.bool_ or not mask.any():

@@ -21,7 +21,7 @@ from cloth_sim_ros.batch.user_code import Source
 from cloth_sim_ros.scene import input_file
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.scene.unknown import suggestion
+from cloth_sim_ros.scene.unknown_parameters import suggestion
 from cloth_sim_ros.session import plain_json
 from cloth_sim_ros.simulation.gripper_script import GripperScript
 
@@ -66,7 +66,7 @@ class Study:
     @classmethod
     def from_json(cls, text: str, files: Mapping[str, bytes]) -> Study:
         """Return a study from the text of `to_json` and the content of its files."""
-        content = plain_json.loads(text, most=input_file.MAX_TEXT)
+        content = plain_json.loads(text, max_length=input_file.MAX_TEXT)
         if content.pop("version", None) != VERSION:
             raise StudyError(f"the study's version is not {VERSION}; use the package version that wrote it")
         content["parameters"] = _tuples(content["parameters"])
@@ -101,8 +101,10 @@ class Study:
             array, index = entry.group(1), int(entry.group(2))
             before = changed.get(array)
             if not isinstance(before, tuple | list) or index >= len(before):
-                there = f"has the entries 0 to {len(before) - 1}" if isinstance(before, tuple | list) else "is no array"
-                raise ParameterError(f"unknown parameter '{name}': {array} {there}")
+                problem = (
+                    f"has the entries 0 to {len(before) - 1}" if isinstance(before, tuple | list) else "is no array"
+                )
+                raise ParameterError(f"unknown parameter '{name}': {array} {problem}")
             changed[array] = (*before[:index], values[name], *before[index + 1 :])
         return Scene.from_parameters(changed, files=self.files)
 
@@ -111,8 +113,8 @@ class Study:
         scripts = list(self.scripts)
         for name, value in values.items():
             if name.partition(".")[0] == TARGET:
-                which, step, axis = target_of(name, self.scripts)
-                scripts[which] = _moved(scripts[which], step, axis, value)
+                script_index, waypoint, axis = parse_target(name, self.scripts)
+                scripts[script_index] = _move_script(scripts[script_index], waypoint, axis, value)
         return scripts
 
     def seed_of(self, run: int) -> int:
@@ -120,7 +122,7 @@ class Study:
         return int(np.random.SeedSequence([self.seed, run]).generate_state(1, np.uint64)[0])
 
 
-def target_of(name: str, scripts: Sequence[GripperScript]) -> tuple[int, int | None, int]:
+def parse_target(name: str, scripts: Sequence[GripperScript]) -> tuple[int, int | None, int]:
     """Return the indices of script, position (None for all) and axis of ``target.<gripper>[.<number>].<axis>``.
 
     Raises:
@@ -131,24 +133,24 @@ def target_of(name: str, scripts: Sequence[GripperScript]) -> tuple[int, int | N
     if len(parts) not in (2, 3) or parts[-1] not in _AXES:
         raise StudyError(f"vary: '{name}' is no target; give target.<gripper>.<x, y or z>, or target.<gripper>.<n>.<x>")
     if parts[0] not in grippers:
-        there = ", ".join(grippers) or "none (a policy moves its grippers itself)"
+        known = ", ".join(grippers) or "none (a policy moves its grippers itself)"
         raise StudyError(
-            f"vary: '{name}': no script is for a gripper '{parts[0]}'; scripts are for {there}"
+            f"vary: '{name}': no script is for a gripper '{parts[0]}'; scripts are for {known}"
             f"{suggestion(parts[0], grippers)}"
         )
-    which = grippers.index(parts[0])
+    script_index = grippers.index(parts[0])
     if len(parts) == 2:
-        return which, None, _AXES.index(parts[-1])
-    count = len(scripts[which].waypoints)
+        return script_index, None, _AXES.index(parts[-1])
+    count = len(scripts[script_index].waypoints)
     if not parts[1].isdecimal() or not 1 <= int(parts[1]) <= count:
         raise StudyError(f"vary: '{name}': the script of '{parts[0]}' has the positions 1 to {count}")
-    return which, int(parts[1]) - 1, _AXES.index(parts[-1])
+    return script_index, int(parts[1]) - 1, _AXES.index(parts[-1])
 
 
-def _moved(script: GripperScript, step: int | None, axis: int, by: float) -> GripperScript:
+def _move_script(script: GripperScript, waypoint_index: int | None, axis: int, offset: float) -> GripperScript:
     waypoints = [
-        attrs.evolve(waypoint, position=tuple(p + by if k == axis else p for k, p in enumerate(waypoint.position)))
-        if step in (None, index)
+        attrs.evolve(waypoint, position=tuple(p + offset if k == axis else p for k, p in enumerate(waypoint.position)))
+        if waypoint_index in (None, index)
         else waypoint
         for index, waypoint in enumerate(script.waypoints)
     ]
@@ -156,13 +158,13 @@ def _moved(script: GripperScript, step: int | None, axis: int, by: float) -> Gri
 
 
 def _script(content: dict[str, Any]) -> GripperScript:
-    from cloth_sim_ros.simulation.gripper_script import GraspAt, Waypoint
+    from cloth_sim_ros.simulation.gripper_script import TimedGrasp, Waypoint
 
     waypoints = tuple(
         Waypoint(time=entry["time"], position=tuple(entry["position"]), orientation=tuple(entry["orientation"]))
         for entry in content["waypoints"]
     )
-    grasps = tuple(GraspAt(**entry) for entry in content["grasps"])
+    grasps = tuple(TimedGrasp(**entry) for entry in content["grasps"])
     return GripperScript(**{**content, "waypoints": waypoints, "grasps": grasps})
 
 

@@ -13,14 +13,14 @@ from cloth_sim_ros.batch import factors as factor_kinds
 from cloth_sim_ros.batch.errors import StudyError
 from cloth_sim_ros.batch.factors import Factor
 from cloth_sim_ros.batch.sampling import SAMPLINGS, grid_size
-from cloth_sim_ros.batch.study import POLICY, TARGET, Study, target_of
-from cloth_sim_ros.batch.user_code import Source, find, load
+from cloth_sim_ros.batch.study import POLICY, TARGET, Study, parse_target
+from cloth_sim_ros.batch.user_code import Source, load_function, read_source
 from cloth_sim_ros.scene import files as scene_files
 from cloth_sim_ros.scene import input_file, parameter_file, ros_yaml
-from cloth_sim_ros.scene.locations import config_file
+from cloth_sim_ros.scene.config_files import config_file
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.scene.unknown import is_of_ros, suggestion
+from cloth_sim_ros.scene.unknown_parameters import is_ros_parameter, suggestion
 from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
 #: Entries of a study, with descriptions.
@@ -38,7 +38,7 @@ ENTRIES = {
     "outcomes": "outcome functions, file.py:name or module:name",
 }
 #: Longest duration of a run [s].
-_LONGEST = 1e6
+_MAX_DURATION = 1e6
 
 
 def read(path: str | Path) -> Study:
@@ -79,17 +79,19 @@ def from_dict(content: Any, *, folder: Path) -> Study:
             )
     if "scene" not in content:
         raise StudyError(f"'scene' is missing: {ENTRIES['scene']}")
-    scene_path = _find(str(content["scene"]), "scene", folder)
+    scene_path = _find_file(str(content["scene"]), "scene", folder)
     parameters = {
-        name: value for name, value in parameter_file.read(scene_path, strict=True).items() if not is_of_ros(name)
+        name: value
+        for name, value in parameter_file.read(scene_path, strict=True).items()
+        if not is_ros_parameter(name)
     }
-    parameters.update(_flat(content.get("parameters", {}), "parameters"))
+    parameters.update(_flatten(content.get("parameters", {}), "parameters"))
     factors = tuple(factor_kinds.read(str(name), entry) for name, entry in _vary(content).items())
     files = _files(parameters, factors, (folder, scene_path.parent))
     scene = Scene.from_parameters(parameters, files=files)
     scripts = _scripts(content.get("scripts"), scene, folder)
     policy = _policy(content.get("policy"), scripts, folder)
-    sampling = _one_of(content.get("sampling", "sobol"), "sampling", SAMPLINGS)
+    sampling = _parse_choice(content.get("sampling", "sobol"), "sampling", SAMPLINGS)
     study = Study(
         parameters=scene.parameters(),
         files=files,
@@ -99,30 +101,30 @@ def from_dict(content: Any, *, folder: Path) -> Study:
         duration=_duration(content.get("duration"), scripts, scene),
         factors=factors,
         runs=_runs(content.get("runs"), factors, sampling),
-        seed=_whole(content.get("seed", 0), "seed", least=0, most=2**63 - 1),
+        seed=_parse_integer(content.get("seed", 0), "seed", min_value=0, max_value=2**63 - 1),
         sampling=sampling,
-        clouds=_truth(content.get("clouds", True), "clouds"),
+        clouds=_parse_bool(content.get("clouds", True), "clouds"),
     )
     _check_factors(study)
     return study
 
 
-def _find(name: str, what: str, folder: Path) -> Path:
+def _find_file(name: str, entry: str, folder: Path) -> Path:
     if (folder / name).is_file():
         return folder / name
     try:
         return config_file(name)
     except FileNotFoundError as error:
-        raise StudyError(f"{what} '{name}' is neither {folder / name} nor in config/: {error}") from None
+        raise StudyError(f"{entry} '{name}' is neither {folder / name} nor in config/: {error}") from None
 
 
-def _flat(tree: Any, what: str, prefix: str = "") -> dict[str, Any]:
+def _flatten(tree: Any, entry: str, prefix: str = "") -> dict[str, Any]:
     if not isinstance(tree, Mapping):
-        raise StudyError(f"{what} is {tree!r}; it must hold parameters by name")
+        raise StudyError(f"{entry} is {tree!r}; it must hold parameters by name")
     values: dict[str, Any] = {}
     for key, value in tree.items():
         if isinstance(value, Mapping):
-            values.update(_flat(value, what, f"{prefix}{key}."))
+            values.update(_flatten(value, entry, f"{prefix}{key}."))
         else:
             values[f"{prefix}{key}"] = value
     return values
@@ -137,28 +139,28 @@ def _vary(content: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _files(parameters: Mapping[str, Any], factors: Sequence[Factor], folders: Sequence[Path]) -> dict[str, bytes]:
     """Return the content of all files that parameters and factors name, from the first folder with the file."""
-    wanted: list[dict[str, Any]] = [{name: value} for name, value in parameters.items()]
-    wanted += [{factor.name: value} for factor in factors if factor.kind == "choices" for value in factor.values]
-    found: dict[str, bytes] = {}
-    for entry in wanted:
+    entries: list[dict[str, Any]] = [{name: value} for name, value in parameters.items()]
+    entries += [{factor.name: value} for factor in factors if factor.kind == "choices" for value in factor.values]
+    contents: dict[str, bytes] = {}
+    for entry in entries:
         ((_, name),) = entry.items()
-        there = folders[0]
+        base = folders[0]
         if isinstance(name, str) and name and "\0" not in name:
-            there = next((folder for folder in folders if (folder / name).is_file()), folders[0])
-        found.update(scene_files.read(entry, found, there))
-    return found
+            base = next((folder for folder in folders if (folder / name).is_file()), folders[0])
+        contents.update(scene_files.read(entry, contents, base))
+    return contents
 
 
-def _scripts(given: Any, scene: Scene, folder: Path) -> tuple[GripperScript, ...]:
-    names = [given] if isinstance(given, str) else given or []
+def _scripts(value: Any, scene: Scene, folder: Path) -> tuple[GripperScript, ...]:
+    names = [value] if isinstance(value, str) else value or []
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise StudyError(f"scripts is {given!r}; it must be a list of files")
-    scripts = tuple(GripperScript.from_file(_find(name, "script", folder)) for name in names)
+        raise StudyError(f"scripts is {value!r}; it must be a list of files")
+    scripts = tuple(GripperScript.from_file(_find_file(name, "script", folder)) for name in names)
     grippers = [script.gripper for script in scripts]
     for script, name in zip(scripts, names, strict=True):
         if script.gripper not in scene.gripper_names:
-            there = ", ".join(scene.gripper_names) or "none"
-            raise StudyError(f"script '{name}' is for the gripper '{script.gripper}'; the scene has {there}")
+            known = ", ".join(scene.gripper_names) or "none"
+            raise StudyError(f"script '{name}' is for the gripper '{script.gripper}'; the scene has {known}")
         if grippers.count(script.gripper) > 1:
             raise StudyError(f"{grippers.count(script.gripper)} scripts are for the gripper '{script.gripper}'")
         if script.frame_id not in ("", scene.frame_id):
@@ -169,45 +171,47 @@ def _scripts(given: Any, scene: Scene, folder: Path) -> tuple[GripperScript, ...
     return scripts
 
 
-def _policy(given: Any, scripts: Sequence[GripperScript], folder: Path) -> Source | None:
-    if given is None:
+def _policy(reference: Any, scripts: Sequence[GripperScript], folder: Path) -> Source | None:
+    if reference is None:
         return None
     if scripts:
         raise StudyError("a study has scripts or a policy, not both; a policy can play scripts itself")
-    source = find(given, "policy", folder)
-    load(source, "policy")
+    source = read_source(reference, "policy", folder)
+    load_function(source, "policy")
     return source
 
 
-def _outcomes(given: Any, folder: Path) -> tuple[Source, ...]:
-    names = [given] if isinstance(given, str) else given or []
+def _outcomes(references: Any, folder: Path) -> tuple[Source, ...]:
+    names = [references] if isinstance(references, str) else references or []
     if not isinstance(names, list):
-        raise StudyError(f"outcomes is {given!r}; it must be a list of file.py:name or module:name")
-    sources = tuple(find(name, "outcome", folder) for name in names)
+        raise StudyError(f"outcomes is {references!r}; it must be a list of file.py:name or module:name")
+    sources = tuple(read_source(name, "outcome", folder) for name in names)
     for source in sources:
-        load(source, "outcome")
+        load_function(source, "outcome")
     return sources
 
 
-def _duration(given: Any, scripts: Sequence[GripperScript], scene: Scene) -> float:
-    if given is None:
+def _duration(value: Any, scripts: Sequence[GripperScript], scene: Scene) -> float:
+    if value is None:
         if not scripts:
             raise StudyError("'duration' is missing: a study without scripts needs it [s]")
         return max(script.duration for script in scripts)
-    if isinstance(given, bool) or not isinstance(given, int | float) or not math.isfinite(given):
-        raise StudyError(f"duration is {given!r}; it must be a number of seconds")
-    if not scene.period <= given <= _LONGEST:
-        raise StudyError(f"duration is {given} s; it must be from one frame ({scene.period:g} s) to {_LONGEST:g} s")
-    return float(given)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise StudyError(f"duration is {value!r}; it must be a number of seconds")
+    if not scene.period <= value <= _MAX_DURATION:
+        raise StudyError(
+            f"duration is {value} s; it must be from one frame ({scene.period:g} s) to {_MAX_DURATION:g} s"
+        )
+    return float(value)
 
 
-def _runs(given: Any, factors: Sequence[Factor], sampling: str) -> int:
+def _runs(value: Any, factors: Sequence[Factor], sampling: str) -> int:
     size = grid_size(factors) if sampling == "grid" else None
-    if given is None:
+    if value is None:
         if size is None:
             raise StudyError("'runs' is missing: the number of runs")
         return size
-    runs = _whole(given, "runs", least=1, most=2**63 - 1)
+    runs = _parse_integer(value, "runs", min_value=1, max_value=2**63 - 1)
     if size is not None and runs != size:
         raise StudyError(f"runs is {runs}, the grid has {size} combinations; omit runs, or use another sampling")
     return runs
@@ -222,7 +226,7 @@ def _check_factors(study: Study) -> None:
     for factor in study.factors:
         first = factor.name.partition(".")[0]
         if first == TARGET:
-            target_of(factor.name, study.scripts)
+            parse_target(factor.name, study.scripts)
             _check_numbers(factor)
         elif first == POLICY:
             if study.policy is None:
@@ -241,22 +245,22 @@ def _check_numbers(factor: Factor) -> None:
             raise StudyError(f"vary: '{factor.name}' has {value!r}; a displacement must be a number [m]")
 
 
-def _one_of(value: Any, what: str, known: Sequence[str]) -> str:
+def _parse_choice(value: Any, entry: str, known: Sequence[str]) -> str:
     if value not in known:
-        raise StudyError(f"{what} is {value!r}; it must be one of {', '.join(known)}{suggestion(str(value), known)}")
+        raise StudyError(f"{entry} is {value!r}; it must be one of {', '.join(known)}{suggestion(str(value), known)}")
     return str(value)
 
 
-def _truth(value: Any, what: str) -> bool:
+def _parse_bool(value: Any, entry: str) -> bool:
     if not isinstance(value, bool):
-        raise StudyError(f"{what} is {value!r}; it must be true or false")
+        raise StudyError(f"{entry} is {value!r}; it must be true or false")
     return value
 
 
-def _whole(value: Any, what: str, *, least: int, most: int) -> int:
+def _parse_integer(value: Any, entry: str, *, min_value: int, max_value: int) -> int:
     # YAML reads 1e9 as a float; here it means a whole number.
     if isinstance(value, float) and value.is_integer():
         value = int(value)
-    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
-        raise StudyError(f"{what} is {value!r}; it must be a whole number from {least} to {most}")
+    if isinstance(value, bool) or not isinstance(value, int) or not min_value <= value <= max_value:
+        raise StudyError(f"{entry} is {value!r}; it must be a whole number from {min_value} to {max_value}")
     return value

@@ -18,10 +18,10 @@ import numpy as np
 
 from cloth_sim_ros.batch.errors import FolderError, folder_error
 from cloth_sim_ros.batch.folder import StudyFolder, read_row
-from cloth_sim_ros.batch.outcomes import OutcomeError, OutcomeWatch
-from cloth_sim_ros.batch.recording import RunRecording
+from cloth_sim_ros.batch.outcomes import OutcomeError, OutcomeRecorder
+from cloth_sim_ros.batch.run_recording import RunRecording
 from cloth_sim_ros.batch.study import POLICY, Study
-from cloth_sim_ros.batch.user_code import USER_ERRORS, Observation, events_of, in_words, load
+from cloth_sim_ros.batch.user_code import USER_ERRORS, Observation, as_events, format_error, load_function
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, SetParameters, Target
@@ -51,26 +51,26 @@ def perform_all(folder: str, runs: Sequence[tuple[int, tuple[Any, ...]]]) -> lis
     Raises:
         FolderError: if this machine can't read or write the folder.
     """
-    place = StudyFolder(folder)
+    study_folder = StudyFolder(folder)
     try:
         # The modification time distinguishes a recreated folder from its predecessor in the cache.
-        study = _study(folder, place.study_file.stat().st_mtime_ns)
+        study = _read_study(folder, study_folder.study_file.stat().st_mtime_ns)
     except OSError as error:
         raise FolderError(
             f"{socket.gethostname()} can't read the study in {folder}: {error.strerror}. Workers on other machines "
             "need a shared folder under the same name"
         ) from error
     for run, values in runs:
-        perform(place, study, run, values)
+        perform(study_folder, study, run, values)
     return [run for run, _ in runs]
 
 
 @functools.lru_cache(maxsize=4)
-def _study(folder: str, _changed: int) -> Study:
+def _read_study(folder: str, _modified_ns: int) -> Study:
     return StudyFolder(folder).read()
 
 
-def perform(place: StudyFolder, study: Study, run: int, values: Sequence[Any]) -> dict[str, Any]:
+def perform(study_folder: StudyFolder, study: Study, run: int, values: Sequence[Any]) -> dict[str, Any]:
     """Execute one run, write its session and its row, and return the row.
 
     A successful run is not repeated.
@@ -84,39 +84,39 @@ def perform(place: StudyFolder, study: Study, run: int, values: Sequence[Any]) -
     Raises:
         FolderError: if the folder can't be written; the run's files are removed then.
     """
-    done = read_row(place.row_file(run))
-    if done is not None and done["status"] == OK:
-        return done
-    begun, worked = time.perf_counter(), time.process_time()
-    named = dict(zip((factor.name for factor in study.factors), values, strict=True))
-    workplace = None
+    existing_row = read_row(study_folder.row_file(run))
+    if existing_row is not None and existing_row["status"] == OK:
+        return existing_row
+    wall_start, cpu_start = time.perf_counter(), time.process_time()
+    factor_values = dict(zip((factor.name for factor in study.factors), values, strict=True))
+    run_folder = None
     try:
-        workplace = place.workplace(run)
-        row, session = _record(study, run, named, workplace)
+        run_folder = study_folder.create_run_folder(run)
+        row, session = _record(study, run, factor_values, run_folder)
         if session is not None:
             row["bytes"] = session.stat().st_size
-            target = place.session(run)
+            target = study_folder.session_file(run)
             target.parent.mkdir(parents=True, exist_ok=True)
             os.replace(session, target)
-            row["session"] = str(target.relative_to(place.path))
-        row.update(wall_time=time.perf_counter() - begun, cpu_time=time.process_time() - worked)
-        place.write_row(row)
+            row["session"] = str(target.relative_to(study_folder.path))
+        row.update(wall_time=time.perf_counter() - wall_start, cpu_time=time.process_time() - cpu_start)
+        study_folder.write_row(row)
     except OSError as error:
-        raise folder_error(place.path, error) from error
+        raise folder_error(study_folder.path, error) from error
     finally:
-        if workplace is not None:
-            shutil.rmtree(workplace, ignore_errors=True)
+        if run_folder is not None:
+            shutil.rmtree(run_folder, ignore_errors=True)
     return row
 
 
-def empty_row(study: Study, run: int, named: dict[str, Any], *, status: str, error: str) -> dict[str, Any]:
+def empty_row(study: Study, run: int, factor_values: dict[str, Any], *, status: str, error: str) -> dict[str, Any]:
     """Return the row of a run without results."""
     return {
         "run": run,
         "status": status,
         "error": error,
         "seed": study.seed_of(run),
-        "values": {name: list(v) if isinstance(v, tuple) else v for name, v in named.items()},
+        "values": {name: list(v) if isinstance(v, tuple) else v for name, v in factor_values.items()},
         "outcomes": {},
         "digest": "",
         "frames": 0,
@@ -129,22 +129,22 @@ def empty_row(study: Study, run: int, named: dict[str, Any], *, status: str, err
     }
 
 
-def _record(study: Study, run: int, named: dict[str, Any], folder: Path) -> tuple[dict[str, Any], Path | None]:
+def _record(study: Study, run: int, factor_values: dict[str, Any], folder: Path) -> tuple[dict[str, Any], Path | None]:
     """Simulate and record a run; return its row without times, and its session file or None."""
-    row = empty_row(study, run, named, status=OK, error="")
+    row = empty_row(study, run, factor_values, status=OK, error="")
     try:
-        motion = Motion.of(study, run, named)
+        commanded = CommandedSimulation.create(study, run, factor_values)
     except RunError as error:
         return {**row, "status": FAILED, "error": str(error)}, None
-    simulation, watch = motion.simulation, OutcomeWatch(motion.simulation)
+    simulation, outcome_recorder = commanded.simulation, OutcomeRecorder(commanded.simulation)
     recording = RunRecording(folder, simulation, name=f"run_{run:07d}", clouds=study.clouds)
     try:
         try:
-            for _ in range(motion.frames):
-                events, frame = motion.advance()
+            for _ in range(commanded.n_frames):
+                events, frame = commanded.advance()
                 recording.add(events, frame)
-                watch.add(frame)
-            row["outcomes"] = {**watch.outcomes(), **_own(study, watch, named)}
+                outcome_recorder.add(frame)
+            row["outcomes"] = {**outcome_recorder.outcomes(), **_user_outcomes(study, outcome_recorder, factor_values)}
         except RunError as error:
             row["status"], row["error"] = FAILED, f"frame {simulation.frame}: {error}"
         except OutcomeError as error:
@@ -153,28 +153,30 @@ def _record(study: Study, run: int, named: dict[str, Any], folder: Path) -> tupl
     except BaseException:
         recording.abandon()
         raise
-    row.update(digest=simulation.state.digest(), frames=watch.frames, flagged_frames=watch.flagged)
-    row["error_estimate"] = watch.error
+    row.update(
+        digest=simulation.state.digest(), frames=outcome_recorder.n_frames, flagged_frames=outcome_recorder.n_flagged
+    )
+    row["error_estimate"] = outcome_recorder.error_estimate
     return row, session
 
 
-def _own(study: Study, watch: OutcomeWatch, named: dict[str, Any]) -> dict[str, Any]:
-    functions = {source.reference: load(source, "outcome") for source in study.outcomes}
-    return watch.own(functions, named) if functions else {}
+def _user_outcomes(study: Study, outcome_recorder: OutcomeRecorder, factor_values: dict[str, Any]) -> dict[str, Any]:
+    functions = {source.reference: load_function(source, "outcome") for source in study.outcomes}
+    return outcome_recorder.user_outcomes(functions, factor_values) if functions else {}
 
 
 @attrs.define(eq=False)
-class Motion:
+class CommandedSimulation:
     """Simulation of a run with its scripts or its policy."""
 
     simulation: Simulation
     #: Number of frames of the run.
-    frames: int
+    n_frames: int
     _commands: Callable[[int], Sequence[Event]]
     _wrenches: Any = None
 
     @classmethod
-    def of(cls, study: Study, run: int, named: dict[str, Any]) -> Motion:
+    def create(cls, study: Study, run: int, factor_values: dict[str, Any]) -> CommandedSimulation:
         """Return the simulation of a run.
 
         Args:
@@ -186,24 +188,26 @@ class Motion:
             RunError: if the values are invalid, or the policy can't be created.
         """
         try:
-            simulation = Simulation(study.scene(named))
+            simulation = Simulation(study.scene(factor_values))
         except (ValueError, MemoryError) as error:
             raise RunError(str(error) or "not enough memory") from error
         period = simulation.scene.period
-        motion = cls(simulation, max(1, round(study.duration / period)), lambda _frame: [])
-        motion._wrenches = np.zeros((len(simulation.grippers.names), 6))
+        commanded = cls(simulation, max(1, round(study.duration / period)), lambda _frame: [])
+        commanded._wrenches = np.zeros((len(simulation.grippers.names), 6))
         if study.policy is None:
-            motion._commands = ScriptEvents(study.moved_scripts(named), period).at
-            return motion
+            commanded._commands = ScriptEvents(study.moved_scripts(factor_values), period).at
+            return commanded
         try:
-            policy = load(study.policy, "policy")
+            policy = load_function(study.policy, "policy")
             policy = policy() if isinstance(policy, type) else policy
         except USER_ERRORS as error:
-            raise RunError(f"policy '{study.policy.reference}' raised {in_words(error)}") from error
-        told = {name.removeprefix(f"{POLICY}."): value for name, value in named.items()}
+            raise RunError(f"policy '{study.policy.reference}' raised {format_error(error)}") from error
+        policy_values = {name.removeprefix(f"{POLICY}."): value for name, value in factor_values.items()}
         rng = np.random.default_rng(study.seed_of(run))
-        motion._commands = functools.partial(motion._ask, policy, study.policy.reference, told, rng)
-        return motion
+        commanded._commands = functools.partial(
+            commanded._query_policy, policy, study.policy.reference, policy_values, rng
+        )
+        return commanded
 
     def advance(self) -> tuple[Sequence[Event], Any]:
         """Advance by one frame and return its events and the frame.
@@ -218,11 +222,13 @@ class Motion:
         except (EventError, UnstableError) as error:
             raise RunError(str(error)) from error
         except (TypeError, ValueError, ArithmeticError, MemoryError) as error:
-            raise RunError(in_words(error)) from error
+            raise RunError(format_error(error)) from error
         self._wrenches = frame.wrenches
         return events, frame
 
-    def _ask(self, policy: Any, reference: str, values: dict[str, Any], rng: Any, frame: int) -> Sequence[Event]:
+    def _query_policy(
+        self, policy: Any, reference: str, values: dict[str, Any], rng: Any, frame: int
+    ) -> Sequence[Event]:
         simulation = self.simulation
         observation = Observation(
             time=simulation.time,
@@ -234,9 +240,9 @@ class Motion:
             rng=rng,
         )
         try:
-            events = list(events_of(policy(observation)))
+            events = list(as_events(policy(observation)))
         except USER_ERRORS as error:
-            raise RunError(f"policy '{reference}' raised {in_words(error)}") from error
+            raise RunError(f"policy '{reference}' raised {format_error(error)}") from error
         for index, event in enumerate(events):
             if not isinstance(event, _COMMANDS):
                 known = ", ".join(kind.__name__ for kind in _COMMANDS)
@@ -246,10 +252,10 @@ class Motion:
                 and event.orientation is None
                 and event.obstacle in simulation.scene.obstacle_names
             ):
-                events[index] = attrs.evolve(event, orientation=self._turned(event.obstacle))
+                events[index] = attrs.evolve(event, orientation=self._current_orientation(event.obstacle))
         return events
 
-    def _turned(self, obstacle: str) -> tuple[float, ...]:
+    def _current_orientation(self, obstacle: str) -> tuple[float, ...]:
         """Return the orientation of an obstacle's current target, which a command without orientation keeps."""
         targets = self.simulation.state.memory["obstacle.target"]
         return tuple(targets[self.simulation.scene.obstacle_names.index(obstacle)][3:].tolist())

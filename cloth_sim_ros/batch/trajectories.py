@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.batch.errors import StoppedError
-from cloth_sim_ros.batch.recording import RunRecording
+from cloth_sim_ros.batch.run_recording import RunRecording
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene.recorded import recorded_values
+from cloth_sim_ros.scene.recorded_scene import recorded_values
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.reader import SessionReader, read_frame
@@ -74,7 +74,7 @@ def read(run: int, session: Path, *, copy_into: Path | None = None) -> Trajector
     if copy_into is not None:
         copy_into.mkdir(parents=True, exist_ok=True)
         recording = RunRecording(copy_into, simulation, name=session.stem, clouds=True)
-    notes = _Notes(simulation)
+    recorder = _TrajectoryRecorder(simulation)
     for record in records:
         events = [from_dict(dict(event)) for event in record.events]
         frame = simulation.advance(events)
@@ -85,24 +85,24 @@ def read(run: int, session: Path, *, copy_into: Path | None = None) -> Trajector
             )
         if recording is not None:
             recording.add(events, frame)
-        notes.add(events, frame)
+        recorder.add(events, frame)
     if recording is not None:
         recording.finish(reason="stopped")
-    return notes.trajectory(run)
+    return recorder.trajectory(run)
 
 
-class _Notes:
+class _TrajectoryRecorder:
     """Records the trajectory of a simulation."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
-        self._lists: dict[str, list[Any]] = {
+        self._arrays: dict[str, list[Any]] = {
             name: [] for name in ("positions", "velocities", "poses", "actions", "wrenches", "obstacle_poses")
         }
         grippers = len(simulation.grippers.names)
         self._action = np.zeros((grippers, 8))
         self._action[:, 6] = 1.0
-        self._note_state()
+        self._record_state()
 
     def add(self, events: list[Any], frame: Any) -> None:
         """Record the latest frame."""
@@ -115,9 +115,9 @@ class _Notes:
                     row[3:7] = event.orientation
             elif isinstance(event, Grasp):
                 self._action[names.index(event.gripper), 7] = event.closed
-        self._lists["actions"].append(self._action.copy())
-        self._lists["wrenches"].append(frame.wrenches.copy())
-        self._note_state()
+        self._arrays["actions"].append(self._action.copy())
+        self._arrays["wrenches"].append(frame.wrenches.copy())
+        self._record_state()
 
     def trajectory(self, run: int) -> Trajectory:
         """Return the recorded trajectory."""
@@ -128,15 +128,15 @@ class _Notes:
             grippers=tuple(simulation.grippers.names),
             obstacles=() if simulation.obstacles is None else tuple(simulation.obstacles.names),
             triangles=np.asarray(simulation.scene.sheet.triangles(), dtype=np.int32).reshape(-1, 3),
-            **{name: np.array(values, dtype=np.float32) for name, values in self._lists.items()},
+            **{name: np.array(values, dtype=np.float32) for name, values in self._arrays.items()},
         )
 
-    def _note_state(self) -> None:
+    def _record_state(self) -> None:
         simulation = self._simulation
         grippers = simulation.grippers
         closed = [[float(grippers.is_closed(k))] for k in range(len(grippers.names))]
-        self._lists["positions"].append(simulation.state.x.T.astype(np.float32))
-        self._lists["velocities"].append(simulation.state.v.T.astype(np.float32))
-        self._lists["poses"].append(np.concatenate([grippers.poses(), np.reshape(closed, (-1, 1))], axis=1))
+        self._arrays["positions"].append(simulation.state.x.T.astype(np.float32))
+        self._arrays["velocities"].append(simulation.state.v.T.astype(np.float32))
+        self._arrays["poses"].append(np.concatenate([grippers.poses(), np.reshape(closed, (-1, 1))], axis=1))
         none = np.zeros((0, 7))
-        self._lists["obstacle_poses"].append(none if simulation.obstacles is None else simulation.obstacles.poses())
+        self._arrays["obstacle_poses"].append(none if simulation.obstacles is None else simulation.obstacles.poses())

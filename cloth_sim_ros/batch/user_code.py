@@ -73,7 +73,7 @@ class Finished:
     values: dict[str, Any]
 
 
-def find(reference: Any, what: str, folder: Path) -> Source:
+def read_source(reference: Any, role: str, folder: Path) -> Source:
     """Return the source of a reference in a study.
 
     Args:
@@ -84,19 +84,19 @@ def find(reference: Any, what: str, folder: Path) -> Source:
     Raises:
         StudyError: if the reference is invalid, or the file can't be read.
     """
-    place, _, name = reference.rpartition(":") if isinstance(reference, str) else ("", "", "")
-    if not place or not name.isidentifier():
-        raise StudyError(f"{what} is {reference!r}; give file.py:name or package.module:name")
-    if not place.endswith(".py"):
+    location, _, name = reference.rpartition(":") if isinstance(reference, str) else ("", "", "")
+    if not location or not name.isidentifier():
+        raise StudyError(f"{role} is {reference!r}; give file.py:name or package.module:name")
+    if not location.endswith(".py"):
         return Source(reference=reference)
     try:
-        text = input_file.read_text(folder / place)
+        text = input_file.read_text(folder / location)
     except (OSError, ValueError) as error:
-        raise StudyError(f"{what}: cannot read '{folder / place}': {error}") from error
+        raise StudyError(f"{role}: cannot read '{folder / location}': {error}") from error
     return Source(reference=reference, text=text)
 
 
-def load(source: Source, what: str) -> Callable[..., Any]:
+def load_function(source: Source, role: str) -> Callable[..., Any]:
     """Import and return a function or class.
 
     Args:
@@ -106,31 +106,31 @@ def load(source: Source, what: str) -> Callable[..., Any]:
     Raises:
         StudyError: if the import raises, or the module lacks the name.
     """
-    place, _, name = source.reference.rpartition(":")
+    location, _, name = source.reference.rpartition(":")
     try:
-        module = _module(place, source.text) if source.text else importlib.import_module(place)
+        module = _module(location, source.text) if source.text else importlib.import_module(location)
     except USER_ERRORS as error:
-        raise StudyError(f"{what} '{source.reference}' can't be imported: {in_words(error)}") from error
-    found = getattr(module, name, None)
-    if not callable(found):
-        there = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
-        raise StudyError(f"{what}: '{place}' has no function '{name}'; it has {', '.join(there) or 'none'}")
-    return found  # type: ignore[no-any-return]
+        raise StudyError(f"{role} '{source.reference}' can't be imported: {format_error(error)}") from error
+    function = getattr(module, name, None)
+    if not callable(function):
+        known = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
+        raise StudyError(f"{role}: '{location}' has no function '{name}'; it has {', '.join(known) or 'none'}")
+    return function  # type: ignore[no-any-return]
 
 
-def in_words(error: BaseException) -> str:
+def format_error(error: BaseException) -> str:
     """Return an exception as one line: type, message, and the innermost line of the user's file."""
-    words = " ".join(str(error).split())
+    message = " ".join(str(error).split())
     trace, line = error.__traceback__, ""
     while trace is not None:
         file = trace.tb_frame.f_code.co_filename
         if not file.startswith("<") and "cloth_sim_ros" not in Path(file).parts:
             line = f" ({Path(file).name}, line {trace.tb_lineno})"
         trace = trace.tb_next
-    return f"{type(error).__name__}: {words}{line}" if words else f"{type(error).__name__}{line}"
+    return f"{type(error).__name__}: {message}{line}" if message else f"{type(error).__name__}{line}"
 
 
-def events_of(answer: Any) -> Sequence[Any]:
+def as_events(answer: Any) -> Sequence[Any]:
     """Return the result of a policy as a list of events; None gives an empty list."""
     if answer is None:
         return []
@@ -139,15 +139,15 @@ def events_of(answer: Any) -> Sequence[Any]:
     return [answer]
 
 
-def _module(place: str, text: str) -> types.ModuleType:
+def _module(location: str, text: str) -> types.ModuleType:
     name = f"cloth_sim_ros_study_{hashlib.blake2b(text.encode(), digest_size=8).hexdigest()}"
     if name in sys.modules:
         return sys.modules[name]
     module = types.ModuleType(name)
-    module.__file__ = place
+    module.__file__ = location
     sys.modules[name] = module
     try:
-        exec(compile(text, place, "exec"), module.__dict__)
+        exec(compile(text, location, "exec"), module.__dict__)
     except BaseException:
         del sys.modules[name]
         raise

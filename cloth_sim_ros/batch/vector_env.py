@@ -17,21 +17,21 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.batch import registered as registered
-from cloth_sim_ros.batch.actions import Commands
-from cloth_sim_ros.batch.crew import Crew
-from cloth_sim_ros.batch.future import particles_of, put
-from cloth_sim_ros.batch.herd import Herd, Prepare, Randomise
-from cloth_sim_ros.batch.outcome import Judge, Outcome, judged
+from cloth_sim_ros.batch.actions import ActionDecoder
+from cloth_sim_ros.batch.outcome import Outcome, OutcomeFunction, evaluate_outcome
+from cloth_sim_ros.batch.rollout import select_particles, store_particles
 from cloth_sim_ros.batch.seeds import Generators
+from cloth_sim_ros.batch.simulation_pool import Prepare, Randomise, SimulationPool
 from cloth_sim_ros.batch.spaces import (
     action_space,
+    check_positive_integer,
+    make_workspace,
     mask_of,
     mode_of,
     observation_space,
     scene_of,
-    whole_number,
-    workspace_of,
 )
+from cloth_sim_ros.batch.thread_pool import ThreadPool
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.uncopyable import Uncopyable
 from cloth_sim_ros.scene.scene import Scene
@@ -91,8 +91,8 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
         num_envs: int = 1,
         *,
         scene: Scene | str | Path | Mapping[str, Any] | None = None,
-        reward: Judge | None = None,
-        terminated: Judge | None = None,
+        reward: OutcomeFunction | None = None,
+        terminated: OutcomeFunction | None = None,
         max_episode_steps: int | None = None,
         prepare: Prepare | None = None,
         randomise: Randomise | None = None,
@@ -106,42 +106,44 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
         threads: int | None = None,
         copy: bool = True,
     ) -> None:
-        self.num_envs = whole_number("num_envs", num_envs)
-        self._frames = whole_number("frames_per_step", frames_per_step)
-        self._most = None if max_episode_steps is None else whole_number("max_episode_steps", max_episode_steps)
+        self.num_envs = check_positive_integer("num_envs", num_envs)
+        self._frames_per_step = check_positive_integer("frames_per_step", frames_per_step)
+        self._max_steps = (
+            None if max_episode_steps is None else check_positive_integer("max_episode_steps", max_episode_steps)
+        )
         self.autoreset_mode = mode_of(autoreset_mode)
         self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
         self._reward, self._terminated, self._randomise, self._copy = reward, terminated, randomise, copy
         #: Common scene of all cloths that are not randomised.
         self.scene = scene_of(scene)
-        self._commands = Commands(self.scene, turned=orientations, speed=speed)
+        self._decoder = ActionDecoder(self.scene, has_orientations=orientations, speed=speed)
         start = self.scene.initial_positions()
-        self._chosen, count = particles_of(particles, len(start))
-        self._box = self.single_action_space = action_space(self._commands, workspace_of(workspace, start))
+        self._particles, count = select_particles(particles, len(start))
+        self._action_box = self.single_action_space = action_space(self._decoder, make_workspace(workspace, start))
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         shape = (count, 6 if velocities else 3)
         self.single_observation_space = observation_space(shape)
         self.observation_space = observation_space((self.num_envs, *shape))
-        self._crew = Crew(threads)
-        self._herd = Herd(self.num_envs, self.scene, self._crew, prepare=prepare)
+        self._thread_pool = ThreadPool(threads)
+        self._simulations = SimulationPool(self.num_envs, self.scene, self._thread_pool, prepare=prepare)
         self._observations = np.zeros((self.num_envs, *shape), dtype=np.float32)
-        self._wrenches = np.zeros((self.num_envs, len(self._commands.names), 6))
+        self._wrenches = np.zeros((self.num_envs, len(self._decoder.names), 6))
         self._flagged = np.zeros(self.num_envs, dtype=np.int64)
         self._elapsed = np.zeros(self.num_envs, dtype=np.int64)
         # Masks of the cloths whose episode is over, and of those that were reset at least once.
-        self._over = np.zeros(self.num_envs, dtype=bool)
-        self._begun = np.zeros(self.num_envs, dtype=bool)
+        self._is_over = np.zeros(self.num_envs, dtype=bool)
+        self._has_begun = np.zeros(self.num_envs, dtype=bool)
         self._generators = Generators(self.num_envs)
 
     @property
     def snapshots(self) -> tuple[Snapshot, ...]:
         """Snapshot of each cloth, for rollouts or for a `Simulation` of its scene."""
-        return tuple(self._herd.snapshots)
+        return tuple(self._simulations.snapshots)
 
     @property  # type: ignore[misc]
     def np_random(self) -> Any:
         """Random generator of each cloth."""
-        return self._generators.all()
+        return self._generators.generators()
 
     @property
     def np_random_seed(self) -> Any:
@@ -167,7 +169,7 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
         indices = np.flatnonzero(mask_of(options, self.num_envs)).tolist()
         self._generators.seed(seed, indices)
         self._begin(indices)
-        return self._told(), {}
+        return self._returned_observations(), {}
 
     def step(
         self, actions: ArrayLike
@@ -184,101 +186,105 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
             ValueError: if actions have another shape, are not finite, or lie outside `action_space`. No cloth moves.
             RuntimeError: before the first reset, after `close`, or if an episode is over and autoreset is disabled.
         """
-        acts = self._checked(actions)
-        again = np.flatnonzero(self._over).tolist() if self.autoreset_mode is AutoresetMode.NEXT_STEP else []
-        moved, before = ~self._over, self.snapshots
+        checked = self._check_actions(actions)
+        reset_indices = np.flatnonzero(self._is_over).tolist() if self.autoreset_mode is AutoresetMode.NEXT_STEP else []
+        is_stepped, snapshots = ~self._is_over, self.snapshots
         try:
-            self._herd.step(np.flatnonzero(moved).tolist(), acts, self._commands, self._frames, self._tell)
-            outcome = self._outcome(acts, moved)
-            rewards = np.where(moved, judged("reward", self._reward, outcome, np.float64), 0.0)
-            terminations = judged("terminated", self._terminated, outcome, bool) & moved
+            self._simulations.step(
+                np.flatnonzero(is_stepped).tolist(), checked, self._decoder, self._frames_per_step, self._store_step
+            )
+            outcome = self._outcome(checked, is_stepped)
+            rewards = np.where(is_stepped, evaluate_outcome("reward", self._reward, outcome, np.float64), 0.0)
+            terminations = evaluate_outcome("terminated", self._terminated, outcome, bool) & is_stepped
         except BaseException:
-            self._herd.snapshots[:] = before
-            self._look(range(self.num_envs))
+            self._simulations.snapshots[:] = snapshots
+            self._observe(range(self.num_envs))
             raise
         self._elapsed = outcome.elapsed
-        truncations = np.zeros(self.num_envs, dtype=bool) if self._most is None else (self._elapsed >= self._most)
-        truncations &= moved
-        self._over = terminations | truncations
-        self._begin(again)
+        truncations = (
+            np.zeros(self.num_envs, dtype=bool) if self._max_steps is None else (self._elapsed >= self._max_steps)
+        )
+        truncations &= is_stepped
+        self._is_over = terminations | truncations
+        self._begin(reset_indices)
         infos: dict[str, Any] = {}
-        told = moved
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._over.any():
-            over, told = np.flatnonzero(self._over).tolist(), moved & ~self._over
-            for i in over:
+        is_reported = is_stepped
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._is_over.any():
+            over_indices, is_reported = np.flatnonzero(self._is_over).tolist(), is_stepped & ~self._is_over
+            for i in over_indices:
                 last = {"final_obs": self._observations[i].copy(), "final_info": {"flagged": int(self._flagged[i])}}
                 infos = self._add_info(infos, last, i)
-            self._begin(over)
-        if told.any():
-            infos.update({"flagged": np.where(told, self._flagged, 0), "_flagged": told.copy()})
-        return self._told(), rewards, terminations, truncations, infos
+            self._begin(over_indices)
+        if is_reported.any():
+            infos.update({"flagged": np.where(is_reported, self._flagged, 0), "_flagged": is_reported.copy()})
+        return self._returned_observations(), rewards, terminations, truncations, infos
 
     def close_extras(self, **kwargs: Any) -> None:
         """Stop the threads."""
-        self._crew.close()
+        self._thread_pool.close()
 
-    def _checked(self, actions: ArrayLike) -> NDArray[np.float32]:
+    def _check_actions(self, actions: ArrayLike) -> NDArray[np.float32]:
         if self.closed:
             raise RuntimeError("the environment is closed: make another environment")
-        if not self._begun.all():
+        if not self._has_begun.all():
             raise RuntimeError("the cloths have no episode yet: call reset() before the first step()")
-        if self.autoreset_mode is AutoresetMode.DISABLED and self._over.any():
-            over = np.flatnonzero(self._over)
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._is_over.any():
+            over = np.flatnonzero(self._is_over)
             raise RuntimeError(
                 f"the episode of cloth {over[0]} is over, and autoreset is disabled: start a new one by "
                 'reset(options={"reset_mask": terminations | truncations})'
             )
-        acts = self._commands.checked(actions, (self.num_envs,), dtype=np.float32)
-        low, high = self._box.low, self._box.high
-        outside = np.argwhere((acts < low) | (acts > high))
+        checked = self._decoder.validate(actions, (self.num_envs,), dtype=np.float32)
+        low, high = self._action_box.low, self._action_box.high
+        outside = np.argwhere((checked < low) | (checked > high))
         if len(outside):
             at = tuple(outside[0].tolist())
             raise ValueError(
-                f"actions{list(at)} is {acts[at]}; it must be from {low[at[1:]]} to {high[at[1:]]}: clip actions by "
+                f"actions{list(at)} is {checked[at]}; it must be from {low[at[1:]]} to {high[at[1:]]}: clip actions by "
                 "gymnasium.wrappers.vector.ClipAction, or make `workspace` larger"
             )
-        return acts
+        return checked
 
-    def _tell(self, i: int, simulation: Simulation, wrenches: Array, missed: int) -> None:
+    def _store_step(self, i: int, simulation: Simulation, wrenches: Array, n_missed: int) -> None:
         """Store observation, wrenches and flags of a stepped cloth; called by its worker."""
-        self._put(i, simulation.state)
-        self._wrenches[i], self._flagged[i] = wrenches, missed
+        self._store_state(i, simulation.state)
+        self._wrenches[i], self._flagged[i] = wrenches, n_missed
 
-    def _put(self, i: int, state: Any) -> None:
+    def _store_state(self, i: int, state: Any) -> None:
         row = self._observations[i]
-        put(row.reshape(len(row), -1, 3).transpose(1, 0, 2), self._chosen, state)
+        store_particles(row.reshape(len(row), -1, 3).transpose(1, 0, 2), self._particles, state)
 
-    def _look(self, indices: Sequence[int] | range) -> None:
+    def _observe(self, indices: Sequence[int] | range) -> None:
         """Store the observations of cloths from their snapshots."""
         for i in indices:
-            self._put(i, self._herd.snapshots[i].state)
+            self._store_state(i, self._simulations.snapshots[i].state)
 
-    def _outcome(self, acts: NDArray[np.float32], moved: NDArray[np.bool_]) -> Outcome:
+    def _outcome(self, actions: NDArray[np.float32], is_stepped: NDArray[np.bool_]) -> Outcome:
         return Outcome(
             observations=self._observations,
-            actions=acts,
+            actions=actions,
             wrenches=self._wrenches,
-            elapsed=self._elapsed + moved,
-            states=[snapshot.state for snapshot in self._herd.snapshots],
+            elapsed=self._elapsed + is_stepped,
+            states=[snapshot.state for snapshot in self._simulations.snapshots],
         )
 
     def _begin(self, indices: list[int]) -> None:
         if not indices:
             return
         scenes = [self._scene(i) for i in indices]
-        self._herd.begin(indices, scenes)
-        self._look(indices)
+        self._simulations.reset(indices, scenes)
+        self._observe(indices)
         self._elapsed[indices] = 0
         self._wrenches[indices] = 0.0
-        self._over[indices], self._begun[indices] = False, True
+        self._is_over[indices], self._has_begun[indices] = False, True
 
     def _scene(self, i: int) -> Scene:
         if self._randomise is None:
             return self.scene
-        found = self._randomise(self._generators.of(i), self.scene)
-        if found is None or isinstance(found, Scene):
-            return found or self.scene
-        return scene_of(found, self.scene)
+        randomised = self._randomise(self._generators.generator(i), self.scene)
+        if randomised is None or isinstance(randomised, Scene):
+            return randomised or self.scene
+        return scene_of(randomised, self.scene)
 
-    def _told(self) -> NDArray[np.float32]:
+    def _returned_observations(self) -> NDArray[np.float32]:
         return self._observations.copy() if self._copy else self._observations

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 from cloth_sim_ros.batch import index
 from cloth_sim_ros.batch.errors import StudyError
 from cloth_sim_ros.batch.folder import StudyFolder, read_row
-from cloth_sim_ros.scene.unknown import suggestion
+from cloth_sim_ros.scene.unknown_parameters import suggestion
 from cloth_sim_ros.session.child_process import child_environment, module_command
-from cloth_sim_ros.session.outputs import written_whole
+from cloth_sim_ros.session.output_files import atomic_write
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -50,21 +50,21 @@ def view(
     Raises:
         StudyError: if the folder, run or column does not exist.
     """
-    place = StudyFolder(folder)
-    table = index.read(place)
+    study_folder = StudyFolder(folder)
+    table = index.read(study_folder)
     if run is not None:
-        return _replay(place, run, save)
+        return _open_run(study_folder, run, save)
     name = None if outcome is None else column_of(table, outcome, "outcome")
     along = None if over is None else column_of(table, over, "factor")
     if plot is not None and name is not None and along is not None:
-        draw(table, name, along, plot)
+        draw_plot(table, name, along, plot)
         print(f"{plot}: {name} over {along}, {table.num_rows} runs")
         return 0
-    print(text(table, order=name, rows=rows, first=along))
+    print(format_table(table, order=name, rows=rows, first=along))
     return 0
 
 
-def column_of(table: pa.Table, name: str, what: str) -> str:
+def column_of(table: pa.Table, name: str, role: str) -> str:
     """Return the column of a name, which may lack an outcome's prefix.
 
     Args:
@@ -75,14 +75,14 @@ def column_of(table: pa.Table, name: str, what: str) -> str:
     Raises:
         StudyError: if the column does not exist.
     """
-    for candidate in (name, index.OUTCOME + name):
+    for candidate in (name, index.OUTCOME_PREFIX + name):
         if candidate in table.column_names:
             return candidate
-    known = [column.removeprefix(index.OUTCOME) for column in table.column_names]
-    raise StudyError(f"{what} '{name}' is no column of the index{suggestion(name, known)}; it has {', '.join(known)}")
+    known = [column.removeprefix(index.OUTCOME_PREFIX) for column in table.column_names]
+    raise StudyError(f"{role} '{name}' is no column of the index{suggestion(name, known)}; it has {', '.join(known)}")
 
 
-def text(table: pa.Table, *, order: str | None = None, rows: int = 20, first: str | None = None) -> str:
+def format_table(table: pa.Table, *, order: str | None = None, rows: int = 20, first: str | None = None) -> str:
     """Return the table as text.
 
     Args:
@@ -98,9 +98,9 @@ def text(table: pa.Table, *, order: str | None = None, rows: int = 20, first: st
         names.remove("error")
     for name in (order, first):
         if name is not None:
-            names = ["run", name, *(other for other in names if other not in ("run", name))]
+            names = ["run", name, *(column for column in names if column not in ("run", name))]
     shown = table.slice(0, rows).select(names).to_pylist()
-    cells = [[name.removeprefix(index.OUTCOME) for name in names]]
+    cells = [[name.removeprefix(index.OUTCOME_PREFIX) for name in names]]
     cells += [[_cell(row[name]) for name in names] for row in shown]
     widths = [max(len(row[k]) for row in cells) for k in range(len(names))]
     lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in cells]
@@ -109,7 +109,7 @@ def text(table: pa.Table, *, order: str | None = None, rows: int = 20, first: st
     return "\n".join(lines)
 
 
-def draw(table: pa.Table, name: str, along: str, file: Path) -> None:
+def draw_plot(table: pa.Table, name: str, along: str, file: Path) -> None:
     """Plot an outcome over a factor, which may be numeric or categorical.
 
     Raises:
@@ -135,25 +135,25 @@ def draw(table: pa.Table, name: str, along: str, file: Path) -> None:
     values = [x for x, _ in pairs]
     if plain and min(values) > 0 and max(values) > 50 * min(values):
         axes.set_xscale("log")
-    axes.set(xlabel=along, ylabel=name.removeprefix(index.OUTCOME))
+    axes.set(xlabel=along, ylabel=name.removeprefix(index.OUTCOME_PREFIX))
     axes.grid(alpha=0.3)
-    with written_whole(file) as output:
+    with atomic_write(file) as output:
         figure.savefig(output, dpi=120, format=file.suffix.removeprefix(".") or "png")
 
 
-def _replay(place: StudyFolder, run: int, save: Path | None) -> int:
+def _open_run(study_folder: StudyFolder, run: int, save: Path | None) -> int:
     """Open one run in Rerun, in a separate process, and return its exit status."""
-    row = read_row(place.row_file(run)) if run >= 0 else None
+    row = read_row(study_folder.row_file(run)) if run >= 0 else None
     if row is None:
-        raise StudyError(f"{place.path} has no finished run {run}")
+        raise StudyError(f"{study_folder.path} has no finished run {run}")
     if not row["session"]:
         raise StudyError(f"run {run} has no session: {row['error']}")
-    if not place.read().clouds:
+    if not study_folder.read().clouds:
         print(
             "cloth_batch: the sessions hold no clouds; cloth_batch export FOLDER --mcap OUT adds them",
             file=sys.stderr,
         )
-    command = module_command("cloth_sim_ros.replay.main", str(place.path / row["session"]))
+    command = module_command("cloth_sim_ros.replay.main", str(study_folder.path / row["session"]))
     command += ["--save", str(save)] if save else []
     return subprocess.run(command, env=child_environment(), check=False).returncode
 

@@ -29,10 +29,10 @@ ARRAYS = {
     "obstacle_poses": ("m, quaternion x y z w", ("obstacle", "pose")),
 }
 #: Largest chunk before compression [bytes].
-_CHUNK = 64_000_000
+_MAX_CHUNK_BYTES = 64_000_000
 
 
-def write(path: Path, runs: Iterator[Trajectory], count: int, place: StudyFolder) -> None:
+def write(path: Path, runs: Iterator[Trajectory], count: int, study_folder: StudyFolder) -> None:
     """Write runs; shorter runs and runs with fewer particles are padded with NaN.
 
     Args:
@@ -47,24 +47,24 @@ def write(path: Path, runs: Iterator[Trajectory], count: int, place: StudyFolder
     import zarr
 
     group = zarr.open_group(str(path), mode="w-", zarr_format=3)
-    frames, sizes, numbers, arrays = list[int](), list[int](), list[int](), dict[str, Any]()
+    frame_counts, particle_counts, run_indices, arrays = list[int](), list[int](), list[int](), dict[str, Any]()
     triangles = list[NDArray[np.int32]]()
-    kept: dict[bytes, NDArray[np.int32]] = {}
+    unique_triangles: dict[bytes, NDArray[np.int32]] = {}
     names: dict[str, Any] = {}
     for run in runs:
-        own = {"rate": run.rate, "grippers": list(run.grippers), "obstacles": list(run.obstacles)}
-        names = names or own
-        for name, value in own.items():
+        properties = {"rate": run.rate, "grippers": list(run.grippers), "obstacles": list(run.obstacles)}
+        names = names or properties
+        for name, value in properties.items():
             if value != names[name]:
                 raise StudyError(
                     f"{name} of run {run.run} is {value}, of the first one {names[name]}; a dataset has one for all "
                     f"runs: remove {name} from vary, or export with --mcap"
                 )
-        k = len(numbers)
-        triangles.append(kept.setdefault(run.triangles.tobytes(), run.triangles))
-        numbers.append(run.run)
-        frames.append(len(run.actions))
-        sizes.append(run.positions.shape[1])
+        k = len(run_indices)
+        triangles.append(unique_triangles.setdefault(run.triangles.tobytes(), run.triangles))
+        run_indices.append(run.run)
+        frame_counts.append(len(run.actions))
+        particle_counts.append(run.positions.shape[1])
         for name, (unit, axes) in ARRAYS.items():
             values = getattr(run, name)
             if 0 in values.shape:
@@ -75,13 +75,13 @@ def write(path: Path, runs: Iterator[Trajectory], count: int, place: StudyFolder
             if any(have < want for have, want in zip(array.shape[1:], values.shape, strict=True)):
                 array.resize((count, *np.maximum(array.shape[1:], values.shape).tolist()))
             array[(k, *(slice(0, size) for size in values.shape))] = values
-    group.create_array("triangles", data=_common(triangles))
-    for name, values in (("run", numbers), ("frame_count", frames), ("particle_count", sizes)):
+    group.create_array("triangles", data=_common_triangles(triangles))
+    for name, values in (("run", run_indices), ("frame_count", frame_counts), ("particle_count", particle_counts)):
         group.create_array(name, data=np.array(values, dtype=np.int64))
     group.attrs.update(
         {
             "format": "cloth_sim_ros study",
-            "study": place.study_file.read_text(encoding="utf-8"),
+            "study": study_folder.study_file.read_text(encoding="utf-8"),
             "frames": "row t of positions, velocities, poses and obstacle_poses is the state at t / rate; row t of "
             "actions and wrenches is what happened from there to the next",
             **names,
@@ -89,25 +89,25 @@ def write(path: Path, runs: Iterator[Trajectory], count: int, place: StudyFolder
     )
 
 
-def _common(triangles: list[NDArray[np.int32]]) -> NDArray[np.int32]:
+def _common_triangles(triangles: list[NDArray[np.int32]]) -> NDArray[np.int32]:
     """Return the triangles of all runs, shape (m, 3); if runs differ, shape (runs, m, 3), padded with -1."""
-    if all(other is triangles[0] for other in triangles):
+    if all(other_triangles is triangles[0] for other_triangles in triangles):
         return triangles[0]
-    found = np.full((len(triangles), max(map(len, triangles)), 3), -1, dtype=np.int32)
-    for k, own in enumerate(triangles):
-        found[k, : len(own)] = own
-    return found
+    padded = np.full((len(triangles), max(map(len, triangles)), 3), -1, dtype=np.int32)
+    for k, run_triangles in enumerate(triangles):
+        padded[k, : len(run_triangles)] = run_triangles
+    return padded
 
 
 def _create(group: Any, name: str, unit: str, axes: tuple[str, ...], shape: tuple[int, ...]) -> Any:
     from zarr.codecs import ZstdCodec
 
     per_frame = 4 * int(np.prod(shape[2:]))
-    together = min(shape[1], max(_CHUNK // per_frame, 1))
+    frames_per_chunk = min(shape[1], max(_MAX_CHUNK_BYTES // per_frame, 1))
     return group.create_array(
         name,
         shape=shape,
-        chunks=(1, together, *shape[2:]),
+        chunks=(1, frames_per_chunk, *shape[2:]),
         dtype="float32",
         fill_value=float("nan"),
         compressors=[ZstdCodec(level=3)],

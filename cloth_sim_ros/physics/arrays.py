@@ -39,9 +39,11 @@ def combine(arrays: Sequence[Array], weights: Sequence[float]) -> Array:
             f"{len(weights)} weights for {len(arrays)} arrays; give each array one weight, and at least one array"
         )
     out = np.empty_like(arrays[0])
-    places = (ctypes.c_void_p * len(arrays))(*(doubles("array", array, out.shape) for array in arrays))
-    factors = np.array(weights, dtype=np.float64)
-    check(library().cloth_combine(len(arrays), ctypes.addressof(places), address(factors), out.size, address(out)))
+    addresses = (ctypes.c_void_p * len(arrays))(*(doubles("array", array, out.shape) for array in arrays))
+    weight_array = np.array(weights, dtype=np.float64)
+    check(
+        library().cloth_combine(len(arrays), ctypes.addressof(addresses), address(weight_array), out.size, address(out))
+    )
     return out
 
 

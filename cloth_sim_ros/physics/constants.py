@@ -12,7 +12,7 @@ from __future__ import annotations
 import attrs
 
 
-def _number(value: float, meaning: str) -> float:
+def _constant(value: float, meaning: str) -> float:
     field: float = attrs.field(default=value, metadata={"meaning": meaning})
     return field
 
@@ -22,51 +22,67 @@ class Constants:
     """The table of tuned constants; only validation changes it."""
 
     # Stability.
-    safety: float = _number(
+    stability_safety: float = _constant(
         0.96, "fraction of the step limit that explicit steps take; the rest is a margin for stretching"
     )
-    damped: float = _number(2.0, "decay of the fastest waves over a frame above which they count as damped")
-    part: float = _number(0.04, "longest interval that is extrapolated at once [s]")
+    damped_wave_decay: float = _constant(
+        2.0, "decay of the fastest waves over a frame above which they count as damped"
+    )
+    max_interval: float = _constant(0.04, "longest interval that is extrapolated at once [s]")
 
     # Error.
-    share: float = _number(0.6, "fraction of the tolerance that the errors of one second may use")
-    aim: float = _number(0.5, "fraction of its error budget, or of real time by explicit steps, that a frame aims at")
-    wait: float = _number(16.0, "most frames between two error estimates; four times as many if the error is low")
-    far: float = _number(0.05, "fraction of the budget below which an error is low")
-    trust: float = _number(2.0, "factor by which an estimate may be wrong before it is renewed or acted upon")
-    finer: float = _number(4.0, "largest refinement by one rejection")
-    work: float = _number(
+    error_budget_fraction: float = _constant(0.6, "fraction of the tolerance that the errors of one second may use")
+    error_target_fraction: float = _constant(
+        0.5, "fraction of its error budget, or of real time by explicit steps, that a frame aims at"
+    )
+    max_estimate_period: float = _constant(
+        16.0, "most frames between two error estimates; four times as many if the error is low"
+    )
+    low_error_fraction: float = _constant(0.05, "fraction of the budget below which an error is low")
+    estimate_trust_factor: float = _constant(
+        2.0, "factor by which an estimate may be wrong before it is renewed or acted upon"
+    )
+    max_refinement_factor: float = _constant(4.0, "largest refinement by one rejection")
+    min_work_cap: float = _constant(
         8.0, "least work limit of a frame with a large sheet or contact, in runs with the longest stable steps"
     )
 
     # Contact.
-    brief: float = _number(200.0, "least number of steps of an interval that contact may halve")
+    contact_min_interval_steps: float = _constant(200.0, "least number of steps of an interval that contact may halve")
 
     # Single precision.
-    rounding: float = _number(0.02, "fraction of the error budget that single precision may use")
-    sample: float = _number(8.0, "steps of an interval over the steps of the sample run that measures single precision")
-    motion: float = _number(
+    single_precision_budget_fraction: float = _constant(
+        0.02, "fraction of the error budget that single precision may use"
+    )
+    single_precision_sample_divisor: float = _constant(
+        8.0, "steps of an interval over the steps of the sample run that measures single precision"
+    )
+    single_precision_min_motion: float = _constant(
         1e3, "least displacement of the fastest particle in a frame, in changes by single precision"
     )
 
     # Energy.
-    gain: float = _number(2e-3, "fraction of the moved energy that steps, or single precision in a second, may add")
-    swing: float = _number(5e-3, "fraction of the moved energy by which a first frame's energy may rise")
-    stiffened: float = _number(1.02, "relative stiffening above which energy is checked")
+    max_energy_gain: float = _constant(
+        2e-3, "fraction of the moved energy that steps, or single precision in a second, may add"
+    )
+    max_energy_oscillation: float = _constant(
+        5e-3, "fraction of the moved energy by which a first frame's energy may rise"
+    )
+    energy_check_stiffening: float = _constant(1.02, "relative stiffening above which energy is checked")
 
     # Implicit steps and the choice of integrator.
-    last_steps: float = _number(8.0, "implicit steps of a frame that they finish")
-    implicit: float = _number(5e4, "largest number of particles for which implicit steps are tried")
+    implicit_finish_steps: float = _constant(8.0, "implicit steps of a frame that they finish")
+    implicit_max_particles: float = _constant(5e4, "largest number of particles for which implicit steps are tried")
 
     # Estimated cost; no clock is read.
-    operation: float = _number(0.05, "time of an arithmetic operation in the engine's loops [ns]")
-    own: float = _number(100.0, "time of a force in Python [ns a particle]")
-    factor: float = _number(0.35, "time of a multiply-add in the implicit method's factorisation [ns]")
-    call: float = _number(25.0, "time of a call of the engine [us]; longer steps use a second thread")
+    operation_time: float = _constant(0.05, "time of an arithmetic operation in the engine's loops [ns]")
+    python_force_time: float = _constant(100.0, "time of a force in Python [ns a particle]")
+    factorization_time: float = _constant(0.35, "time of a multiply-add in the implicit method's factorisation [ns]")
+    engine_call_time: float = _constant(25.0, "time of a call of the engine [us]; longer steps use a second thread")
 
     # Sleep.
-    drift: float = _number(0.25, "fraction of the tolerance by which a cloth at rest may still move")
-    calm: float = _number(1.0, "time at rest before a cloth falls asleep [s]")
+    sleep_drift_fraction: float = _constant(0.25, "fraction of the tolerance by which a cloth at rest may still move")
+    sleep_quiet_time: float = _constant(1.0, "time at rest before a cloth falls asleep [s]")
 
 
 #: The constants in use.

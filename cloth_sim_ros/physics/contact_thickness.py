@@ -41,7 +41,7 @@ def reduced_thickness(gaps: Array, thickness: float) -> Array | None:
     return np.where(compressed, np.maximum(gaps, 0.0) / START_GAP, thickness) if compressed.any() else None
 
 
-def regained(reduced: Array, gaps: Array, thickness: float, duration: float) -> Array | None:
+def grown_thickness(reduced: Array, gaps: Array, thickness: float, duration: float) -> Array | None:
     """Return the thickness [m] of contacts a duration later; None if none grows.
 
     Args:
@@ -51,20 +51,20 @@ def regained(reduced: Array, gaps: Array, thickness: float, duration: float) -> 
         duration: time of growth at the recovery speed [s]; only contacts grow that the cloth has followed so far.
     """
     s = np.clip(gaps / reduced, 1e-3, 1.0)
-    steep = (1.0 - s) * (1.0 - s) * (1.0 - s) * (1.0 + 3.0 * s) / (s * s)
-    push = (0.5 * _SPEED * _SPEED / (thickness * thickness)) * reduced * steep
-    followed = (push <= MAX_PUSH) & (reduced < thickness)
-    if not followed.any():
+    slope = (1.0 - s) * (1.0 - s) * (1.0 - s) * (1.0 + 3.0 * s) / (s * s)
+    push = (0.5 * _SPEED * _SPEED / (thickness * thickness)) * reduced * slope
+    is_followed = (push <= MAX_PUSH) & (reduced < thickness)
+    if not is_followed.any():
         return None
-    return np.where(followed, np.minimum(reduced + duration * _speeds(reduced), thickness), reduced)
+    return np.where(is_followed, np.minimum(reduced + duration * _recovery_speeds(reduced), thickness), reduced)
 
 
 def recovery_time(reduced: Array, thickness: float) -> float:
     """Return the time until all contacts have the full thickness [s], if the cloth can follow."""
-    return float(((thickness - reduced) / _speeds(reduced)).max())
+    return float(((thickness - reduced) / _recovery_speeds(reduced)).max())
 
 
-def _speeds(reduced: Array) -> Array:
+def _recovery_speeds(reduced: Array) -> Array:
     """Return the recovery speed of each row of contacts [m/s], shape (rows, 1)."""
     speeds = np.full((len(reduced), 1), RECOVERY_SPEED)
     speeds[-1] = LAYER_RECOVERY_SPEED
@@ -87,16 +87,16 @@ def check_gaps(gaps: Array, thickness: float, names: Sequence[str]) -> None:
     Raises:
         ValueError: naming obstacle, gap, limit and remedy. The text is the end of a sentence about the cloth.
     """
-    least = MIN_GAP * thickness
+    min_gap = MIN_GAP * thickness
     for name, row in zip((*names, ""), gaps, strict=True):
         gap = float(row.min())
-        if gap >= least:
+        if gap >= min_gap:
             continue
-        where = f"obstacle '{name}'" if name else "itself"
-        count = int(np.count_nonzero(row[:-1] < least))
+        partner = f"obstacle '{name}'" if name else "itself"
+        count = int(np.count_nonzero(row[:-1] < min_gap))
         particles = f" at particle {int(np.argmin(row[:-1]))}" if count else ""
         particles += f" and {count - 1} more" if count > 1 else ""
         raise ValueError(
-            f"is {gap:.3g} m from {where}{particles}; it must be {least:.3g} m at least, {MIN_GAP:g} of "
+            f"is {gap:.3g} m from {partner}{particles}; it must be {min_gap:.3g} m at least, {MIN_GAP:g} of "
             f"contact.thickness: move them {thickness - gap:.3g} m apart"
         )

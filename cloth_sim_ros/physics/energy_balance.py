@@ -4,9 +4,9 @@
 
 from __future__ import annotations
 
-from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
 
 
 class EnergyBalance:
@@ -24,38 +24,45 @@ class EnergyBalance:
     def __init__(self, plan: Plan, state: State, t: float = 0.0) -> None:
         self._plan = plan
         #: Accumulates the integrals of one advance.
-        self.book = Book(plan.gripper_count, powers=True, obstacle_count=plan.obstacle_count)
+        self.accumulator = WorkAccumulator(plan.gripper_count, record_power=True, obstacle_count=plan.obstacle_count)
         #: Dissipated energy so far [J].
-        self.lost = 0.0
+        self.dissipation = 0.0
         #: Part of it by friction between layers [J].
-        self.rubbed = 0.0
+        self.friction_work = 0.0
         #: Work of grippers and obstacles on the cloth so far [J].
         self.work = 0.0
         #: Work of moving air on the cloth so far [J].
-        self.wind = 0.0
+        self.wind_work = 0.0
         #: Energy converted between forms so far, at least [J].
-        self.turned_over = 0.0
+        self.energy_turnover = 0.0
         #: Work of contacts that regain their thickness on the cloth so far [J].
-        self.recovered = 0.0
+        self.recovery_work = 0.0
         self._kinetic, potential = self._energies(t, state)
         self._start = self._kinetic + potential
 
     def close(self, t: float, state: State) -> float:
         """Add an advance that ended at time t [s]; return the residual so far [J]."""
-        lost, work, wind, recovered = self.book.lost, self.book.work, self.book.given, self.book.recovered
-        self.lost += lost
-        self.rubbed += self.book.rubbed
+        dissipation, work, wind_work, recovery_work = (
+            self.accumulator.dissipation,
+            self.accumulator.work,
+            self.accumulator.wind_work,
+            self.accumulator.recovery_work,
+        )
+        self.dissipation += dissipation
+        self.friction_work += self.accumulator.friction_work
         self.work += work
-        self.wind += wind
-        self.recovered += recovered
-        self.book.restart()
+        self.wind_work += wind_work
+        self.recovery_work += recovery_work
+        self.accumulator.reset()
         kinetic, potential = self._energies(t, state)
-        self.turned_over += abs(kinetic - self._kinetic) + abs(lost) + abs(work) + abs(wind) + abs(recovered)
+        self.energy_turnover += (
+            abs(kinetic - self._kinetic) + abs(dissipation) + abs(work) + abs(wind_work) + abs(recovery_work)
+        )
         self._kinetic = kinetic
-        return kinetic + potential - self._start - self.work - self.wind - self.recovered + self.lost
+        return kinetic + potential - self._start - self.work - self.wind_work - self.recovery_work + self.dissipation
 
     def _energies(self, t: float, state: State) -> tuple[float, float]:
         # The state's own anchors are needed: older ones would count slip as stretch.
         if self._plan.contact is not None:
-            self._plan.contact.take(state)
+            self._plan.contact.load_state(state)
         return self._plan.energies(t, state.x, state.v)

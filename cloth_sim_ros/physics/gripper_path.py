@@ -19,7 +19,7 @@ from cloth_sim_ros.physics.angles import sine_and_cosine
 from cloth_sim_ros.physics.forces.force import Array
 
 
-def normalised(orientation: ArrayLike) -> Array:
+def normalized(orientation: ArrayLike) -> Array:
     """Return the unit quaternion (x, y, z, w) of an orientation, shape (4,).
 
     Raises:
@@ -27,11 +27,11 @@ def normalised(orientation: ArrayLike) -> Array:
     """
     q = np.asarray(orientation, dtype=np.float64)
     if q.shape != (4,):
-        raise _no_quaternion(q.tolist())
-    return np.array(unit(q.tolist()))
+        raise _quaternion_error(q.tolist())
+    return np.array(unit_quaternion(q.tolist()))
 
 
-def unit(orientation: Sequence[float]) -> tuple[float, float, float, float]:
+def unit_quaternion(orientation: Sequence[float]) -> tuple[float, float, float, float]:
     """Return the unit quaternion of four numbers as numbers, in a fifth of the time that an array takes.
 
     Raises:
@@ -42,18 +42,18 @@ def unit(orientation: Sequence[float]) -> tuple[float, float, float, float]:
         x, y, z, w = orientation
         length = math.sqrt(x * x + y * y + z * z + w * w)
     if not math.isfinite(length) or length < 1e-6:
-        raise _no_quaternion(orientation)
+        raise _quaternion_error(orientation)
     return x / length, y / length, z / length, w / length
 
 
-def _no_quaternion(orientation: Any) -> ValueError:
+def _quaternion_error(orientation: Any) -> ValueError:
     return ValueError(
         f"orientation {np.asarray(orientation).tolist()} is no quaternion x, y, z, w of a length above 0; "
         "the identity is 0, 0, 0, 1"
     )
 
 
-def product(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float, float]:
+def quaternion_product(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float, float]:
     """Return the quaternion product a b, (x, y, z, w): the rotation b followed by a."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
@@ -68,21 +68,25 @@ def product(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float
 def rotation_vector(start: Sequence[float], end: Sequence[float]) -> list[float]:
     """Return the rotation vector [rad], 3 numbers, of the shortest rotation from one unit quaternion to another."""
     out = np.empty(3)
-    given = [np.array(orientation, dtype=np.float64) for orientation in (start, end)]
-    check(library().cloth_rotation_vector(*(doubles("orientation", array, (4,)) for array in given), address(out)))
-    found: list[float] = out.tolist()
-    return found
+    quaternions = [np.array(orientation, dtype=np.float64) for orientation in (start, end)]
+    check(
+        library().cloth_rotation_vector(*(doubles("orientation", array, (4,)) for array in quaternions), address(out))
+    )
+    rotation: list[float] = out.tolist()
+    return rotation
 
 
-def turned_by(orientation: Sequence[float], rotation: Sequence[float]) -> list[float]:
+def rotated_by(orientation: Sequence[float], rotation: Sequence[float]) -> list[float]:
     """Return a unit quaternion (x, y, z, w) rotated by a rotation vector of at most pi [rad]."""
     x, y, z = rotation
     angle = math.sqrt(x * x + y * y + z * z)
     sine, cosine = sine_and_cosine(0.5 * angle)
     # sin(angle / 2) / angle -> 1/2 as the angle vanishes.
     scale = sine / angle if angle > 1e-12 else 0.5
-    found: list[float] = normalised(product((scale * x, scale * y, scale * z, cosine), orientation)).tolist()
-    return found
+    quaternion: list[float] = normalized(
+        quaternion_product((scale * x, scale * y, scale * z, cosine), orientation)
+    ).tolist()
+    return quaternion
 
 
 def rotation_matrix(orientation: Array) -> Array:
@@ -97,23 +101,23 @@ def rotation_matrix(orientation: Array) -> Array:
     )
 
 
-def _poses(row: Array, t: float, h: float) -> tuple[list[Array], list[list[float]]]:
+def _step_poses(row: Array, t: float, h: float) -> tuple[list[Array], list[list[float]]]:
     """Return the poses of a path at the start t and the end t + h of a step [s].
 
     Returns:
         Two positions [m] and two unit quaternions (x, y, z, w).
     """
-    places, turns = [], []
+    positions, quaternions = [], []
     for moment in (t - float(row[0]), t + h - float(row[0])):
-        way, spin = (
+        displacement, rotation = (
             moment * (row[k : k + 3] + moment * (row[k + 3 : k + 6] + moment * row[k + 6 : k + 9])) for k in (4, 17)
         )
-        places.append(row[1:4] + way)
-        turns.append(turned_by(row[13:17].tolist(), spin.tolist()))
-    return places, turns
+        positions.append(row[1:4] + displacement)
+        quaternions.append(rotated_by(row[13:17].tolist(), rotation.tolist()))
+    return positions, quaternions
 
 
-def way_over(row: Array, t: float, h: float) -> list[float]:
+def step_displacement(row: Array, t: float, h: float) -> list[float]:
     """Return the displacement [m] and rotation vector [rad] of a body over a step, 6 numbers.
 
     Args:
@@ -121,11 +125,11 @@ def way_over(row: Array, t: float, h: float) -> list[float]:
         t: time at the start of the step [s].
         h: length of the step [s].
     """
-    (start, end), turns = _poses(row, t, h)
-    return [*(end - start).tolist(), *rotation_vector(*turns)]
+    (start, end), quaternions = _step_poses(row, t, h)
+    return [*(end - start).tolist(), *rotation_vector(*quaternions)]
 
 
-def carried(row: Array, t: float, h: float, x: Array) -> Array:
+def rigid_velocities(row: Array, t: float, h: float, x: Array) -> Array:
     """Return the velocities [m/s] of particles that move rigidly with a body, shape (3, n).
 
     Args:
@@ -134,24 +138,29 @@ def carried(row: Array, t: float, h: float, x: Array) -> Array:
         h: length of the step [s].
         x: positions at the start [m], shape (3, n).
     """
-    places, turns = _poses(row, t, h)
-    (begin, end), away = (rotation_matrix(np.array(turn)) for turn in turns), x - places[0][:, None]
+    positions, quaternions = _step_poses(row, t, h)
+    (start_matrix, end_matrix), offsets = (
+        (rotation_matrix(np.array(quaternion)) for quaternion in quaternions),
+        x - positions[0][:, None],
+    )
     # Sums by component: a matrix library would choose the order of summation.
-    own = [sum(begin[i, k] * away[i] for i in range(3)) for k in range(3)]
-    then = np.stack([places[1][i] + sum(end[i, k] * own[k] for k in range(3)) for i in range(3)])
-    return np.ascontiguousarray((then - x) / h)
+    local_offsets = [sum(start_matrix[i, k] * offsets[i] for i in range(3)) for k in range(3)]
+    end_positions = np.stack(
+        [positions[1][i] + sum(end_matrix[i, k] * local_offsets[k] for k in range(3)) for i in range(3)]
+    )
+    return np.ascontiguousarray((end_positions - x) / h)
 
 
-class Planner:
+class PathPlanner:
     """Plans the paths of bodies, frame by frame."""
 
     def __init__(self) -> None:
         # Arrays that the last frame returned, and their addresses: the next call mostly takes them.
-        self._left: tuple[Array | None, ...] = (None, None, None)
-        self._places = (0, 0, 0)
+        self._last_arrays: tuple[Array | None, ...] = (None, None, None)
+        self._last_addresses = (0, 0, 0)
 
     def plan(
-        self, t: float, duration: float, poses: Array, twists: Array, before: Array, targets: Array
+        self, t: float, duration: float, poses: Array, twists: Array, previous: Array, targets: Array
     ) -> tuple[Array, Array, Array, list[float]]:
         """Plan cubic paths from pose and twist to the targets over one frame.
 
@@ -163,7 +172,7 @@ class Planner:
             duration: length of the frame [s].
             poses: positions [m] and unit quaternions (x, y, z, w), shape (count, 7).
             twists: velocities [m/s] and angular velocities [rad/s], shape (count, 6).
-            before: displacements [m] and rotation vectors [rad] over the last frame, shape (count, 6).
+            previous: displacements [m] and rotation vectors [rad] over the last frame, shape (count, 6).
             targets: poses at the end of the frame, shape (count, 7).
 
         Returns:
@@ -172,22 +181,35 @@ class Planner:
             last frame [m].
         """
         count = len(poses)
-        at, rates = (count, 7), (count, 6)
-        places, left = self._places, self._left
-        if not (poses is left[0] and twists is left[1] and before is left[2]):
-            places = doubles("poses", poses, at), doubles("twists", twists, rates), doubles("before", before, rates)
-        end = doubles("targets", targets, at)
-        paths, further, changes = np.empty((count, PATH_NUMBERS)), np.empty((2, count, 6)), np.empty(count)
-        rows, begin, changed = (address(paths), address(further), address(changes)) if count else (0, 0, 0)
-        after = begin, begin + 48 * count
-        check(library().cloth_paths(count, t, duration, *places, end, rows, *after, changed))
-        last, turns = further[0], further[1]
-        self._left, self._places = (targets, last, turns), (end, *after)
-        return paths, last, turns, changes.tolist()
+        pose_shape, twist_shape = (count, 7), (count, 6)
+        addresses, last_arrays = self._last_addresses, self._last_arrays
+        if not (poses is last_arrays[0] and twists is last_arrays[1] and previous is last_arrays[2]):
+            addresses = (
+                doubles("poses", poses, pose_shape),
+                doubles("twists", twists, twist_shape),
+                doubles("before", previous, twist_shape),
+            )
+        target_address = doubles("targets", targets, pose_shape)
+        paths, end_motion, changes = np.empty((count, PATH_NUMBERS)), np.empty((2, count, 6)), np.empty(count)
+        paths_address, end_motion_address, changes_address = (
+            (address(paths), address(end_motion), address(changes)) if count else (0, 0, 0)
+        )
+        next_addresses = end_motion_address, end_motion_address + 48 * count
+        check(
+            library().cloth_paths(
+                count, t, duration, *addresses, target_address, paths_address, *next_addresses, changes_address
+            )
+        )
+        end_twists, displacements = end_motion[0], end_motion[1]
+        self._last_arrays, self._last_addresses = (
+            (targets, end_twists, displacements),
+            (target_address, *next_addresses),
+        )
+        return paths, end_twists, displacements, changes.tolist()
 
 
 def planned_paths(
-    t: float, duration: float, poses: Array, twists: Array, before: Array, targets: Array
+    t: float, duration: float, poses: Array, twists: Array, previous: Array, targets: Array
 ) -> tuple[Array, Array, Array, list[float]]:
     """Return the result of `PathPlanner.plan` for a single frame."""
-    return Planner().plan(t, duration, poses, twists, before, targets)
+    return PathPlanner().plan(t, duration, poses, twists, previous, targets)

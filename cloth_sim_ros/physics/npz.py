@@ -13,7 +13,7 @@ import zlib
 
 import numpy as np
 
-from cloth_sim_ros.physics.powers import whole_sum
+from cloth_sim_ros.physics.deterministic_math import integer_sum
 
 #: Largest size of all arrays together after decompression [bytes].
 MAX_BYTES = 128 << 20
@@ -68,7 +68,7 @@ def _check_sizes(data: bytes) -> None:
     """Refuse arrays that need too much memory, before any array is read."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = archive.infolist()
-    size = whole_sum(entry.file_size for entry in entries)
+    size = integer_sum(entry.file_size for entry in entries)
     if size > MAX_BYTES:
         raise ValueError(f"its arrays have {size} bytes, the limit is {MAX_BYTES}")
     unsupported = [

@@ -16,16 +16,16 @@ from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.obstacles import Obstacle
 
 #: Largest distance of a cylinder's polygonal rim from the circle, as a fraction of the thickness.
-_WITHIN = 0.05
+_MAX_CYLINDER_INSET = 0.05
 #: A sphere or capsule may be left to particles alone. Assumptions: largest growth of an edge, least gap of a particle
 #: over the thickness. Limit: penetration depth of a triangle as a fraction of the radius.
-_STRETCH, _NEAR, _DEPTH = 1.1, 0.75, 0.1
+_MAX_EDGE_STRETCH, _MIN_PARTICLE_GAP, _MAX_DEPTH = 1.1, 0.75, 0.1
 #: Sine of the angle between two triangles of a mesh below which they count as one flat face.
-_FLAT = 1e-6
+_FLATNESS_SINE = 1e-6
 
 
 @attrs.frozen(eq=False)
-class Features:
+class ObstacleFeatures:
     """Points and edges of one obstacle in its own frame, and a radius around them."""
 
     #: Positions [m], shape (points, 3).
@@ -36,7 +36,7 @@ class Features:
     radius: float = 0.0
 
 
-def features(obstacle: Obstacle, thickness: float) -> Features:
+def obstacle_features(obstacle: Obstacle, thickness: float) -> ObstacleFeatures:
     """Return the features of an obstacle that could pass through a cloth; a plane has none.
 
     A sphere is its centre with the sphere's radius, a capsule its axis, a box its corners and edges. A cylinder is an
@@ -51,11 +51,11 @@ def features(obstacle: Obstacle, thickness: float) -> Features:
         case "box":
             return _box(obstacle.size)
         case "sphere":
-            return Features(np.zeros((1, 3)), _NO_EDGES, obstacle.size[0])
+            return ObstacleFeatures(np.zeros((1, 3)), _NO_EDGES, obstacle.size[0])
         case "capsule":
             radius, length = obstacle.size
             ends = np.array([[0.0, 0.0, -0.5 * length], [0.0, 0.0, 0.5 * length]])
-            return Features(ends, np.array([[0, 1]]), radius)
+            return ObstacleFeatures(ends, np.array([[0, 1]]), radius)
         case "cylinder":
             radius, length = obstacle.size
             return _cylinder(radius, length, thickness)
@@ -63,10 +63,10 @@ def features(obstacle: Obstacle, thickness: float) -> Features:
             assert obstacle.vertices is not None
             assert obstacle.triangles is not None
             return _mesh(obstacle.vertices, obstacle.triangles)
-    return Features(np.zeros((0, 3)), _NO_EDGES)
+    return ObstacleFeatures(np.zeros((0, 3)), _NO_EDGES)
 
 
-def round_enough(radius: float, longest: float, thickness: float) -> bool:
+def is_covered_by_particles(radius: float, max_edge: float, thickness: float) -> bool:
     """Return whether particles alone, which have friction, keep a cloth off a sphere or capsule.
 
     The condition is that no triangle penetrates deeper than a tenth of the radius.
@@ -76,45 +76,53 @@ def round_enough(radius: float, longest: float, thickness: float) -> bool:
 
     Args:
         radius: radius of the sphere or capsule [m].
-        longest: longest edge of the cloth at rest [m].
+        max_edge: longest edge of the cloth at rest [m].
         thickness: contact thickness [m].
     """
-    near, edge, least = radius + _NEAR * thickness, _STRETCH * longest, (1.0 - _DEPTH) * radius
-    return near * near - edge * edge / 3.0 >= least * least
+    distance, edge, min_distance = (
+        radius + _MIN_PARTICLE_GAP * thickness,
+        _MAX_EDGE_STRETCH * max_edge,
+        (1.0 - _MAX_DEPTH) * radius,
+    )
+    return distance * distance - edge * edge / 3.0 >= min_distance * min_distance
 
 
 _NO_EDGES = np.zeros((0, 2), dtype=np.int64)
 
 
-def _box(size: tuple[float, ...]) -> Features:
+def _box(size: tuple[float, ...]) -> ObstacleFeatures:
     corners = list(product((-0.5, 0.5), repeat=3))
     edges = [(a, a + step) for step in (4, 2, 1) for a in range(8) if not a & step]
-    return Features(np.array(corners) * np.array(size), np.array(edges, dtype=np.int64))
+    return ObstacleFeatures(np.array(corners) * np.array(size), np.array(edges, dtype=np.int64))
 
 
-def _cylinder(radius: float, length: float, thickness: float) -> Features:
+def _cylinder(radius: float, length: float, thickness: float) -> ObstacleFeatures:
     # An arc of angle 2 x lies within radius x^2 / 2 of its chord.
-    count = max(8, math.ceil(math.pi * math.sqrt(radius / (2.0 * _WITHIN * thickness))))
-    turns = [sine_and_cosine(math.pi * (2.0 * k / count - 1.0)) for k in range(count)]
-    points = [(radius * c, radius * s, side * length) for side in (-0.5, 0.5) for s, c in turns]
-    edges = [(k + side * count, (k + 1) % count + side * count) for side in (0, 1) for k in range(count)]
-    return Features(np.array(points), np.array([*edges, *((k, k + count) for k in range(count))], dtype=np.int64))
+    count = max(8, math.ceil(math.pi * math.sqrt(radius / (2.0 * _MAX_CYLINDER_INSET * thickness))))
+    circle_points = [sine_and_cosine(math.pi * (2.0 * k / count - 1.0)) for k in range(count)]
+    points = [(radius * c, radius * s, rim * length) for rim in (-0.5, 0.5) for s, c in circle_points]
+    edges = [(k + rim * count, (k + 1) % count + rim * count) for rim in (0, 1) for k in range(count)]
+    return ObstacleFeatures(
+        np.array(points), np.array([*edges, *((k, k + count) for k in range(count))], dtype=np.int64)
+    )
 
 
-def _mesh(vertices: Array, triangles: NDArray[np.int64]) -> Features:
+def _mesh(vertices: Array, triangles: NDArray[np.int64]) -> ObstacleFeatures:
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     normal = _unit(_cross(b - a, c - a))
     # Each edge occurs twice, once in either direction. Sorted by its ends, the two are neighbours.
     ends = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    across, face = triangles[:, [2, 0, 1]].ravel(), np.arange(len(ends)) // 3
+    apexes, face = triangles[:, [2, 0, 1]].ravel(), np.arange(len(ends)) // 3
     order = np.lexsort((ends.max(axis=1), ends.min(axis=1)))
-    one, other = order[0::2], order[1::2]
-    way = _unit(vertices[across[other]] - vertices[ends[one, 0]])
-    n = normal[face[one]]
-    bulges = n[:, 0] * way[:, 0] + n[:, 1] * way[:, 1] + n[:, 2] * way[:, 2] < -_FLAT
-    edges = ends[one[bulges]]
-    used, numbers = np.unique(edges, return_inverse=True)
-    return Features(np.ascontiguousarray(vertices[used]), np.ascontiguousarray(numbers.reshape(-1, 2), dtype=np.int64))
+    first, second = order[0::2], order[1::2]
+    direction = _unit(vertices[apexes[second]] - vertices[ends[first, 0]])
+    n = normal[face[first]]
+    is_convex = n[:, 0] * direction[:, 0] + n[:, 1] * direction[:, 1] + n[:, 2] * direction[:, 2] < -_FLATNESS_SINE
+    edges = ends[first[is_convex]]
+    vertex_indices, new_indices = np.unique(edges, return_inverse=True)
+    return ObstacleFeatures(
+        np.ascontiguousarray(vertices[vertex_indices]), np.ascontiguousarray(new_indices.reshape(-1, 2), dtype=np.int64)
+    )
 
 
 def _cross(a: Array, b: Array) -> Array:

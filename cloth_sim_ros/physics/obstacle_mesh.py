@@ -7,62 +7,65 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.physics.deterministic_math import dot_products, ordered_sum
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.powers import in_order, scalar_products
 from cloth_sim_ros.physics.sheets.meshes import FLATNESS
 from cloth_sim_ros.physics.sheets.seams import open_seam
 
 #: Largest number of point-triangle pairs that are calculated at once.
-_AT_ONCE = 1 << 18
+_MAX_PRODUCTS = 1 << 18
 
 
-def check_closed(vertices: Array, triangles: NDArray[np.int64], most: float) -> None:
+def check_closed(vertices: Array, triangles: NDArray[np.int64], max_coordinate: float) -> None:
     """Refuse a mesh that is open, degenerate or inside out.
 
     Args:
         vertices: positions [m], shape (m, 3).
         triangles: vertex indices, shape (t, 3).
-        most: largest coordinate [m].
+        max_coordinate: largest coordinate [m].
 
     Raises:
         ValueError: naming the vertices or triangles, counted from 0.
     """
-    _check_arrays(vertices, triangles, most)
+    _check_arrays(vertices, triangles, max_coordinate)
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     sides = np.stack([b - a, c - b, a - c])
-    longest = np.sqrt(scalar_products(sides, sides).max(axis=0))
-    across = np.cross(sides[0], -sides[2])
-    area2 = np.sqrt(scalar_products(across, across))
+    longest = np.sqrt(dot_products(sides, sides).max(axis=0))
+    normals = np.cross(sides[0], -sides[2])
+    area2 = np.sqrt(dot_products(normals, normals))
     flat = np.flatnonzero(~(area2 > FLATNESS * longest * longest))
     if flat.size:
         raise ValueError(
-            f"triangle {flat[0]}, of vertices {triangles[flat[0]].tolist()} at {_point(a[flat[0]])} m, has no area: "
+            f"triangle {flat[0]}, of vertices {triangles[flat[0]].tolist()} at {_format_point(a[flat[0]])} m, has no "
+            f"area: "
             f"its height is at most {FLATNESS:g} of its longest side. To leave it out opens the mesh: merge its "
             "vertices, or give the mesh as a file, where such triangles are joined to their neighbours"
         )
     # Every edge of a closed mesh occurs once in each direction.
-    ways = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    half_edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     count = len(vertices)
-    there, times = np.unique(ways[:, 0] * count + ways[:, 1], return_counts=True)
-    if times.max() > 1:
-        first, second = divmod(int(there[np.argmax(times > 1)]), count)
+    edge_keys, edge_counts = np.unique(half_edges[:, 0] * count + half_edges[:, 1], return_counts=True)
+    if edge_counts.max() > 1:
+        first, second = divmod(int(edge_keys[np.argmax(edge_counts > 1)]), count)
         raise ValueError(
-            f"the edge from vertex {first} to {second} runs the same way in {times.max()} triangles: wind the mesh "
+            f"the edge from vertex {first} to {second} runs the same way in {edge_counts.max()} triangles: wind the "
+            f"mesh "
             "one way, each edge in two triangles"
         )
-    open_ways = there[~np.isin(there, ways[:, 1] * count + ways[:, 0])]
-    if open_ways.size:
-        first, second = divmod(int(open_ways[0]), count)
+    open_edges = edge_keys[~np.isin(edge_keys, half_edges[:, 1] * count + half_edges[:, 0])]
+    if open_edges.size:
+        first, second = divmod(int(open_edges[0]), count)
         raise ValueError(
-            f"the mesh is open: the edge from vertex {first} to {second}, at {_point(vertices[first])} m, is in one "
-            f"triangle alone, as are {open_ways.size - 1} others; "
-            + _gap(vertices, triangles, np.stack(np.divmod(open_ways, count), axis=1))
+            f"the mesh is open: the edge from vertex {first} to {second}, at {_format_point(vertices[first])} m, is "
+            f"in one "
+            f"triangle alone, as are {open_edges.size - 1} others; "
+            + _describe_gap(vertices, triangles, np.stack(np.divmod(open_edges, count), axis=1))
             + "close it, or give a solid shape instead"
         )
-    for piece, members in enumerate(_pieces(triangles, count)):
-        middle = vertices[triangles[members[0], 0]]
-        one, two, three = (corner[members] - middle for corner in (a, b, c))
-        volume = in_order(scalar_products(one, np.cross(two, three)).tolist()) / 6.0
+    for piece, members in enumerate(_connected_pieces(triangles, count)):
+        origin = vertices[triangles[members[0], 0]]
+        corner0, corner1, corner2 = (corner[members] - origin for corner in (a, b, c))
+        volume = ordered_sum(dot_products(corner0, np.cross(corner1, corner2)).tolist()) / 6.0
         if not volume > 0.0:
             raise ValueError(
                 f"piece {piece} of the mesh, with triangle {members[0]}, has the volume {volume:.3g} m^3: it is inside "
@@ -70,33 +73,33 @@ def check_closed(vertices: Array, triangles: NDArray[np.int64], most: float) -> 
             )
 
 
-def _point(vertex: Array) -> str:
+def _format_point(vertex: Array) -> str:
     return "[" + ", ".join(f"{value:.6g}" for value in vertex) + "]"
 
 
-def _gap(vertices: Array, triangles: NDArray[np.int64], border: NDArray[np.int64]) -> str:
+def _describe_gap(vertices: Array, triangles: NDArray[np.int64], border: NDArray[np.int64]) -> str:
     """Describe the narrowest gap of an open mesh; empty if its border lies far apart everywhere."""
     seam = open_seam(vertices, triangles, border)
     if seam is None:
         return ""
     return (
         f"parts of its border nearly meet, the closest {seam.distance:.3g} m apart, at "
-        f"{_point(vertices[seam.vertex])} m: merge by distance in the program that made it; or "
+        f"{_format_point(vertices[seam.vertex])} m: merge by distance in the program that made it; or "
     )
 
 
-def _check_arrays(vertices: Array, triangles: NDArray[np.int64], most: float) -> None:
+def _check_arrays(vertices: Array, triangles: NDArray[np.int64], max_coordinate: float) -> None:
     if vertices.ndim != 2 or vertices.shape[1:] != (3,) or len(vertices) < 4:
         raise ValueError(f"vertices have shape {vertices.shape}; they must be (m, 3), at least 4")
     if triangles.ndim != 2 or triangles.shape[1:] != (3,) or triangles.dtype.kind not in "iu":
         raise ValueError(
             f"triangles have shape {triangles.shape} and type {triangles.dtype}; they must be whole numbers (t, 3)"
         )
-    bad = np.flatnonzero(~(np.abs(vertices) <= most).all(axis=1))
+    bad = np.flatnonzero(~(np.abs(vertices) <= max_coordinate).all(axis=1))
     if bad.size:
         raise ValueError(
             f"vertex {bad[0]} is {vertices[bad[0]].tolist()} m; its coordinates must be finite, none beyond "
-            f"{most:g} m; if its file is not in metres, set the obstacle's scale"
+            f"{max_coordinate:g} m; if its file is not in metres, set the obstacle's scale"
         )
     wrong = np.flatnonzero(((triangles < 0) | (triangles >= len(vertices))).any(axis=1))
     if wrong.size:
@@ -105,16 +108,16 @@ def _check_arrays(vertices: Array, triangles: NDArray[np.int64], most: float) ->
         )
 
 
-def _pieces(triangles: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
+def _connected_pieces(triangles: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
     """Return the triangles of each connected piece."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     ends = np.concatenate([triangles[:, :2], triangles[:, 1:]])
-    joined = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    _, label = connected_components(joined, directed=False)
+    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
+    _, label = connected_components(graph, directed=False)
     piece = label[triangles[:, 0]]
-    return [np.flatnonzero(piece == one) for one in np.unique(piece)]
+    return [np.flatnonzero(piece == piece_label) for piece_label in np.unique(piece)]
 
 
 def mesh_distance(points: Array, vertices: Array, triangles: NDArray[np.int64]) -> tuple[Array, Array]:
@@ -130,27 +133,27 @@ def mesh_distance(points: Array, vertices: Array, triangles: NDArray[np.int64]) 
     """
     gaps, normals = np.empty(len(points)), np.empty((len(points), 3))
     corners = vertices[triangles]
-    step = max(1, _AT_ONCE // len(triangles))
+    step = max(1, _MAX_PRODUCTS // len(triangles))
     for begin in range(0, len(points), step):
         part = slice(begin, begin + step)
-        gaps[part], normals[part] = _distance(points[part], corners)
+        gaps[part], normals[part] = _signed_distance(points[part], corners)
     return gaps, normals
 
 
-def _distance(p: Array, corners: Array) -> tuple[Array, Array]:
-    away = p[:, None, :] - nearest_points(p, corners)
-    square = (away * away).sum(axis=2)
+def _signed_distance(p: Array, corners: Array) -> tuple[Array, Array]:
+    offsets = p[:, None, :] - nearest_points(p, corners)
+    square = (offsets * offsets).sum(axis=2)
     best = np.argmin(square, axis=1)
     rows = np.arange(len(p))
-    distance, vector = np.sqrt(square[rows, best]), away[rows, best]
+    distance, vector = np.sqrt(square[rows, best]), offsets[rows, best]
     face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     face /= np.sqrt((face * face).sum(axis=1))[:, None]
-    sign = np.where(_winding(p, corners) > 0.5, -1.0, 1.0)
+    sign = np.where(_winding_number(p, corners) > 0.5, -1.0, 1.0)
     # On the surface the outward direction is the triangle's normal.
     scale = np.abs(corners).max()
-    away_from_it = distance > 1e-12 * scale
-    divisor = np.where(away_from_it, distance, 1.0)
-    normal = np.where(away_from_it[:, None], vector * (sign / divisor)[:, None], face[best])
+    is_off_surface = distance > 1e-12 * scale
+    divisor = np.where(is_off_surface, distance, 1.0)
+    normal = np.where(is_off_surface[:, None], vector * (sign / divisor)[:, None], face[best])
     return sign * distance, normal
 
 
@@ -169,26 +172,26 @@ def nearest_points(p: Array, corners: Array) -> Array:
         inside &= (np.cross(end - begin, best - begin) * normal).sum(axis=2) >= 0.0
     square = np.where(inside, height * height * area2, np.inf)
     for begin, end in ((a, b), (b, c), (c, a)):
-        side = end - begin
-        share = np.clip(((p[:, None, :] - begin) * side).sum(axis=2) / (side * side).sum(axis=1), 0.0, 1.0)
-        foot = begin + share[:, :, None] * side
-        away = p[:, None, :] - foot
-        here = (away * away).sum(axis=2)
-        nearer = here < square
-        best = np.where(nearer[:, :, None], foot, best)
-        square = np.where(nearer, here, square)
+        edge = end - begin
+        fraction = np.clip(((p[:, None, :] - begin) * edge).sum(axis=2) / (edge * edge).sum(axis=1), 0.0, 1.0)
+        foot = begin + fraction[:, :, None] * edge
+        offset = p[:, None, :] - foot
+        squared_distance = (offset * offset).sum(axis=2)
+        is_nearer = squared_distance < square
+        best = np.where(is_nearer[:, :, None], foot, best)
+        square = np.where(is_nearer, squared_distance, square)
     return best
 
 
-def _winding(p: Array, corners: Array) -> Array:
+def _winding_number(p: Array, corners: Array) -> Array:
     """Return the winding number of a closed mesh about each point, (m,): 1 inside, 0 outside.
 
     It is the sum of the triangles' solid angles over that of a sphere (A. van Oosterom and J. Strackee, "The solid
     angle of a plane triangle", IEEE Transactions on Biomedical Engineering 30, 1983).
     """
     a, b, c = (corners[None, :, k] - p[:, None, :] for k in range(3))
-    la, lb, lc = (np.sqrt((side * side).sum(axis=2)) for side in (a, b, c))
-    volume = (a * np.cross(b, c)).sum(axis=2)
-    below = la * lb * lc + (a * b).sum(axis=2) * lc + (b * c).sum(axis=2) * la + (c * a).sum(axis=2) * lb
-    total: Array = np.arctan2(volume, below).sum(axis=1) / (2.0 * np.pi)
+    la, lb, lc = (np.sqrt((arm * arm).sum(axis=2)) for arm in (a, b, c))
+    numerator = (a * np.cross(b, c)).sum(axis=2)
+    denominator = la * lb * lc + (a * b).sum(axis=2) * lc + (b * c).sum(axis=2) * la + (c * a).sum(axis=2) * lb
+    total: Array = np.arctan2(numerator, denominator).sum(axis=1) / (2.0 * np.pi)
     return total

@@ -17,4 +17,4 @@ SHAPES: dict[str, tuple[str, ...]] = {
     "mesh": (),
 }
 #: Largest size, or coordinate of a mesh [m].
-MOST_SIZE = 1e4
+MAX_SIZE = 1e4

@@ -18,10 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.obstacle_mesh import check_closed, mesh_distance
-from cloth_sim_ros.physics.obstacle_shapes import MOST_SIZE, SHAPES
+from cloth_sim_ros.physics.obstacle_shapes import MAX_SIZE, SHAPES
 
 
-def _numbers(values: Any) -> tuple[float, ...]:
+def _floats(values: Any) -> tuple[float, ...]:
     return tuple(float(value) for value in np.asarray(values, dtype=np.float64).ravel())
 
 
@@ -55,9 +55,9 @@ class Obstacle:
     name: str
     shape: str
     #: Sizes [m] in the order of the list above.
-    size: tuple[float, ...] = attrs.field(default=(), converter=_numbers)
+    size: tuple[float, ...] = attrs.field(default=(), converter=_floats)
     #: Coefficients of static and kinetic friction.
-    friction: tuple[float, ...] = attrs.field(default=(0.0, 0.0), converter=_numbers)
+    friction: tuple[float, ...] = attrs.field(default=(0.0, 0.0), converter=_floats)
     #: Vertices of a mesh [m], shape (m, 3).
     vertices: Array | None = attrs.field(default=None, converter=_points, repr=False)
     #: Vertex indices of a mesh's triangles, shape (t, 3).
@@ -66,41 +66,44 @@ class Obstacle:
     def __attrs_post_init__(self) -> None:
         """Refuse invalid obstacles."""
         if self.shape not in SHAPES:
-            raise ValueError(f"{self._who} is a '{self.shape}'; it must be one of {', '.join(SHAPES)}")
+            raise ValueError(f"{self._label} is a '{self.shape}'; it must be one of {', '.join(SHAPES)}")
         self._check_size()
         if len(self.friction) != 2:
-            raise ValueError(f"{self._who} has {len(self.friction)} coefficients of friction; give static and kinetic")
+            raise ValueError(
+                f"{self._label} has {len(self.friction)} coefficients of friction; give static and kinetic"
+            )
         static, kinetic = self.friction
         if not (math.isfinite(static) and 0.0 <= kinetic <= static):
             raise ValueError(
-                f"{self._who} has friction {static} at rest and {kinetic} in motion; both must be finite and at least "
+                f"{self._label} has friction {static} at rest and {kinetic} in motion; both must be finite and at "
+                f"least "
                 "0, and the one in motion at most the one at rest"
             )
         if (self.shape == "mesh") != (self.vertices is not None and self.triangles is not None):
-            raise ValueError(f"{self._who} is a {self.shape}; a mesh, and nothing else, has vertices and triangles")
+            raise ValueError(f"{self._label} is a {self.shape}; a mesh, and nothing else, has vertices and triangles")
         if self.vertices is not None and self.triangles is not None:
             try:
-                check_closed(self.vertices, self.triangles, MOST_SIZE)
+                check_closed(self.vertices, self.triangles, MAX_SIZE)
             except ValueError as error:
-                raise ValueError(f"{self._who}: {error}") from error
+                raise ValueError(f"{self._label}: {error}") from error
 
     @property
-    def _who(self) -> str:
+    def _label(self) -> str:
         return f"obstacle '{self.name}'"
 
     def _check_size(self) -> None:
         names = SHAPES[self.shape]
         if len(self.size) != len(names):
             raise ValueError(
-                f"{self._who} has {len(self.size)} sizes, {list(self.size)}; a {self.shape} has {len(names)}"
+                f"{self._label} has {len(self.size)} sizes, {list(self.size)}; a {self.shape} has {len(names)}"
                 + (f": {', '.join(names)}" if names else "")
             )
         for name, value in zip(names, self.size, strict=True):
-            if not 0.0 < value <= MOST_SIZE:
-                raise ValueError(f"{self._who} has {name} {value} m; it must be above 0 and at most {MOST_SIZE:g} m")
+            if not 0.0 < value <= MAX_SIZE:
+                raise ValueError(f"{self._label} has {name} {value} m; it must be above 0 and at most {MAX_SIZE:g} m")
 
     @cached_property
-    def reach(self) -> float:
+    def bounding_radius(self) -> float:
         """Radius of a sphere about the frame's origin that contains the whole obstacle [m]; infinite for a plane."""
         match self.shape:
             case "plane":
@@ -144,61 +147,61 @@ def _squares(vectors: Array) -> Array:
     return total
 
 
-def _away_from(points: Array, nearest: Array, otherwise: Array) -> tuple[Array, Array]:
+def _offset_from(points: Array, nearest: Array, fallback: Array) -> tuple[Array, Array]:
     """Return distances of points (m, k) from others, and unit vectors away from those.
 
     Points that coincide get the vector `fallback`.
     """
-    away = points - nearest
-    distance = np.sqrt(_squares(away))
-    apart = distance > 0.0
-    return distance, np.where(apart[:, None], away / np.where(apart, distance, 1.0)[:, None], otherwise)
+    offset = points - nearest
+    distance = np.sqrt(_squares(offset))
+    is_apart = distance > 0.0
+    return distance, np.where(is_apart[:, None], offset / np.where(is_apart, distance, 1.0)[:, None], fallback)
 
 
-def _plane(p: Array, size: tuple[float, ...]) -> tuple[Array, Array]:
+def _plane_distance(p: Array, size: tuple[float, ...]) -> tuple[Array, Array]:
     return p[:, 2].copy(), np.broadcast_to([0.0, 0.0, 1.0], p.shape).copy()
 
 
-def _sphere(p: Array, size: tuple[float, ...]) -> tuple[Array, Array]:
-    distance, normal = _away_from(p, np.zeros(3), np.array([0.0, 0.0, 1.0]))
+def _sphere_distance(p: Array, size: tuple[float, ...]) -> tuple[Array, Array]:
+    distance, normal = _offset_from(p, np.zeros(3), np.array([0.0, 0.0, 1.0]))
     return distance - size[0], normal
 
 
-def _capsule(p: Array, size: tuple[float, ...]) -> tuple[Array, Array]:
+def _capsule_distance(p: Array, size: tuple[float, ...]) -> tuple[Array, Array]:
     radius, half = size[0], 0.5 * size[1]
     nearest = np.zeros_like(p)
     nearest[:, 2] = np.clip(p[:, 2], -half, half)
-    distance, normal = _away_from(p, nearest, np.array([1.0, 0.0, 0.0]))
+    distance, normal = _offset_from(p, nearest, np.array([1.0, 0.0, 0.0]))
     return distance - radius, normal
 
 
-def _block(q: Array, half: Array) -> tuple[Array, Array]:
+def _box_distance(q: Array, half: Array) -> tuple[Array, Array]:
     """Return gaps and normals of a box with any number of axes: points (m, k), half lengths (k,)."""
-    over = np.abs(q) - half
-    outside, away = _away_from(q, np.clip(q, -half, half), np.zeros(q.shape[1]))
-    side = np.argmax(over, axis=1)
-    inward = over[np.arange(len(q)), side]
+    excess = np.abs(q) - half
+    outside, outward = _offset_from(q, np.clip(q, -half, half), np.zeros(q.shape[1]))
+    axis = np.argmax(excess, axis=1)
+    inward = excess[np.arange(len(q)), axis]
     face = np.zeros_like(q)
-    face[np.arange(len(q)), side] = np.where(q[np.arange(len(q)), side] < 0.0, -1.0, 1.0)
+    face[np.arange(len(q)), axis] = np.where(q[np.arange(len(q)), axis] < 0.0, -1.0, 1.0)
     is_outside = inward > 0.0
-    return np.where(is_outside, outside, inward), np.where(is_outside[:, None], away, face)
+    return np.where(is_outside, outside, inward), np.where(is_outside[:, None], outward, face)
 
 
-def _box(p: Array, size: tuple[float, ...]) -> tuple[Array, Array]:
-    return _block(p, 0.5 * np.array(size))
+def _solid_box_distance(p: Array, size: tuple[float, ...]) -> tuple[Array, Array]:
+    return _box_distance(p, 0.5 * np.array(size))
 
 
-def _cylinder(p: Array, size: tuple[float, ...]) -> tuple[Array, Array]:
+def _cylinder_distance(p: Array, size: tuple[float, ...]) -> tuple[Array, Array]:
     # In the half plane of axial distance and height the cylinder is a box.
-    across, outward = _away_from(p[:, :2], np.zeros(2), np.array([1.0, 0.0]))
-    gap, flat = _block(np.stack([across, p[:, 2]], axis=1), np.array([size[0], 0.5 * size[1]]))
+    across, outward = _offset_from(p[:, :2], np.zeros(2), np.array([1.0, 0.0]))
+    gap, flat = _box_distance(np.stack([across, p[:, 2]], axis=1), np.array([size[0], 0.5 * size[1]]))
     return gap, np.concatenate([outward * flat[:, :1], flat[:, 1:]], axis=1)
 
 
 _DISTANCES: dict[str, Callable[[Array, tuple[float, ...]], tuple[Array, Array]]] = {
-    "plane": _plane,
-    "box": _box,
-    "sphere": _sphere,
-    "capsule": _capsule,
-    "cylinder": _cylinder,
+    "plane": _plane_distance,
+    "box": _solid_box_distance,
+    "sphere": _sphere_distance,
+    "capsule": _capsule_distance,
+    "cylinder": _cylinder_distance,
 }

@@ -11,7 +11,7 @@ from cloth_sim_ros.engine.band import cuthill_mckee
 
 #: An order is kept if its bandwidth is at most this factor times the root of the particle count; a sheet has little
 #: less.
-_NARROW = 3.0
+_MAX_BANDWIDTH_FACTOR = 3.0
 
 
 def local_order(particle_count: int, pairs: NDArray[np.int64]) -> NDArray[np.int64] | None:
@@ -24,7 +24,7 @@ def local_order(particle_count: int, pairs: NDArray[np.int64]) -> NDArray[np.int
         particle_count: number of particles.
         pairs: particles that interact, shape (m, 2), in any order; repeated pairs are allowed.
     """
-    if bandwidth(pairs) <= _NARROW * np.sqrt(particle_count):
+    if bandwidth(pairs) <= _MAX_BANDWIDTH_FACTOR * np.sqrt(particle_count):
         return None
     return cuthill_mckee(particle_count, np.ascontiguousarray(pairs, dtype=np.int64))
 

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 @attrs.frozen(eq=False, kw_only=True)
-class Listed:
+class ElementList:
     """Springs, joints, hinges or panels on any particles."""
 
     #: A key of `engine.binding.KINDS`.
@@ -22,9 +22,9 @@ class Listed:
     #: Particles of each element, shape (m, particles of the kind).
     particles: NDArray[np.int64]
     #: Coefficients of each element, shape (m, coefficients of the kind).
-    numbers: Array
+    coefficients: Array
     #: Of panels: c_n and c_t [N s/m^3] and the wind [m/s], shape (5,).
-    common: Array | None = None
+    shared_coefficients: Array | None = None
 
 
 @attrs.frozen(kw_only=True)
@@ -49,7 +49,7 @@ class GridFamily:
 
 
 @attrs.frozen(kw_only=True)
-class Gridded:
+class SpringGrid:
     """Springs of a sheet of rows x columns particles; particle indices are row * columns + column."""
 
     rows: int
@@ -58,7 +58,7 @@ class Gridded:
 
 
 @attrs.frozen(eq=False, kw_only=True)
-class Uniform:
+class UniformForces:
     """Forces that act on every particle alike: accelerations [m/s^2] of gravity and wind, and a drag rate [1/s]."""
 
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -67,20 +67,20 @@ class Uniform:
 
 
 @attrs.frozen(eq=False, kw_only=True)
-class Surrounded:
+class ContactPart:
     """Contact of all particles with obstacles and the cloth; the plan reads obstacles and paths in every frame."""
 
     #: A `forces.contact.Contact`, whose module imports this one.
     contact: Any
 
 
-Part: TypeAlias = Listed | Gridded | Uniform | Surrounded
+Part: TypeAlias = ElementList | SpringGrid | UniformForces | ContactPart
 
 
-def least_decay(stiffness: Any, damping: Any) -> float:
+def min_damping_time(stiffness: Any, damping: Any) -> float:
     """Return the least c / k [s] of the elements with stiffness k [N/m] and damping c [N s/m]; infinity if none is
     stiff.
     """
     k, c = np.asarray(stiffness, dtype=float), np.asarray(damping, dtype=float)
-    some = k > 0.0
-    return float((c[some] / k[some]).min()) if some.any() else np.inf
+    is_stiff = k > 0.0
+    return float((c[is_stiff] / k[is_stiff]).min()) if is_stiff.any() else np.inf

@@ -31,31 +31,32 @@ from cloth_sim_ros.engine.binding import (
     library,
     writable,
 )
-from cloth_sim_ros.physics.assembly import HINGES, Assembly
+from cloth_sim_ros.physics.assembly import HINGE_KINDS, Assembly
 from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.cores import available
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.gripping import Gripping
-from cloth_sim_ros.physics.measures import Measures
+from cloth_sim_ros.physics.grip_binding import GripBinding
 from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.own_forces import OwnForces
-from cloth_sim_ros.physics.owner import Owner
-from cloth_sim_ros.physics.runs import Run, Told, booked_size
-from cloth_sim_ros.physics.turn import one_at_a_time
+from cloth_sim_ros.physics.old_names import with_old_names
+from cloth_sim_ros.physics.plan_handle import PlanHandle
+from cloth_sim_ros.physics.python_forces import PythonForces
+from cloth_sim_ros.physics.queries import PlanQueries
+from cloth_sim_ros.physics.reentrancy import non_reentrant
+from cloth_sim_ros.physics.runs import Run, RunSummary, n_integrals
+from cloth_sim_ros.physics.thread_limit import available_threads
 from cloth_sim_ros.physics.uncopyable import Uncopyable
 
 if TYPE_CHECKING:
+    from cloth_sim_ros.physics.contact_binding import ContactBinding
     from cloth_sim_ros.physics.state import State
-    from cloth_sim_ros.physics.touching import Touching
 
 #: End buffers of runs without contact.
-_NO_ENDS: tuple[Array | None, Array | None] = (None, None)
-_NOWHERE: Sequence[int] = (0, 0)
+_NO_END_BUFFERS: tuple[Array | None, Array | None] = (None, None)
+_NO_ADDRESSES: Sequence[int] = (0, 0)
 #: Runs that take longer than this number of engine calls are worth waking a thread.
-_WAKING = 2.0
+_THREAD_WAKE_CALLS = 2.0
 #: Largest number of steps of one run.
-MOST_STEPS = 2**31 - 1
+MAX_STEPS = 2**31 - 1
 
 
 def compile(model: Model) -> Plan:
@@ -67,7 +68,18 @@ def compile(model: Model) -> Plan:
     return Plan(model)
 
 
-class Plan(Measures, Uncopyable):
+@with_old_names(
+    abreast="concurrent_runs",
+    ahead="predict_contact",
+    bounds="detailed_spectral_bounds",
+    cost="multirate_step_cost",
+    decay="min_damping_time",
+    grip_rates="grip_wrench_rates",
+    narrows="supports_single_precision",
+    rates="spectral_bounds",
+    threads="threads_per_run",
+)
+class Plan(PlanQueries, Uncopyable):
     """Accelerations, runs, energies and bounds of a model, as sums over its parts.
 
     Positions ``x`` [m] and velocities ``v`` [m/s] are (3, particle_count) float64, C-contiguous. A plan is not
@@ -80,61 +92,67 @@ class Plan(Measures, Uncopyable):
         self.model = model
         self._library = library()
         self._shape = (3, model.particle_count)
-        parts = Assembly.of(model)
-        self._own, self._drag, self._decay = parts.own, parts.drag, parts.decay()
+        assembly = Assembly.of(model)
+        self._python_forces, self._drag, self._min_damping_time = (
+            assembly.python_forces,
+            assembly.drag,
+            assembly.min_damping_time(),
+        )
         #: True if the model has hinges, which multirate runs evaluate less often.
-        self.bends = any(part.kind in HINGES for part in parts.listed)
+        self.has_hinges = any(elements.kind in HINGE_KINDS for elements in assembly.element_lists)
         #: Estimated time of a step for one particle, and the part of it for hinges [ns].
-        self.step_cost, self._hinge_cost = parts.step_cost(), parts.hinge_cost()
+        self.step_cost, self._hinge_cost = assembly.step_cost(), assembly.hinge_cost()
         #: True if the parts can be shared by two threads: a grid needs enough rows.
-        self._wide = parts.gridded is None or parts.gridded.rows >= 16
-        self._pair_counts = parts.pair_counts()
-        self.turn = threading.Lock()
+        self._is_shareable = assembly.grid is None or assembly.grid.rows >= 16
+        self._pair_counts = assembly.pair_counts()
+        self.call_lock = threading.Lock()
         # The engine's request is allocated once; each frame writes into it.
         self._steps, self._weights = (ctypes.c_int64 * MAX_RUNS)(), (ctypes.c_double * MAX_RUNS)()
-        self._told = (ctypes.c_double * SUMMARY_NUMBERS)()
-        self._steps_at, self._weights_at = addressof(self._steps), addressof(self._weights)
+        self._summary_out = (ctypes.c_double * SUMMARY_NUMBERS)()
+        self._steps_address, self._weights_address = addressof(self._steps), addressof(self._weights)
         self._frame = Frame()
         #: Numbers of steps in the request.
-        self._asked: tuple[int, ...] | None = None
+        self._requested_steps: tuple[int, ...] | None = None
         #: The newest combination of runs; the reference keeps its address valid.
-        self._newest: tuple[Array | None, Array | None] = (None, None)
-        self._newest_at = 0
-        self._frame_at = ctypes.byref(self._frame)
+        self._last_result: tuple[Array | None, Array | None] = (None, None)
+        self._last_address = 0
+        self._frame_address = ctypes.byref(self._frame)
         count = model.particle_count
-        self._owner = Owner(model)
-        self._handle = self._owner.handle
-        parts.hand_over(self._handle)
-        self._gripping = None if parts.grips is None else Gripping(self._owner, parts.grips, count)
+        self._owner = PlanHandle(model)
+        self._handle = self._owner.pointer
+        assembly.upload(self._handle)
+        self._grip_binding = None if assembly.grips is None else GripBinding(self._owner, assembly.grips, count)
         #: The force of grips, if the model has one.
-        self.grips: Grips | None = parts.grips
+        self.grips: Grips | None = assembly.grips
         #: Number of grippers of the model.
-        self.gripper_count = 0 if self._gripping is None else self._gripping.count
-        self.contact: Touching | None = None
-        if parts.contact is not None:
-            from cloth_sim_ros.physics.touching import Touching
+        self.gripper_count = 0 if self._grip_binding is None else self._grip_binding.count
+        self.contact: ContactBinding | None = None
+        if assembly.contact is not None:
+            from cloth_sim_ros.physics.contact_binding import ContactBinding
 
-            self.contact = Touching(self._owner, parts.contact, count)
-        self._called = OwnForces(self._own, self._shape) if self._own else None
-        if self._called is not None:
-            check(self._library.cloth_plan_callback(self._handle, self._called.callback))
+            self.contact = ContactBinding(self._owner, assembly.contact, count)
+        self._python_callback = PythonForces(self._python_forces, self._shape) if self._python_forces else None
+        if self._python_callback is not None:
+            check(self._library.cloth_plan_callback(self._handle, self._python_callback.callback))
 
-    def change_uniform(self, forces: Sequence[Force], uniform: Sequence[Force], *, air: Array | None = None) -> None:
+    def change_uniform(
+        self, forces: Sequence[Force], uniform: Sequence[Force], *, air_coefficients: Array | None = None
+    ) -> None:
         """Replace forces by others that differ only in gravity, drag and wind.
 
         Args:
             forces: all forces of the model.
             uniform: those of them that act on all particles alike.
-            air: new `AirPanels.coefficients`; None if there are no panels.
+            air_coefficients: new `AirPanels.coefficients`; None if there are no panels.
         """
-        found = Assembly.of(Model([1.0], uniform))
-        if air is not None or found.drag != self._drag:
+        assembly = Assembly.of(Model([1.0], uniform))
+        if air_coefficients is not None or assembly.drag != self._drag:
             # A new model tells caches, such as the matrix of implicit steps, that the damping changed.
             self.model = Model(self.model.masses, forces, anchors=self.model.anchors)
-        self.model.forces, self._drag = tuple(forces), found.drag
-        found.uniform_to(self._handle)
-        if air is not None:
-            check(self._library.cloth_plan_air(self._handle, air.ctypes.data))
+        self.model.forces, self._drag = tuple(forces), assembly.drag
+        assembly.upload_uniform(self._handle)
+        if air_coefficients is not None:
+            check(self._library.cloth_plan_air(self._handle, air_coefficients.ctypes.data))
 
     # The methods below are called in every frame.
 
@@ -148,7 +166,7 @@ class Plan(Measures, Uncopyable):
         """Rate of linear drag on every particle [1/s]."""
         return self._drag
 
-    @one_at_a_time
+    @non_reentrant
     def runs(
         self,
         t: float,
@@ -157,13 +175,13 @@ class Plan(Measures, Uncopyable):
         steps: Sequence[int],
         *,
         weights: Sequence[float] | None = None,
-        narrow: bool = False,
-        powers: bool = False,
-        touches: bool = False,
+        single_precision: bool = False,
+        record_power: bool = False,
+        record_obstacles: bool = False,
         threads: int | None = None,
-        abreast: int = 1,
-        every: int = 1,
-    ) -> tuple[list[Run], tuple[Array, Array, Told] | None]:
+        concurrency: int = 1,
+        multirate: int = 1,
+    ) -> tuple[list[Run], tuple[Array, Array, RunSummary] | None]:
         """Run the leapfrog over an interval several times from one start, each with its own number of equal steps.
 
         Args:
@@ -172,13 +190,13 @@ class Plan(Measures, Uncopyable):
             start: positions [m] and velocities [m/s], each (3, n); they are not changed.
             steps: number of steps of each run, at least 1.
             weights: weights of the first runs in a combination; None for no combination.
-            narrow: true to calculate in single precision.
-            powers: true to integrate powers.
-            touches: true to integrate wrenches and powers of obstacles.
+            single_precision: true to calculate in single precision.
+            record_power: true to integrate powers.
+            record_obstacles: true to integrate wrenches and powers of obstacles.
             threads: threads of a run; None chooses. No bit depends on it.
-            abreast: runs that are calculated at once, each by one thread, if possible. No bit depends on it.
-            every: multirate ratio: hinges are evaluated once in this number of steps, in the middle one. It is odd and
-                divides all ``steps``.
+            concurrency: runs that are calculated at once, each by one thread, if possible. No bit depends on it.
+            multirate: multirate ratio: hinges are evaluated once in this number of steps, in the middle one. It is
+                odd and divides all ``steps``.
 
         Returns:
             The runs; and positions, velocities and the summary of their combination, None without weights.
@@ -190,112 +208,122 @@ class Plan(Measures, Uncopyable):
         """
         self._sync()
         count, grippers, obstacles = len(steps), self.gripper_count, 0
-        if steps != self._asked:
-            self._ask(steps)
-        if every != 1 and (type(every) is not int or every < 1 or every % 2 == 0 or any(one % every for one in steps)):
+        if steps != self._requested_steps:
+            self._request_steps(steps)
+        if multirate != 1 and (
+            type(multirate) is not int
+            or multirate < 1
+            or multirate % 2 == 0
+            or any(n_steps % multirate for n_steps in steps)
+        ):
             raise ValueError(
-                f"hinges every {every} steps of {list(steps)}; give an odd number that divides each of them"
+                f"hinges every {multirate} steps of {list(steps)}; give an odd number that divides each of them"
             )
         if not (isfinite(t) and isfinite(duration)):
             raise ValueError(f"a run from time {t} s over {duration} s; both must be finite")
-        x0, v0 = self._places(*start)
+        x_address, v_address = self._addresses(*start)
         out = empty((count, 2, *self._shape))
-        out_at = address(out)
-        result, result_at, told_at = out[0], 0, 0
-        met, ends, ends_at = 0, _NO_ENDS, _NOWHERE
+        out_address = address(out)
+        result, result_address, summary_address = out[0], 0, 0
+        n_contact_numbers, end_buffers, end_addresses = 0, _NO_END_BUFFERS, _NO_ADDRESSES
         if self.contact is not None:
-            obstacles, met = self.contact.count, CONTACT_SUMMARY_NUMBERS if self.contact.force.acts else 0
-            ends = self.contact.ends(count)
-            ends_at = [0 if array is None else address(array) for array in ends]
-        notes = zeros((count, booked_size(grippers, obstacles) + met))
-        combined = count
+            obstacles, n_contact_numbers = (
+                self.contact.count,
+                CONTACT_SUMMARY_NUMBERS if self.contact.force.is_active else 0,
+            )
+            end_buffers = self.contact.end_buffers(count)
+            end_addresses = [0 if array is None else address(array) for array in end_buffers]
+        integrals = zeros((count, n_integrals(grippers, obstacles) + n_contact_numbers))
+        n_combined = count
         if weights is not None:
-            combined = len(weights)
-            if not 1 <= combined <= count:
-                raise ValueError(f"{combined} weights for {count} runs; give one for each run of the combination")
-            told_at = addressof(self._told)
-            if combined > 1:
-                self._weights[:combined] = list(weights)
+            n_combined = len(weights)
+            if not 1 <= n_combined <= count:
+                raise ValueError(f"{n_combined} weights for {count} runs; give one for each run of the combination")
+            summary_address = addressof(self._summary_out)
+            if n_combined > 1:
+                self._weights[:n_combined] = list(weights)
                 result = empty((2, *self._shape))
-                result_at = address(result)
+                result_address = address(result)
         FRAME.pack_into(
             self._frame,
             0,
             t,
             duration,
             count,
-            self._steps_at,
-            self._weights_at,
-            narrow,
-            self.threads(every) if threads is None else threads,
-            x0,
-            v0,
-            out_at,
-            result_at,
-            address(notes),
-            powers,
-            told_at,
-            0 if self._own else 1 + (every > 1),
-            touches,
-            *ends_at,
-            every,
-            combined,
-            abreast,
+            self._steps_address,
+            self._weights_address,
+            single_precision,
+            self.threads_per_run(multirate) if threads is None else threads,
+            x_address,
+            v_address,
+            out_address,
+            result_address,
+            address(integrals),
+            record_power,
+            summary_address,
+            0 if self._python_forces else 1 + (multirate > 1),
+            record_obstacles,
+            *end_addresses,
+            multirate,
+            n_combined,
+            concurrency,
         )
-        status = self._library.cloth_frame(self._handle, self._frame_at)
+        status = self._library.cloth_frame(self._handle, self._frame_address)
         if status:
-            self._checked(status)
-        if ends is _NO_ENDS:
-            runs = [Run(out[k], notes[k], grippers, obstacles) for k in range(count)]
+            self._raise_for_status(status)
+        if end_buffers is _NO_END_BUFFERS:
+            runs = [Run(out[k], integrals[k], grippers, obstacles) for k in range(count)]
         else:
-            anchors, pinched = ([None] * count if array is None else array for array in ends)
-            runs = [Run(out[k], notes[k], grippers, obstacles, anchors[k], pinched[k]) for k in range(count)]
+            anchors, jaw_states = ([None] * count if array is None else array for array in end_buffers)
+            runs = [Run(out[k], integrals[k], grippers, obstacles, anchors[k], jaw_states[k]) for k in range(count)]
         if weights is None:
             return runs, None
-        activity, omega2, damping, held, stiff, damped, *hinges = self._told[:]
+        activity, omega2, damping, contact_energy, self_omega2, self_damping, *hinges = self._summary_out[:]
         x, v = result[0], result[1]
-        self._newest, self._newest_at = (x, v), result_at or out_at
-        if self._own:
-            omega2, damping, *hinges = self.bounds(x, hinges=every > 1)
-        return runs, (x, v, Told(activity, omega2, damping, held, (stiff, damped), hinges))
+        self._last_result, self._last_address = (x, v), result_address or out_address
+        if self._python_forces:
+            omega2, damping, *hinges = self.detailed_spectral_bounds(x, hinges=multirate > 1)
+        return runs, (x, v, RunSummary(activity, omega2, damping, contact_energy, (self_omega2, self_damping), hinges))
 
-    def _places(self, x: Array, v: Array) -> tuple[int, int]:
+    def _addresses(self, x: Array, v: Array) -> tuple[int, int]:
         """Return the addresses of positions and velocities; those of the newest combination are known."""
-        if x is self._newest[0] and v is self._newest[1]:
-            return self._newest_at, self._newest_at + x.nbytes
+        if x is self._last_result[0] and v is self._last_result[1]:
+            return self._last_address, self._last_address + x.nbytes
         return doubles("x", x, self._shape), doubles("v", v, self._shape)
 
-    def _ask(self, steps: Sequence[int]) -> None:
+    def _request_steps(self, steps: Sequence[int]) -> None:
         """Write new numbers of steps into the request."""
-        self._asked = None
+        self._requested_steps = None
         count = len(steps)
-        if not (1 <= count <= MAX_RUNS and min(steps) >= 1 and max(steps) <= MOST_STEPS):
+        if not (1 <= count <= MAX_RUNS and min(steps) >= 1 and max(steps) <= MAX_STEPS):
             raise ValueError(
-                f"runs of {list(steps)} steps; there must be 1 to {MAX_RUNS}, each of 1 to {MOST_STEPS} steps"
+                f"runs of {list(steps)} steps; there must be 1 to {MAX_RUNS}, each of 1 to {MAX_STEPS} steps"
             )
         try:
             self._steps[:count] = list(steps)
         except TypeError as error:
             raise ValueError(f"runs of {list(steps)} steps; they must be whole numbers") from error
-        self._asked = tuple(steps)
+        self._requested_steps = tuple(steps)
 
     def contact_cost(self, t: float, duration: float, state: State) -> float:
         """Return the estimated time [ns] that contact adds to a force evaluation within a duration [s] from time t [s]
         on.
         """
-        return 0.0 if self.contact is None else CONSTANTS.operation * self.contact.work(t, duration, state)
+        return (
+            0.0 if self.contact is None else CONSTANTS.operation_time * self.contact.operation_count(t, duration, state)
+        )
 
-    def cost(self, every: int) -> float:
+    def multirate_step_cost(self, multirate: int) -> float:
         """Return the estimated time of a step for one particle [ns] at a multirate ratio."""
-        return self.step_cost - (every - 1) / every * self._hinge_cost
+        return self.step_cost - (multirate - 1) / multirate * self._hinge_cost
 
-    def threads(self, every: int) -> int:
+    def threads_per_run(self, multirate: int) -> int:
         """Return the number of threads that share each step of a run."""
         # A second thread pays only if a step is long enough.
-        long = self.cost(every) * self._shape[1] >= 1e3 * CONSTANTS.call
-        return available() if long and self._wide else 1
+        is_long = self.multirate_step_cost(multirate) * self._shape[1] >= 1e3 * CONSTANTS.engine_call_time
+        return available_threads() if is_long and self._is_shareable else 1
 
-    def abreast(self, runs: int, steps: int, every: int) -> int:
+    def concurrent_runs(self, runs: int, steps: int, multirate: int) -> int:
         """Return the number of runs to calculate at once.
 
         It is above 1 if the engine calculates alone and the runs are long enough to wake a thread. Sharing each run
@@ -304,34 +332,34 @@ class Plan(Measures, Uncopyable):
         Args:
             runs: number of runs.
             steps: number of steps of all runs together.
-            every: multirate ratio.
+            multirate: multirate ratio.
         """
-        if self.contact is not None or self._own or (runs % 2 and self.threads(every) > 1):
+        if self.contact is not None or self._python_forces or (runs % 2 and self.threads_per_run(multirate) > 1):
             return 1
-        time = self.cost(every) * self._shape[1] * steps
-        return available() if time >= _WAKING * 1e3 * CONSTANTS.call else 1
+        time = self.multirate_step_cost(multirate) * self._shape[1] * steps
+        return available_threads() if time >= _THREAD_WAKE_CALLS * 1e3 * CONSTANTS.engine_call_time else 1
 
     def accelerations(self, t: float, x: Array, v: Array, out: Array) -> None:
         """Set ``out`` (3, n) to the accelerations [m/s^2] at time t [s]; they are zero for anchored particles."""
         self._sync()
         shape = self._shape
-        places = doubles("x", x, shape), doubles("v", v, shape), writable("out", out, shape)
-        status = self._library.cloth_accelerations(self._handle, t, *places)
+        addresses = doubles("x", x, shape), doubles("v", v, shape), writable("out", out, shape)
+        status = self._library.cloth_accelerations(self._handle, t, *addresses)
         if status:
-            self._checked(status)
+            self._raise_for_status(status)
 
-    def _checked(self, status: int) -> None:
-        if status == 3 and self._called is not None:
-            self._called.raise_trouble()
+    def _raise_for_status(self, status: int) -> None:
+        if status == 3 and self._python_callback is not None:
+            self._python_callback.raise_pending()
         check(status)
 
-    def ahead(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float]:
+    def predict_contact(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float]:
         """Return what contact may add to `spectral_bounds` within a duration [s] from time t [s] on.
 
         Returns:
             Squared angular frequency [1/s^2] and damping rate [1/s].
         """
-        return (0.0, 0.0) if self.contact is None else self.contact.ahead(t, duration, x, v)[:2]
+        return (0.0, 0.0) if self.contact is None else self.contact.predict_contact(t, duration, x, v)[:2]
 
     def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
         """Add the forces [N] on free particles at time t [s] to ``f`` (3, n)."""
@@ -343,6 +371,8 @@ class Plan(Measures, Uncopyable):
         """Return true if all forces at given positions and velocities are constant until the next event."""
         return all(force.steady() for force in self.model.forces)
 
-    def narrows(self, duration: float, x: Array, v: Array) -> bool:
+    def supports_single_precision(self, duration: float, x: Array, v: Array) -> bool:
         """Return true if runs over a duration [s] from a state may calculate in single precision."""
-        return not self._own and (self.contact is None or self.contact.narrows(duration, x, v))
+        return not self._python_forces and (
+            self.contact is None or self.contact.supports_single_precision(duration, x, v)
+        )

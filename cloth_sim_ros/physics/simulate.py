@@ -19,7 +19,7 @@ from cloth_sim_ros.physics.plan import Plan, compile
 from cloth_sim_ros.physics.state import State
 
 #: Longest interval of one advance [s]: a frame of a node at 60 Hz.
-STRETCH = 1.0 / 60.0
+MAX_ADVANCE = 1.0 / 60.0
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -72,22 +72,25 @@ def simulate(
         raise ValueError(f"until is {until} s; it must be above 0")
     if not (integrator is None or isinstance(integrator, Integrator)):
         raise ValueError(f"integrator is {integrator!r}; it must be an object such as Leapfrog(step=1e-4)")
-    wanted = [until] if save_at is None else save_at
-    times = finite("save_at", wanted, (np.size(wanted),))
+    requested_times = [until] if save_at is None else save_at
+    times = finite("save_at", requested_times, (np.size(requested_times),))
     if (np.diff(times) < 0.0).any() or not times.size or times[0] < 0.0 or times[-1] > until:
         raise ValueError(f"save_at is {times.tolist()} s; it must hold times that ascend from 0 to until, {until} s")
-    steps = integrator or make_integrator("auto", tolerance=tolerance)
+    stepper = integrator or make_integrator("auto", tolerance=tolerance)
     positions, velocities, advances = [], [], list[Advance]()
     now = 0.0
     for end in [*times.tolist(), until]:
-        count = max(1, math.ceil((end - now) / STRETCH - 1e-9)) if end > now else 0
+        count = max(1, math.ceil((end - now) / MAX_ADVANCE - 1e-9)) if end > now else 0
         for k in range(count):
             begin = now + k * (end - now) / count
-            advances.append(steps.advance(plan, state, begin, (end - now) / count))
+            advances.append(stepper.advance(plan, state, begin, (end - now) / count))
         now = max(now, end)
         positions.append(state.positions)
         velocities.append(state.velocities)
-    kept = len(times)
+    n_saved = len(times)
     return Motion(
-        times=times, positions=np.array(positions[:kept]), velocities=np.array(velocities[:kept]), advances=advances
+        times=times,
+        positions=np.array(positions[:n_saved]),
+        velocities=np.array(velocities[:n_saved]),
+        advances=advances,
     )

@@ -21,9 +21,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.physics.deterministic_math import dot_products
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.obstacle_mesh import check_closed
-from cloth_sim_ros.physics.powers import scalar_products
 from cloth_sim_ros.physics.sheets.merging import clusters
 from cloth_sim_ros.physics.sheets.meshes import FLATNESS
 from cloth_sim_ros.physics.sheets.seams import near_edges
@@ -69,63 +69,63 @@ def closed_solid(
     if not np.all(np.abs(vertices) <= _MAX_COORDINATE):
         return vertices, triangles, ()
     lowest = clusters(vertices, limit)
-    merged = int(np.count_nonzero(lowest != np.arange(len(vertices))))
-    triangles = _without_twins(lowest[triangles])
+    n_merged = int(np.count_nonzero(lowest != np.arange(len(vertices))))
+    triangles = _remove_duplicates(lowest[triangles])
     notes = []
-    if merged:
-        notes.append(f"{_counted(merged, 'vertex', 'vertices')} closer than {limit:.3g} to another merged with it")
-    closed, joined = _joined(vertices, triangles, limit, height=0.0)
+    if n_merged:
+        notes.append(f"{_pluralize(n_merged, 'vertex', 'vertices')} closer than {limit:.3g} to another merged with it")
+    closed, joined = _join_flat_triangles(vertices, triangles, limit, height=0.0)
     if not is_closed(vertices, closed):
         # Rounding may leave some triangles of a T-junction flat, and others thin.
-        thinner, further = _joined(vertices, triangles, limit, height=2.0 * limit)
-        if is_closed(vertices, thinner):
-            closed, joined = thinner, further
+        closed_thin, joined_thin = _join_flat_triangles(vertices, triangles, limit, height=2.0 * limit)
+        if is_closed(vertices, closed_thin):
+            closed, joined = closed_thin, joined_thin
     return *used_vertices(vertices, closed), (*notes, *joined)
 
 
-def _joined(
+def _join_flat_triangles(
     vertices: Array, triangles: NDArray[np.int64], limit: float, *, height: float
 ) -> tuple[NDArray[np.int64], list[str]]:
     """Join flat triangles, and those of at most a height [m], to their neighbours; return a sentence on each change."""
-    flat = split = 0
+    n_flat = n_split = 0
     for _ in range(_MAX_ROUNDS):
         if not len(triangles):
             break
-        triangles, needles = _without_needles(vertices, triangles, height)
-        thin = _flat(vertices, triangles, height)
-        triangles = triangles[~thin]
-        triangles, cuts = _split_edges(vertices, triangles, limit)
-        flat += needles + int(np.count_nonzero(thin))
-        split += cuts
-        if not (needles or np.any(thin) or cuts):
+        triangles, n_needles = _collapse_needles(vertices, triangles, height)
+        is_thin = _is_flat(vertices, triangles, height)
+        triangles = triangles[~is_thin]
+        triangles, n_cuts = _split_edges(vertices, triangles, limit)
+        n_flat += n_needles + int(np.count_nonzero(is_thin))
+        n_split += n_cuts
+        if not (n_needles or np.any(is_thin) or n_cuts):
             break
     notes = []
-    if flat:
-        notes.append(f"{_counted(flat, 'triangle', 'triangles')} without area joined to the neighbours")
-    if split:
-        notes.append(f"{_counted(split, 'edge', 'edges')} split at vertices that lie on it")
+    if n_flat:
+        notes.append(f"{_pluralize(n_flat, 'triangle', 'triangles')} without area joined to the neighbours")
+    if n_split:
+        notes.append(f"{_pluralize(n_split, 'edge', 'edges')} split at vertices that lie on it")
     return triangles, notes
 
 
 def _sides(vertices: Array, triangles: NDArray[np.int64]) -> Array:
     """Return the lengths of the sides from each corner to the next [m], (t, 3)."""
     corners = vertices[triangles]
-    away = np.roll(corners, -1, axis=1) - corners
-    lengths: Array = np.sqrt(scalar_products(away, away))
+    edges = np.roll(corners, -1, axis=1) - corners
+    lengths: Array = np.sqrt(dot_products(edges, edges))
     return lengths
 
 
-def _flat(vertices: Array, triangles: NDArray[np.int64], height: float) -> NDArray[np.bool_]:
+def _is_flat(vertices: Array, triangles: NDArray[np.int64], height: float) -> NDArray[np.bool_]:
     """Return a mask of the triangles without area, as in `check_closed`, or of at most a height [m], (t,)."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    across = np.cross(b - a, c - a)
-    longest = _sides(vertices, triangles).max(axis=1)
-    least = np.maximum(FLATNESS * longest, height)
-    flat: NDArray[np.bool_] = ~(np.sqrt(scalar_products(across, across)) > least * longest)
+    normals = np.cross(b - a, c - a)
+    max_side = _sides(vertices, triangles).max(axis=1)
+    min_height = np.maximum(FLATNESS * max_side, height)
+    flat: NDArray[np.bool_] = ~(np.sqrt(dot_products(normals, normals)) > min_height * max_side)
     return flat
 
 
-def _without_twins(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
+def _remove_duplicates(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
     """Remove triangles with a repeated corner, pairs that lie back to back, and copies."""
     first_corner, second_corner, third_corner = triangles.T
     triangles = triangles[
@@ -133,35 +133,35 @@ def _without_twins(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
     ]
     # Rotated so that the lowest corner comes first.
     first = np.argmin(triangles, axis=1)
-    turned = np.take_along_axis(triangles, (first[:, None] + np.arange(3)) % 3, axis=1)
-    back = turned[:, 1] > turned[:, 2]
-    _, which = np.unique(np.sort(triangles, axis=1), axis=0, return_inverse=True)
-    which = which.reshape(-1)
-    fronts, backs = (np.bincount(which[mask], minlength=len(triangles)) for mask in (~back, back))
+    rotated = np.take_along_axis(triangles, (first[:, None] + np.arange(3)) % 3, axis=1)
+    is_reversed = rotated[:, 1] > rotated[:, 2]
+    _, group = np.unique(np.sort(triangles, axis=1), axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    fronts, backs = (np.bincount(group[mask], minlength=len(triangles)) for mask in (~is_reversed, is_reversed))
     # One triangle stays if no triangle of the opposite orientation exists.
-    keep = (fronts[which] == 0) | (backs[which] == 0)
-    _, original = np.unique(which, return_index=True)
+    keep = (fronts[group] == 0) | (backs[group] == 0)
+    _, original = np.unique(group, return_index=True)
     keep &= np.isin(np.arange(len(triangles)), original)
     return triangles[keep]
 
 
-def _without_needles(vertices: Array, triangles: NDArray[np.int64], height: float) -> tuple[NDArray[np.int64], int]:
+def _collapse_needles(vertices: Array, triangles: NDArray[np.int64], height: float) -> tuple[NDArray[np.int64], int]:
     """Merge the ends of the short side of flat triangles that have one; return their number, too."""
     sides = _sides(vertices, triangles)
-    needle = _flat(vertices, triangles, height) & (sides.min(axis=1) <= _ON_EDGE * sides.max(axis=1))
-    count = int(np.count_nonzero(needle))
+    is_needle = _is_flat(vertices, triangles, height) & (sides.min(axis=1) <= _ON_EDGE * sides.max(axis=1))
+    count = int(np.count_nonzero(is_needle))
     if not count:
         return triangles, 0
-    rows = triangles[needle]
-    begin = np.argmin(sides[needle], axis=1)
-    at = np.arange(count)
-    ends = np.stack((rows[at, begin], rows[at, (begin + 1) % 3]), axis=1)
-    label = _connected(ends, len(vertices))
-    _, first = np.unique(label, return_index=True)
-    return _without_twins(first[label].astype(np.int64)[triangles]), count
+    rows = triangles[is_needle]
+    begin = np.argmin(sides[is_needle], axis=1)
+    row_indices = np.arange(count)
+    ends = np.stack((rows[row_indices, begin], rows[row_indices, (begin + 1) % 3]), axis=1)
+    labels = _component_labels(ends, len(vertices))
+    _, first = np.unique(labels, return_index=True)
+    return _remove_duplicates(first[labels].astype(np.int64)[triangles]), count
 
 
-def _connected(edges: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+def _component_labels(edges: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     """Return a component label of each of `count` vertices, (count,), for edges (e, 2)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -188,35 +188,37 @@ def _split_edges(vertices: Array, triangles: NDArray[np.int64], limit: float) ->
     tails, heads, thirds = tails[is_open], heads[is_open], thirds[is_open]
     border = np.unique(np.concatenate((tails, heads)))
     sides = vertices[heads] - vertices[tails]
-    lengths = np.sqrt(scalar_products(sides, sides))
+    lengths = np.sqrt(dot_products(sides, sides))
     tree = cKDTree(vertices[border])
-    edges, which = near_edges(vertices, np.stack((tails, heads), axis=1), tree, lengths)
-    middle = border[which]
-    away = vertices[middle] - vertices[tails[edges]]
-    share = scalar_products(away, sides[edges]) / (lengths[edges] * lengths[edges])
-    foot = away - share[:, None] * sides[edges]
+    edges, vertex_rows = near_edges(vertices, np.stack((tails, heads), axis=1), tree, lengths)
+    border_vertices = border[vertex_rows]
+    offset = vertices[border_vertices] - vertices[tails[edges]]
+    fraction = dot_products(offset, sides[edges]) / (lengths[edges] * lengths[edges])
+    foot = offset - fraction[:, None] * sides[edges]
     tolerance = np.maximum(4.0 * limit, _ON_EDGE * lengths[edges])
-    lies_on = (scalar_products(foot, foot) <= tolerance * tolerance) & (share > 0.0) & (share < 1.0)
-    lies_on &= (middle != tails[edges]) & (middle != heads[edges]) & (middle != thirds[edges])
+    lies_on = (dot_products(foot, foot) <= tolerance * tolerance) & (fraction > 0.0) & (fraction < 1.0)
+    lies_on &= (
+        (border_vertices != tails[edges]) & (border_vertices != heads[edges]) & (border_vertices != thirds[edges])
+    )
     # Edge and vertex must be on one border.
-    gap = _connected(np.stack((tails, heads), axis=1), len(vertices))
-    lies_on &= gap[middle] == gap[tails[edges]]
+    gap = _component_labels(np.stack((tails, heads), axis=1), len(vertices))
+    lies_on &= gap[border_vertices] == gap[tails[edges]]
     cuts: dict[int, list[tuple[float, int]]] = defaultdict(list)
-    for edge, position, vertex in zip(edges[lies_on], share[lies_on], middle[lies_on], strict=True):
+    for edge, position, vertex in zip(edges[lies_on], fraction[lies_on], border_vertices[lies_on], strict=True):
         cuts[int(edge)].append((float(position), int(vertex)))
-    left = np.ones(len(triangles), dtype=np.bool_)
-    further: list[tuple[int, int, int]] = []
-    done = 0
+    is_left = np.ones(len(triangles), dtype=np.bool_)
+    new_triangles: list[tuple[int, int, int]] = []
+    n_split = 0
     for edge in sorted(cuts):
-        if left[owner[edge]]:
-            left[owner[edge]] = False
+        if is_left[owner[edge]]:
+            is_left[owner[edge]] = False
             chain = [int(tails[edge]), *(vertex for _, vertex in sorted(cuts[edge])), int(heads[edge])]
-            further.extend((tail, head, int(thirds[edge])) for tail, head in pairwise(chain))
-            done += 1
-    if not done:
+            new_triangles.extend((tail, head, int(thirds[edge])) for tail, head in pairwise(chain))
+            n_split += 1
+    if not n_split:
         return triangles, 0
-    return np.concatenate((triangles[left], np.array(further, dtype=np.int64))), done
+    return np.concatenate((triangles[is_left], np.array(new_triangles, dtype=np.int64))), n_split
 
 
-def _counted(count: int, singular: str, plural: str) -> str:
+def _pluralize(count: int, singular: str, plural: str) -> str:
     return f"{count} {singular if count == 1 else plural}"

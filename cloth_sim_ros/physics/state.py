@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cloth_sim_ros.physics import npz, state_memory
+from cloth_sim_ros.physics.controller_state import ANCHORS_KEY, JAWS_KEY, LEGACY_KEYS
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.remembered import ANCHORS, BEFORE, PINCHED
+from cloth_sim_ros.physics.old_names import with_old_names
 
 _FRAME = "frame"
 _POSITION = "position"
@@ -26,6 +27,7 @@ _CLOTH = "cloth"
 _THICKNESS = "contact_thickness"
 
 
+@with_old_names(become="assign", go_back="restore_motion", share="shallow_copy")
 class State:
     """Positions, velocities, frame number, and the memory of controllers and grips.
 
@@ -56,10 +58,10 @@ class State:
         velocity = np.zeros_like(position) if velocities is None else np.asarray(velocities, dtype=np.float64)
         if velocity.shape != position.shape:
             raise ValueError(f"velocities have shape {velocity.shape}; positions have {position.shape}")
-        for what, array in (("position", position), ("velocity", velocity)):
+        for quantity, array in (("position", position), ("velocity", velocity)):
             wrong = np.flatnonzero(~np.isfinite(array).all(axis=1))
             if wrong.size:
-                raise ValueError(f"{what} of particle {wrong[0]} is {array[wrong[0]].tolist()}; it must be finite")
+                raise ValueError(f"{quantity} of particle {wrong[0]} is {array[wrong[0]].tolist()}; it must be finite")
         #: Positions [m], component-major, shape (3, particle_count).
         self.x: Array = np.array(position.T, order="C")
         #: Velocities [m/s], component-major, shape (3, particle_count).
@@ -73,7 +75,7 @@ class State:
         #: `contact.thickness` of the simulation that made the state [m]; None without contact, or if unknown.
         self.thickness: float | None = None
         #: Names of memory of older versions in the state file; the state lacks it, and its rules start afresh.
-        self.left_out: tuple[str, ...] = ()
+        self.dropped_memory: tuple[str, ...] = ()
 
     @property
     def particle_count(self) -> int:
@@ -92,14 +94,14 @@ class State:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return all arrays of the state by name, in the fixed order of the digest."""
-        everything = {_FRAME: np.array(self.frame, dtype=np.int64), _POSITION: self.x, _VELOCITY: self.v}
+        arrays = {_FRAME: np.array(self.frame, dtype=np.int64), _POSITION: self.x, _VELOCITY: self.v}
         for name in sorted(self.memory):
-            everything[_MEMORY + name] = self.memory[name]
-        return everything
+            arrays[_MEMORY + name] = self.memory[name]
+        return arrays
 
     def copy(self) -> State:
         """Return an independent copy."""
-        twin = self.share()
+        twin = self.shallow_copy()
         twin.x, twin.v = self.x.copy(), self.v.copy()
         twin.memory = {name: array.copy() for name, array in self.memory.items()}
         return twin
@@ -107,7 +109,7 @@ class State:
     #: `copy.copy` must not share `memory` with the original.
     __copy__ = copy
 
-    def share(self) -> State:
+    def shallow_copy(self) -> State:
         """Return a shallow copy with the same arrays, also in its memory.
 
         Code that moves a state replaces its arrays and never writes into them.
@@ -116,31 +118,31 @@ class State:
         twin.x, twin.v = self.x, self.v
         twin.frame = self.frame
         twin.cloth, twin.thickness = self.cloth, self.thickness
-        twin.left_out = self.left_out
+        twin.dropped_memory = self.dropped_memory
         twin.memory = dict(self.memory)
         return twin
 
-    def become(self, other: State) -> None:
+    def assign(self, source: State) -> None:
         """Assign all fields of another state, with the same arrays; `restore` copies them."""
-        self.x, self.v = other.x, other.v
-        self.frame, self.cloth, self.left_out = other.frame, other.cloth, other.left_out
-        self.thickness = other.thickness
-        self.memory = dict(other.memory)
+        self.x, self.v = source.x, source.v
+        self.frame, self.cloth, self.dropped_memory = source.frame, source.cloth, source.dropped_memory
+        self.thickness = source.thickness
+        self.memory = dict(source.memory)
 
-    def go_back(self, start: State) -> None:
+    def restore_motion(self, start: State) -> None:
         """Restore positions, velocities, friction anchors and jaws: all that an interval itself changes."""
         self.x, self.v = start.x, start.v
-        for name in (ANCHORS, PINCHED):
+        for name in (ANCHORS_KEY, JAWS_KEY):
             self.memory.pop(name, None)
             if name in start.memory:
                 self.memory[name] = start.memory[name]
 
-    def restore(self, other: State) -> None:
+    def restore(self, source: State) -> None:
         """Copy positions, velocities, frame number and memory from another state."""
-        self.x = other.x.copy()
-        self.v = other.v.copy()
-        self.frame = other.frame
-        self.memory = {name: array.copy() for name, array in other.memory.items()}
+        self.x = source.x.copy()
+        self.v = source.v.copy()
+        self.frame = source.frame
+        self.memory = {name: array.copy() for name, array in source.memory.items()}
 
     def digest(self) -> str:
         """Return the xxh3-128 digest, 32 hexadecimal digits, of every array's name, type, shape and bytes."""
@@ -148,28 +150,28 @@ class State:
 
         hashed, memory = xxhash.xxh3_128(), self.memory
         # Accepts arrays directly; before Python 3.12 no type describes that.
-        take: Any = hashed.update
-        take(_FRAME_TITLE + _FRAME_NUMBER(self.frame))
+        update: Any = hashed.update
+        update(_FRAME_HEADER + _pack_frame(self.frame))
         # The order of `arrays`, without building its dictionary: each recorded frame has a digest.
         for name, array in ((_POSITION, self.x), (_VELOCITY, self.v)):
-            take(_title(name, array.dtype, array.shape))
-            take(array if array.flags.c_contiguous else array.tobytes())
+            update(_array_header(name, array.dtype, array.shape))
+            update(array if array.flags.c_contiguous else array.tobytes())
         for name in sorted(memory):
             array = memory[name]
-            take(_title_of_memory(name, array.dtype, array.shape))
-            take(array if array.flags.c_contiguous else array.tobytes())
+            update(_memory_header(name, array.dtype, array.shape))
+            update(array if array.flags.c_contiguous else array.tobytes())
         return str(hashed.hexdigest())
 
     def to_bytes(self) -> bytes:
         """Return the state as the bytes of an .npz file; the same state gives the same bytes."""
         buffer = io.BytesIO()
-        everything: dict[str, Any] = self.arrays()
+        arrays: dict[str, Any] = self.arrays()
         if self.cloth is not None:
-            everything[_CLOTH] = np.array(self.cloth, dtype=np.int64)
+            arrays[_CLOTH] = np.array(self.cloth, dtype=np.int64)
         if self.thickness is not None:
-            everything[_THICKNESS] = np.array(self.thickness)
+            arrays[_THICKNESS] = np.array(self.thickness)
         # Without `allow_pickle`, which numpy 1.26 would store as one more array; no array contains objects.
-        np.savez(buffer, **everything)
+        np.savez(buffer, **arrays)
         return buffer.getvalue()
 
     @classmethod
@@ -192,10 +194,10 @@ class State:
                 if not name.startswith(_MEMORY):
                     raise ValueError(f"array '{name}' does not belong to a state")
             memory = {name.removeprefix(_MEMORY): array for name, array in arrays.items()}
-            left_out = tuple(name for name in BEFORE if memory.pop(name, None) is not None)
+            dropped_memory = tuple(name for name in LEGACY_KEYS if memory.pop(name, None) is not None)
             state_memory.check(memory, x.shape[1])
             state = cls(x.T, v.T, memory=memory, frame=int(frame), cloth=cloth)
-            state.left_out, state.thickness = left_out, thickness
+            state.dropped_memory, state.thickness = dropped_memory, thickness
             return state
         except ValueError as error:
             raise ValueError(f"not a state file ({error}); one is written by ~/save_state") from error
@@ -231,7 +233,7 @@ def _cloth(array: np.ndarray | None, particle_count: int) -> tuple[int, int, int
         return None
     if array.dtype != np.int64 or array.shape != (3,):
         raise ValueError(f"array '{_CLOTH}' is of type {array.dtype} and shape {array.shape}; it must be three int64")
-    rows, columns, connections = (int(number) for number in array)
+    rows, columns, connections = (int(entry) for entry in array)
     if rows < 1 or columns < 1 or rows * columns != particle_count:
         raise ValueError(
             f"array '{_CLOTH}' has {rows} rows and {columns} columns; there are {particle_count} particles"
@@ -240,16 +242,16 @@ def _cloth(array: np.ndarray | None, particle_count: int) -> tuple[int, int, int
 
 
 @functools.lru_cache(maxsize=1024)
-def _title(name: str, kind: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
+def _array_header(name: str, kind: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
     """Return the digest's header of an array: name, type and shape."""
     return f"{name} {kind.str} {shape};".encode()
 
 
 @functools.lru_cache(maxsize=1024)
-def _title_of_memory(name: str, kind: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
+def _memory_header(name: str, kind: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
     """Return the digest's header of an array in the memory."""
-    return _title(_MEMORY + name, kind, shape)
+    return _array_header(_MEMORY + name, kind, shape)
 
 
 #: Digest of the frame number: header, and the number in an array's bytes.
-_FRAME_TITLE, _FRAME_NUMBER = _title(_FRAME, np.dtype(np.int64), ()), struct.Struct("=q").pack
+_FRAME_HEADER, _pack_frame = _array_header(_FRAME, np.dtype(np.int64), ()), struct.Struct("=q").pack

@@ -8,17 +8,17 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cloth_sim_ros.physics.remembered import (
-    ANCHORS,
+from cloth_sim_ros.physics.controller_state import (
+    ANCHORS_KEY,
+    JAWS_AT_REST_KEY,
+    JAWS_KEY,
     LAYER_SIDES,
-    PINCHED,
-    RULES,
-    SETTLED,
-    SLEEP_ARRAYS,
-    SLEEP_VELOCITY,
-    THICKNESS,
-    Remembered,
-    Sleep,
+    SLEEP_KEYS,
+    SLEEP_VELOCITIES_KEY,
+    STEP_CONTROL_STATES,
+    THICKNESS_KEY,
+    ControllerState,
+    SleepState,
 )
 
 _FLOAT, _INT, _BOOL = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.bool_)
@@ -60,43 +60,48 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
         if array.dtype not in (_FLOAT, _INT, _BOOL):
             raise ValueError(f"memory '{name}' is of type {array.dtype}; it must be float64, int64 or bool")
     if "paused" in memory:
-        _check_one("paused", memory["paused"], _BOOL, (1,))
+        _check_array("paused", memory["paused"], _BOOL, (1,))
     if "relaxed" in memory:
-        _check_one("relaxed", memory["relaxed"], _FLOAT, (1,))
+        _check_array("relaxed", memory["relaxed"], _FLOAT, (1,))
         if not memory["relaxed"][0] >= 1.0:
             raise ValueError(f"memory 'relaxed' is {memory['relaxed'][0]}; it must be at least 1")
-    for name in SLEEP_ARRAYS:
+    for name in SLEEP_KEYS:
         if name in memory:
-            _check_one(name, memory[name], _FLOAT, (3, particle_count))
-    if SLEEP_VELOCITY in memory and Sleep.key not in memory:
-        raise ValueError(f"memory '{Sleep.key}' is missing; a state that sleeps has it")
-    if ANCHORS in memory:
-        anchors = memory[ANCHORS]
-        _check_one(ANCHORS, anchors, _FLOAT, (len(anchors) if anchors.ndim else 0, 4, particle_count))
-        odd = np.argwhere(~np.isin(anchors[:, 3], (0.0, 1.0, 2.0)))
-        if len(odd):
-            obstacle, particle = odd[0].tolist()
+            _check_array(name, memory[name], _FLOAT, (3, particle_count))
+    if SLEEP_VELOCITIES_KEY in memory and SleepState.key not in memory:
+        raise ValueError(f"memory '{SleepState.key}' is missing; a state that sleeps has it")
+    if ANCHORS_KEY in memory:
+        anchors = memory[ANCHORS_KEY]
+        _check_array(ANCHORS_KEY, anchors, _FLOAT, (len(anchors) if anchors.ndim else 0, 4, particle_count))
+        bad_bonds = np.argwhere(~np.isin(anchors[:, 3], (0.0, 1.0, 2.0)))
+        if len(bad_bonds):
+            obstacle, particle = bad_bonds[0].tolist()
             raise ValueError(
-                f"memory '{ANCHORS}' has bond {anchors[obstacle, 3, particle]} of obstacle {obstacle} with particle "
+                f"memory '{ANCHORS_KEY}' has bond {anchors[obstacle, 3, particle]} of obstacle {obstacle} with "
+                f"particle "
                 f"{particle}; it must be 0 (none), 1 (sticks) or 2 (slides)"
             )
-        pads = 2 * len(np.atleast_1d(memory.get(PINCHED, ())))
-        known = len(np.atleast_1d(memory["obstacle.pose"])) if "obstacle.pose" in memory else len(anchors) - pads
+        n_jaws = 2 * len(np.atleast_1d(memory.get(JAWS_KEY, ())))
+        n_obstacles = (
+            len(np.atleast_1d(memory["obstacle.pose"])) if "obstacle.pose" in memory else len(anchors) - n_jaws
+        )
         # Two more rows if layers of the cloth have friction.
-        if len(anchors) - known - pads not in (0, LAYER_SIDES):
-            what = f"obstacles and pads, 'obstacle.pose' of {known} and '{PINCHED}' of {pads}" if pads else ""
-            what = what or f"obstacles, 'obstacle.pose' of {known}"
-            raise ValueError(f"memory '{ANCHORS}' is of {len(anchors)} {what}")
-    if THICKNESS in memory:
-        reduced = memory[THICKNESS]
-        _check_one(THICKNESS, reduced, _FLOAT, (len(reduced) if reduced.ndim else 0, particle_count + 1))
+        if len(anchors) - n_obstacles - n_jaws not in (0, LAYER_SIDES):
+            description = (
+                f"obstacles and pads, 'obstacle.pose' of {n_obstacles} and '{JAWS_KEY}' of {n_jaws}" if n_jaws else ""
+            )
+            description = description or f"obstacles, 'obstacle.pose' of {n_obstacles}"
+            raise ValueError(f"memory '{ANCHORS_KEY}' is of {len(anchors)} {description}")
+    if THICKNESS_KEY in memory:
+        reduced = memory[THICKNESS_KEY]
+        _check_array(THICKNESS_KEY, reduced, _FLOAT, (len(reduced) if reduced.ndim else 0, particle_count + 1))
         if not (reduced > 0.0).all():
-            raise ValueError(f"memory '{THICKNESS}' holds {reduced.min()}; it must be above 0")
-    pinches = len(np.atleast_1d(memory.get(PINCHED, ())))
-    for name, (dtype, length) in {PINCHED: (_FLOAT, (pinches, 2)), SETTLED: (_BOOL, (pinches,))}.items():
+            raise ValueError(f"memory '{THICKNESS_KEY}' holds {reduced.min()}; it must be above 0")
+    n_pinches = len(np.atleast_1d(memory.get(JAWS_KEY, ())))
+    for name, (dtype, length) in {JAWS_KEY: (_FLOAT, (n_pinches, 2)), JAWS_AT_REST_KEY: (_BOOL, (n_pinches,))}.items():
         if name in memory:
-            _check_one(name, memory[name], dtype, length)
-    rules: list[type[Remembered]] = [*RULES, Sleep]
+            _check_array(name, memory[name], dtype, length)
+    rules: list[type[ControllerState]] = [*STEP_CONTROL_STATES, SleepState]
     for rule in rules:
         if rule.key in memory:
             rule.check(memory[rule.key])
@@ -117,33 +122,33 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
 
 
 def _check_table(
-    what: str,
+    contents: str,
     memory: Mapping[str, np.ndarray],
     table: Mapping[str, tuple[np.dtype, tuple[str | int, ...]]],
-    counted: Mapping[str, str],
+    length_arrays: Mapping[str, str],
 ) -> bool:
     """Check arrays that occur together, or none of them; return whether they occur.
 
     Args:
-        what: their owner, for messages.
+        contents: their owner, for messages.
         memory: all arrays.
         table: type and shape of each array.
-        counted: for each letter of the shapes, the array with that length.
+        length_arrays: for each letter of the shapes, the array with that length.
     """
     if not any(name in memory for name in table):
         return False
     for name in table:
         if name not in memory:
-            raise ValueError(f"memory '{name}' is missing; a state with {what} has {', '.join(table)}")
-    sizes = {letter: len(np.atleast_1d(memory[name])) for letter, name in counted.items()}
+            raise ValueError(f"memory '{name}' is missing; a state with {contents} has {', '.join(table)}")
+    sizes = {letter: len(np.atleast_1d(memory[name])) for letter, name in length_arrays.items()}
     sizes |= {f"{letter}+1": size + 1 for letter, size in sizes.items()}
     for name, (dtype, shape) in table.items():
-        wanted = tuple(sizes[length] if isinstance(length, str) else length for length in shape)
-        _check_one(name, memory[name], dtype, wanted)
+        expected_shape = tuple(sizes[length] if isinstance(length, str) else length for length in shape)
+        _check_array(name, memory[name], dtype, expected_shape)
     return True
 
 
-def _check_one(name: str, array: np.ndarray, dtype: np.dtype, shape: tuple[int, ...]) -> None:
+def _check_array(name: str, array: np.ndarray, dtype: np.dtype, shape: tuple[int, ...]) -> None:
     if array.dtype != dtype:
         raise ValueError(f"memory '{name}' is of type {array.dtype}; it must be {dtype}")
     if array.shape != shape:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.replay.survey import round_up
+from cloth_sim_ros.replay.pre_scan import round_up
 from cloth_sim_ros.session.child_process import child_environment, module_command
 from cloth_sim_ros.session.errors import SessionError
 
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     import rerun as rr
 
 #: Exit statuses of `cloth_verify` that come with a certificate.
-_MEASURED = (0, 1, 3, 4)
+_CERTIFIED_STATUSES = (0, 1, 3, 4)
 #: Minimum error of the last colour [m].
-_LEAST_LIMIT = 1e-12
+_MIN_LIMIT = 1e-12
 #: Path, legend and colour of the curve by key of a frame's numbers.
 _CURVES = {
     "promise": ("plots/accuracy/allowed", "allowed", 0xF0F0F0FF),
@@ -41,7 +41,7 @@ _CURVES = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Accuracy:
+class MeasuredAccuracy:
     """Numbers of a certificate."""
 
     rows: dict[int, int]
@@ -78,27 +78,29 @@ def draw_curves(recording: rr.RecordingStream) -> None:
         recording.log(path, rr.SeriesLines(names=[name], colors=[colour]), static=True)
 
 
-def measure(paths: Sequence[Path], folder: Path, particle_count: int) -> Accuracy:
+def measure(paths: Sequence[Path], folder: Path, particle_count: int) -> MeasuredAccuracy:
     """Measure the accuracy of a session. `folder` receives the result files and must exist while the result is used.
 
     Raises:
         SessionError: if it cannot be measured.
     """
-    numbers, particles = folder / "accuracy.json", folder / "particles.f32"
+    certificate_file, particles = folder / "accuracy.json", folder / "particles.f32"
     command = module_command("cloth_sim_ros.verify.main", "--accuracy", *map(str, paths))
-    command += ["--json", str(numbers), "--particles", str(particles)]
+    command += ["--json", str(certificate_file), "--particles", str(particles)]
     # Only its progress bar is shown, not its tables.
-    done = subprocess.run(command, env=child_environment(), stdout=subprocess.DEVNULL, check=False)
-    if done.returncode not in _MEASURED:
-        raise SessionError(f"{paths[0]}: its accuracy cannot be measured (cloth_verify ended with {done.returncode})")
-    frames = json.loads(numbers.read_text(encoding="utf-8"))["frames"]
+    process_result = subprocess.run(command, env=child_environment(), stdout=subprocess.DEVNULL, check=False)
+    if process_result.returncode not in _CERTIFIED_STATUSES:
+        raise SessionError(
+            f"{paths[0]}: its accuracy cannot be measured (cloth_verify ended with {process_result.returncode})"
+        )
+    frames = json.loads(certificate_file.read_text(encoding="utf-8"))["frames"]
     if not frames:
         raise SessionError(f"{paths[0]} holds no frame in which time passes: there is no accuracy to show")
     errors = [frame["error"] for frame in frames if frame["error"] is not None]
     usual = float(np.quantile(errors, 0.9)) if errors else 0.0
-    return Accuracy(
+    return MeasuredAccuracy(
         rows={frame["frame"]: k for k, frame in enumerate(frames)},
         frames=frames,
         particles=np.memmap(particles, dtype="<f4", mode="r", shape=(len(frames), particle_count)),
-        limit=round_up(max(usual, _LEAST_LIMIT)),
+        limit=round_up(max(usual, _MIN_LIMIT)),
     )

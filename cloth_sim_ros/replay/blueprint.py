@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.replay.gripper_view import target_path
 from cloth_sim_ros.replay.plots import PLOTS
+from cloth_sim_ros.replay.pre_scan import PreScan
 from cloth_sim_ros.replay.rows import SIM_TIME
-from cloth_sim_ros.replay.survey import Survey
 
 if TYPE_CHECKING:
     import rerun.blueprint as rrb
@@ -27,35 +27,37 @@ _TRAIL_SECONDS = 1.5
 Floats = NDArray[np.float64]
 
 
-def eye_of(survey: Survey) -> tuple[Floats, Floats]:
+def eye_position(scan: PreScan) -> tuple[Floats, Floats]:
     """Return position and target of the camera [m], on the side of the sheet with the grippers."""
-    target = 0.5 * (survey.low + survey.high)
-    radius = 0.5 * float(np.linalg.norm(survey.high - survey.low))
-    facing = survey.normal * np.array([1.0, 1.0, 0.0])
+    target = 0.5 * (scan.low + scan.high)
+    radius = 0.5 * float(np.linalg.norm(scan.high - scan.low))
+    facing = scan.normal * np.array([1.0, 1.0, 0.0])
     if np.linalg.norm(facing) < 0.3:
         # A lying sheet is shown from any side, at a higher elevation.
-        ahead, elevation, distance = np.array([0.0, -1.0, 0.0]), 40.0, _DISTANCE_LYING
+        forward, elevation, distance = np.array([0.0, -1.0, 0.0]), 40.0, _DISTANCE_LYING
     else:
-        ahead, elevation, distance = facing / np.linalg.norm(facing), _ELEVATION, _DISTANCE
-        sheet = survey.opening.positions.mean(axis=0)
-        side = float(np.mean((survey.grips - sheet) @ ahead)) if len(survey.grips) else -ahead[1]
-        if side < 0.0:
-            ahead = -ahead
-    turn = np.radians(_AZIMUTH)
-    right = np.array([-ahead[1], ahead[0], 0.0])
-    lateral = float(np.mean((survey.grips - target) @ right)) if len(survey.grips) else 0.0
-    way = np.cos(turn) * ahead + np.sin(turn) * (right if lateral >= 0.0 else -right)
-    rise = np.radians(elevation)
-    way = np.cos(rise) * way + np.sin(rise) * np.array([0.0, 0.0, 1.0])
-    return target + distance * radius * way, target
+        forward, elevation, distance = facing / np.linalg.norm(facing), _ELEVATION, _DISTANCE
+        sheet = scan.opening.positions.mean(axis=0)
+        gripper_side = (
+            float(np.mean((scan.gripper_targets - sheet) @ forward)) if len(scan.gripper_targets) else -forward[1]
+        )
+        if gripper_side < 0.0:
+            forward = -forward
+    azimuth = np.radians(_AZIMUTH)
+    right = np.array([-forward[1], forward[0], 0.0])
+    lateral = float(np.mean((scan.gripper_targets - target) @ right)) if len(scan.gripper_targets) else 0.0
+    direction = np.cos(azimuth) * forward + np.sin(azimuth) * (right if lateral >= 0.0 else -right)
+    elevation_angle = np.radians(elevation)
+    direction = np.cos(elevation_angle) * direction + np.sin(elevation_angle) * np.array([0.0, 0.0, 1.0])
+    return target + distance * radius * direction, target
 
 
-def blueprint_of(survey: Survey, *, following: bool = False, picture: bool = False) -> rrb.Blueprint:
+def make_blueprint(scan: PreScan, *, following: bool = False, picture: bool = False) -> rrb.Blueprint:
     """Return the blueprint of a session. `following`: time cursor on the newest frame. `picture`: no menus."""
     import rerun.blueprint as rrb
 
-    position, target = eye_of(survey)
-    floor = float(np.floor(4.0 * survey.low[2]) / 4.0) if abs(survey.low[2]) > 0.3 else 0.0
+    position, target = eye_position(scan)
+    floor = float(np.floor(4.0 * scan.low[2]) / 4.0) if abs(scan.low[2]) > 0.3 else 0.0
     trail = rrb.VisibleTimeRanges(
         timeline=SIM_TIME,
         start=rrb.TimeRangeBoundary.cursor_relative(seconds=-_TRAIL_SECONDS),
@@ -63,17 +65,17 @@ def blueprint_of(survey: Survey, *, following: bool = False, picture: bool = Fal
     )
     view = rrb.Spatial3DView(
         origin="/world",
-        name=_colouring(survey),
+        name=_colouring(scan),
         background=rrb.Background(color=[38, 42, 50]),
         line_grid=rrb.LineGrid3D(visible=True, spacing=0.25, plane=_plane(min(floor, 0.0)), color=[255, 255, 255, 14]),
-        overrides={target_path(start.name): trail for start in survey.opening.grippers},
+        overrides={target_path(start.name): trail for start in scan.opening.grippers},
         eye_controls=rrb.EyeControls3D(position=position.tolist(), look_target=target.tolist(), eye_up=[0, 0, 1]),
     )
-    plots = _plots(survey)
+    plots = _plots(scan)
     columns = rrb.TextLogColumns(timeline_columns=[SIM_TIME], text_log_columns=["Body"])
     plots.append(rrb.TextLogView(origin="/log", name="Events", columns=columns))
     # The accuracy plot comes first, and needs space for its legend.
-    shares = [1.0 if survey.error_limit is None or k else 2.5 for k in range(len(plots))]
+    shares = [1.0 if scan.error_limit is None or k else 2.5 for k in range(len(plots))]
     panels = [rrb.TopPanel(state="hidden")] if picture else []
     return rrb.Blueprint(
         rrb.Horizontal(view, rrb.Vertical(*plots, row_shares=shares), column_shares=[2.4, 1.0]),
@@ -91,17 +93,17 @@ def blueprint_of(survey: Survey, *, following: bool = False, picture: bool = Fal
     )
 
 
-def _colouring(survey: Survey) -> str:
-    if survey.error_limit is not None:
-        return f"Cloth, coloured by error: light 0, red {survey.error_limit:g} m"
-    return f"Cloth, coloured by strain: light 0, red {100.0 * survey.strain_limit:g} %"
+def _colouring(scan: PreScan) -> str:
+    if scan.error_limit is not None:
+        return f"Cloth, coloured by error: light 0, red {scan.error_limit:g} m"
+    return f"Cloth, coloured by strain: light 0, red {100.0 * scan.strain_limit:g} %"
 
 
-def _plots(survey: Survey) -> list[Any]:
+def _plots(scan: PreScan) -> list[Any]:
     import rerun.blueprint as rrb
 
-    felt = len(survey.opening.grippers) + len(survey.opening.obstacles)
-    several = {"plots/energy", "plots/accuracy"} | ({"plots/force"} if felt > 1 else set())
+    n_wrenches = len(scan.opening.grippers) + len(scan.opening.obstacles)
+    several = {"plots/energy", "plots/accuracy"} | ({"plots/force"} if n_wrenches > 1 else set())
     views = {
         path: rrb.TimeSeriesView(
             origin=path,
@@ -110,10 +112,10 @@ def _plots(survey: Survey) -> list[Any]:
                 corner=rrb.Corner2D.LeftBottom if path == "plots/accuracy" else None, visible=path in several
             ),
         )
-        for path in survey.plots
+        for path in scan.plots
     }
-    pace = [views.pop(path) for path in ("plots/pace", "plots/late") if path in views]
-    return [*views.values(), *([rrb.Horizontal(*pace)] if pace else [])]
+    timing_views = [views.pop(path) for path in ("plots/pace", "plots/late") if path in views]
+    return [*views.values(), *([rrb.Horizontal(*timing_views)] if timing_views else [])]
 
 
 def _plane(height: float) -> Any:

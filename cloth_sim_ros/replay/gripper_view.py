@@ -61,12 +61,12 @@ class GripperView:
             recording.log(f"{path}/body", wires, static=True)
             axes = rr.Arrows3D.from_fields(colors=_AXIS_COLOURS, radii=[0.0018 * size])
             recording.log(f"{path}/axes", axes, static=True)
-            for where, colour, radius in (
+            for point_path, colour, radius in (
                 (target_path(name), colours.TRAIL, 0.0022 * size),
                 (held_path(name), colours.HELD, 0.0055 * size),
             ):
                 points = rr.Points3D.from_fields(colors=np.array([colour], np.uint32), radii=[radius])
-                recording.log(where, points, static=True)
+                recording.log(point_path, points, static=True)
 
     def show(self, moment: Moment) -> None:
         """Show the poses of the grippers; after a reset, a gripper without a pose is hidden."""
@@ -86,8 +86,8 @@ class GripperView:
             axes = self._table(f"{path}/axes", rr.Arrows3D, ragged=("vectors",))
             axes.add(moment, vectors=2.0 * np.float32(reach) * _AXES)
             if track.pose is not None:
-                place, turn = track.pose[:3].astype(np.float32), track.pose[3:].astype(np.float32)
-                self._table(path, rr.Transform3D).add(moment, translation=place, quaternion=turn)
+                translation, rotation = track.pose[:3].astype(np.float32), track.pose[3:].astype(np.float32)
+                self._table(path, rr.Transform3D).add(moment, translation=translation, quaternion=rotation)
                 target = self._table(target_path(name), rr.Points3D)
                 target.add(moment, positions=track.target[:3].astype(np.float32))
 
@@ -100,5 +100,5 @@ class GripperView:
         """Show held particles."""
         import rerun as rr
 
-        for name, places in held.items():
-            self._table(held_path(name), rr.Points3D, ragged=("positions",)).add(moment, positions=places)
+        for name, positions in held.items():
+            self._table(held_path(name), rr.Points3D, ragged=("positions",)).add(moment, positions=positions)

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.replay.scene_text import Opening
+from cloth_sim_ros.replay.opening import Opening
 from cloth_sim_ros.session.frame_record import FrameRecord
 
 Floats = NDArray[np.float64]
@@ -43,7 +43,7 @@ class GripperTrack:
         #: Indices of the held particles; None if no cloud shows their positions at the grasp.
         self.held: NDArray[np.intp] | None = held.astype(np.intp)
 
-    def aim(self, position: Floats, orientation: Floats | None) -> None:
+    def set_target(self, position: Floats, orientation: Floats | None) -> None:
         """Set the target; the first one places the gripper."""
         self.target[:3] = position
         if orientation is not None:
@@ -51,7 +51,7 @@ class GripperTrack:
         if self.pose is None:
             self.pose = self.target.copy()
 
-    def arrive(self, pose: Floats | None, *, halted: bool) -> None:
+    def end_frame(self, pose: Floats | None, *, is_stopped: bool) -> None:
         """Move to the pose at the end of a frame.
 
         Args:
@@ -60,7 +60,7 @@ class GripperTrack:
         """
         if pose is not None:
             self.pose = pose
-            if halted:
+            if is_stopped:
                 self.target = pose.copy()
         elif self.pose is not None:
             self.pose = self.target.copy()
@@ -74,8 +74,8 @@ class GripperTrack:
             return
         self.held = None
         if xyz is not None:
-            near = np.linalg.norm(xyz - self.pose[:3], axis=1) <= radius
-            self.held = np.flatnonzero(near & free)
+            in_reach = np.linalg.norm(xyz - self.pose[:3], axis=1) <= radius
+            self.held = np.flatnonzero(in_reach & free)
 
     def open(self) -> None:
         """Open and release the particles."""
@@ -90,7 +90,7 @@ class GripperTracks:
         #: Maximum distance at which a gripper grasps particles [m].
         self.radius = opening.gripper_radius
         self._free = np.ones(len(opening.positions), dtype=bool)
-        self.anchor(anchored)
+        self.set_anchored(anchored)
         self.tracks = {
             start.name: GripperTrack(
                 start.name,
@@ -103,7 +103,7 @@ class GripperTracks:
             for start in opening.grippers
         }
 
-    def anchor(self, particles: NDArray[np.intp]) -> None:
+    def set_anchored(self, particles: NDArray[np.intp]) -> None:
         """Set the anchored particles, which grippers do not grasp."""
         self._free[:] = True
         self._free[particles] = False
@@ -126,8 +126,8 @@ class GripperTracks:
             kind = event.get("kind")
             track = self.tracks.get(str(event.get("gripper", "")))
             if kind == "target" and track is not None:
-                turn = event.get("orientation")
-                track.aim(np.array(event["position"]), None if turn is None else np.array(turn))
+                orientation = event.get("orientation")
+                track.set_target(np.array(event["position"]), None if orientation is None else np.array(orientation))
             elif kind == "grasp" and track is not None:
                 if event["closed"]:
                     track.close(positions_before(), self._free, self.radius)
@@ -140,10 +140,10 @@ class GripperTracks:
             counts.append(None if track is None or track.held is None else len(track.held))
         # Not by the number of steps: a sleeping cloth takes none while time passes.
         if not record.paused or any(event.get("kind") == "step" for event in record.events):
-            poses, halted = record.extras.get("poses", {}), record.extras.get("halted", ())
+            poses, stopped = record.extras.get("poses", {}), record.extras.get("halted", ())
             for name, track in self.tracks.items():
                 pose = np.array(poses[name], dtype=np.float64) if name in poses else None
-                track.arrive(pose, halted=name in halted)
+                track.end_frame(pose, is_stopped=name in stopped)
         return counts
 
     def _reset(self) -> None:

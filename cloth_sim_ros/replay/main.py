@@ -15,11 +15,11 @@ from cloth_sim_ros.session.console import escape_unencodable
 from cloth_sim_ros.session.errors import SessionError
 
 #: Exit statuses: success; a missing requirement of this machine; a wrong session or command line.
-DONE, CANNOT, WRONG = 0, 1, 2
+DONE, UNAVAILABLE, INVALID = 0, 1, 2
 
-_LARGEST_SIZE = 8192
+_MAX_PIXELS = 8192
 #: Maximum time of the viewer, which counts nanoseconds in 64 bits [s].
-_LONGEST = 9e9
+_MAX_TIME = 9e9
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -30,9 +30,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _check(parser, options)
     if importlib.util.find_spec("rerun") is None:
         print("cloth_replay needs the Rerun viewer: pip install 'cloth_sim_ros[replay]'", file=sys.stderr)
-        return CANNOT
+        return UNAVAILABLE
     from cloth_sim_ros.replay import show
-    from cloth_sim_ros.session.outputs import check_outputs
+    from cloth_sim_ros.session.output_files import check_outputs
 
     try:
         check_outputs(
@@ -68,15 +68,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             )
     except SessionError as error:
         print(f"cloth_replay: {error}", file=sys.stderr)
-        return WRONG
+        return INVALID
     except ViewerError as error:
         print(f"cloth_replay: {error}", file=sys.stderr)
-        return CANNOT
+        return UNAVAILABLE
     except OSError as error:
         print(f"cloth_replay: {error.filename or 'output'}: {error.strerror or error}", file=sys.stderr)
-        return CANNOT
+        return UNAVAILABLE
     except KeyboardInterrupt:
-        return CANNOT
+        return UNAVAILABLE
     return DONE
 
 
@@ -123,16 +123,16 @@ def _check(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None
         parser.error("--screenshot shows one moment: it takes --at, not --follow or --every")
     if options.at is not None and options.screenshot is None:
         parser.error("--at is the time of a picture: it needs --screenshot")
-    if options.at is not None and not abs(options.at) <= _LONGEST:
-        parser.error(f"--at {options.at:g}: it must be a number of seconds, at most {_LONGEST:g}")
+    if options.at is not None and not abs(options.at) <= _MAX_TIME:
+        parser.error(f"--at {options.at:g}: it must be a number of seconds, at most {_MAX_TIME:g}")
 
 
 def _size(text: str) -> tuple[int, int]:
     width, _, height = text.lower().partition("x")
     if not (width.isdecimal() and height.isdecimal()):
         raise argparse.ArgumentTypeError(f"'{text}' is not a size; write it as 1600x900")
-    if not all(200 <= int(side) <= _LARGEST_SIZE for side in (width, height)):
-        raise argparse.ArgumentTypeError(f"'{text}': either side must be within 200 and {_LARGEST_SIZE}")
+    if not all(200 <= int(length) <= _MAX_PIXELS for length in (width, height)):
+        raise argparse.ArgumentTypeError(f"'{text}': either side must be within 200 and {_MAX_PIXELS}")
     return int(width), int(height)
 
 

@@ -22,9 +22,9 @@ _CUBE, _SPHERE, _CYLINDER, _TRIANGLES = 1, 2, 3, 11
 _DELETE, _DELETE_ALL = 2, 3
 
 
-def obstacle_path(namespace: str, number: int) -> str:
+def obstacle_path(namespace: str, marker_id: int) -> str:
     """Return the entity path of an obstacle's marker, from the marker's namespace and id."""
-    return f"/world/obstacles/{namespace.rpartition('/')[2]}/{number}"
+    return f"/world/obstacles/{namespace.rpartition('/')[2]}/{marker_id}"
 
 
 class ObstacleView:
@@ -60,11 +60,13 @@ class ObstacleView:
             geometry = _geometry(marker)
             if geometry is None:
                 continue
-            key, told = (path, marker.type), b"".join(array.tobytes() for array in geometry.values())
-            if self._shown.get(key) != told:
-                self._hide(moment, [other for other in self._shown if other[0] == path and other != key])
+            key, shape_bytes = (path, marker.type), b"".join(array.tobytes() for array in geometry.values())
+            if self._shown.get(key) != shape_bytes:
+                self._hide(
+                    moment, [shown_key for shown_key in self._shown if shown_key[0] == path and shown_key != key]
+                )
                 self._draw(moment, key, geometry, marker.color)
-                self._shown[key] = told
+                self._shown[key] = shape_bytes
             p, q = marker.pose.position, marker.pose.orientation
             self._table(path, rr.Transform3D).add(
                 moment,
@@ -77,7 +79,7 @@ class ObstacleView:
     ) -> None:
         path, kind = key
         if key not in self._shown:
-            self._recording.log(path, _look(kind, colour), static=True)
+            self._recording.log(path, _static_components(kind, colour), static=True)
         self._table(path, _archetype(kind), ragged=tuple(geometry)).add(moment, **geometry)
 
     def _hide(self, moment: Moment, keys: list[tuple[str, int]]) -> None:
@@ -102,15 +104,15 @@ def _archetype(kind: int) -> Any:
     return {_CUBE: rr.Boxes3D, _SPHERE: rr.Ellipsoids3D, _CYLINDER: rr.Cylinders3D, _TRIANGLES: rr.Mesh3D}[kind]
 
 
-def _look(kind: int, colour: Any) -> Any:
+def _static_components(kind: int, colour: Any) -> Any:
     """Return the static components of a marker."""
     import rerun as rr
 
     rgba = np.array([[colour.r, colour.g, colour.b, colour.a]]) * 255.0
-    shade = np.ascontiguousarray(rgba.round().astype(np.uint8)).view(">u4")[:, 0].astype(np.uint32)
+    packed_colour = np.ascontiguousarray(rgba.round().astype(np.uint8)).view(">u4")[:, 0].astype(np.uint32)
     if kind == _TRIANGLES:
-        return rr.Mesh3D.from_fields(albedo_factor=shade)
-    return _archetype(kind).from_fields(fill_mode=rr.components.FillMode.Solid, colors=shade)
+        return rr.Mesh3D.from_fields(albedo_factor=packed_colour)
+    return _archetype(kind).from_fields(fill_mode=rr.components.FillMode.Solid, colors=packed_colour)
 
 
 def _geometry(marker: Any) -> dict[str, NDArray[np.float32]] | None:

@@ -29,13 +29,13 @@ PLOTS = {
 ACCURACY = ("plots/accuracy", "plots/growth", "plots/strain", "plots/steps")
 
 #: Patterns of recorded names, with the path of their plot.
-_PLACES = (
+_PLOT_PATTERNS = (
     (re.compile(r"real[- ]?time factor(?! overall)"), "plots/pace"),
     (re.compile(r"\blate\b"), "plots/late"),
     (re.compile(r"energy|balance|dissipat|\bwork\b"), "plots/energy"),
     (re.compile(r"error estimate|accuracy error"), "plots/error"),
 )
-_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?![\w.])")
+_NUMBER_PATTERN = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?![\w.])")
 
 
 def diagnostic_numbers(data: bytes) -> Iterator[tuple[str, float]]:
@@ -43,10 +43,10 @@ def diagnostic_numbers(data: bytes) -> Iterator[tuple[str, float]]:
     message = decode(data, "diagnostic_msgs/msg/DiagnosticArray")
     for status in message.status:
         for pair in status.values:
-            found = _NUMBER.match(pair.value)
-            place = _place(pair.key)
-            if found and place:
-                yield place, float(found.group(1))
+            match = _NUMBER_PATTERN.match(pair.value)
+            plot_path = _plot_path(pair.key)
+            if match and plot_path:
+                yield plot_path, float(match.group(1))
 
 
 def extra_numbers(extras: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, float]]:
@@ -56,14 +56,14 @@ def extra_numbers(extras: Mapping[str, Any], prefix: str = "") -> Iterator[tuple
         if isinstance(value, Mapping):
             yield from extra_numbers(value, f"{name} ")
         elif isinstance(value, int | float):
-            place = _place(name)
-            if place:
-                yield place, float(value)
+            plot_path = _plot_path(name)
+            if plot_path:
+                yield plot_path, float(value)
 
 
-def _place(name: str) -> str | None:
+def _plot_path(name: str) -> str | None:
     plain = name.lower().replace("_", " ")
-    for pattern, path in _PLACES:
+    for pattern, path in _PLOT_PATTERNS:
         if pattern.search(plain):
             return f"{path}/{re.sub(r'[^a-z0-9]+', '_', plain).strip('_')}"
     return None

@@ -14,14 +14,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cloth_sim_ros.replay.accuracy import Accuracy, measure
-from cloth_sim_ros.replay.blueprint import blueprint_of
+from cloth_sim_ros.replay.accuracy import MeasuredAccuracy, measure
+from cloth_sim_ros.replay.blueprint import make_blueprint
 from cloth_sim_ros.replay.plots import ACCURACY
-from cloth_sim_ros.replay.stream import Stream
-from cloth_sim_ros.replay.survey import Survey, survey
+from cloth_sim_ros.replay.pre_scan import PreScan, scan_session
+from cloth_sim_ros.replay.stream import ReplayStream
 from cloth_sim_ros.replay.viewer import check_screen, open_window, save_screenshot
 from cloth_sim_ros.session.errors import SessionError
-from cloth_sim_ros.session.outputs import written_whole
+from cloth_sim_ros.session.output_files import atomic_write
 from cloth_sim_ros.session.reader import SessionReader
 
 if TYPE_CHECKING:
@@ -48,14 +48,14 @@ def save_recording(
     The file appears when it is complete; with `follow` it appears at once and grows.
     """
     with SessionReader(list(paths)) as reader, contextlib.ExitStack() as stack:
-        seen = _look(reader, strain_limit, follow)
-        place = out if follow else stack.enter_context(written_whole(out))
-        seen, measured = stack.enter_context(_measured(paths, seen, accuracy))
+        scan = _scan(reader, strain_limit, follow)
+        target = out if follow else stack.enter_context(atomic_write(out))
+        scan, measured = stack.enter_context(_with_accuracy(paths, scan, accuracy))
         recording = _recording(reader)
-        recording.save(place, default_blueprint=blueprint_of(seen))
-        _play(reader, Stream(recording, seen, node=reader.node, every=every, accuracy=measured), follow)
+        recording.save(target, default_blueprint=make_blueprint(scan))
+        _play(reader, ReplayStream(recording, scan, node=reader.node, every=every, accuracy=measured), follow)
         recording.disconnect()
-        _tell_missing(reader)
+        _print_missing(reader)
 
 
 def open_viewer(
@@ -69,13 +69,13 @@ def open_viewer(
     """Show a session in a viewer's window. Raises SessionError, or ViewerError without a screen."""
     check_screen()
     with SessionReader(list(paths)) as reader, contextlib.ExitStack() as stack:
-        seen = _look(reader, strain_limit, follow)
-        seen, measured = stack.enter_context(_measured(paths, seen, accuracy))
+        scan = _scan(reader, strain_limit, follow)
+        scan, measured = stack.enter_context(_with_accuracy(paths, scan, accuracy))
         recording = _recording(reader)
-        recording.connect_grpc(open_window(), default_blueprint=blueprint_of(seen, following=follow))
-        _play(reader, Stream(recording, seen, node=reader.node, every=every, accuracy=measured), follow)
+        recording.connect_grpc(open_window(), default_blueprint=make_blueprint(scan, following=follow))
+        _play(reader, ReplayStream(recording, scan, node=reader.node, every=every, accuracy=measured), follow)
         recording.disconnect()
-        _tell_missing(reader)
+        _print_missing(reader)
 
 
 def save_picture(
@@ -99,37 +99,39 @@ def save_picture(
         tempfile.TemporaryDirectory(prefix="cloth_replay_") as folder,
         contextlib.ExitStack() as stack,
     ):
-        seen = survey(reader, strain_limit=strain_limit)
-        picture = stack.enter_context(written_whole(out))
-        seen, measured = stack.enter_context(_measured(paths, seen, accuracy))
+        scan = scan_session(reader, strain_limit=strain_limit)
+        picture = stack.enter_context(atomic_write(out))
+        scan, measured = stack.enter_context(_with_accuracy(paths, scan, accuracy))
         rrd = Path(folder) / "picture.rrd"
         recording = _recording(reader)
-        recording.save(rrd, default_blueprint=blueprint_of(seen, picture=True))
-        only = math.inf if at is None else at
-        stream = Stream(recording, seen, node=reader.node, only=only, accuracy=measured)
+        recording.save(rrd, default_blueprint=make_blueprint(scan, picture=True))
+        last_time = math.inf if at is None else at
+        stream = ReplayStream(recording, scan, node=reader.node, last_time=last_time, accuracy=measured)
         _play(reader, stream, follow=False)
         recording.disconnect()
-        _tell_missing(reader)
+        _print_missing(reader)
         if not stream.clouds_seen:
             raise SessionError(f"{paths[0]} holds no clouds: there is nothing to draw")
         save_screenshot(rrd, picture, at=stream.time if at is None else at, size=size)
 
 
 @contextlib.contextmanager
-def _measured(paths: Sequence[Path], seen: Survey, wanted: bool) -> Iterator[tuple[Survey, Accuracy | None]]:
+def _with_accuracy(
+    paths: Sequence[Path], scan: PreScan, is_requested: bool
+) -> Iterator[tuple[PreScan, MeasuredAccuracy | None]]:
     """Yield the scan and, if requested, the accuracy, whose files exist until the end of the context."""
-    if not wanted:
-        yield seen, None
+    if not is_requested:
+        yield scan, None
         return
     with tempfile.TemporaryDirectory(prefix="cloth_replay_") as folder:
-        measured = measure(paths, Path(folder), len(seen.opening.positions))
-        yield dataclasses.replace(seen, plots=ACCURACY, error_limit=measured.limit), measured
+        measured = measure(paths, Path(folder), len(scan.opening.positions))
+        yield dataclasses.replace(scan, plots=ACCURACY, error_limit=measured.limit), measured
 
 
-def _look(reader: SessionReader, strain_limit: float | None, follow: bool) -> Survey:
+def _scan(reader: SessionReader, strain_limit: float | None, follow: bool) -> PreScan:
     if follow:
         _wait_for_surface(reader)
-    return survey(reader, strain_limit=strain_limit, followed=follow)
+    return scan_session(reader, strain_limit=strain_limit, is_followed=follow)
 
 
 def _wait_for_surface(reader: SessionReader) -> None:
@@ -138,7 +140,7 @@ def _wait_for_surface(reader: SessionReader) -> None:
         time.sleep(_POLL)
 
 
-def _play(reader: SessionReader, stream: Stream, follow: bool) -> None:
+def _play(reader: SessionReader, stream: ReplayStream, follow: bool) -> None:
     if not follow:
         stream.add_all(_with_progress(reader, reader.messages(stream.topics)))
         return
@@ -176,6 +178,6 @@ def _recording(reader: SessionReader) -> rr.RecordingStream:
     return recording
 
 
-def _tell_missing(reader: SessionReader) -> None:
+def _print_missing(reader: SessionReader) -> None:
     if reader.missing:
         print(f"cloth_replay: {reader.missing}", file=sys.stderr)

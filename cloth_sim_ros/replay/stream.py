@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.replay import colours
-from cloth_sim_ros.replay.accuracy import Accuracy, draw_curves
+from cloth_sim_ros.replay.accuracy import MeasuredAccuracy, draw_curves
 from cloth_sim_ros.replay.gripper_view import GripperView
 from cloth_sim_ros.replay.grippers import GripperTracks
 from cloth_sim_ros.replay.obstacle_view import ObstacleView
 from cloth_sim_ros.replay.plots import DIAGNOSTICS_TOPIC, diagnostic_numbers, extra_numbers
+from cloth_sim_ros.replay.pre_scan import PreScan, check_fit
 from cloth_sim_ros.replay.rows import Moment, Rows
-from cloth_sim_ros.replay.survey import Survey, check_fit
 from cloth_sim_ros.session.cdr import decode, decode_cloud
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.frame_record import FrameRecord
@@ -28,17 +28,17 @@ if TYPE_CHECKING:
     import rerun as rr
 
 #: Batch size of an entity [bytes]: large enough to hide the cost of a call, small enough for the processor's cache.
-_BATCH = 2 << 20
+_BATCH_BYTES = 2 << 20
 #: Maximum number of rows in a batch of an entity.
-_MOST_ROWS = 4096
+_MAX_ROWS = 4096
 #: Maximum size of the batches sent without a flush to the disk or the viewer [bytes].
-_IN_FLIGHT = 64 << 20
+_MAX_UNFLUSHED = 64 << 20
 _WRENCH, _STATUS = "geometry_msgs/msg/WrenchStamped", "diagnostic_msgs/msg/DiagnosticStatus"
 
 CLOTH, ANCHORS, PLOTS, LOG = "/world/cloth", "/world/anchors", "/plots", "/log"
 
 
-class _Shown(NamedTuple):
+class _ShownCloud(NamedTuple):
     """A cloud with its normals and colours."""
 
     moment: Moment
@@ -49,7 +49,7 @@ class _Shown(NamedTuple):
     held: dict[str, NDArray[np.float32]]
 
 
-class Stream:
+class ReplayStream:
     """Shows the messages of one session.
 
     Args:
@@ -64,31 +64,31 @@ class Stream:
     def __init__(
         self,
         recording: rr.RecordingStream,
-        survey: Survey,
+        scan: PreScan,
         *,
         node: str,
         every: int = 1,
-        only: float | None = None,
-        accuracy: Accuracy | None = None,
+        last_time: float | None = None,
+        accuracy: MeasuredAccuracy | None = None,
     ) -> None:
         import rerun as rr
 
         self._accuracy = accuracy
         self._recording = recording
-        self._survey = survey
+        self._scan = scan
         self._points, self._frame, self._obstacles = f"{node}/points", f"{node}/frame", f"{node}/obstacles"
-        felt = [*(start.name for start in survey.opening.grippers), *survey.opening.obstacles]
-        self._wrenches = {f"{node}/{name}/wrench": name for name in felt}
-        self._states = {f"{node}/{start.name}/state": start.name for start in survey.opening.grippers}
-        self._every, self._only = every, only
-        self._anchored = survey.opening.anchored(survey.rows, survey.columns)
-        self._grippers = GripperTracks(survey.opening, self._anchored)
+        wrench_sources = [*(start.name for start in scan.opening.grippers), *scan.opening.obstacles]
+        self._wrenches = {f"{node}/{name}/wrench": name for name in wrench_sources}
+        self._states = {f"{node}/{start.name}/state": start.name for start in scan.opening.grippers}
+        self._every, self._last_time = every, last_time
+        self._anchored = scan.opening.anchored(scan.rows, scan.columns)
+        self._grippers = GripperTracks(scan.opening, self._anchored)
         #: True if any particle was anchored so far.
-        self._pinned = len(self._anchored) > 0
-        self._before: Message | None = None
+        self._has_anchors = len(self._anchored) > 0
+        self._last_cloud: Message | None = None
         #: Frame indices of the newest record and of the newest cloud; None before the first.
-        self._recorded: int | None = None
-        self._clouded: int | None = None
+        self._recorded_frame: int | None = None
+        self._cloud_frame: int | None = None
         #: Events of the newest frame: time, event, number of held particles by a cloud. Logged after the node has
         #: sent the states of its grippers.
         self._events: list[tuple[Moment, Any, int | None]] = []
@@ -96,10 +96,10 @@ class Stream:
         self._tables: dict[str, Rows] = {}
         self._view = GripperView(self._grippers, self._table)
         self._solids = ObstacleView(recording, self._table)
-        self._mesh = self._table(CLOTH, rr.Mesh3D)
-        self._pins = self._table(ANCHORS, rr.Points3D, ragged=("positions",))
-        self._kept: _Shown | None = None
-        self._sent = 0
+        self._cloth_rows = self._table(CLOTH, rr.Mesh3D)
+        self._anchor_rows = self._table(ANCHORS, rr.Points3D, ragged=("positions",))
+        self._pending_cloud: _ShownCloud | None = None
+        self._unflushed = 0
         #: Number of clouds in the messages, and of those shown.
         self.clouds_seen = self.clouds_shown = 0
         self._start()
@@ -141,7 +141,7 @@ class Stream:
             entry = decode(message.data, "rcl_interfaces/msg/Log")
             # Entries below a warning repeat the events.
             if entry.level in _LEVELS:
-                self._say(self._moment._replace(ros_time=message.log_time), entry.msg, _LEVELS[entry.level])
+                self._log_text(self._moment._replace(ros_time=message.log_time), entry.msg, _LEVELS[entry.level])
 
     def add_all(self, messages: Iterable[Message]) -> None:
         """Show all messages."""
@@ -157,10 +157,10 @@ class Stream:
 
     def finish(self) -> None:
         """Show the pending cloud, and send the collected rows."""
-        self._tell_events()
-        if self._kept is not None:
-            self._show(self._kept)
-            self._kept = None
+        self._log_events()
+        if self._pending_cloud is not None:
+            self._show(self._pending_cloud)
+            self._pending_cloud = None
         self.flush()
 
     def _start(self) -> None:
@@ -168,8 +168,8 @@ class Stream:
 
         recording = self._recording
         recording.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        recording.log(CLOTH, rr.Mesh3D.from_fields(triangle_indices=self._survey.triangles), static=True)
-        size = float(np.linalg.norm(self._survey.high - self._survey.low))
+        recording.log(CLOTH, rr.Mesh3D.from_fields(triangle_indices=self._scan.triangles), static=True)
+        size = float(np.linalg.norm(self._scan.high - self._scan.low))
         recording.log(
             ANCHORS,
             rr.Points3D.from_fields(colors=np.array([colours.ANCHOR], np.uint32), radii=[0.0035 * size]),
@@ -182,11 +182,11 @@ class Stream:
     def _add_frame(self, message: Message) -> None:
         record = read_frame(message)
         moment = self._moment = Moment(record.time, message.log_time, record.frame)
-        self._tell_events()
+        self._log_events()
         try:
             counts = self._grippers.advance(record, lambda: self._positions_before(record))
-            self._recorded = record.frame
-            self._anchor(record)
+            self._recorded_frame = record.frame
+            self._update_anchors(record)
         except (TypeError, ValueError, OverflowError) as error:
             # A file may hold parameters of any type.
             raise SessionError(f"the record of frame {record.frame} has an invalid event: {error}") from error
@@ -202,70 +202,70 @@ class Stream:
     def _add_gripper_state(self, message: Message) -> None:
         """Correct the count of the newest grasp from the gripper's state, which the node sends after the frame."""
         name = self._states[message.topic]
-        said = {entry.key: entry.value for entry in decode(message.data, _STATUS).values}
-        if said.get("closed") != "true" or not said.get("held", "").isdecimal():
+        state_texts = {entry.key: entry.value for entry in decode(message.data, _STATUS).values}
+        if state_texts.get("closed") != "true" or not state_texts.get("held", "").isdecimal():
             return  # A reset of the same frame has opened it again.
         for k, (moment, event, _) in reversed(list(enumerate(self._events))):
             if event.get("kind") == "grasp" and event["gripper"] == name:
-                self._events[k] = moment, event, int(said["held"])
+                self._events[k] = moment, event, int(state_texts["held"])
                 return
 
-    def _tell_events(self) -> None:
+    def _log_events(self) -> None:
         for moment, event, count in self._events:
             track = self._grippers.tracks.get(str(event.get("gripper", "")))
-            told = _story(event, count, pinches=track is not None and track.pinches)
-            if told:
-                self._say(moment, told, "INFO")
+            text = _describe_event(event, count, pinches=track is not None and track.pinches)
+            if text:
+                self._log_text(moment, text, "INFO")
         self._events = []
 
-    def _anchor(self, record: FrameRecord) -> None:
+    def _update_anchors(self, record: FrameRecord) -> None:
         """Update the anchors that a frame has changed, after its grasps."""
         for event in record.events:
             anchors = event["values"].get("cloth.anchors") if event.get("kind") == "set_parameters" else None
             if anchors is not None:
-                survey = self._survey
-                self._anchored = survey.opening.anchored(survey.rows, survey.columns, anchors)
-                self._grippers.anchor(self._anchored)
-                self._pinned = self._pinned or len(self._anchored) > 0
+                scan = self._scan
+                self._anchored = scan.opening.anchored(scan.rows, scan.columns, anchors)
+                self._grippers.set_anchored(self._anchored)
+                self._has_anchors = self._has_anchors or len(self._anchored) > 0
 
     def _add_cloud(self, message: Message) -> None:
-        self._before, self._clouded = message, self._recorded
+        self._last_cloud, self._cloud_frame = message, self._recorded_frame
         self.clouds_seen += 1
         if (self.clouds_seen - 1) % self._every:
             return
         cloud = decode_cloud(message.data)
-        check_fit(cloud, len(self._survey.opening.positions))
+        check_fit(cloud, len(self._scan.opening.positions))
         xyz = np.ascontiguousarray(cloud.xyz, dtype=np.float32)
         normals, strain = np.empty_like(xyz), np.empty(len(xyz), np.float32)
         # Strains use double precision if available: far from the origin, single precision is too coarse.
-        self._survey.measures.measure(xyz if cloud.xyz.itemsize == 4 else cloud.xyz, normals, strain)
+        self._scan.geometry.compute(xyz if cloud.xyz.itemsize == 4 else cloud.xyz, normals, strain)
         # A cloud without a frame record is shown at the last known simulated time.
         moment = self._moment._replace(ros_time=message.log_time)
         self._scalar("plots/strain/largest_strain", moment, 100.0 * float(strain.max()))
         shade = strain if self._accuracy is None else self._accuracy.errors(moment.frame)
-        shown = _Shown(moment, xyz, normals, shade, self._view.held(xyz))
-        if self._only is None:
+        shown = _ShownCloud(moment, xyz, normals, shade, self._view.held(xyz))
+        if self._last_time is None:
             self._show(shown)
-        elif self._kept is None or moment.sim_time <= self._only:
-            self._kept = shown
+        elif self._pending_cloud is None or moment.sim_time <= self._last_time:
+            self._pending_cloud = shown
         for table in self._tables.values():
-            if table.size >= _BATCH or len(table) >= _MOST_ROWS:
-                self._sent += table.size
+            if table.size >= _BATCH_BYTES or len(table) >= _MAX_ROWS:
+                self._unflushed += table.size
                 table.send(self._recording)
-        if self._sent >= _IN_FLIGHT:
+        if self._unflushed >= _MAX_UNFLUSHED:
             # Wait here, otherwise a slow disk or viewer would let the memory grow.
-            self._sent = 0
+            self._unflushed = 0
             self._recording.flush()
 
-    def _show(self, shown: _Shown) -> None:
+    def _show(self, shown: _ShownCloud) -> None:
 
         moment, xyz, normals, shade, held = shown
         colour = np.empty(len(xyz), np.uint32)
-        limit = self._survey.strain_limit if self._accuracy is None else self._accuracy.limit
+        limit = self._scan.strain_limit if self._accuracy is None else self._accuracy.limit
         colours.strain_colours(shade, limit, colour)
-        self._mesh.add(moment, vertex_positions=xyz, vertex_normals=normals, vertex_colors=colour)
-        if self._pinned:
-            self._pins.add(moment, positions=xyz[self._anchored])
+        self._cloth_rows.add(moment, vertex_positions=xyz, vertex_normals=normals, vertex_colors=colour)
+        if self._has_anchors:
+            self._anchor_rows.add(moment, positions=xyz[self._anchored])
         self._view.show_held(moment, held)
         self.clouds_shown += 1
 
@@ -277,18 +277,22 @@ class Stream:
 
     def _positions_before(self, record: FrameRecord) -> NDArray[np.floating] | None:
         """Return the positions before a frame (n, 3) [m], from the state or the last cloud; None if unknown."""
-        if self._recorded is None:
-            return self._survey.opening.positions
-        if self._before is None or self._clouded != self._recorded or record.frame > self._recorded + 1:
+        if self._recorded_frame is None:
+            return self._scan.opening.positions
+        if (
+            self._last_cloud is None
+            or self._cloud_frame != self._recorded_frame
+            or record.frame > self._recorded_frame + 1
+        ):
             return None
-        return decode_cloud(self._before.data).xyz
+        return decode_cloud(self._last_cloud.data).xyz
 
     def _scalar(self, path: str, moment: Moment, value: float) -> None:
         import rerun as rr
 
         self._table(f"/{path}", rr.Scalars).add(moment, scalars=value)
 
-    def _say(self, moment: Moment, text: str, level: str) -> None:
+    def _log_text(self, moment: Moment, text: str, level: str) -> None:
         import rerun as rr
 
         self._table(LOG, rr.TextLog).add(moment, text=text, level=level)
@@ -296,17 +300,17 @@ class Stream:
     def _table(self, path: str, archetype: Any, *, ragged: tuple[str, ...] = ()) -> Rows:
         # An entity may have several archetypes, each with separate rows.
         key = f"{path} {archetype.__name__}"
-        found = self._tables.get(key)
-        if found is None:
-            found = self._tables[key] = Rows(path, archetype, ragged=ragged)
-        return found
+        rows = self._tables.get(key)
+        if rows is None:
+            rows = self._tables[key] = Rows(path, archetype, ragged=ragged)
+        return rows
 
 
 #: Levels of rcl_interfaces/Log that are shown.
 _LEVELS = {30: "WARN", 40: "ERROR", 50: "CRITICAL"}
 
 
-def _story(event: Any, count: int | None, *, pinches: bool) -> str:
+def _describe_event(event: Any, count: int | None, *, pinches: bool) -> str:
     """Describe an event; empty for targets, which are drawn.
 
     Args:

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
 
 #: Timeout for the start of the viewer and for loading a recording [s]: a busy machine without a GPU is slow.
-_PATIENCE = 60.0
+_VIEWER_TIMEOUT = 60.0
 #: Interval between screenshots [s]; two equal ones in a row mean that the picture is complete.
-_LOOK_AGAIN = 0.25
+_SCREENSHOT_INTERVAL = 0.25
 
 #: Messages of the viewer without a usable driver; the last one if only an OpenGL driver exists.
 _NO_ADAPTER = (
@@ -38,8 +38,8 @@ _NO_ADAPTER = (
 #: Folders that list Vulkan drivers, one file each, in addition to the environment's list.
 _DRIVER_FOLDERS = ("/usr/share/vulkan/icd.d", "/usr/local/share/vulkan/icd.d", "/etc/vulkan/icd.d")
 #: Irrelevant lines after the viewer's reason, and colour codes.
-_IDLE_WORDS = re.compile(r"troubleshooting rerun|report bugs|stack backtrace|^\d+:|^at |^$", re.IGNORECASE)
-_COLOURS = re.compile(r"\x1b\[[0-9;]*m")
+_NOISE_PATTERN = re.compile(r"troubleshooting rerun|report bugs|stack backtrace|^\d+:|^at |^$", re.IGNORECASE)
+_COLOUR_CODES = re.compile(r"\x1b\[[0-9;]*m")
 
 
 class ViewerError(Exception):
@@ -58,10 +58,10 @@ def check_screen() -> None:
 
 def executable() -> Path:
     """Return the viewer's executable, beside its Python package; no activated environment is needed."""
-    found = importlib.util.find_spec("rerun_cli")
-    if found is None or found.origin is None:
+    spec = importlib.util.find_spec("rerun_cli")
+    if spec is None or spec.origin is None:
         raise ViewerError("the Rerun viewer is not installed: pip install 'cloth_sim_ros[replay]'")
-    return Path(found.origin).parent / ("rerun.exe" if sys.platform == "win32" else "rerun")
+    return Path(spec.origin).parent / ("rerun.exe" if sys.platform == "win32" else "rerun")
 
 
 def open_window() -> str:
@@ -81,7 +81,7 @@ def open_window() -> str:
         env={**os.environ, "RERUN_APP_ONLY": "true"},
         start_new_session=True,
     )
-    end = time.monotonic() + _PATIENCE
+    end = time.monotonic() + _VIEWER_TIMEOUT
     while time.monotonic() < end:
         if viewer.poll() is not None:
             raise ViewerError(f"the viewer ended with status {viewer.returncode}; its messages are above")
@@ -89,7 +89,7 @@ def open_window() -> str:
             return f"rerun+http://127.0.0.1:{port}/proxy"
         time.sleep(0.05)
     viewer.kill()
-    raise ViewerError(f"the viewer did not start within {_PATIENCE:g} s; use --save out.rrd")
+    raise ViewerError(f"the viewer did not start within {_VIEWER_TIMEOUT:g} s; use --save out.rrd")
 
 
 def save_screenshot(rrd: Path, picture: Path, *, at: float | None, size: tuple[int, int]) -> None:
@@ -107,7 +107,7 @@ def save_screenshot(rrd: Path, picture: Path, *, at: float | None, size: tuple[i
                 client.set_time(SIM_TIME, duration=at, play_state="paused")
             painted = _settled_picture(client)
         except (ConnectionError, RuntimeError) as error:
-            raise _why(log, f"gave up painting ({error})") from error
+            raise _viewer_error(log, f"gave up painting ({error})") from error
         picture.write_bytes(painted)
 
 
@@ -139,56 +139,56 @@ def _headless(rrd: Path, size: tuple[int, int]) -> Iterator[tuple[ViewerClient, 
 def _connect(viewer: subprocess.Popen[bytes], port: int, log: Path) -> ViewerClient:
     from rerun.experimental import ViewerClient
 
-    end = time.monotonic() + _PATIENCE
+    end = time.monotonic() + _VIEWER_TIMEOUT
     while time.monotonic() < end:
         if viewer.poll() is not None:
-            raise _why(log, f"ended with status {viewer.returncode}")
+            raise _viewer_error(log, f"ended with status {viewer.returncode}")
         try:
             return ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
         except ConnectionError:
             time.sleep(0.05)
-    raise _why(log, f"did not start within {_PATIENCE:g} s")
+    raise _viewer_error(log, f"did not start within {_VIEWER_TIMEOUT:g} s")
 
 
 def _wait_until_loaded(client: ViewerClient, log: Path) -> None:
-    end = time.monotonic() + _PATIENCE
+    end = time.monotonic() + _VIEWER_TIMEOUT
     while time.monotonic() < end:
         try:
             state = client.get_state()
         except (ConnectionError, RuntimeError) as error:
-            raise _why(log, f"does not answer ({error})") from error
+            raise _viewer_error(log, f"does not answer ({error})") from error
         timelines = {str(getattr(line, "name", line)) for recording in state.recordings for line in recording.timelines}
         if state.active_recording and not state.loading and SIM_TIME in timelines:
             return
         time.sleep(0.1)
-    raise _why(log, f"did not load the recording within {_PATIENCE:g} s")
+    raise _viewer_error(log, f"did not load the recording within {_VIEWER_TIMEOUT:g} s")
 
 
 def _settled_picture(client: ViewerClient) -> bytes:
     """Return the picture after it stopped changing: background loading has ended, notices have faded."""
-    end = time.monotonic() + _PATIENCE
+    end = time.monotonic() + _VIEWER_TIMEOUT
     before = b""
     while time.monotonic() < end:
         picture = client.take_screenshot()
         if picture == before:
             break
         before = picture
-        time.sleep(_LOOK_AGAIN)
+        time.sleep(_SCREENSHOT_INTERVAL)
     return picture
 
 
-def _why(log: Path, what: str) -> ViewerError:
-    output = _COLOURS.sub("", log.read_text(errors="replace"))
-    said = [line.strip() for line in output.splitlines() if not _IDLE_WORDS.search(line.strip())]
+def _viewer_error(log: Path, problem: str) -> ViewerError:
+    output = _COLOUR_CODES.sub("", log.read_text(errors="replace"))
+    lines = [line.strip() for line in output.splitlines() if not _NOISE_PATTERN.search(line.strip())]
     # A panic has its reason in one line; otherwise the last lines count.
-    reason = next((line for line in said if "panicked at" in line), " / ".join(said[-3:])) or "nothing"
+    reason = next((line for line in lines if "panicked at" in line), " / ".join(lines[-3:])) or "nothing"
     driver = "" if _lists_a_driver() else ": none is installed here"
-    if driver or any(sign in output.lower() for sign in _NO_ADAPTER):
+    if driver or any(phrase in output.lower() for phrase in _NO_ADAPTER):
         return ViewerError(
             f"painting needs a Vulkan driver, and the viewer found none that serves{driver}; install one that needs no "
-            f"graphics card: apt-get install mesa-vulkan-drivers (the viewer {what}; it said: {reason})"
+            f"graphics card: apt-get install mesa-vulkan-drivers (the viewer {problem}; it said: {reason})"
         )
-    return ViewerError(f"the viewer {what}; it said: {reason}")
+    return ViewerError(f"the viewer {problem}; it said: {reason}")
 
 
 def _lists_a_driver() -> bool:
@@ -198,8 +198,8 @@ def _lists_a_driver() -> bool:
     named = os.environ.get("VK_DRIVER_FILES") or os.environ.get("VK_ICD_FILENAMES")
     if named:
         return any(Path(name).exists() for name in named.split(os.pathsep))
-    own = Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "vulkan" / "icd.d"
-    return any(next(Path(folder).glob("*.json"), None) for folder in (*_DRIVER_FOLDERS, own))
+    user_folder = Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "vulkan" / "icd.d"
+    return any(next(Path(folder).glob("*.json"), None) for folder in (*_DRIVER_FOLDERS, user_folder))
 
 
 def _free_port() -> int:

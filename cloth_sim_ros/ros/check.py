@@ -13,27 +13,27 @@ from typing import TYPE_CHECKING, Any
 
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.ros import node_refusals
-from cloth_sim_ros.ros.forecast import Forecaster, try_frames
+from cloth_sim_ros.ros.feasibility import check_feasibility
 from cloth_sim_ros.ros.initial_state import session_state
 from cloth_sim_ros.ros.options import parser
-from cloth_sim_ros.ros.step_setters import in_words, step_setters
+from cloth_sim_ros.ros.performance_estimate import PerformanceEstimator, measure_step_cost
+from cloth_sim_ros.ros.step_limiters import describe_step_limiters, find_step_limiters
 from cloth_sim_ros.ros.unknown_overrides import unknown_sentences
-from cloth_sim_ros.ros.workload import refuse_endless_frames
 from cloth_sim_ros.scene import parameter_file
-from cloth_sim_ros.scene.mesh_notes import mesh_notes, silence_reader
+from cloth_sim_ros.scene.mesh_notes import mesh_notes, silence_mesh_log
+from cloth_sim_ros.scene.parameter_warnings import ineffective_parameters
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.plausibility import cloth_size, implausible_sizes
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.scene.without_effect import without_effect
 from cloth_sim_ros.session.console import escape_unencodable
-from cloth_sim_ros.session.words import counted
+from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
     from cloth_sim_ros.simulation.obstacles import Obstacles
 
 #: Length of the trial run: simulated time [s], and its limit in wall time [s].
-_TRIED, _PATIENCE = 1.0, 5.0
+_TRIAL_TIME, _TRIAL_TIMEOUT = 1.0, 5.0
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -68,13 +68,13 @@ def check(path: str, *, node: str) -> int:
         values = parameter_file.parse(text, node=node, source=path)
         node_refusals.refuse_values(values)
         known = {entry.name for entry in Scene.declared_for(values)}
-        own = {name: value for name, value in values.items() if name in known}
-        silence_reader()
-        scene = Scene.from_parameters(own, files=session_state(str(own.get("initial_state", ""))))
+        scene_values = {name: value for name, value in values.items() if name in known}
+        silence_mesh_log()
+        scene = Scene.from_parameters(scene_values, files=session_state(str(scene_values.get("initial_state", ""))))
         node_refusals.refuse_scene(scene, node=node)
         simulation = Simulation(scene)
-        refuse_endless_frames(scene, simulation)
-        cost = try_frames(scene)
+        check_feasibility(scene, simulation)
+        cost = measure_step_cost(scene)
     except ValueError as error:
         for sentence in error.sentences if isinstance(error, ParameterError) else [str(error)]:
             print(f"cloth_sim: {sentence}{node_refusals.hint_at_folder(sentence, values, path)}", file=sys.stderr)
@@ -83,24 +83,28 @@ def check(path: str, *, node: str) -> int:
     if not values:
         owners = parameter_file.other_nodes(text, node=node, source=path)
         print(f"warning: '{path}' sets nothing for the node {full}: all has its default{owners and f'; {owners}'}")
-    notes, doubts = mesh_notes(scene)
+    notes, warnings = mesh_notes(scene)
     if (recovery := simulation.contact_recovery) is not None:
-        doubts.append(f"the cloth starts {recovery.describe()}")
-    doubts += implausible_sizes(scene, simulation.state.x, simulation.model.masses)
-    for sentence in [*unknown_sentences(values, known, scene, node=full), *without_effect(scene, own), *doubts]:
+        warnings.append(f"the cloth starts {recovery.describe()}")
+    warnings += implausible_sizes(scene, simulation.state.x, simulation.model.masses)
+    for sentence in [
+        *unknown_sentences(values, known, scene, node=full),
+        *ineffective_parameters(scene, scene_values),
+        *warnings,
+    ]:
         print(f"warning: {sentence}")
     for sentence in notes:
         print(sentence)
     _print_cloth(scene, simulation)
-    setters = step_setters(simulation.plan, simulation.state.x)
+    limiters = find_step_limiters(simulation.plan, simulation.state.x)
     _print_forecast(simulation, cost)
     _print_trial(Simulation(scene))
-    for line in in_words(setters, scene.sheet):
+    for line in describe_step_limiters(limiters, scene.sheet):
         print(line)
     return 0
 
 
-class _Lines:
+class _PrintLog:
     """A logger that prints the node's messages."""
 
     def info(self, text: str) -> None:
@@ -113,17 +117,17 @@ class _Lines:
 def _print_cloth(scene: Scene, simulation: Simulation) -> None:
     rows, columns = scene.shape
     if scene.cloth.mesh:
-        what = f"the mesh {scene.cloth.mesh}"
+        source = f"the mesh {scene.cloth.mesh}"
     elif scene.cloth.springs:
-        what = f"the springs of {scene.cloth.springs}"
+        source = f"the springs of {scene.cloth.springs}"
     else:
-        what = f"a grid of {rows} x {columns}"
+        source = f"a grid of {rows} x {columns}"
     count, anchored = simulation.state.particle_count, len(simulation.model.anchors)
     forces = ", ".join(force.name for force in simulation.model.forces)
-    print(f"{what}: {count} particles, {anchored} anchored; forces: {forces}")
+    print(f"{source}: {count} particles, {anchored} anchored; forces: {forces}")
     print(cloth_size(scene, simulation.state.x, simulation.model.masses))
-    held = f"step {scene.step:g} s" if scene.step else f"tolerance {scene.tolerance:g} m"
-    print(f"{scene.rate:g} frames a second; {held}; grippers: {', '.join(scene.gripper_names) or 'none'}")
+    control = f"step {scene.step:g} s" if scene.step else f"tolerance {scene.tolerance:g} m"
+    print(f"{scene.rate:g} frames a second; {control}; grippers: {', '.join(scene.gripper_names) or 'none'}")
     if (ratio := scene.poisson_ratio) is not None:
         print(f"Poisson's ratio, which follows from the moduli: {ratio:.3f}")
     if simulation.obstacles is not None:
@@ -142,34 +146,38 @@ def _print_obstacles(scene: Scene, obstacles: Obstacles) -> None:
 
 
 def _print_forecast(simulation: Simulation, cost: float | None) -> None:
-    forecaster = Forecaster(simulation, _Lines())
-    forecaster.calibrate(cost)
-    forecaster.tell()
+    estimator = PerformanceEstimator(simulation, _PrintLog())
+    estimator.calibrate(cost)
+    estimator.report()
 
 
 def _print_trial(simulation: Simulation) -> None:
     """Run the first second of the motion, and print its speed."""
     period = simulation.scene.period
-    taken: list[float] = []
-    done: list[Advance] = []
-    end = time.perf_counter() + _PATIENCE
+    frame_times: list[float] = []
+    advances: list[Advance] = []
+    end = time.perf_counter() + _TRIAL_TIMEOUT
     try:
-        while simulation.time < _TRIED and time.perf_counter() < end:
-            begun = time.perf_counter()
+        while simulation.time < _TRIAL_TIME and time.perf_counter() < end:
+            start = time.perf_counter()
             advance = simulation.advance().advance
-            taken.append(time.perf_counter() - begun)
+            frame_times.append(time.perf_counter() - start)
             if advance is not None:
-                done.append(advance)
+                advances.append(advance)
     except UnstableError as error:
         print(f"warning: after {simulation.time:.3g} s of motion time would be stopped: {error}")
-    if not done:
+    if not advances:
         return
-    steps = statistics.median(advance.steps for advance in done)
-    print(f"integrator: {done[-1].integrator}, {steps:g} steps a frame; {done[-1].reason}")
-    median, longest, factor = statistics.median(taken), max(taken), len(taken) * period / sum(taken)
-    frames = counted(len(taken), "frame")
+    steps = statistics.median(advance.steps for advance in advances)
+    print(f"integrator: {advances[-1].integrator}, {steps:g} steps a frame; {advances[-1].reason}")
+    median, longest, factor = (
+        statistics.median(frame_times),
+        max(frame_times),
+        len(frame_times) * period / sum(frame_times),
+    )
+    frames = pluralize(len(frame_times), "frame")
     print(
         f"tried here: the first {frames} took {median * 1e3:.3g} ms of {period * 1e3:.3g} ms each "
         f"(median; the longest {longest * 1e3:.3g} ms), real-time factor {factor:.3g}; "
-        f"steps were mostly set by: {statistics.mode(advance.binds for advance in done)}"
+        f"steps were mostly set by: {statistics.mode(advance.limited_by for advance in advances)}"
     )

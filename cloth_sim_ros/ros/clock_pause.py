@@ -20,15 +20,15 @@ class ClockPause:
     def __init__(self, simulation: Simulation, queue: EventQueue) -> None:
         self._simulation, self._queue = simulation, queue
         #: True while the simulation is paused because /clock stands.
-        self._holds = False
-        self._user = False
+        self._is_active = False
+        self._user_pause = False
         #: For the newest frame while /clock stands: the user's pause before it, and whether a pause was added.
-        self._before = self._added = False
+        self._previous_user_pause = self._has_added_pause = False
 
     @property
     def user_paused(self) -> bool:
         """The pause that the user requested, whether or not /clock stands."""
-        return self._user if self._holds else self._simulation.paused
+        return self._user_pause if self._is_active else self._simulation.paused
 
     def events(self, *, stands: bool) -> tuple[list[Event], list[Event]]:
         """Return the first and the last events of a frame.
@@ -37,17 +37,17 @@ class ClockPause:
             stands: true if /clock stands.
         """
         if not stands:
-            return [Pause(False)] if self._holds and not self._user else [], []
-        self._before = self.user_paused
-        self._added = not self._simulation.paused or self._queue.holds(Pause)
-        return [], [Pause(True)] if self._added else []
+            return [Pause(False)] if self._is_active and not self._user_pause else [], []
+        self._previous_user_pause = self.user_paused
+        self._has_added_pause = not self._simulation.paused or self._queue.contains(Pause)
+        return [], [Pause(True)] if self._has_added_pause else []
 
-    def settle(self, frame: Frame, *, stands: bool) -> None:
+    def commit(self, frame: Frame, *, stands: bool) -> None:
         """Update the pauses after a frame that succeeded."""
         if not stands:
-            self._holds = False
+            self._is_active = False
             return
         pauses = [event.paused for event in frame.events if isinstance(event, Pause)]
-        user_pauses = pauses[:-1] if self._added else pauses
-        self._user = user_pauses[-1] if user_pauses else self._before
-        self._holds = True
+        user_pauses = pauses[:-1] if self._has_added_pause else pauses
+        self._user_pause = user_pauses[-1] if user_pauses else self._previous_user_pause
+        self._is_active = True

@@ -12,13 +12,13 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
 from cloth_sim_ros.ros.messages import SECOND, read_stamp, set_stamp
-from cloth_sim_ros.ros.outputs import LATCHED, STREAM, Output, Tape
+from cloth_sim_ros.ros.outputs import LATCHED_QOS, STREAM_QOS, Output, RecordSink
 
 #: Name of the topic below the node's name.
 TOPIC = "clock"
 #: A cloth is slow if its frames take more than this ratio of wall to simulated time. Its next frame starts at once, in
 #: a race with the target. Therefore the target waits for this fraction of a frame and is applied by the frame after.
-_SLOW, _SHARE = 1.2, 0.25
+_SLOW_FACTOR, _DELAY_FRACTION = 1.2, 0.25
 
 
 class ClothClock:
@@ -31,12 +31,12 @@ class ClothClock:
         sink: records other outputs.
     """
 
-    def __init__(self, node: Node, sink: Tape) -> None:
+    def __init__(self, node: Node, sink: RecordSink) -> None:
         self._output = Output(node, Clock, f"~/{TOPIC}", sink)
 
     def send(self, seconds: float) -> None:
         """Publish the time at the end of a frame [s]."""
-        if self._output.heard:
+        if self._output.has_subscribers:
             message = Clock()
             set_stamp(message.clock, round(seconds * SECOND))
             self._output.publish(message)
@@ -56,12 +56,12 @@ class ClothTime:
         #: Simulated time of one frame [ns]; 0 if it is not known yet.
         self.period = 0
         #: The latest time that `now` returned [ns].
-        self._latest = 0
+        self._last_returned = 0
         #: Steady time at which the newest message arrived, and the wall time between the last two [s].
         self._arrival = self._interval = 0.0
         self._label = ""
-        node.create_subscription(Clock, self._topic, self._take, STREAM)
-        node.create_subscription(State, f"{target}/state", self._take_state, LATCHED)
+        node.create_subscription(Clock, self._topic, self._on_clock, STREAM_QOS)
+        node.create_subscription(State, f"{target}/state", self._on_state, LATCHED_QOS)
 
     def now(self) -> int | None:
         """Return the time at the end of the frame after the newest [ns]; None before the first.
@@ -71,14 +71,14 @@ class ClothTime:
         """
         if self._newest is None:
             return None
-        self._latest = max(self._latest, self._newest + self.period)
-        return self._latest
+        self._last_returned = max(self._last_returned, self._newest + self.period)
+        return self._last_returned
 
     @property
     def send_time(self) -> float:
         """Steady time at which to send the next target [s]: now, unless the cloth is slow."""
-        is_slow = self.period and self._interval > _SLOW * self.period / SECOND
-        return self._arrival + (_SHARE * self._interval if is_slow else 0.0)
+        is_slow = self.period and self._interval > _SLOW_FACTOR * self.period / SECOND
+        return self._arrival + (_DELAY_FRACTION * self._interval if is_slow else 0.0)
 
     def describe(self) -> str:
         """Return the state of a cloth whose time stands, as the end of a sentence."""
@@ -86,18 +86,18 @@ class ClothTime:
             return f"has published nothing on {self._topic}, its simulated time,"
         return f"stands at {self._newest / SECOND:.3f} s of simulated time (~/state: {self._label or 'not known'})"
 
-    def _take(self, message: Any) -> None:
-        before, self._newest = self._newest, read_stamp(message.clock)
-        if before == self._newest:
+    def _on_clock(self, message: Any) -> None:
+        previous, self._newest = self._newest, read_stamp(message.clock)
+        if previous == self._newest:
             return
         arrival = time.monotonic()
-        self._arrival, self._interval = arrival, arrival - self._arrival if before is not None else 0.0
-        if before is not None and before < self._newest:
+        self._arrival, self._interval = arrival, arrival - self._arrival if previous is not None else 0.0
+        if previous is not None and previous < self._newest:
             # The smallest step: a message may be missing.
-            step = self._newest - before
+            step = self._newest - previous
             self.period = min(self.period or step, step)
-        elif before is not None:
-            self.period, self._latest = 0, 0
+        elif previous is not None:
+            self.period, self._last_returned = 0, 0
 
-    def _take_state(self, message: Any) -> None:
+    def _on_state(self, message: Any) -> None:
         self._label = str(message.label)

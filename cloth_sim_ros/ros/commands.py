@@ -21,26 +21,26 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from std_msgs.msg import Bool
 
-from cloth_sim_ros.ros.event_queue import MOST_WAITING, EventQueue, Outcome, QueueFullError
-from cloth_sim_ros.ros.frames import FrameError, FrameTransformer
+from cloth_sim_ros.ros.event_queue import MAX_QUEUED_EVENTS, EventQueue, EventResult, QueueFullError
 from cloth_sim_ros.ros.log import ThrottledLog
-from cloth_sim_ros.ros.outputs import Tape
+from cloth_sim_ros.ros.outputs import RecordSink
 from cloth_sim_ros.ros.qos_overrides import OPTIONS, overridden_profile
 from cloth_sim_ros.ros.qos_rules import SUBSCRIPTION
 from cloth_sim_ros.ros.stamps import OldStampError, StampError, StampGate, checked
-from cloth_sim_ros.session.words import counted
+from cloth_sim_ros.ros.tf_frames import FrameError, FrameTransformer
+from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
 from cloth_sim_ros.simulation.frame import Frame
 from cloth_sim_ros.simulation.grippers import GraspResult
 
 #: Best effort, so that any publisher matches; only the newest target counts.
-TARGETS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+TARGET_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 #: Reliable, because every grasp must arrive.
-GRASPS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+GRASP_QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 
 
-class Commands:
+class CommandSubscriptions:
     """Subscriptions of the command topics of all grippers and obstacles; `subscribe` creates them.
 
     Args:
@@ -62,43 +62,43 @@ class Commands:
         queue: EventQueue,
         check: Callable[[Event], None],
         frames: FrameTransformer,
-        tape: Tape,
+        sink: RecordSink,
         log: ThrottledLog,
-        turn: AbstractContextManager[Any],
+        lock: AbstractContextManager[Any],
     ) -> None:
         self._node = node
         self._clock = node.get_clock()
         self._queue = queue
         self._check = check
         self._frames = frames
-        self._tape = tape
+        self._sink = sink
         self._log = log
-        self._turn = turn
+        self._lock = lock
         self._grippers = grippers
         self._gates = {name: StampGate() for name in grippers}
         self._obstacles: dict[str, Subscription] = {}
         #: Number of commands older than the newest one, by gripper or obstacle.
-        self._dropped: dict[str, int] = {}
-        self._heard: dict[str, int] = {}
+        self._n_outdated: dict[str, int] = {}
+        self._last_target_times: dict[str, int] = {}
         #: Messages at the last call of `is_drained`, and the number of consecutive spins that delivered some.
-        self._seen = 0
-        self._turns = 0
+        self._received_before = 0
+        self._busy_spins = 0
         #: Counts of messages: received, refused, and older than the newest one.
         self.received = 0
         self.refused = 0
         self.outdated = 0
 
-    def listen(self) -> None:
+    def subscribe(self) -> None:
         """Subscribe to the topics of the grippers. From then on every matched publisher is served."""
         for gripper in self._grippers:
-            for leaf, kind, qos, handle in (
-                ("target", PoseStamped, TARGETS, self._target),
-                ("point", PointStamped, TARGETS, self._point),
-                ("grasp", Bool, GRASPS, self._grasp),
+            for leaf, kind, qos, on_message in (
+                ("target", PoseStamped, TARGET_QOS, self._target),
+                ("point", PointStamped, TARGET_QOS, self._point),
+                ("grasp", Bool, GRASP_QOS, self._grasp),
             ):
-                self._subscribe(gripper, leaf, kind, qos, handle)
+                self._create_subscription(gripper, leaf, kind, qos, on_message)
 
-    def listen_to_obstacles(self, names: list[str]) -> None:
+    def subscribe_obstacles(self, names: list[str]) -> None:
         """Subscribe to the targets of the present obstacles, and unsubscribe from those of removed ones."""
         for name in [name for name in self._obstacles if name not in names]:
             self._node.destroy_subscription(self._obstacles.pop(name))
@@ -106,78 +106,90 @@ class Commands:
         for name in names:
             if name not in self._obstacles:
                 self._gates[name] = StampGate()
-                self._obstacles[name] = self._subscribe(name, "target", PoseStamped, TARGETS, self._move)
+                self._obstacles[name] = self._create_subscription(name, "target", PoseStamped, TARGET_QOS, self._move)
 
-    def _subscribe(
-        self, name: str, leaf: str, kind: Any, qos: QoSProfile, handle: Callable[[str, Any, int], None]
+    def _create_subscription(
+        self, name: str, leaf: str, kind: Any, qos: QoSProfile, on_message: Callable[[str, Any, int], None]
     ) -> Subscription:
         topic = f"~/{name}/{leaf}"
         profile = overridden_profile(self._node, topic, qos, endpoint_kind=SUBSCRIPTION)
-        take = functools.partial(
-            self._take, name, leaf, kind, profile, self._node.resolve_topic_name(topic, only_expand=True), handle
+        receive = functools.partial(
+            self._receive, name, leaf, kind, profile, self._node.resolve_topic_name(topic, only_expand=True), on_message
         )
         # Raw, so that the received bytes are recorded, and so that the node refuses malformed ones itself.
         # A volatile best-effort subscription matches every publisher and needs no event, which would slow each spin.
-        choosy = profile.reliability != ReliabilityPolicy.BEST_EFFORT or profile.durability != DurabilityPolicy.VOLATILE
-        misfit = functools.partial(self._warn_of_misfit, self._node.resolve_topic_name(topic)) if choosy else None
-        events = SubscriptionEventCallbacks(incompatible_qos=misfit, use_default_callbacks=False)
+        is_restrictive = (
+            profile.reliability != ReliabilityPolicy.BEST_EFFORT or profile.durability != DurabilityPolicy.VOLATILE
+        )
+        on_incompatible = (
+            functools.partial(self._warn_of_incompatible_qos, self._node.resolve_topic_name(topic))
+            if is_restrictive
+            else None
+        )
+        events = SubscriptionEventCallbacks(incompatible_qos=on_incompatible, use_default_callbacks=False)
         return self._node.create_subscription(
-            kind, topic, self._single(take), profile, raw=True, event_callbacks=events, qos_overriding_options=OPTIONS
+            kind,
+            topic,
+            self._locked(receive),
+            profile,
+            raw=True,
+            event_callbacks=events,
+            qos_overriding_options=OPTIONS,
         )
 
-    def _warn_of_misfit(self, topic: str, event: Any) -> None:
+    def _warn_of_incompatible_qos(self, topic: str, event: Any) -> None:
         if event.last_policy_kind == QoSPolicyKind.DURABILITY:
             fault = "is volatile, so none of its messages arrive: make it transient local"
         else:
             fault = "offers best effort, so none of its messages arrive: make it reliable"
         self._log.warn(f"misfit {topic}", f"a publisher of {topic} {fault}")
 
-    def heard(self, gripper: str) -> int | None:
+    def last_target_time(self, gripper: str) -> int | None:
         """Return the ROS time at which the newest target of a gripper or obstacle came [ns]; None before the first."""
-        return self._heard.get(gripper)
+        return self._last_target_times.get(gripper)
 
-    def settled(self) -> bool:
+    def is_drained(self) -> bool:
         """Return true if all arrived commands were taken: the last spin of the executor delivered none.
 
         If it is false, call it again after one more spin.
         """
-        taken, self._seen = self.received > self._seen, self.received
-        self._turns = self._turns + 1 if taken else 0
+        has_new, self._received_before = self.received > self._received_before, self.received
+        self._busy_spins = self._busy_spins + 1 if has_new else 0
         # At most as many spins as the middleware queues messages, so that a flood does not delay the frame.
-        if taken and self._turns <= TARGETS.depth:
+        if has_new and self._busy_spins <= TARGET_QOS.depth:
             return False
-        self._turns = 0
+        self._busy_spins = 0
         return True
 
-    def forget_stamps(self) -> None:
+    def reset_stamps(self) -> None:
         """Accept any stamp next, because the clock or the cloth was set back."""
         for gate in self._gates.values():
-            gate.forget()
-        self._heard.clear()
+            gate.reset()
+        self._last_target_times.clear()
 
-    def _single(self, take: Callable[[bytes], None]) -> Callable[[bytes], None]:
+    def _locked(self, receive: Callable[[bytes], None]) -> Callable[[bytes], None]:
         """Return a callback of exactly one argument that holds the lock; rclpy inspects the signature."""
 
         def callback(data: bytes) -> None:
-            with self._turn:
-                take(data)
+            with self._lock:
+                receive(data)
 
         return callback
 
-    def _take(
+    def _receive(
         self,
         name: str,
         leaf: str,
         kind: Any,
         qos: QoSProfile,
         topic: str,
-        handle: Callable[[str, Any, int], None],
+        on_message: Callable[[str, Any, int], None],
         data: bytes,
     ) -> None:
         now = self._clock.now().nanoseconds
         self.received += 1
-        if self._tape.running:
-            self._tape.add(topic, kind, data, stamp=now, qos=qos, droppable=False)
+        if self._sink.running:
+            self._sink.add(topic, kind, data, stamp=now, qos=qos, droppable=False)
         try:
             message = deserialize_message(data, kind)
         except (RuntimeError, UnicodeDecodeError) as error:
@@ -187,13 +199,14 @@ class Commands:
             )
             return
         try:
-            handle(name, message, now)
+            on_message(name, message, now)
         except OldStampError as error:
             self.outdated += 1
-            self._dropped[name] = self._dropped.get(name, 0) + 1
+            self._n_outdated[name] = self._n_outdated.get(name, 0) + 1
             self._log.warn(
                 f"{leaf} {name} old",
-                f"{leaf} of '{name}' is dropped: {error}; {self._dropped[name]} of '{name}' so far: send in order of "
+                f"{leaf} of '{name}' is dropped: {error}; {self._n_outdated[name]} of '{name}' so far: send in order "
+                f"of "
                 "stamps, or with stamp 0, which means now",
             )
         except (StampError, FrameError, EventError, QueueFullError, ValueError) as error:
@@ -211,17 +224,17 @@ class Commands:
 
     def _target(self, gripper: str, message: PoseStamped, now: int) -> None:
         p, q = message.pose.position, message.pose.orientation
-        self._aim(Target(gripper, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)), message.header, now)
+        self._queue_target(Target(gripper, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)), message.header, now)
 
     def _point(self, gripper: str, message: PointStamped, now: int) -> None:
         p = message.point
-        self._aim(Target(gripper, (p.x, p.y, p.z)), message.header, now)
+        self._queue_target(Target(gripper, (p.x, p.y, p.z)), message.header, now)
 
     def _move(self, obstacle: str, message: PoseStamped, now: int) -> None:
         p, q = message.pose.position, message.pose.orientation
-        self._aim(Move(obstacle, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)), message.header, now)
+        self._queue_target(Move(obstacle, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)), message.header, now)
 
-    def _aim(self, event: Target | Move, header: Any, now: int) -> None:
+    def _queue_target(self, event: Target | Move, header: Any, now: int) -> None:
         stamp = checked(header.stamp.sec, header.stamp.nanosec)
         # Values are checked first, so that an invalid one is reported rather than its frame or stamp.
         self._check(event)
@@ -229,50 +242,50 @@ class Commands:
         event = attrs.evolve(event, position=position, orientation=orientation)
         self._check(event)
         name = event.gripper if isinstance(event, Target) else event.obstacle
-        displaced = self._queue.displaced
+        n_evicted = self._queue.n_evicted
         self._queue.put(event, stamp=self._gates[name].accept(stamp, now))
-        self._heard[name] = now
-        if self._queue.displaced > displaced:
+        self._last_target_times[name] = now
+        if self._queue.n_evicted > n_evicted:
             self._log.warn(
                 "displaced",
-                f"{MOST_WAITING} commands wait for a frame, and one of '{name}' replaced the oldest target; "
-                f"{self._queue.displaced} so far: does /clock stand still, or does a sender flood?",
+                f"{MAX_QUEUED_EVENTS} commands wait for a frame, and one of '{name}' replaced the oldest target; "
+                f"{self._queue.n_evicted} so far: does /clock stand still, or does a sender flood?",
             )
-        self._log.debug(functools.partial(_in_words, event, stamp))
+        self._log.debug(functools.partial(_describe_command, event, stamp))
 
     def _grasp(self, gripper: str, message: Bool, _now: int) -> None:
         event = Grasp(gripper, bool(message.data))
         self._check(event)
-        self._queue.put(event, answer=self._tell)
-        self._log.debug(functools.partial(_in_words, event, 0))
+        self._queue.put(event, answer=self._report_result)
+        self._log.debug(functools.partial(_describe_command, event, 0))
 
-    def _tell(self, outcome: Outcome) -> None:
+    def _report_result(self, result: EventResult) -> None:
         """Log the result of a grasp: a topic has no other answer."""
-        grasp = outcome.grasp
+        grasp = result.grasp
         if grasp is None:
-            self._log.warn("grasp lost", f"a grasp did not take effect: {outcome.reason}")
+            self._log.warn("grasp lost", f"a grasp did not take effect: {result.reason}")
         elif not grasp.pending:
-            self._tell_grasp(grasp)
+            self._log_grasp(grasp)
 
-    def show(self, frame: Frame) -> None:
+    def log_grasps(self, frame: Frame) -> None:
         """Log the result of each grasp whose pads came to rest in a frame."""
         for grasp in frame.pinches:
-            self._tell_grasp(grasp)
+            self._log_grasp(grasp)
 
-    def _tell_grasp(self, grasp: GraspResult) -> None:
+    def _log_grasp(self, grasp: GraspResult) -> None:
         if not grasp.closed:
-            done = "is open"
-        elif grasp.held:
-            done = f"is closed and holds {counted(grasp.held, 'particle')}"
+            outcome = "is open"
+        elif grasp.grasped_count:
+            outcome = f"is closed and holds {pluralize(grasp.grasped_count, 'particle')}"
         else:
-            done = "is closed and holds nothing"
+            outcome = "is closed and holds nothing"
         self._log.info(
-            f"grasp {grasp.gripper} {done}",
-            f"gripper '{grasp.gripper}' {done}" + (f": {grasp.reason}" if grasp.reason else ""),
+            f"grasp {grasp.gripper} {outcome}",
+            f"gripper '{grasp.gripper}' {outcome}" + (f": {grasp.reason}" if grasp.reason else ""),
         )
 
 
-def _in_words(event: Event, stamp: int) -> str:
+def _describe_command(event: Event, stamp: int) -> str:
     """Return a command's text for DEBUG lines."""
     when = f"stamped {stamp / 1e9:.3f} s" if stamp else "for now"
     return f"command received, {when}: {event}"

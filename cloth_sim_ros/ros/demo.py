@@ -34,17 +34,17 @@ from tqdm import tqdm
 
 from cloth_sim_ros.ros.messages import read_stamp
 from cloth_sim_ros.ros.stopping import StopSignals
-from cloth_sim_ros.scene.locations import config_file
+from cloth_sim_ros.scene.config_files import config_file
 from cloth_sim_ros.session.child_process import child_environment, module_command
-from cloth_sim_ros.session.words import counted
+from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
 _NODE = "/cloth_sim"
 #: Longest wait for the first cloud: a busy machine loads slowly [s].
-_START_LIMIT = 60.0
+_START_TIMEOUT = 60.0
 #: Settling time of the cloth after the script has ended [s].
-_SETTLING = 1.0
-_STOP_LIMIT = 10.0
+_SETTLE_TIME = 1.0
+_STOP_TIMEOUT = 10.0
 
 
 class DemoError(RuntimeError):
@@ -52,7 +52,7 @@ class DemoError(RuntimeError):
 
 
 @attrs.define
-class Seen:
+class Received:
     """Messages that the demonstration's subscriber received."""
 
     clouds: int = 0
@@ -118,17 +118,17 @@ def _domain() -> Iterator[None]:
 
 def _play(options: argparse.Namespace, duration: float, signals: StopSignals) -> int:
     node = Node("cloth_demo")
-    seen = Seen()
+    received = Received()
 
     def count(data: bytes) -> None:
-        if seen.clouds == 0:
-            seen.first = read_stamp(deserialize_message(data, PointCloud2).header.stamp)
-        seen.clouds += 1
+        if received.clouds == 0:
+            received.first = read_stamp(deserialize_message(data, PointCloud2).header.stamp)
+        received.clouds += 1
 
     def note(message: Any) -> None:
         for status in message.status:
             if status.name.startswith(_NODE.strip("/")):
-                seen.values = {entry.key: entry.value for entry in status.values}
+                received.values = {entry.key: entry.value for entry in status.values}
 
     node.create_subscription(PointCloud2, f"{_NODE}/points", count, QoSProfile(depth=100), raw=True)
     node.create_subscription(DiagnosticArray, "/diagnostics", note, QoSProfile(depth=10))
@@ -149,10 +149,10 @@ def _play(options: argparse.Namespace, duration: float, signals: StopSignals) ->
             )
         )  # fmt: skip
         begun = time.monotonic()
-        while seen.clouds == 0:
+        while received.clouds == 0:
             cloth.check_alive()
-            if time.monotonic() - begun > _START_LIMIT:
-                raise DemoError(f"no cloud came within {_START_LIMIT:g} s\n{cloth.log()}")
+            if time.monotonic() - begun > _START_TIMEOUT:
+                raise DemoError(f"no cloud came within {_START_TIMEOUT:g} s\n{cloth.log()}")
             if not spin():
                 return 130
         print(f"first cloud after {time.monotonic() - begun:.1f} s; grasping ...", flush=True)
@@ -162,24 +162,24 @@ def _play(options: argparse.Namespace, duration: float, signals: StopSignals) ->
                 *map(str, options.script), "--node", _NODE,
             )
         )  # fmt: skip
-        if not _watch(cloth, gripper, duration, seen, spin):
+        if not _watch(cloth, gripper, duration, received, spin):
             return 130
         status = cloth.stop(spin)
         if status != 0:
             raise DemoError(f"cloth_sim ended with status {status}\n{cloth.log()}")
-    return _report(seen)
+    return _report(received)
 
 
-def _watch(cloth: _Child, gripper: _Child, duration: float, seen: Seen, spin: Any) -> bool:
+def _watch(cloth: _Child, gripper: _Child, duration: float, received: Received, spin: Any) -> bool:
     """Spin until the scripts have ended and the cloth has settled; return false if a signal came."""
     begun = time.monotonic()
-    total = duration + _SETTLING
+    total = duration + _SETTLE_TIME
     bar = tqdm(
         total=round(total, 1), unit="s", leave=False, disable=None, bar_format="{desc} {bar} {n:.1f}/{total:.1f} s"
     )
     ended: float | None = None
     with bar:
-        while ended is None or time.monotonic() - ended < _SETTLING:
+        while ended is None or time.monotonic() - ended < _SETTLE_TIME:
             if not spin():
                 return False
             cloth.check_alive()
@@ -189,18 +189,18 @@ def _watch(cloth: _Child, gripper: _Child, duration: float, seen: Seen, spin: An
                     raise DemoError(f"cloth_gripper ended with status {status}\n{gripper.log()}")
                 ended = time.monotonic()
             bar.n = min(time.monotonic() - begun, total)
-            bar.set_description_str(counted(seen.clouds, "frame"), refresh=False)
+            bar.set_description_str(pluralize(received.clouds, "frame"), refresh=False)
             bar.refresh()
     return True
 
 
-def _report(seen: Seen) -> int:
-    values = seen.values
+def _report(received: Received) -> int:
+    values = received.values
     path = values.get("recording_file", "")
     # The last diagnostics are up to a second older than the last cloud. The session holds every published cloud.
     published = _published_since(path, 0)
-    lost = _published_since(path, seen.first) - seen.clouds
-    print(f"frames published  {published}, received {seen.clouds}, lost since the first one {lost}")
+    n_missing = _published_since(path, received.first) - received.clouds
+    print(f"frames published  {published}, received {received.clouds}, lost since the first one {n_missing}")
     print(f"late frames       {values.get('late_frames')}")
     print(f"real-time factor  {float(values.get('real_time_factor_overall', 'nan')):.3f}")
     print(f"session           {path}")
@@ -209,8 +209,8 @@ def _report(seen: Seen) -> int:
     with contextlib.suppress(ValueError):
         command = command.relative_to(Path.cwd())
     print(f"look at it        {command} {path}")
-    if lost:
-        raise DemoError(f"{counted(lost, 'frame')} lost on the way")
+    if n_missing:
+        raise DemoError(f"{pluralize(n_missing, 'frame')} lost on the way")
     return 0
 
 
@@ -250,7 +250,7 @@ class _Child:
         if self._process.poll() is None:
             self._process.send_signal(signal.SIGINT)
             try:
-                self._process.wait(_STOP_LIMIT)
+                self._process.wait(_STOP_TIMEOUT)
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()
@@ -275,8 +275,8 @@ class _Child:
         begun = time.monotonic()
         while self._process.poll() is None:
             spin()
-            if time.monotonic() - begun > _STOP_LIMIT:
-                raise DemoError(f"{self._name} did not stop within {_STOP_LIMIT:g} s\n{self.log()}")
+            if time.monotonic() - begun > _STOP_TIMEOUT:
+                raise DemoError(f"{self._name} did not stop within {_STOP_TIMEOUT:g} s\n{self.log()}")
         return self._process.returncode
 
 

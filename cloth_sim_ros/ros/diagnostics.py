@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
 from cloth_sim_ros.ros.messages import set_stamp
-from cloth_sim_ros.ros.outputs import Output, Tape
+from cloth_sim_ros.ros.outputs import Output, RecordSink
 
 PERIOD = 1.0
 #: Below this real-time factor the cloth can't keep up.
@@ -22,7 +22,7 @@ _SLOW = 0.95
 
 
 @attrs.define
-class Tally:
+class FrameTally:
     """Frame counts and times of one node, and their values at the last report."""
 
     #: Frames in which time passed.
@@ -66,7 +66,7 @@ class Tally:
         return rates
 
 
-class Diagnostics:
+class DiagnosticsPublisher:
     """Publishes reports.
 
     Args:
@@ -75,18 +75,20 @@ class Diagnostics:
         collect: returns level, summary and values; its argument is true if a subscriber or a recording takes them.
     """
 
-    def __init__(self, node: Node, tape: Tape, collect: Callable[[bool], tuple[bytes, str, dict[str, str]]]) -> None:
+    def __init__(
+        self, node: Node, sink: RecordSink, collect: Callable[[bool], tuple[bytes, str, dict[str, str]]]
+    ) -> None:
         self._collect = collect
         self._clock = node.get_clock()
         # diagnostic_updater uses "none" if there is no hardware; an empty id looks like an omission.
         self._status = DiagnosticStatus(name=f"{node.get_fully_qualified_name().strip('/')}: cloth", hardware_id="none")
-        self._output = Output(node, DiagnosticArray, "/diagnostics", tape)
+        self._output = Output(node, DiagnosticArray, "/diagnostics", sink)
 
     def send(self) -> None:
         """Publish the present report."""
-        wanted = self._output.wanted
-        level, summary, values = self._collect(wanted)
-        if not wanted:
+        has_consumers = self._output.has_consumers
+        level, summary, values = self._collect(has_consumers)
+        if not has_consumers:
             return
         self._status.level = level
         self._status.message = summary

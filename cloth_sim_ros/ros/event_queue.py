@@ -17,11 +17,11 @@ from cloth_sim_ros.simulation.simulation import Frame
 
 #: Capacity of the queue. Above it, new events evict the oldest target; without a target they are refused. Enough for a
 #: second of targets of a few grippers at 1 kHz.
-MOST_WAITING = 8192
+MAX_QUEUED_EVENTS = 8192
 
 
 @attrs.frozen(kw_only=True)
-class Outcome:
+class EventResult:
     """The effect of an event."""
 
     #: The frame in which the event took effect; None if it did not.
@@ -32,18 +32,18 @@ class Outcome:
     reason: str = ""
 
 
-Answer = Callable[[Outcome], None]
+AnswerCallback = Callable[[EventResult], None]
 
 
 @attrs.frozen(kw_only=True)
-class Entry:
+class QueuedEvent:
     """A waiting event."""
 
     event: Event
     #: The first frame due at or after this ROS time [ns] takes the event; 0 for the next frame.
     stamp: int = 0
     #: Called with the result.
-    answer: Answer | None = None
+    answer: AnswerCallback | None = None
 
 
 class QueueFullError(RuntimeError):
@@ -54,51 +54,53 @@ class EventQueue:
     """Events in order of arrival. It is not thread-safe: callers hold the node's lock."""
 
     def __init__(self) -> None:
-        self._entries: list[Entry] = []
+        self._entries: list[QueuedEvent] = []
         #: Number of targets that were evicted for newer events.
-        self.displaced = 0
+        self.n_evicted = 0
 
     def __len__(self) -> int:
         return len(self._entries)
 
-    def make_room(self, event: Event) -> None:
+    def evict_target(self, event: Event) -> None:
         """Evict the oldest target if the queue is full.
 
         Raises:
             QueueFullError: if the queue is full and holds no target.
         """
-        if len(self._entries) < MOST_WAITING:
+        if len(self._entries) < MAX_QUEUED_EVENTS:
             return
         for index, entry in enumerate(self._entries):
             if isinstance(entry.event, Target | Move):
                 del self._entries[index]
-                self.displaced += 1
+                self.n_evicted += 1
                 return
         raise QueueFullError(
-            f"{type(event).__name__.lower()} is refused: {MOST_WAITING} commands wait for a frame already; "
+            f"{type(event).__name__.lower()} is refused: {MAX_QUEUED_EVENTS} commands wait for a frame already; "
             "does /clock stand still?"
         )
 
-    def put(self, event: Event, *, stamp: int = 0, answer: Answer | None = None, promised: bool = False) -> None:
+    def put(
+        self, event: Event, *, stamp: int = 0, answer: AnswerCallback | None = None, reserved: bool = False
+    ) -> None:
         """Queue an event for its frame. With `reserved`, `evict_target` was called before, and nothing is raised.
 
         Raises:
             QueueFullError: if the queue is full and holds no target.
         """
-        if not promised:
-            self.make_room(event)
-        self._entries.append(Entry(event=event, stamp=stamp, answer=answer))
+        if not reserved:
+            self.evict_target(event)
+        self._entries.append(QueuedEvent(event=event, stamp=stamp, answer=answer))
 
-    def take(self, due: int) -> list[Entry]:
+    def pop_ready(self, stamp: int) -> list[QueuedEvent]:
         """Remove and return the events due at a ROS time [ns], by stamp; equal stamps keep the order of arrival."""
         if not self._entries:
             return []
-        ready = [entry for entry in self._entries if entry.stamp <= due]
-        self._entries = [entry for entry in self._entries if entry.stamp > due]
+        ready = [entry for entry in self._entries if entry.stamp <= stamp]
+        self._entries = [entry for entry in self._entries if entry.stamp > stamp]
         # The newest target of a gripper is the one with the newest stamp. Other events have stamp 0 and keep order.
         return sorted(ready, key=lambda entry: entry.stamp)
 
-    def holds(self, kind: type[Event]) -> bool:
+    def contains(self, kind: type[Event]) -> bool:
         """Return true if an event of a class waits."""
         return any(isinstance(entry.event, kind) for entry in self._entries)
 
@@ -112,4 +114,4 @@ class EventQueue:
         self._entries = [entry for entry in self._entries if isinstance(entry.event, keep)]
         for entry in entries:
             if entry.answer is not None:
-                entry.answer(Outcome(frame=None, reason=reason))
+                entry.answer(EventResult(frame=None, reason=reason))

@@ -21,9 +21,9 @@ from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.simulation.snapshot import Snapshot
 
 #: Environment variable that lets exceptions of frames propagate. The tests set it, so that the state hides no bug.
-RAISE = "CLOTH_SIM_ROS_RAISE"
+RAISE_VARIABLE = "CLOTH_SIM_ROS_RAISE"
 #: Longest reason [characters]: it is a label, a diagnostics message and an end record.
-_MAX_LENGTH = 300
+_MAX_REASON_LENGTH = 300
 
 
 class NodeFailedError(RuntimeError):
@@ -64,7 +64,7 @@ class FailureGuard:
         #: Exception of the frame that failed, in one line; empty while frames succeed.
         self.reason = ""
 
-    def report_by(self, reports: Mapping[str, Callable[[str, int], Any]], *, recover: Callable[[], None]) -> None:
+    def set_reports(self, reports: Mapping[str, Callable[[str, int], Any]], *, recover: Callable[[], None]) -> None:
         """Set the callbacks for failure and recovery.
 
         Args:
@@ -75,7 +75,7 @@ class FailureGuard:
         self._reports, self._recover = reports, recover
 
     @property
-    def answer(self) -> str:
+    def refusal(self) -> str:
         """Answer to requests while failed; empty otherwise."""
         return f"failed: {self.reason}; call ~/reset" if self.reason else ""
 
@@ -83,8 +83,8 @@ class FailureGuard:
         """Run the frame due at a ROS time [ns]. While failed, refuse the waiting events unless one is a reset."""
         failed = self.reason
         if failed:
-            is_reset = self._queue.holds(Reset)
-            self._queue.refuse(self.answer, keep=(SetParameters, Reset) if is_reset else (SetParameters,))
+            is_reset = self._queue.contains(Reset)
+            self._queue.refuse(self.refusal, keep=(SetParameters, Reset) if is_reset else (SetParameters,))
             if not is_reset:
                 return
         before = self._simulation.snapshot()
@@ -118,7 +118,7 @@ class FailureGuard:
                 raise
             # While failed, further errors most likely have the same cause, whose traceback is in the log.
             trace = "" if self.reason else f"\n{traceback.format_exc().rstrip()}"
-            self._log.error(subject, f"{subject}: {sentence_of(error)}{trace}")
+            self._log.error(subject, f"{subject}: {describe_exception(error)}{trace}")
 
     def check_exit(self) -> None:
         """End the executor's spin if `on_failure` says so.
@@ -135,13 +135,13 @@ class FailureGuard:
             raise pending
 
     def _propagates(self, error: Exception) -> bool:
-        if isinstance(error, MemoryError | StopRequestedError) or os.environ.get(RAISE):
+        if isinstance(error, MemoryError | StopRequestedError) or os.environ.get(RAISE_VARIABLE):
             return True
         # The middleware raises after the context was shut down; there is no subscriber any more.
         return isinstance(error, RuntimeError) and not self._node.context.ok()
 
     def _enter(self, error: Exception, before: Snapshot, stamp: int) -> None:
-        self.reason, self._pending = sentence_of(error), None
+        self.reason, self._pending = describe_exception(error), None
         reason = self.reason
         trace = "".join(traceback.format_exception(error)).rstrip()
         self.attempt("cannot return to the last good frame", lambda: self._simulation.restore(before))
@@ -150,8 +150,8 @@ class FailureGuard:
             f"failed: {reason}; time is stopped at frame {self._simulation.frame}, and no clouds are published until "
             f"~/reset is called\n{trace}"
         )
-        self._stepper.refuse(self.answer)
-        self._queue.refuse(self.answer)
+        self._stepper.refuse(self.refusal)
+        self._queue.refuse(self.refusal)
         for subject, report in self._reports.items():
             self.attempt(f"cannot report the failure by {subject}", lambda report=report: report(reason, stamp))  # type: ignore[misc]
 
@@ -176,8 +176,8 @@ class CallbackLock:
         return isinstance(error, Exception) and self._defer(error)
 
 
-def sentence_of(error: Exception) -> str:
+def describe_exception(error: Exception) -> str:
     """Return type and message of an exception in one line."""
-    words = " ".join(str(error).split())
-    line = f"{type(error).__name__}: {words}" if words else type(error).__name__
-    return line if len(line) <= _MAX_LENGTH else f"{line[:_MAX_LENGTH]}..."
+    text = " ".join(str(error).split())
+    line = f"{type(error).__name__}: {text}" if text else type(error).__name__
+    return line if len(line) <= _MAX_REASON_LENGTH else f"{line[:_MAX_REASON_LENGTH]}..."

@@ -27,7 +27,7 @@ class FirstContact:
         if contact is None or not frame.moved or frame.advance is None or not frame.advance.steps:
             return ""
         scene = self._simulation.scene
-        loads = zip(scene.obstacle_names, frame.loads, strict=False)
+        loads = zip(scene.obstacle_names, frame.obstacle_wrenches, strict=False)
         pressed = [name for name, load in loads if name not in self._reported and load.any()]
         if len(self._reported) < len(scene.pinching) + len(scene.obstacle_names):
             wrenches = zip(scene.gripper_names, frame.wrenches, strict=True)
@@ -35,7 +35,7 @@ class FirstContact:
         new = [f"'{name}'" for name in pressed]
         # Self-contact takes longer to detect: once a second.
         is_sampled = contact.force.surface is not None and not frame.index % max(1, round(scene.rate))
-        if is_sampled and _ITSELF not in self._reported and contact.own_gaps(self._simulation.state.x)[0]:
+        if is_sampled and _ITSELF not in self._reported and contact.self_gaps(self._simulation.state.x)[0]:
             pressed.append(_ITSELF)
             new.append(_ITSELF)
         self._reported.update(pressed)

@@ -21,7 +21,7 @@ class FrameLog:
         self._log = log
         self._choice: tuple[str, str, str] | None = None
 
-    def show(self, frame: Frame) -> None:
+    def log(self, frame: Frame) -> None:
         """Log a frame if the level is DEBUG."""
         if not self._log.debugging:
             return
@@ -30,12 +30,12 @@ class FrameLog:
         advance = frame.advance
         if advance is None:
             return
-        choice = advance.integrator, advance.reason, advance.binds
+        choice = advance.integrator, advance.reason, advance.limited_by
         if choice != self._choice:
             self._choice = choice
             self._log.debug(
                 lambda: (
                     f"frame {frame.index}: integrator {advance.integrator}, {advance.steps} steps, limited by "
-                    f"{advance.binds}; {advance.reason}"
+                    f"{advance.limited_by}; {advance.reason}"
                 )
             )

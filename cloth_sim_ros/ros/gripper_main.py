@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from cloth_sim_ros.ros.gripper_words import describe_holds as describe_holds
 from cloth_sim_ros.ros.stopping import StopSignals
-from cloth_sim_ros.session.loading import loading
+from cloth_sim_ros.session.command_runner import exit_on_signal
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -22,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 0 if the scripts were played; 1 on failure or if a grasp held nothing; 130 if a signal ended it.
     """
     argv = list(sys.argv if arguments is None else ["cloth_gripper", *arguments])
-    with loading("cloth_gripper"):
+    with exit_on_signal("cloth_gripper"):
         from cloth_sim_ros.ros.gripper_run import run
 
         signals = StopSignals()

@@ -11,27 +11,27 @@ from typing import Protocol
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from cloth_sim_ros.ros.gripper_hand import Hand
-from cloth_sim_ros.simulation.gripper_script import GraspAt, GripperScript
+from cloth_sim_ros.ros.gripper_client import GripperClient
+from cloth_sim_ros.simulation.gripper_script import GripperScript, TimedGrasp
 
 #: Discovery is gradual. A gripper counts as unknown if it appears this much later than other topics of the node [s].
-_SETTLING = 1.0
+_SETTLE_TIME = 1.0
 #: Service that rclpy creates with the node itself, before the node is ready.
-_OF_RCLPY = "/get_type_description"
+_RCLPY_SERVICE = "/get_type_description"
 #: If a grasp is later than this, the scripts are set back to this long before it, so that the gripper closes at its
 #: scripted position [s].
-_HELD_UP = 0.1
+_REWIND = 0.1
 
 
 #: Largest regular interval between targets, as a ratio to the period of a frame or of targets.
-_MORE = 1.5
+_MAX_INTERVAL_RATIO = 1.5
 #: The script's time stands if it has not changed for this long [s].
-_STANDING = 5.0
+_STANDING_TIMEOUT = 5.0
 #: Longest time that it may stand by default [s].
-_LONGEST_STANDING = 30.0
+_MAX_STANDING = 30.0
 
 
-class PlayedTime(Protocol):
+class ScriptTime(Protocol):
     """The time in which scripts are played."""
 
     #: Its increment from one frame of the cloth to the next [ns]; 0 if it has no frames.
@@ -88,21 +88,21 @@ class GripperPlayer:
         scripts: Sequence[GripperScript],
         *,
         target: str,
-        proceed: Callable[[], bool] = lambda: True,
-        played: PlayedTime | None = None,
+        should_continue: Callable[[], bool] = lambda: True,
+        script_time: ScriptTime | None = None,
         on_standing: Callable[[str], object] = lambda _: None,
     ) -> None:
         self._node = node
         self._target = "/" + target.strip("/")
-        self._proceed = proceed
-        self._played = played or NodeTime(node)
+        self._should_continue = should_continue
+        self._script_time = script_time or NodeTime(node)
         self._on_standing = on_standing
         #: Start of the scripts, with delays, and newest time, both in the script time [ns].
         self._start = 0
         self._newest: int | None = None
-        self._compensated: GraspAt | None = None
+        self._rewound: TimedGrasp | None = None
         #: The grippers, in the order of the scripts.
-        self.hands = [Hand(node, script, self._target) for script in scripts]
+        self.grippers = [GripperClient(node, script, self._target) for script in scripts]
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(node)
 
@@ -115,39 +115,39 @@ class GripperPlayer:
         Raises:
             GripperError: if the node does not appear, does not answer, or has no such gripper.
         """
-        begun = time.monotonic()
-        settling, known = begun, list[str]()
-        while self._proceed():
-            missing = [hand.script.gripper for hand in self.hands if not hand.is_met()]
+        start = time.monotonic()
+        last_change, known = start, list[str]()
+        while self._should_continue():
+            missing = [hand.script.gripper for hand in self.grippers if not hand.is_connected()]
             if not missing:
-                return self._begin_open(begun + limit)
+                return self._open_all(start + limit)
             now = time.monotonic()
             # A node without services is still starting, and its grippers are discovered one by one.
             served = self._is_served()
             before, known = known, self._known_grippers() if served else []
-            settling = settling if known == before else now
-            late = now - begun > limit
-            if served and (late or (known and now - settling > _SETTLING)):
+            last_change = last_change if known == before else now
+            is_late = now - start > limit
+            if served and (is_late or (known and now - last_change > _SETTLE_TIME)):
                 for name in missing:
                     if name not in known:
-                        there = ", ".join(known) or "none"
-                        raise GripperError(f"{self._target} has no gripper '{name}'; it has {there}")
-            if late:
-                raise GripperError(self._what_is_missing(limit))
+                        listed = ", ".join(known) or "none"
+                        raise GripperError(f"{self._target} has no gripper '{name}'; it has {listed}")
+            if is_late:
+                raise GripperError(self._describe_missing(limit))
             self._executor.spin_once(timeout_sec=0.02)
         return False
 
-    def _begin_open(self, end: float) -> bool:
+    def _open_all(self, end: float) -> bool:
         """Open the grippers once, and wait until the node reports that they are open.
 
         Raises:
             GripperError: if no answer comes before the steady time `end` [s].
         """
-        for hand in self.hands:
+        for hand in self.grippers:
             hand.open()
-        while self._proceed():
+        while self._should_continue():
             self._executor.spin_once(timeout_sec=0.1)
-            closed = [hand.script.gripper for hand in self.hands if not hand.is_open()]
+            closed = [hand.script.gripper for hand in self.grippers if not hand.is_open()]
             if not closed:
                 return True
             if time.monotonic() > end:
@@ -157,7 +157,7 @@ class GripperPlayer:
                 )
         return False
 
-    def play(self, *, standing: float = _LONGEST_STANDING) -> bool:
+    def play(self, *, standing: float = _MAX_STANDING) -> bool:
         """Play the scripts in the time of the cloth; return false if ended early.
 
         A gripper stays at the position of a closing until the result is known. If the result is late, or if this
@@ -170,38 +170,39 @@ class GripperPlayer:
         Raises:
             GripperError: if the script time stands for longer, or goes back.
         """
-        period = 1.0 / max(hand.script.rate for hand in self.hands)
-        due = moved = time.monotonic()
-        waits = False
-        while self._proceed():
+        period = 1.0 / max(hand.script.rate for hand in self.grippers)
+        wake_time = last_change = time.monotonic()
+        is_waiting = False
+        while self._should_continue():
             now = self._newest_time()
             if now is not None and now != self._newest:
                 now = self._wait_to_send(now)
-                if self._go_on(now, time.monotonic() - moved, period):
+                if self._advance(now, time.monotonic() - last_change, period):
                     return True
-                moved, waits = time.monotonic(), False
-            elif (stood := time.monotonic() - moved) > standing:
+                last_change, is_waiting = time.monotonic(), False
+            elif (standing_time := time.monotonic() - last_change) > standing:
                 raise GripperError(
-                    f"{self._target} {self._played.describe()} for {stood:.0f} s: the script ends (--wait gives it "
+                    f"{self._target} {self._script_time.describe()} for {standing_time:.0f} s: the script ends "
+                    f"(--wait gives it "
                     "longer); is it paused or stopped? What does its log say?"
                 )
-            elif stood > _STANDING and not waits:
-                waits = True
-                self._on_standing(f"{self._target} {self._played.describe()}: the script waits")
+            elif standing_time > _STANDING_TIMEOUT and not is_waiting:
+                is_waiting = True
+                self._on_standing(f"{self._target} {self._script_time.describe()}: the script waits")
             # By the steady clock, without drift; missed times are skipped.
-            due = max(due + period, time.monotonic() - period)
-            while (left := due - time.monotonic()) > 0.0:
-                self._executor.spin_once(timeout_sec=left)
-            if self._played.period and self._played.now() == self._newest:
+            wake_time = max(wake_time + period, time.monotonic() - period)
+            while (remaining := wake_time - time.monotonic()) > 0.0:
+                self._executor.spin_once(timeout_sec=remaining)
+            if self._script_time.period and self._script_time.now() == self._newest:
                 # The target of the next frame is sent as soon as its time is known.
                 self._executor.spin_once(timeout_sec=period)
         return False
 
     def _wait_to_send(self, now: int) -> int:
         """Wait until the send time of the target for a time [ns], or until a newer time; return the newest [ns]."""
-        while (left := self._played.send_time - time.monotonic()) > 0.0 and self._played.now() == now:
-            self._executor.spin_once(timeout_sec=left)
-        return self._played.now() or now
+        while (remaining := self._script_time.send_time - time.monotonic()) > 0.0 and self._script_time.now() == now:
+            self._executor.spin_once(timeout_sec=remaining)
+        return self._script_time.now() or now
 
     def _newest_time(self) -> int | None:
         """Return the script time [ns] after all arrived messages were taken.
@@ -209,15 +210,15 @@ class GripperPlayer:
         A spin delivers one message of a topic. Without this loop a client that was suspended would send several targets
         for one frame.
         """
-        now = self._played.now()
-        while self._played.period:
+        now = self._script_time.now()
+        while self._script_time.period:
             self._executor.spin_once(timeout_sec=0.0)
-            before, now = now, self._played.now()
+            before, now = now, self._script_time.now()
             if now == before:
                 break
         return now
 
-    def _go_on(self, now: int, elapsed: float, period: float) -> bool:
+    def _advance(self, now: int, elapsed: float, period: float) -> bool:
         """Send the due commands; return true if the scripts have ended.
 
         Args:
@@ -233,25 +234,25 @@ class GripperPlayer:
         if now < self._newest:
             raise GripperError(f"the time of {self._target} went back: it was restarted; play the script again")
         played, seconds = (now - self._start) * 1e-9, now * 1e-9
-        late = self._held_up((now - self._newest) * 1e-9, elapsed, period)
-        late = max(late, played - min(hand.stay(played, seconds) for hand in self.hands))
-        first = min((grasp for hand in self.hands for grasp in hand.waiting[:1]), key=_time_of, default=None)
-        if first is not None and played - late > first.time + _HELD_UP and first is not self._compensated:
+        delay = self._missed_time((now - self._newest) * 1e-9, elapsed, period)
+        delay = max(delay, played - min(hand.limit_time(played, seconds) for hand in self.grippers))
+        first = min((grasp for hand in self.grippers for grasp in hand.pending[:1]), key=_time_of, default=None)
+        if first is not None and played - delay > first.time + _REWIND and first is not self._rewound:
             # Once for each grasp: a simulated clock may advance by larger steps.
-            self._compensated = first
-            late = played - max(first.time - _HELD_UP, 0.0)
+            self._rewound = first
+            delay = played - max(first.time - _REWIND, 0.0)
         self._newest = now
-        self._start += int(late * 1e9)
-        played -= late
-        for hand in self.hands:
-            hand.command(played, seconds)
-        if not all(hand.has_played(played, seconds) for hand in self.hands):
+        self._start += int(delay * 1e9)
+        played -= delay
+        for hand in self.grippers:
+            hand.send_commands(played, seconds)
+        if not all(hand.has_played(played, seconds) for hand in self.grippers):
             return False
-        for hand in self.hands:
+        for hand in self.grippers:
             hand.finish()
         return True
 
-    def _held_up(self, played: float, elapsed: float, period: float) -> float:
+    def _missed_time(self, played: float, elapsed: float, period: float) -> float:
         """Return the delay of the scripts because frames have passed without a target [s].
 
         A gripper that caught up would be twice as fast for a frame. A cloth faster than real time has several frames
@@ -262,8 +263,12 @@ class GripperPlayer:
             elapsed: wall time since then [s].
             period: time between two targets [s].
         """
-        step = max(self._played.period * 1e-9, period)
-        if not self._played.period or played <= _MORE * step or elapsed < played / _MORE:
+        step = max(self._script_time.period * 1e-9, period)
+        if (
+            not self._script_time.period
+            or played <= _MAX_INTERVAL_RATIO * step
+            or elapsed < played / _MAX_INTERVAL_RATIO
+        ):
             return 0.0
         return played - step
 
@@ -277,9 +282,9 @@ class GripperPlayer:
         and a query by node name may return it instead of its successor.
         """
         of_node = (name for name, _ in self._node.get_service_names_and_types() if name.startswith(f"{self._target}/"))
-        return any(not name.endswith(_OF_RCLPY) and self._node.count_services(name) for name in of_node)
+        return any(not name.endswith(_RCLPY_SERVICE) and self._node.count_services(name) for name in of_node)
 
-    def _what_is_missing(self, limit: float) -> str:
+    def _describe_missing(self, limit: float) -> str:
         if self._target in self._node_names():
             return (
                 f"{self._target} is there, but was not ready within {limit:g} s; what does its log say? "
@@ -296,5 +301,5 @@ class GripperPlayer:
         )
 
 
-def _time_of(grasp: GraspAt) -> float:
+def _time_of(grasp: TimedGrasp) -> float:
     return grasp.time

@@ -18,8 +18,8 @@ from cloth_sim_ros.ros.gripper_player import GripperError, GripperPlayer
 from cloth_sim_ros.ros.gripper_words import describe_holds
 from cloth_sim_ros.ros.sim_time import SimTimeNode
 from cloth_sim_ros.ros.stopping import StopSignals
-from cloth_sim_ros.scene.locations import config_file
-from cloth_sim_ros.session.loading import INTERRUPTED
+from cloth_sim_ros.scene.config_files import config_file
+from cloth_sim_ros.session.command_runner import INTERRUPTED
 from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
 
@@ -67,8 +67,8 @@ def _play(options: argparse.Namespace, signals: StopSignals) -> int:
         node,
         scripts,
         target=options.node,
-        proceed=lambda: signals.requested is None,
-        played=ClothTime(node, "/" + options.node.strip("/")),
+        should_continue=lambda: signals.requested is None,
+        script_time=ClothTime(node, "/" + options.node.strip("/")),
         on_standing=log.info,
     )
     named = f"gripper{'s' if names[1:] else ''} {', '.join(map(repr, names))} of {options.node}"
@@ -79,14 +79,14 @@ def _play(options: argparse.Namespace, signals: StopSignals) -> int:
         log.info(f"playing {max(script.duration for script in scripts):g} s to {named}")
         if not player.play(standing=options.wait):
             return INTERRUPTED
-        for hand in player.hands:
+        for hand in player.grippers:
             summary = f"{hand.targets_sent} targets sent"
-            if all(hold.held for hold in hand.holds):
-                summary += f"; {describe_holds(hand.holds)}"
+            if all(hold.held for hold in hand.reports):
+                summary += f"; {describe_holds(hand.reports)}"
             log.info(f"played; {summary}" if not names[1:] else f"played '{hand.script.gripper}'; {summary}")
-        failed = [hand for hand in player.hands if not all(hold.held for hold in hand.holds)]
+        failed = [hand for hand in player.grippers if not all(hold.held for hold in hand.reports)]
         for hand in failed:
-            _refuse(f"gripper '{hand.script.gripper}' of {options.node}: {describe_holds(hand.holds)}")
+            _refuse(f"gripper '{hand.script.gripper}' of {options.node}: {describe_holds(hand.reports)}")
         if failed:
             return 1
     except GripperError as error:

@@ -24,7 +24,7 @@ class GripperSpeedMonitor:
     def check(self) -> None:
         """Check the newest frame."""
         grippers = self._simulation.grippers
-        limited = grippers.limited
+        limited = grippers.speed_limited
         if not limited and not self._limited:
             return
         for name in limited.keys() - self._limited:

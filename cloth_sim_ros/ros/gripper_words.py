@@ -7,20 +7,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from cloth_sim_ros.session.words import counted
+from cloth_sim_ros.session.plurals import pluralize
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.ros.gripper_hand import Hold
+    from cloth_sim_ros.ros.gripper_client import GraspReport
 
 
-def describe_holds(holds: Sequence[Hold]) -> str:
+def describe_holds(holds: Sequence[GraspReport]) -> str:
     """Return the results of grasps as text, in order."""
     if not holds:
         return "the script closes nothing"
-    return "; ".join(_in_words(hold) for hold in holds)
+    return "; ".join(_describe_report(hold) for hold in holds)
 
 
-def _in_words(hold: Hold) -> str:
+def _describe_report(hold: GraspReport) -> str:
     if hold.held is None:
-        return f"the result of a grasp is not known: {hold.words}"
-    return f"held {counted(hold.held, 'particle')}" if hold.held else "held nothing (the node's log says why)"
+        return f"the result of a grasp is not known: {hold.text}"
+    return f"held {pluralize(hold.held, 'particle')}" if hold.held else "held nothing (the node's log says why)"

@@ -11,7 +11,7 @@ from typing import Any
 from rclpy.logging import LoggingSeverity
 
 #: Largest number of distinct kinds of message. Kinds contain gripper names; this is far above what is needed.
-_MOST_KINDS = 1000
+_MAX_KINDS = 1000
 _INFO, _WARN, _ERROR = "info", "warn", "error"
 
 
@@ -51,7 +51,7 @@ class ThrottledLog:
         """Log at level ERROR."""
         self._log(kind, message, _ERROR)
 
-    def settle(self) -> None:
+    def flush(self) -> None:
         """Update the level, and log the newest omitted message of each kind whose period is over.
 
         Call it periodically.
@@ -70,7 +70,7 @@ class ThrottledLog:
             count = self._left_out[kind][0] if kind in self._left_out else 0
             self._left_out[kind] = (count + 1, message, severity)
             return
-        if last is None and len(self._last) >= _MOST_KINDS:
+        if last is None and len(self._last) >= _MAX_KINDS:
             self._last.clear()
             self._left_out.clear()
         self._last[kind] = now

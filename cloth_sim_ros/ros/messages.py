@@ -100,8 +100,8 @@ class SurfaceMarker:
         self._message = Marker(ns=name, id=0, type=Marker.TRIANGLE_LIST, action=Marker.ADD, frame_locked=True)
         self._message.header.frame_id = frame_id
         self._message.pose.orientation.w = 1.0
-        for side in ("x", "y", "z"):
-            setattr(self._message.scale, side, 1.0)
+        for axis in ("x", "y", "z"):
+            setattr(self._message.scale, axis, 1.0)
         self._message.color = ColorRGBA(r=0.85, g=0.3, b=0.25, a=1.0)
         self._corners = np.ascontiguousarray(triangles).ravel()
         # No field after the points is aligned to 8 bytes, so the tail does not depend on the number of points.
@@ -120,8 +120,8 @@ class SurfaceMarker:
         """Return the length of the bytes after the number of points; a marked field before it locates them."""
         plain = bytes(serialize_message(Marker()))
         locked = bytes(serialize_message(Marker(frame_locked=True)))
-        place = next(index for index, (a, b) in enumerate(zip(plain, locked, strict=True)) if a != b)
-        count = 4 + -(-(place + 1 - 4) // 4) * 4
+        offset = next(index for index, (a, b) in enumerate(zip(plain, locked, strict=True)) if a != b)
+        count = 4 + -(-(offset + 1 - 4) // 4) * 4
         return len(plain) - count - 4
 
 

@@ -17,9 +17,9 @@ from cloth_sim_ros.scene.scene import Scene
 
 _SIM_TIME = "use_sim_time"
 #: Longest full name of a topic in ROS 2 (rmw's RMW_TOPIC_MAX_NAME_LENGTH).
-MOST_TOPIC = 247
+MAX_TOPIC_LENGTH = 247
 #: The longest topic name below that of a gripper or obstacle.
-_LEAF = "/wrench"
+_LONGEST_LEAF = "/wrench"
 
 
 def refuse_values(values: Mapping[str, Any]) -> None:
@@ -38,7 +38,7 @@ def refuse_values(values: Mapping[str, Any]) -> None:
         refused.add([f"{_SIM_TIME} is {follows!r}; it must be true or false, without quotes"])
     for entry in entries:
         if entry.name in values and entry.name not in empty:
-            refused.attempt(partial(entry.check, values[entry.name]))
+            refused.collect(partial(entry.check, values[entry.name]))
     refused.add(frame_ids.faults(values))
     refused.add(qos_rules.faults(values))
     refused.refuse()
@@ -57,13 +57,13 @@ def refuse_scene(scene: Scene, *, node: str) -> None:
     Raises:
         ParameterError: names the parameter or the folder.
     """
-    most = MOST_TOPIC - len(f"/{node.strip('/')}/{_LEAF}")
+    max_length = MAX_TOPIC_LENGTH - len(f"/{node.strip('/')}/{_LONGEST_LEAF}")
     for kind, names in (("gripper", scene.gripper_names), ("obstacle", [*scene.obstacle_names, *scene.described])):
         for name in names:
-            if len(name) > most:
+            if len(name) > max_length:
                 raise ParameterError(
                     f"{kind} name '{name[:20]}...' has {len(name)} letters; the topics of /{node.strip('/')} leave "
-                    f"room for {most}: shorten it"
+                    f"room for {max_length}: shorten it"
                 )
     if scene.record.enabled:
         _refuse_folder(Path(scene.record.folder).expanduser())
@@ -72,27 +72,27 @@ def refuse_scene(scene: Scene, *, node: str) -> None:
 def _refuse_folder(folder: Path) -> None:
     """Refuse a folder that the recorder could not create or write; create none."""
     try:
-        there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+        existing = next(candidate for candidate in (folder, *folder.absolute().parents) if candidate.exists())
     except (OSError, ValueError) as error:
         raise ParameterError(f"cannot record into {str(folder)!r}: {error}; set record.folder") from error
-    if not there.is_dir():
+    if not existing.is_dir():
         raise ParameterError(f"cannot record into {folder}: it is, or lies under, a file; set record.folder")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise ParameterError(f"cannot write into {there}: permission denied; set record.folder")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise ParameterError(f"cannot write into {existing}: permission denied; set record.folder")
 
 
 def hint_at_folder(error: str, values: Mapping[str, Any], path: str | Path) -> str:
     """Return a hint on the working directory if an error names a missing relative file; otherwise an empty text."""
     for parameter, value in values.items():
-        named = (parameter in files.NAMES or parameter.endswith(".mesh")) and isinstance(value, str) and value
+        named = (parameter in files.FILE_PARAMETERS or parameter.endswith(".mesh")) and isinstance(value, str) and value
         if not named or os.path.isabs(value) or f"'{value}'" not in error:
             continue
         name = value.rpartition("@")[0] if ".mcap@" in value else value
         if os.path.exists(name):
             continue
         start = f"; the node resolves relative names in its working directory, {Path.cwd()}"
-        beside = Path(path).absolute().parent
-        if os.path.exists(beside / name):
-            return f"{start}: start it in {beside}, or give {parameter} as {beside / value}"
+        file_folder = Path(path).absolute().parent
+        if os.path.exists(file_folder / name):
+            return f"{start}: start it in {file_folder}, or give {parameter} as {file_folder / value}"
         return f"{start}: give the whole path"
     return ""

@@ -19,7 +19,7 @@ from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.ros.messages import set_stamp
 
 #: Width and height of the slab that shows a plane, which is its upper side [m].
-PLANE = (10.0, 0.002)
+PLANE_SIZE = (10.0, 0.002)
 _COLOUR, _GROUND = ColorRGBA(r=0.45, g=0.5, b=0.58, a=1.0), ColorRGBA(r=0.24, g=0.26, b=0.3, a=1.0)
 
 
@@ -33,73 +33,77 @@ class ObstacleMarkers:
         removed: names of obstacles whose markers are to be deleted.
     """
 
-    def __init__(self, solids: Sequence[Obstacle], *, frame_id: str, node: str, gone: Sequence[str] = ()) -> None:
+    def __init__(self, solids: Sequence[Obstacle], *, frame_id: str, node: str, removed: Sequence[str] = ()) -> None:
         self._frame_id = frame_id
         #: For each marker: index of its obstacle, the marker, and its position in the obstacle's frame [m].
         self._parts: list[tuple[int, Marker, NDArray[np.float64]]] = []
         for k, solid in enumerate(solids):
-            for number, (marker, place) in enumerate(_markers(solid)):
-                marker.ns, marker.id, marker.action = f"{node}/{solid.name}", number, Marker.ADD
+            for index, (marker, offset) in enumerate(_markers(solid)):
+                marker.ns, marker.id, marker.action = f"{node}/{solid.name}", index, Marker.ADD
                 # Planes are darker than the objects on them.
                 marker.color = _GROUND if solid.shape == "plane" else _COLOUR
                 marker.header.frame_id = frame_id
-                self._parts.append((k, marker, place))
-        self._gone = [
-            Marker(ns=f"{node}/{name}", id=number, action=Marker.DELETE) for name in gone for number in range(_MOST)
+                self._parts.append((k, marker, offset))
+        self._removed = [
+            Marker(ns=f"{node}/{name}", id=index, action=Marker.DELETE)
+            for name in removed
+            for index in range(_MAX_MARKERS)
         ]
-        for marker in self._gone:
+        for marker in self._removed:
             marker.header.frame_id = frame_id
 
     def serialized(self, poses: Array, stamp: int) -> bytes:
         """Return the CDR bytes for poses (obstacle_count, 7) at a ROS time [ns]."""
-        for k, marker, place in self._parts:
+        for k, marker, offset in self._parts:
             set_stamp(marker.header.stamp, stamp)
-            marker.pose = _pose(poses[k], place)
-        for marker in self._gone:
+            marker.pose = _pose(poses[k], offset)
+        for marker in self._removed:
             set_stamp(marker.header.stamp, stamp)
-        return bytes(serialize_message(MarkerArray(markers=[*self._gone, *(marker for _, marker, _ in self._parts)])))
+        return bytes(
+            serialize_message(MarkerArray(markers=[*self._removed, *(marker for _, marker, _ in self._parts)]))
+        )
 
 
 #: Markers of one obstacle at most: a capsule has three.
-_MOST = 3
+_MAX_MARKERS = 3
 
 
 def _markers(solid: Obstacle) -> list[tuple[Marker, NDArray[np.float64]]]:
     """Return the markers of an obstacle and their positions in its frame [m], shape (3,)."""
-    here = np.zeros(3)
+    origin = np.zeros(3)
     match solid.shape:
         case "plane":
-            width, height = PLANE
+            width, height = PLANE_SIZE
             return [(_marker(Marker.CUBE, width, width, height), np.array([0.0, 0.0, -0.5 * height]))]
         case "box":
-            return [(_marker(Marker.CUBE, *solid.size), here)]
+            return [(_marker(Marker.CUBE, *solid.size), origin)]
         case "sphere":
-            return [(_marker(Marker.SPHERE, *[2.0 * solid.size[0]] * 3), here)]
+            return [(_marker(Marker.SPHERE, *[2.0 * solid.size[0]] * 3), origin)]
         case "cylinder" | "capsule":
             radius, length = solid.size
             width = 2.0 * radius
-            found = [(_marker(Marker.CYLINDER, width, width, length), here)]
+            markers = [(_marker(Marker.CYLINDER, width, width, length), origin)]
             if solid.shape == "capsule":
-                found += [
-                    (_marker(Marker.SPHERE, width, width, width), np.array([0.0, 0.0, side * length]))
-                    for side in (-0.5, 0.5)
+                markers += [
+                    (_marker(Marker.SPHERE, width, width, width), np.array([0.0, 0.0, end * length]))
+                    for end in (-0.5, 0.5)
                 ]
-            return found
+            return markers
     assert solid.vertices is not None
     assert solid.triangles is not None
     marker = _marker(Marker.TRIANGLE_LIST, 1.0, 1.0, 1.0)
     marker.points = [Point(x=x, y=y, z=z) for x, y, z in solid.vertices[solid.triangles.ravel()].tolist()]
-    return [(marker, here)]
+    return [(marker, origin)]
 
 
 def _marker(kind: int, x: float, y: float, z: float) -> Marker:
     return Marker(type=kind, scale=Vector3(x=x, y=y, z=z))
 
 
-def _pose(pose: Array, place: NDArray[np.float64]) -> Pose:
-    found = Pose()
-    x, y, z = (pose[:3] + rotation_matrix(pose[3:]) @ place).tolist()
-    found.position = Point(x=x, y=y, z=z)
+def _pose(pose: Array, offset: NDArray[np.float64]) -> Pose:
+    message = Pose()
+    x, y, z = (pose[:3] + rotation_matrix(pose[3:]) @ offset).tolist()
+    message.position = Point(x=x, y=y, z=z)
     for axis, value in zip("xyzw", pose[3:].tolist(), strict=True):
-        setattr(found.orientation, axis, value)
-    return found
+        setattr(message.orientation, axis, value)
+    return message

@@ -13,13 +13,13 @@ import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 
-from cloth_sim_ros.ros.commands import Commands
+from cloth_sim_ros.ros.commands import CommandSubscriptions
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.messages import wrench_message
-from cloth_sim_ros.ros.outputs import LATCHED, Output, Tape
+from cloth_sim_ros.ros.outputs import LATCHED_QOS, Output, RecordSink
+from cloth_sim_ros.simulation.bodies import solids_and_poses
 from cloth_sim_ros.simulation.events import Move, Reset, SetParameters, Target
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
-from cloth_sim_ros.simulation.surroundings import solids_and_poses
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.forces.force import Array
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from cloth_sim_ros.ros.obstacle_markers import ObstacleMarkers
 
 #: A stop within this simulated time after the previous one is the same stop [s].
-_CALM = 1.0
+_STOP_REPEAT_TIME = 1.0
 #: Words for a stop of several bodies: verb, subject and object.
-_SEVERAL = ("are", "they", "them")
+_PLURAL = ("are", "they", "them")
 
 
 class ObstacleTopics:
@@ -43,52 +43,54 @@ class ObstacleTopics:
         log: receives warnings of stops and lags.
     """
 
-    def __init__(self, node: Node, simulation: Simulation, commands: Commands, tape: Tape, log: ThrottledLog) -> None:
+    def __init__(
+        self, node: Node, simulation: Simulation, commands: CommandSubscriptions, sink: RecordSink, log: ThrottledLog
+    ) -> None:
         self._node, self._simulation, self._commands = node, simulation, commands
-        self._tape, self._log = tape, log
+        self._sink, self._log = sink, log
         self._drawn: list[str] = []
         self._markers: ObstacleMarkers | None = None
         self._output: Output | None = None
         self._wrenches: dict[str, Output] = {}
-        self._shown: bytes = b""
+        self._published: bytes = b""
         self._poses = np.zeros((0, 7))
         #: Names of stopped bodies without a new command since.
-        self._halted: set[str] = set()
+        self._stopped_names: set[str] = set()
         #: Frame of each body's last stop, and the number of frames after which another stop is reported.
-        self._stopped: dict[str, int] = {}
-        self._calm = round(_CALM * simulation.scene.rate)
+        self._last_stop_frames: dict[str, int] = {}
+        self._n_repeat_frames = round(_STOP_REPEAT_TIME * simulation.scene.rate)
 
     def start(self, stamp: int) -> None:
         """Publish the obstacles at a ROS time [ns], and subscribe to their targets."""
-        self._follow(stamp)
+        self._update_topics(stamp)
 
     def record(self, stamp: int) -> None:
         """Record the markers at the start of a recording, at a ROS time [ns]."""
         if self._output is not None:
-            self._output.record(self._shown, stamp)
+            self._output.record(self._published, stamp)
 
     def send(self, frame: Frame, stamp: int) -> None:
         """Publish and record the markers and wrenches after a frame, at a ROS time [ns]."""
-        self._follow_halted(frame)
+        self._update_stopped(frame)
         self._warn_of_stops(frame)
         obstacles = self._simulation.obstacles
         solids, poses = self._solids()
         if [solid.name for solid in solids] != self._drawn:
-            self._follow(stamp)
+            self._update_topics(stamp)
             return
         if not np.array_equal(poses, self._poses):
-            self._show(stamp)
+            self._publish(stamp)
         if obstacles is None:
             return
-        for name in obstacles.behind:
+        for name in obstacles.lagging:
             self._log.warn(
                 f"behind {name}",
                 f"'{name}' lags behind its target: the speed of obstacles is limited to {obstacles.speed:g} m/s, "
                 "so that they do not pass through the cloth",
             )
-        for name, load in zip(obstacles.names, frame.loads, strict=True):
+        for name, load in zip(obstacles.names, frame.obstacle_wrenches, strict=True):
             output = self._wrenches[name]
-            if output.wanted:
+            if output.has_consumers:
                 output.send(wrench_message(load, frame_id=self._simulation.scene.frame_id, stamp=stamp), stamp)
 
     def log_recovery(self, frame: Frame) -> None:
@@ -103,41 +105,43 @@ class ObstacleTopics:
 
     def describe(self) -> dict[str, str]:
         """Return the diagnostics entries of contact; empty without contact."""
-        gaps, contact, said = self._simulation.gaps(), self._simulation.plan.contact, dict[str, str]()
+        gaps, contact, entries = self._simulation.gaps(), self._simulation.plan.contact, dict[str, str]()
         if gaps is not None and len(gaps):
-            said = {"contacts": str(int(gaps[:, 0].sum())), "smallest_gap_m": f"{gaps[:, 1].min():.6g}"}
-            said["halted"] = ", ".join(sorted(self._halted)) or "none"
+            entries = {"contacts": str(int(gaps[:, 0].sum())), "smallest_gap_m": f"{gaps[:, 1].min():.6g}"}
+            entries["halted"] = ", ".join(sorted(self._stopped_names)) or "none"
         if contact is not None and contact.force.surface is not None:
-            count, gap = contact.own_gaps(self._simulation.state.x)
-            said |= {"self_contacts": str(count), "self_smallest_gap_m": f"{gap:.6g}"}
-        return said
+            count, gap = contact.self_gaps(self._simulation.state.x)
+            entries |= {"self_contacts": str(count), "self_smallest_gap_m": f"{gap:.6g}"}
+        return entries
 
     def _warn_of_stops(self, frame: Frame) -> None:
         """Warn once of a stop, even if commands cause it again in each frame."""
-        latest = self._stopped
-        self._stopped = {name: index for name, index in latest.items() if frame.index - index <= self._calm}
-        new = [name for name in frame.halted if name not in self._stopped]
-        self._stopped |= dict.fromkeys(frame.halted, frame.index)
+        latest = self._last_stop_frames
+        self._last_stop_frames = {
+            name: index for name, index in latest.items() if frame.index - index <= self._n_repeat_frames
+        }
+        new = [name for name in frame.stopped if name not in self._last_stop_frames]
+        self._last_stop_frames |= dict.fromkeys(frame.stopped, frame.index)
         if not new:
             return
         names = ", ".join(f"'{name}'" for name in new)
-        words = ("is", "it", "it") if len(new) == 1 else _SEVERAL
+        words = ("is", "it", "it") if len(new) == 1 else _PLURAL
         self._log.warn(
             f"halted {names}",
             f"{names} {words[0]} stopped: {words[1]} would crush the cloth; send a new target to resume {words[2]}",
         )
 
-    def _follow_halted(self, frame: Frame) -> None:
+    def _update_stopped(self, frame: Frame) -> None:
         """Update the stopped bodies: add those of the frame, drop those with a new command and removed ones."""
-        anew = {event.obstacle for event in frame.events if isinstance(event, Move)}
-        anew |= {event.gripper for event in frame.events if isinstance(event, Target)}
+        commanded = {event.obstacle for event in frame.events if isinstance(event, Move)}
+        commanded |= {event.gripper for event in frame.events if isinstance(event, Target)}
         scene = self._simulation.scene
         known = {*scene.obstacle_names, *scene.gripper_names}
         if any(isinstance(event, Reset) for event in frame.events):
             known = set()
-        self._halted = ((self._halted - anew) & known) | set(frame.halted)
+        self._stopped_names = ((self._stopped_names - commanded) & known) | set(frame.stopped)
 
-    def _follow(self, stamp: int) -> None:
+    def _update_topics(self, stamp: int) -> None:
         """Create and remove topics so that they match the present obstacles."""
         obstacles, scene = self._simulation.obstacles, self._simulation.scene
         names = [] if obstacles is None else obstacles.names
@@ -147,31 +151,31 @@ class ObstacleTopics:
             return
         from cloth_sim_ros.ros.obstacle_markers import MarkerArray, ObstacleMarkers
 
-        self._commands.listen_to_obstacles(names)
+        self._commands.subscribe_obstacles(names)
         for name in names:
             if name not in self._wrenches:
-                self._wrenches[name] = Output(self._node, WrenchStamped, f"~/{name}/wrench", self._tape, droppable=True)
+                self._wrenches[name] = Output(self._node, WrenchStamped, f"~/{name}/wrench", self._sink, droppable=True)
         for name in [name for name in self._wrenches if name not in names]:
             self._wrenches.pop(name).close()
-        gone = [name for name in self._drawn if name not in drawn]
+        removed = [name for name in self._drawn if name not in drawn]
         self._markers = ObstacleMarkers(
             solids,
             frame_id=scene.frame_id,
             node=self._node.get_fully_qualified_name(),
-            gone=gone,
+            removed=removed,
         )
         self._drawn = drawn
         if self._output is None:
-            self._output = Output(self._node, MarkerArray, "~/obstacles", self._tape, qos=LATCHED)
-        self._show(stamp)
+            self._output = Output(self._node, MarkerArray, "~/obstacles", self._sink, qos=LATCHED_QOS)
+        self._publish(stamp)
 
     def _solids(self) -> tuple[list[Obstacle], Array]:
         return solids_and_poses(self._simulation.obstacles, self._simulation.pinching)
 
-    def _show(self, stamp: int) -> None:
+    def _publish(self, stamp: int) -> None:
         assert self._markers is not None
         assert self._output is not None
         self._poses = self._solids()[1]
         # Without a check for subscribers: the topic is latched (transient local).
-        self._shown = self._markers.serialized(self._poses, stamp)
-        self._output.send(self._shown, stamp)
+        self._published = self._markers.serialized(self._poses, stamp)
+        self._output.send(self._published, stamp)

@@ -11,23 +11,23 @@ from cloth_sim_ros import __version__
 
 def parser() -> argparse.ArgumentParser:
     """Return the parser."""
-    found = argparse.ArgumentParser(
+    command_parser = argparse.ArgumentParser(
         prog="cloth_sim",
         description="A live cloth in a ROS 2 graph. Parameters: --ros-args -p name:=value, or --params-file file.yaml; "
         "ros2 param describe explains them.",
         allow_abbrev=False,
     )
-    found.add_argument("--version", action="version", version=__version__)
-    found.add_argument(
+    command_parser.add_argument("--version", action="version", version=__version__)
+    command_parser.add_argument(
         "--check",
         metavar="FILE",
         help="print the cloth of a parameter file, its expected speed and its step limit, without joining the graph; "
         "the exit status is 1 if the node would refuse it",
     )
-    found.add_argument(
+    command_parser.add_argument(
         "--node",
         default="cloth_sim",
         metavar="NAME",
         help="with --check: name of the node whose parameters are read (default: %(default)s)",
     )
-    return found
+    return command_parser

@@ -27,18 +27,18 @@ from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 
 #: Reliable, because RViz's displays request it; a subscriber that only needs the newest message requests best effort.
-STREAM = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+STREAM_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 #: For large messages: only the newest unread cloud is kept for a slow subscriber.
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+NEWEST_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 #: For messages that are published once: late subscribers receive them (transient local).
-LATCHED = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: Longest wait at the node's end until subscribers have received the last messages.
-_FLUSH = Duration(seconds=0.2)
+_FLUSH_TIMEOUT = Duration(seconds=0.2)
 #: A publication that takes longer than the first is warned of, at most once in the second [s].
-_LONG_PUBLICATION, _BETWEEN_WARNINGS = 0.5, 60.0
+_SLOW_PUBLICATION, _WARNING_PERIOD = 0.5, 60.0
 
 
-class Tape(Protocol):
+class RecordSink(Protocol):
     """A consumer that records messages."""
 
     @property
@@ -57,12 +57,19 @@ class Output:
     """
 
     def __init__(
-        self, node: Node, kind: Any, topic: str, tape: Tape, *, qos: QoSProfile = STREAM, droppable: bool = False
+        self,
+        node: Node,
+        kind: Any,
+        topic: str,
+        sink: RecordSink,
+        *,
+        qos: QoSProfile = STREAM_QOS,
+        droppable: bool = False,
     ) -> None:
         self._kind, self._node = kind, node
-        self._tape = tape
+        self._sink = sink
         self._droppable = droppable
-        self._log = ThrottledLog(node.get_logger(), seconds=_BETWEEN_WARNINGS)
+        self._log = ThrottledLog(node.get_logger(), seconds=_WARNING_PERIOD)
         profile = overridden_profile(node, topic, qos)
         try:
             self._publisher = node.create_publisher(
@@ -83,20 +90,20 @@ class Output:
         self.topic = node.resolve_topic_name(topic, only_expand=True)
 
     @property
-    def heard(self) -> bool:
+    def has_subscribers(self) -> bool:
         """True if the topic has subscribers."""
         return bool(self._publisher.get_subscription_count())
 
     @property
-    def wanted(self) -> bool:
+    def has_consumers(self) -> bool:
         """True if the topic has subscribers or a recording runs."""
-        return self._tape.running or self.heard
+        return self._sink.running or self.has_subscribers
 
     def publish(self, data: bytes) -> None:
         """Publish bytes, and warn if the middleware blocks the node for more than 0.5 s."""
         begun = time.monotonic()
         self._publisher.publish(data)
-        if (elapsed := time.monotonic() - begun) > _LONG_PUBLICATION:
+        if (elapsed := time.monotonic() - begun) > _SLOW_PUBLICATION:
             self._log.warn(
                 "slow",
                 f"{self.topic}: publishing took {elapsed:.2g} s, and the frame waited for the middleware: a subscriber "
@@ -110,7 +117,7 @@ class Output:
 
     def flush(self) -> None:
         """Wait at most 0.2 s until reliable subscribers have received the messages."""
-        self._publisher.wait_for_all_acked(_FLUSH)
+        self._publisher.wait_for_all_acked(_FLUSH_TIMEOUT)
 
     def close(self) -> None:
         """Remove the topic."""
@@ -118,8 +125,8 @@ class Output:
 
     def record(self, data: bytes, stamp: int) -> None:
         """Record bytes at a ROS time [ns] if a recording runs."""
-        if self._tape.running:
-            self._tape.add(
+        if self._sink.running:
+            self._sink.add(
                 self.topic, self._kind, data, stamp=stamp, qos=self._publisher.qos_profile, droppable=self._droppable
             )
 
@@ -127,7 +134,7 @@ class Output:
 class Outputs:
     """Points, topology, mesh and wrenches of one cloth."""
 
-    def __init__(self, node: Node, scene: Scene, tape: Tape) -> None:
+    def __init__(self, node: Node, scene: Scene, sink: RecordSink) -> None:
         self._shape = scene.shape
         sheet = scene.sheet
         triangles = sheet.triangles()
@@ -135,11 +142,11 @@ class Outputs:
         # By velocity and double precision; built on first use.
         self._clouds: dict[tuple[bool, bool], CloudMessage] = {}
         self._marker = SurfaceMarker(frame_id=scene.frame_id, name=node.get_fully_qualified_name(), triangles=triangles)
-        self._points = Output(node, PointCloud2, "~/points", tape, qos=NEWEST, droppable=True)
-        self._mesh = Output(node, Marker, "~/mesh", tape, qos=NEWEST, droppable=True)
-        self._topology = Output(node, Mesh, "~/topology", tape, qos=LATCHED)
+        self._points = Output(node, PointCloud2, "~/points", sink, qos=NEWEST_QOS, droppable=True)
+        self._mesh = Output(node, Marker, "~/mesh", sink, qos=NEWEST_QOS, droppable=True)
+        self._topology = Output(node, Mesh, "~/topology", sink, qos=LATCHED_QOS)
         self._wrenches = [
-            Output(node, WrenchStamped, f"~/{name}/wrench", tape, droppable=True) for name in scene.gripper_names
+            Output(node, WrenchStamped, f"~/{name}/wrench", sink, droppable=True) for name in scene.gripper_names
         ]
         self._topology_bytes = mesh_bytes(triangles, sheet.positions())
         self.published = 0
@@ -164,15 +171,15 @@ class Outputs:
             velocities: velocities [m/s], shape (3, n), if the cloud has velocity fields.
             double: true for a cloud in double precision.
         """
-        if self._points.wanted:
+        if self._points.has_consumers:
             cloud = self._cloud(velocity=velocities is not None, double=double)
             self._points.send(cloud.serialized(x, stamp, velocities), stamp)
             self.published += 1
         # Not recorded, because it is large and follows from points and topology.
-        if self._mesh.heard:
+        if self._mesh.has_subscribers:
             self._mesh.publish(self._marker.serialized(x, stamp))
         for output, wrench in zip(self._wrenches, wrenches, strict=True):
-            if output.wanted:
+            if output.has_consumers:
                 output.send(wrench_message(wrench, frame_id=self._frame_id, stamp=stamp), stamp)
 
     def _cloud(self, *, velocity: bool, double: bool) -> CloudMessage:

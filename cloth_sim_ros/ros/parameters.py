@@ -21,12 +21,12 @@ from cloth_sim_ros.ros.qos_rules import Override, overridable
 from cloth_sim_ros.ros.sim_time import SIM_TIME, SimTimeNode, check_sim_time
 from cloth_sim_ros.ros.unknown_overrides import unknown_sentences
 from cloth_sim_ros.scene import frame_ids, gripper_parameters, obstacles
-from cloth_sim_ros.scene.mesh_notes import mesh_notes, silence_reader
+from cloth_sim_ros.scene.mesh_notes import mesh_notes, silence_mesh_log
+from cloth_sim_ros.scene.parameter_warnings import ineffective_parameters
 from cloth_sim_ros.scene.parameters import Faults, Parameter, ParameterError, read_only
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.sheet_checks import without_surface
-from cloth_sim_ros.scene.unknown import FOREIGN, PROFILES, suggestion
-from cloth_sim_ros.scene.without_effect import without_effect
+from cloth_sim_ros.scene.unknown_parameters import QOS_PREFIX, ROS_PARAMETERS, suggestion
 
 _TYPES = {
     "bool": RosParameter.Type.BOOL,
@@ -79,14 +79,14 @@ class SceneNode(SimTimeNode):
     def declare_parameters(self, namespace: str, parameters: Iterable[Any], *arguments: Any, **options: Any) -> Any:
         """Declare parameters as rclpy does, which declares the overrides first; refuse invalid overrides here."""
         listed = list(parameters)
-        given = {f"{namespace}.{entry[0]}".lstrip("."): entry[1] for entry in listed if len(entry) > 1}
+        overrides = {f"{namespace}.{entry[0]}".lstrip("."): entry[1] for entry in listed if len(entry) > 1}
         refused = Faults()
-        refused.add(_empty_lists(given))
-        if SIM_TIME in given and given[SIM_TIME] is not None:
-            refused.attempt(lambda: check_sim_time(given[SIM_TIME]))
+        refused.add(_empty_lists(overrides))
+        if SIM_TIME in overrides and overrides[SIM_TIME] is not None:
+            refused.collect(lambda: check_sim_time(overrides[SIM_TIME]))
         if refused:
             # Include the faults that `declare` would find, so that one start reports all of them.
-            _check_values({name: value for name, value in given.items() if value is not None}, refused)
+            _check_values({name: value for name, value in overrides.items() if value is not None}, refused)
         refused.refuse()
         return super().declare_parameters(namespace, listed, *arguments, **options)
 
@@ -122,7 +122,7 @@ class SceneNode(SimTimeNode):
         self.declaring = True
         try:
             for entry in new:
-                declare_one(self, entry, entry.default)
+                declare_entry(self, entry, entry.default)
         finally:
             self.declaring = False
         result = super().set_parameters_atomically(parameter_list)
@@ -134,7 +134,7 @@ class SceneNode(SimTimeNode):
 
 def _reason(entry: Parameter, value: Any) -> str:
     refused = Faults()
-    refused.attempt(partial(entry.check, value))
+    refused.collect(partial(entry.check, value))
     return "; ".join(refused.sentences)
 
 
@@ -157,7 +157,7 @@ def _check_values(overrides: Mapping[str, Any], refused: Faults) -> dict[str, An
     values: dict[str, Any] = {}
     for entry in Scene.declared_for(overrides):
         if entry.name in overrides:
-            values[entry.name] = refused.attempt(partial(entry.check, _plain(overrides[entry.name])))
+            values[entry.name] = refused.collect(partial(entry.check, _plain(overrides[entry.name])))
     refused.add(frame_ids.faults(overrides))
     refused.add(qos_rules.faults(overrides))
     return values
@@ -176,21 +176,21 @@ def declare(node: Node) -> Scene:
     refused.refuse()
     for name in values:
         node.undeclare_parameter(name)
-    silence_reader()
+    silence_mesh_log()
     scene = Scene.from_parameters(values, files=session_state(str(values.get("initial_state", ""))))
     known, defaults = Scene.declared_for(overrides), without_surface(values)
     for entry in known:
-        declare_one(node, entry, {entry.name: entry.default, **defaults, **values}[entry.name])
+        declare_entry(node, entry, {entry.name: entry.default, **defaults, **values}[entry.name])
     _warn_of_unknown(node, scene, [entry.name for entry in known])
     notes, warnings = mesh_notes(scene)
     for sentence in notes:
         node.get_logger().info(sentence)
-    for sentence in [*warnings, *without_effect(scene, values)]:
+    for sentence in [*warnings, *ineffective_parameters(scene, values)]:
         node.get_logger().warning(sentence)
     return scene
 
 
-def declare_one(node: Node, entry: Parameter, value: Any) -> None:
+def declare_entry(node: Node, entry: Parameter, value: Any) -> None:
     """Declare a parameter of a scene on a node with a value; overrides are ignored."""
     typed = RosParameter(entry.name, _TYPES[entry.kind], _listed(value)).value
     if isinstance(node, SceneNode):
@@ -216,9 +216,9 @@ def describe(entry: Parameter) -> ParameterDescriptor:
     elif limited and entry.kind == "int":
         descriptor.integer_range = [IntegerRange(**_limits(entry, 2**63 - 1, int))]
     elif limited:
-        each = "each " if entry.is_array else ""
+        prefix = "each " if entry.is_array else ""
         low = f"above {entry.least} and at most" if entry.open_least else f"from {entry.least} to"
-        constraints.append(f"{each}{low} {entry.most}")
+        constraints.append(f"{prefix}{low} {entry.most}")
     if entry.open_least and not entry.is_array:
         constraints.append(f"above {entry.least}")
     if entry.constraint:
@@ -247,20 +247,20 @@ class LiveParameters:
         scene: Scene,
         change: Callable[[dict[str, Any]], None],
         check: Callable[[dict[str, Any], Scene], None],
-        turn: AbstractContextManager[Any],
+        lock: AbstractContextManager[Any],
     ) -> None:
         self._node = node
         self._change = change
         self._check = check
-        self._turn = turn
+        self._lock = lock
         # Includes accepted values that wait for their frame, so that two changes before a frame are checked together.
         self._accepted = scene
         # The last validated values and their scene, so that it is not built twice.
-        self._judged: tuple[dict[str, Any], Scene] = ({}, scene)
+        self._validated: tuple[dict[str, Any], Scene] = ({}, scene)
         self._returning = False
         # Another callback may still refuse a change: only values that were set are applied.
-        node.add_on_set_parameters_callback(self._judge)
-        node.add_post_set_parameters_callback(self._take_over)
+        node.add_on_set_parameters_callback(self._validate)
+        node.add_post_set_parameters_callback(self._apply)
 
     @property
     def accepted(self) -> Scene:
@@ -270,7 +270,7 @@ class LiveParameters:
     def return_to(self, scene: Scene) -> None:
         """Set the parameters to the values of a scene, because an accepted change could not take effect."""
         before, now = self._accepted.parameters(), scene.parameters()
-        gone = self._accepted.entries
+        previous = self._accepted.entries
         remaining = {entry.name for entry in scene.entries}
         self._accepted = scene
         self._returning = True
@@ -282,15 +282,15 @@ class LiveParameters:
                     if before[entry.name] != now[entry.name]
                 ]
             )
-            for entry in gone:
+            for entry in previous:
                 if entry.name not in remaining:
                     self._node.undeclare_parameter(entry.name)
         finally:
             self._returning = False
 
-    def _judge(self, changes: Sequence[RosParameter]) -> SetParametersResult:
+    def _validate(self, changes: Sequence[RosParameter]) -> SetParametersResult:
         for change in changes:
-            fixed = change.name == SIM_TIME or change.name.startswith(PROFILES)
+            fixed = change.name == SIM_TIME or change.name.startswith(QOS_PREFIX)
             if (
                 fixed
                 and self._node.has_parameter(change.name)
@@ -299,37 +299,37 @@ class LiveParameters:
                 reason = f"{change.name} can't change while the cloth runs; set it at start"
                 return SetParametersResult(successful=False, reason=reason)
         values = self._values(changes)
-        if not values or self._passes:
+        if not values or self._ignores_changes:
             return SetParametersResult(successful=True)
-        with self._turn:
+        with self._lock:
             try:
                 refused = Faults()
                 refused.add(frame_ids.faults(values))
                 refused.refuse()
-                wanted = self._accepted.changed(values)
-                self._check(values, wanted)
+                changed_scene = self._accepted.changed(values)
+                self._check(values, changed_scene)
             except ParameterError as error:
                 return SetParametersResult(successful=False, reason="; ".join(error.sentences))
             except (ValueError, RuntimeError) as error:
                 return SetParametersResult(successful=False, reason=str(error))
-            self._judged = (values, wanted)
+            self._validated = (values, changed_scene)
         return SetParametersResult(successful=True)
 
-    def _take_over(self, changes: Sequence[RosParameter]) -> None:
+    def _apply(self, changes: Sequence[RosParameter]) -> None:
         values = self._values(changes)
-        if not values or self._passes:
+        if not values or self._ignores_changes:
             return
-        with self._turn:
-            judged, wanted = self._judged
-            if judged != values:
-                wanted = self._accepted.changed(values)
-            self._accepted = wanted
-            self._judged = ({}, wanted)
-            in_force = wanted.parameters()
+        with self._lock:
+            validated, changed_scene = self._validated
+            if validated != values:
+                changed_scene = self._accepted.changed(values)
+            self._accepted = changed_scene
+            self._validated = ({}, changed_scene)
+            in_force = changed_scene.parameters()
             self._change({name: in_force[name] for name in values})
 
     @property
-    def _passes(self) -> bool:
+    def _ignores_changes(self) -> bool:
         """True while parameters are set without an effect on the scene."""
         return self._returning or (isinstance(self._node, SceneNode) and self._node.declaring)
 
@@ -344,11 +344,11 @@ def _warn_of_unknown(node: Node, scene: Scene, known: Sequence[str]) -> None:
     """Warn of overrides without effect, such as typing errors in a parameter file."""
     names = node.list_parameters([], 0).names
     full, resolve = node.get_fully_qualified_name(), node.resolve_topic_name
-    looked_at = {Override(resolve(topic), kind, policy).name for kind, topic, policy in overridable(scene)}
+    used = {Override(resolve(topic), kind, policy).name for kind, topic, policy in overridable(scene)}
     for sentence in unknown_sentences(names, known, scene, node=full, resolve=resolve):
         node.get_logger().warning(sentence)
     for name in names:
-        if name not in looked_at and name not in known and name not in FOREIGN:
+        if name not in used and name not in known and name not in ROS_PARAMETERS:
             node.undeclare_parameter(name)
 
 

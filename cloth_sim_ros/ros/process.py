@@ -19,7 +19,6 @@ from rclpy.exceptions import (
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start, readable
-from cloth_sim_ros.ros.aside import Aside
 from cloth_sim_ros.ros.command_line_parameters import command_line_parameters
 from cloth_sim_ros.ros.failure import NodeFailedError
 from cloth_sim_ros.ros.log import ThrottledLog
@@ -29,6 +28,7 @@ from cloth_sim_ros.ros.recording import RecordingUnavailableError
 from cloth_sim_ros.ros.stopping import StopRequestedError, StopSignals
 from cloth_sim_ros.ros.transports import cloud_transports
 from cloth_sim_ros.ros.unused_files import unused_files
+from cloth_sim_ros.ros.worker_thread import WorkerThread
 from cloth_sim_ros.scene.parameters import ParameterError
 
 _BAD_NAMES = (
@@ -39,7 +39,7 @@ _BAD_NAMES = (
 )
 #: Errors that rclpy raises for a malformed message of a type that it takes itself (/clock, parameter requests). They
 #: have no public name.
-_TAKING_FAILED = ("RCLError", "RMWError")
+_TAKE_ERRORS = ("RCLError", "RMWError")
 
 
 def run(argv: Sequence[str], signals: StopSignals) -> int:
@@ -53,33 +53,35 @@ def run(argv: Sequence[str], signals: StopSignals) -> int:
         Exit status: 0 if a signal stopped the node; 1 if it could not start, its recording could not be closed, or a
         frame failed and `on_failure` is `exit`.
     """
-    aside = Aside(signals.name)
+    worker = WorkerThread(signals.name)
     # In force until the node has joined the graph; later child processes get the original environment.
     joining = contextlib.ExitStack()
     try:
         warning = joining.enter_context(cloud_transports(command_line_parameters(argv)))
         read_and_start(parser(), argv)
-        status = _run(argv, signals, aside, joining, warning)
+        status = _run(argv, signals, worker, joining, warning)
     except ArgumentsError as error:
         return _refuse(str(error))
     finally:
         signals.ignore()
         joining.close()
         rclpy.try_shutdown()
-    if aside.left:
-        aside.end_process(status)
+    if worker.is_abandoned:
+        worker.end_process(status)
     return status
 
 
-def _run(argv: Sequence[str], signals: StopSignals, aside: Aside, joining: contextlib.ExitStack, warning: str) -> int:
+def _run(
+    argv: Sequence[str], signals: StopSignals, worker: WorkerThread, joining: contextlib.ExitStack, warning: str
+) -> int:
     try:
         # In the worker thread: a signal interrupts only the wait, because exceptions in rclpy's callbacks are lost.
-        cloth = aside.run(lambda: ClothNode(aside=aside.run, stopped=signals.name))
+        cloth = worker.run(lambda: ClothNode(run_job=worker.run, signal_name=signals.name))
         joining.close()
     except StopRequestedError:
-        signals.tell_early_end()
-        if aside.left:
-            aside.end_process(0)
+        signals.report_early_stop()
+        if worker.is_abandoned:
+            worker.end_process(0)
         return 0
     except ParameterError as error:
         return _refuse(*error.sentences)
@@ -101,7 +103,7 @@ def _run(argv: Sequence[str], signals: StopSignals, aside: Aside, joining: conte
             cloth.node.get_logger().warning(sentence)
         _spin(cloth, signals)
     except StopRequestedError:
-        signals.tell_early_end()
+        signals.report_early_stop()
     except ParameterError as error:
         if started:
             raise
@@ -115,8 +117,8 @@ def _run(argv: Sequence[str], signals: StopSignals, aside: Aside, joining: conte
         return _refuse(readable(error))
     finally:
         saved = cloth.close()
-        if cloth.cut_off:
-            aside.leave()
+        if cloth.frame_aborted:
+            worker.abandon()
     return 0 if saved and not failed else 1
 
 
@@ -133,7 +135,7 @@ def _spin(cloth: ClothNode, signals: StopSignals) -> None:
             # Raised while waiting for the end of a frame.
             break
         except RuntimeError as error:
-            if type(error).__name__ not in _TAKING_FAILED:
+            if type(error).__name__ not in _TAKE_ERRORS:
                 raise
             log.error("take", f"a message could not be taken and is left out: {error}")
     # Frames must log nothing after the next line.

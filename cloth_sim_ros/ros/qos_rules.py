@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import attrs
 
-from cloth_sim_ros.scene.unknown import PROFILES
+from cloth_sim_ros.scene.unknown_parameters import QOS_PREFIX
 
 if TYPE_CHECKING:
     from cloth_sim_ros.scene.scene import Scene
@@ -24,7 +24,7 @@ _WORDS = {
 #: Policies of a profile that may be overridden.
 POLICIES = (*_WORDS, "depth")
 #: Largest depth of a queue: the middleware's length has 32 bits.
-_DEEPEST = 2**31 - 1
+_MAX_DEPTH = 2**31 - 1
 
 
 @attrs.frozen
@@ -40,7 +40,7 @@ class Override:
     @property
     def endpoint(self) -> str:
         """The prefix of the name that all policies share."""
-        return f"{PROFILES}{self.topic}.{self.endpoint_kind}"
+        return f"{QOS_PREFIX}{self.topic}.{self.endpoint_kind}"
 
     @property
     def name(self) -> str:
@@ -69,9 +69,9 @@ def overridable(scene: Scene) -> Iterator[tuple[str, str, str]]:
 
 def read_name(name: str) -> Override | None:
     """Return the parts of an override's name; None if the name is no override or its policy is not overridable."""
-    if not name.startswith(PROFILES):
+    if not name.startswith(QOS_PREFIX):
         return None
-    topic, _, end = name.removeprefix(PROFILES).rpartition(".")
+    topic, _, end = name.removeprefix(QOS_PREFIX).rpartition(".")
     topic, _, endpoint_kind = topic.rpartition(".")
     return (
         Override(topic, endpoint_kind, end) if topic and endpoint_kind in ENDPOINT_KINDS and end in POLICIES else None
@@ -89,7 +89,7 @@ def faults(values: Mapping[str, Any], defaults: Mapping[str, str] | None = None)
     for name, value in values.items():
         if (override := read_name(name)) is None:
             continue
-        if words := _wrong(override, value):
+        if words := _allowed_values(override, value):
             yield f"{name} is {value!r}; it must be {words}"
         elif isinstance(value, str):
             endpoints.setdefault(override.endpoint, {})[override.policy] = value.lower()
@@ -121,12 +121,12 @@ def foreign_owners(names: Iterable[str], topics: Iterable[str], node: str) -> di
     return owned
 
 
-def _wrong(override: Override, value: Any) -> str:
+def _allowed_values(override: Override, value: Any) -> str:
     """Return the allowed values of a policy if a value is invalid; otherwise an empty text."""
     if override.policy == "depth":
-        right = isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _DEEPEST
+        is_valid = isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= _MAX_DEPTH
         waits = "for slow subscribers" if override.endpoint_kind == PUBLISHER else "for the node"
-        return "" if right else f"a whole number from 0 to {_DEEPEST}, how many messages wait {waits}"
+        return "" if is_valid else f"a whole number from 0 to {_MAX_DEPTH}, how many messages wait {waits}"
     words = _WORDS[override.policy]
-    right = isinstance(value, str) and value.lower() in words
-    return "" if right else f"{', '.join(words[:-1])} or {words[-1]}"
+    is_valid = isinstance(value, str) and value.lower() in words
+    return "" if is_valid else f"{', '.join(words[:-1])} or {words[-1]}"

@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from cloth_sim_ros.scene import parameter_file
-from cloth_sim_ros.session.words import counted
+from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation import events
 from cloth_sim_ros.simulation.environment import environment
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.scene.sections import Record as RecordSettings
+    from cloth_sim_ros.scene.sections import RecordParameters as RecordSettings
     from cloth_sim_ros.session.recorder import Recorder, RecorderOptions, RecorderStatus
-    from cloth_sim_ros.session.writer import Snapshot
+    from cloth_sim_ros.session.writer import SessionSnapshot
 
 _NO_MEMORY = "no memory is left"
 _FRAME_TYPE = "std_msgs/msg/String"
@@ -55,9 +55,9 @@ class SessionRecording:
         self._recorder: Recorder | None = None
         self._closing: Recorder | None = None
         self._last: RecorderStatus | None = None
-        self._told: list[Callable[[RecorderStatus], None]] = []
+        self._listeners: list[Callable[[RecorderStatus], None]] = []
         #: Records of the running frame; None between frames.
-        self._held: list[Callable[[Recorder], object]] | None = None
+        self._pending: list[Callable[[Recorder], object]] | None = None
         #: The missing library if a recording failed to start because of it; otherwise empty.
         self.missing = ""
 
@@ -77,9 +77,9 @@ class SessionRecording:
             self._check_libraries()
         except RecordingNotInstalledError:
             return
-        from cloth_sim_ros.session import cdr, frame_record, layouts, recorder, writer  # noqa: F401
+        from cloth_sim_ros.session import cdr, channel_description, frame_record, recorder, writer  # noqa: F401
 
-        layouts.describe(_FRAME_TYPE)
+        channel_description.describe(_FRAME_TYPE)
 
     def begin(self, stamp: int) -> None:
         """Start a recording with a snapshot at a ROS time [ns]. Its file is created in the background, see `status`.
@@ -155,9 +155,9 @@ class SessionRecording:
         recorder = self._recorder or self._closing
         return recorder.status() if recorder is not None else self._last
 
-    def tell(self, listener: Callable[[RecorderStatus], None]) -> None:
+    def notify(self, listener: Callable[[RecorderStatus], None]) -> None:
         """Call a listener once, when the file of a started recording exists or that of an ended one is closed."""
-        self._told.append(listener)
+        self._listeners.append(listener)
 
     def poll(self) -> str:
         """Call the listeners if their event has come; return an error of the recording once, or an empty text."""
@@ -170,16 +170,16 @@ class SessionRecording:
         reason = ""
         if status.state in ("failed", "closed"):
             if status.error:
-                what = "nothing is recorded" if status.path is None else "the recording ended"
-                reason = f"{what}: {status.error}"
+                effect = "nothing is recorded" if status.path is None else "the recording ended"
+                reason = f"{effect}: {status.error}"
             self._recorder = self._closing = None
             self._last = status
-        told, self._told = self._told, []
-        for listener in told:
+        listeners, self._listeners = self._listeners, []
+        for listener in listeners:
             listener(status)
         return reason
 
-    def end_soon(self, *, reason: str = "stopped") -> None:
+    def begin_close(self, *, reason: str = "stopped") -> None:
         """Close the file in the background; `notify` reports its end.
 
         Raises:
@@ -205,26 +205,26 @@ class SessionRecording:
             try:
                 snapshot = self._snapshot()
             except (OSError, MemoryError) as error:
-                self._recorder.give_up(f"cannot begin the next file: {getattr(error, 'strerror', None) or _NO_MEMORY}")
+                self._recorder.fail(f"cannot begin the next file: {getattr(error, 'strerror', None) or _NO_MEMORY}")
             else:
                 self._recorder.split(snapshot, log_time=stamp)
-        self._held = []
+        self._pending = []
 
     def commit(self) -> None:
         """Write the records of a frame that succeeded."""
-        held, self._held = self._held, None
+        pending, self._pending = self._pending, None
         if self._recorder is not None:
-            for record in held or ():
+            for record in pending or ():
                 record(self._recorder)
 
     def discard(self) -> None:
         """Drop the records of a frame that failed."""
-        self._held = None
+        self._pending = None
 
     def add(self, topic: str, kind: Any, data: bytes, *, stamp: int, qos: QoSProfile, droppable: bool) -> None:
         """Record a message's bytes at a ROS time [ns]."""
         if self._recorder is not None:
-            self._put(topic, _type_name(kind), data, log_time=stamp, droppable=droppable, qos=_session_qos(qos))
+            self._record(topic, _type_name(kind), data, log_time=stamp, droppable=droppable, qos=_session_qos(qos))
 
     def add_frame(self, frame: Frame, stamp: int, extras: dict[str, Any]) -> None:
         """Record a frame at a ROS time [ns], before its messages."""
@@ -244,17 +244,17 @@ class SessionRecording:
             paused=self._simulation.paused,
             extras=extras | frame.extras(),
         )
-        self._put(
+        self._record(
             f"{self._node_name}/frame", _FRAME_TYPE, encode_string(record.to_json()), log_time=stamp, droppable=False
         )
 
-    def _put(self, *message: Any, **options: Any) -> None:
+    def _record(self, *message: Any, **options: Any) -> None:
         if self._recorder is None:
             return
-        if self._held is None:
+        if self._pending is None:
             self._recorder.record(*message, **options)
         else:
-            self._held.append(lambda recorder: recorder.record(*message, **options))
+            self._pending.append(lambda recorder: recorder.record(*message, **options))
 
     def save_state(self) -> Path:
         """Write the cloth's state into the recording folder, and return the file.
@@ -302,14 +302,14 @@ class SessionRecording:
         record = self._settings()
         writer = WriterOptions(
             compression=record.compression,  # type: ignore[arg-type]
-            least_free_space=record.least_free_space,
+            min_free_space=record.least_free_space,
         )
         return RecorderOptions(writer=writer, split_bytes=record.split)
 
-    def _snapshot(self) -> Snapshot:
-        from cloth_sim_ros.session.writer import Snapshot
+    def _snapshot(self) -> SessionSnapshot:
+        from cloth_sim_ros.session.writer import SessionSnapshot
 
-        return Snapshot(
+        return SessionSnapshot(
             scene_yaml=parameter_file.dump(self._simulation.scene.parameters()),
             state=self._simulation.state.to_bytes(),
             files=self._simulation.scene.files,
@@ -335,10 +335,12 @@ def _folder(settings: RecordSettings) -> Path:
         ) from error
 
 
-def tell_end(logger: Any, status: RecorderStatus) -> None:
+def log_end(logger: Any, status: RecorderStatus) -> None:
     """Log the end of a recording."""
     if status.state == "closed":
-        logger.info(f"recorded {counted(status.messages, 'message')}, {status.bytes_written} bytes, into {status.path}")
+        logger.info(
+            f"recorded {pluralize(status.messages, 'message')}, {status.bytes_written} bytes, into {status.path}"
+        )
     else:
         logger.error(f"the recording failed: {status.error}")
 
@@ -349,7 +351,7 @@ def _type_name(kind: Any) -> str:
 
 
 def _session_qos(qos: QoSProfile) -> Any:
-    from cloth_sim_ros.session.layouts import Qos
+    from cloth_sim_ros.session.channel_description import Qos
 
     return Qos(
         reliability="best_effort" if qos.reliability == ReliabilityPolicy.BEST_EFFORT else "reliable",

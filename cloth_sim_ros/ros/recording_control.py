@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 from rclpy.node import Node
 
-from cloth_sim_ros.ros.overheard import Overheard
 from cloth_sim_ros.ros.recording import (
     RecordingNotInstalledError,
     RecordingUnavailableError,
     SessionRecording,
-    tell_end,
+    log_end,
 )
+from cloth_sim_ros.ros.rosout_recorder import RosoutRecorder
 
 if TYPE_CHECKING:
     from cloth_sim_ros.session.recorder_options import RecorderStatus
@@ -36,7 +36,7 @@ class RecordingControl:
         self,
         node: Node,
         recording: SessionRecording,
-        log_recorder: Overheard,
+        log_recorder: RosoutRecorder,
         *,
         latched: Sequence[Callable[[int], None]],
         refusal: Callable[[], str],
@@ -57,7 +57,7 @@ class RecordingControl:
             # The node runs without the libraries too.
             self._node.get_logger().error(f"nothing is recorded: {error}")
             return
-        self._log_recorder.listen()
+        self._log_recorder.update()
         path = self._recording.wait_until_open()
         self._node.get_logger().info(f"recording into {path}")
 
@@ -74,7 +74,7 @@ class RecordingControl:
                     record(now)
             else:
                 self._resumes = False
-                self._recording.end_soon(reason="~/record")
+                self._recording.begin_close(reason="~/record")
         except RecordingUnavailableError as error:
             answer(False, str(error))
             return
@@ -83,23 +83,23 @@ class RecordingControl:
             if status.state == "recording":
                 self._node.get_logger().info(f"recording into {status.path}")
             elif status.state == "closed":
-                tell_end(self._node.get_logger(), status)
+                log_end(self._node.get_logger(), status)
             # The node's maintenance logs the error of a failed recording.
             success = status.state == ("recording" if begin else "closed")
             ended = f"{status.path} was closed before it was open"
             answer(success, status.error or (str(status.path) if success else ended))
 
-        self._recording.tell(finish)
+        self._recording.notify(finish)
 
     def fail(self, reason: str, _stamp: int) -> None:
         """End the recording, if one runs, with the reason of a failure; `resume` starts another after the reset."""
         self._recording.discard()
         if self._recording.running:
             self._resumes = True
-            self._recording.end_soon(reason=f"node failed: {reason}")
-            self._recording.tell(lambda status: tell_end(self._node.get_logger(), status))
+            self._recording.begin_close(reason=f"node failed: {reason}")
+            self._recording.notify(lambda status: log_end(self._node.get_logger(), status))
 
-    def follow(self) -> None:
+    def resume(self) -> None:
         """Start a new recording after a failure ended one and the node has recovered. Call it periodically."""
         if self._resumes and not self._refusal() and not self._recording.busy:
             self._resumes = False
@@ -114,5 +114,5 @@ class RecordingControl:
         """End the recording with the node, within a time [s]; return true if its file is complete."""
         status = self._recording.end(reason="node stopped", timeout=timeout)
         if status is not None:
-            tell_end(self._node.get_logger(), status)
+            log_end(self._node.get_logger(), status)
         return status is None or status.state == "closed"

@@ -12,20 +12,20 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 
 from cloth_sim_ros.physics.integrators.base import Advance
-from cloth_sim_ros.ros.commands import Commands
-from cloth_sim_ros.ros.diagnostics import Tally
+from cloth_sim_ros.ros.commands import CommandSubscriptions
+from cloth_sim_ros.ros.diagnostics import FrameTally
 from cloth_sim_ros.ros.outputs import Outputs
 from cloth_sim_ros.ros.recording import SessionRecording
 from cloth_sim_ros.ros.strain import StrainGauge
 from cloth_sim_ros.scene.plausibility import cloth_size, implausible_sizes
-from cloth_sim_ros.session.words import counted
+from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation.simulation import Simulation
 
 #: Level, summary, values.
-Said = tuple[bytes, str, dict[str, str]]
+DiagnosticsReport = tuple[bytes, str, dict[str, str]]
 
 
-def introduction(simulation: Simulation, *, follows_clock: bool) -> str:
+def start_summary(simulation: Simulation, *, follows_clock: bool) -> str:
     """Return the node's first log line."""
     scene, count = simulation.scene, simulation.state.particle_count
     names = f"grippers: {', '.join(scene.gripper_names) or 'none'}"
@@ -39,7 +39,7 @@ def introduction(simulation: Simulation, *, follows_clock: bool) -> str:
 
 def log_start(logger: RcutilsLogger, simulation: Simulation, *, follows_clock: bool) -> None:
     """Log the node's first line, and a warning on each implausible size."""
-    logger.info(introduction(simulation, follows_clock=follows_clock))
+    logger.info(start_summary(simulation, follows_clock=follows_clock))
     for sentence in implausible_sizes(simulation.scene, simulation.state.x, simulation.model.masses):
         logger.warning(sentence)
     if (recovery := simulation.contact_recovery) is not None:
@@ -47,7 +47,7 @@ def log_start(logger: RcutilsLogger, simulation: Simulation, *, follows_clock: b
 
 
 @attrs.define
-class Latest:
+class LatestFrame:
     """Outcome of the newest frame."""
 
     #: The reason if time is stopped; otherwise empty.
@@ -62,7 +62,7 @@ class Latest:
         self.exception = ""
 
 
-class Report:
+class DiagnosticsCollector:
     """Collects level, summary and values for /diagnostics.
 
     Args:
@@ -82,13 +82,13 @@ class Report:
         self,
         node: Node,
         simulation: Simulation,
-        latest: Latest,
+        latest: LatestFrame,
         *,
-        tally: Tally,
-        commands: Commands,
+        tally: FrameTally,
+        commands: CommandSubscriptions,
         outputs: Outputs,
         recording: SessionRecording,
-        further: Callable[[], dict[str, str]] = dict,
+        additional: Callable[[], dict[str, str]] = dict,
         user_paused: Callable[[], bool],
         clock: Callable[[], tuple[bytes, str] | None],
     ) -> None:
@@ -99,12 +99,12 @@ class Report:
         self._commands = commands
         self._outputs = outputs
         self._recording = recording
-        self._further = further
+        self._additional = additional
         self._user_paused, self._clock = user_paused, clock
         self._gauge = StrainGauge(simulation.scene)
-        self._namesakes = False
+        self._has_duplicates = False
 
-    def __call__(self, wanted: bool = True) -> Said:
+    def __call__(self, has_consumers: bool = True) -> DiagnosticsReport:
         """Return the present report; the strain is measured only if a subscriber or a recording takes the report."""
         period = self._simulation.scene.period
         rates = self._tally.report(period)
@@ -117,8 +117,8 @@ class Report:
             "late_frames": str(self._tally.late),
             "load": f"{rates['load']:.4f}",
             "longest_frame_ms": f"{rates['longest'] * 1e3:.3f}",
-            **self._describe_motion(wanted),
-            **self._further(),
+            **self._describe_motion(has_consumers),
+            **self._additional(),
             "commands_received": str(self._commands.received),
             "commands_refused": str(self._commands.refused),
             "commands_outdated": str(self._commands.outdated),
@@ -139,7 +139,7 @@ class Report:
         if clock is not None and clock[0] != DiagnosticStatus.OK:
             return *clock, values
         if rates["late"]:
-            return DiagnosticStatus.WARN, f"{counted(rates['late'], 'frame')} late in the last second", values
+            return DiagnosticStatus.WARN, f"{pluralize(rates['late'], 'frame')} late in the last second", values
         if self._user_paused():
             return DiagnosticStatus.OK, "paused" if clock is None else f"paused; {clock[1]}", values
         if clock is not None:
@@ -148,9 +148,9 @@ class Report:
             return DiagnosticStatus.OK, "asleep: the cloth is at rest", values
         return DiagnosticStatus.OK, "running", values
 
-    def _describe_motion(self, wanted: bool) -> dict[str, str]:
+    def _describe_motion(self, has_consumers: bool) -> dict[str, str]:
         advance = self._latest.advance
-        strain = self._gauge.largest(self._simulation.state.x) if wanted else None
+        strain = self._gauge.largest(self._simulation.state.x) if has_consumers else None
         energy = self._simulation.energy_report
         values = {
             "largest_strain": "not measured" if strain is None else f"{strain:.6f}",
@@ -161,8 +161,8 @@ class Report:
             values["energy_wind_j"] = f"{energy.wind:.6g}"
             values["energy_dissipated_j"] = f"{energy.dissipated:.6g}"
             contact = self._simulation.plan.contact
-            if contact is not None and contact.force.layered:
-                values["energy_rubbed_j"] = f"{energy.rubbed:.6g}"
+            if contact is not None and contact.force.has_self_friction:
+                values["energy_rubbed_j"] = f"{energy.friction_work:.6g}"
             if energy.recovered:
                 values["energy_recovered_j"] = f"{energy.recovered:.6g}"
             values["energy_balance_j"] = f"{energy.residual:.3g}"
@@ -173,16 +173,16 @@ class Report:
             values["error_estimate_m"] = "none" if advance.error is None else f"{advance.error:.3g}"
         return values
 
-    def look_for_namesakes(self) -> None:
+    def check_duplicate_nodes(self) -> None:
         """Warn once if another node has the same name: services and parameters would reach either of them.
 
         Separate from the report, because the last report is made while the node stops.
         """
-        own = (self._node.get_name(), self._node.get_namespace())
-        found = self._node.get_node_names_and_namespaces().count(own) > 1
-        if found and not self._namesakes:
+        full_name = (self._node.get_name(), self._node.get_namespace())
+        has_duplicates = self._node.get_node_names_and_namespaces().count(full_name) > 1
+        if has_duplicates and not self._has_duplicates:
             self._node.get_logger().warning(
                 f"there are several nodes {self._node.get_fully_qualified_name()}: give each its own name or "
                 "namespace (--ros-args -r __node:=other)"
             )
-        self._namesakes = found
+        self._has_duplicates = has_duplicates

@@ -18,17 +18,17 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
-from cloth_sim_ros.ros.event_queue import EventQueue, Outcome, QueueFullError
+from cloth_sim_ros.ros.event_queue import EventQueue, EventResult, QueueFullError
 from cloth_sim_ros.ros.recording import RecordingUnavailableError
-from cloth_sim_ros.session.words import counted
+from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, Step
 from cloth_sim_ros.simulation.grippers import GraspResult
 from cloth_sim_ros.simulation.simulation import Frame
 
 #: Longest wait of a request for its frame [s].
-PATIENCE = 5.0
+FRAME_TIMEOUT = 5.0
 #: Longest wait of a request for closing pads [s].
-CLOSING_PATIENCE = 30.0
+CLOSING_TIMEOUT = 30.0
 
 
 class Services:
@@ -56,7 +56,7 @@ class Services:
         record: Callable[[bool, Callable[[bool, str], None]], None],
         save_state: Callable[[], Path],
         seconds: Callable[[], float],
-        turn: AbstractContextManager[Any],
+        lock: AbstractContextManager[Any],
         refusal: Callable[[], str] = str,
     ) -> None:
         self._node = node
@@ -67,8 +67,8 @@ class Services:
         self._record = record
         self._save_state = save_state
         self._seconds = seconds
-        self._turn = turn
-        self._waiting: list[tuple[float, Future]] = []
+        self._lock = lock
+        self._pending: list[tuple[float, Future]] = []
         #: Grippers whose pads are closing: name, start time [s], and the future of the result.
         self._closing: list[tuple[str, float, Future]] = []
 
@@ -76,52 +76,53 @@ class Services:
         """Create the services. From then on every request is answered."""
         # A request that waits for its frame must not block the frame.
         group = ReentrantCallbackGroup()
-        for kind, name, handle in (
+        for kind, name, callback in (
             (Trigger, "~/reset", self._on_reset),
             (SetBool, "~/pause", self._on_pause),
             (Trigger, "~/step", self._on_step),
             (SetBool, "~/record", self._on_record),
             (Trigger, "~/save_state", self._on_save_state),
         ):
-            self._node.create_service(kind, name, handle, callback_group=group)
+            self._node.create_service(kind, name, callback, callback_group=group)
         for gripper in self._grippers:
             self._node.create_service(
                 SetBool, f"~/{gripper}/close", functools.partial(self._on_close, gripper), callback_group=group
             )
 
-    def give_up_waiting(self) -> None:
+    def expire_requests(self) -> None:
         """Answer requests that have waited too long. Call it periodically."""
         now = self._seconds()
-        for asked, future in self._waiting:
-            if now - asked > PATIENCE and not future.done():
+        for start, future in self._pending:
+            if now - start > FRAME_TIMEOUT and not future.done():
                 future.set_result(
-                    Outcome(
+                    EventResult(
                         frame=None,
-                        reason=f"no frame was due within {PATIENCE:g} s: /clock stands still; the next one applies it",
+                        reason=f"no frame was due within {FRAME_TIMEOUT:g} s: /clock stands still; the next one "
+                        f"applies it",
                     )
                 )
-        self._waiting = [entry for entry in self._waiting if not entry[1].done()]
-        for gripper, asked, future in self._closing:
-            if now - asked > CLOSING_PATIENCE:
-                reason = f"its pads still close after {CLOSING_PATIENCE:g} s; ~/{gripper}/state reports their grasp"
+        self._pending = [entry for entry in self._pending if not entry[1].done()]
+        for gripper, start, future in self._closing:
+            if now - start > CLOSING_TIMEOUT:
+                reason = f"its pads still close after {CLOSING_TIMEOUT:g} s; ~/{gripper}/state reports their grasp"
                 future.set_result(GraspResult(gripper, True, 0, reason))
         self._closing = [entry for entry in self._closing if not entry[2].done()]
 
-    def show(self, frame: Frame) -> None:
+    def answer_grasps(self, frame: Frame) -> None:
         """Answer requests whose pads came to rest in a frame, or were opened or reset."""
         if not self._closing:
             return
-        became = {grasp.gripper: grasp for grasp in frame.grasps}
-        stopped = {name: "opened" for name, grasp in became.items() if not grasp.closed}
+        grasps = {grasp.gripper: grasp for grasp in frame.grasps}
+        stopped = {name: "opened" for name, grasp in grasps.items() if not grasp.closed}
         if any(isinstance(event, Reset) for event in frame.events):
-            stopped |= {name: "reset" for name in self._grippers if name not in became}
-        done = {
-            name: GraspResult(name, True, 0, f"{what} before its pads came to rest") for name, what in stopped.items()
+            stopped |= {name: "reset" for name in self._grippers if name not in grasps}
+        results = {
+            name: GraspResult(name, True, 0, f"{cause} before its pads came to rest") for name, cause in stopped.items()
         }
-        done |= {result.gripper: result for result in frame.pinches}
+        results |= {result.gripper: result for result in frame.pinches}
         for gripper, _, future in self._closing:
-            if gripper in done:
-                future.set_result(done[gripper])
+            if gripper in results:
+                future.set_result(results[gripper])
         self._closing = [entry for entry in self._closing if not entry[2].done()]
 
     def fail(self, reason: str, _stamp: int) -> None:
@@ -130,71 +131,73 @@ class Services:
         for gripper, _, future in closing:
             future.set_result(GraspResult(gripper, True, 0, f"failed: {reason}"))
 
-    async def _ask(self, event: Event, *, rest: Future | None = None) -> Outcome:
+    async def _enqueue(self, event: Event, *, pads_result: Future | None = None) -> EventResult:
         """Queue an event and wait for its frame.
 
         Args:
             event: the event.
-            rest: future of the result if the event starts to close pads.
+            pads_result: future of the result if the event starts to close pads.
         """
         future: Future = Future()
 
-        def answer(outcome: Outcome) -> None:
-            if rest is not None and outcome.grasp is not None and outcome.grasp.pending:
-                self._closing.append((outcome.grasp.gripper, self._seconds(), rest))
+        def answer(outcome: EventResult) -> None:
+            if pads_result is not None and outcome.grasp is not None and outcome.grasp.pending:
+                self._closing.append((outcome.grasp.gripper, self._seconds(), pads_result))
             if not future.done():
                 future.set_result(outcome)
 
-        with self._turn:
+        with self._lock:
             refusal = "" if isinstance(event, Reset) else self._refusal()
             if refusal:
-                return Outcome(frame=None, reason=refusal)
+                return EventResult(frame=None, reason=refusal)
             try:
                 self._queue.put(event, answer=answer)
             except QueueFullError as error:
-                return Outcome(frame=None, reason=str(error))
-            self._waiting.append((self._seconds(), future))
-        outcome: Outcome = await future
-        return outcome
+                return EventResult(frame=None, reason=str(error))
+            self._pending.append((self._seconds(), future))
+        result: EventResult = await future
+        return result
 
     async def _on_reset(self, _request: Any, response: Any) -> Any:
-        return _answered(response, await self._ask(Reset()), "reset")
+        return _fill_response(response, await self._enqueue(Reset()), "reset")
 
     async def _on_pause(self, request: Any, response: Any) -> Any:
         done = "paused" if request.data else "running"
-        return _answered(response, await self._ask(Pause(bool(request.data))), done)
+        return _fill_response(response, await self._enqueue(Pause(bool(request.data))), done)
 
     async def _on_step(self, _request: Any, response: Any) -> Any:
-        with self._turn:
+        with self._lock:
             refusal = self._refusal() or ("" if self._paused() else "the cloth is running; pause it first")
         if refusal:
             response.success, response.message = False, refusal
             return response
-        return _answered(response, await self._ask(Step()), "one frame passed")
+        return _fill_response(response, await self._enqueue(Step()), "one frame passed")
 
     async def _on_close(self, gripper: str, request: Any, response: Any) -> Any:
-        rest: Future = Future()
-        outcome = await self._ask(Grasp(gripper, bool(request.data)), rest=rest)
-        grasp = outcome.grasp
+        pads_result: Future = Future()
+        result = await self._enqueue(Grasp(gripper, bool(request.data)), pads_result=pads_result)
+        grasp = result.grasp
         if grasp is None:
-            return _answered(response, outcome, "")
+            return _fill_response(response, result, "")
         if grasp.pending:
-            grasp = await rest
+            grasp = await pads_result
         # Closing on nothing is no success.
-        response.success = bool(grasp.held) if grasp.closed else True
-        response.message = f"holds {counted(grasp.held, 'particle')}" + (f": {grasp.reason}" if grasp.reason else "")
+        response.success = bool(grasp.grasped_count) if grasp.closed else True
+        response.message = f"holds {pluralize(grasp.grasped_count, 'particle')}" + (
+            f": {grasp.reason}" if grasp.reason else ""
+        )
         return response
 
     async def _on_record(self, request: Any, response: Any) -> Any:
         future: Future = Future()
-        with self._turn:
+        with self._lock:
             self._record(bool(request.data), lambda success, message: future.set_result((success, message)))
         response.success, response.message = await future
         return response
 
     def _on_save_state(self, _request: Any, response: Any) -> Any:
         try:
-            with self._turn:
+            with self._lock:
                 response.message = str(self._save_state())
         except RecordingUnavailableError as error:
             response.success, response.message = False, f"cannot save the state: {error}"
@@ -203,7 +206,7 @@ class Services:
         return response
 
 
-def _answered(response: Any, outcome: Outcome, done: str) -> Any:
-    response.success = outcome.frame is not None
-    response.message = outcome.reason if outcome.frame is None else f"{done}, frame {outcome.frame.index}"
+def _fill_response(response: Any, result: EventResult, done: str) -> Any:
+    response.success = result.frame is not None
+    response.message = result.reason if result.frame is None else f"{done}, frame {result.frame.index}"
     return response

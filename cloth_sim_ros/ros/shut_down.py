@@ -14,7 +14,7 @@ from rclpy.node import Node
 
 
 @contextmanager
-def unless_shut_down(node: Node) -> Iterator[None]:
+def ignore_errors_after_shutdown(node: Node) -> Iterator[None]:
     """Suppress errors of the middleware if the context was shut down meanwhile."""
     try:
         yield

@@ -18,11 +18,11 @@ from cloth_sim_ros.scene.parameters import ParameterError
 #: Name of ROS's parameter.
 SIM_TIME = "use_sim_time"
 #: Latest time that a stamp can hold: its seconds have 31 bits [ns].
-_LATEST = 2**31 * SECOND - 1
+_MAX_STAMP = 2**31 * SECOND - 1
 #: Longest silence of /clock before the first warning [s].
-_PATIENCE = 5.0
+_SILENCE_LIMIT = 5.0
 #: Period of repeated warnings [s].
-_AGAIN = 60.0
+_WARNING_PERIOD = 60.0
 
 
 def check_sim_time(value: Any) -> None:
@@ -53,7 +53,7 @@ class SimTimeNode(Node):
                 self.has_clock_time = True
                 return take(message)
 
-            callback = _only_times(accept, ThrottledLog(self.get_logger(), seconds=_AGAIN))
+            callback = _only_times(accept, ThrottledLog(self.get_logger(), seconds=_WARNING_PERIOD))
         return super().create_subscription(msg_type, topic, callback, *arguments, **options)
 
 
@@ -61,7 +61,7 @@ def _only_times(take: Callable[[Clock], Any], log: ThrottledLog) -> Callable[[Cl
     """Return a callback that passes on messages whose time a stamp can hold, and warns of others."""
 
     def only_times(message: Clock) -> Any:
-        if 0 <= (now := read_stamp(message.clock)) <= _LATEST:
+        if 0 <= (now := read_stamp(message.clock)) <= _MAX_STAMP:
             return take(message)
         kind = "before 0" if now < 0 else "too late"
         log.warn(
@@ -86,19 +86,19 @@ class ClockSilence:
         self._log = log
         self._seconds = seconds
         self._began = seconds()
-        self._due = self._began + _PATIENCE
+        self._next_warning = self._began + _SILENCE_LIMIT
 
     @property
     def seconds(self) -> float:
         """Time since the start [s]."""
         return self._seconds() - self._began
 
-    def look(self) -> None:
+    def check(self) -> None:
         """Warn if a warning is due. Call it periodically while no message has come."""
         now = self._seconds()
-        if now <= self._due:
+        if now <= self._next_warning:
             return
-        self._due = now + _AGAIN
+        self._next_warning = now + _WARNING_PERIOD
         self._log.warning(
             f"{SIM_TIME} is set, and for {now - self._began:.0f} s nothing has come on /clock: the cloth waits; start "
             f"what publishes it, or start the cloth with {SIM_TIME}:=false"

@@ -8,9 +8,9 @@ import attrs
 
 _SECOND = 1_000_000_000
 #: Largest time of a stamp ahead of the present [ns].
-AHEAD = _SECOND
+MAX_FUTURE = _SECOND
 #: After this silence [ns] older stamps are accepted again: a sender was restarted, or a bag is played again.
-FORGET = _SECOND
+STAMP_EXPIRY = _SECOND
 
 
 class StampError(ValueError):
@@ -43,7 +43,7 @@ class StampGate:
     """Accepts or refuses the stamps of one gripper's commands."""
 
     _newest: int | None = None
-    _heard: int = 0
+    _last_command: int = 0
 
     def accept(self, stamp: int, now: int) -> int:
         """Return the ROS time [ns] at which a command takes effect.
@@ -57,20 +57,20 @@ class StampGate:
             StampError: if the stamp is more than a second ahead.
         """
         effective = stamp or now
-        if effective > now + AHEAD:
+        if effective > now + MAX_FUTURE:
             raise StampError(
-                f"its stamp is {(effective - now) / _SECOND:.3f} s ahead, at most {AHEAD / _SECOND:g} s can wait; "
+                f"its stamp is {(effective - now) / _SECOND:.3f} s ahead, at most {MAX_FUTURE / _SECOND:g} s can wait; "
                 "do sender and cloth follow the same clock (use_sim_time)?"
             )
-        silent = now - self._heard
-        if self._newest is not None and effective < self._newest and 0 <= silent < FORGET:
+        silence = now - self._last_command
+        if self._newest is not None and effective < self._newest and 0 <= silence < STAMP_EXPIRY:
             raise OldStampError(
                 f"its stamp is {(self._newest - effective) / _SECOND:.3f} s older than that of the newest command"
             )
         self._newest = effective
-        self._heard = now
+        self._last_command = now
         return effective
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Accept any stamp next, because the clock was set back."""
         self._newest = None

@@ -9,8 +9,8 @@ from lifecycle_msgs.msg import State
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
-from cloth_sim_ros.ros.outputs import LATCHED, Output, Tape
-from cloth_sim_ros.session.words import counted
+from cloth_sim_ros.ros.outputs import LATCHED_QOS, Output, RecordSink
+from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation.events import Reset
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
@@ -31,14 +31,16 @@ class States:
         sink: records the messages.
     """
 
-    def __init__(self, node: Node, simulation: Simulation, tape: Tape) -> None:
+    def __init__(self, node: Node, simulation: Simulation, sink: RecordSink) -> None:
         self._simulation = simulation
         self._name = node.get_fully_qualified_name().strip("/")
-        self._state = Output(node, State, "~/state", tape, qos=LATCHED)
+        self._state = Output(node, State, "~/state", sink, qos=LATCHED_QOS)
         names = simulation.grippers.names
-        self._grippers = {name: Output(node, DiagnosticStatus, f"~/{name}/state", tape, qos=LATCHED) for name in names}
+        self._grippers = {
+            name: Output(node, DiagnosticStatus, f"~/{name}/state", sink, qos=LATCHED_QOS) for name in names
+        }
         self._latest: dict[Output, bytes] = {}
-        self._said = 0
+        self._published_state = 0
 
     def start(self, stamp: int, *, waits: bool = False) -> None:
         """Publish the first states.
@@ -50,8 +52,8 @@ class States:
         if waits:
             self._send_state(State.PRIMARY_STATE_INACTIVE, stamp)
         else:
-            self._say_state(stamp)
-        self._say_grippers({name: "" for name in self._grippers}, stamp)
+            self._update_state(stamp)
+        self._publish_grippers({name: "" for name in self._grippers}, stamp)
 
     def record(self, stamp: int) -> None:
         """Record the newest states at the start of a recording, at a ROS time [ns]."""
@@ -60,14 +62,14 @@ class States:
 
     def show(self, frame: Frame, stamp: int) -> None:
         """Publish the states that a frame changed, at a ROS time [ns]."""
-        self._say_state(stamp)
+        self._update_state(stamp)
         if not frame.events and not frame.pinches:
             return
         # Pads that start to close hold nothing yet; their state is published when they come to rest.
         changed = {grasp.gripper: grasp.reason for grasp in (*frame.grasps, *frame.pinches) if not grasp.pending}
         if any(isinstance(event, Reset) for event in frame.events):
             changed = {name: "" for name in self._grippers} | changed
-        self._say_grippers(changed, stamp)
+        self._publish_grippers(changed, stamp)
 
     def end(self, stamp: int) -> None:
         """Publish the final state at a ROS time [ns]."""
@@ -78,27 +80,27 @@ class States:
 
         The id is that of a managed node during error processing.
         """
-        self._said = State.TRANSITION_STATE_ERRORPROCESSING
-        self._send(self._state, State(id=self._said, label=f"failed: {reason}"), stamp)
+        self._published_state = State.TRANSITION_STATE_ERRORPROCESSING
+        self._send(self._state, State(id=self._published_state, label=f"failed: {reason}"), stamp)
 
-    def _say_state(self, stamp: int) -> None:
+    def _update_state(self, stamp: int) -> None:
         now = State.PRIMARY_STATE_INACTIVE if self._simulation.paused else State.PRIMARY_STATE_ACTIVE
-        if now != self._said:
+        if now != self._published_state:
             self._send_state(now, stamp)
 
     def _send_state(self, state: int, stamp: int) -> None:
-        self._said = state
+        self._published_state = state
         self._send(self._state, State(id=state, label=_LABELS[state]), stamp)
 
-    def _say_grippers(self, reasons: dict[str, str], stamp: int) -> None:
+    def _publish_grippers(self, reasons: dict[str, str], stamp: int) -> None:
         for name, reason in reasons.items():
             self._send(self._grippers[name], self._status(name, reason), stamp)
 
     def _status(self, name: str, reason: str) -> DiagnosticStatus:
         grippers, simulation = self._simulation.grippers, self._simulation
         index = grippers.names.index(name)
-        closed, held = grippers.is_closed(index), simulation.held(index)
-        words = f"closed, holds {counted(held, 'particle') if held else 'nothing'}" if closed else "open"
+        closed, held = grippers.is_closed(index), simulation.grasped_count(index)
+        text = f"closed, holds {pluralize(held, 'particle') if held else 'nothing'}" if closed else "open"
         values = {
             "closed": str(closed).lower(),
             "held": str(held),
@@ -108,7 +110,7 @@ class States:
         return DiagnosticStatus(
             level=DiagnosticStatus.WARN if closed and not held else DiagnosticStatus.OK,
             name=f"{self._name}: {name}",
-            message=f"{words}: {reason}" if reason else words,
+            message=f"{text}: {reason}" if reason else text,
             hardware_id="none",
             values=[KeyValue(key=key, value=value) for key, value in values.items()],
         )

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.ros.aside import at_once
-from cloth_sim_ros.ros.event_queue import Entry, EventQueue, Outcome
+from cloth_sim_ros.ros.event_queue import EventQueue, EventResult, QueuedEvent
+from cloth_sim_ros.ros.worker_thread import run_inline
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, SetParameters, Step
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
@@ -31,22 +31,22 @@ class Stepper:
         simulation: Simulation,
         queue: EventQueue,
         *,
-        aside: Callable[[Callable[[], Frame]], Frame] = at_once,
+        run_job: Callable[[Callable[[], Frame]], Frame] = run_inline,
     ) -> None:
         self._simulation = simulation
         self._queue = queue
-        self._aside = aside
+        self._run_job = run_job
         #: The reason if time is stopped; otherwise empty.
         self.trouble = ""
         #: The reason if accepted parameters could not take effect in the newest frame; otherwise empty.
         self.refused_parameters = ""
         #: Events of the frame without an answer yet.
-        self._entries: list[Entry] = []
-        self._outcomes: list[tuple[Entry, Outcome]] = []
+        self._entries: list[QueuedEvent] = []
+        self._results: list[tuple[QueuedEvent, EventResult]] = []
 
-    def step(self, due: int, own: Sequence[Event] = ()) -> Frame:
+    def step(self, stamp: int, first: Sequence[Event] = ()) -> Frame:
         """Compute the frame due at a ROS time [ns] and answer its events, see `advance` and `answer`."""
-        frame = self.advance(due, own)
+        frame = self.advance(stamp, first)
         self.answer()
         return frame
 
@@ -61,12 +61,16 @@ class Stepper:
         If the motion becomes unstable, the commands take effect but no time passes. `trouble` holds the reason, and so
         does the answer to a service that requested time to pass.
         """
-        self._outcomes = []
-        self._entries = entries = self._queue.take(stamp)
+        self._results = []
+        self._entries = entries = self._queue.pop_ready(stamp)
         if first or last:
-            entries = [*(Entry(event=event) for event in first), *entries, *(Entry(event=event) for event in last)]
+            entries = [
+                *(QueuedEvent(event=event) for event in first),
+                *entries,
+                *(QueuedEvent(event=event) for event in last),
+            ]
         self.refused_parameters = ""
-        refused: list[tuple[Entry, str]] = []
+        refused: list[tuple[QueuedEvent, str]] = []
         stopped = False
         while True:
             try:
@@ -85,58 +89,60 @@ class Stepper:
                     # Drop events that let time pass: the same step would fail again within this frame.
                     refused += [(entry, f"time is stopped: {error}") for entry in entries if _lets_time_pass(entry)]
                     entries = [entry for entry in entries if not _lets_time_pass(entry)]
-                    entries.append(Entry(event=Pause(True)))
+                    entries.append(QueuedEvent(event=Pause(True)))
                 else:
                     # An accepted event may address an obstacle that was removed meanwhile.
-                    late = self._impossible(entries)
-                    if not late:
+                    impossible = self._impossible(entries)
+                    if not impossible:
                         raise
-                    refused += late
-                    entries = [entry for entry in entries if all(entry is not one for one, _ in late)]
+                    refused += impossible
+                    entries = [
+                        entry for entry in entries if all(entry is not refused_entry for refused_entry, _ in impossible)
+                    ]
         if frame.moved:
             self.trouble = ""
-        self._outcomes = _outcomes(entries, frame)
-        self._outcomes += [(entry, Outcome(frame=None, reason=reason)) for entry, reason in refused]
+        self._results = _event_results(entries, frame)
+        self._results += [(entry, EventResult(frame=None, reason=reason)) for entry, reason in refused]
         return frame
 
     def answer(self) -> None:
         """Answer the events of the newest frame."""
-        outcomes, self._outcomes, self._entries = self._outcomes, [], []
-        for entry, outcome in outcomes:
+        results, self._results, self._entries = self._results, [], []
+        for entry, result in results:
             if entry.answer is not None:
-                entry.answer(outcome)
+                entry.answer(result)
 
     def refuse(self, reason: str) -> None:
         """Answer the events of a frame that failed."""
-        entries, self._entries, self._outcomes = self._entries, [], []
+        entries, self._entries, self._results = self._entries, [], []
         for entry in entries:
             if entry.answer is not None:
-                entry.answer(Outcome(frame=None, reason=reason))
+                entry.answer(EventResult(frame=None, reason=reason))
 
-    def _impossible(self, entries: list[Entry]) -> list[tuple[Entry, str]]:
+    def _impossible(self, entries: list[QueuedEvent]) -> list[tuple[QueuedEvent, str]]:
         """Return the events that can't take effect any more, with the reasons."""
-        found = []
+        impossible = []
         for entry in entries:
             try:
                 self._simulation.check(entry.event)
             except EventError as error:
-                found.append((entry, str(error)))
-        return found
+                impossible.append((entry, str(error)))
+        return impossible
 
-    def _advance(self, entries: list[Entry]) -> Frame:
-        if not entries and self._simulation.sleeps_on:
+    def _advance(self, entries: list[QueuedEvent]) -> Frame:
+        if not entries and self._simulation.will_stay_asleep:
             return self._simulation.advance()
-        return self._aside(lambda: self._simulation.advance([entry.event for entry in entries]))
+        return self._run_job(lambda: self._simulation.advance([entry.event for entry in entries]))
 
 
-def _lets_time_pass(entry: Entry) -> bool:
+def _lets_time_pass(entry: QueuedEvent) -> bool:
     return isinstance(entry.event, Step) or (isinstance(entry.event, Pause) and not entry.event.paused)
 
 
-def _outcomes(entries: list[Entry], frame: Frame) -> list[tuple[Entry, Outcome]]:
+def _event_results(entries: list[QueuedEvent], frame: Frame) -> list[tuple[QueuedEvent, EventResult]]:
     # Grasps keep their order through the frame: the k-th result belongs to the k-th grasp.
     results = iter(frame.grasps)
     return [
-        (entry, Outcome(frame=frame, grasp=next(results) if isinstance(entry.event, Grasp) else None))
+        (entry, EventResult(frame=frame, grasp=next(results) if isinstance(entry.event, Grasp) else None))
         for entry in entries
     ]

@@ -27,42 +27,42 @@ class StopSignals:
 
     def __init__(self) -> None:
         self.requested: signal.Signals | None = None
-        self._ending = False
+        self._exits_at_once = False
 
     def install(self) -> None:
         """Install the handlers; call it in the main thread."""
-        for number in _SIGNALS:
-            signal.signal(number, self._handle)
+        for signum in _SIGNALS:
+            signal.signal(signum, self._on_signal)
 
     def ignore(self) -> None:
         """Ignore the signals from now on, also during the interpreter's shutdown, which would restore the defaults."""
-        for number in _SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
+        for signum in _SIGNALS:
+            signal.signal(signum, signal.SIG_IGN)
 
     def name(self) -> str:
         """Return the name of the signal that has come; empty if none has."""
         return "" if self.requested is None else self.requested.name
 
     @contextmanager
-    def ending(self) -> Iterator[None]:
+    def exiting_at_once(self) -> Iterator[None]:
         """End the process at the first signal within this context, because nothing needs a shutdown yet.
 
         Used during imports: an exception there may be mistaken for a missing library and leaves partial modules.
         """
-        self._ending = True
+        self._exits_at_once = True
         try:
             yield
         finally:
-            self._ending = False
+            self._exits_at_once = False
 
-    def tell_early_end(self) -> None:
+    def report_early_stop(self) -> None:
         """Print one line: a signal came before the node ran."""
         name = self.requested.name if self.requested else "a signal"
         print(f"cloth_sim: {name}: stopped while starting", file=sys.stderr, flush=True)
 
-    def _handle(self, number: int, _frame: FrameType | None) -> None:
-        self.requested = signal.Signals(number)
-        if self._ending:
+    def _on_signal(self, signum: int, _frame: FrameType | None) -> None:
+        self.requested = signal.Signals(signum)
+        if self._exits_at_once:
             # Not by print: the signal may have come during one.
             os.write(2, f"cloth_sim: {self.requested.name}: stopped while starting\n".encode())
             os._exit(0)

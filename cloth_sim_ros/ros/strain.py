@@ -10,7 +10,7 @@ from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
 
 #: Largest number of edges that are measured; more would delay frames.
-MOST_EDGES = 400_000
+MAX_EDGES = 400_000
 
 
 class StrainGauge:
@@ -21,21 +21,21 @@ class StrainGauge:
         triangles = sheet.triangles()
         edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
         edges = np.unique(np.sort(edges, axis=1), axis=0)
-        rest = sheet.positions()
-        lengths = np.linalg.norm(rest[edges[:, 1]] - rest[edges[:, 0]], axis=1)
-        self._near, self._far = np.ascontiguousarray(edges[lengths > 0.0].T)
+        rest_positions = sheet.positions()
+        lengths = np.linalg.norm(rest_positions[edges[:, 1]] - rest_positions[edges[:, 0]], axis=1)
+        self._starts, self._ends = np.ascontiguousarray(edges[lengths > 0.0].T)
         self._inverse_squares = lengths[lengths > 0.0] ** -2.0
 
     def largest(self, x: Array) -> float | None:
         """Return the largest relative elongation at x [m], shape (3, n); None if there are no edges or too many."""
-        if not 0 < len(self._inverse_squares) <= MOST_EDGES:
+        if not 0 < len(self._inverse_squares) <= MAX_EDGES:
             return None
         # One component at a time and one root at the end: a quarter of the time.
         squares = np.zeros(len(self._inverse_squares))
         for component in x:
-            away = component.take(self._far)
-            away -= component.take(self._near)
-            away *= away
-            squares += away
+            edge = component.take(self._ends)
+            edge -= component.take(self._starts)
+            edge *= edge
+            squares += edge
         squares *= self._inverse_squares
         return float(np.sqrt(squares.max()) - 1.0)

@@ -14,22 +14,22 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from cloth_sim_ros.scene.locations import config_file
+from cloth_sim_ros.scene.config_files import config_file
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 
 #: Time after which Fast DDS drops a suspended subscriber [s].
-_LEASE = 3.0
+_LEASE_TIME = 3.0
 #: Largest number of buffers that wait for one subscriber, and largest buffer [bytes]; longer messages are split.
-_QUEUE, _LARGEST_BUFFER = 512, 65_500
+_QUEUE_LENGTH, _LARGEST_BUFFER = 512, 65_500
 #: Size for all small messages: wrenches, states, diagnostics, discovery [bytes].
-_SMALL = 1 << 20
+_SMALL_MESSAGES = 1 << 20
 #: Smallest and largest segment [bytes].
 _MIN_SEGMENT, _MAX_SEGMENT = 1 << 20, 64 << 20
 #: Largest fraction of the free shared memory: other processes need ports and segments too.
-_SHARE_OF_ROOM = 0.5
+_MAX_MEMORY_FRACTION = 0.5
 #: Smallest segment as a fraction of the required size; a smaller one fills too soon.
-_MIN_SHARE = 0.25
+_MIN_SEGMENT_FRACTION = 0.25
 #: Smallest size of a particle in a file of a mesh or of springs [bytes].
 _FILE_BYTES_A_PARTICLE = 30
 _SHARED_MEMORY = Path("/dev/shm")
@@ -68,8 +68,8 @@ def segment_bytes(parameters: Mapping[str, Any]) -> int:
         parameters: by full name; missing and invalid ones have their defaults.
     """
     cloud, mesh, rate = _output_bytes(parameters)
-    pinned = min(_LEASE * rate * (cloud + mesh), _QUEUE * _LARGEST_BUFFER)
-    size = int(pinned) + 2 * (cloud + mesh) + _SMALL
+    unread = min(_LEASE_TIME * rate * (cloud + mesh), _QUEUE_LENGTH * _LARGEST_BUFFER)
+    size = int(unread) + 2 * (cloud + mesh) + _SMALL_MESSAGES
     return min(max(size, _MIN_SEGMENT), _MAX_SEGMENT)
 
 
@@ -111,12 +111,12 @@ def _enter(stack: contextlib.ExitStack, requested: int) -> str:
     try:
         status = os.statvfs(_SHARED_MEMORY)
         free = status.f_bavail * status.f_frsize
-        size = min(requested, int(free * _SHARE_OF_ROOM))
-        if size >= _MIN_SHARE * requested:
+        size = min(requested, int(free * _MAX_MEMORY_FRACTION))
+        if size >= _MIN_SEGMENT_FRACTION * requested:
             text = config_file(_PROFILE).read_text().replace(_PROFILE_SEGMENT, str(size))
-            _set(stack, {_PROFILES_FILE: _write(stack, text)})
+            _set_variables(stack, {_PROFILES_FILE: _write(stack, text)})
             return ""
-        _set(stack, _udp(stack))
+        _set_variables(stack, _udp(stack))
     except OSError as error:
         return (
             f"no shared-memory segment for clouds: {error}; a suspended subscriber may silence the clouds of all "
@@ -145,15 +145,15 @@ def _write(stack: contextlib.ExitStack, text: str) -> str:
     return str(file)
 
 
-def _set(stack: contextlib.ExitStack, variables: Mapping[str, str | None]) -> None:
+def _set_variables(stack: contextlib.ExitStack, variables: Mapping[str, str | None]) -> None:
     """Set variables, or remove those without a value, until the stack is closed."""
     for name, value in variables.items():
         before = os.environ.get(name)
-        stack.callback(_put, name, before)
-        _put(name, value)
+        stack.callback(_set_variable, name, before)
+        _set_variable(name, value)
 
 
-def _put(name: str, value: str | None) -> None:
+def _set_variable(name: str, value: str | None) -> None:
     if value is None:
         os.environ.pop(name, None)
     else:

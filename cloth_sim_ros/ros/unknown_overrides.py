@@ -8,13 +8,13 @@ from collections.abc import Callable, Collection, Iterable
 from typing import TYPE_CHECKING
 
 from cloth_sim_ros.ros.qos_rules import Override, foreign_owners, overridable
-from cloth_sim_ros.scene.unknown import FOREIGN, PROFILES, suggestion
+from cloth_sim_ros.scene.unknown_parameters import QOS_PREFIX, ROS_PARAMETERS, suggestion
 
 if TYPE_CHECKING:
     from cloth_sim_ros.scene.scene import Scene
 
 #: Largest number of parameters with a sentence each; more share one.
-_SINGLE = 3
+_MAX_SINGLE = 3
 
 
 def unknown_sentences(
@@ -37,14 +37,14 @@ def unknown_sentences(
     profiles = [
         Override(full(topic), endpoint_kind, policy).name for endpoint_kind, topic, policy in overridable(scene)
     ]
-    declared = [*known, *FOREIGN, *profiles]
+    declared = [*known, *ROS_PARAMETERS, *profiles]
     unknown = [name for name in names if name not in set(declared)]
     owners = foreign_owners(unknown, topics, node)
-    dumps = {owner: overrides for owner, overrides in owners.items() if len(overrides) > _SINGLE}
+    dumps = {owner: overrides for owner, overrides in owners.items() if len(overrides) > _MAX_SINGLE}
     grouped = {name for overrides in dumps.values() for name in overrides}
     single = [name for name in unknown if name not in grouped]
     if resolve is None:
-        single = [name for name in single if not name.startswith(PROFILES)]
+        single = [name for name in single if not name.startswith(QOS_PREFIX)]
     return [
         *(_of_dump(owner, len(overrides), node) for owner, overrides in dumps.items()),
         *_of_names(single, declared),
@@ -59,12 +59,13 @@ def _of_dump(owner: str, count: int, node: str) -> str:
 
 
 def _of_names(names: list[str], known: Collection[str]) -> list[str]:
-    if len(names) <= _SINGLE:
+    if len(names) <= _MAX_SINGLE:
         return [
             f"there is no parameter '{name}', what sets it has no effect{suggestion(name, known)}" for name in names
         ]
-    listed = ", ".join(f"'{name}'" for name in names[:_SINGLE])
+    listed = ", ".join(f"'{name}'" for name in names[:_MAX_SINGLE])
     return [
-        f"there are no parameters {listed} and {len(names) - _SINGLE} more, what sets them has no effect; is the file "
+        f"there are no parameters {listed} and {len(names) - _MAX_SINGLE} more, what sets them has no effect; is the "
+        f"file "
         "another node's?"
     ]

@@ -14,24 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
+from cloth_sim_ros.physics.deterministic_math import ordered_sum, row_sum
 from cloth_sim_ros.physics.forces.drag import Drag
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.gravity import Gravity
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.gripper_path import normalised
+from cloth_sim_ros.physics.gripper_path import normalized
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.parts import GridFamily
 from cloth_sim_ros.physics.plan import Plan, compile
-from cloth_sim_ros.physics.powers import in_order, in_rows
 from cloth_sim_ros.physics.sheets.grid import GridSheet
 from cloth_sim_ros.physics.sheets.material import Threads, grid_threads
 from cloth_sim_ros.physics.sheets.mesh import MeshSheet
 from cloth_sim_ros.physics.sheets.raw import RawSprings
 from cloth_sim_ros.physics.sheets.surface import grid_cells, grid_hinges
 from cloth_sim_ros.scene import sections
+from cloth_sim_ros.scene.gripper_pads import pads_of
 from cloth_sim_ros.scene.parameters import ParameterError
-from cloth_sim_ros.scene.pinch import pads_of
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.obstacles import Obstacle
@@ -39,26 +39,26 @@ if TYPE_CHECKING:
 Sheet: TypeAlias = GridSheet | MeshSheet | RawSprings
 
 
-class Configuration(Protocol):
+class PhysicsScene(Protocol):
     """Part of a `Scene` from which the model is built."""
 
     @property
-    def cloth(self) -> sections.Cloth: ...
+    def cloth(self) -> sections.ClothParameters: ...
 
     @property
-    def material(self) -> sections.Material: ...
+    def material(self) -> sections.MaterialParameters: ...
 
     @property
-    def bending(self) -> sections.Bending: ...
+    def bending(self) -> sections.BendingParameters: ...
 
     @property
     def gravity(self) -> tuple[float, ...]: ...
 
     @property
-    def air(self) -> sections.Air: ...
+    def air(self) -> sections.AirParameters: ...
 
     @property
-    def wind(self) -> sections.Wind: ...
+    def wind(self) -> sections.WindParameters: ...
 
     @property
     def files(self) -> dict[str, bytes]: ...
@@ -67,7 +67,7 @@ class Configuration(Protocol):
     def gripper_names(self) -> list[str]: ...
 
     @property
-    def contact(self) -> sections.Contact: ...
+    def contact(self) -> sections.ContactParameters: ...
 
     @property
     def initial_state(self) -> str: ...
@@ -76,13 +76,13 @@ class Configuration(Protocol):
     def obstacle_names(self) -> list[str]: ...
 
     @property
-    def described(self) -> dict[str, sections.Obstacle]: ...
+    def described(self) -> dict[str, sections.ObstacleParameters]: ...
 
     @property
     def solids(self) -> list[Obstacle]: ...
 
     @property
-    def gripper(self) -> sections.Gripper: ...
+    def gripper(self) -> sections.GripperParameters: ...
 
     @property
     def pinching(self) -> list[str]: ...
@@ -91,7 +91,7 @@ class Configuration(Protocol):
     def sheet(self) -> Sheet: ...
 
 
-def build_sheet(scene: Configuration) -> Sheet:
+def build_sheet(scene: PhysicsScene) -> Sheet:
     """Return the geometry of a scene's cloth: a mesh file, a springs file, or a grid.
 
     Raises:
@@ -102,7 +102,7 @@ def build_sheet(scene: Configuration) -> Sheet:
         name = "cloth.mesh" if cloth.mesh else "cloth.springs"
         path = cloth.mesh or cloth.springs
         try:
-            return _parsed(name, path, scene.files[path], scene.contact.self_, cloth.merge, cloth.scale)
+            return _parsed_sheet(name, path, scene.files[path], scene.contact.self_, cloth.merge, cloth.scale)
         except ValueError as error:
             raise ParameterError(f"{name} '{path}': {error}") from error
     rows, columns = cloth.resolution
@@ -111,7 +111,9 @@ def build_sheet(scene: Configuration) -> Sheet:
 
 
 @lru_cache(maxsize=8)
-def _parsed(parameter: str, path: str, data: bytes, several: bool, merge: bool, scale: float) -> MeshSheet | RawSprings:
+def _parsed_sheet(
+    parameter: str, path: str, data: bytes, several: bool, merge: bool, scale: float
+) -> MeshSheet | RawSprings:
     if parameter == "cloth.mesh":
         from cloth_sim_ros.scene import mesh_file
 
@@ -121,7 +123,7 @@ def _parsed(parameter: str, path: str, data: bytes, several: bool, merge: bool, 
     return springs_file.parse(data)
 
 
-def grid_threads_of(scene: Configuration, sheet: GridSheet) -> Threads:
+def grid_threads_of(scene: PhysicsScene, sheet: GridSheet) -> Threads:
     """Return the spring stiffnesses of a scene's grid.
 
     Raises:
@@ -139,14 +141,14 @@ def grid_threads_of(scene: Configuration, sheet: GridSheet) -> Threads:
         raise ParameterError(str(error)) from error
 
 
-def anchored_particles(scene: Configuration, sheet: Sheet) -> list[int]:
+def anchored_particles(scene: PhysicsScene, sheet: Sheet) -> list[int]:
     """Return the indices of the anchored particles.
 
     Raises:
         ParameterError: for an anchor that is neither an edge or corner of a grid nor a particle index.
     """
     count = len(sheet.positions())
-    found: set[int] = set()
+    indices: set[int] = set()
     for name in scene.cloth.anchors:
         if name.isdecimal():
             # Python refuses to parse integers of more than a few thousand digits.
@@ -154,56 +156,58 @@ def anchored_particles(scene: Configuration, sheet: Sheet) -> list[int]:
             if len(digits) > len(str(count)) or int(digits) >= count:
                 shown = name if len(name) <= 20 else f"{name[:20]}... ({len(name)} digits)"
                 raise ParameterError(f"cloth.anchors names particle {shown}; there are {count}, counted from 0")
-            found.add(int(digits))
+            indices.add(int(digits))
         elif name and isinstance(sheet, GridSheet):
             try:
-                found.update(int(particle) for particle in sheet.edge(name))
+                indices.update(int(particle) for particle in sheet.edge(name))
             except ValueError as error:
                 raise ParameterError(f"cloth.anchors: {error}, or give a particle's number") from error
         elif name:
             raise ParameterError(
                 f"cloth.anchors names '{name}'; only a grid has edges: give particle numbers, or none by ['']"
             )
-    return sorted(found)
+    return sorted(indices)
 
 
-def build_model(scene: Configuration) -> Model:
+def build_model(scene: PhysicsScene) -> Model:
     """Build masses, forces and anchors."""
     sheet = build_sheet(scene)
     masses = sheet.masses(scene.material.density)
-    forces = [*_elastic_forces(scene, sheet, masses), *uniform_forces(scene), *_panels(scene, sheet)]
+    forces = [*_elastic_forces(scene, sheet, masses), *uniform_forces(scene), *_air_panels(scene, sheet)]
     if scene.gripper_names:
         forces.append(Grips(len(scene.gripper_names)))
-    solids, pads, own = scene.solids, pads_of(scene, in_order(masses.tolist())), scene.contact
-    if solids or pads or own.self_:
-        from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
+    solids, pads, contact_parameters = scene.solids, pads_of(scene, ordered_sum(masses.tolist())), scene.contact
+    if solids or pads or contact_parameters.self_:
+        from cloth_sim_ros.physics.forces.contact import Contact, ContactSurface
 
         faces = None
-        if own.self_ or solids:
-            friction = (own.friction[0], own.friction[-1])
-            faces = OwnSurface(sheet.triangles(), sheet.positions(), thickness=own.thickness, friction=friction)
+        if contact_parameters.self_ or solids:
+            friction = (contact_parameters.friction[0], contact_parameters.friction[-1])
+            faces = ContactSurface(
+                sheet.triangles(), sheet.positions(), thickness=contact_parameters.thickness, friction=friction
+            )
         contact = Contact(
             solids,
-            thickness=own.thickness,
-            damping=own.damping,
-            pads=pads,
-            surface=faces if own.self_ else None,
+            thickness=contact_parameters.thickness,
+            damping=contact_parameters.damping,
+            jaws=pads,
+            surface=faces if contact_parameters.self_ else None,
             faces=faces if solids else None,
         )
-        contact.move(np.concatenate([_starting_paths(scene), contact.paths[len(solids) :]]))
+        contact.set_paths(np.concatenate([_starting_paths(scene), contact.paths[len(solids) :]]))
         forces.append(contact)
     return Model(masses, forces, anchors=anchored_particles(scene, sheet))
 
 
-def _starting_paths(scene: Configuration) -> Array:
+def _starting_paths(scene: PhysicsScene) -> Array:
     """Return constant paths of obstacles at their initial poses, shape (obstacles, PATH_NUMBERS)."""
     rows = np.zeros((len(scene.obstacle_names), PATH_NUMBERS))
     for row, name in zip(rows, scene.obstacle_names, strict=True):
-        row[1:4], row[13:17] = scene.described[name].position, normalised(scene.described[name].orientation)
+        row[1:4], row[13:17] = scene.described[name].position, normalized(scene.described[name].orientation)
     return rows
 
 
-def uniform_forces(scene: Configuration) -> list[Force]:
+def uniform_forces(scene: PhysicsScene) -> list[Force]:
     """Build the forces that act on every particle alike: gravity, drag, and the wind's part of drag."""
     forces = list[Force]()
     if any(scene.gravity):
@@ -217,7 +221,7 @@ def uniform_forces(scene: Configuration) -> list[Force]:
     return forces
 
 
-def _panels(scene: Configuration, sheet: Sheet) -> list[Force]:
+def _air_panels(scene: PhysicsScene, sheet: Sheet) -> list[Force]:
     """Build the force of air on the surface."""
     wind = scene.wind
     if not wind.normal_drag and not wind.tangential_drag:
@@ -229,12 +233,12 @@ def _panels(scene: Configuration, sheet: Sheet) -> list[Force]:
     return [AirPanels(panels, normal=wind.normal_drag, tangential=wind.tangential_drag, wind=wind.velocity)]
 
 
-def build_plan(scene: Configuration) -> Plan:
+def build_plan(scene: PhysicsScene) -> Plan:
     """Build the equations of motion."""
     return compile(build_model(scene))
 
 
-def _grid_families(scene: Configuration, sheet: GridSheet) -> dict[str, list[GridFamily]]:
+def _grid_families(scene: PhysicsScene, sheet: GridSheet) -> dict[str, list[GridFamily]]:
     material = scene.material
     return sheet.families(
         grid_threads_of(scene, sheet),
@@ -244,7 +248,7 @@ def _grid_families(scene: Configuration, sheet: GridSheet) -> dict[str, list[Gri
     )
 
 
-def _elastic_forces(scene: Configuration, sheet: Sheet, masses: Array) -> list[Force]:
+def _elastic_forces(scene: PhysicsScene, sheet: Sheet, masses: Array) -> list[Force]:
     material = scene.material
     if isinstance(sheet, RawSprings):
         return [sheet.term]
@@ -268,19 +272,19 @@ def _elastic_forces(scene: Configuration, sheet: Sheet, masses: Array) -> list[F
 
 
 def _hinge_springs(
-    scene: Configuration, sheet: GridSheet | MeshSheet, masses: Array, existing: NDArray[np.int64] | None
+    scene: PhysicsScene, sheet: GridSheet | MeshSheet, masses: Array, existing: NDArray[np.int64] | None
 ) -> list[Force]:
     """Build the bending forces: S7 (opposite), S7 and S8 (crossed), or S7 and S9 (altitude)."""
     from cloth_sim_ros.physics.sheets import bending as calibration
 
     model = scene.bending.model
-    rest = sheet.positions()
+    rest_positions = sheet.positions()
     modulus = scene.material.bending_modulus
     options: dict[str, Any] = {}
     if model == "opposite":
         hinges = sheet.surface.hinges
-        ends = rest[hinges[:, 1]] - rest[hinges[:, 0]]
-        options["spring_stiffness"] = scene.bending.stiffness * np.sqrt(in_rows((ends * ends).T))
+        ends = rest_positions[hinges[:, 1]] - rest_positions[hinges[:, 0]]
+        options["spring_stiffness"] = scene.bending.stiffness * np.sqrt(row_sum((ends * ends).T))
     elif isinstance(sheet, GridSheet):
         # The hinges of both triangulations are used. Therefore the sheet bends alike both ways and does not twist.
         hinges = grid_hinges(sheet.rows, sheet.columns)
@@ -289,12 +293,12 @@ def _hinge_springs(
         )
     else:
         hinges = sheet.surface.hinges
-        options["hinge_constants"] = calibration.mesh_hinge_constants(hinges, rest, bending_modulus=modulus)
+        options["hinge_constants"] = calibration.mesh_hinge_constants(hinges, rest_positions, bending_modulus=modulus)
     return [
         *calibration.bending_terms(
             model,  # type: ignore[arg-type]
             hinges,
-            rest,
+            rest_positions,
             rest_angle=scene.bending.rest_angle or None,
             damping=scene.material.damping,
             masses=masses,

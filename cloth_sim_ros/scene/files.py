@@ -11,17 +11,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from cloth_sim_ros.physics.powers import whole_sum
+from cloth_sim_ros.physics.deterministic_math import integer_sum
 from cloth_sim_ros.scene import input_file
 from cloth_sim_ros.scene.input_file import InputFileError
 from cloth_sim_ros.scene.parameters import ParameterError
 
 #: Parameters that name a file.
-NAMES = ("cloth.mesh", "cloth.springs", "initial_state")
+FILE_PARAMETERS = ("cloth.mesh", "cloth.springs", "initial_state")
 #: End of the name of a parameter that names an obstacle's file.
-_OF_OBSTACLES = ".mesh"
+_MESH_SUFFIX = ".mesh"
 #: Largest total size of the files of a scene [bytes]. Recordings hold these files, and readers accept that size.
-MOST_BYTES = 128 << 20
+MAX_BYTES = 128 << 20
 
 
 def read(values: Mapping[str, Any], known: Mapping[str, bytes], folder: str | Path) -> dict[str, bytes]:
@@ -36,23 +36,23 @@ def read(values: Mapping[str, Any], known: Mapping[str, bytes], folder: str | Pa
         ParameterError: for a file that can't be read.
     """
     content: dict[str, bytes] = {}
-    of_obstacles = [name for name in values if name.endswith(_OF_OBSTACLES) and name not in NAMES]
-    for parameter in (*NAMES, *of_obstacles):
+    mesh_parameters = [name for name in values if name.endswith(_MESH_SUFFIX) and name not in FILE_PARAMETERS]
+    for parameter in (*FILE_PARAMETERS, *mesh_parameters):
         name = values.get(parameter)
         if not isinstance(name, str) or not name:
             continue
         content[name] = known[name] if name in known else _content(parameter, Path(folder) / name)
-        total = whole_sum(map(len, content.values()))
-        if total > MOST_BYTES:
+        n_bytes = integer_sum(map(len, content.values()))
+        if n_bytes > MAX_BYTES:
             raise ParameterError(
-                f"{parameter} '{name}': the files of the scene have {total} bytes; at most {MOST_BYTES} are taken"
+                f"{parameter} '{name}': the files of the scene have {n_bytes} bytes; at most {MAX_BYTES} are taken"
             )
     return content
 
 
 def _content(parameter: str, path: Path) -> bytes:
     try:
-        return input_file.read_bytes(path, most=MOST_BYTES)
+        return input_file.read_bytes(path, max_bytes=MAX_BYTES)
     except InputFileError as error:
         raise ParameterError(f"{parameter} {error}") from error
     except ValueError as error:

@@ -17,16 +17,18 @@ from cloth_sim_ros.scene.parameters import NAME, Parameter, ParameterError
 
 #: Last parts of the names of these parameters.
 LEAVES = ("mode", "frame", "max_speed")
-_SECTION = "gripper."
+_SECTION_PREFIX = "gripper."
 
 
 def declared(name: str) -> Parameter:
     """Return the parameter of a single gripper by its full name, e.g. ``left.frame``."""
     leaf = name.rpartition(".")[2]
     common = next(
-        entry for entry in parameters.declared(sections.Gripper, _SECTION) if entry.name == f"{_SECTION}{leaf}"
+        entry
+        for entry in parameters.declared(sections.GripperParameters, _SECTION_PREFIX)
+        if entry.name == f"{_SECTION_PREFIX}{leaf}"
     )
-    return attrs.evolve(common, name=name, description=f"Overrides {_SECTION}{leaf} for this gripper")
+    return attrs.evolve(common, name=name, description=f"Overrides {_SECTION_PREFIX}{leaf} for this gripper")
 
 
 def individual(names: Iterable[str], groups: Collection[str], described: Collection[str]) -> list[str]:
@@ -66,7 +68,7 @@ def check_grippers(names: Iterable[str], grippers: Sequence[str]) -> None:
             )
 
 
-def value(values: Mapping[str, Any], section: sections.Gripper, gripper: str, leaf: str) -> Any:
+def value(values: Mapping[str, Any], section: sections.GripperParameters, gripper: str, leaf: str) -> Any:
     """Return the value in force for a gripper.
 
     Args:

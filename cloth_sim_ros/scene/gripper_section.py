@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import attrs
 
-from cloth_sim_ros.physics.obstacle_shapes import MOST_SIZE
+from cloth_sim_ros.physics.obstacle_shapes import MAX_SIZE
 from cloth_sim_ros.scene.limits import FRAME, FRICTION
 from cloth_sim_ros.scene.parameters import parameter
 
@@ -17,7 +17,7 @@ MODES = ATTACH, PINCH = ("attach", "pinch")
 
 
 @attrs.frozen(kw_only=True)
-class Gripper:
+class GripperParameters:
     """Parameters of every gripper."""
 
     mode: str = parameter(
@@ -91,7 +91,7 @@ class Gripper:
         unit="m",
         length=3,
         least=0.0,
-        most=MOST_SIZE,
+        most=MAX_SIZE,
         open_least=True,
     )
     opening: float = parameter(
@@ -100,7 +100,7 @@ class Gripper:
         "In mode pinch: distance between the faces of the open pads",
         unit="m",
         least=0.0,
-        most=MOST_SIZE,
+        most=MAX_SIZE,
         open_least=True,
         live=True,
     )

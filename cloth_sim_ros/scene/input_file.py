@@ -11,14 +11,14 @@ from typing import BinaryIO
 #: Largest configuration file [bytes]: a scene, a study, a script, or code that a study names.
 MAX_TEXT = 1 << 24
 #: Size of a chunk for files that hold more than they claim [bytes].
-_PIECE = 1 << 20
+_CHUNK_BYTES = 1 << 20
 
 
 class InputFileError(ValueError):
     """A file that was refused; the message gives the reason."""
 
 
-def read_bytes(path: str | Path, *, most: int = MAX_TEXT) -> bytes:
+def read_bytes(path: str | Path, *, max_bytes: int = MAX_TEXT) -> bytes:
     """Return the content of a file on disk.
 
     Args:
@@ -35,28 +35,28 @@ def read_bytes(path: str | Path, *, most: int = MAX_TEXT) -> bytes:
     # Opening a folder raises an error of its own.
     if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
         raise InputFileError(f"'{path}' is a device or a pipe; name a file on disk")
-    if status.st_size > most:
-        raise InputFileError(f"'{path}' has {status.st_size} bytes; at most {most} are read")
+    if status.st_size > max_bytes:
+        raise InputFileError(f"'{path}' has {status.st_size} bytes; at most {max_bytes} are read")
     with path.open("rb") as file:
-        content = _bounded(file, status.st_size, most)
+        content = _read_bounded(file, status.st_size, max_bytes)
     if content is None:
-        raise InputFileError(f"'{path}' has more than {most} bytes; at most {most} are read")
+        raise InputFileError(f"'{path}' has more than {max_bytes} bytes; at most {max_bytes} are read")
     return content
 
 
-def read_text(path: str | Path, *, most: int = MAX_TEXT) -> str:
+def read_text(path: str | Path, *, max_bytes: int = MAX_TEXT) -> str:
     """Return the text of a file on disk, in UTF-8; see `read_bytes`."""
     try:
-        return read_bytes(path, most=most).decode()
+        return read_bytes(path, max_bytes=max_bytes).decode()
     except UnicodeDecodeError as error:
         raise InputFileError(f"'{path}' is no text in UTF-8: {error}") from error
 
 
-def _bounded(file: BinaryIO, size: int, most: int) -> bytes | None:
+def _read_bounded(file: BinaryIO, size: int, max_bytes: int) -> bytes | None:
     """Return the content of a file that claims `size` bytes; None if it holds more than `max_bytes`."""
-    pieces = [file.read(size + 1)]
-    count = len(pieces[0])
-    while count <= most and (piece := file.read(_PIECE)):
-        pieces.append(piece)
-        count += len(piece)
-    return b"".join(pieces) if count <= most else None
+    chunks = [file.read(size + 1)]
+    n_bytes = len(chunks[0])
+    while n_bytes <= max_bytes and (chunk := file.read(_CHUNK_BYTES)):
+        chunks.append(chunk)
+        n_bytes += len(chunk)
+    return b"".join(chunks) if n_bytes <= max_bytes else None

@@ -68,7 +68,7 @@ def parse(data: bytes, *, name: str, several: bool = False, merge: bool = True, 
         _log.info("mesh '%s': %s", name, note)
     for repair in mesh.repairs:
         _log.warning("mesh '%s': %s", name, repair)
-    return MeshSheet(rest=mesh.positions, surface=mesh.surface, notes=mesh.notes, repairs=mesh.repairs)
+    return MeshSheet(rest_positions=mesh.positions, surface=mesh.surface, notes=mesh.notes, repairs=mesh.repairs)
 
 
 def read(data: bytes, *, name: str, several: bool = False, merge: bool = True, scale: float = 1.0) -> CheckedMesh:
@@ -88,8 +88,8 @@ def read(data: bytes, *, name: str, several: bool = False, merge: bool = True, s
         ValueError: if it is no such file, or holds no surface of one cloth.
     """
     kind, content = _content(data, name)
-    limit = _limit(content) if merge else 0.0
-    mesh = checked_mesh(content.points, content.triangles, several=several, merge=limit, scale=scale)
+    limit = _merge_limit(content) if merge else 0.0
+    mesh = checked_mesh(content.points, content.triangles, allow_pieces=several, merge_limit=limit, scale=scale)
     repairs = [repair for repair in mesh.repairs if kind != "stl" or "at the place of another" not in repair]
     return attrs.evolve(mesh, repairs=(*content.repairs, *repairs))
 
@@ -120,19 +120,19 @@ def solid(data: bytes, *, name: str, scale: float = 1.0) -> SolidMesh:
     notes: tuple[str, ...] = ()
     if not is_closed(vertices, triangles):
         used = content.points[np.unique(faces)]
-        limit = merge_limit(used, single=content.single) if np.isfinite(used).all() else 0.0
+        limit = merge_limit(used, single_precision=content.single) if np.isfinite(used).all() else 0.0
         vertices, triangles, notes = closed_solid(vertices, triangles, limit)
         for note in notes:
             _log.info("mesh '%s': %s", name, note)
     return SolidMesh(vertices=vertices if scale == 1.0 else vertices * scale, triangles=triangles, notes=notes)
 
 
-def _limit(content: _Content) -> float:
+def _merge_limit(content: _Content) -> float:
     """Return the distance below which vertices are copies of each other, in the file's unit."""
     faces, count = content.triangles, len(content.points)
     used = np.unique(faces[(faces >= 0) & (faces < count)])
     points = content.points[used]
-    return merge_limit(points[np.isfinite(points).all(axis=1)], single=content.single)
+    return merge_limit(points[np.isfinite(points).all(axis=1)], single_precision=content.single)
 
 
 def _content(data: bytes, name: str) -> tuple[str, _Content]:
@@ -154,24 +154,24 @@ def _obj(data: bytes) -> _Content:
     """
     points: list[list[float]] = []
     polygons: list[list[int]] = []
-    highest, highest_line = 0, 0
-    for number, words in _obj_lines(data):
+    max_index, max_index_line = 0, 0
+    for line_number, words in _obj_lines(data):
         if words[0] == b"v":
             if len(words) < 4:
-                raise ValueError(f"line {number}: a vertex has 3 coordinates, not {len(words) - 1}")
+                raise ValueError(f"line {line_number}: a vertex has 3 coordinates, not {len(words) - 1}")
             try:
                 points.append([float(word) for word in words[1:4]])
             except ValueError as error:
-                raise ValueError(f"line {number}: {error}") from error
+                raise ValueError(f"line {line_number}: {error}") from error
         elif words[0] == b"f":
-            face = [_obj_index(word, number, len(points)) for word in words[1:]]
+            face = [_obj_index(word, line_number, len(points)) for word in words[1:]]
             if len(face) < 3:
-                raise ValueError(f"line {number}: a face has at least 3 corners, not {len(face)}")
-            if max(face) >= highest:
-                highest, highest_line = max(face) + 1, number
+                raise ValueError(f"line {line_number}: a face has at least 3 corners, not {len(face)}")
+            if max(face) >= max_index:
+                max_index, max_index_line = max(face) + 1, line_number
             polygons.append(face)
-    if highest > len(points):
-        raise ValueError(f"line {highest_line}: a face has vertex {highest}; the file has {len(points)} vertices")
+    if max_index > len(points):
+        raise ValueError(f"line {max_index_line}: a face has vertex {max_index}; the file has {len(points)} vertices")
     positions = np.array(points, dtype=np.float64).reshape(-1, 3)
     return _Content(points=positions, triangles=triangulated(positions, polygons))
 
@@ -179,21 +179,21 @@ def _obj(data: bytes) -> _Content:
 def _obj_lines(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
     """Yield the number, from 1, and the words of each non-empty line. Continued lines are joined, comments dropped."""
     words: list[bytes] = []
-    begin = 0
-    for number, line in enumerate(data.removeprefix(codecs.BOM_UTF8).splitlines(), start=1):
-        begin = begin or number
+    first_line = 0
+    for line_number, line in enumerate(data.removeprefix(codecs.BOM_UTF8).splitlines(), start=1):
+        first_line = first_line or line_number
         line = line.split(b"#", 1)[0].rstrip()
         words += line.removesuffix(b"\\").split()
         if line.endswith(b"\\"):
             continue
         if words:
-            yield begin, words
-        words, begin = [], 0
+            yield first_line, words
+        words, first_line = [], 0
     if words:
-        yield begin, words
+        yield first_line, words
 
 
-def _obj_index(word: bytes, line: int, before: int) -> int:
+def _obj_index(word: bytes, line: int, n_vertices: int) -> int:
     """Return the vertex index, from 0, of a face's corner like 7, 7/1/2 or -1, the last vertex above the face."""
     try:
         index = int(word.split(b"/", 1)[0])
@@ -201,9 +201,9 @@ def _obj_index(word: bytes, line: int, before: int) -> int:
         raise ValueError(f"line {line}: {word.decode(errors='replace')!r} is no corner of a face") from error
     if index == 0:
         raise ValueError(f"line {line}: a face has vertex 0; indices count from 1")
-    if index < -before:
-        raise ValueError(f"line {line}: a face has vertex {index}, with only {before} vertices above it")
-    return index - 1 if index > 0 else before + index
+    if index < -n_vertices:
+        raise ValueError(f"line {line}: a face has vertex {index}, with only {n_vertices} vertices above it")
+    return index - 1 if index > 0 else n_vertices + index
 
 
 def _ply(data: bytes) -> _Content:
@@ -225,10 +225,10 @@ def _stl(data: bytes) -> _Content:
     except ModuleNotFoundError as error:
         raise ValueError("the Python package trimesh, which reads STL, is missing: install it, or write OBJ") from error
     count = int.from_bytes(data[80:84], "little")
-    length, words = STL_HEADER + STL_TRIANGLE * count, []
-    told = None
+    length, repairs = STL_HEADER + STL_TRIANGLE * count, []
+    n_facets = None
     if len(data) != length and b"\0" not in data and data.lstrip()[:5].lower() == b"solid":
-        told = _ascii_stl_facets(data)
+        n_facets = _ascii_stl_facets(data)
     elif len(data) < STL_HEADER:
         raise ValueError(f"it has {len(data)} bytes; a binary file has a header of {STL_HEADER}")
     elif len(data) < length:
@@ -240,22 +240,22 @@ def _stl(data: bytes) -> _Content:
             "export the file again"
         )
     elif len(data) > length:
-        words.append(f"{len(data) - length} bytes after the last triangle left out")
+        repairs.append(f"{len(data) - length} bytes after the last triangle left out")
         data = data[:length]
-    if (count if told is None else told) == 0:
+    if (count if n_facets is None else n_facets) == 0:
         return _Content(points=np.zeros((0, 3)), triangles=np.zeros((0, 3), dtype=np.int64))
-    mesh = _by_trimesh(trimesh.load_mesh, io.BytesIO(data), file_type="stl", process=False, validate=False)
-    if told is not None and len(mesh.faces) != told:
-        raise ValueError(f"{len(mesh.faces)} of {told} facets could be read: a vertex is not three numbers")
+    mesh = _load_with_trimesh(trimesh.load_mesh, io.BytesIO(data), file_type="stl", process=False, validate=False)
+    if n_facets is not None and len(mesh.faces) != n_facets:
+        raise ValueError(f"{len(mesh.faces)} of {n_facets} facets could be read: a vertex is not three numbers")
     return _Content(
         points=np.array(mesh.vertices, dtype=np.float64),
         triangles=np.array(mesh.faces, dtype=np.int64),
-        repairs=tuple(words),
+        repairs=tuple(repairs),
         single=True,
     )
 
 
-def _by_trimesh(load: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+def _load_with_trimesh(load: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
     """Return the result of one of trimesh's readers.
 
     The exception that a broken file raises depends on the fault; its text names the cause. An exception of the call
@@ -274,8 +274,8 @@ def _by_trimesh(load: Callable[..., Any], *arguments: Any, **options: Any) -> An
         # That package would let trimesh guess the text's encoding.
         raise ValueError("it has bytes that are no text in UTF-8") from error
     except (KeyError, IndexError, AttributeError, TypeError, EOFError, NameError) as error:
-        within = error.__traceback__ is not None and error.__traceback__.tb_next is not None
-        if not within:
+        is_from_reader = error.__traceback__ is not None and error.__traceback__.tb_next is not None
+        if not is_from_reader:
             raise
         raise ValueError(f"{type(error).__name__}: {error}") from error
 

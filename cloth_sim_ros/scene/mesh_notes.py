@@ -27,6 +27,6 @@ def mesh_notes(scene: Scene) -> tuple[list[str], list[str]]:
     return notes, warnings
 
 
-def silence_reader() -> None:
+def silence_mesh_log() -> None:
     """Silence the mesh reader's own log lines, unless the program configures logging."""
     logging.getLogger("cloth_sim_ros.scene.mesh_file").addHandler(logging.NullHandler())

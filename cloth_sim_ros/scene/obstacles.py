@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-from cloth_sim_ros.physics.gripper_path import normalised
+from cloth_sim_ros.physics.gripper_path import normalized
 from cloth_sim_ros.physics.sheets.grid import GridSheet
 from cloth_sim_ros.physics.sheets.mesh import MeshSheet
 from cloth_sim_ros.scene import parameters, sections
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from cloth_sim_ros.scene.mesh_file import SolidMesh
 
 #: Parameters of a present obstacle that may change.
-LIVE = ("friction", "frame")
+LIVE_LEAVES = ("friction", "frame")
 #: Last part of the parameter that describes an obstacle; without it, its other parameters have no meaning.
-_DESCRIBES = "shape"
+_SHAPE_LEAF = "shape"
 
 
 def declared(name: str) -> tuple[Parameter, ...]:
     """Return every parameter of an obstacle with a name."""
-    return parameters.declared(sections.Obstacle, f"{name}.")
+    return parameters.declared(sections.ObstacleParameters, f"{name}.")
 
 
 def described(values: Iterable[str], groups: Collection[str]) -> list[str]:
@@ -42,7 +42,7 @@ def described(values: Iterable[str], groups: Collection[str]) -> list[str]:
         groups: first parts of the names of all other parameters, which no obstacle may have.
     """
     split = [name.rpartition(".") for name in values]
-    return [name for name, _, leaf in split if leaf == _DESCRIBES and NAME.fullmatch(name) and name not in groups]
+    return [name for name, _, leaf in split if leaf == _SHAPE_LEAF and NAME.fullmatch(name) and name not in groups]
 
 
 def hint(name: str, groups: Collection[str]) -> str:
@@ -51,12 +51,12 @@ def hint(name: str, groups: Collection[str]) -> str:
     leaves = [entry.name.rpartition(".")[2] for entry in declared("o")]
     if leaf not in leaves or not NAME.fullmatch(obstacle) or obstacle in groups:
         return ""
-    return f" If '{obstacle}' is to be an obstacle, set {obstacle}.{_DESCRIBES} with it, or before"
+    return f" If '{obstacle}' is to be an obstacle, set {obstacle}.{_SHAPE_LEAF} with it, or before"
 
 
-def read(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, sections.Obstacle]:
+def read(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, sections.ObstacleParameters]:
     """Return the descriptions of obstacles from checked values by full name."""
-    return {name: parameters.build(sections.Obstacle, dict(values), f"{name}.") for name in names}
+    return {name: parameters.build(sections.ObstacleParameters, dict(values), f"{name}.") for name in names}
 
 
 def check_distinct(kind: str, names: Sequence[str]) -> None:
@@ -72,14 +72,14 @@ def check_distinct(kind: str, names: Sequence[str]) -> None:
             raise ParameterError(f"two {kind}s are named '{name}'; give each its own name")
 
 
-def check_change(name: str, before: sections.Obstacle, now: sections.Obstacle) -> None:
+def check_change(name: str, before: sections.ObstacleParameters, now: sections.ObstacleParameters) -> None:
     """Refuse a change of an obstacle that is not possible while it exists.
 
     Raises:
         ParameterError: naming the parameter.
     """
     old, new = parameters.flatten(before), parameters.flatten(now)
-    fixed = [leaf for leaf in new if new[leaf] != old[leaf] and leaf not in LIVE]
+    fixed = [leaf for leaf in new if new[leaf] != old[leaf] and leaf not in LIVE_LEAVES]
     if fixed:
         raise ParameterError(
             f"{name}.{fixed[0]} can't change while '{name}' is there; take it out of obstacles first, or move it by "
@@ -88,7 +88,7 @@ def check_change(name: str, before: sections.Obstacle, now: sections.Obstacle) -
 
 
 def check_names(
-    names: Sequence[str], described: Collection[str], grippers: Collection[str], groups: Collection[str]
+    names: Sequence[str], described_names: Collection[str], grippers: Collection[str], groups: Collection[str]
 ) -> None:
     """Refuse invalid names of obstacles.
 
@@ -105,9 +105,9 @@ def check_names(
     for name in names:
         if name in groups:
             raise ParameterError(f"an obstacle is named '{name}', as parameters are; give it another name")
-        if name not in described and name not in grippers:
-            raise ParameterError(f"obstacles names '{name}', and {name}.{_DESCRIBES} is not set; set it")
-    for name in [*names, *described]:
+        if name not in described_names and name not in grippers:
+            raise ParameterError(f"obstacles names '{name}', and {name}.{_SHAPE_LEAF} is not set; set it")
+    for name in [*names, *described_names]:
         if name in grippers:
             raise ParameterError(f"'{name}' names a gripper and an obstacle; give the obstacle another name")
 
@@ -123,7 +123,7 @@ def check_meshes(values: Mapping[str, Any], known: Mapping[str, Any]) -> None:
             raise ParameterError(f"{name} can't change while the cloth runs; describe the obstacle at start")
 
 
-def solid(name: str, description: sections.Obstacle, files: Mapping[str, bytes]) -> Obstacle:
+def solid(name: str, description: sections.ObstacleParameters, files: Mapping[str, bytes]) -> Obstacle:
     """Return the rigid shape of a description; `files`: content of files by name.
 
     Raises:
@@ -138,7 +138,7 @@ def solid(name: str, description: sections.Obstacle, files: Mapping[str, bytes])
 
 
 @lru_cache(maxsize=64)
-def _solid(name: str, description: sections.Obstacle, content: bytes) -> Obstacle:
+def _solid(name: str, description: sections.ObstacleParameters, content: bytes) -> Obstacle:
     """Return the rigid shape of a description and its file's content.
 
     Raises:
@@ -147,10 +147,10 @@ def _solid(name: str, description: sections.Obstacle, content: bytes) -> Obstacl
     from cloth_sim_ros.physics.obstacles import Obstacle
 
     try:
-        normalised(description.orientation)
+        normalized(description.orientation)
     except ValueError as error:
         raise ParameterError(f"{name}.orientation: {error}") from error
-    check_count(f"{name}.friction", description.friction)
+    check_friction_count(f"{name}.friction", description.friction)
     friction = (description.friction[0], description.friction[-1])
     size = () if description.shape in ("plane", "mesh") else description.size
     vertices = triangles = None
@@ -182,7 +182,7 @@ def solid_mesh(content: bytes, name: str, scale: float) -> SolidMesh:
     return mesh_file.solid(content, name=name, scale=scale)
 
 
-def check_count(name: str, friction: Sequence[float]) -> None:
+def check_friction_count(name: str, friction: Sequence[float]) -> None:
     """Refuse coefficients of friction if there are not one or two."""
     if len(friction) not in (1, 2):
         raise ParameterError(
@@ -192,7 +192,7 @@ def check_count(name: str, friction: Sequence[float]) -> None:
 
 def check_friction(name: str, friction: Sequence[float]) -> None:
     """Refuse invalid coefficients of friction: one number, or static and kinetic, the latter no larger."""
-    check_count(name, friction)
+    check_friction_count(name, friction)
     if friction[-1] > friction[0]:
         raise ParameterError(
             f"{name} is {friction[0]:g} at rest and {friction[-1]:g} in motion; the latter must be no larger: give "
@@ -224,6 +224,6 @@ def _shortest_edge(sheet: Sheet) -> float:
     if isinstance(sheet, GridSheet):
         return min(sheet.spacing)
     assert isinstance(sheet, MeshSheet)
-    away = sheet.rest[sheet.surface.edges[:, 1]] - sheet.rest[sheet.surface.edges[:, 0]]
+    away = sheet.rest_positions[sheet.surface.edges[:, 1]] - sheet.rest_positions[sheet.surface.edges[:, 0]]
     square = away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1] + away[:, 2] * away[:, 2]
     return math.sqrt(float(square.min()))

@@ -51,12 +51,12 @@ def parse(text: str, *, node: str = "cloth_sim", source: str = "text", strict: b
     """Return the parameters that a text sets for a node; arguments as those of `read`."""
     sections = _sections(text, source)
     full = f"/{node.strip('/') or 'cloth_sim'}"
-    found = [content for name, content in sections.items() if ros_sections.matches(name, full)]
-    if sections and not found:
-        _refuse_namesakes(list(sections), full, source)
-    if strict and not found and (words := other_nodes(text, node=full, source=source)):
+    matching = [content for name, content in sections.items() if ros_sections.matches(name, full)]
+    if sections and not matching:
+        _refuse_other_namespaces(list(sections), full, source)
+    if strict and not matching and (words := other_nodes(text, node=full, source=source)):
         raise ParameterError(f"'{source}' sets nothing for the node {full}; {words}")
-    return {name: value for content in found for name, value in content.items()}
+    return {name: value for content in matching for name, value in content.items()}
 
 
 def other_nodes(text: str, *, node: str, source: str) -> str:
@@ -92,15 +92,15 @@ def _sections(text: str, source: str) -> dict[str, dict[str, Any]]:
         raise ParameterError(f"'{source}' is not YAML: {error}") from error
 
 
-def _refuse_namesakes(sections: list[str], node: str, source: str) -> None:
+def _refuse_other_namespaces(sections: list[str], node: str, source: str) -> None:
     """Refuse a file that sets nothing for a node, but something for nodes of its name in other namespaces."""
-    last = node.rpartition("/")[2]
-    full = [f"/{name.removeprefix('/')}" for name in sections if "*" not in name]
-    others = [name for name in dict.fromkeys(full) if name.rpartition("/")[2] == last]
-    if others:
+    base_name = node.rpartition("/")[2]
+    absolute_names = [f"/{name.removeprefix('/')}" for name in sections if "*" not in name]
+    full_names = [name for name in dict.fromkeys(absolute_names) if name.rpartition("/")[2] == base_name]
+    if full_names:
         raise ParameterError(
-            f"'{source}' sets nothing for the node {node}, but for {', '.join(others)}: give the node's full name, "
-            f"--node {others[0]} or node='{others[0]}'"
+            f"'{source}' sets nothing for the node {node}, but for {', '.join(full_names)}: give the node's full name, "
+            f"--node {full_names[0]} or node='{full_names[0]}'"
         )
 
 
@@ -121,14 +121,14 @@ def dump(values: dict[str, Any], *, node: str = "/**") -> str:
 
 #: Sentinel entry with a nested value, so that the entries before it get lines of their own; it is cut off again. No
 #: section has a name with a full stop.
-_LAST: dict[str, Any] = {"the.last": []}
-_LAST_LINES = "    the.last: []\n"
+_SENTINEL: dict[str, Any] = {"the.last": []}
+_SENTINEL_LINES = "    the.last: []\n"
 
 
 @functools.lru_cache(maxsize=16)
 def _head(node: str) -> str:
     """Return the text before a node's parameters."""
-    return ros_yaml.dump({node: {ros_sections.KEY: _LAST}}).removesuffix(_LAST_LINES)
+    return ros_yaml.dump({node: {ros_sections.KEY: _SENTINEL}}).removesuffix(_SENTINEL_LINES)
 
 
 @functools.lru_cache(maxsize=256)
@@ -138,5 +138,5 @@ def _lines(entry: bytes) -> str:
     The cache pays off because scenes of a study share nearly all sections, and formatting one takes long.
     """
     name, content = pickle.loads(entry)
-    text = ros_yaml.dump({"/**": {ros_sections.KEY: {name: content, **_LAST}}})
-    return text.removeprefix(_head("/**")).removesuffix(_LAST_LINES)
+    text = ros_yaml.dump({"/**": {ros_sections.KEY: {name: content, **_SENTINEL}}})
+    return text.removeprefix(_head("/**")).removesuffix(_SENTINEL_LINES)

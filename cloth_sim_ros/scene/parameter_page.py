@@ -90,17 +90,17 @@ def _bare(value: Any) -> str:
 
 
 def _range(entry: Parameter) -> str:
-    said = []
+    parts = []
     if entry.choices:
-        said.append(", ".join(f"`{choice}`" for choice in entry.choices))
+        parts.append(", ".join(f"`{choice}`" for choice in entry.choices))
     if entry.length is not None:
-        said.append(f"{entry.length} entries")
+        parts.append(f"{entry.length} entries")
     if entry.least is not None and entry.most is not None:
         bound = "above " if entry.open_least else ""
-        said.append(f"{bound}{_bare(entry.least)} to {_bare(entry.most)}")
+        parts.append(f"{bound}{_bare(entry.least)} to {_bare(entry.most)}")
     if entry.constraint:
-        said.append(entry.constraint)
-    return "; ".join(said)
+        parts.append(entry.constraint)
+    return "; ".join(parts)
 
 
 if __name__ == "__main__":

@@ -71,7 +71,7 @@ class Faults:
         """Add faults that are not known yet."""
         self._sentences += [sentence for sentence in sentences if sentence not in self._sentences]
 
-    def attempt(self, check: Callable[[], Any]) -> Any:
+    def collect(self, check: Callable[[], Any]) -> Any:
         """Return the result of a check. If it raises ParameterError, add the faults and return None."""
         try:
             return check()
@@ -157,7 +157,7 @@ class Parameter:
 
     def _check_one(self, value: Any) -> Any:
         kind = KINDS[self.element]
-        value = _item(value)
+        value = _python_scalar(value)
         if type(value) is int and not -_INT_END <= value < _INT_END:
             # The value is not quoted, because Python refuses to print integers of more than a few thousand digits.
             raise ParameterError(f"{self.name} is a whole number of {value.bit_length()} bits; it must fit into 64")
@@ -184,7 +184,7 @@ class Parameter:
             raise ParameterError(f"{self.name} is {value}{unit}; it must be at most {self.most}{unit}")
 
 
-def _item(entry: Any) -> Any:
+def _python_scalar(entry: Any) -> Any:
     """Return a numpy scalar as a Python number; other values unchanged."""
     return entry.item() if hasattr(entry, "item") and getattr(entry, "ndim", 0) == 0 else entry
 
@@ -214,13 +214,13 @@ def declared(cls: type, prefix: str = "") -> tuple[Parameter, ...]:
 
 @cache
 def _declared(cls: Any, prefix: str) -> tuple[Parameter, ...]:
-    found: list[Parameter] = []
+    entries: list[Parameter] = []
     for field in attrs.fields(cls):
         if _META in field.metadata:
-            found.append(attrs.evolve(field.metadata[_META], name=prefix + _leaf(field)))
+            entries.append(attrs.evolve(field.metadata[_META], name=prefix + _leaf(field)))
         elif _SECTION in field.metadata:
-            found.extend(_declared(field.metadata[_SECTION], f"{prefix}{field.name}."))
-    return tuple(found)
+            entries.extend(_declared(field.metadata[_SECTION], f"{prefix}{field.name}."))
+    return tuple(entries)
 
 
 def flatten(instance: Any, prefix: str = "") -> dict[str, Any]:
@@ -254,22 +254,22 @@ def check(
         f"unknown parameter '{name}'{_suggestion(name, known)}{hint(name)}" for name in values if name not in known
     )
     checked = {
-        name: faults.attempt(partial(known[name].check, value)) for name, value in values.items() if name in known
+        name: faults.collect(partial(known[name].check, value)) for name, value in values.items() if name in known
     }
     faults.refuse()
     return checked
 
 
-def build(cls: Callable[..., Any], values: dict[str, Any], prefix: str = "", **further: Any) -> Any:
+def build(cls: Callable[..., Any], values: dict[str, Any], prefix: str = "", **extra_fields: Any) -> Any:
     """Return an instance of a configuration class from checked values by full name. Missing names take their default.
 
     `prefix` precedes the names of its fields. `extra_fields` are fields of the class that are no parameters.
     """
-    return _build(cls, values, prefix, further)
+    return _build(cls, values, prefix, extra_fields)
 
 
-def _build(cls: Any, values: dict[str, Any], prefix: str, further: dict[str, Any]) -> Any:
-    arguments = dict(further)
+def _build(cls: Any, values: dict[str, Any], prefix: str, extra_fields: dict[str, Any]) -> Any:
+    arguments = dict(extra_fields)
     for field in attrs.fields(cls):
         name = prefix + _leaf(field)
         if _SECTION in field.metadata:

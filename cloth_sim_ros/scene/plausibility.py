@@ -13,8 +13,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.physics.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.powers import in_order
 from cloth_sim_ros.scene.scene import Scene
 
 #: Extents [m] and masses [kg] of cloth that a robot handles: from a patch of a centimetre to a sail.
@@ -32,7 +32,7 @@ def cloth_size(scene: Scene, x: Array, masses: Array) -> str:
         masses: masses [kg], (n,).
     """
     return (
-        f"extent {_extent(x.T):.3g} m, mass {in_order(masses.tolist()):.3g} kg, "
+        f"extent {_extent(x.T):.3g} m, mass {ordered_sum(masses.tolist()):.3g} kg, "
         f"clouds resolve {cloud_resolution(x, double=scene.points.double):.2g} m"
     )
 
@@ -42,7 +42,7 @@ def implausible_sizes(scene: Scene, x: Array, masses: Array) -> list[str]:
     cloth = scene.cloth
     name = f"the mesh '{cloth.mesh}'" if cloth.mesh else "the cloth"
     sentences: list[str] = []
-    extent, mass = _extent(x.T), in_order(masses.tolist())
+    extent, mass = _extent(x.T), ordered_sum(masses.tolist())
     if not EXTENTS[0] <= extent <= EXTENTS[1]:
         if cloth.mesh:
             remedy = f"if its file is not in metres, set cloth.scale ({_factor(extent)})"

@@ -19,7 +19,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.powers import whole_sum
+from cloth_sim_ros.physics.deterministic_math import integer_sum
 
 #: numpy's names of the types.
 _KINDS = {
@@ -37,7 +37,7 @@ _FORMATS = {"ascii", "binary_little_endian", "binary_big_endian"}
 #: Upper bound of the number of rows in any file.
 _MAX_COUNT = 10**15
 #: Names of the list of a face's corners, the usual ones first.
-_CORNERS = ("vertex_indices", "vertex_index")
+_CORNER_LISTS = ("vertex_indices", "vertex_index")
 _END = re.compile(rb"(?:^|(?<=[\r\n]))[ \t]*end_header[ \t]*(?:\r\n|\r|\n|\Z)")
 
 
@@ -92,14 +92,14 @@ def read_ply(data: bytes) -> PlyMesh:
     missing = [axis for axis in "xyz" if axis not in kinds]
     if missing:
         raise ValueError(f"its vertices have no property {', '.join(missing)}")
-    corners = _corners(face)
+    corners = _corner_list(face)
     rows = _rows(form, elements, body)
     columns = [np.asarray(rows["vertex"][axis], dtype=np.float64) for axis in "xyz"]
-    numbers: list[list[int]] = [row.tolist() for row in rows[face.name][corners]]
+    polygons: list[list[int]] = [row.tolist() for row in rows[face.name][corners]]
     if strips:
-        numbers = [triangle for row in numbers for triangle in _triangles(row)]
+        polygons = [triangle for row in polygons for triangle in _triangles(row)]
     return PlyMesh(
-        points=np.stack(columns, axis=1), polygons=numbers, single=any(kinds[axis] in _SINGLE for axis in "xyz")
+        points=np.stack(columns, axis=1), polygons=polygons, single=any(kinds[axis] in _SINGLE for axis in "xyz")
     )
 
 
@@ -150,22 +150,25 @@ def _check_counts(elements: list[PlyElement], form: str, length: int) -> None:
         if form == "ascii":
             # Its values are counted during reading.
             continue
-        least = whole_sum(np.dtype(_KINDS[length_kind or kind]).itemsize for _, length_kind, kind in element.properties)
-        if element.count * least > length:
+        min_bytes = integer_sum(
+            np.dtype(_KINDS[length_kind or kind]).itemsize for _, length_kind, kind in element.properties
+        )
+        if element.count * min_bytes > length:
             count = str(element.count) if element.count < _MAX_COUNT else f"{_MAX_COUNT} or more"
             raise ValueError(
-                f"its header says {count} {element.plural} of at least {least} bytes each, and {length} bytes follow: "
+                f"its header says {count} {element.plural} of at least {min_bytes} bytes each, and {length} bytes "
+                f"follow: "
                 "it is cut short, or the count is wrong"
             )
 
 
-def _corners(face: PlyElement) -> str:
+def _corner_list(face: PlyElement) -> str:
     """Return the name of the list of a face's corners."""
     lists = [name for name, length, kind in face.properties if length and kind not in _FRACTIONS]
-    for name in (*_CORNERS, *lists):
+    for name in (*_CORNER_LISTS, *lists):
         if name in lists:
             return name
-    raise ValueError(f"its {face.plural} have no list of whole numbers, such as {_CORNERS[0]}")
+    raise ValueError(f"its {face.plural} have no list of whole numbers, such as {_CORNER_LISTS[0]}")
 
 
 def _rows(form: str, elements: list[PlyElement], body: bytes) -> dict[str, NDArray[np.void]]:
@@ -206,20 +209,20 @@ def _rows(form: str, elements: list[PlyElement], body: bytes) -> dict[str, NDArr
     return {element.name: element.data for element in read.elements}
 
 
-def _check_end(length: int, used: int) -> None:
+def _check_end(length: int, n_read: int) -> None:
     """Refuse a binary file with bytes after its last row."""
-    if used < length:
-        raise ValueError(f"{length - used} bytes follow its last row: a count in its header is wrong")
+    if n_read < length:
+        raise ValueError(f"{length - n_read} bytes follow its last row: a count in its header is wrong")
 
 
 def _uniform_rows(elements: list[PlyElement], body: bytes, order: str) -> dict[str, NDArray[np.void]] | None:
     """Return the rows of a binary file; None if rows of an element or the file differ in length from the header."""
     rows: dict[str, NDArray[np.void]] = {}
-    at = 0
+    offset = 0
     for element in elements:
         fields: list[tuple[str, str, tuple[int, ...]]] = []
         lengths: dict[str, int] = {}
-        end = at
+        end = offset
         for name, length, kind in element.properties:
             shape: tuple[int, ...] = ()
             if length:
@@ -233,34 +236,34 @@ def _uniform_rows(elements: list[PlyElement], body: bytes, order: str) -> dict[s
                 end += size.itemsize
             fields.append((name, order + _KINDS[kind], shape))
             end += np.dtype(_KINDS[kind]).itemsize * (shape[0] if shape else 1)
-        if len({name for name, _, _ in fields}) < len(fields) or (end - at) * element.count > len(body) - at:
+        if len({name for name, _, _ in fields}) < len(fields) or (end - offset) * element.count > len(body) - offset:
             return None
         row = np.dtype(fields)
-        rows[element.name] = np.frombuffer(body, row, element.count, at) if element.count else np.zeros(0, row)
+        rows[element.name] = np.frombuffer(body, row, element.count, offset) if element.count else np.zeros(0, row)
         if any(np.any(rows[element.name][name] != length) for name, length in lengths.items()):
             return None
-        at += row.itemsize * element.count
-    return rows if at == len(body) else None
+        offset += row.itemsize * element.count
+    return rows if offset == len(body) else None
 
 
 def _ascii_rows(elements: list[PlyElement], values: list[bytes]) -> Iterator[bytes]:
     """Yield the values of an ASCII file, one row per line."""
-    at = 0
+    index = 0
     for element in elements:
         for row in range(element.count):
-            begin = at
+            row_start = index
             for name, length, _ in element.properties:
-                at += 1
-                if length and at <= len(values):
-                    at += _list_length(values[at - 1], f"{element.name} {row}", name)
-            if at > len(values):
-                n_values = len(values) - begin
+                index += 1
+                if length and index <= len(values):
+                    index += _list_length(values[index - 1], f"{element.name} {row}", name)
+            if index > len(values):
+                n_values = len(values) - row_start
                 if row + 1 < element.count or not n_values:
                     raise ValueError(f"it ends after {row + bool(n_values)} of {element.count} {element.plural}")
-                raise ValueError(f"{element.name} {row} has {n_values} of {at - begin} values")
-            yield b" ".join(values[begin:at])
-    if at < len(values):
-        raise ValueError(f"{len(values) - at} values follow its last row: a count in its header is wrong")
+                raise ValueError(f"{element.name} {row} has {n_values} of {index - row_start} values")
+            yield b" ".join(values[row_start:index])
+    if index < len(values):
+        raise ValueError(f"{len(values) - index} values follow its last row: a count in its header is wrong")
 
 
 def _list_length(value: bytes, row: str, name: str) -> int:

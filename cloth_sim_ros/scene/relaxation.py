@@ -13,25 +13,25 @@ import numpy as np
 from cloth_sim_ros.physics.state import State
 
 #: Largest factor [1], and largest relaxed tolerance [m].
-MOST_FACTOR, MOST_TOLERANCE = 10.0, 1e-2
+MAX_FACTOR, MAX_TOLERANCE = 10.0, 1e-2
 #: Key of the factor in ``State.memory``, shape (1,), float64; absent while the tolerance is the scene's own.
-MEMORY = "relaxed"
+MEMORY_KEY = "relaxed"
 
 
 def factor_of(state: State) -> float:
     """Return the factor on the scene's tolerance, at least 1."""
-    stored = state.memory.get(MEMORY)
+    stored = state.memory.get(MEMORY_KEY)
     return 1.0 if stored is None else float(stored[0])
 
 
 def set_factor(state: State, factor: float) -> None:
     """Set the factor on the scene's tolerance, from 1 to `MAX_FACTOR`."""
     if factor == 1.0:
-        state.memory.pop(MEMORY, None)
+        state.memory.pop(MEMORY_KEY, None)
     else:
-        state.memory[MEMORY] = np.array([factor])
+        state.memory[MEMORY_KEY] = np.array([factor])
 
 
-def relaxed(tolerance: float, factor: float) -> float:
+def relaxed_tolerance(tolerance: float, factor: float) -> float:
     """Return a tolerance [m] times a factor, at most `MAX_TOLERANCE`; a larger tolerance stays unchanged."""
-    return min(factor * tolerance, max(tolerance, MOST_TOLERANCE))
+    return min(factor * tolerance, max(tolerance, MAX_TOLERANCE))

@@ -18,9 +18,9 @@ from cloth_sim_ros.scene.parameters import ParameterError
 
 KEY = "ros__parameters"
 #: Largest number of parts of a parameter's name.
-_DEEPEST = 100
+_MAX_DEPTH = 100
 #: Largest number of characters of the name of a parameter or a node.
-_LONGEST = 1000
+_MAX_NAME_LENGTH = 1000
 _PART = r"(?:[A-Za-z_][A-Za-z0-9_]*|\*\*?)"
 #: Valid names of sections in ROS.
 _NAME = re.compile(rf"/?(?:{_PART}/)*{_PART}")
@@ -45,7 +45,7 @@ def read(text: str, *, source: str) -> dict[str, dict[str, Any]]:
         ParameterError: for text that ROS refuses, or reads otherwise than it is written.
         yaml.YAMLError: if the text is no YAML.
     """
-    return _Reader(text, source).sections()
+    return _SectionReader(text, source).sections()
 
 
 class _Section:
@@ -75,7 +75,7 @@ class _Section:
         return {name: next((kinds[kind] for kind in _KINDS if kind in kinds), []) for name, kinds in self._entries}
 
 
-class _Reader:
+class _SectionReader:
     def __init__(self, text: str, source: str) -> None:
         import yaml
 
@@ -90,7 +90,7 @@ class _Reader:
             if self._is("DocumentStart"):
                 self._next()
                 if not self._is("MappingStart"):
-                    raise self._no_file()
+                    raise self._not_a_parameter_file()
                 self._names(())
         return {name: section.values() for name, section in self._sections.items()}
 
@@ -98,9 +98,9 @@ class _Reader:
         self._event = next(self._events)
         self._count += 1
         if self._count > ros_yaml.MAX_NODES:
-            raise self._trouble(f"more than {ros_yaml.MAX_NODES} values and names; that is the limit")
+            raise self._error(f"more than {ros_yaml.MAX_NODES} values and names; that is the limit")
         if self._is("Alias"):
-            raise self._trouble("an alias, which ROS does not read: write out what it stands for")
+            raise self._error("an alias, which ROS does not read: write out what it stands for")
         return self._event
 
     def _until(self, end: str) -> Iterator[Any]:
@@ -119,9 +119,9 @@ class _Reader:
     def _key(self) -> str:
         key = _scalar_text(self._event) if self._is("Scalar") else ""
         if not key:
-            raise self._trouble("a key that is no name; write 'name: value'")
-        if len(key) > _LONGEST:
-            raise self._trouble(f"a name of {len(key)} characters; the limit is {_LONGEST}")
+            raise self._error("a key that is no name; write 'name: value'")
+        if len(key) > _MAX_NAME_LENGTH:
+            raise self._error(f"a name of {len(key)} characters; the limit is {_MAX_NAME_LENGTH}")
         return key
 
     def _names(self, above: tuple[str, ...]) -> None:
@@ -131,36 +131,35 @@ class _Reader:
             key = self._key()
             path = (*above, key)
             if ended:
-                raise self._trouble(f"'{key}:' behind the '{KEY}:' of '{'/'.join(above)}:'; begin a section of its own")
+                raise self._error(f"'{key}:' behind the '{KEY}:' of '{'/'.join(above)}:'; begin a section of its own")
             if key.startswith(KEY):
                 if not above:
-                    raise self._no_file()
+                    raise self._not_a_parameter_file()
                 self._begin(above)
                 ended = True
                 continue
             if above and "/" in key:
-                raise self._trouble(
-                    f"the name '{key}' with a / within '{'/'.join(above)}:'; write the whole name as one"
-                )
+                raise self._error(f"the name '{key}' with a / within '{'/'.join(above)}:'; write the whole name as one")
             self._next()
             if not self._is("MappingStart"):
-                raise self._trouble(f"no '{KEY}:' below '{'/'.join(above or path)}:'")
-            if len(path) > _DEEPEST:
-                raise self._too_deep()
+                raise self._error(f"no '{KEY}:' below '{'/'.join(above or path)}:'")
+            if len(path) > _MAX_DEPTH:
+                raise self._too_deep_error()
             self._names(path)
 
     def _begin(self, path: tuple[str, ...]) -> None:
         name = "/".join(path)
         if not _NAME.fullmatch(name):
-            what = "the wildcard" if "*" in name else "the node name"
-            raise self._trouble(
-                f"{what} '{name}:'; names are of letters, digits and _, with / between them; * stands for one, ** for "
+            subject = "the wildcard" if "*" in name else "the node name"
+            raise self._error(
+                f"{subject} '{name}:'; names are of letters, digits and _, with / between them; * stands for one, ** "
+                f"for "
                 "any number"
             )
         section = self._sections.setdefault(name, _Section())
         self._next()
         if not self._is("MappingStart"):
-            raise self._trouble(f"no parameters below the '{KEY}:' of '{name}:'; write 'name: value' there, or {{}}")
+            raise self._error(f"no parameters below the '{KEY}:' of '{name}:'; write 'name: value' there, or {{}}")
         self._parameters(section, ())
 
     def _parameters(self, section: _Section, above: tuple[str, ...]) -> None:
@@ -174,18 +173,18 @@ class _Reader:
             self._next()
             group = self._is("MappingStart")
             if section.clashes(name, group=group):
-                raise self._trouble(f"'{name}' both as a value and as a group of parameters; take one of them out")
+                raise self._error(f"'{name}' both as a value and as a group of parameters; take one of them out")
             if not group:
                 self._value(section.entry(name, nested=bool(above)), name)
             elif above and "." in key:
                 # ROS would put later parameters into a group of its first part.
-                raise self._trouble(f"the group '{key}' with a . within '{'.'.join(above)}:'; write a group in a group")
-            elif len(path) >= _DEEPEST:
-                raise self._too_deep()
+                raise self._error(f"the group '{key}' with a . within '{'.'.join(above)}:'; write a group in a group")
+            elif len(path) >= _MAX_DEPTH:
+                raise self._too_deep_error()
             else:
                 self._parameters(section, path)
         if empty and above:
-            raise self._trouble(f"no parameter below '{'.'.join(above)}:'; give one, or leave '{above[-1]}:' out")
+            raise self._error(f"no parameter below '{'.'.join(above)}:'; give one, or leave '{above[-1]}:' out")
 
     def _value(self, kinds: dict[str, Any], name: str) -> None:
         if self._is("Scalar"):
@@ -195,31 +194,33 @@ class _Reader:
         values = [self._scalar(name) for _ in self._until("SequenceEnd")]
         types = list(dict.fromkeys(type(value).__name__ for value in values))
         if len(types) > 1:
-            found = " and ".join(_TYPES.get(kind, kind) for kind in types)
-            raise self._trouble(f"entries of {name} of different types, {found}; give all one type, as in [1.0, 2.5]")
+            type_names = " and ".join(_TYPES.get(kind, kind) for kind in types)
+            raise self._error(
+                f"entries of {name} of different types, {type_names}; give all one type, as in [1.0, 2.5]"
+            )
         if types:
             kinds[f"{types[0]}[]"] = values
 
     def _scalar(self, name: str) -> Any:
         if not self._is("Scalar"):
-            raise self._trouble(f"a list or group within the list {name}; ROS has lists of plain values only")
+            raise self._error(f"a list or group within the list {name}; ROS has lists of plain values only")
         if not self._event.value and self._event.style not in ("'", '"'):
-            raise self._trouble(f"no value for {name}; give one, or leave '{name.rpartition('.')[2]}:' out")
+            raise self._error(f"no value for {name}; give one, or leave '{name.rpartition('.')[2]}:' out")
         text = _scalar_text(self._event)
         # ROS regards only this tag.
         is_text = self._event.style in ("'", '"') or self._event.tag == "tag:yaml.org,2002:str"
         return text if is_text else ros_yaml.plain(text)
 
-    def _no_file(self) -> ParameterError:
+    def _not_a_parameter_file(self) -> ParameterError:
         return ParameterError(
             f"'{self._source}' is no parameter file; it needs '/**:' or 'cloth_sim:' with '{KEY}:' below"
         )
 
-    def _too_deep(self) -> ParameterError:
-        return self._trouble(f"names nested more than {_DEEPEST} deep; no parameter's name has so many parts")
+    def _too_deep_error(self) -> ParameterError:
+        return self._error(f"names nested more than {_MAX_DEPTH} deep; no parameter's name has so many parts")
 
-    def _trouble(self, what: str) -> ParameterError:
-        return ParameterError(f"'{self._source}' has {what} (line {self._event.start_mark.line + 1})")
+    def _error(self, problem: str) -> ParameterError:
+        return ParameterError(f"'{self._source}' has {problem} (line {self._event.start_mark.line + 1})")
 
 
 def _scalar_text(event: Any) -> str:

@@ -27,12 +27,12 @@ _DECIMAL = re.compile(r"[-+]?[0-9]+(?:[eE][-+]?[0-9]+)?")
 _HEXADECIMAL = re.compile(r"[-+]?0[xX](?:[0-9a-fA-F]+\.?[0-9a-fA-F]*|\.[0-9a-fA-F]+)(?:[pP][-+]?[0-9]+)?")
 _NAMED = re.compile(r"[-+]?(?:inf|infinity|nan)", re.IGNORECASE)
 #: Largest number of values and keys of a file, with repetitions by aliases, and deepest nesting.
-MAX_NODES, _DEEPEST = 250_000, 100
+MAX_NODES, _MAX_DEPTH = 250_000, 100
 #: Longest value of a study, a script or a table [characters].
-_LONGEST = 10_000
+_MAX_VALUE_LENGTH = 10_000
 _INT_END = 1 << 63
 #: Largest number of digits: an integer of 64 bits has fewer, apart from leading zeros.
-_MOST_DIGITS = 1000
+_MAX_DIGITS = 1000
 _RESOLVED = {
     "tag:yaml.org,2002:bool": (_BOOL, "yYnNtTfFoO"),
     "tag:yaml.org,2002:int": (_INT, "-+0123456789"),
@@ -66,7 +66,7 @@ def parser() -> Any:
     return getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
-def check_size(text: str, *, most: int = MAX_NODES) -> None:
+def check_size(text: str, *, max_nodes: int = MAX_NODES) -> None:
     """Refuse a text whose reading would take long or much memory.
 
     An alias of a few bytes stands for content that may hold aliases in turn.
@@ -88,8 +88,8 @@ def check_size(text: str, *, most: int = MAX_NODES) -> None:
             anchor, nodes = values.pop()
         elif isinstance(event, yaml.CollectionStartEvent):
             values.append((event.anchor, 1))
-            if len(values) > _DEEPEST:
-                raise yaml.YAMLError(f"it is nested too deeply to be read: more than {_DEEPEST} levels")
+            if len(values) > _MAX_DEPTH:
+                raise yaml.YAMLError(f"it is nested too deeply to be read: more than {_MAX_DEPTH} levels")
             continue
         elif isinstance(event, yaml.AliasEvent):
             if event.anchor not in anchors:
@@ -97,16 +97,18 @@ def check_size(text: str, *, most: int = MAX_NODES) -> None:
             anchor, nodes = None, anchors[event.anchor]
         elif isinstance(event, yaml.ScalarEvent):
             anchor, nodes = event.anchor, 1
-            if len(event.value) > _LONGEST:
-                raise yaml.YAMLError(f"it has a value of {len(event.value)} characters; the limit is {_LONGEST}")
+            if len(event.value) > _MAX_VALUE_LENGTH:
+                raise yaml.YAMLError(
+                    f"it has a value of {len(event.value)} characters; the limit is {_MAX_VALUE_LENGTH}"
+                )
         else:
             continue
         if anchor is not None:
             anchors[anchor] = nodes
-        around, before = values[-1]
-        values[-1] = (around, before + nodes)
-        if before + nodes > most:
-            raise yaml.YAMLError(f"it has more than {most} values, aliases written out; that is the limit")
+        enclosing_anchor, n_before = values[-1]
+        values[-1] = (enclosing_anchor, n_before + nodes)
+        if n_before + nodes > max_nodes:
+            raise yaml.YAMLError(f"it has more than {max_nodes} values, aliases written out; that is the limit")
 
 
 def plain(text: str) -> bool | int | float | str:
@@ -114,7 +116,7 @@ def plain(text: str) -> bool | int | float | str:
     if _BOOL.fullmatch(text):
         return text.lower() in _TRUE
     if _INT.fullmatch(text):
-        value = _whole(text)
+        value = _integer(text)
         if -_INT_END <= value < _INT_END:
             return value
     if _HEXADECIMAL.fullmatch(text):
@@ -125,19 +127,19 @@ def plain(text: str) -> bool | int | float | str:
     if _FLOAT.fullmatch(text) and "." in text and text.strip("+-.").lower() in ("inf", "nan"):
         return float(text.replace(".", ""))
     if _FLOAT.fullmatch(text) or _DECIMAL.fullmatch(text):
-        number = float(text)
+        parsed = float(text)
         # Beyond the largest number strtod fails, and the value stays text.
-        return text if math.isinf(number) else number
+        return text if math.isinf(parsed) else parsed
     return float(text) if _NAMED.fullmatch(text) else text
 
 
-def _whole(text: str) -> int:
+def _integer(text: str) -> int:
     """Return an integer as strtoll reads it.
 
     Very many digits give an integer of 65 bits, because Python refuses them.
     """
     digits = text.lstrip("+-")
-    if len(digits) > _MOST_DIGITS:
+    if len(digits) > _MAX_DIGITS:
         return _INT_END << 1
     base = 16 if digits[:2].lower() == "0x" else 8 if digits.startswith("0") else 10
     return int(text, base)
@@ -167,12 +169,12 @@ def _loader() -> Any:
                     line = key.start_mark.line + 1
                     raise yaml.YAMLError(f"'{key.value}' is given twice, in line {line} again; give it once")
                 seen.add(key.value)
-            made: dict[Any, Any] = super().construct_mapping(node, deep=deep)
-            return made
+            mapping: dict[Any, Any] = super().construct_mapping(node, deep=deep)
+            return mapping
 
-    others = {*_RESOLVED, "tag:yaml.org,2002:timestamp"}
+    replaced_tags = {*_RESOLVED, "tag:yaml.org,2002:timestamp"}
     Loader.yaml_implicit_resolvers = {
-        first: [(tag, pattern) for tag, pattern in resolvers if tag not in others]
+        first: [(tag, pattern) for tag, pattern in resolvers if tag not in replaced_tags]
         for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
     for tag, (pattern, first) in _RESOLVED.items():

@@ -14,7 +14,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.control.automatic import INTEGRATORS, make_integrator
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import normalised, rotation_matrix
+from cloth_sim_ros.physics.gripper_path import normalized, rotation_matrix
 from cloth_sim_ros.physics.integrators.base import TOLERANCE, WORK_LIMIT, Integrator
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import Plan
@@ -24,9 +24,9 @@ from cloth_sim_ros.physics.sheets.mesh import POISSON_RATIO, MeshSheet
 from cloth_sim_ros.physics.sheets.raw import RawSprings
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import files as scene_files
+from cloth_sim_ros.scene import gripper_pads as scene_pinch
 from cloth_sim_ros.scene import gripper_parameters, limits, parameter_file, parameters, relaxation, sections
 from cloth_sim_ros.scene import obstacles as scene_obstacles
-from cloth_sim_ros.scene import pinch as scene_pinch
 from cloth_sim_ros.scene.build import (
     Sheet,
     anchored_particles,
@@ -36,31 +36,31 @@ from cloth_sim_ros.scene.build import (
     grid_threads_of,
 )
 from cloth_sim_ros.scene.gripper_section import PINCH
-from cloth_sim_ros.scene.identity import cloth_of, difference
 from cloth_sim_ros.scene.parameters import ParameterError, parameter, section
-from cloth_sim_ros.scene.recorded import merge_hint
+from cloth_sim_ros.scene.recorded_scene import merge_hint
 from cloth_sim_ros.scene.sections import (
-    Air,
-    Bending,
-    Cloth,
-    Contact,
-    Diagnostics,
-    Gripper,
-    Material,
-    Points,
-    Record,
-    Tf,
-    Wind,
+    AirParameters,
+    BendingParameters,
+    ClothParameters,
+    ContactParameters,
+    DiagnosticsParameters,
+    GripperParameters,
+    MaterialParameters,
+    PointsParameters,
+    RecordParameters,
+    TfParameters,
+    WindParameters,
 )
 from cloth_sim_ros.scene.sheet_checks import check_sheet, without_surface
-from cloth_sim_ros.scene.unknown import is_of_ros
+from cloth_sim_ros.scene.topology_id import difference, topology_id
+from cloth_sim_ros.scene.unknown_parameters import is_ros_parameter
 from cloth_sim_ros.scene.value_checks import check_values
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.obstacles import Obstacle
 
 #: Parameters and groups of parameters that rclpy declares by itself.
-_OF_ROS = ("use_sim_time", "qos_overrides", "start_type_description_service")
+_ROS_GROUPS = ("use_sim_time", "qos_overrides", "start_type_description_service")
 
 
 @attrs.frozen(kw_only=True)
@@ -78,9 +78,9 @@ class Scene:
     initial_state: str = parameter(
         "string", "", "Initial state: a file of ~/save_state, or session.mcap@frame; empty: the flat sheet"
     )
-    cloth: Cloth = section(Cloth)
-    material: Material = section(Material)
-    bending: Bending = section(Bending)
+    cloth: ClothParameters = section(ClothParameters)
+    material: MaterialParameters = section(MaterialParameters)
+    bending: BendingParameters = section(BendingParameters)
     gravity: tuple[float, ...] = parameter(
         "double[]",
         (0.0, 0.0, -9.81),
@@ -91,12 +91,12 @@ class Scene:
         most=1e4,
         live=True,
     )
-    air: Air = section(Air)
-    wind: Wind = section(Wind)
+    air: AirParameters = section(AirParameters)
+    wind: WindParameters = section(WindParameters)
     grippers: tuple[str, ...] = parameter(
         "string[]", ("gripper",), "Names of the grippers; none by ['']", constraint=limits.NAMES
     )
-    gripper: Gripper = section(Gripper)
+    gripper: GripperParameters = section(GripperParameters)
     obstacles: tuple[str, ...] = parameter(
         "string[]",
         ("",),
@@ -104,7 +104,7 @@ class Scene:
         constraint=limits.NAMES,
         live=True,
     )
-    contact: Contact = section(Contact)
+    contact: ContactParameters = section(ContactParameters)
     integrator: str = parameter(
         "string",
         "auto",
@@ -161,12 +161,12 @@ class Scene:
         live=True,
         observes=True,
     )
-    points: Points = section(Points)
-    tf: Tf = section(Tf)
-    record: Record = section(Record)
-    diagnostics: Diagnostics = section(Diagnostics)
+    points: PointsParameters = section(PointsParameters)
+    tf: TfParameters = section(TfParameters)
+    record: RecordParameters = section(RecordParameters)
+    diagnostics: DiagnosticsParameters = section(DiagnosticsParameters)
     #: Described obstacles by name: those in `obstacles`, and those that can be added to it.
-    described: dict[str, sections.Obstacle] = attrs.field(factory=dict)
+    described: dict[str, sections.ObstacleParameters] = attrs.field(factory=dict)
     #: Parameters of single grippers, by full name.
     individual: dict[str, Any] = attrs.field(factory=dict)
     #: Content of the files that parameters name, by that name; a recording needs it to run again.
@@ -186,15 +186,15 @@ class Scene:
         cls, obstacles: Iterable[str] = (), individual: Iterable[str] = ()
     ) -> tuple[parameters.Parameter, ...]:
         """Return every parameter of a scene, with those of named obstacles and with single grippers' of full names."""
-        further = [entry for name in obstacles for entry in scene_obstacles.declared(name)]
-        return (*parameters.declared(cls), *further, *map(gripper_parameters.declared, individual))
+        obstacle_entries = [entry for name in obstacles for entry in scene_obstacles.declared(name)]
+        return (*parameters.declared(cls), *obstacle_entries, *map(gripper_parameters.declared, individual))
 
     @classmethod
     def declared_for(cls, names: Iterable[str]) -> tuple[parameters.Parameter, ...]:
         """Return every parameter of a scene, with those of the obstacles and grippers that full names describe."""
-        given = list(names)
-        described = scene_obstacles.described(given, cls.groups())
-        return cls.declared(described, gripper_parameters.individual(given, cls.groups(), described))
+        full_names = list(names)
+        described = scene_obstacles.described(full_names, cls.groups())
+        return cls.declared(described, gripper_parameters.individual(full_names, cls.groups(), described))
 
     @property
     def entries(self) -> tuple[parameters.Parameter, ...]:
@@ -205,7 +205,7 @@ class Scene:
     @cache
     def groups() -> frozenset[str]:
         """Return the first parts of parameters' names, which no obstacle may have."""
-        return frozenset(entry.name.partition(".")[0] for entry in Scene.declared()).union(_OF_ROS)
+        return frozenset(entry.name.partition(".")[0] for entry in Scene.declared()).union(_ROS_GROUPS)
 
     @classmethod
     def from_parameters(
@@ -243,7 +243,7 @@ class Scene:
             ParameterError: as `from_parameters`, or if the file can't be read, or sets parameters only for other nodes.
         """
         values = parameter_file.read(path, node=node, strict=True)
-        cloth_values = {name: value for name, value in values.items() if not is_of_ros(name)}
+        cloth_values = {name: value for name, value in values.items() if not is_ros_parameter(name)}
         return cls.from_parameters(cloth_values, folder=Path(path).parent)
 
     def parameters(self) -> dict[str, Any]:
@@ -354,13 +354,13 @@ class Scene:
 
     def initial_positions(self) -> Array:
         """Return starting positions [m], shape (particle_count, 3)."""
-        return self._turned(self.sheet.positions()) + np.asarray(self.cloth.position)
+        return self._rotated(self.sheet.positions()) + np.asarray(self.cloth.position)
 
-    def _turned(self, vectors: Array) -> Array:
+    def _rotated(self, vectors: Array) -> Array:
         """Rotate vectors (n, 3) from the sheet's axes to the world's, with a fixed order of sums."""
-        turn = rotation_matrix(normalised(self.cloth.orientation))
+        rotation = rotation_matrix(normalized(self.cloth.orientation))
         x, y, z = np.asarray(vectors, dtype=np.float64).T
-        return np.stack([row[0] * x + row[1] * y + row[2] * z for row in turn], axis=1)
+        return np.stack([row[0] * x + row[1] * y + row[2] * z for row in rotation], axis=1)
 
     def starting_state(self) -> State:
         """Return the starting state: that of `initial_state`, at frame 0 and running; else at rest.
@@ -375,29 +375,29 @@ class Scene:
         sheet = self.sheet
         velocities = None
         if isinstance(sheet, RawSprings):
-            velocities = self._turned(sheet.velocities)
-        return State(self.initial_positions(), velocities, cloth=cloth_of(sheet))
+            velocities = self._rotated(sheet.velocities)
+        return State(self.initial_positions(), velocities, cloth=topology_id(sheet))
 
     def build_integrator(self, *, factor: float = 1.0) -> Integrator:
         """Return the scene's integrator; `factor` relaxes its tolerance."""
-        tolerance = relaxation.relaxed(self.tolerance, factor) or None
+        tolerance = relaxation.relaxed_tolerance(self.tolerance, factor) or None
         return make_integrator(self.integrator, step=self.step or None, tolerance=tolerance, work=self.work_limit)
 
     def _loaded_state(self) -> State:
-        what = f"initial_state '{self.initial_state}'"
+        subject = f"initial_state '{self.initial_state}'"
         try:
             state = State.from_bytes(self.files[self.initial_state])
         except ValueError as error:
-            raise ParameterError(f"{what} is no state file of ~/save_state: {error}") from error
-        cloth = cloth_of(self.sheet)
-        other = difference(state, cloth)
-        if other:
-            raise ParameterError(f"{what} {other}{merge_hint(self)}")
+            raise ParameterError(f"{subject} is no state file of ~/save_state: {error}") from error
+        cloth = topology_id(self.sheet)
+        mismatch = difference(state, cloth)
+        if mismatch:
+            raise ParameterError(f"{subject} {mismatch}{merge_hint(self)}")
         state.cloth = cloth
         # A state that never ran has no gripper memory and fits any number. A run without grippers leaves 0 poses.
         poses = state.memory.get("gripper.pose")
         if poses is not None and len(poses) != len(self.gripper_names):
-            raise ParameterError(f"{what} has {len(poses)} grippers, the cloth {len(self.gripper_names)}")
+            raise ParameterError(f"{subject} has {len(poses)} grippers, the cloth {len(self.gripper_names)}")
         state.frame = 0
         state.memory.pop("paused", None)
         relaxation.set_factor(state, 1.0)

@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import attrs
 
-from cloth_sim_ros.physics.obstacle_shapes import MOST_SIZE, SHAPES
+from cloth_sim_ros.physics.obstacle_shapes import MAX_SIZE, SHAPES
 from cloth_sim_ros.physics.sheets.surface import LAYOUTS
-from cloth_sim_ros.scene.gripper_section import Gripper as Gripper
+from cloth_sim_ros.scene.gripper_section import GripperParameters as GripperParameters
 from cloth_sim_ros.scene.limits import FRAME, FRICTION, MAX_PARTICLES, QUATERNION
 from cloth_sim_ros.scene.parameters import parameter
 
 
 @attrs.frozen(kw_only=True)
-class Cloth:
+class ClothParameters:
     """Geometry and initial pose of the sheet."""
 
     size: tuple[float, ...] = parameter(
@@ -76,7 +76,7 @@ class Cloth:
 
 
 @attrs.frozen(kw_only=True)
-class Material:
+class MaterialParameters:
     """Physical moduli of the sheet."""
 
     density: float = parameter("double", 0.2, "Mass per area", unit="kg/m^2", least=1e-9, most=1e3, live=True)
@@ -123,7 +123,7 @@ class Material:
 
 
 @attrs.frozen(kw_only=True)
-class Bending:
+class BendingParameters:
     """Resistance to bending."""
 
     model: str = parameter(
@@ -153,7 +153,7 @@ class Bending:
 
 
 @attrs.frozen(kw_only=True)
-class Air:
+class AirParameters:
     """Drag by still air."""
 
     drag: float = parameter(
@@ -162,7 +162,7 @@ class Air:
 
 
 @attrs.frozen(kw_only=True)
-class Wind:
+class WindParameters:
     """Moving air and its drag on the surface. Drag is relative to it: acceleration -air.drag (v - velocity)."""
 
     velocity: tuple[float, ...] = parameter(
@@ -199,7 +199,7 @@ class Wind:
 
 
 @attrs.frozen(kw_only=True)
-class Contact:
+class ContactParameters:
     """Contact of the cloth with obstacles and with itself."""
 
     self_: bool = parameter(
@@ -239,7 +239,7 @@ class Contact:
 
 
 @attrs.frozen(kw_only=True)
-class Obstacle:
+class ObstacleParameters:
     """One obstacle. Its parameters form a group under its own name, e.g. `table.size`.
 
     Some may change only while `obstacles` does not name it; their description says so.
@@ -260,7 +260,7 @@ class Obstacle:
         "a plane and a mesh have none; changes only while it is not in obstacles",
         unit="m",
         least=0.0,
-        most=MOST_SIZE,
+        most=MAX_SIZE,
         open_least=True,
         live=True,
     )
@@ -320,7 +320,7 @@ class Obstacle:
 
 
 @attrs.frozen(kw_only=True)
-class Points:
+class PointsParameters:
     """Fields of ~/points."""
 
     velocity: bool = parameter(
@@ -337,7 +337,7 @@ class Points:
 
 
 @attrs.frozen(kw_only=True)
-class Tf:
+class TfParameters:
     """Coordinate frames that the node broadcasts."""
 
     publish: bool = parameter(
@@ -350,7 +350,7 @@ class Tf:
 
 
 @attrs.frozen(kw_only=True)
-class Record:
+class RecordParameters:
     """Recording of sessions."""
 
     enabled: bool = parameter("bool", False, "Record a session from the start")
@@ -381,7 +381,7 @@ class Record:
 
 
 @attrs.frozen(kw_only=True)
-class Diagnostics:
+class DiagnosticsParameters:
     """Optional diagnostics."""
 
     energy: bool = parameter(

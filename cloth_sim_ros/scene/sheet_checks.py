@@ -9,7 +9,7 @@ from typing import Any
 
 from cloth_sim_ros.physics.sheets.grid import GridSheet
 from cloth_sim_ros.physics.sheets.raw import RawSprings
-from cloth_sim_ros.scene.build import Configuration, anchored_particles, grid_threads_of
+from cloth_sim_ros.scene.build import PhysicsScene, anchored_particles, grid_threads_of
 from cloth_sim_ros.scene.parameters import ParameterError
 
 
@@ -24,7 +24,7 @@ def without_surface(values: Mapping[str, Any]) -> dict[str, Any]:
     return {"wind.normal_drag": 0.0}
 
 
-def check_sheet(scene: Configuration) -> None:
+def check_sheet(scene: PhysicsScene) -> None:
     """Refuse an invalid sheet, bending model or anchor.
 
     Raises:

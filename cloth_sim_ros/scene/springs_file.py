@@ -29,7 +29,7 @@ def _yaml(data: bytes) -> dict[str, Any]:
 
     try:
         text = data.decode()
-        ros_yaml.check_size(text, most=_MAX_VALUES)
+        ros_yaml.check_size(text, max_nodes=_MAX_VALUES)
         tree = yaml.load(text, Loader=ros_yaml.parser())
     except (yaml.YAMLError, ValueError, TypeError, AttributeError, LookupError) as error:
         raise ValueError(f"it is no YAML: {error}") from error

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, Protocol
 
-from cloth_sim_ros.physics.gripper_path import normalised
+from cloth_sim_ros.physics.gripper_path import normalized
 from cloth_sim_ros.scene import gripper_parameters, obstacles, sections
 from cloth_sim_ros.scene.limits import MAX_PARTICLES, MIN_TOLERANCE
 from cloth_sim_ros.scene.parameters import Faults
@@ -17,10 +17,10 @@ class SceneValues(Protocol):
     """Part of a `Scene` that these checks read."""
 
     @property
-    def cloth(self) -> sections.Cloth: ...
+    def cloth(self) -> sections.ClothParameters: ...
 
     @property
-    def contact(self) -> sections.Contact: ...
+    def contact(self) -> sections.ContactParameters: ...
 
     @property
     def tolerance(self) -> float: ...
@@ -29,7 +29,7 @@ class SceneValues(Protocol):
     def frame_id(self) -> str: ...
 
     @property
-    def tf(self) -> sections.Tf: ...
+    def tf(self) -> sections.TfParameters: ...
 
     @property
     def gripper_names(self) -> list[str]: ...
@@ -41,7 +41,7 @@ class SceneValues(Protocol):
     def obstacle_names(self) -> list[str]: ...
 
     @property
-    def described(self) -> dict[str, sections.Obstacle]: ...
+    def described(self) -> dict[str, sections.ObstacleParameters]: ...
 
     @staticmethod
     def groups() -> frozenset[str]: ...
@@ -56,10 +56,10 @@ def check_values(scene: SceneValues) -> None:
     faults = Faults()
     faults.add(_faults(scene))
     grippers, names = scene.gripper_names, scene.obstacle_names
-    faults.attempt(lambda: obstacles.check_distinct("gripper", grippers))
-    faults.attempt(lambda: gripper_parameters.check_grippers(scene.individual, grippers))
-    faults.attempt(lambda: obstacles.check_names(names, scene.described, grippers, scene.groups()))
-    faults.attempt(lambda: obstacles.check_friction("contact.friction", scene.contact.friction))
+    faults.collect(lambda: obstacles.check_distinct("gripper", grippers))
+    faults.collect(lambda: gripper_parameters.check_grippers(scene.individual, grippers))
+    faults.collect(lambda: obstacles.check_names(names, scene.described, grippers, scene.groups()))
+    faults.collect(lambda: obstacles.check_friction("contact.friction", scene.contact.friction))
     faults.refuse()
 
 
@@ -74,6 +74,6 @@ def _faults(scene: SceneValues) -> Iterator[str]:
     if scene.tf.publish and "cloth" in scene.gripper_names:
         yield "a gripper is named 'cloth', as the cloth's own frame is (tf.publish); rename it"
     try:
-        normalised(scene.cloth.orientation)
+        normalized(scene.cloth.orientation)
     except ValueError as error:
         yield f"cloth.orientation: {error}"

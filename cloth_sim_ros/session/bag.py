@@ -17,9 +17,9 @@ from cloth_sim_ros.session.mcap_scan import (
     DamagedRecordError,
     RawMessage,
     chunk_records,
+    locate_record,
     parse_message,
     parse_record,
-    place_at,
     read_body,
     read_chunk,
 )
@@ -36,16 +36,16 @@ def bag_messages(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
     channels: dict[int, Channel] = {}
     with open_file(path) as file:
         try:
-            for item in _records(file):
-                if isinstance(item, Schema):
-                    schemas[item.id] = item
-                elif isinstance(item, Channel):
-                    channels[item.id] = item
+            for record in _records(file):
+                if isinstance(record, Schema):
+                    schemas[record.id] = record
+                elif isinstance(record, Channel):
+                    channels[record.id] = record
                 else:
-                    channel = channels.get(item.channel)
+                    channel = channels.get(record.channel)
                     schema = None if channel is None else schemas.get(channel.schema_id)
                     if channel is not None and schema is not None and channel.message_encoding == "cdr":
-                        yield channel.topic, schema.name, item.log_time, item.data
+                        yield channel.topic, schema.name, record.log_time, record.data
         except DamagedRecordError as error:
             raise DamagedSessionError(f"{path} can't be read as MCAP: {error}; repair it first") from error
 
@@ -53,17 +53,17 @@ def bag_messages(path: Path) -> Iterator[tuple[str, str, int, bytes]]:
 def _records(file: BinaryIO) -> Iterator[Schema | Channel | RawMessage]:
     """Yield declarations and messages, in chunks or outside of them."""
     position = len(MAGIC)
-    while (place := place_at(file, position)) is not None:
-        position = place.end
-        if place.opcode == Opcode.CHUNK:
-            for _, item in chunk_records(read_chunk(file, place)):
-                yield item
-        elif place.opcode == Opcode.MESSAGE:
-            yield parse_message(read_body(file, place), place.offset)
-        elif place.opcode == Opcode.SCHEMA:
-            yield parse_record(Schema, read_body(file, place), place.offset)
-        elif place.opcode == Opcode.CHANNEL:
-            yield parse_record(Channel, read_body(file, place), place.offset)
-        elif place.opcode == Opcode.DATA_END:
+    while (location := locate_record(file, position)) is not None:
+        position = location.end
+        if location.opcode == Opcode.CHUNK:
+            for _, record in chunk_records(read_chunk(file, location)):
+                yield record
+        elif location.opcode == Opcode.MESSAGE:
+            yield parse_message(read_body(file, location), location.offset)
+        elif location.opcode == Opcode.SCHEMA:
+            yield parse_record(Schema, read_body(file, location), location.offset)
+        elif location.opcode == Opcode.CHANNEL:
+            yield parse_record(Channel, read_body(file, location), location.offset)
+        elif location.opcode == Opcode.DATA_END:
             return
     raise DamagedRecordError(f"it ends at byte {position} or later, without the end of its data")

@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cloth_sim_ros.session.channel_description import standard_types
 from cloth_sim_ros.session.errors import SessionError
-from cloth_sim_ros.session.layouts import standard_types
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _LITTLE = b"\x00\x01\x00\x00"
 #: Size [bytes] of a number by its type in sensor_msgs/PointField: FLOAT32, FLOAT64.
-_LENGTHS = {7: 4, 8: 8}
+_FIELD_SIZES = {7: 4, 8: 8}
 _POSITION, _VELOCITY = ("x", "y", "z"), ("vx", "vy", "vz")
 
 
@@ -45,7 +45,7 @@ class Cloud:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Surface:
+class MeshMessage:
     """A shape_msgs/Mesh."""
 
     triangles: NDArray[np.uint32]
@@ -85,7 +85,7 @@ def encode_string(text: str) -> bytes:
 
 def decode_string(data: bytes | memoryview) -> str:
     """Return the text of a std_msgs/String. Raises SessionError if the bytes are not one."""
-    reader = _Reader(data, "std_msgs/msg/String")
+    reader = _CdrReader(data, "std_msgs/msg/String")
     return reader.string()
 
 
@@ -94,7 +94,7 @@ def decode_cloud(data: bytes | memoryview) -> Cloud:
 
     Raises SessionError unless x, y, z are float32 or float64.
     """
-    reader = _Reader(data, "sensor_msgs/msg/PointCloud2")
+    reader = _CdrReader(data, "sensor_msgs/msg/PointCloud2")
     seconds, nanoseconds = reader.numbers("iI")
     frame_id = reader.string()
     height, width, field_count = reader.numbers("III")
@@ -104,8 +104,8 @@ def decode_cloud(data: bytes | memoryview) -> Cloud:
         (offset,) = reader.numbers("I")
         (datatype,) = reader.numbers("B")
         (count,) = reader.numbers("I")
-        if datatype in _LENGTHS and count == 1:
-            fields[name] = offset, _LENGTHS[datatype]
+        if datatype in _FIELD_SIZES and count == 1:
+            fields[name] = offset, _FIELD_SIZES[datatype]
     (big_endian,) = reader.numbers("B")
     point_step, row_step = reader.numbers("II")
     (size,) = reader.numbers("I")
@@ -142,21 +142,21 @@ def _evenly_spaced(fields: Mapping[str, tuple[int, int]], names: tuple[str, str,
     """Return True if three fields have one length and equal spacing. `fields`: offset and length [bytes] by name."""
     if not fields.keys() >= set(names):
         return False
-    (first, one), (second, two), (third, three) = (fields[name] for name in names)
-    return second - first == third - second and one == two == three
+    (first, first_length), (second, second_length), (third, third_length) = (fields[name] for name in names)
+    return second - first == third - second and first_length == second_length == third_length
 
 
-def decode_surface(data: bytes | memoryview) -> Surface:
+def decode_mesh(data: bytes | memoryview) -> MeshMessage:
     """Decode a shape_msgs/Mesh as views of `data`. Raises SessionError if the bytes are not one."""
-    reader = _Reader(data, "shape_msgs/msg/Mesh")
+    reader = _CdrReader(data, "shape_msgs/msg/Mesh")
     (triangle_count,) = reader.numbers("I")
     triangles = reader.array("<u4", triangle_count * 3)
     (vertex_count,) = reader.numbers("I")
     vertices = reader.array("<f8", vertex_count * 3)
-    return Surface(triangles=triangles.reshape(-1, 3), vertices=vertices.reshape(-1, 3))
+    return MeshMessage(triangles=triangles.reshape(-1, 3), vertices=vertices.reshape(-1, 3))
 
 
-class _Reader:
+class _CdrReader:
     """Cursor over CDR bytes that aligns numbers and never reads past the end."""
 
     __slots__ = ("_data", "_order", "_position", "_type_name")

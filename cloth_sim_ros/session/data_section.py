@@ -19,56 +19,56 @@ from mcap.records import Channel, Schema
 
 from cloth_sim_ros.session.errors import StrippedSessionError
 from cloth_sim_ros.session.mcap_scan import (
-    MESSAGE_HEAD,
-    RECORD_HEAD,
+    MESSAGE_HEADER_SIZE,
+    RECORD_HEADER_SIZE,
     Chunk,
     DamagedRecordError,
-    RecordPlace,
+    RecordLocation,
     Summary,
+    locate_record,
     parse_record,
-    place_at,
     read_body,
 )
 from cloth_sim_ros.session.writer import METADATA_NAME, SCENE_NAME, STATE_NAME
 
-_BARE = (int(Opcode.SCHEMA), int(Opcode.CHANNEL), int(Opcode.MESSAGE))
-_CONTENTS = (Opcode.METADATA, Opcode.ATTACHMENT)
-_HEAD = struct.Struct("<BQ")
+_UNCHUNKED_OPCODES = (int(Opcode.SCHEMA), int(Opcode.CHANNEL), int(Opcode.MESSAGE))
+_CONTENT_OPCODES = (Opcode.METADATA, Opcode.ATTACHMENT)
+_RECORD_HEADER = struct.Struct("<BQ")
 #: Size of a DataEnd record [bytes].
-_DATA_END = RECORD_HEAD + 4
+_DATA_END_SIZE = RECORD_HEADER_SIZE + 4
 #: Size of the records outside of chunks that are returned as one chunk; a larger record stands alone [bytes].
-_TOGETHER = 1 << 20
+_READ_SIZE = 1 << 20
 #: Upper bound of the offsets in a message index: a chunk is smaller [bytes].
-_LARGEST_OFFSET = 1 << 31
+_MAX_CHUNK_OFFSET = 1 << 31
 _STRING = "std_msgs/msg/String"
 
 
-def covers_all(file: BinaryIO, summary: Summary, data_start: int) -> bool:
+def is_fully_indexed(file: BinaryIO, summary: Summary, data_start: int) -> bool:
     """Return True if the indexes name everything in the data section except the message indexes.
 
     The lengths in the indexes are checked: one that is too large would hide a chunk.
     """
-    position, end = data_start, summary.start - _DATA_END
+    position, end = data_start, summary.start - _DATA_END_SIZE
     records = dict(summary.records)
     while position < end:
         file.seek(position)
-        head = file.read(RECORD_HEAD)
-        if len(head) < RECORD_HEAD:
+        header = file.read(RECORD_HEADER_SIZE)
+        if len(header) < RECORD_HEADER_SIZE:
             return False
-        opcode, size = _HEAD.unpack(head)
-        length = RECORD_HEAD + size
+        opcode, size = _RECORD_HEADER.unpack(header)
+        length = RECORD_HEADER_SIZE + size
         if opcode == Opcode.CHUNK:
             index = summary.chunks.get(position)
             known = index is not None and index.chunk_length == length
         else:
-            known = opcode == Opcode.MESSAGE_INDEX or (opcode in _CONTENTS and records.get(position) == length)
+            known = opcode == Opcode.MESSAGE_INDEX or (opcode in _CONTENT_OPCODES and records.get(position) == length)
         if not known:
             return False
         position += length
     return position == end
 
 
-def indexes_contents(summary: Summary | None) -> bool:
+def has_content_index(summary: Summary | None) -> bool:
     """Return True if the indexes name every metadata record and every attachment of the file."""
     statistics = None if summary is None else summary.statistics
     if summary is None or statistics is None:
@@ -76,76 +76,79 @@ def indexes_contents(summary: Summary | None) -> bool:
     return len(summary.records) == statistics.metadata_count + statistics.attachment_count
 
 
-def opening_places(file: BinaryIO, data_start: int) -> Iterator[RecordPlace]:
+def opening_records(file: BinaryIO, data_start: int) -> Iterator[RecordLocation]:
     """Yield metadata and attachments before the first chunk or message. Raises DamagedRecordError."""
     position = data_start
-    while (place := place_at(file, position)) is not None and place.opcode not in (Opcode.CHUNK, Opcode.MESSAGE):
-        if place.opcode in _CONTENTS:
-            yield place
-        if place.opcode == Opcode.DATA_END:
+    while (location := locate_record(file, position)) is not None and location.opcode not in (
+        Opcode.CHUNK,
+        Opcode.MESSAGE,
+    ):
+        if location.opcode in _CONTENT_OPCODES:
+            yield location
+        if location.opcode == Opcode.DATA_END:
             return
-        position = place.end
+        position = location.end
 
 
-def further_places(file: BinaryIO, data_start: int) -> Iterator[RecordPlace]:
+def content_records(file: BinaryIO, data_start: int) -> Iterator[RecordLocation]:
     """Yield metadata and attachments of the whole data section, up to its end or to the first damaged record."""
     position = data_start
     try:
-        while (place := place_at(file, position)) is not None and place.opcode != Opcode.DATA_END:
-            if place.opcode in _CONTENTS:
-                yield place
-            position = place.end
+        while (location := locate_record(file, position)) is not None and location.opcode != Opcode.DATA_END:
+            if location.opcode in _CONTENT_OPCODES:
+                yield location
+            position = location.end
     except DamagedRecordError:
         # Reading the messages reports the damage.
         return
 
 
-def read_bare(file: BinaryIO, place: RecordPlace) -> Chunk | None:
+def read_unchunked(file: BinaryIO, location: RecordLocation) -> Chunk | None:
     """Return schemas, channels and messages outside of chunks, from `location` on, as one chunk without a checksum.
 
     None if `location` holds none of these. Raises DamagedRecordError if a record does not parse.
     """
-    if place.opcode not in _BARE:
+    if location.opcode not in _UNCHUNKED_OPCODES:
         return None
-    _check_bare(place, read_body(file, place))
-    file.seek(place.offset)
-    raw = file.read(max(_TOGETHER, place.end - place.offset))
+    _check_unchunked(location, read_body(file, location))
+    file.seek(location.offset)
+    raw = file.read(max(_READ_SIZE, location.end - location.offset))
     end = 0
-    while end + RECORD_HEAD <= len(raw):
-        opcode, size = _HEAD.unpack_from(raw, end)
-        start, following = end + RECORD_HEAD, end + RECORD_HEAD + size
-        if opcode not in _BARE or following > len(raw):
+    while end + RECORD_HEADER_SIZE <= len(raw):
+        opcode, size = _RECORD_HEADER.unpack_from(raw, end)
+        start, next_start = end + RECORD_HEADER_SIZE, end + RECORD_HEADER_SIZE + size
+        if opcode not in _UNCHUNKED_OPCODES or next_start > len(raw):
             break
         try:
-            _check_bare(RecordPlace(opcode, place.offset + end, size), raw[start:following])
+            _check_unchunked(RecordLocation(opcode, location.offset + end, size), raw[start:next_start])
         except DamagedRecordError:
             # The next call reads this record first, and raises.
             break
-        end = following
+        end = next_start
     return Chunk(
-        place=RecordPlace(place.opcode, place.offset, end - RECORD_HEAD),
+        location=RecordLocation(location.opcode, location.offset, end - RECORD_HEADER_SIZE),
         compression="",
         payload=raw[:end],
         raw=raw[:end],
         crc=0,
-        checked=False,
+        has_checksum=False,
     )
 
 
-def check_data_end(file: BinaryIO, place: RecordPlace) -> None:
+def check_data_end(file: BinaryIO, location: RecordLocation) -> None:
     """Check the checksum of the data section, the only one of messages outside of chunks. Raises DamagedRecordError.
 
     A file without this checksum passes.
     """
-    wanted = int.from_bytes(read_body(file, place), "little")
-    if not wanted:
+    expected_crc = int.from_bytes(read_body(file, location), "little")
+    if not expected_crc:
         return
     file.seek(0)
-    left, found = place.offset, 0
-    while left:
-        piece = file.read(min(left, _TOGETHER))
-        found, left = zlib.crc32(piece, found), left - len(piece)
-    if found != wanted:
+    remaining, crc = location.offset, 0
+    while remaining:
+        piece = file.read(min(remaining, _READ_SIZE))
+        crc, remaining = zlib.crc32(piece, crc), remaining - len(piece)
+    if crc != expected_crc:
         raise DamagedRecordError("the data section fails its checksum: a message outside of chunks may be damaged")
 
 
@@ -163,36 +166,37 @@ def check_stripped(
     Raises:
         StrippedSessionError: if the file has the frames of a session but not its opening.
     """
-    recorded = bool(metadata) or any(
+    is_recorded = bool(metadata) or any(
         kind == _STRING and topic.endswith("/frame") and f"{topic[:-6]}/topology" in channels
         for topic, kind in channels.items()
     )
     files = [name for name in (SCENE_NAME, STATE_NAME) if name not in attachments]
-    absent = [] if metadata else [f"the metadata record '{METADATA_NAME}'"]
+    missing_parts = [] if metadata else [f"the metadata record '{METADATA_NAME}'"]
     if files:
-        absent.append(f"the attachment{'s' * (len(files) > 1)} {' and '.join(files)}")
-    if recorded and absent:
+        missing_parts.append(f"the attachment{'s' * (len(files) > 1)} {' and '.join(files)}")
+    if is_recorded and missing_parts:
         raise StrippedSessionError(
-            f"{path} was recorded by cloth_sim, but it lacks its opening, {' and '.join(absent)}, as after a copy by a "
+            f"{path} was recorded by cloth_sim, but it lacks its opening, {' and '.join(missing_parts)}, as after a "
+            f"copy by a "
             "tool that leaves these out: nothing can be run again; give the original file, or copy it with metadata "
             "and attachments (mcap filter --include-metadata --include-attachments; ros2 bag convert keeps neither)"
         )
 
 
-def _check_bare(place: RecordPlace, body: bytes) -> None:
-    if place.opcode == Opcode.SCHEMA:
-        parse_record(Schema, body, place.offset)
-    elif place.opcode == Opcode.CHANNEL:
-        parse_record(Channel, body, place.offset)
-    elif len(body) < MESSAGE_HEAD or _is_index(body):
-        raise DamagedRecordError(f"the message at byte {place.offset} does not parse")
+def _check_unchunked(location: RecordLocation, body: bytes) -> None:
+    if location.opcode == Opcode.SCHEMA:
+        parse_record(Schema, body, location.offset)
+    elif location.opcode == Opcode.CHANNEL:
+        parse_record(Channel, body, location.offset)
+    elif len(body) < MESSAGE_HEADER_SIZE or _is_message_index(body):
+        raise DamagedRecordError(f"the message at byte {location.offset} does not parse")
 
 
-def _is_index(body: bytes) -> bool:
+def _is_message_index(body: bytes) -> bool:
     """Return True for the body of a message index: one flipped bit turns its opcode into that of a message.
 
     In a message the same bytes are an arbitrary sequence number and a publish time, which is larger than any offset.
     """
     size = int.from_bytes(body[2:6], "little")
     offset = int.from_bytes(body[14:22], "little")
-    return size % 16 == 0 and len(body) == 6 + size and offset < _LARGEST_OFFSET
+    return size % 16 == 0 and len(body) == 6 + size and offset < _MAX_CHUNK_OFFSET

@@ -13,11 +13,11 @@ import io
 from cloth_sim_ros.session.errors import SessionError
 
 #: Maximum size of a chunk's content [bytes]. Recorders close chunks at a few megabytes.
-MOST_BYTES = 256 << 20
+MAX_CHUNK_BYTES = 256 << 20
 #: Maximum window of a zstd frame, in addition to its content [bytes]; levels up to 19 use 8 MiB.
-_MOST_WINDOW = 32 << 20
+_MAX_ZSTD_WINDOW = 32 << 20
 #: Maximum input and output of one call of lz4 [bytes].
-_PIECE, _UNPACKED = 1 << 20, 8 << 20
+_LZ4_INPUT_BYTES, _LZ4_OUTPUT_BYTES = 1 << 20, 8 << 20
 
 
 class DecompressionError(ValueError):
@@ -36,9 +36,9 @@ def decompress(payload: bytes, compression: str, size: int) -> bytes:
         DecompressionError: if `size` is above `MAX_CHUNK_BYTES`, or the content has another size.
         SessionError: if the library for the method is not installed.
     """
-    if size > MOST_BYTES:
+    if size > MAX_CHUNK_BYTES:
         raise DecompressionError(
-            f"announces {size} bytes, the limit is {MOST_BYTES}; rewrite the file with smaller chunks"
+            f"announces {size} bytes, the limit is {MAX_CHUNK_BYTES}; rewrite the file with smaller chunks"
         )
     if compression == "":
         content = payload
@@ -49,7 +49,7 @@ def decompress(payload: bytes, compression: str, size: int) -> bytes:
     else:
         raise DecompressionError(f"is compressed with {compression!r}; known are lz4 and zstd")
     if len(content) != size:
-        raise DecompressionError(f"announces {size} bytes and holds {_count(len(content), size)}")
+        raise DecompressionError(f"announces {size} bytes and holds {_describe_size(len(content), size)}")
     return content
 
 
@@ -61,10 +61,10 @@ def _lz4(payload: bytes, size: int) -> bytes:
     # In pieces, because the library doubles its buffer repeatedly and copies unread input.
     content, decompressor = io.BytesIO(), lz4.frame.LZ4FrameDecompressor()
     try:
-        for begin in range(0, len(payload), _PIECE):
-            piece = payload[begin : begin + _PIECE]
+        for begin in range(0, len(payload), _LZ4_INPUT_BYTES):
+            piece = payload[begin : begin + _LZ4_INPUT_BYTES]
             while not decompressor.eof and content.tell() <= size:
-                content.write(decompressor.decompress(piece, max_length=_UNPACKED))
+                content.write(decompressor.decompress(piece, max_length=_LZ4_OUTPUT_BYTES))
                 piece = b""
                 if decompressor.needs_input:
                     break
@@ -84,12 +84,12 @@ def _zstd(payload: bytes, size: int) -> bytes:
         announced = zstandard.get_frame_parameters(payload).content_size
         if announced not in (size, zstandard.CONTENTSIZE_UNKNOWN):
             raise DecompressionError(f"announces {size} bytes, its zstd frame {announced}")
-        reader = zstandard.ZstdDecompressor(max_window_size=_MOST_WINDOW).stream_reader(payload)
+        reader = zstandard.ZstdDecompressor(max_window_size=_MAX_ZSTD_WINDOW).stream_reader(payload)
         content: bytes = reader.read(size + 1)
     except zstandard.ZstdError as error:
         raise DecompressionError(f"does not decompress: {error}") from error
     return content
 
 
-def _count(found: int, announced: int) -> str:
-    return "more" if found > announced else str(found)
+def _describe_size(actual: int, announced: int) -> str:
+    return "more" if actual > announced else str(actual)

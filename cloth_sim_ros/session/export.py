@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from cloth_sim_ros.session.errors import SessionError
-from cloth_sim_ros.session.outputs import written_whole
+from cloth_sim_ros.session.output_files import atomic_write
 from cloth_sim_ros.session.reader import RecordedCloud, SessionReader
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ _ROW_GROUP = 1 << 20
 
 
 class _Frame(NamedTuple):
-    number: int
+    frame_index: int
     time: float
     log_time: int
     xyz: NDArray[np.floating]
@@ -38,7 +38,7 @@ def export(
     every: int = 1,
     start: float | None = None,
     end: float | None = None,
-    progress: Callable[[], None] = lambda: None,
+    on_progress: Callable[[], None] = lambda: None,
 ) -> int:
     """Write the positions of all particles over time; return the number of frames written.
 
@@ -72,44 +72,44 @@ def export(
         raise SessionError(f"every {every}th frame cannot be exported; give 1 or more")
 
     def frames() -> Iterator[_Frame]:
-        return _frames(reader, every, start, end, progress)
+        return _frames(reader, every, start, end, on_progress)
 
     try:
-        with written_whole(target, replace=False) as unfinished:
+        with atomic_write(target, replace=False) as unfinished:
             return writers[target.suffix](unfinished, frames, reader)
     except FileExistsError:
         raise SessionError(f"{target} exists; give another name") from None
 
 
 def _frames(
-    reader: SessionReader, every: int, start: float | None, end: float | None, progress: Callable[[], None]
+    reader: SessionReader, every: int, start: float | None, end: float | None, on_progress: Callable[[], None]
 ) -> Iterator[_Frame]:
-    taken = 0
-    points: int | None = None
-    kind: np.dtype[Any] | None = None
+    n_clouds = 0
+    n_points: int | None = None
+    dtype: np.dtype[Any] | None = None
     for recorded in reader.clouds():
-        progress()
-        if not _within(recorded, start, end):
+        on_progress()
+        if not _is_within(recorded, start, end):
             continue
-        taken += 1
-        if (taken - 1) % every:
+        n_clouds += 1
+        if (n_clouds - 1) % every:
             continue
         frame = recorded.frame
         xyz = recorded.cloud.xyz
-        if points is not None and len(xyz) != points:
+        if n_points is not None and len(xyz) != n_points:
             raise SessionError(
-                f"a cloud has {len(xyz)} points, those before {points}; export the time spans separately"
+                f"a cloud has {len(xyz)} points, those before {n_points}; export the time spans separately"
             )
-        if kind is not None and xyz.dtype != kind:
+        if dtype is not None and xyz.dtype != dtype:
             raise SessionError(
-                f"a cloud is {xyz.dtype.name}, those before {kind.name}; export the time spans separately"
+                f"a cloud is {xyz.dtype.name}, those before {dtype.name}; export the time spans separately"
             )
-        points, kind = len(xyz), xyz.dtype
-        number, time = (-1, float("nan")) if frame is None else (frame.frame, frame.time)
-        yield _Frame(number, time, recorded.log_time, xyz)
+        n_points, dtype = len(xyz), xyz.dtype
+        frame_index, time = (-1, float("nan")) if frame is None else (frame.frame, frame.time)
+        yield _Frame(frame_index, time, recorded.log_time, xyz)
 
 
-def _within(recorded: RecordedCloud, start: float | None, end: float | None) -> bool:
+def _is_within(recorded: RecordedCloud, start: float | None, end: float | None) -> bool:
     if start is None and end is None:
         return True
     if recorded.frame is None:
@@ -120,10 +120,10 @@ def _within(recorded: RecordedCloud, start: float | None, end: float | None) -> 
 
 def _write_npz(path: Path, frames: Callable[[], Iterator[_Frame]], reader: SessionReader) -> int:
     # The array's shape precedes its contents; therefore the first pass counts the frames.
-    table = [(frame.number, frame.time, frame.log_time, frame.xyz.shape, frame.xyz.itemsize) for frame in frames()]
+    table = [(frame.frame_index, frame.time, frame.log_time, frame.xyz.shape, frame.xyz.itemsize) for frame in frames()]
     if not table:
         raise SessionError("the session has no clouds in that span")
-    shape, kind = (len(table), *table[0][3]), f"<f{table[0][4]}"
+    shape, dtype = (len(table), *table[0][3]), f"<f{table[0][4]}"
     surface = reader.topology()
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
         columns: dict[str, NDArray[Any]] = {
@@ -138,11 +138,11 @@ def _write_npz(path: Path, frames: Callable[[], Iterator[_Frame]], reader: Sessi
             np.lib.format.write_array(buffer, column, allow_pickle=False)
             archive.writestr(f"{name}.npy", buffer.getvalue())
         with archive.open("positions.npy", "w", force_zip64=True) as entry:
-            header = {"descr": kind, "fortran_order": False, "shape": shape}
+            header = {"descr": dtype, "fortran_order": False, "shape": shape}
             np.lib.format.write_array_header_1_0(entry, header)
             written = 0
             for frame in frames():
-                entry.write(np.ascontiguousarray(frame.xyz, kind).tobytes())
+                entry.write(np.ascontiguousarray(frame.xyz, dtype).tobytes())
                 written += 1
     if written != len(table):
         raise SessionError(f"the session changed while it was read: {len(table)} clouds, then {written}")
@@ -159,30 +159,30 @@ def _write_parquet(path: Path, frames: Callable[[], Iterator[_Frame]], _: Sessio
     first = next(span, None)
     if first is None:
         raise SessionError("the session has no clouds in that span")
-    kind = np.dtype(f"f{first.xyz.itemsize}")
+    dtype = np.dtype(f"f{first.xyz.itemsize}")
     leading = [("frame", pa.int64()), ("time", pa.float64()), ("particle", pa.int32())]
-    schema = pa.schema([*leading, *((axis, pa.from_numpy_dtype(kind)) for axis in "xyz")])
+    schema = pa.schema([*leading, *((axis, pa.from_numpy_dtype(dtype)) for axis in "xyz")])
     count = 0
-    waiting: list[_Frame] = []
+    queued_frames: list[_Frame] = []
     with pq.ParquetWriter(path, schema) as writer:
 
         def write() -> None:
-            points = len(waiting[0].xyz)
-            xyz = np.concatenate([frame.xyz for frame in waiting])
+            n_points = len(queued_frames[0].xyz)
+            xyz = np.concatenate([frame.xyz for frame in queued_frames])
             columns = [
-                np.repeat(np.array([frame.number for frame in waiting], np.int64), points),
-                np.repeat(np.array([frame.time for frame in waiting], np.float64), points),
-                np.tile(np.arange(points, dtype=np.int32), len(waiting)),
-                *(np.ascontiguousarray(xyz[:, axis], kind) for axis in range(3)),
+                np.repeat(np.array([frame.frame_index for frame in queued_frames], np.int64), n_points),
+                np.repeat(np.array([frame.time for frame in queued_frames], np.float64), n_points),
+                np.tile(np.arange(n_points, dtype=np.int32), len(queued_frames)),
+                *(np.ascontiguousarray(xyz[:, axis], dtype) for axis in range(3)),
             ]
             writer.write_table(pa.table(columns, schema=schema))
-            waiting.clear()
+            queued_frames.clear()
 
         for frame in itertools.chain([first], span):
-            waiting.append(frame)
+            queued_frames.append(frame)
             count += 1
-            if sum(len(other.xyz) for other in waiting) >= _ROW_GROUP:
+            if sum(len(queued_frame.xyz) for queued_frame in queued_frames) >= _ROW_GROUP:
                 write()
-        if waiting:
+        if queued_frames:
             write()
     return count

@@ -17,7 +17,7 @@ from cloth_sim_ros.session.errors import SessionError
 #: Shared by all frames, because construction is slow.
 _ENCODE = json.JSONEncoder(allow_nan=False, separators=(",", ":"), ensure_ascii=False).encode
 #: Maximum magnitude of a number in an event: the largest float.
-_MOST = sys.float_info.max
+_MAX_NUMBER = sys.float_info.max
 _REQUIRED = ("frame", "time", "events", "integrator", "tolerance", "steps", "digest", "paused")
 
 
@@ -72,7 +72,7 @@ class FrameRecord:
         """Decode the text of `to_json`. Raises SessionError for other text, with the reason."""
         try:
             content = plain_json.loads(
-                text, parse_constant=_refuse_constant, parse_float=_finite, object_pairs_hook=_unique_keys
+                text, parse_constant=_refuse_constant, parse_float=_parse_finite, object_pairs_hook=_unique_keys
             )
         except ValueError as error:
             raise SessionError(f"a frame record is not readable: {error}") from error
@@ -97,7 +97,7 @@ class FrameRecord:
 
 
 def _check_types(content: dict[str, Any]) -> None:
-    wanted: dict[str, tuple[type, ...]] = {
+    expected: dict[str, tuple[type, ...]] = {
         "frame": (int,),
         "time": (int, float),
         "events": (list,),
@@ -109,23 +109,23 @@ def _check_types(content: dict[str, Any]) -> None:
         "extras": (dict,),
     }
     for key, value in content.items():
-        if not isinstance(value, wanted[key]) or (isinstance(value, bool) and key != "paused"):
-            raise SessionError(f"a frame record's {key} is {value!r}, expected {wanted[key][0].__name__}")
+        if not isinstance(value, expected[key]) or (isinstance(value, bool) and key != "paused"):
+            raise SessionError(f"a frame record's {key} is {value!r}, expected {expected[key][0].__name__}")
     for key in ("frame", "steps"):
         if not 0 <= content[key] < 1 << 63:
             raise SessionError(f"a frame record's {key} is out of range; it must be from 0 to 2^63 - 1")
     for key in ("time", "tolerance"):
-        if content[key] is not None and not abs(content[key]) <= _MOST:
-            raise SessionError(f"a frame record's {key} is out of range; it must be at most {_MOST:g}")
-    for name, (fits, words) in _EXTRAS.items():
-        if name in content.get("extras", {}) and not fits(content["extras"][name]):
-            raise SessionError(f"a frame record's extras have '{name}' that is not {words}")
+        if content[key] is not None and not abs(content[key]) <= _MAX_NUMBER:
+            raise SessionError(f"a frame record's {key} is out of range; it must be at most {_MAX_NUMBER:g}")
+    for name, (is_valid, description) in _EXTRA_CHECKS.items():
+        if name in content.get("extras", {}) and not is_valid(content["extras"][name]):
+            raise SessionError(f"a frame record's extras have '{name}' that is not {description}")
     if not all(isinstance(event, dict) for event in content["events"]):
         raise SessionError("a frame record's events are JSON objects")
     for event in content["events"]:
-        for name, (kinds, fits, words) in _MEMBERS.items():
-            if event.get("kind") in kinds and not fits(event.get(name)):
-                raise SessionError(f"a frame record's event {str(event)[:200]} has no '{name}' that is {words}")
+        for name, (event_kinds, is_valid, description) in _EVENT_CHECKS.items():
+            if event.get("kind") in event_kinds and not is_valid(event.get(name)):
+                raise SessionError(f"a frame record's event {str(event)[:200]} has no '{name}' that is {description}")
 
 
 def _is_vector(value: Any) -> bool:
@@ -133,7 +133,7 @@ def _is_vector(value: Any) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _MOST
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _MAX_NUMBER
 
 
 def _are_poses(value: Any) -> bool:
@@ -144,7 +144,7 @@ def _are_names(value: Any) -> bool:
     return isinstance(value, list) and all(isinstance(name, str) for name in value)
 
 
-def _finite(text: str) -> float:
+def _parse_finite(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
         raise ValueError(f"{text} is beyond the range of a float")
@@ -163,13 +163,13 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 #: Checks of the extras that are read: predicate and its description, by name.
-_EXTRAS: dict[str, tuple[Callable[[Any], bool], str]] = {
+_EXTRA_CHECKS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "poses": (_are_poses, "an object of lists of 7 numbers"),
     "halted": (_are_names, "a list of texts"),
 }
 
 #: Checks of events: kinds of event with this member, predicate and its description, by name.
-_MEMBERS: dict[str, tuple[tuple[str, ...], Callable[[Any], bool], str]] = {
+_EVENT_CHECKS: dict[str, tuple[tuple[str, ...], Callable[[Any], bool], str]] = {
     "gripper": (("target", "grasp"), lambda value: isinstance(value, str), "a text"),
     "obstacle": (("move",), lambda value: isinstance(value, str), "a text"),
     "position": (("target", "move"), _is_vector, "a list of numbers"),

@@ -10,13 +10,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from cloth_sim_ros.session.cdr import decode_cloud, decode_surface
+from cloth_sim_ros.session.cdr import decode_cloud, decode_mesh
 from cloth_sim_ros.session.part import Message, SessionPart
+from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.session.reader import SessionReader, read_frame
-from cloth_sim_ros.session.words import counted
 
-_SHOWN_HAPPENINGS = 12
-_QUIET_EVENTS = ("target", "move")
+_MAX_NOTABLE_EVENTS = 12
+_TARGET_EVENTS = ("target", "move")
 
 
 @dataclass(slots=True)
@@ -27,7 +27,7 @@ class TopicSummary:
     count: int = 0
     size: int = 0
     """Size of all messages [bytes]."""
-    lost: int = 0
+    n_missing: int = 0
     """Messages whose sequence numbers are absent: dropped, or in a damaged chunk."""
     next_sequence: int | None = None
 
@@ -50,7 +50,7 @@ class SessionSummary:
     """Minimum, maximum and sum of the steps per frame."""
     integrators: Counter[str] = field(default_factory=Counter)
     events: Counter[str] = field(default_factory=Counter)
-    happenings: list[str] = field(default_factory=list)
+    notable_events: list[str] = field(default_factory=list)
     """The first events that are not targets, each with its time."""
     grid: tuple[int, int] | None = None
     """Height and width of the clouds."""
@@ -76,7 +76,7 @@ class Summarizer:
         topic.count += 1
         topic.size += len(message.data)
         if topic.next_sequence is not None and message.sequence > topic.next_sequence:
-            topic.lost += message.sequence - topic.next_sequence
+            topic.n_missing += message.sequence - topic.next_sequence
         topic.next_sequence = message.sequence + 1
         time = message.log_time
         summary.first_time = time if summary.first_time is None else min(summary.first_time, time)
@@ -87,7 +87,7 @@ class Summarizer:
             cloud = decode_cloud(message.data)
             summary.grid = (cloud.height, cloud.width)
         elif message.topic == f"{self._node}/topology" and summary.triangles is None:
-            summary.triangles = len(decode_surface(message.data).triangles)
+            summary.triangles = len(decode_mesh(message.data).triangles)
 
     def _add_frame(self, message: Message) -> None:
         summary = self.summary
@@ -107,8 +107,8 @@ class Summarizer:
         for event in frame.events:
             kind = str(event.get("kind", "?"))
             summary.events[kind] += 1
-            if kind not in _QUIET_EVENTS and len(summary.happenings) < _SHOWN_HAPPENINGS:
-                summary.happenings.append(f"{frame.time:9.3f} s  {kind} {_words(event)}".rstrip())
+            if kind not in _TARGET_EVENTS and len(summary.notable_events) < _MAX_NOTABLE_EVENTS:
+                summary.notable_events.append(f"{frame.time:9.3f} s  {kind} {_format_event(event)}".rstrip())
 
 
 def render(reader: SessionReader, summary: SessionSummary) -> str:
@@ -119,25 +119,25 @@ def render(reader: SessionReader, summary: SessionSummary) -> str:
         lines.append(f"... {len(reader.parts) - 3} more files")
     lines += [
         _line("state", "complete" if reader.missing is None else reader.missing),
-        _line("ends", _end(reader.parts[-1])),
-        _line("recorded", _when(summary)),
+        _line("ends", _end_reason(reader.parts[-1])),
+        _line("recorded", _format_time(summary)),
         _line("size", f"{size / 1e6:,.1f} MB{_per_hour(size, summary.seconds)}"),
-        _line("by", ", ".join(f"{key} {value}" for key, value in _shown(reader.metadata).items())),
+        _line("by", ", ".join(f"{key} {value}" for key, value in _visible_metadata(reader.metadata).items())),
         "",
         _line("cloth", _cloth(summary)),
         _line("frames", _frames(summary)),
         _line("integrator", ", ".join(f"{name} x {count}" for name, count in summary.integrators.most_common(3))),
         _line("steps", _steps(summary)),
         _line("events", ", ".join(f"{kind} {count}" for kind, count in summary.events.most_common()) or "none"),
-        *(" " * 12 + happening for happening in summary.happenings),
+        *(" " * 12 + event for event in summary.notable_events),
     ]
-    hidden = sum(n for kind, n in summary.events.items() if kind not in _QUIET_EVENTS) - len(summary.happenings)
-    if hidden > 0:
-        lines.append(" " * 12 + f"... and {hidden} more")
+    n_hidden = sum(n for kind, n in summary.events.items() if kind not in _TARGET_EVENTS) - len(summary.notable_events)
+    if n_hidden > 0:
+        lines.append(" " * 12 + f"... and {n_hidden} more")
     lines += ["", f"{'topic':36} {'type':34} {'count':>8} {'MB':>9} {'lost':>6}"]
     for name, topic in sorted(summary.topics.items()):
         short = topic.type_name.replace("/msg/", "/")
-        lines.append(f"{name:36} {short:34} {topic.count:8} {topic.size / 1e6:9.2f} {topic.lost:6}")
+        lines.append(f"{name:36} {short:34} {topic.count:8} {topic.size / 1e6:9.2f} {topic.n_missing:6}")
     return "\n".join(lines)
 
 
@@ -160,7 +160,7 @@ def to_json(reader: SessionReader, summary: SessionSummary) -> dict[str, Any]:
         "grid": summary.grid,
         "triangles": summary.triangles,
         "topics": {
-            name: {"type": topic.type_name, "count": topic.count, "bytes": topic.size, "lost": topic.lost}
+            name: {"type": topic.type_name, "count": topic.count, "bytes": topic.size, "lost": topic.n_missing}
             for name, topic in sorted(summary.topics.items())
         },
     }
@@ -170,12 +170,12 @@ def _line(label: str, text: str) -> str:
     return f"{label:11} {text}"
 
 
-def _words(event: Mapping[str, Any]) -> str:
+def _format_event(event: Mapping[str, Any]) -> str:
     text = " ".join(f"{key}={value}" for key, value in event.items() if key != "kind")
     return text if len(text) <= 80 else text[:77] + "..."
 
 
-def _end(part: SessionPart) -> str:
+def _end_reason(part: SessionPart) -> str:
     reason = part.end_notes.get("reason")
     if reason is not None:
         return reason
@@ -184,7 +184,7 @@ def _end(part: SessionPart) -> str:
     return "unknown: the record 'cloth_sim_end' is missing, as after a copy by a tool" if part.finished else "cut off"
 
 
-def _when(summary: SessionSummary) -> str:
+def _format_time(summary: SessionSummary) -> str:
     if summary.first_time is None:
         return "nothing"
     start = datetime.datetime.fromtimestamp(summary.first_time * 1e-9, datetime.UTC)
@@ -195,7 +195,7 @@ def _per_hour(size: int, seconds: float) -> str:
     return f", {size / seconds * 3600 / 1e9:,.2f} GB an hour" if seconds > 0 else ""
 
 
-def _shown(metadata: Mapping[str, str]) -> dict[str, str]:
+def _visible_metadata(metadata: Mapping[str, str]) -> dict[str, str]:
     hidden = ("checksum", "session", "part", "format")
     return {key: value for key, value in metadata.items() if key not in hidden and len(value) <= 60}
 
@@ -205,7 +205,7 @@ def _cloth(summary: SessionSummary) -> str:
         return "no clouds"
     height, width = summary.grid
     shape = f"{height} x {width}, {height * width} particles" if height > 1 else f"{width} particles"
-    return shape if summary.triangles is None else f"{shape}, {counted(summary.triangles, 'triangle')}"
+    return shape if summary.triangles is None else f"{shape}, {pluralize(summary.triangles, 'triangle')}"
 
 
 def _frames(summary: SessionSummary) -> str:
@@ -214,7 +214,7 @@ def _frames(summary: SessionSummary) -> str:
     first, last = summary.simulated
     speed = f", {(last - first) / summary.seconds:.2f} x real time" if summary.seconds > 0 else ""
     return (
-        f"{summary.first_frame} to {summary.last_frame} ({counted(summary.advances, 'record')}), "
+        f"{summary.first_frame} to {summary.last_frame} ({pluralize(summary.advances, 'record')}), "
         f"{first:.3f} to {last:.3f} s simulated{speed}"
     )
 
@@ -222,5 +222,5 @@ def _frames(summary: SessionSummary) -> str:
 def _steps(summary: SessionSummary) -> str:
     if not summary.advances:
         return "none"
-    least, most, total = summary.steps
-    return f"{total / summary.advances:.1f} a frame, {least} to {most}"
+    min_steps, max_steps, total_steps = summary.steps
+    return f"{total_steps / summary.advances:.1f} a frame, {min_steps} to {max_steps}"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from cloth_sim_ros.session.console import escape_unencodable
 from cloth_sim_ros.session.errors import SessionError
-from cloth_sim_ros.session.words import counted
+from cloth_sim_ros.session.plurals import pluralize
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -86,15 +86,15 @@ def _info(options: argparse.Namespace) -> int:
     """Read sessions to their end, check every checksum, and summarize. Status 1 if a session is incomplete."""
     from cloth_sim_ros.session.reader import by_session
 
-    told, missing = [], []
+    reports, missing = [], []
     for files in by_session(_files(options)):
-        said, lacks = _summary(files, as_json=options.json)
-        told.append(said)
-        missing.append(lacks)
+        report, is_incomplete = _summary(files, as_json=options.json)
+        reports.append(report)
+        missing.append(is_incomplete)
     if options.json:
-        print(json.dumps(told[0] if len(told) == 1 else told, indent=2))
+        print(json.dumps(reports[0] if len(reports) == 1 else reports, indent=2))
     else:
-        print("\n\n".join(map(str, told)))
+        print("\n\n".join(map(str, reports)))
     return 1 if any(missing) else 0
 
 
@@ -112,8 +112,8 @@ def _summary(files: list[Path], *, as_json: bool) -> tuple[object, bool]:
             for message in reader.messages():
                 summarizer.add(message)
                 bar.update(sum(part.position for part in reader.parts) - bar.n)
-        said = to_json(reader, summarizer.summary) if as_json else render(reader, summarizer.summary)
-        return said, reader.missing is not None
+        report = to_json(reader, summarizer.summary) if as_json else render(reader, summarizer.summary)
+        return report, reader.missing is not None
 
 
 def _recover(options: argparse.Namespace) -> int:
@@ -124,13 +124,13 @@ def _recover(options: argparse.Namespace) -> int:
 
     with tqdm(unit="B", unit_scale=True, desc="copying", delay=1.0, leave=False) as bar:
 
-        def progress(position: int, size: int) -> None:
+        def update_bar(position: int, size: int) -> None:
             bar.total = size
             bar.update(position - bar.n)
 
-        recovery = recover(options.file, options.output, progress=progress)
+        recovery = recover(options.file, options.output, on_progress=update_bar)
     print(
-        f"{recovery.path}: {counted(recovery.messages, 'message')}, {recovery.bytes_written / 1e6:,.1f} MB\n"
+        f"{recovery.path}: {pluralize(recovery.messages, 'message')}, {recovery.bytes_written / 1e6:,.1f} MB\n"
         f"what was missing stays missing: {recovery.missing}"
     )
     return 0
@@ -150,15 +150,20 @@ def _export(options: argparse.Namespace) -> int:
         tqdm(unit=" clouds", desc="reading", delay=1.0, leave=False) as bar,
     ):
         count = export(
-            reader, output, every=options.every, start=options.start, end=options.end, progress=lambda: _tick(bar)
+            reader,
+            output,
+            every=options.every,
+            start=options.start,
+            end=options.end,
+            on_progress=lambda: _advance_bar(bar),
         )
         if reader.missing is not None:
             print(f"cloth_session: {reader.missing}", file=sys.stderr)
-    print(f"{output}: {counted(count, 'frame')}, {output.stat().st_size / 1e6:,.1f} MB")
+    print(f"{output}: {pluralize(count, 'frame')}, {output.stat().st_size / 1e6:,.1f} MB")
     return 0
 
 
-def _tick(bar: object) -> None:
+def _advance_bar(bar: object) -> None:
     bar.update()  # type: ignore[attr-defined]
 
 

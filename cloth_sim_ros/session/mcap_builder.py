@@ -41,10 +41,10 @@ from cloth_sim_ros.session.errors import SessionError
 MAGIC = b"\x89MCAP0\r\n"
 Compression = Literal["none", "lz4", "zstd"]
 
-_MESSAGE_HEAD = struct.Struct("<BQHIQQ")
-_MESSAGE_HEAD_SIZE = _MESSAGE_HEAD.size
-_CHUNK_HEAD = struct.Struct("<BQQQQI")
-_INDEX_HEAD = struct.Struct("<BQHI")
+_MESSAGE_HEADER = struct.Struct("<BQHIQQ")
+_MESSAGE_HEADER_SIZE = _MESSAGE_HEADER.size
+_CHUNK_HEADER = struct.Struct("<BQQQQI")
+_INDEX_HEADER = struct.Struct("<BQHI")
 
 
 def compressor(compression: str) -> Callable[[bytes], bytes]:
@@ -125,7 +125,7 @@ class McapBuilder:
         self._compression = "" if compression == "none" else compression
         self._schemas: dict[str, Schema] = {}
         self._channels: dict[int, Channel] = {}
-        self._written = (0, 0)
+        self._declared_counts = (0, 0)
         """Number of schemas and channels that the committed chunks declare."""
         self._chunk = _OpenChunk()
         # Encoded at once, to save memory: an hour of large clouds has 100,000 chunks.
@@ -151,7 +151,7 @@ class McapBuilder:
         """Earliest and latest log time of the committed chunks [ns]; None before the first."""
         return self._times
 
-    def opening(self, *, library: str, metadata: list[Metadata], attachments: list[Attachment]) -> bytes:
+    def encode_opening(self, *, library: str, metadata: list[Metadata], attachments: list[Attachment]) -> bytes:
         """Encode the beginning of the file: magic, header, metadata and attachments."""
         parts = [MAGIC, encode_record(Header(profile="ros2", library=library))]
         offset = sum(map(len, parts))
@@ -196,8 +196,8 @@ class McapBuilder:
         length = len(data)
         chunk.indexes[channel] += (log_time, chunk.size)
         chunk.message_count += 1
-        chunk.parts += (_MESSAGE_HEAD.pack(5, 22 + length, channel, sequence, log_time, publish_time), data)
-        chunk.size += _MESSAGE_HEAD_SIZE + length
+        chunk.parts += (_MESSAGE_HEADER.pack(5, 22 + length, channel, sequence, log_time, publish_time), data)
+        chunk.size += _MESSAGE_HEADER_SIZE + length
 
     def pack_chunk(self) -> PackedChunk:
         """Compress the open chunk and compute its checksum. The chunk stays open until `commit`."""
@@ -214,11 +214,11 @@ class McapBuilder:
 
     def commit(self, packed: PackedChunk, offset: int) -> None:
         """Register a chunk that was written at `offset` of the file, and open the next."""
-        self.note_chunk(packed, offset)
-        self._written = (len(self._schemas), len(self._channels))
+        self.add_chunk_index(packed, offset)
+        self._declared_counts = (len(self._schemas), len(self._channels))
         self._chunk = _OpenChunk()
 
-    def note_chunk(self, packed: PackedChunk, offset: int) -> None:
+    def add_chunk_index(self, packed: PackedChunk, offset: int) -> None:
         """Register a written chunk that is not the open one, e.g. a copied one."""
         index = packed.index
         index.chunk_start_offset += offset
@@ -230,25 +230,25 @@ class McapBuilder:
         first, last = index.message_start_time, index.message_end_time
         self._times = (first, last) if self._times is None else (min(first, self._times[0]), max(last, self._times[1]))
 
-    def note_declarations(self, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
+    def set_declarations(self, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
         """Set the declarations of copied chunks."""
         self._schemas = {str(key): schema for key, schema in schemas.items()}
         self._channels = dict(channels)
-        self._written = (len(schemas), len(channels))
+        self._declared_counts = (len(schemas), len(channels))
 
-    def metadata(self, record: Metadata, offset: int) -> bytes:
+    def encode_metadata(self, record: Metadata, offset: int) -> bytes:
         """Encode a metadata record for `offset` of the file."""
         raw = encode_record(record)
         self._metadata_indexes.append(MetadataIndex(offset=offset, length=len(raw), name=record.name))
         return raw
 
-    def closing(self, offset: int) -> bytes:
+    def encode_closing(self, offset: int) -> bytes:
         """Encode the end of the file from the end of the data section on, for `offset` of the file.
 
         The contents of the open chunk are left out, including its declarations.
         """
-        schemas = list(self._schemas.values())[: self._written[0]]
-        channels = list(self._channels.values())[: self._written[1]]
+        schemas = list(self._schemas.values())[: self._declared_counts[0]]
+        channels = list(self._channels.values())[: self._declared_counts[1]]
         end = encode_record(DataEnd(data_section_crc=0))
         start = offset + len(end)
         first, last = self._times or (0, 0)
@@ -281,8 +281,8 @@ class McapBuilder:
                 offset_start += len(records)
         raw = b"".join([*(records for _, records in groups), _encode_all(offsets)])
         # The summary's checksum covers the footer up to the checksum itself.
-        footer_head = struct.pack("<BQQQ", int(Opcode.FOOTER), 20, start, offset_start)
-        crc = zlib.crc32(footer_head, zlib.crc32(raw))
+        footer_header = struct.pack("<BQQQ", int(Opcode.FOOTER), 20, start, offset_start)
+        crc = zlib.crc32(footer_header, zlib.crc32(raw))
         footer = encode_record(Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=crc))
         return b"".join((end, raw, footer, MAGIC))
 
@@ -299,14 +299,14 @@ def pack_chunk_record(
     """Encode a chunk whose contents are already compressed; `indexes` as in the open chunk."""
     name = compression.encode()
     tail = struct.pack("<I", len(name)) + name + struct.pack("<Q", len(payload))
-    body = _CHUNK_HEAD.size - 9 + len(tail) + len(payload)
-    head = _CHUNK_HEAD.pack(6, body, *times, raw_size, crc) + tail
+    body = _CHUNK_HEADER.size - 9 + len(tail) + len(payload)
+    head = _CHUNK_HEADER.pack(6, body, *times, raw_size, crc) + tail
     index_parts = []
     index_offsets = {}
     length = len(head) + len(payload)
     position = length
     for channel, entries in indexes.items():
-        raw = _INDEX_HEAD.pack(7, 6 + 8 * len(entries), channel, 8 * len(entries)) + struct.pack(
+        raw = _INDEX_HEADER.pack(7, 6 + 8 * len(entries), channel, 8 * len(entries)) + struct.pack(
             f"<{len(entries)}Q", *entries
         )
         index_offsets[channel] = position

@@ -17,24 +17,24 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, ChunkIndex, Footer, McapRecord, Metadata, Schema, Statistics
 
-from cloth_sim_ros.session.decompression import MOST_BYTES, DecompressionError, decompress
+from cloth_sim_ros.session.decompression import MAX_CHUNK_BYTES, DecompressionError, decompress
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.mcap_builder import MAGIC
 
-_RECORD_HEAD = struct.Struct("<BQ")
-RECORD_HEAD = _RECORD_HEAD.size
+_RECORD_HEADER = struct.Struct("<BQ")
+RECORD_HEADER_SIZE = _RECORD_HEADER.size
 """Size of opcode and length before a record's body [bytes]."""
-_CHUNK_HEAD = struct.Struct("<QQQI")
+_CHUNK_HEADER = struct.Struct("<QQQI")
 _MESSAGE = struct.Struct("<HIQQ")
-MESSAGE_HEAD = _MESSAGE.size
+MESSAGE_HEADER_SIZE = _MESSAGE.size
 """Size of a message's body before its payload [bytes]."""
 _FOOTER_SIZE = 9 + 20 + len(MAGIC)
 #: Maximum size of a record's body [bytes]: of an uncompressed chunk with its header, and of other records.
-_MOST_BODY, _MOST_OTHER = MOST_BYTES + (1 << 10), 64 << 20
+_MAX_CHUNK_BODY, _MAX_RECORD_BODY = MAX_CHUNK_BYTES + (1 << 10), 64 << 20
 #: Size from which a record counts in addition to its chunk [bytes].
-_LARGE = 8 << 20
+_LARGE_RECORD = 8 << 20
 #: Maximum size of an attached file [bytes].
-MOST_ATTACHED = 128 << 20
+MAX_ATTACHMENT_BYTES = 128 << 20
 _KNOWN_OPCODES = range(1, 16)
 _PRIVATE_OPCODES = range(0x80, 0x100)
 _CHUNK_OPCODES = frozenset((int(Opcode.SCHEMA), int(Opcode.CHANNEL), int(Opcode.MESSAGE), *_PRIVATE_OPCODES))
@@ -43,10 +43,10 @@ _CHUNK_OPCODES = frozenset((int(Opcode.SCHEMA), int(Opcode.CHANNEL), int(Opcode.
 _CHUNK_PATTERN = re.compile(rb"(?=\x06.{4}\0{4}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd))", re.DOTALL)
 _CHUNK_PATTERN_SIZE = 48
 #: Maximum size of an attachment's times, name and type, before its content [bytes].
-_MOST_HEAD = 1 << 16
+_MAX_ATTACHMENT_HEADER = 1 << 16
 _SEARCH_WINDOW = 1 << 20
 #: Maximum size that a search reads and unpacks at false chunk headers, in addition to the file's size [bytes].
-_MOST_TRIED = 512 << 20
+_MAX_SEARCH_BYTES = 512 << 20
 
 _Record = TypeVar("_Record", bound=McapRecord)
 
@@ -66,7 +66,7 @@ class RawMessage(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class RecordPlace:
+class RecordLocation:
     """Location of a complete record in the file."""
 
     opcode: int
@@ -77,20 +77,20 @@ class RecordPlace:
     @property
     def end(self) -> int:
         """Offset of the next record."""
-        return self.offset + _RECORD_HEAD.size + self.body_size
+        return self.offset + _RECORD_HEADER.size + self.body_size
 
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
     """The contents of a chunk, decompressed and checked."""
 
-    place: RecordPlace
+    location: RecordLocation
     compression: str
     payload: bytes
     """Compressed contents."""
     raw: bytes
     crc: int
-    checked: bool
+    has_checksum: bool
     """False if the file has no checksum for it."""
 
 
@@ -109,22 +109,22 @@ class Summary:
     """Offset at which the summary begins and the data section ends."""
 
 
-def place_at(file: BinaryIO, offset: int) -> RecordPlace | None:
+def locate_record(file: BinaryIO, offset: int) -> RecordLocation | None:
     """Return the location of the complete record at `offset`, or None. Raises DamagedRecordError for a wrong opcode."""
     size = file.seek(0, 2)
     if offset >= size:
         return None
     file.seek(offset)
-    head = file.read(_RECORD_HEAD.size)
-    if not head:
+    header = file.read(_RECORD_HEADER.size)
+    if not header:
         return None
-    if head[0] not in _KNOWN_OPCODES and head[0] not in _PRIVATE_OPCODES:
-        raise DamagedRecordError(f"byte {offset} begins no record (opcode {head[0]})")
-    if len(head) < _RECORD_HEAD.size:
+    if header[0] not in _KNOWN_OPCODES and header[0] not in _PRIVATE_OPCODES:
+        raise DamagedRecordError(f"byte {offset} begins no record (opcode {header[0]})")
+    if len(header) < _RECORD_HEADER.size:
         return None
-    opcode, body_size = _RECORD_HEAD.unpack(head)
-    place = RecordPlace(opcode, offset, body_size)
-    return place if place.end <= size else None
+    opcode, body_size = _RECORD_HEADER.unpack(header)
+    location = RecordLocation(opcode, offset, body_size)
+    return location if location.end <= size else None
 
 
 class ChunkSearch:
@@ -136,7 +136,7 @@ class ChunkSearch:
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
-        self._tried = 0
+        self._searched_bytes = 0
 
     def find(self, offset: int) -> int | None:
         """Return the offset of the next chunk at or after `offset` that passes its checksum; None if there is none."""
@@ -146,7 +146,7 @@ class ChunkSearch:
             window = self._file.read(_SEARCH_WINDOW)
             for match in _CHUNK_PATTERN.finditer(window):
                 candidate = offset + match.start()
-                if self._tried > _MOST_TRIED + size:
+                if self._searched_bytes > _MAX_SEARCH_BYTES + size:
                     return None
                 if self._is_chunk(candidate, window[match.start() : match.start() + _CHUNK_PATTERN_SIZE]):
                     return candidate
@@ -154,73 +154,77 @@ class ChunkSearch:
             offset += max(len(window) - _CHUNK_PATTERN_SIZE, 1)
         return None
 
-    def _is_chunk(self, offset: int, head: bytes) -> bool:
+    def _is_chunk(self, offset: int, header: bytes) -> bool:
         try:
-            place = place_at(self._file, offset)
-            if place is None or place.body_size < _CHUNK_HEAD.size:
+            location = locate_record(self._file, offset)
+            if location is None or location.body_size < _CHUNK_HEADER.size:
                 return False
-            first, last, raw_size, _ = _CHUNK_HEAD.unpack_from(head, _RECORD_HEAD.size)
-            if first > last or raw_size > MOST_BYTES:
+            first, last, raw_size, _ = _CHUNK_HEADER.unpack_from(header, _RECORD_HEADER.size)
+            if first > last or raw_size > MAX_CHUNK_BYTES:
                 return False
-            self._tried += place.body_size + raw_size
-            return read_chunk(self._file, place).checked
+            self._searched_bytes += location.body_size + raw_size
+            return read_chunk(self._file, location).has_checksum
         except DamagedRecordError:
             return False
 
 
-def check_index(file: BinaryIO, place: RecordPlace) -> None:
+def check_index(file: BinaryIO, location: RecordLocation) -> None:
     """Check the layout of a message index record. Raises DamagedRecordError."""
-    body = read_body(file, place)
+    body = read_body(file, location)
     size = int.from_bytes(body[2:6], "little")
     if len(body) != 6 + size or size % 16:
-        raise DamagedRecordError(f"the message index at byte {place.offset} does not parse")
+        raise DamagedRecordError(f"the message index at byte {location.offset} does not parse")
 
 
-def read_body(file: BinaryIO, place: RecordPlace) -> bytes:
+def read_body(file: BinaryIO, location: RecordLocation) -> bytes:
     """Read the body of a record. Raises DamagedRecordError if it is cut off or too large."""
-    _check_place(file, place, _MOST_BODY if place.opcode == Opcode.CHUNK else _MOST_OTHER)
-    file.seek(place.offset + _RECORD_HEAD.size)
-    body = file.read(place.body_size)
-    if len(body) < place.body_size:
-        raise DamagedRecordError(f"the record at byte {place.offset} is cut off")
+    _check_size(file, location, _MAX_CHUNK_BODY if location.opcode == Opcode.CHUNK else _MAX_RECORD_BODY)
+    file.seek(location.offset + _RECORD_HEADER.size)
+    body = file.read(location.body_size)
+    if len(body) < location.body_size:
+        raise DamagedRecordError(f"the record at byte {location.offset} is cut off")
     return body
 
 
-def _check_place(file: BinaryIO, place: RecordPlace, most: int) -> None:
+def _check_size(file: BinaryIO, location: RecordLocation, limit: int) -> None:
     """Check a record's length before it is read."""
-    if place.end > file.seek(0, 2):
-        raise DamagedRecordError(f"the record at byte {place.offset} is cut off")
-    if place.body_size > most:
-        raise DamagedRecordError(f"the record at byte {place.offset} has {place.body_size} bytes, the limit is {most}")
+    if location.end > file.seek(0, 2):
+        raise DamagedRecordError(f"the record at byte {location.offset} is cut off")
+    if location.body_size > limit:
+        raise DamagedRecordError(
+            f"the record at byte {location.offset} has {location.body_size} bytes, the limit is {limit}"
+        )
 
 
-def read_chunk(file: BinaryIO, place: RecordPlace) -> Chunk:
+def read_chunk(file: BinaryIO, location: RecordLocation) -> Chunk:
     """Read, decompress and check a chunk. Raises DamagedRecordError; SessionError without its decompressor."""
-    file.seek(place.offset)
-    if file.read(RECORD_HEAD) != _RECORD_HEAD.pack(Opcode.CHUNK, place.body_size):
-        raise DamagedRecordError(f"byte {place.offset} begins no chunk of {place.body_size} bytes")
-    body = read_body(file, place)
+    file.seek(location.offset)
+    if file.read(RECORD_HEADER_SIZE) != _RECORD_HEADER.pack(Opcode.CHUNK, location.body_size):
+        raise DamagedRecordError(f"byte {location.offset} begins no chunk of {location.body_size} bytes")
+    body = read_body(file, location)
     try:
-        _, _, raw_size, crc = _CHUNK_HEAD.unpack_from(body)
-        (name_size,) = struct.unpack_from("<I", body, _CHUNK_HEAD.size)
-        start = _CHUNK_HEAD.size + 4 + name_size
-        compression = body[_CHUNK_HEAD.size + 4 : start].decode()
+        _, _, raw_size, crc = _CHUNK_HEADER.unpack_from(body)
+        (name_size,) = struct.unpack_from("<I", body, _CHUNK_HEADER.size)
+        start = _CHUNK_HEADER.size + 4 + name_size
+        compression = body[_CHUNK_HEADER.size + 4 : start].decode()
         (payload_size,) = struct.unpack_from("<Q", body, start)
     except (struct.error, UnicodeDecodeError) as error:
-        raise DamagedRecordError(f"the chunk at byte {place.offset} has no readable head: {error}") from error
+        raise DamagedRecordError(f"the chunk at byte {location.offset} has no readable head: {error}") from error
     payload = body[start + 8 :]
     if len(payload) != payload_size:
         raise DamagedRecordError(
-            f"the chunk at byte {place.offset} does not hold the {payload_size} bytes it announces"
+            f"the chunk at byte {location.offset} does not hold the {payload_size} bytes it announces"
         )
     try:
         raw = decompress(payload, compression, raw_size)
     except DecompressionError as error:
-        raise DamagedRecordError(f"the chunk at byte {place.offset} {error}") from error
-    checked = crc != 0
-    if checked and zlib.crc32(raw) != crc:
-        raise DamagedRecordError(f"the chunk at byte {place.offset} fails its checksum")
-    return Chunk(place=place, compression=compression, payload=payload, raw=raw, crc=crc, checked=checked)
+        raise DamagedRecordError(f"the chunk at byte {location.offset} {error}") from error
+    has_checksum = crc != 0
+    if has_checksum and zlib.crc32(raw) != crc:
+        raise DamagedRecordError(f"the chunk at byte {location.offset} fails its checksum")
+    return Chunk(
+        location=location, compression=compression, payload=payload, raw=raw, crc=crc, has_checksum=has_checksum
+    )
 
 
 def chunk_records(chunk: Chunk) -> Iterator[tuple[slice, Schema | Channel | RawMessage]]:
@@ -228,27 +232,29 @@ def chunk_records(chunk: Chunk) -> Iterator[tuple[slice, Schema | Channel | RawM
     raw = chunk.raw
     position = 0
     while position < len(raw):
-        if position + _RECORD_HEAD.size > len(raw):
-            raise DamagedRecordError(f"the chunk at byte {chunk.place.offset} ends inside a record")
-        opcode, size = _RECORD_HEAD.unpack_from(raw, position)
-        start = position + _RECORD_HEAD.size
+        if position + _RECORD_HEADER.size > len(raw):
+            raise DamagedRecordError(f"the chunk at byte {chunk.location.offset} ends inside a record")
+        opcode, size = _RECORD_HEADER.unpack_from(raw, position)
+        start = position + _RECORD_HEADER.size
         end = start + size
         if opcode not in _CHUNK_OPCODES:
-            raise DamagedRecordError(f"the chunk at byte {chunk.place.offset} holds a record of opcode {opcode}")
+            raise DamagedRecordError(f"the chunk at byte {chunk.location.offset} holds a record of opcode {opcode}")
         if end > len(raw) or (opcode == Opcode.MESSAGE and size < _MESSAGE.size):
-            raise DamagedRecordError(f"the chunk at byte {chunk.place.offset} holds a record of {size} bytes too many")
-        if len(raw) + size > MOST_BYTES and size > _LARGE:
             raise DamagedRecordError(
-                f"the chunk at byte {chunk.place.offset} has {len(raw)} bytes and a record of {size}; together the "
-                f"limit is {MOST_BYTES}"
+                f"the chunk at byte {chunk.location.offset} holds a record of {size} bytes too many"
+            )
+        if len(raw) + size > MAX_CHUNK_BYTES and size > _LARGE_RECORD:
+            raise DamagedRecordError(
+                f"the chunk at byte {chunk.location.offset} has {len(raw)} bytes and a record of {size}; together the "
+                f"limit is {MAX_CHUNK_BYTES}"
             )
         if opcode == Opcode.MESSAGE:
             fields = (*_MESSAGE.unpack_from(raw, start), raw[start + _MESSAGE.size : end])
             yield slice(position, end), RawMessage._make(fields)
         elif opcode == Opcode.SCHEMA:
-            yield slice(position, end), parse_record(Schema, raw[start:end], chunk.place.offset)
+            yield slice(position, end), parse_record(Schema, raw[start:end], chunk.location.offset)
         elif opcode == Opcode.CHANNEL:
-            yield slice(position, end), parse_record(Channel, raw[start:end], chunk.place.offset)
+            yield slice(position, end), parse_record(Channel, raw[start:end], chunk.location.offset)
         position = end
 
 
@@ -259,35 +265,37 @@ def parse_message(body: bytes, offset: int) -> RawMessage:
     return RawMessage._make((*_MESSAGE.unpack_from(body), body[_MESSAGE.size :]))
 
 
-def read_metadata(file: BinaryIO, place: RecordPlace) -> Metadata:
+def read_metadata(file: BinaryIO, location: RecordLocation) -> Metadata:
     """Read a metadata record. Raises DamagedRecordError."""
-    return parse_record(Metadata, read_body(file, place), place.offset)
+    return parse_record(Metadata, read_body(file, location), location.offset)
 
 
-def read_attachment(file: BinaryIO, place: RecordPlace) -> Attachment:
+def read_attachment(file: BinaryIO, location: RecordLocation) -> Attachment:
     """Read an attachment and verify its checksum, with one copy in memory. Raises DamagedRecordError."""
-    _check_place(file, place, MOST_ATTACHED + _MOST_HEAD)
-    file.seek(place.offset + RECORD_HEAD)
-    head = file.read(min(place.body_size, _MOST_HEAD))
+    _check_size(file, location, MAX_ATTACHMENT_BYTES + _MAX_ATTACHMENT_HEADER)
+    file.seek(location.offset + RECORD_HEADER_SIZE)
+    header = file.read(min(location.body_size, _MAX_ATTACHMENT_HEADER))
     try:
-        times = struct.unpack_from("<QQ", head)
-        name, position = _text(head, 16)
-        media_type, position = _text(head, position)
-        (size,) = struct.unpack_from("<Q", head, position)
+        times = struct.unpack_from("<QQ", header)
+        name, position = _read_text(header, 16)
+        media_type, position = _read_text(header, position)
+        (size,) = struct.unpack_from("<Q", header, position)
     except (struct.error, UnicodeDecodeError) as error:
-        raise DamagedRecordError(f"the Attachment record at byte {place.offset} does not parse: {error}") from error
+        raise DamagedRecordError(f"the Attachment record at byte {location.offset} does not parse: {error}") from error
     start = position + 8
-    if start + size + 4 != place.body_size:
-        raise DamagedRecordError(f"the attachment at byte {place.offset} does not hold the {size} bytes it announces")
-    file.seek(place.offset + RECORD_HEAD + start)
+    if start + size + 4 != location.body_size:
+        raise DamagedRecordError(
+            f"the attachment at byte {location.offset} does not hold the {size} bytes it announces"
+        )
+    file.seek(location.offset + RECORD_HEADER_SIZE + start)
     data = file.read(size)
     (crc,) = struct.unpack("<I", file.read(4))
-    if crc and zlib.crc32(data, zlib.crc32(head[:start])) != crc:
-        raise DamagedRecordError(f"the attachment at byte {place.offset} fails its checksum")
+    if crc and zlib.crc32(data, zlib.crc32(header[:start])) != crc:
+        raise DamagedRecordError(f"the attachment at byte {location.offset} fails its checksum")
     return Attachment(log_time=times[0], create_time=times[1], name=name, media_type=media_type, data=data)
 
 
-def _text(body: bytes, position: int) -> tuple[str, int]:
+def _read_text(body: bytes, position: int) -> tuple[str, int]:
     """Read a text with its length prefix; return it and the offset of its end."""
     (size,) = struct.unpack_from("<I", body, position)
     text = body[position + 4 : position + 4 + size]
@@ -306,16 +314,16 @@ def read_summary(file: BinaryIO) -> Summary | None:
         return None
     file.seek(size - _FOOTER_SIZE)
     tail = file.read(_FOOTER_SIZE)
-    if tail[-len(MAGIC) :] != MAGIC or _RECORD_HEAD.unpack_from(tail) != (Opcode.FOOTER, 20):
+    if tail[-len(MAGIC) :] != MAGIC or _RECORD_HEADER.unpack_from(tail) != (Opcode.FOOTER, 20):
         return None
     footer = parse_record(Footer, tail[9:29], size - _FOOTER_SIZE)
     if not footer.summary_start:
         return None
     if not len(MAGIC) <= footer.summary_start <= size - _FOOTER_SIZE:
         raise DamagedRecordError(f"the footer names byte {footer.summary_start} of a file of {size} bytes")
-    if size - footer.summary_start > _MOST_OTHER:
+    if size - footer.summary_start > _MAX_RECORD_BODY:
         raise DamagedRecordError(
-            f"the indexes at the file's end have {size - footer.summary_start} bytes, the limit is {_MOST_OTHER}"
+            f"the indexes at the file's end have {size - footer.summary_start} bytes, the limit is {_MAX_RECORD_BODY}"
         )
     file.seek(footer.summary_start)
     raw = file.read(size - _FOOTER_SIZE - footer.summary_start)
@@ -330,47 +338,47 @@ def _collect_summary(raw: bytes, offset: int) -> Summary:
     summary = Summary(schemas={}, channels={}, statistics=None, chunks={}, records=[])
     statistics = None
     position = 0
-    while position + _RECORD_HEAD.size <= len(raw):
-        opcode, size = _RECORD_HEAD.unpack_from(raw, position)
+    while position + _RECORD_HEADER.size <= len(raw):
+        opcode, size = _RECORD_HEADER.unpack_from(raw, position)
         if opcode == 0:
             raise DamagedRecordError(f"byte {offset + position} begins no record (opcode 0)")
-        body = raw[position + _RECORD_HEAD.size : position + _RECORD_HEAD.size + size]
-        place = offset + position
+        body = raw[position + _RECORD_HEADER.size : position + _RECORD_HEADER.size + size]
+        record_offset = offset + position
         if opcode == Opcode.SCHEMA:
-            schema = parse_record(Schema, body, place)
+            schema = parse_record(Schema, body, record_offset)
             summary.schemas[schema.id] = schema
         elif opcode == Opcode.CHANNEL:
-            channel = parse_record(Channel, body, place)
+            channel = parse_record(Channel, body, record_offset)
             summary.channels[channel.id] = channel
         elif opcode == Opcode.CHUNK_INDEX:
-            index = parse_record(ChunkIndex, body, place)
+            index = parse_record(ChunkIndex, body, record_offset)
             summary.chunks[index.chunk_start_offset] = index
         elif opcode == Opcode.STATISTICS:
-            statistics = parse_record(Statistics, body, place)
+            statistics = parse_record(Statistics, body, record_offset)
         elif opcode == Opcode.ATTACHMENT_INDEX:
-            attachment = parse_record(AttachmentIndex, body, place)
+            attachment = parse_record(AttachmentIndex, body, record_offset)
             summary.records.append((attachment.offset, attachment.length))
         elif opcode == Opcode.METADATA_INDEX:
-            metadata = parse_record(MetadataIndex, body, place)
+            metadata = parse_record(MetadataIndex, body, record_offset)
             summary.records.append((metadata.offset, metadata.length))
-        position += _RECORD_HEAD.size + size
+        position += _RECORD_HEADER.size + size
     return Summary(
         summary.schemas,
         summary.channels,
         statistics,
         dict(sorted(summary.chunks.items())),
-        _apart(summary.records),
+        _without_overlaps(summary.records),
         offset,
     )
 
 
-def _apart(records: list[tuple[int, int]]) -> list[tuple[int, int]]:
+def _without_overlaps(records: list[tuple[int, int]]) -> list[tuple[int, int]]:
     """Sort records by offset and drop overlapping ones: a damaged index may repeat an entry a million times."""
-    found: list[tuple[int, int]] = []
+    separate: list[tuple[int, int]] = []
     for offset, length in sorted(set(records)):
-        if not found or offset >= sum(found[-1]):
-            found.append((offset, length))
-    return found
+        if not separate or offset >= sum(separate[-1]):
+            separate.append((offset, length))
+    return separate
 
 
 def parse_record(kind: type[_Record], body: bytes, offset: int) -> _Record:

@@ -33,7 +33,7 @@ _TIME = struct.Struct("<iI").pack
 _DOUBLES = {count: struct.Struct(f"<{count}d").pack for count in (3, 6, 7)}
 
 
-class CloudBytes:
+class CloudEncoder:
     """Encoder of sensor_msgs/PointCloud2 messages that differ in stamp and points only.
 
     Args:
@@ -49,59 +49,62 @@ class CloudBytes:
         length, datatype = (8, _FLOAT64) if double else (4, _FLOAT32)
         size = length * len(names)
         self._points = np.empty((height * width, len(names)), dtype=f"<f{length}")
-        body = bytearray(8) + _text(frame_id)
-        body = _aligned(body, 4) + struct.pack("<III", height, width, len(names))
+        body = bytearray(8) + _encode_text(frame_id)
+        body = _pad(body, 4) + struct.pack("<III", height, width, len(names))
         for index, name in enumerate(names):
-            body = _aligned(body, 4) + _text(name)
-            body = _aligned(body, 4) + struct.pack("<IB", length * index, datatype)
-            body = _aligned(body, 4) + struct.pack("<I", 1)
-        body = _aligned(body + b"\x00", 4) + struct.pack("<III", size, size * width, self._points.nbytes)
-        self._middle = bytes(body[8:])
+            body = _pad(body, 4) + _encode_text(name)
+            body = _pad(body, 4) + struct.pack("<IB", length * index, datatype)
+            body = _pad(body, 4) + struct.pack("<I", 1)
+        body = _pad(body + b"\x00", 4) + struct.pack("<III", size, size * width, self._points.nbytes)
+        self._constant_part = bytes(body[8:])
         # After the points: is_dense, padded to four bytes.
-        self._end = b"\x01\x00\x00\x00"
+        self._trailer = b"\x01\x00\x00\x00"
 
     @property
-    def start(self) -> int:
+    def points_offset(self) -> int:
         """Offset of the points in the message [bytes]."""
-        return len(_LITTLE) + 8 + len(self._middle)
+        return len(_LITTLE) + 8 + len(self._constant_part)
 
-    def at(self, x: NDArray[np.float64], stamp: int, v: NDArray[np.float64] | None = None) -> bytes:
+    def encode(self, x: NDArray[np.float64], stamp: int, v: NDArray[np.float64] | None = None) -> bytes:
         """Encode positions x [m] and, if the cloud has them, velocities v [m/s], both of shape (3, n)."""
         self._points[:, :3] = x.T
         if v is not None:
             self._points[:, 3:] = v.T
-        return b"".join((_LITTLE, _stamp(stamp), self._middle, self._points.data, self._end))
+        return b"".join((_LITTLE, _encode_stamp(stamp), self._constant_part, self._points.data, self._trailer))
 
 
 def mesh_bytes(triangles: ArrayLike, vertices: ArrayLike) -> bytes:
     """Encode a shape_msgs/Mesh: particle indices of the triangles (m, 3), rest positions [m] (n, 3)."""
-    corners, places = np.ascontiguousarray(triangles, dtype="<u4"), np.ascontiguousarray(vertices, dtype="<f8")
-    head = struct.pack("<I", len(corners)) + corners.tobytes() + struct.pack("<I", len(places))
-    return _LITTLE + bytes(_aligned(bytearray(head), 8)) + places.tobytes()
+    triangle_indices, positions = (
+        np.ascontiguousarray(triangles, dtype="<u4"),
+        np.ascontiguousarray(vertices, dtype="<f8"),
+    )
+    header = struct.pack("<I", len(triangle_indices)) + triangle_indices.tobytes() + struct.pack("<I", len(positions))
+    return _LITTLE + bytes(_pad(bytearray(header), 8)) + positions.tobytes()
 
 
 def pose_bytes(position: Iterable[float], orientation: Iterable[float], *, frame_id: str, stamp: int) -> bytes:
     """Encode a geometry_msgs/PoseStamped: position [m], quaternion x, y, z, w."""
-    return _stamped(frame_id, stamp, (*position, *orientation))
+    return _encode_stamped(frame_id, stamp, (*position, *orientation))
 
 
 def point_bytes(position: Iterable[float], *, frame_id: str, stamp: int) -> bytes:
     """Encode a geometry_msgs/PointStamped: position [m]."""
-    return _stamped(frame_id, stamp, tuple(position))
+    return _encode_stamped(frame_id, stamp, tuple(position))
 
 
 def wrench_bytes(wrench: Iterable[float], *, frame_id: str, stamp: int) -> bytes:
     """Encode a geometry_msgs/WrenchStamped: force [N], then torque [N m], 6 numbers."""
-    return _stamped(frame_id, stamp, tuple(map(float, wrench)))
+    return _encode_stamped(frame_id, stamp, tuple(map(float, wrench)))
 
 
 def transforms_bytes(frames: Iterable[tuple[str, Iterable[float]]], *, frame_id: str, stamp: int) -> bytes:
     """Encode a tf2_msgs/TFMessage: names with pose in the parent frame, position [m] and quaternion x, y, z, w."""
-    listed = list(frames)
-    body = bytearray(struct.pack("<I", len(listed)))
-    for name, pose in listed:
-        body = _aligned(body, 4) + _stamp(stamp) + _text(frame_id)
-        body = _aligned(_aligned(body, 4) + _text(name), 8) + _DOUBLES[7](*pose)
+    frame_list = list(frames)
+    body = bytearray(struct.pack("<I", len(frame_list)))
+    for name, pose in frame_list:
+        body = _pad(body, 4) + _encode_stamp(stamp) + _encode_text(frame_id)
+        body = _pad(_pad(body, 4) + _encode_text(name), 8) + _DOUBLES[7](*pose)
     return _LITTLE + bytes(body)
 
 
@@ -110,25 +113,25 @@ def bool_bytes(value: bool) -> bytes:
     return _LITTLE + bytes([value])
 
 
-def _stamped(frame_id: str, stamp: int, numbers: tuple[float, ...]) -> bytes:
-    numbers_of = _DOUBLES[len(numbers)]
-    return b"".join((_LITTLE, _stamp(stamp), _named(frame_id), numbers_of(*numbers)))
+def _encode_stamped(frame_id: str, stamp: int, numbers: tuple[float, ...]) -> bytes:
+    pack_numbers = _DOUBLES[len(numbers)]
+    return b"".join((_LITTLE, _encode_stamp(stamp), _encode_frame_id(frame_id), pack_numbers(*numbers)))
 
 
 @functools.lru_cache(maxsize=16)
-def _named(frame_id: str) -> bytes:
+def _encode_frame_id(frame_id: str) -> bytes:
     """Encode a header's frame_id, padded to the alignment of doubles."""
-    return bytes(_aligned(bytearray(8) + _text(frame_id), 8)[8:])
+    return bytes(_pad(bytearray(8) + _encode_text(frame_id), 8)[8:])
 
 
-def _stamp(nanoseconds: int) -> bytes:
+def _encode_stamp(nanoseconds: int) -> bytes:
     return _TIME(*divmod(nanoseconds, _SECOND))
 
 
-def _text(text: str) -> bytes:
+def _encode_text(text: str) -> bytes:
     raw = text.encode()
     return struct.pack("<I", len(raw) + 1) + raw + b"\x00"
 
 
-def _aligned(body: bytearray, size: int) -> bytearray:
+def _pad(body: bytearray, size: int) -> bytearray:
     return body + bytes(-len(body) % size)

@@ -14,11 +14,11 @@ from mcap.records import Header
 
 from cloth_sim_ros.session.errors import DamagedSessionError, NotASessionError, SessionError
 from cloth_sim_ros.session.mcap_builder import MAGIC
-from cloth_sim_ros.session.mcap_scan import DamagedRecordError, parse_record, place_at, read_body
+from cloth_sim_ros.session.mcap_scan import DamagedRecordError, locate_record, parse_record, read_body
 from cloth_sim_ros.session.writer import FORMAT_VERSION, METADATA_NAME, SCENE_NAME, STATE_NAME, metadata_checksum
 
 #: Limit of the digits of a file's index.
-_DIGITS = 10
+_MAX_PART_DIGITS = 10
 
 
 def open_file(path: Path) -> BinaryIO:
@@ -43,15 +43,15 @@ def check_header(file: BinaryIO, path: Path) -> int:
     if file.read(len(MAGIC)) != MAGIC:
         raise NotASessionError(f"{path} is not an MCAP file")
     try:
-        place = place_at(file, len(MAGIC))
-        header = None if place is None else parse_record(Header, read_body(file, place), place.offset)
+        location = locate_record(file, len(MAGIC))
+        header = None if location is None else parse_record(Header, read_body(file, location), location.offset)
     except DamagedRecordError as error:
         raise DamagedSessionError(f"{path}: {error}") from error
-    if place is None or header is None:
+    if location is None or header is None:
         raise DamagedSessionError(f"{path} ends inside its opening: nothing was recorded")
-    if place.opcode != Opcode.HEADER or header.profile not in ("ros2", ""):
+    if location.opcode != Opcode.HEADER or header.profile not in ("ros2", ""):
         raise NotASessionError(f"{path} has MCAP profile {header.profile!r}, a session has 'ros2'")
-    return place.end
+    return location.end
 
 
 def check_contents(path: Path, metadata: Mapping[str, str], attachments: Container[str]) -> None:
@@ -67,11 +67,13 @@ def check_contents(path: Path, metadata: Mapping[str, str], attachments: Contain
             f"{path} has session format {metadata.get('format')!r}, this version reads {FORMAT_VERSION!r}; "
             "use the version that recorded it"
         )
-    number = metadata.get("part", "")
-    if "session" not in metadata or not (number.isascii() and number.isdecimal() and len(number) < _DIGITS):
+    part_text = metadata.get("part", "")
+    if "session" not in metadata or not (
+        part_text.isascii() and part_text.isdecimal() and len(part_text) < _MAX_PART_DIGITS
+    ):
         raise DamagedSessionError(
             f"{path}: the metadata record {METADATA_NAME!r} does not tell which file of which session it is: its part "
-            f"is {number[:_DIGITS]!r}"
+            f"is {part_text[:_MAX_PART_DIGITS]!r}"
         )
     absent = [name for name in (SCENE_NAME, STATE_NAME) if name not in attachments]
     if absent:

@@ -17,25 +17,25 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from cloth_sim_ros.session.data_section import (
     check_data_end,
     check_stripped,
-    covers_all,
-    further_places,
-    indexes_contents,
-    opening_places,
-    read_bare,
+    content_records,
+    has_content_index,
+    is_fully_indexed,
+    opening_records,
+    read_unchunked,
 )
-from cloth_sim_ros.session.decompression import MOST_BYTES
+from cloth_sim_ros.session.decompression import MAX_CHUNK_BYTES
 from cloth_sim_ros.session.errors import DamagedSessionError, SessionError
 from cloth_sim_ros.session.mcap_scan import (
-    RECORD_HEAD,
+    RECORD_HEADER_SIZE,
     Chunk,
     ChunkSearch,
     DamagedRecordError,
     RawMessage,
-    RecordPlace,
+    RecordLocation,
     Summary,
     check_index,
     chunk_records,
-    place_at,
+    locate_record,
     read_attachment,
     read_chunk,
     read_metadata,
@@ -52,9 +52,9 @@ from cloth_sim_ros.session.writer import (
     metadata_checksum,
 )
 
-_HAS_ALWAYS = frozenset((SCENE_NAME, STATE_NAME))
+_REQUIRED_ATTACHMENTS = frozenset((SCENE_NAME, STATE_NAME))
 #: Number of messages in which a session's topics are searched.
-_LOOKED_AT = 1000
+_MAX_PROBED_MESSAGES = 1000
 
 
 class Message(NamedTuple):
@@ -89,22 +89,22 @@ class SessionPart:
         self.attachments: dict[str, Attachment] = {}
         """By name; always with ``scene.yaml`` and ``state.npz``."""
         self._strict = strict
-        self._attached = 0
+        self._attachment_bytes = 0
         self._summary: Summary | None = None
-        self._covered: bool | None = None  # the summary names the whole contents; None if unknown
+        self._fully_indexed: bool | None = None  # the summary names the whole contents; None if unknown
         self._summary_damage: list[str] = []
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._data_start = 0
         self._at_end = False
-        self._bare = False  # some messages lie outside of chunks
+        self._has_unchunked = False  # some messages lie outside of chunks
         self._file = open_file(self.path)
         self._search = ChunkSearch(self._file)
         try:
             self._data_start = check_header(self._file, self.path)
             self._read_summary()
             self._read_contents()
-            if not self.metadata or not self.attachments.keys() >= _HAS_ALWAYS:
+            if not self.metadata or not self.attachments.keys() >= _REQUIRED_ATTACHMENTS:
                 check_stripped(self.path, self.metadata, self.attachments, self._read_channels())
             check_contents(self.path, self.metadata, self.attachments)
         except BaseException:
@@ -117,7 +117,7 @@ class SessionPart:
         self._file.close()
 
     @property
-    def number(self) -> int:
+    def index(self) -> int:
         """Index of this file in its session, from 0."""
         return int(self.metadata["part"])
 
@@ -163,9 +163,9 @@ class SessionPart:
         """True if the indexes name the whole contents; otherwise the file is read record by record."""
         if self._summary is None:
             return False
-        if self._covered is None:
-            self._covered = covers_all(self._file, self._summary, self._data_start)
-        return self._covered
+        if self._fully_indexed is None:
+            self._fully_indexed = is_fully_indexed(self._file, self._summary, self._data_start)
+        return self._fully_indexed
 
     @property
     def position(self) -> int:
@@ -198,21 +198,25 @@ class SessionPart:
 
     def missing(self) -> str | None:
         """Return the deficits found so far in one sentence; None if there are none."""
-        found = []
+        deficits = []
         if not self.finished and self.is_being_written():
-            found.append("it is still being recorded")
+            deficits.append("it is still being recorded")
         elif not self.finished and not self._at_end:
-            left = self.size() - self._position
-            torn = f" ({left} bytes of a torn chunk are left out)" if left and self._position > self._data_start else ""
-            found.append(f"the recording was cut off, what its last second held is lost{torn}")
+            n_bytes = self.size() - self._position
+            torn = (
+                f" ({n_bytes} bytes of a torn chunk are left out)"
+                if n_bytes and self._position > self._data_start
+                else ""
+            )
+            deficits.append(f"the recording was cut off, what its last second held is lost{torn}")
         elif not self.finished:
-            found.append("its indexes are missing, its messages are all there")
-        found += self.damage
+            deficits.append("its indexes are missing, its messages are all there")
+        deficits += self.damage
         dropped = self.end_notes.get("dropped", "0")
         if dropped != "0":
             clouds = "1 cloud was" if dropped == "1" else f"{dropped} clouds were"
-            found.append(f"{clouds} dropped, the disk was too slow")
-        return f"{self.path.name}: {'; '.join(found)}" if found else None
+            deficits.append(f"{clouds} dropped, the disk was too slow")
+        return f"{self.path.name}: {'; '.join(deficits)}" if deficits else None
 
     def chunks(self, *, start: int | None = None, end: int | None = None) -> Iterator[Chunk]:
         """Yield the chunks from the current position to the last intact one; messages outside of chunks form one, too.
@@ -222,23 +226,23 @@ class SessionPart:
         if self._summary is not None and self.indexed:
             yield from self._indexed_chunks(self._summary, start, end)
         else:
-            yield from self._walked_chunks()
+            yield from self._scanned_chunks()
 
     def messages(
         self, *, topics: frozenset[str] | None = None, start: int | None = None, end: int | None = None
     ) -> Iterator[Message]:
         """Yield the messages from the current position to the last intact chunk, in the order of recording."""
         for chunk in self.chunks(start=start, end=end):
-            known: dict[int, tuple[str, str] | None] = {}
+            channels: dict[int, tuple[str, str] | None] = {}
             for _, raw in chunk_records(chunk):
                 if not isinstance(raw, RawMessage):
                     self.declare(raw)
-                    known.clear()
+                    channels.clear()
                     continue
-                if raw.channel not in known:
-                    known[raw.channel] = self._wanted(raw.channel, topics, chunk.place)
-                channel = known[raw.channel]
-                if channel is None or _outside(raw.log_time, raw.log_time, start, end):
+                if raw.channel not in channels:
+                    channels[raw.channel] = self._select_channel(raw.channel, topics, chunk.location)
+                channel = channels[raw.channel]
+                if channel is None or _is_outside(raw.log_time, raw.log_time, start, end):
                     continue
                 yield Message(*channel, raw.data, raw.log_time, raw.publish_time, raw.sequence)
 
@@ -249,17 +253,17 @@ class SessionPart:
         else:
             self._channels[record.id] = record
 
-    def channel(self, number: int) -> tuple[str, str] | None:
+    def channel(self, channel_id: int) -> tuple[str, str] | None:
         """Return topic and type of a channel; None if its declaration was lost or not yet read."""
-        record = self._channels.get(number)
+        record = self._channels.get(channel_id)
         schema = None if record is None else self._schemas.get(record.schema_id)
         return None if record is None or schema is None else (record.topic, schema.name)
 
-    def note_undeclared(self, number: int, place: RecordPlace) -> None:
+    def report_undeclared(self, channel_id: int, location: RecordLocation) -> None:
         """Report messages that are skipped because the declaration of their channel is lost."""
-        self._damage.append(f"the chunk at byte {place.offset} has messages of channel {number}, never declared")
+        self._damage.append(f"the chunk at byte {location.offset} has messages of channel {channel_id}, never declared")
 
-    def records(self) -> tuple[dict[int, Schema], dict[int, Channel]]:
+    def declarations(self) -> tuple[dict[int, Schema], dict[int, Channel]]:
         """Return the schemas and channels read so far, by id."""
         return dict(self._schemas), dict(self._channels)
 
@@ -278,17 +282,17 @@ class SessionPart:
         """Read metadata and attachments: by the indexes (tools may move the records), otherwise before the chunks."""
         summary = self._summary
         try:
-            if summary is not None and indexes_contents(summary):
+            if summary is not None and has_content_index(summary):
                 for offset, _ in summary.records:
-                    place = place_at(self._file, offset)
-                    if place is not None:
-                        self._read_content(place)
+                    location = locate_record(self._file, offset)
+                    if location is not None:
+                        self._read_content(location)
                 return
-            for place in opening_places(self._file, self._data_start):
-                self._read_content(place)
-            if not self.metadata or not self.attachments.keys() >= _HAS_ALWAYS:
-                for place in further_places(self._file, self._data_start):
-                    self._read_content(place)
+            for location in opening_records(self._file, self._data_start):
+                self._read_content(location)
+            if not self.metadata or not self.attachments.keys() >= _REQUIRED_ATTACHMENTS:
+                for location in content_records(self._file, self._data_start):
+                    self._read_content(location)
         except DamagedRecordError as error:
             raise DamagedSessionError(
                 f"{self.path}: {error}; the session cannot be read without this record"
@@ -297,14 +301,14 @@ class SessionPart:
     def _read_channels(self) -> dict[str, str]:
         """Return message types by topic, from the indexes or from the first chunks."""
         self.rewind()
-        for _ in itertools.islice(self.messages(), 0 if self._channels else _LOOKED_AT):
+        for _ in itertools.islice(self.messages(), 0 if self._channels else _MAX_PROBED_MESSAGES):
             pass
-        found = (self.channel(number) for number in self._channels)
-        return {channel[0]: channel[1] for channel in found if channel is not None}
+        channels = (self.channel(channel_id) for channel_id in self._channels)
+        return {channel[0]: channel[1] for channel in channels if channel is not None}
 
-    def _read_content(self, place: RecordPlace) -> None:
-        if place.opcode == Opcode.METADATA:
-            record = read_metadata(self._file, place)
+    def _read_content(self, location: RecordLocation) -> None:
+        if location.opcode == Opcode.METADATA:
+            record = read_metadata(self._file, location)
             if record.name == METADATA_NAME:
                 if self.metadata and self.metadata != record.metadata:
                     raise SessionError(
@@ -313,19 +317,20 @@ class SessionPart:
                     )
                 self.metadata = MappingProxyType(record.metadata)
             elif record.name == END_METADATA_NAME:
-                self._read_end_notes(record, place)
-        elif place.opcode == Opcode.ATTACHMENT:
-            attachment = read_attachment(self._file, place)
+                self._read_end_notes(record, location)
+        elif location.opcode == Opcode.ATTACHMENT:
+            attachment = read_attachment(self._file, location)
             self.attachments[attachment.name] = attachment
-            self._attached += len(attachment.data)
-            if self._attached > MOST_BYTES:
+            self._attachment_bytes += len(attachment.data)
+            if self._attachment_bytes > MAX_CHUNK_BYTES:
                 raise DamagedRecordError(
-                    f"the attachments up to byte {place.end} have {self._attached} bytes, the limit is {MOST_BYTES}"
+                    f"the attachments up to byte {location.end} have {self._attachment_bytes} bytes, the limit is "
+                    f"{MAX_CHUNK_BYTES}"
                 )
 
-    def _read_end_notes(self, record: Metadata, place: RecordPlace) -> None:
+    def _read_end_notes(self, record: Metadata, location: RecordLocation) -> None:
         if record.metadata.get("checksum") != metadata_checksum(record.metadata):
-            raise DamagedRecordError(f"the metadata record at byte {place.offset} fails its checksum")
+            raise DamagedRecordError(f"the metadata record at byte {location.offset} fails its checksum")
         self.end_notes = MappingProxyType(record.metadata)
 
     def _indexed_chunks(self, summary: Summary, start: int | None, end: int | None) -> Iterator[Chunk]:
@@ -334,90 +339,94 @@ class SessionPart:
             if offset < self._position:
                 continue
             self._position = offset + index.chunk_length
-            if _outside(index.message_start_time, index.message_end_time, start, end):
+            if _is_outside(index.message_start_time, index.message_end_time, start, end):
                 continue
             try:
-                yield read_chunk(self._file, RecordPlace(int(Opcode.CHUNK), offset, index.chunk_length - RECORD_HEAD))
+                yield read_chunk(
+                    self._file, RecordLocation(int(Opcode.CHUNK), offset, index.chunk_length - RECORD_HEADER_SIZE)
+                )
             except DamagedRecordError as error:
-                self._note(error)
+                self._report_damage(error)
         self._at_end = True
 
-    def _walked_chunks(self) -> Iterator[Chunk]:
+    def _scanned_chunks(self) -> Iterator[Chunk]:
         """Yield the chunks from record to record, up to the last intact one."""
         while not self._at_end:
             try:
-                place = place_at(self._file, self._position)
-                chunk = None if place is None else self._read_record(place)
+                location = locate_record(self._file, self._position)
+                chunk = None if location is None else self._read_record(location)
             except DamagedRecordError as error:
-                self._note(error)
+                self._report_damage(error)
                 self._find_next_chunk()
                 continue
-            if place is not None:
-                self._position = place.end if chunk is None else chunk.place.end
+            if location is not None:
+                self._position = location.end if chunk is None else chunk.location.end
                 if chunk is not None:
                     yield chunk
-            elif self.is_being_written() or not self._has_more():
+            elif self.is_being_written() or not self._skip_to_next_chunk():
                 return
 
-    def _read_record(self, place: RecordPlace) -> Chunk | None:
+    def _read_record(self, location: RecordLocation) -> Chunk | None:
         """Read one record of the data section; return it if it is a chunk."""
-        if place.opcode == Opcode.CHUNK:
-            return read_chunk(self._file, place)
-        bare = read_bare(self._file, place)
-        if bare is not None:
-            self._bare = True
-            return bare
-        if place.opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
-            self._read_content(place)
-        elif place.opcode == Opcode.MESSAGE_INDEX:
-            check_index(self._file, place)
-        elif place.opcode == Opcode.DATA_END and place.body_size == 4:
+        if location.opcode == Opcode.CHUNK:
+            return read_chunk(self._file, location)
+        unchunked = read_unchunked(self._file, location)
+        if unchunked is not None:
+            self._has_unchunked = True
+            return unchunked
+        if location.opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
+            self._read_content(location)
+        elif location.opcode == Opcode.MESSAGE_INDEX:
+            check_index(self._file, location)
+        elif location.opcode == Opcode.DATA_END and location.body_size == 4:
             self._at_end = True
-            self._check_data_end(place)
+            self._check_data_end(location)
         else:
-            raise DamagedRecordError(f"byte {place.offset} begins a record that is not allowed there")
+            raise DamagedRecordError(f"byte {location.offset} begins a record that is not allowed there")
         return None
 
-    def _check_data_end(self, place: RecordPlace) -> None:
+    def _check_data_end(self, location: RecordLocation) -> None:
         """Check messages outside of chunks by the checksum of the data section."""
-        if self._bare:
+        if self._has_unchunked:
             try:
-                check_data_end(self._file, place)
+                check_data_end(self._file, location)
             except DamagedRecordError as error:
-                self._note(error)
+                self._report_damage(error)
 
-    def _has_more(self) -> bool:
+    def _skip_to_next_chunk(self) -> bool:
         """Skip a record whose length exceeds the file; return True if an intact chunk follows."""
         if self._position >= self.size():
             return False
-        following = self._search.find(self._position)
-        if following is None:
+        next_chunk = self._search.find(self._position)
+        if next_chunk is None:
             return False
-        self._note(DamagedRecordError(f"the record at byte {self._position} has a wrong length"))
-        self._position = following
+        self._report_damage(DamagedRecordError(f"the record at byte {self._position} has a wrong length"))
+        self._position = next_chunk
         return True
 
     def _find_next_chunk(self) -> None:
-        following = self._search.find(self._position + 1)
-        if following is None:
-            left = self.size() - self._position
-            self._damage.append(f"{left} bytes from byte {self._position} on cannot be read")
+        next_chunk = self._search.find(self._position + 1)
+        if next_chunk is None:
+            n_bytes = self.size() - self._position
+            self._damage.append(f"{n_bytes} bytes from byte {self._position} on cannot be read")
             self._at_end = True
         else:
-            self._position = following
+            self._position = next_chunk
 
-    def _note(self, error: DamagedRecordError) -> None:
+    def _report_damage(self, error: DamagedRecordError) -> None:
         if self._strict:
             raise DamagedSessionError(f"{self.path}: {error}") from error
         self._damage.append(str(error))
 
-    def _wanted(self, number: int, topics: frozenset[str] | None, place: RecordPlace) -> tuple[str, str] | None:
-        channel = self.channel(number)
+    def _select_channel(
+        self, channel_id: int, topics: frozenset[str] | None, location: RecordLocation
+    ) -> tuple[str, str] | None:
+        channel = self.channel(channel_id)
         if channel is None:
-            self.note_undeclared(number, place)
+            self.report_undeclared(channel_id, location)
             return None
         return None if topics is not None and channel[0] not in topics else channel
 
 
-def _outside(first: int, last: int, start: int | None, end: int | None) -> bool:
+def _is_outside(first: int, last: int, start: int | None, end: int | None) -> bool:
     return (start is not None and last < start) or (end is not None and first >= end)

@@ -8,13 +8,13 @@ import json
 from typing import Any
 
 #: Maximum length of a text [characters]: nested lists take 20 times the memory of their text.
-MOST_BYTES = 8 << 20
+MAX_TEXT_LENGTH = 8 << 20
 #: Maximum number of values, and of lists and objects among them.
-_MOST_VALUES, _MOST_GROUPS = 4_000_000, 1_500_000
-_DEEPEST = 64
+_MAX_VALUES, _MAX_CONTAINERS = 4_000_000, 1_500_000
+_MAX_DEPTH = 64
 
 
-def loads(text: str, *, most: int = MOST_BYTES, **hooks: Any) -> Any:
+def loads(text: str, *, max_length: int = MAX_TEXT_LENGTH, **hooks: Any) -> Any:
     """Parse a text.
 
     Args:
@@ -26,17 +26,17 @@ def loads(text: str, *, most: int = MOST_BYTES, **hooks: Any) -> Any:
         ValueError: if the text is too long, not JSON, too deeply nested, or holds half a surrogate pair, which cannot
             be encoded.
     """
-    if len(text) > most:
-        raise ValueError(f"it has {len(text)} characters, the limit is {most}")
-    groups = text.count("[") + text.count("{")
-    values = groups + text.count(",")
-    if groups > _MOST_GROUPS or values > _MOST_VALUES:
-        raise ValueError(f"it has {values} values, the limit is {_MOST_VALUES}")
+    if len(text) > max_length:
+        raise ValueError(f"it has {len(text)} characters, the limit is {max_length}")
+    n_containers = text.count("[") + text.count("{")
+    n_values = n_containers + text.count(",")
+    if n_containers > _MAX_CONTAINERS or n_values > _MAX_VALUES:
+        raise ValueError(f"it has {n_values} values, the limit is {_MAX_VALUES}")
     try:
         content = json.loads(text, **hooks)
     except RecursionError:
-        raise ValueError(f"it is nested more than {_DEEPEST} deep") from None
-    if groups > _DEEPEST:
+        raise ValueError(f"it is nested more than {_MAX_DEPTH} deep") from None
+    if n_containers > _MAX_DEPTH:
         _check_depth(content)
     if "\\u" in text:
         try:
@@ -48,7 +48,7 @@ def loads(text: str, *, most: int = MOST_BYTES, **hooks: Any) -> Any:
 
 def _check_depth(content: Any) -> None:
     level = [content]
-    for _ in range(_DEEPEST):
+    for _ in range(_MAX_DEPTH):
         level = [
             entry
             for value in level
@@ -57,4 +57,4 @@ def _check_depth(content: Any) -> None:
         ]
         if not level:
             return
-    raise ValueError(f"it is nested more than {_DEEPEST} deep")
+    raise ValueError(f"it is nested more than {_MAX_DEPTH} deep")

@@ -17,7 +17,7 @@ from cloth_sim_ros.session.frame_record import FrameRecord
 from cloth_sim_ros.session.part import Message, SessionPart
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.session.cdr import Cloud, Surface
+    from cloth_sim_ros.session.cdr import Cloud, MeshMessage
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,16 +43,16 @@ class SessionReader:
         paths = [path] if isinstance(path, Path | str) else list(path)
         if not paths:
             raise SessionError("no session file was given")
-        opened: list[SessionPart] = []
+        parts: list[SessionPart] = []
         try:
-            for item in paths:
-                opened.append(SessionPart(item, strict=strict))
-            _check_order(opened)
+            for file_path in paths:
+                parts.append(SessionPart(file_path, strict=strict))
+            _check_order(parts)
         except BaseException:
-            for part in opened:
+            for part in parts:
                 part.close()
             raise
-        self._parts = opened
+        self._parts = parts
         self._strict = strict
 
     def __enter__(self) -> Self:
@@ -104,17 +104,17 @@ class SessionReader:
     @property
     def missing(self) -> str | None:
         """Deficits found so far, in one sentence; None if there are none."""
-        found = [sentence for part in self._parts if (sentence := part.missing()) is not None]
-        return "; ".join(found) or None
+        deficits = [sentence for part in self._parts if (sentence := part.missing()) is not None]
+        return "; ".join(deficits) or None
 
     def messages(
         self, topics: Iterable[str] | None = None, *, start: int | None = None, end: int | None = None
     ) -> Iterator[Message]:
         """Yield messages in the order of recording: of all or some topics, with log times in [start, end) [ns]."""
-        wanted = None if topics is None else frozenset(topics)
+        selected_topics = None if topics is None else frozenset(topics)
         for part in self._parts:
             part.rewind()
-            yield from part.messages(topics=wanted, start=start, end=end)
+            yield from part.messages(topics=selected_topics, start=start, end=end)
 
     def frames(self, *, start: int | None = None, end: int | None = None) -> Iterator[FrameRecord]:
         """Yield the frame records."""
@@ -126,12 +126,12 @@ class SessionReader:
         topics = [f"{self.node}/frame", f"{self.node}/points"]
         yield from pair_clouds(self.messages(topics, start=start, end=end), self.node)
 
-    def topology(self) -> Surface | None:
+    def topology(self) -> MeshMessage | None:
         """Return the cloth's triangles and rest shape; None if the session holds none."""
-        from cloth_sim_ros.session.cdr import decode_surface
+        from cloth_sim_ros.session.cdr import decode_mesh
 
         for message in self.messages([f"{self.node}/topology"]):
-            return decode_surface(message.data)
+            return decode_mesh(message.data)
         return None
 
     def follow(
@@ -146,24 +146,24 @@ class SessionReader:
         Polls the file every `poll` seconds and opens further files of a split session when they appear. Ends with the
         recording, with the death of its process, or if `keep_waiting` returns False.
         """
-        wanted = None if topics is None else frozenset(topics)
+        selected_topics = None if topics is None else frozenset(topics)
         for part in self._parts:
             part.rewind()
         index = 0
         while True:
             part = self._parts[index]
             # Checked before reading, so that this pass reads everything that a writer wrote before it ended.
-            alive = part.is_being_written()
-            yield from part.messages(topics=wanted)
+            is_recording = part.is_being_written()
+            yield from part.messages(topics=selected_topics)
             if index + 1 < len(self._parts):
                 index += 1
             elif part.at_end:
-                following = _following_part(part, strict=self._strict)
-                if following is None:
+                next_part = _open_next_part(part, strict=self._strict)
+                if next_part is None:
                     return
-                self._parts.append(following)
+                self._parts.append(next_part)
                 index += 1
-            elif not alive or not keep_waiting():
+            elif not is_recording or not keep_waiting():
                 return
             else:
                 time.sleep(poll)
@@ -185,9 +185,9 @@ def pair_clouds(messages: Iterable[Message], node: str) -> Iterator[RecordedClou
         if message.topic == f"{node}/frame":
             frame = message
         elif message.topic == f"{node}/points":
-            same = frame is not None and frame.publish_time == message.publish_time
+            is_same_frame = frame is not None and frame.publish_time == message.publish_time
             yield RecordedCloud(
-                frame=read_frame(frame) if same and frame is not None else None,
+                frame=read_frame(frame) if is_same_frame and frame is not None else None,
                 cloud=decode_cloud(message.data),
                 log_time=message.log_time,
             )
@@ -201,9 +201,9 @@ def _check_order(parts: Sequence[SessionPart]) -> None:
                 f"{after.path} belongs to session {after.session}, {first.path} to {first.session}; "
                 "give the files of one session at a time"
             )
-        if after.number != before.number + 1:
+        if after.index != before.index + 1:
             raise SessionError(
-                f"{after.path} is part {after.number} of its session and follows part {before.number}; "
+                f"{after.path} is part {after.index} of its session and follows part {before.index}; "
                 "give all parts, in order"
             )
 
@@ -213,12 +213,12 @@ def session_files(path: Path | str) -> list[Path]:
 
     Raises SessionError if the file is not a session.
     """
-    with contextlib.closing(SessionPart(path)) as given:
-        found = {given.number: given.path}
-        for sibling in _siblings(given):
-            found.setdefault(sibling.number, sibling.path)
+    with contextlib.closing(SessionPart(path)) as first_part:
+        paths = {first_part.index: first_part.path}
+        for sibling in _siblings(first_part):
+            paths.setdefault(sibling.index, sibling.path)
             sibling.close()
-    return [found[number] for number in sorted(found)]
+    return [paths[index] for index in sorted(paths)]
 
 
 def by_session(paths: Sequence[Path]) -> Iterator[list[Path]]:
@@ -226,32 +226,32 @@ def by_session(paths: Sequence[Path]) -> Iterator[list[Path]]:
 
     An unreadable file forms its own group; reading it later raises the reason.
     """
-    together: list[Path] = []
-    follows: tuple[str, int] | None = None
+    group: list[Path] = []
+    next_key: tuple[str, int] | None = None
     for path in paths:
         try:
             with contextlib.closing(SessionPart(path)) as part:
-                place = (part.session, part.number)
+                part_key = (part.session, part.index)
         except SessionError:
-            place = None
-        if together and (place is None or place != follows):
-            yield together
-            together = []
-        together.append(path)
-        follows = None if place is None else (place[0], place[1] + 1)
-    yield together
+            part_key = None
+        if group and (part_key is None or part_key != next_key):
+            yield group
+            group = []
+        group.append(path)
+        next_key = None if part_key is None else (part_key[0], part_key[1] + 1)
+    yield group
 
 
-def _following_part(part: SessionPart, *, strict: bool) -> SessionPart | None:
+def _open_next_part(part: SessionPart, *, strict: bool) -> SessionPart | None:
     """Open the next file of a split session; None if it does not exist."""
     if part.end_notes.get("reason") != "split":
         return None
-    following = None
+    next_part = None
     for sibling in _siblings(part):
-        if sibling.number == part.number + 1 and following is None:
-            following = SessionPart(sibling.path, strict=strict)
+        if sibling.index == part.index + 1 and next_part is None:
+            next_part = SessionPart(sibling.path, strict=strict)
         sibling.close()
-    return following
+    return next_part
 
 
 def _siblings(part: SessionPart) -> Iterator[SessionPart]:

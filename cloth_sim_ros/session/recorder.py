@@ -15,32 +15,32 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
+from cloth_sim_ros.session.channel_description import Qos
 from cloth_sim_ros.session.errors import RecordingError, SessionError
-from cloth_sim_ros.session.layouts import Qos
+from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.session.recorder_options import RecorderOptions, RecorderState, RecorderStatus
 from cloth_sim_ros.session.storage import AppendFile
-from cloth_sim_ros.session.words import counted
-from cloth_sim_ros.session.writer import SessionWriter, Snapshot
+from cloth_sim_ros.session.writer import SessionSnapshot, SessionWriter
 
-_LOOK = 0.01
+_POLL_SECONDS = 0.01
 """Poll interval of an idle recorder [s]. Waking its thread for each message would cost the caller more than the call
 itself, and both threads would compete for the interpreter when a frame is due."""
 _ITEM_OVERHEAD = 400
 """Python's memory overhead of a queued message, an upper estimate [bytes]."""
 
-_FAILURES = (OSError, MemoryError, ImportError, SessionError)
+_RECORDING_ERRORS = (OSError, MemoryError, ImportError, SessionError)
 """Errors that end a recording: the disk, limits of the machine, and modules that cannot be loaded because of them."""
 _REMEDIES = {
     errno.EMFILE: "; this process has too many open: raise its limit (ulimit -n)",
     errno.ENFILE: "; the machine has too many open: end other processes",
     errno.ENOSPC: "; make room, or set record.folder",
 }
-_LATEST = 1 << 63
+_MAX_TIME = 1 << 63
 _CLOCK_JUMP = 1_000_000_000
 """Minimum step back of the log time that counts as a clock jump; smaller ones come from the order of callbacks [ns]."""
 
 
-class _Message(NamedTuple):
+class _QueuedMessage(NamedTuple):
     topic: str
     type_name: str
     data: bytes
@@ -52,7 +52,7 @@ class _Message(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class _Split:
-    snapshot: Snapshot
+    snapshot: SessionSnapshot
     log_time: int
     dropped: int
     """Messages dropped since the recording began, up to the split."""
@@ -82,7 +82,7 @@ class Recorder:
         self,
         folder: Path | str,
         *,
-        snapshot: Snapshot,
+        snapshot: SessionSnapshot,
         log_time: int,
         stem: str | None = None,
         options: RecorderOptions | None = None,
@@ -99,21 +99,21 @@ class Recorder:
         self._stem = stem or session_stem("cloth_sim", datetime.datetime.now(datetime.UTC))
         # The stem has a resolution of one second; the session's identifier is unique.
         self._session = f"{self._stem}_{secrets.token_hex(4)}"
-        self._queue: deque[_Message | _Split | _Stop] = deque()
+        self._queue: deque[_QueuedMessage | _Split | _Stop] = deque()
         # Each counter has one writing thread; therefore no lock is needed.
         self._put_count = self._put_bytes = 0
-        self._taken_count = self._taken_bytes = 0
+        self._popped_count = self._popped_bytes = 0
         self._dropped = 0
         self._sequences: dict[str, int] = {}
         self._last_log_time = 0
         self._put_lock = threading.Lock()
-        self._splits_asked = 0
+        self._requested_splits = 0
         self._full_part = -1
         """Index of the newest part that has reached its limit."""
-        self._stop_asked = False
-        self._given_up = ""
+        self._is_stopping = False
+        self._failure = ""
         self._opened = threading.Event()
-        self._hurry = threading.Event()
+        self._wake = threading.Event()
         """Set to make the recorder's thread read the queue at once."""
         self._status = RecorderStatus(
             state="opening", path=None, bytes_written=0, messages=0, dropped=0, queue_depth=0, queue_bytes=0, error=""
@@ -122,7 +122,7 @@ class Recorder:
         self._dropped_before = 0
         """Messages dropped before the current file began."""
         self._finished_bytes = self._finished_messages = 0
-        self._latched: dict[str, _Message] = {}
+        self._latched: dict[str, _QueuedMessage] = {}
         self._thread = threading.Thread(target=self._run, args=(snapshot, log_time), name="recorder", daemon=True)
         try:
             self._thread.start()
@@ -162,26 +162,26 @@ class Recorder:
         """
         if publish_time is None:
             publish_time = log_time
-        if not (0 <= log_time < _LATEST and 0 <= publish_time < _LATEST):
+        if not (0 <= log_time < _MAX_TIME and 0 <= publish_time < _MAX_TIME):
             raise ValueError(f"log time {log_time}, publish time {publish_time}: expected nanoseconds in [0, 2^63)")
         with self._put_lock:
-            if self._stop_asked or self._status.state in ("failed", "closed"):
+            if self._is_stopping or self._status.state in ("failed", "closed"):
                 return False
-            log_time = self._in_order(log_time)
+            log_time = self._monotonic_time(log_time)
             # Dropped messages count too, so that gaps show in the file.
             sequence = self._sequences.get(topic, 0)
             self._sequences[topic] = sequence + 1
-            waiting = self._put_bytes - self._taken_bytes
-            if droppable and waiting + len(data) > self._options.queue_bytes:
+            queued_bytes = self._put_bytes - self._popped_bytes
+            if droppable and queued_bytes + len(data) > self._options.queue_bytes:
                 self._dropped += 1
                 return False
-            if waiting + len(data) > self._options.backlog_bytes:
-                self._give_up(waiting)
+            if queued_bytes + len(data) > self._options.backlog_bytes:
+                self._fail_on_backlog(queued_bytes)
                 return False
-            self._put(_Message(topic, type_name, data, log_time, publish_time, sequence, qos))
+            self._put(_QueuedMessage(topic, type_name, data, log_time, publish_time, sequence, qos))
             return True
 
-    def _in_order(self, log_time: int) -> int:
+    def _monotonic_time(self, log_time: int) -> int:
         if 0 < self._last_log_time - log_time < _CLOCK_JUMP:
             return self._last_log_time
         self._last_log_time = log_time
@@ -190,31 +190,31 @@ class Recorder:
     @property
     def wants_split(self) -> bool:
         """True if the file has reached its limit: call `split` with a snapshot at the next frame boundary."""
-        return self._full_part == self._splits_asked and not self._stop_asked
+        return self._full_part == self._requested_splits and not self._is_stopping
 
-    def split(self, snapshot: Snapshot, *, log_time: int) -> None:
+    def split(self, snapshot: SessionSnapshot, *, log_time: int) -> None:
         """Continue in a new file that opens with this snapshot; never blocks."""
         with self._put_lock:
-            if not self._stop_asked and self._status.state != "failed":
-                self._splits_asked += 1
-                self._put(_Split(snapshot, self._in_order(log_time), self._dropped))
+            if not self._is_stopping and self._status.state != "failed":
+                self._requested_splits += 1
+                self._put(_Split(snapshot, self._monotonic_time(log_time), self._dropped))
 
-    def give_up(self, reason: str) -> None:
+    def fail(self, reason: str) -> None:
         """End the recording after the queued messages, as failed; never blocks."""
         with self._put_lock:
-            if not self._stop_asked and self._status.state != "failed":
-                self._end_with(reason)
+            if not self._is_stopping and self._status.state != "failed":
+                self._fail_with(reason)
 
     def status(self) -> RecorderStatus:
         """Return the current status of the recording."""
         status = replace(
             self._status,
             dropped=self._dropped,
-            queue_depth=self._put_count - self._taken_count,
-            queue_bytes=self._put_bytes - self._taken_bytes,
+            queue_depth=self._put_count - self._popped_count,
+            queue_bytes=self._put_bytes - self._popped_bytes,
         )
-        if self._given_up and status.state != "failed":
-            return replace(status, state="failed", error=self._given_up)
+        if self._failure and status.state != "failed":
+            return replace(status, state="failed", error=self._failure)
         if status.state in ("opening", "recording") and not self._thread.is_alive():
             # Read the status again: the thread may have ended properly in between.
             state = self._status.state
@@ -231,47 +231,47 @@ class Recorder:
         If the disk is stuck for longer than `timeout` [s], the file stays intact but unfinished.
         """
         with self._put_lock:
-            if not self._stop_asked and self._status.state != "failed":
+            if not self._is_stopping and self._status.state != "failed":
                 # In this order: an interruption between the two must not leave a thread without a stop request.
                 self._put(_Stop(reason, self._dropped))
-                self._stop_asked = True
-        self._hurry.set()
+                self._is_stopping = True
+        self._wake.set()
         self._thread.join(timeout)
         status = self.status()
         if self._thread.is_alive():
-            waiting = f"{counted(status.queue_depth, 'message')} not written within {timeout:g} s; is the disk stuck?"
-            return replace(status, state="failed", error=waiting)
+            message = f"{pluralize(status.queue_depth, 'message')} not written within {timeout:g} s; is the disk stuck?"
+            return replace(status, state="failed", error=message)
         return status
 
-    def _give_up(self, waiting: int) -> None:
+    def _fail_on_backlog(self, queued_bytes: int) -> None:
         """End the recording after the queued messages: a shorter recording is better than one with gaps."""
-        self._end_with(
-            f"{waiting >> 20} MiB waited to be written, the limit is {self._options.backlog_bytes >> 20} MiB: "
+        self._fail_with(
+            f"{queued_bytes >> 20} MiB waited to be written, the limit is {self._options.backlog_bytes >> 20} MiB: "
             f"the disk of {self._folder} is stuck or too slow"
         )
 
-    def _end_with(self, reason: str) -> None:
-        self._given_up = reason
-        self._put(_Stop(self._given_up, self._dropped, self._given_up))
-        self._stop_asked = True
+    def _fail_with(self, reason: str) -> None:
+        self._failure = reason
+        self._put(_Stop(self._failure, self._dropped, self._failure))
+        self._is_stopping = True
 
-    def _put(self, item: _Message | _Split | _Stop) -> None:
+    def _put(self, item: _QueuedMessage | _Split | _Stop) -> None:
         self._put_count += 1
-        self._put_bytes += _weight(item)
+        self._put_bytes += _memory_bytes(item)
         self._queue.append(item)
 
     # The methods below run in the recorder's thread.
 
-    def _run(self, snapshot: Snapshot, log_time: int) -> None:
+    def _run(self, snapshot: SessionSnapshot, log_time: int) -> None:
         try:
             writer = self._new_writer(snapshot, log_time, 0)
-        except _FAILURES as error:
+        except _RECORDING_ERRORS as error:
             with self._put_lock:
-                self._status = replace(self._status, state="failed", error=_sentence(error, self._folder))
+                self._status = replace(self._status, state="failed", error=_describe_error(error, self._folder))
                 self._empty_queue()
             self._opened.set()
             return
-        self._report(writer, "recording")
+        self._update_status(writer, "recording")
         self._opened.set()
         self._write_until_stopped(writer)
 
@@ -279,35 +279,37 @@ class Recorder:
         while True:
             try:
                 item = self._next_item(writer)
-                if isinstance(item, _Message):
+                if isinstance(item, _QueuedMessage):
                     self._write(writer, item)
                 elif isinstance(item, _Split):
-                    writer = self._next_file(writer, item)
+                    writer = self._open_next_file(writer, item)
                 elif isinstance(item, _Stop):
-                    writer.finish(reason=item.reason, notes=self._notes(item.dropped))
-                    self._report(writer, "failed" if item.error else "closed", item.error)
+                    writer.finish(reason=item.reason, notes=self._end_notes(item.dropped))
+                    self._update_status(writer, "failed" if item.error else "closed", item.error)
                     return
                 writer.maintain()
-            except _FAILURES as error:
-                self._end_early(writer, error)
+            except _RECORDING_ERRORS as error:
+                self._abort(writer, error)
                 return
-            self._report(writer, "recording")
-            if self._reached_limit(writer):
+            self._update_status(writer, "recording")
+            if self._is_full(writer):
                 self._full_part = self._part
 
-    def _next_item(self, writer: SessionWriter) -> _Message | _Split | _Stop | None:
+    def _next_item(self, writer: SessionWriter) -> _QueuedMessage | _Split | _Stop | None:
         """Return the oldest queued item; None after a wait without one."""
         try:
             item = self._queue.popleft()
         except IndexError:
-            due = writer.seconds_until_due()
-            self._hurry.wait(_LOOK if due is None else min(max(due, 0.0), _LOOK))
+            seconds_until_due = writer.seconds_until_due()
+            self._wake.wait(
+                _POLL_SECONDS if seconds_until_due is None else min(max(seconds_until_due, 0.0), _POLL_SECONDS)
+            )
             return None
-        self._taken_count += 1
-        self._taken_bytes += _weight(item)
+        self._popped_count += 1
+        self._popped_bytes += _memory_bytes(item)
         return item
 
-    def _write(self, writer: SessionWriter, item: _Message) -> None:
+    def _write(self, writer: SessionWriter, item: _QueuedMessage) -> None:
         if not writer.is_declared(item.topic):
             writer.declare(item.topic, item.type_name, item.qos)
             if item.qos is not None and item.qos.durability == "transient_local":
@@ -318,23 +320,23 @@ class Recorder:
             item.topic, item.data, log_time=item.log_time, publish_time=item.publish_time, sequence=item.sequence
         )
 
-    def _next_file(self, writer: SessionWriter, split: _Split) -> SessionWriter:
+    def _open_next_file(self, writer: SessionWriter, split: _Split) -> SessionWriter:
         # The new file first: a follower looks for it as soon as the old one ends with the reason "split".
-        following = self._new_writer(split.snapshot, split.log_time, self._part + 1)
+        next_writer = self._new_writer(split.snapshot, split.log_time, self._part + 1)
         try:
-            writer.finish(reason="split", notes=self._notes(split.dropped))
-        except _FAILURES:
-            following.finish(reason="the file before it could not be finished")
+            writer.finish(reason="split", notes=self._end_notes(split.dropped))
+        except _RECORDING_ERRORS:
+            next_writer.finish(reason="the file before it could not be finished")
             raise
         self._part += 1
         self._dropped_before = split.dropped
         self._finished_bytes += writer.bytes_written
         self._finished_messages += writer.message_count
         for item in list(self._latched.values()):
-            self._write(following, item._replace(log_time=split.log_time))
-        return following
+            self._write(next_writer, item._replace(log_time=split.log_time))
+        return next_writer
 
-    def _new_writer(self, snapshot: Snapshot, log_time: int, part: int) -> SessionWriter:
+    def _new_writer(self, snapshot: SessionSnapshot, log_time: int, part: int) -> SessionWriter:
         return SessionWriter(
             self._folder,
             snapshot=snapshot,
@@ -346,17 +348,17 @@ class Recorder:
             open_file=self._open_file,
         )
 
-    def _reached_limit(self, writer: SessionWriter) -> bool:
+    def _is_full(self, writer: SessionWriter) -> bool:
         size, seconds = self._options.split_bytes, self._options.split_seconds
         return bool(size and writer.bytes_written >= size) or bool(seconds and writer.session_seconds >= seconds)
 
-    def _end_early(self, writer: SessionWriter, error: Exception) -> None:
-        sentence = _sentence(error, writer.path)
+    def _abort(self, writer: SessionWriter, error: Exception) -> None:
+        message = _describe_error(error, writer.path)
         # Writing the failed chunk fails again. The file is finished or, at worst, intact.
-        with contextlib.suppress(*_FAILURES):
-            writer.finish(reason=sentence, notes=self._notes(self._dropped))
+        with contextlib.suppress(*_RECORDING_ERRORS):
+            writer.finish(reason=message, notes=self._end_notes(self._dropped))
         with self._put_lock:
-            self._report(writer, "failed", sentence)
+            self._update_status(writer, "failed", message)
             self._empty_queue()
 
     def _empty_queue(self) -> None:
@@ -364,14 +366,14 @@ class Recorder:
         with contextlib.suppress(IndexError):
             while True:
                 item = self._queue.popleft()
-                self._taken_count += 1
-                self._taken_bytes += _weight(item)
+                self._popped_count += 1
+                self._popped_bytes += _memory_bytes(item)
 
-    def _notes(self, dropped: int) -> dict[str, str]:
+    def _end_notes(self, dropped: int) -> dict[str, str]:
         """Return the notes of the end record. `dropped`: count since the beginning of the recording."""
         return {"dropped": str(dropped - self._dropped_before)}
 
-    def _report(self, writer: SessionWriter, state: RecorderState, error: str = "") -> None:
+    def _update_status(self, writer: SessionWriter, state: RecorderState, error: str = "") -> None:
         self._status = replace(
             self._status,
             state=state,
@@ -382,13 +384,13 @@ class Recorder:
         )
 
 
-def _weight(item: _Message | _Split | _Stop) -> int:
-    if isinstance(item, _Message):
+def _memory_bytes(item: _QueuedMessage | _Split | _Stop) -> int:
+    if isinstance(item, _QueuedMessage):
         return len(item.data) + _ITEM_OVERHEAD
     return len(item.snapshot.state) + _ITEM_OVERHEAD if isinstance(item, _Split) else _ITEM_OVERHEAD
 
 
-def _sentence(error: Exception, path: Path) -> str:
+def _describe_error(error: Exception, path: Path) -> str:
     if isinstance(error, OSError):
         remedy = _REMEDIES.get(error.errno or 0, "")
         return f"cannot write {path}: {error.strerror or error}{remedy}"

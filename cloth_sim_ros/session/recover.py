@@ -35,7 +35,7 @@ class Recovery:
 
 
 def recover(
-    source: Path | str, target: Path | str | None = None, *, progress: Callable[[int, int], None] | None = None
+    source: Path | str, target: Path | str | None = None, *, on_progress: Callable[[int, int], None] | None = None
 ) -> Recovery:
     """Copy every intact chunk of an unfinished or damaged session into a new, finished file.
 
@@ -49,11 +49,11 @@ def recover(
     with contextlib.closing(SessionPart(source)) as part:
         if part.is_being_written():
             raise SessionError(f"{source} is still being recorded; recover it when its recording has ended")
-        _check_need(part, progress)
+        _check_recoverable(part, on_progress)
         folder, stem = _target_name(source, target)
         file = AppendFile(folder, stem, SUFFIX)
         try:
-            messages = _copy(part, file, progress)
+            messages = _copy(part, file, on_progress)
             file.sync()
             path = file.publish()
             file.sync_name()
@@ -64,13 +64,13 @@ def recover(
         return Recovery(path=path, messages=messages, bytes_written=file.size, missing=missing)
 
 
-def _check_need(part: SessionPart, progress: Callable[[int, int], None] | None) -> None:
+def _check_recoverable(part: SessionPart, on_progress: Callable[[int, int], None] | None) -> None:
     """Raise SessionError for a finished, undamaged file; to find damage, the file is read once."""
     if not part.finished:
         return
     for _ in part.messages():
-        if progress is not None:
-            progress(part.position, part.size())
+        if on_progress is not None:
+            on_progress(part.position, part.size())
     if not part.damage:
         raise SessionError(f"{part.path} is finished and undamaged; there is nothing to recover")
     part.rewind()
@@ -87,7 +87,7 @@ def _target_name(source: Path, target: Path | str | None) -> tuple[Path, str]:
     return target.parent, target.stem
 
 
-def _copy(part: SessionPart, file: AppendFile, progress: Callable[[int, int], None] | None) -> int:
+def _copy(part: SessionPart, file: AppendFile, on_progress: Callable[[int, int], None] | None) -> int:
     from mcap.records import Metadata
 
     from cloth_sim_ros.session.mcap_builder import McapBuilder
@@ -95,16 +95,16 @@ def _copy(part: SessionPart, file: AppendFile, progress: Callable[[int, int], No
     builder = McapBuilder(compression="none")
     file.append(
         [
-            builder.opening(
+            builder.encode_opening(
                 library="cloth_sim_ros",
                 metadata=[Metadata(name=METADATA_NAME, metadata=dict(part.metadata))],
                 attachments=list(part.attachments.values()),
             )
         ]
     )
-    messages = _copy_chunks(part, file, builder, progress)
-    schemas, channels = part.records()
-    builder.note_declarations(schemas, channels)
+    messages = _copy_chunks(part, file, builder, on_progress)
+    schemas, channels = part.declarations()
+    builder.set_declarations(schemas, channels)
     notes = {
         **part.end_notes,
         "reason": "recovered",
@@ -112,55 +112,55 @@ def _copy(part: SessionPart, file: AppendFile, progress: Callable[[int, int], No
         "missing": part.missing() or "",
     }
     notes["checksum"] = metadata_checksum(notes)
-    end = builder.metadata(Metadata(name=END_METADATA_NAME, metadata=notes), file.size)
-    file.append([end, builder.closing(file.size + len(end))])
+    end = builder.encode_metadata(Metadata(name=END_METADATA_NAME, metadata=notes), file.size)
+    file.append([end, builder.encode_closing(file.size + len(end))])
     return messages
 
 
 def _copy_chunks(
-    part: SessionPart, file: AppendFile, builder: McapBuilder, progress: Callable[[int, int], None] | None
+    part: SessionPart, file: AppendFile, builder: McapBuilder, on_progress: Callable[[int, int], None] | None
 ) -> int:
     messages = 0
     for chunk in part.chunks():
-        packed = _index(part, chunk)
+        packed = _reindex(part, chunk)
         offset = file.size
         file.append(packed.parts)
-        builder.note_chunk(packed, offset)
+        builder.add_chunk_index(packed, offset)
         messages += sum(packed.counts.values())
-        if progress is not None:
-            progress(part.position, part.size())
+        if on_progress is not None:
+            on_progress(part.position, part.size())
     return messages
 
 
-def _index(part: SessionPart, chunk: Chunk) -> PackedChunk:
+def _reindex(part: SessionPart, chunk: Chunk) -> PackedChunk:
     """Return the chunk with new indexes, without messages whose channel declaration is lost."""
     from cloth_sim_ros.session.mcap_builder import compressor, pack_chunk_record
     from cloth_sim_ros.session.mcap_scan import RawMessage, chunk_records
 
     indexes: dict[int, list[int]] = defaultdict(list)
     times: list[int] = []
-    kept: list[slice] = []
+    spans: list[slice] = []
     undeclared = set()
     size = 0
-    for place, item in chunk_records(chunk):
-        if not isinstance(item, RawMessage):
-            part.declare(item)
-        elif part.channel(item.channel) is None:
-            undeclared.add(item.channel)
+    for span, record in chunk_records(chunk):
+        if not isinstance(record, RawMessage):
+            part.declare(record)
+        elif part.channel(record.channel) is None:
+            undeclared.add(record.channel)
             continue
         else:
-            indexes[item.channel] += (item.log_time, size)
-            times.append(item.log_time)
-        kept.append(place)
-        size += place.stop - place.start
+            indexes[record.channel] += (record.log_time, size)
+            times.append(record.log_time)
+        spans.append(span)
+        size += span.stop - span.start
     payload, content, crc = chunk.payload, chunk.raw, chunk.crc
     if undeclared:
-        for number in sorted(undeclared):
-            part.note_undeclared(number, chunk.place)
+        for channel_id in sorted(undeclared):
+            part.report_undeclared(channel_id, chunk.location)
         raw = memoryview(chunk.raw)
-        content = b"".join(raw[place] for place in kept)
+        content = b"".join(raw[span] for span in spans)
         payload = compressor(chunk.compression)(content)
-    if undeclared or not chunk.checked:
+    if undeclared or not chunk.has_checksum:
         crc = zlib.crc32(content)
     return pack_chunk_record(
         payload=payload,

@@ -16,8 +16,8 @@ from cloth_sim_ros.session.errors import RecordingError
 
 _NO_HARD_LINKS = (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)
 _NAME_LIMIT = 1000
-_HIDDEN_ENDING = ".unfinished"
-_LEFTOVER_SECONDS = 3600.0
+_UNFINISHED_SUFFIX = ".unfinished"
+_MIN_LEFTOVER_AGE = 3600.0
 
 
 class AppendFile:
@@ -33,7 +33,7 @@ class AppendFile:
     def __init__(self, folder: Path, stem: str, suffix: str) -> None:
         self._stem = stem
         self._suffix = suffix
-        self._hidden: Path | None = folder / f".{stem}{suffix}.{secrets.token_hex(4)}{_HIDDEN_ENDING}"
+        self._hidden: Path | None = folder / f".{stem}{suffix}.{secrets.token_hex(4)}{_UNFINISHED_SUFFIX}"
         self._descriptor = os.open(self._hidden, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         self.path = folder / f"{stem}{suffix}"
         """The final path; fixed by `publish`."""
@@ -49,14 +49,14 @@ class AppendFile:
                 while view:
                     view = view[self._write(view) :]
         except OSError:
-            self._cut()
+            self._truncate()
             raise
         self.size += sum(map(len, parts))
 
     def publish(self) -> Path:
         """Give the file the first free name of ``stem``, ``stem-2``, ``stem-3`` ...; no file is overwritten."""
         if self._hidden is not None:
-            self.path = _give_name(self._hidden, self._stem, self._suffix)
+            self.path = _link_free_name(self._hidden, self._stem, self._suffix)
             self._hidden.unlink(missing_ok=True)
             self._hidden = None
         return self.path
@@ -101,7 +101,7 @@ class AppendFile:
     def _write(self, view: memoryview) -> int:
         return os.write(self._descriptor, view)
 
-    def _cut(self) -> None:
+    def _truncate(self) -> None:
         """Remove an incomplete append. If this fails too, readers still stop at the last whole record."""
         try:
             os.ftruncate(self._descriptor, self.size)
@@ -136,14 +136,14 @@ def make_folder(folder: Path) -> None:
 
 def remove_leftovers(folder: Path, suffix: str) -> None:
     """Remove unpublished hidden files of killed processes, except those in use."""
-    for path in folder.glob(f".*{suffix}.????????{_HIDDEN_ENDING}"):
+    for path in folder.glob(f".*{suffix}.????????{_UNFINISHED_SUFFIX}"):
         try:
             descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
         except OSError:
             continue
         try:
             # A file system without locks leaves only the age as a criterion.
-            if time.time() - os.fstat(descriptor).st_mtime > _LEFTOVER_SECONDS and not is_being_written(descriptor):
+            if time.time() - os.fstat(descriptor).st_mtime > _MIN_LEFTOVER_AGE and not is_being_written(descriptor):
                 path.unlink(missing_ok=True)
         finally:
             os.close(descriptor)
@@ -157,9 +157,9 @@ def _lock(descriptor: int) -> None:
         return
 
 
-def _give_name(hidden: Path, stem: str, suffix: str) -> Path:
-    for number in range(1, _NAME_LIMIT):
-        path = hidden.parent / (f"{stem}{suffix}" if number == 1 else f"{stem}-{number}{suffix}")
+def _link_free_name(hidden: Path, stem: str, suffix: str) -> Path:
+    for name_index in range(1, _NAME_LIMIT):
+        path = hidden.parent / (f"{stem}{suffix}" if name_index == 1 else f"{stem}-{name_index}{suffix}")
         try:
             os.link(hidden, path)
         except FileExistsError:

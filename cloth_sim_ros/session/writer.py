@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cloth_sim_ros.session.channel_description import MESSAGE_ENCODING, SCHEMA_ENCODING, Qos, channel_metadata, describe
 from cloth_sim_ros.session.errors import RecordingError
-from cloth_sim_ros.session.layouts import MESSAGE_ENCODING, SCHEMA_ENCODING, Qos, channel_metadata, describe
 from cloth_sim_ros.session.storage import AppendFile, make_folder, remove_leftovers
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ SUFFIX = ".mcap"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Snapshot:
+class SessionSnapshot:
     """Opening of a file: enough to run the following frames again."""
 
     scene_yaml: str
@@ -53,13 +53,13 @@ class WriterOptions:
     """... or age of its oldest message [s]. A killed process loses at most this much."""
     sync_seconds: float = 1.0
     """Interval of synchronisation [s]: a power loss costs at most this plus `chunk_seconds`. 0: the system decides."""
-    least_free_space: int = 0
+    min_free_space: int = 0
     """Free space of the file system below which writing stops [bytes]."""
 
     def __post_init__(self) -> None:
-        if self.chunk_bytes < 1 or self.least_free_space < 0:
+        if self.chunk_bytes < 1 or self.min_free_space < 0:
             raise RecordingError(
-                f"a chunk of {self.chunk_bytes} bytes with {self.least_free_space} bytes kept free: "
+                f"a chunk of {self.chunk_bytes} bytes with {self.min_free_space} bytes kept free: "
                 "the first must be positive, the second must not be negative"
             )
         if not (0 < self.chunk_seconds < 60 and 0 <= self.sync_seconds < 3600):
@@ -80,7 +80,7 @@ class SessionWriter:
         self,
         folder: Path | str,
         *,
-        snapshot: Snapshot,
+        snapshot: SessionSnapshot,
         stem: str,
         session: str | None = None,
         part: int = 0,
@@ -117,7 +117,7 @@ class SessionWriter:
             "part": str(part),
         }
         metadata["checksum"] = metadata_checksum(metadata)
-        opening = self._builder.opening(
+        opening = self._builder.encode_opening(
             library="cloth_sim_ros",
             metadata=[Metadata(name=METADATA_NAME, metadata=metadata)],
             attachments=[
@@ -210,14 +210,14 @@ class SessionWriter:
             return
         self._finished = True
         try:
-            refused: OSError | MemoryError | RecordingError | None = None
+            write_error: OSError | MemoryError | RecordingError | None = None
             try:
                 self._write_chunk()
             except (OSError, MemoryError, RecordingError) as error:
-                refused = error
+                write_error = error
             self._close_file(reason, notes or {})
-            if refused is not None:
-                raise refused
+            if write_error is not None:
+                raise write_error
         finally:
             self._file.close()
 
@@ -231,15 +231,15 @@ class SessionWriter:
 
         end_notes = {**notes, "reason": reason, "messages": str(self.message_count)}
         end_notes["checksum"] = metadata_checksum(end_notes)
-        end = self._builder.metadata(Metadata(name=END_METADATA_NAME, metadata=end_notes), self._file.size)
-        self._file.append([end, self._builder.closing(self._file.size + len(end))])
+        end = self._builder.encode_metadata(Metadata(name=END_METADATA_NAME, metadata=end_notes), self._file.size)
+        self._file.append([end, self._builder.encode_closing(self._file.size + len(end))])
         if self._options.sync_seconds:
             self._file.sync()
 
     def _write_chunk(self) -> None:
         if not self._builder.chunk_messages:
             return
-        self._check_room()
+        self._check_space()
         packed = self._builder.pack_chunk()
         offset = self._file.size
         self._file.append(packed.parts)
@@ -249,15 +249,15 @@ class SessionWriter:
         if self._unsynced_since is None:
             self._unsynced_since = self._clock()
 
-    def _check_room(self) -> None:
+    def _check_space(self) -> None:
         if not self._file.is_linked():
             raise RecordingError(f"{self.path} was removed while it was being recorded")
-        least = self._options.least_free_space
-        free = self._file.free_space() if least else 0
-        if free < least:
+        min_free = self._options.min_free_space
+        free_bytes = self._file.free_space() if min_free else 0
+        if free_bytes < min_free:
             raise RecordingError(
-                f"{free // 1_000_000} MB are left on the disk of {self.path.parent}, record.least_free_space is "
-                f"{least // 1_000_000} MB; make room or lower it"
+                f"{free_bytes // 1_000_000} MB are left on the disk of {self.path.parent}, record.least_free_space is "
+                f"{min_free // 1_000_000} MB; make room or lower it"
             )
 
 

@@ -13,11 +13,11 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.contact_thickness import check_gaps, recovery_time, reduced_thickness, regained
+from cloth_sim_ros.physics.contact_thickness import check_gaps, grown_thickness, recovery_time, reduced_thickness
+from cloth_sim_ros.physics.controller_state import THICKNESS_KEY
 from cloth_sim_ros.physics.forces.contact import Contact
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import THICKNESS
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.event_checks import EventError
@@ -41,10 +41,10 @@ class ContactRecovery:
 
     def describe(self) -> str:
         """Return the affected contacts, the duration and the remedy, in one sentence."""
-        whom = " and ".join(f"'{name}'" if name else "itself" for name in self.names)
+        counterparts = " and ".join(f"'{name}'" if name else "itself" for name in self.names)
         count = f"{self.particles} particle{'' if self.particles == 1 else 's'}" if self.particles else "no particle"
         return (
-            f"closer than contact.thickness to {whom}: {count}; contact begins thinner there and grows to "
+            f"closer than contact.thickness to {counterparts}: {count}; contact begins thinner there and grows to "
             f"contact.thickness in {self.duration:.3g} s or as soon as the cloth follows; move them "
             f"{1e3 * self.lift:.3g} mm apart to avoid it"
         )
@@ -54,7 +54,7 @@ def reduce_contacts(
     plan: Plan,
     state: State,
     t: float,
-    what: str = "",
+    subject: str = "",
     *,
     rows: NDArray[np.bool_] | None = None,
     relieved: NDArray[np.int64] | None = None,
@@ -75,42 +75,42 @@ def reduce_contacts(
     Raises:
         EventError: for a contact that is too narrow, naming the obstacle, the gap, the limit and the remedy.
     """
-    before, contact = state.memory.pop(THICKNESS, None), plan.contact
-    if contact is None or not contact.force.acts:
+    old_thickness, contact = state.memory.pop(THICKNESS_KEY, None), plan.contact
+    if contact is None or not contact.force.is_active:
         return
-    contact.take(state)
-    gaps, thickness = contact.gap_rows(t, state.x), contact.force.thickness
-    concerned = np.full(gaps.shape, rows is None and relieved is None)
+    contact.load_state(state)
+    gaps, thickness = contact.contact_gaps(t, state.x), contact.force.thickness
+    is_affected = np.full(gaps.shape, rows is None and relieved is None)
     if rows is not None:
-        concerned[rows] = True
+        is_affected[rows] = True
     if relieved is not None:
-        concerned[:, np.append(_about(contact.force, state.x, relieved), relieved.size > 0)] = True
-    gaps[~concerned] = np.inf
-    if what:
+        is_affected[:, np.append(_is_within_reach(contact.force, state.x, relieved), relieved.size > 0)] = True
+    gaps[~is_affected] = np.inf
+    if subject:
         try:
             check_gaps(gaps, thickness, _names(contact.force))
         except ValueError as error:
-            raise EventError(f"{what} {error}") from error
+            raise EventError(f"{subject} {error}") from error
     reduced = reduced_thickness(gaps, thickness)
-    if before is not None and before.shape == gaps.shape:
-        kept = np.where(concerned, thickness, before)
-        reduced = kept if reduced is None else np.minimum(kept, reduced)
+    if old_thickness is not None and old_thickness.shape == gaps.shape:
+        bound = np.where(is_affected, thickness, old_thickness)
+        reduced = bound if reduced is None else np.minimum(bound, reduced)
     if reduced is not None and (reduced < thickness).any():
-        state.memory[THICKNESS] = reduced
-    contact.take(state)
+        state.memory[THICKNESS_KEY] = reduced
+    contact.load_state(state)
 
 
-def _about(force: Contact, x: Array, particles: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _is_within_reach(force: Contact, x: Array, particles: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return a mask, shape (n,), of the particles within `_REACH` edge lengths of given ones, at positions x [m], (3,
     n).
     """
     surface = force.faces or force.surface
-    reach = 0.0 if surface is None else _REACH * surface.longest
-    near = np.zeros(x.shape[1], dtype=bool)
+    reach = 0.0 if surface is None else _REACH * surface.max_edge
+    is_near = np.zeros(x.shape[1], dtype=bool)
     for particle in particles.tolist():
-        away = x - x[:, particle, None]
-        near |= away[0] * away[0] + away[1] * away[1] + away[2] * away[2] <= reach * reach
-    return near
+        offsets = x - x[:, particle, None]
+        is_near |= offsets[0] * offsets[0] + offsets[1] * offsets[1] + offsets[2] * offsets[2] <= reach * reach
+    return is_near
 
 
 def begin_recovery(plan: Plan, state: State, t: float, duration: float) -> None:
@@ -118,13 +118,13 @@ def begin_recovery(plan: Plan, state: State, t: float, duration: float) -> None:
     contact = plan.contact
     if contact is None:
         return
-    contact.force.recover(t)
-    reduced = state.memory.get(THICKNESS)
+    contact.force.start_recovery(t)
+    reduced = state.memory.get(THICKNESS_KEY)
     if reduced is None:
         return
-    contact.take(state)
-    gaps = contact.gap_rows(t, state.x)
-    contact.force.recover(t, duration, regained(reduced, gaps, contact.force.thickness, duration))
+    contact.load_state(state)
+    gaps = contact.contact_gaps(t, state.x)
+    contact.force.start_recovery(t, duration, grown_thickness(reduced, gaps, contact.force.thickness, duration))
 
 
 def end_recovery(plan: Plan, state: State, t: float) -> None:
@@ -132,26 +132,26 @@ def end_recovery(plan: Plan, state: State, t: float) -> None:
     if plan.contact is None:
         return
     force = plan.contact.force
-    after = force.recovery[2]
-    force.recover(t)
-    if after is None:
+    thickness = force.recovery[2]
+    force.start_recovery(t)
+    if thickness is None:
         return
-    state.memory[THICKNESS] = after
-    if not (after < force.thickness).any():
-        del state.memory[THICKNESS]
+    state.memory[THICKNESS_KEY] = thickness
+    if not (thickness < force.thickness).any():
+        del state.memory[THICKNESS_KEY]
 
 
 def contact_recovery(plan: Plan, state: State) -> ContactRecovery | None:
     """Return a summary of the contacts with a reduced thickness, or None if every contact has the full one."""
-    reduced, contact = state.memory.get(THICKNESS), plan.contact
+    reduced, contact = state.memory.get(THICKNESS_KEY), plan.contact
     if reduced is None or contact is None:
         return None
     thickness = contact.force.thickness
-    below = reduced < thickness
-    named = [*_names(contact.force), ""]
+    is_reduced = reduced < thickness
+    names = [*_names(contact.force), ""]
     return ContactRecovery(
-        names=tuple(name for name, row in zip(named, below, strict=True) if row.any()),
-        particles=int(np.count_nonzero(below[:, :-1].any(axis=0))),
+        names=tuple(name for name, row in zip(names, is_reduced, strict=True) if row.any()),
+        particles=int(np.count_nonzero(is_reduced[:, :-1].any(axis=0))),
         lift=thickness - float(reduced.min()),
         duration=recovery_time(reduced, thickness),
     )
@@ -166,13 +166,13 @@ def pad_rows(plan: Plan, gripper: str) -> NDArray[np.bool_]:
 def compressed_rows(before: Scene, scene: Scene) -> NDArray[np.bool_]:
     """Return a mask of obstacles, pads and, last, the cloth itself whose shape or distance another scene changes."""
     pads = 2 * len(scene.pinching)
-    gripper, was = scene.gripper, before.gripper
-    moved = (gripper.pad_size, gripper.opening) != (was.pad_size, was.opening)
-    rows = [_shape(before, name) != _shape(scene, name) for name in scene.obstacle_names]
-    found = np.array([*rows, *[moved] * pads, scene.contact.self_ and not before.contact.self_])
+    gripper, old_gripper = scene.gripper, before.gripper
+    pads_changed = (gripper.pad_size, gripper.opening) != (old_gripper.pad_size, old_gripper.opening)
+    rows = [_contact_shape(before, name) != _contact_shape(scene, name) for name in scene.obstacle_names]
+    is_compressed = np.array([*rows, *[pads_changed] * pads, scene.contact.self_ and not before.contact.self_])
     if scene.contact.thickness != before.contact.thickness or scene.cloth.anchors != before.cloth.anchors:
-        found[:] = True
-    return found
+        is_compressed[:] = True
+    return is_compressed
 
 
 def relieved_particles(plan: Plan, state: State, t: float, before: Scene, scene: Scene) -> NDArray[np.int64]:
@@ -180,18 +180,18 @@ def relieved_particles(plan: Plan, state: State, t: float, before: Scene, scene:
 
     Such a particle touches an obstacle that the other scene lacks or reshapes, or is held by a softer gripper there.
     """
-    found = np.empty(0, dtype=np.int64)
+    particles = np.empty(0, dtype=np.int64)
     if scene.gripper.stiffness < before.gripper.stiffness:
-        found = state.memory["grip.particles"]
-    gone = [_shape(before, name) != _shape(scene, name) for name in before.obstacle_names]
-    return np.union1d(found, touching_particles(plan, state, t, gone)) if any(gone) else found
+        particles = state.memory["grip.particles"]
+    is_gone = [_contact_shape(before, name) != _contact_shape(scene, name) for name in before.obstacle_names]
+    return np.union1d(particles, particles_in_contact(plan, state, t, is_gone)) if any(is_gone) else particles
 
 
-def touching_particles(plan: Plan, state: State, t: float, rows: Sequence[bool]) -> NDArray[np.int64]:
+def particles_in_contact(plan: Plan, state: State, t: float, rows: Sequence[bool]) -> NDArray[np.int64]:
     """Return the indices of particles in contact with masked obstacles, the plan's first ones, at time t [s]."""
     assert plan.contact is not None
-    plan.contact.take(state)
-    gaps = plan.contact.gap_rows(t, state.x)[: len(rows), :-1][np.array(rows)]
+    plan.contact.load_state(state)
+    gaps = plan.contact.contact_gaps(t, state.x)[: len(rows), :-1][np.array(rows)]
     return np.flatnonzero((gaps < plan.contact.force.thickness).any(axis=0))
 
 
@@ -200,7 +200,7 @@ def _names(force: Contact) -> list[str]:
     return [obstacle.name for obstacle in force.obstacles]
 
 
-def _shape(scene: Scene, name: str) -> object:
+def _contact_shape(scene: Scene, name: str) -> object:
     """Return the parameters of an obstacle that decide about its contact; None if the scene lacks it."""
     if name not in scene.obstacle_names:
         return None

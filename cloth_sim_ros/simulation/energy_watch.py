@@ -8,12 +8,14 @@ from typing import TypeAlias
 
 import attrs
 
-from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.deterministic_math import ordered_sum
+from cloth_sim_ros.physics.old_names import with_old_names
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.powers import in_order
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
 
 
+@with_old_names(rubbed="friction_work")
 @attrs.frozen(kw_only=True)
 class EnergyReport:
     """Energies since the watch began [J]."""
@@ -27,7 +29,7 @@ class EnergyReport:
     #: Dissipated by springs, drag, grips and contact.
     dissipated: float
     #: Part of `dissipated`: friction between layers of the cloth.
-    rubbed: float = 0.0
+    friction_work: float = 0.0
     #: Work on the cloth of contacts that regain their thickness.
     recovered: float = 0.0
     #: Residual of the balance: energy - energy before - work - wind - recovered + dissipated, summed over frames.
@@ -37,7 +39,7 @@ class EnergyReport:
 
 
 #: Kinetic and potential energy before a frame [J], and the sums since the watch began.
-Noted: TypeAlias = tuple[tuple[float, float], EnergyReport]
+SavedBalance: TypeAlias = tuple[tuple[float, float], EnergyReport]
 
 
 class EnergyWatch:
@@ -56,48 +58,54 @@ class EnergyWatch:
         """Store the energies of a state before a frame that starts at time t [s]."""
         self._before = self._energies(state, t)
 
-    def end(self, state: State, t: float, book: Book) -> EnergyReport:
+    def end(self, state: State, t: float, accumulator: WorkAccumulator) -> EnergyReport:
         """Add the frame that ended at time t [s] and return the sums."""
         kinetic, potential = self._energies(state, t)
-        lost, work, wind, recovered = book.lost, book.work, book.given, book.recovered
+        dissipation, work, wind, recovered = (
+            accumulator.dissipation,
+            accumulator.work,
+            accumulator.wind_work,
+            accumulator.recovery_work,
+        )
         sums = self._sums
         self._sums = EnergyReport(
             total=kinetic + potential,
             work=sums.work + work,
             wind=sums.wind + wind,
-            dissipated=sums.dissipated + lost,
-            rubbed=sums.rubbed + book.rubbed,
+            dissipated=sums.dissipated + dissipation,
+            friction_work=sums.friction_work + accumulator.friction_work,
             recovered=sums.recovered + recovered,
-            residual=sums.residual + (kinetic + potential - in_order(self._before) - work - wind - recovered + lost),
+            residual=sums.residual
+            + (kinetic + potential - ordered_sum(self._before) - work - wind - recovered + dissipation),
             turned_over=sums.turned_over
             + abs(kinetic - self._before[0])
-            + abs(lost)
+            + abs(dissipation)
             + abs(work)
             + abs(wind)
             + abs(recovered),
         )
         return self._sums
 
-    def stop(self, ended: State) -> EnergyReport:
+    def stop(self, end_state: State) -> EnergyReport:
         """Add the kinetic energy that the cloth loses when it falls asleep, as dissipated, and return the sums.
 
         Args:
             end_state: the state at the end of the frame, still moving.
         """
-        kinetic = self._plan.energies(0.0, ended.x, ended.v)[0]
+        kinetic = self._plan.energies(0.0, end_state.x, end_state.v)[0]
         sums = self._sums
         self._sums = attrs.evolve(sums, total=sums.total - kinetic, dissipated=sums.dissipated + kinetic)
         return self._sums
 
-    def noted(self) -> Noted:
+    def save(self) -> SavedBalance:
         """Return the sums so far, for `restore`."""
         return self._before, self._sums
 
-    def go_back(self, noted: Noted) -> None:
+    def restore(self, saved: SavedBalance) -> None:
         """Continue from sums that `save` returned."""
-        self._before, self._sums = noted
+        self._before, self._sums = saved
 
     def _energies(self, state: State, t: float) -> tuple[float, float]:
         if self._plan.contact is not None:
-            self._plan.contact.take(state)
+            self._plan.contact.load_state(state)
         return self._plan.energies(t, state.x, state.v)

@@ -14,9 +14,9 @@ from cloth_sim_ros import __version__
 from cloth_sim_ros.engine import NUMERICS
 
 #: Metadata keys that decide about bits within one arithmetic, and their names in a reported difference.
-_CAUSES = {"source": "its code"}
+_REPRODUCIBILITY_KEYS = {"source": "its code"}
 #: Arithmetic of sessions without the key `numerics`: they are older than the engine.
-_BEFORE_THE_ENGINE = 1
+_LEGACY_NUMERICS = 1
 
 
 def environment() -> dict[str, str]:
@@ -46,14 +46,14 @@ def differences(recorded: Mapping[str, str]) -> list[str]:
     present = {"source": _source()}
     return [
         f"{name} {recorded[key]} -> {present[key]}"
-        for key, name in _CAUSES.items()
+        for key, name in _REPRODUCIBILITY_KEYS.items()
         if key in recorded and recorded[key] != present[key]
     ]
 
 
 def recorder_with_other_arithmetic(recorded: Mapping[str, str]) -> str:
     """Return a session's recorder, as ``cloth_sim_ros 0.1.0 (numba 0.68.1)``, if it rounds differently; else ""."""
-    if recorded.get("numerics", str(_BEFORE_THE_ENGINE)) == str(NUMERICS):
+    if recorded.get("numerics", str(_LEGACY_NUMERICS)) == str(NUMERICS):
         return ""
     name = f"cloth_sim_ros {recorded['version']}" if "version" in recorded else "another version of cloth_sim_ros"
     compiler = recorded.get("numba")

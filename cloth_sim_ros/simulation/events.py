@@ -96,7 +96,7 @@ _FIELDS = {kind: tuple(field.name for field in attrs.fields(kind)) for kind in _
 #: Types of the fields that have no converter.
 _TYPES = {"gripper": str, "obstacle": str, "values": dict, "paused": bool}
 #: Kinds that come before others. Built once, because building a union of types takes longer than the isinstance check.
-_FIRST = (Target, Move, Grasp)
+_BEFORE_OTHERS = (Target, Move, Grasp)
 
 
 def ordered(events: list[Event]) -> list[Event]:
@@ -114,9 +114,9 @@ def ordered(events: list[Event]) -> list[Event]:
         elif isinstance(event, Move):
             moves[event.obstacle] = event
     grasps = [event for event in events if isinstance(event, Grasp)]
-    rest = [event for event in events if not isinstance(event, _FIRST)]
+    later = [event for event in events if not isinstance(event, _BEFORE_OTHERS)]
     newest = [*(targets[name] for name in sorted(targets)), *(moves[name] for name in sorted(moves))]
-    return [*newest, *grasps, *rest]
+    return [*newest, *grasps, *later]
 
 
 def to_dict(event: Event) -> dict[str, Any]:

@@ -30,7 +30,7 @@ class ExclusiveAccess(Uncopyable):
 
     def __init__(self) -> None:
         # Reentrant, so that a second call of the same thread finds `_is_running` set instead of a deadlock.
-        self._turn = threading.RLock()
+        self._lock = threading.RLock()
         self._is_running = False
 
 
@@ -45,7 +45,7 @@ def exclusive(
 
     @functools.wraps(method)
     def guarded(self: _Self, *arguments: _Arguments.args, **named: _Arguments.kwargs) -> _Result:
-        with self._turn:
+        with self._lock:
             if self._is_running:
                 raise RuntimeError(
                     f"{type(self).__name__}.{method.__name__} was called while another call of this simulation runs in "
@@ -68,7 +68,7 @@ def between_frames(
 
     @functools.wraps(method)
     def guarded(self: _Self, *arguments: _Arguments.args, **named: _Arguments.kwargs) -> _Result:
-        with self._turn:
+        with self._lock:
             return method(self, *arguments, **named)
 
     return guarded

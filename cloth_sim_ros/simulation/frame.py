@@ -10,6 +10,7 @@ import attrs
 
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import Advance
+from cloth_sim_ros.physics.old_names import with_old_names
 from cloth_sim_ros.simulation.events import Event
 from cloth_sim_ros.simulation.grippers import GraspResult
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 
 # Without slots: then attrs sets a frozen class's members in half the time.
+@with_old_names(halted="stopped", loads="obstacle_wrenches", again="repeated")
 @attrs.frozen(kw_only=True, slots=False)
 class Frame:
     """Result of one call of `Simulation.advance`."""
@@ -34,7 +36,7 @@ class Frame:
     pinches: tuple[GraspResult, ...] = ()
     #: Names of obstacles and pinching grippers that stopped because they would have crushed the cloth. A stopped body
     #: keeps its pose of the frame's start until its next target.
-    halted: tuple[str, ...] = ()
+    stopped: tuple[str, ...] = ()
     #: Name and end pose, position [m] and quaternion x, y, z, w, of each gripper that did not reach its target because
     #: of its speed limit or a stop.
     lagging: tuple[tuple[str, tuple[float, ...]], ...] = ()
@@ -53,7 +55,7 @@ class Frame:
     wrenches: Array
     #: Force [N] and torque [N m] of the cloth on each obstacle about its position, mean over the frame, shape
     #: (obstacle_count, 6).
-    loads: Array
+    obstacle_wrenches: Array
 
     def extras(self) -> dict[str, Any]:
         """Return additional entries of the frame's record, plain JSON values; none in a frame that went as commanded.
@@ -64,11 +66,13 @@ class Frame:
         extras: dict[str, Any] = {}
         if self.lagging:
             extras["poses"] = {name: list(pose) for name, pose in self.lagging}
-        if self.halted:
-            extras["halted"] = list(self.halted)
+        if self.stopped:
+            extras["halted"] = list(self.stopped)
         return extras
 
-    def again(self, index: int, time: float) -> Frame:
+    def repeated(self, index: int, time: float) -> Frame:
         """Return the frame that a sleeping cloth repeats, at another index and time [s], without events."""
-        now = attrs.evolve(self, index=index, time=time, events=(), grasps=(), pinches=(), recovery=None)
-        return attrs.evolve(now, moved=True, wrenches=self.wrenches.copy(), loads=self.loads.copy())
+        repeated_frame = attrs.evolve(self, index=index, time=time, events=(), grasps=(), pinches=(), recovery=None)
+        return attrs.evolve(
+            repeated_frame, moved=True, wrenches=self.wrenches.copy(), obstacle_wrenches=self.obstacle_wrenches.copy()
+        )

@@ -14,7 +14,7 @@ from typing import Any
 
 import attrs
 
-from cloth_sim_ros.physics.gripper_path import normalised, rotation_vector, turned_by
+from cloth_sim_ros.physics.gripper_path import normalized, rotated_by, rotation_vector
 from cloth_sim_ros.scene import input_file, ros_yaml
 
 Vector = tuple[float, ...]
@@ -37,7 +37,7 @@ class Waypoint:
 
 
 @attrs.frozen(kw_only=True)
-class GraspAt:
+class TimedGrasp:
     """Time at which the gripper closes (True) or opens."""
 
     time: float
@@ -54,7 +54,7 @@ class GripperScript:
     #: Target rate [Hz].
     rate: float
     waypoints: tuple[Waypoint, ...]
-    grasps: tuple[GraspAt, ...]
+    grasps: tuple[TimedGrasp, ...]
 
     @classmethod
     def from_file(cls, path: str | Path) -> GripperScript:
@@ -81,20 +81,20 @@ class GripperScript:
         Raises:
             ScriptError: for a missing, unknown or invalid entry.
         """
-        entries = _checked(content, "script", needed={"steps"}, known={"gripper", "frame_id", "rate", "steps"})
-        rate = _number(entries.get("rate", 100.0), "rate")
+        entries = _checked_entries(content, "script", needed={"steps"}, known={"gripper", "frame_id", "rate", "steps"})
+        rate = _read_number(entries.get("rate", 100.0), "rate")
         if not 0.1 <= rate <= 10000.0:
             raise ScriptError(f"rate is {rate} Hz; it must be from 0.1 to 10000")
         if not isinstance(entries["steps"], list) or not entries["steps"]:
             raise ScriptError("steps must be a list of at least one step")
         waypoints: list[Waypoint] = []
-        grasps: list[GraspAt] = []
-        before = -math.inf
-        for number, step in enumerate(entries["steps"], start=1):
-            time = _read_step(step, f"step {number}", waypoints, grasps)
-            if time < before or time < 0.0:
-                raise ScriptError(f"step {number} is at {time} s; times must not be negative, nor go back")
-            before = time
+        grasps: list[TimedGrasp] = []
+        last_time = -math.inf
+        for index, step in enumerate(entries["steps"], start=1):
+            time = _read_step(step, f"step {index}", waypoints, grasps)
+            if time < last_time or time < 0.0:
+                raise ScriptError(f"step {index} is at {time} s; times must not be negative, nor go back")
+            last_time = time
         if not waypoints:
             raise ScriptError("no step has a position")
         for first, second in itertools.pairwise(waypoints):
@@ -128,45 +128,50 @@ class GripperScript:
     def pose(self, time: float) -> tuple[Vector, Vector]:
         """Return position [m] and orientation at a time [s]: rest in each waypoint, minimum jerk between waypoints."""
         times = [waypoint.time for waypoint in self.waypoints]
-        behind = bisect.bisect_right(times, time)
-        if behind == 0:
+        upper = bisect.bisect_right(times, time)
+        if upper == 0:
             return self.waypoints[0].position, self.waypoints[0].orientation
-        start = self.waypoints[behind - 1]
-        if behind == len(times):
+        start = self.waypoints[upper - 1]
+        if upper == len(times):
             return start.position, start.orientation
-        end = self.waypoints[behind]
-        u = (time - start.time) / (end.time - start.time)
+        end = self.waypoints[upper]
+        relative_time = (time - start.time) / (end.time - start.time)
         # Minimum jerk from rest to rest (Flash and Hogan 1985).
-        s = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
-        position = tuple(a + s * (b - a) for a, b in zip(start.position, end.position, strict=True))
-        return position, _turned(start.orientation, end.orientation, s)
+        fraction = (
+            relative_time
+            * relative_time
+            * relative_time
+            * (10.0 - 15.0 * relative_time + 6.0 * relative_time * relative_time)
+        )
+        position = tuple(a + fraction * (b - a) for a, b in zip(start.position, end.position, strict=True))
+        return position, _interpolated_orientation(start.orientation, end.orientation, fraction)
 
 
-def _read_step(step: Any, name: str, waypoints: list[Waypoint], grasps: list[GraspAt]) -> float:
-    entries = _checked(step, name, needed={"time"}, known={"time", "position", "orientation", "close"})
-    time = _number(entries["time"], f"{name}: time")
+def _read_step(step: Any, name: str, waypoints: list[Waypoint], grasps: list[TimedGrasp]) -> float:
+    entries = _checked_entries(step, name, needed={"time"}, known={"time", "position", "orientation", "close"})
+    time = _read_number(entries["time"], f"{name}: time")
     if not {"position", "close"} & set(entries):
         raise ScriptError(f"{name} has neither position nor close")
     if "position" in entries:
-        position = _numbers(entries["position"], 3, f"{name}: position")
+        position = _read_numbers(entries["position"], 3, f"{name}: position")
         orientation = waypoints[-1].orientation if waypoints else (0.0, 0.0, 0.0, 1.0)
         if "orientation" in entries:
             try:
-                given = normalised(_numbers(entries["orientation"], 4, f"{name}: orientation"))
+                quaternion = normalized(_read_numbers(entries["orientation"], 4, f"{name}: orientation"))
             except ValueError as error:
                 raise ScriptError(f"{name}: {error}") from error
-            orientation = tuple(given.tolist())
+            orientation = tuple(quaternion.tolist())
         waypoints.append(Waypoint(time=time, position=position, orientation=orientation))
     elif "orientation" in entries:
         raise ScriptError(f"{name} has an orientation without a position")
     if "close" in entries:
         if not isinstance(entries["close"], bool):
             raise ScriptError(f"{name}: close is {entries['close']!r}; it must be true or false")
-        grasps.append(GraspAt(time=time, closed=entries["close"]))
+        grasps.append(TimedGrasp(time=time, closed=entries["close"]))
     return time
 
 
-def _checked(content: Any, name: str, *, needed: set[str], known: set[str]) -> dict[str, Any]:
+def _checked_entries(content: Any, name: str, *, needed: set[str], known: set[str]) -> dict[str, Any]:
     if not isinstance(content, Mapping):
         raise ScriptError(f"{name} is {content!r}; it must have entries {', '.join(sorted(known))}")
     unknown = sorted(str(key) for key in content if key not in known)
@@ -178,23 +183,27 @@ def _checked(content: Any, name: str, *, needed: set[str], known: set[str]) -> d
     return dict(content)
 
 
-def _number(value: Any, name: str) -> float:
+def _read_number(value: Any, name: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ScriptError(f"{name} is {value!r}; it must be a finite number")
     return float(value)
 
 
-def _numbers(value: Any, count: int, name: str) -> Vector:
+def _read_numbers(value: Any, count: int, name: str) -> Vector:
     if not isinstance(value, list) or len(value) != count:
         raise ScriptError(f"{name} is {value!r}; it must be a list of {count} numbers")
-    return tuple(_number(entry, name) for entry in value)
+    return tuple(_read_number(entry, name) for entry in value)
 
 
-def _turned(start: Vector, end: Vector, share: float) -> Vector:
+def _interpolated_orientation(start: Vector, end: Vector, fraction: float) -> Vector:
     """Return the orientation at a fraction of the shortest rotation from one to another."""
-    return start if start == end else tuple(turned_by(start, [share * angle for angle in _turn(start, end)]))
+    return (
+        start
+        if start == end
+        else tuple(rotated_by(start, [fraction * angle for angle in _rotation_between(start, end)]))
+    )
 
 
 @functools.lru_cache(maxsize=64)
-def _turn(start: Vector, end: Vector) -> list[float]:
+def _rotation_between(start: Vector, end: Vector) -> list[float]:
     return rotation_vector(start, end)

@@ -22,10 +22,10 @@ from cloth_sim_ros.physics.gripper_path import rotation_matrix
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.simulation.events import Target
-from cloth_sim_ros.simulation.movers import MOST_SPEED, Movers, renewed, travel, within
+from cloth_sim_ros.simulation.kinematic_bodies import MAX_BODY_SPEED, KinematicBodies, clamp_motion, travel, writable
 
 #: Tolerance for rounding, so that a target exactly at the speed limit is not clamped.
-_ROUNDING = 1.0 + 1e-9
+_ROUNDING_MARGIN = 1.0 + 1e-9
 
 
 @attrs.frozen
@@ -35,7 +35,7 @@ class GraspResult:
     gripper: str
     closed: bool
     #: Number of grasped particles.
-    held: int
+    grasped_count: int
     #: Reason if it grasps nothing or nothing changed; else empty.
     reason: str = ""
     #: True if its pads have started to close; `Frame.pinches` reports their rest.
@@ -43,7 +43,7 @@ class GraspResult:
 
 
 #: Saved inputs of the grip force, the arrays and numbers from which they were computed, and paths.
-Noted: TypeAlias = tuple[tuple[Any, ...] | None, tuple[Any, ...] | None, Array]
+SavedGrips: TypeAlias = tuple[tuple[Any, ...] | None, tuple[Any, ...] | None, Array]
 
 
 class Grippers:
@@ -58,19 +58,19 @@ class Grippers:
         self.names = names
         self._state = state
         #: Inputs uploaded last to the grip force; while they stay the same, only paths are uploaded.
-        self._laid: tuple[Any, ...] | None = None
+        self._uploaded: tuple[Any, ...] | None = None
         #: Distance from the origin to the outermost point of the pads [m], by index of each pinching gripper.
-        self.reaches: dict[int, float] = {}
+        self.pad_reaches: dict[int, float] = {}
         #: Commanded speed [m/s] by name, of each gripper that the speed limit slowed in the newest frame.
-        self.limited: dict[str, float] = {}
+        self.speed_limited: dict[str, float] = {}
         #: Arrays of grips, and the distance from each gripper's origin to its furthest grasped particle [m].
-        self._arms: tuple[Any, Any, list[float | None]] = (None, None, [])
+        self._lever_arms: tuple[Any, Any, list[float | None]] = (None, None, [])
         #: Paths of all grippers over the newest frame, shape (count, PATH_NUMBERS).
         self.paths = np.zeros((len(names), PATH_NUMBERS))
         count = len(names)
         pose = np.zeros((count, 7))
         pose[:, 6] = 1.0
-        self._movers = Movers("gripper", pose, state)
+        self._bodies = KinematicBodies("gripper", pose, state)
         for name, array in (
             ("gripper.placed", np.zeros(count, dtype=bool)),
             ("gripper.closed", np.zeros(count, dtype=bool)),
@@ -84,17 +84,17 @@ class Grippers:
         """Return present poses: position [m] and quaternion x, y, z, w, shape (gripper_count, 7)."""
         return self._state.memory["gripper.pose"].copy()
 
-    def lagging(self, halted: Sequence[str]) -> tuple[tuple[str, tuple[float, ...]], ...]:
+    def lagging(self, stopped: Sequence[str]) -> tuple[tuple[str, tuple[float, ...]], ...]:
         """Return name and pose, 7 numbers, of each gripper that the newest frame left short of its commanded target.
 
         Args:
             stopped: names of the bodies that stopped in the newest frame; a stopped gripper's target became its pose.
         """
-        pose, target = self._movers.array("pose"), self._movers.array("target")
+        pose, target = self._bodies.array("pose"), self._bodies.array("target")
         return tuple(
             (name, tuple(pose[g].tolist()))
             for g, name in enumerate(self.names)
-            if name in halted or (name in self.limited and (pose[g] != target[g]).any())
+            if name in stopped or (name in self.speed_limited and (pose[g] != target[g]).any())
         )
 
     def is_placed(self, index: int) -> bool:
@@ -105,84 +105,88 @@ class Grippers:
         """Return True if the gripper is closed, with or without cloth."""
         return bool(self._state.memory["gripper.closed"][index])
 
-    def held(self, index: int) -> np.ndarray:
+    def grasped_particles(self, index: int) -> np.ndarray:
         """Return the indices of the particles that a gripper grasps."""
         starts = self._state.memory["grip.starts"]
         return self._state.memory["grip.particles"][starts[index] : starts[index + 1]].copy()
 
     @property
-    def settled(self) -> bool:
+    def is_at_rest(self) -> bool:
         """True if every gripper is at its target and was there for a whole frame."""
-        return self._movers.settled
+        return self._bodies.is_at_rest
 
-    def noted(self, grips: Grips | None) -> Noted:
+    def save(self, grips: Grips | None) -> SavedGrips:
         """Return the inputs uploaded to the grip force, for `restore`."""
-        laid = None if self._laid is None else self._laid[:-1]
-        return None if grips is None else grips.noted(), laid, self.paths
+        uploaded = None if self._uploaded is None else self._uploaded[:-1]
+        return None if grips is None else grips.save(), uploaded, self.paths
 
-    def go_back(self, noted: Noted, grips: Grips | None) -> None:
+    def restore(self, saved: SavedGrips, grips: Grips | None) -> None:
         """Upload inputs that `save` returned. The state must have been restored before."""
-        held, laid, self.paths = noted
-        if grips is not None and held is not None:
-            grips.go_back(held)
-        self._laid = None if laid is None else (*laid, grips)
+        saved_grips, uploaded, self.paths = saved
+        if grips is not None and saved_grips is not None:
+            grips.restore(saved_grips)
+        self._uploaded = None if uploaded is None else (*uploaded, grips)
 
     def set_target(self, event: Target) -> bool:
         """Store a target. Return True for the first one, which places the gripper there at once."""
         g = self.names.index(event.gripper)
-        target = self._movers.aim(g, event.position, event.orientation)
-        first = not self._state.memory["gripper.placed"][g]
-        if first:
-            renewed(self._state, "gripper.placed")[g] = True
-            self._movers.renewed("pose")[g] = target
-        return first
+        target = self._bodies.set_target(g, event.position, event.orientation)
+        is_first = not self._state.memory["gripper.placed"][g]
+        if is_first:
+            writable(self._state, "gripper.placed")[g] = True
+            self._bodies.writable("pose")[g] = target
+        return is_first
 
-    def max_speed(self, index: int, speed: float) -> float:
+    def max_speed(self, index: int, speed_limit: float) -> float:
         """Return the speed limit in force [m/s], 0 for none. Pads always have one.
 
         Args:
             index: index of the gripper.
             speed_limit: the limit that is set [m/s], 0 for none.
         """
-        return min(speed or MOST_SPEED, MOST_SPEED) if index in self.reaches else speed
+        return min(speed_limit or MAX_BODY_SPEED, MAX_BODY_SPEED) if index in self.pad_reaches else speed_limit
 
-    def halt(self) -> list[str]:
+    def hold_position(self) -> list[str]:
         """Hold the present pose of pinching grippers until their next target; return the names of those that moved."""
-        return [self.names[g] for g in self._movers.halt(sorted(self.reaches))]
+        return [self.names[g] for g in self._bodies.hold_position(sorted(self.pad_reaches))]
 
     def close(self, name: str, model: Model, radius: float) -> GraspResult:
         """Grasp the free particles within the radius [m] of a gripper's present position."""
         memory = self._state.memory
         g = self.names.index(name)
         if memory["gripper.closed"][g]:
-            return GraspResult(name, True, len(self.held(g)), "it is closed already: open it first")
-        renewed(self._state, "gripper.closed")[g] = True
+            return GraspResult(name, True, len(self.grasped_particles(g)), "it is closed already: open it first")
+        writable(self._state, "gripper.closed")[g] = True
         if not memory["gripper.placed"][g]:
             return GraspResult(name, True, 0, "it has had no target yet, so it is nowhere")
         pose = memory["gripper.pose"][g]
-        away = self._state.x - pose[:3, None]
-        distance = np.sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2])
-        near = distance <= radius
-        particles = np.flatnonzero(near & (model.inverse_masses > 0.0))
-        self.take(name, particles)
+        displacements = self._state.x - pose[:3, None]
+        distance = np.sqrt(
+            displacements[0] * displacements[0]
+            + displacements[1] * displacements[1]
+            + displacements[2] * displacements[2]
+        )
+        is_in_reach = distance <= radius
+        particles = np.flatnonzero(is_in_reach & (model.inverse_masses > 0.0))
+        self.attach(name, particles)
         if particles.size:
             return GraspResult(name, True, int(particles.size))
-        if near.any():
-            return GraspResult(name, True, 0, f"all {int(near.sum())} particles within {radius} m are anchored")
+        if is_in_reach.any():
+            return GraspResult(name, True, 0, f"all {int(is_in_reach.sum())} particles within {radius} m are anchored")
         return GraspResult(
             name, True, 0, f"no particle within {radius} m of it; the nearest is {float(distance.min()):.3g} m away"
         )
 
-    def take(self, name: str, particles: NDArray[np.int64]) -> None:
+    def attach(self, name: str, particles: NDArray[np.int64]) -> None:
         """Close a placed gripper and attach particles at their present positions."""
         g = self.names.index(name)
-        renewed(self._state, "gripper.closed")[g] = True
+        writable(self._state, "gripper.closed")[g] = True
         pose = self._state.memory["gripper.pose"][g]
-        away = self._state.x - pose[:3, None]
-        turn = rotation_matrix(pose[3:])
+        displacements = self._state.x - pose[:3, None]
+        rotation = rotation_matrix(pose[3:])
         # A world vector in the gripper's frame: R' d.
-        x, y, z = away[:, particles]
-        offsets = np.stack([turn[0, i] * x + turn[1, i] * y + turn[2, i] * z for i in range(3)], axis=1)
+        x, y, z = displacements[:, particles]
+        offsets = np.stack([rotation[0, i] * x + rotation[1, i] * y + rotation[2, i] * z for i in range(3)], axis=1)
         self._replace(g, particles, offsets)
 
     def pinch(self, name: str) -> GraspResult:
@@ -190,7 +194,7 @@ class Grippers:
         memory, g = self._state.memory, self.names.index(name)
         if memory["gripper.closed"][g]:
             return GraspResult(name, True, 0, "it is closed already: open it first")
-        renewed(self._state, "gripper.closed")[g] = True
+        writable(self._state, "gripper.closed")[g] = True
         if not memory["gripper.placed"][g]:
             return GraspResult(name, True, 0, "it has had no target yet, so it is nowhere")
         return GraspResult(name, True, 0, pending=True)
@@ -200,7 +204,7 @@ class Grippers:
         memory = self._state.memory
         g = self.names.index(name)
         reason = "" if memory["gripper.closed"][g] else "it was open already"
-        renewed(self._state, "gripper.closed")[g] = False
+        writable(self._state, "gripper.closed")[g] = False
         self._replace(g, np.empty(0, dtype=np.int64), np.empty((0, 3)))
         return GraspResult(name, False, 0, reason)
 
@@ -228,17 +232,17 @@ class Grippers:
         Returns:
             Largest change of a closed gripper's displacement from the frame before to this one, along an axis [m].
         """
-        closed, most = self._state.memory["gripper.closed"].tolist(), 0.0
-        self.limited = {}
-        goal = functools.partial(self._within, duration, speeds) if self.reaches or any(speeds) else None
-        self.paths, changes = self._movers.paths(t, duration, goal)
-        self._lay(grips, self.paths, model, stiffness, damping)
+        is_closed, max_change = self._state.memory["gripper.closed"].tolist(), 0.0
+        self.speed_limited = {}
+        end_pose = functools.partial(self._end_pose, duration, speeds) if self.pad_reaches or any(speeds) else None
+        self.paths, changes = self._bodies.paths(t, duration, end_pose)
+        self._upload(grips, self.paths, model, stiffness, damping)
         for g, change in enumerate(changes):
-            if change > most and (closed[g] or g in self.reaches):
-                most = change
-        return most
+            if change > max_change and (is_closed[g] or g in self.pad_reaches):
+                max_change = change
+        return max_change
 
-    def _within(
+    def _end_pose(
         self, duration: float, speeds: Sequence[float], g: int, pose: Sequence[float], target: Sequence[float]
     ) -> Sequence[float]:
         """Return the pose of a gripper at the end of a frame: its target, or as close to it as its speed limit permits.
@@ -248,40 +252,40 @@ class Grippers:
         if pose == target:
             return target
         speed = self.max_speed(g, speeds[g])
-        reach = self.reaches[g] if g in self.reaches else self._arm(g)
+        reach = self.pad_reaches[g] if g in self.pad_reaches else self._lever_arm(g)
         if not speed or reach is None:
             return target
-        most = speed * duration * (1.0 if g in self.reaches else _ROUNDING)
-        end = within(pose, target, reach, most)
+        max_travel = speed * duration * (1.0 if g in self.pad_reaches else _ROUNDING_MARGIN)
+        end = clamp_motion(pose, target, reach, max_travel)
         if end is not target:
-            self.limited[self.names[g]] = travel(pose, target, reach) / duration
+            self.speed_limited[self.names[g]] = travel(pose, target, reach) / duration
         return end
 
-    def _arm(self, g: int) -> float | None:
+    def _lever_arm(self, g: int) -> float | None:
         """Return the distance from a gripper's origin to its furthest grasped particle [m]; None without particles."""
         starts, offsets = (self._state.memory[name] for name in ("grip.starts", "grip.offsets"))
-        known = self._arms
-        if known[0] is not starts or known[1] is not offsets:
+        cached = self._lever_arms
+        if cached[0] is not starts or cached[1] is not offsets:
             # By component, because a library might choose another order of sums.
             x, y, z = offsets.T
             lengths = np.sqrt(x * x + y * y + z * z)
-            arms = [float(lengths[a:b].max()) if a < b else None for a, b in itertools.pairwise(starts.tolist())]
-            self._arms = known = (starts, offsets, arms)
-        return known[2][g]
+            lever_arms = [float(lengths[a:b].max()) if a < b else None for a, b in itertools.pairwise(starts.tolist())]
+            self._lever_arms = cached = (starts, offsets, lever_arms)
+        return cached[2][g]
 
-    def _lay(self, grips: Grips, paths: Array, model: Model, stiffness: float, damping: float) -> None:
+    def _upload(self, grips: Grips, paths: Array, model: Model, stiffness: float, damping: float) -> None:
         memory = self._state.memory
         particles, starts = memory["grip.particles"], memory["grip.starts"]
-        held = (particles, starts, memory["grip.offsets"], stiffness, damping, grips)
-        if self._laid is not None and all(map(operator.is_, held, self._laid)):
-            grips.move(paths)
+        inputs = (particles, starts, memory["grip.offsets"], stiffness, damping, grips)
+        if self._uploaded is not None and all(map(operator.is_, inputs, self._uploaded)):
+            grips.set_paths(paths)
             return
-        self._laid = held
+        self._uploaded = inputs
         # Border particles have half or a quarter of the mass, of the grip and of the threads. Therefore they do not
         # limit the step.
-        each = stiffness * model.masses[particles] / model.masses.max()
-        damping_each = lecture_damping(damping, each, model.masses[particles])
-        grips.hold(paths, starts, particles, memory["grip.offsets"], each, damping_each)
+        stiffnesses = stiffness * model.masses[particles] / model.masses.max()
+        dampings = lecture_damping(damping, stiffnesses, model.masses[particles])
+        grips.hold(paths, starts, particles, memory["grip.offsets"], stiffnesses, dampings)
 
     def _replace(self, gripper: int, particles: np.ndarray, offsets: Array) -> None:
         """Set the particles that one gripper grasps. Other grips stay unchanged."""
@@ -291,6 +295,6 @@ class Grippers:
         for name, new in (("grip.particles", particles), ("grip.offsets", offsets)):
             old = memory[name]
             memory[name] = np.ascontiguousarray(np.concatenate([old[:begin], new, old[end:]]))
-        moved = starts.copy()
-        moved[gripper + 1 :] += len(particles) - (end - begin)
-        memory["grip.starts"] = moved
+        new_starts = starts.copy()
+        new_starts[gripper + 1 :] += len(particles) - (end - begin)
+        memory["grip.starts"] = new_starts

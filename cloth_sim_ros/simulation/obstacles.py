@@ -14,15 +14,15 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 import numpy as np
 
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import normalised, rotation_matrix
+from cloth_sim_ros.physics.gripper_path import normalized, rotation_matrix
 from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene import sections
 from cloth_sim_ros.simulation.events import Move
-from cloth_sim_ros.simulation.movers import MOST_SPEED, Movers, standing, within
+from cloth_sim_ros.simulation.kinematic_bodies import MAX_BODY_SPEED, KinematicBodies, clamp_motion, constant_paths
 
 #: Largest lever arm of rotation for the speed limit [m]; it applies to larger obstacles and planes.
-_MOST_ARM = 1.0
+_MAX_LEVER_ARM = 1.0
 _KIND = "obstacle"
 
 
@@ -36,36 +36,38 @@ class Obstacles:
     """
 
     #: Speed limit of surfaces, mean over a frame [m/s].
-    speed = MOST_SPEED
+    speed = MAX_BODY_SPEED
 
-    def __init__(self, solids: list[Obstacle], described: Mapping[str, sections.Obstacle], state: State) -> None:
+    def __init__(
+        self, solids: list[Obstacle], descriptions: Mapping[str, sections.ObstacleParameters], state: State
+    ) -> None:
         self.solids = solids
         self.names = [solid.name for solid in solids]
         self._state = state
-        self._movers = Movers(_KIND, np.array([_start(described[name]) for name in self.names]), state)
+        self._bodies = KinematicBodies(_KIND, np.array([_start_pose(descriptions[name]) for name in self.names]), state)
 
     def poses(self) -> Array:
         """Return present poses: position [m] and quaternion x, y, z, w, shape (obstacle_count, 7)."""
-        return self._movers.array("pose").copy()
+        return self._bodies.array("pose").copy()
 
     @property
-    def settled(self) -> bool:
+    def is_at_rest(self) -> bool:
         """True if every obstacle is at its target and was there for a whole frame."""
-        return self._movers.settled
+        return self._bodies.is_at_rest
 
     @property
-    def behind(self) -> list[str]:
+    def lagging(self) -> list[str]:
         """Names of the obstacles that have not reached their target yet."""
-        away = (self._movers.array("pose") != self._movers.array("target")).any(axis=1)
-        return [name for name, far in zip(self.names, away.tolist(), strict=True) if far]
+        is_away = (self._bodies.array("pose") != self._bodies.array("target")).any(axis=1)
+        return [name for name, is_lagging in zip(self.names, is_away.tolist(), strict=True) if is_lagging]
 
     def set_target(self, event: Move) -> None:
         """Store a target."""
-        self._movers.aim(self.names.index(event.obstacle), event.position, event.orientation)
+        self._bodies.set_target(self.names.index(event.obstacle), event.position, event.orientation)
 
-    def halt(self) -> list[str]:
+    def hold_position(self) -> list[str]:
         """Hold the present poses until the next targets; return the names of the obstacles that moved."""
-        return [self.names[k] for k in self._movers.halt(range(len(self.names)))]
+        return [self.names[k] for k in self._bodies.hold_position(range(len(self.names)))]
 
     def plan_frame(self, t: float, duration: float) -> tuple[Array, float]:
         """Return the paths over a frame that starts at time t [s], and the largest change of displacement.
@@ -78,17 +80,17 @@ class Obstacles:
             Paths, shape (count, PATH_NUMBERS), and the largest change of an obstacle's displacement from the frame
             before, along an axis [m].
         """
-        paths, changes = self._movers.paths(t, duration, functools.partial(self._within, duration))
+        paths, changes = self._bodies.paths(t, duration, functools.partial(self._end_pose, duration))
         return paths, max(changes)
 
     def standing(self, t: float) -> Array:
         """Return the paths of obstacles at rest at their poses from time t [s] on, shape (count, PATH_NUMBERS)."""
-        return standing(t, self._movers.array("pose"))
+        return constant_paths(t, self._bodies.array("pose"))
 
     def nearest(self, name: str) -> tuple[float, int]:
         """Return the gap [m], negative inside, of an obstacle to its nearest particle, and that particle's index."""
         k = self.names.index(name)
-        gap = gaps(self.solids[k], self._movers.array("pose")[k], self._state.x)
+        gap = gaps(self.solids[k], self._bodies.array("pose")[k], self._state.x)
         particle = int(np.argmin(gap))
         return float(gap[particle]), particle
 
@@ -98,25 +100,32 @@ class Obstacles:
         Raises:
             ValueError: naming the obstacle, the deepest particle and its depth; the end of a sentence.
         """
-        held = list(anchored)
+        anchored_indices = list(anchored)
         for name in names:
             k = self.names.index(name)
-            gap = gaps(self.solids[k], self._movers.array("pose")[k], self._state.x, within=0.0)
-            gap[held] = math.inf
+            gap = gaps(self.solids[k], self._bodies.array("pose")[k], self._state.x, max_distance=0.0)
+            gap[anchored_indices] = math.inf
             particle = int(np.argmin(gap))
             if gap[particle] <= 0.0:
-                where = self._state.x[:, particle].tolist()
+                position = self._state.x[:, particle].tolist()
                 raise ValueError(
-                    f"is inside obstacle '{name}': particle {particle} at {[round(c, 6) for c in where]} is "
+                    f"is inside obstacle '{name}': particle {particle} at {[round(c, 6) for c in position]} is "
                     f"{-gap[particle]:.4g} m deep; move one of them"
                 )
 
-    def _within(self, duration: float, k: int, pose: Sequence[float], target: Sequence[float]) -> Sequence[float]:
+    def _end_pose(self, duration: float, k: int, pose: Sequence[float], target: Sequence[float]) -> Sequence[float]:
         """Return an obstacle's pose at a frame's end: its target, or as close to it as the speed limit permits."""
-        return within(pose, target, min(self.solids[k].reach, _MOST_ARM), MOST_SPEED * duration)
+        return clamp_motion(
+            pose, target, min(self.solids[k].bounding_radius, _MAX_LEVER_ARM), MAX_BODY_SPEED * duration
+        )
 
 
-def rearrange(state: State, before: list[str], now: list[str], described: Mapping[str, sections.Obstacle]) -> None:
+def replace_obstacles(
+    state: State,
+    names_before: list[str],
+    names_after: list[str],
+    descriptions: Mapping[str, sections.ObstacleParameters],
+) -> None:
     """Replace the obstacles in a state's memory. Obstacles that remain keep pose and motion.
 
     Args:
@@ -126,35 +135,37 @@ def rearrange(state: State, before: list[str], now: list[str], described: Mappin
         descriptions: parameters of the obstacles, by name; they give the initial poses.
     """
     state.memory = dict(state.memory)
-    names = [f"{_KIND}.{what}" for what in ("pose", "twist", "turn", "target")]
-    known = {name: state.memory.pop(name) for name in names if name in state.memory}
-    if not known or not now:
+    names = [f"{_KIND}.{quantity}" for quantity in ("pose", "twist", "turn", "target")]
+    arrays = {name: state.memory.pop(name) for name in names if name in state.memory}
+    if not arrays or not names_after:
         return
-    for name, array in known.items():
-        rows = np.zeros((len(now), array.shape[1]))
-        for k, obstacle in enumerate(now):
-            if obstacle in before:
-                rows[k] = array[before.index(obstacle)]
+    for name, array in arrays.items():
+        rows = np.zeros((len(names_after), array.shape[1]))
+        for k, obstacle in enumerate(names_after):
+            if obstacle in names_before:
+                rows[k] = array[names_before.index(obstacle)]
             elif array.shape[1] == 7:
-                rows[k] = _start(described[obstacle])
+                rows[k] = _start_pose(descriptions[obstacle])
         state.memory[name] = rows
 
 
-def gaps(solid: Obstacle, pose: Array, x: Array, *, within: float = math.inf) -> Array:
+def gaps(solid: Obstacle, pose: Array, x: Array, *, max_distance: float = math.inf) -> Array:
     """Return the distances [m] of particles at x [m], (3, n), from an obstacle's surface, shape (n,); negative inside.
 
     Beyond `max_distance` [m] from the bounding sphere the distance from that sphere is returned, a lower bound.
     """
-    away = x - pose[:3, None]
-    found: Array = np.sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2]) - solid.reach
-    near = np.flatnonzero(found <= within)
-    turn = rotation_matrix(pose[3:])
-    x_, y_, z_ = away[:, near]
-    own = np.stack([turn[0, i] * x_ + turn[1, i] * y_ + turn[2, i] * z_ for i in range(3)], axis=1)
-    found[near] = solid.distance(own)[0]
-    return found
+    offsets = x - pose[:3, None]
+    distances: Array = (
+        np.sqrt(offsets[0] * offsets[0] + offsets[1] * offsets[1] + offsets[2] * offsets[2]) - solid.bounding_radius
+    )
+    nearby = np.flatnonzero(distances <= max_distance)
+    rotation = rotation_matrix(pose[3:])
+    x_, y_, z_ = offsets[:, nearby]
+    local_points = np.stack([rotation[0, i] * x_ + rotation[1, i] * y_ + rotation[2, i] * z_ for i in range(3)], axis=1)
+    distances[nearby] = solid.distance(local_points)[0]
+    return distances
 
 
-def _start(description: sections.Obstacle) -> Array:
+def _start_pose(description: sections.ObstacleParameters) -> Array:
     """Return the initial pose of an obstacle, shape (7,)."""
-    return np.concatenate([np.asarray(description.position, dtype=np.float64), normalised(description.orientation)])
+    return np.concatenate([np.asarray(description.position, dtype=np.float64), normalized(description.orientation)])

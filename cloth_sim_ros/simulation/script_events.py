@@ -24,8 +24,8 @@ class ScriptEvents:
     def __init__(self, scripts: Sequence[GripperScript], period: float) -> None:
         self._scripts = scripts
         self._period = period
-        self._waiting = [list(script.grasps) for script in scripts]
-        self._told: list[Event | None] = [None] * len(scripts)
+        self._pending = [list(script.grasps) for script in scripts]
+        self._last_targets: list[Event | None] = [None] * len(scripts)
 
     def at(self, frame: int) -> list[Event]:
         """Return the events of the frame that ends with index `frame` + 1. Call it for the frames in order.
@@ -35,10 +35,10 @@ class ScriptEvents:
         events: list[Event] = []
         for index, script in enumerate(self._scripts):
             target = Target(script.gripper, *script.pose((frame + 1) * self._period))
-            if target != self._told[index]:
-                self._told[index] = target
+            if target != self._last_targets[index]:
+                self._last_targets[index] = target
                 events.append(target)
-            waiting = self._waiting[index]
-            while waiting and waiting[0].time <= frame * self._period + 1e-9:
-                events.append(Grasp(script.gripper, waiting.pop(0).closed))
+            pending = self._pending[index]
+            while pending and pending[0].time <= frame * self._period + 1e-9:
+                events.append(Grasp(script.gripper, pending.pop(0).closed))
         return events

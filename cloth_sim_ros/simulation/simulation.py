@@ -13,14 +13,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.book import Book, note
+from cloth_sim_ros.physics.controller_state import reset_step_control
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
-from cloth_sim_ros.physics.remembered import restart
+from cloth_sim_ros.physics.old_names import with_old_names
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator, accumulate
 from cloth_sim_ros.scene import relaxation
-from cloth_sim_ros.scene.rebuild import Plans
+from cloth_sim_ros.scene.plan_cache import PlanCache
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.bodies import (
+    build_grippers,
+    build_obstacles,
+    build_parallel_grippers,
+    change_obstacles,
+    frame_wrenches,
+    plan_paths,
+    set_constant_paths,
+    stop_bodies,
+)
 from cloth_sim_ros.simulation.contact_recovery import (
     ContactRecovery,
     begin_recovery,
@@ -28,11 +39,11 @@ from cloth_sim_ros.simulation.contact_recovery import (
     contact_recovery,
     end_recovery,
     pad_rows,
+    particles_in_contact,
     reduce_contacts,
     relieved_particles,
-    touching_particles,
 )
-from cloth_sim_ros.simulation.event_checks import check, check_added, check_all
+from cloth_sim_ros.simulation.event_checks import check, check_all, check_new_scene
 from cloth_sim_ros.simulation.events import (
     Event,
     Grasp,
@@ -48,29 +59,20 @@ from cloth_sim_ros.simulation.events import (
 from cloth_sim_ros.simulation.exclusive import ExclusiveAccess, between_frames, exclusive
 from cloth_sim_ros.simulation.frame import Frame
 from cloth_sim_ros.simulation.grippers import GraspResult
-from cloth_sim_ros.simulation.holding import grasp, hold, starting_states, stop
-from cloth_sim_ros.simulation.loads import JUMP, is_gentle
-from cloth_sim_ros.simulation.sleep import Sleep, is_asleep, sleeps_until, wake
-from cloth_sim_ros.simulation.snapshot import Snapshot, give_back, taken
-from cloth_sim_ros.simulation.surroundings import (
-    booked,
-    change_obstacles,
-    grippers_of,
-    halt,
-    obstacles_of,
-    pinching_of,
-    plan_movers,
-    stand,
-)
+from cloth_sim_ros.simulation.initial_state import apply_grasp, starting_states, stop_anchored, stop_particles
+from cloth_sim_ros.simulation.parameter_change import MAX_VELOCITY_CHANGE, is_small_change
+from cloth_sim_ros.simulation.sleep import SleepRule, is_asleep, sleeps_until, wake
+from cloth_sim_ros.simulation.snapshot import Snapshot, restore_parts, take_snapshot
 
 if TYPE_CHECKING:
     from cloth_sim_ros.simulation.energy_watch import EnergyReport, EnergyWatch
 
 
 #: Events that may compress or relieve contacts.
-_MAY_REDUCE = (Grasp, SetParameters, Reset)
+_CONTACT_EVENTS = (Grasp, SetParameters, Reset)
 
 
+@with_old_names(held="grasped_count", rates="spectral_bounds", rests="is_in_equilibrium", sleeps_on="will_stay_asleep")
 class Simulation(ExclusiveAccess):
     """A cloth that moves frame by frame.
 
@@ -88,8 +90,8 @@ class Simulation(ExclusiveAccess):
     def __init__(self, scene: Scene, state: State | None = None) -> None:
         super().__init__()
         self._initial, self.state = starting_states(scene, state)
-        self.grippers = grippers_of(scene, self.state)
-        self.obstacles = obstacles_of(scene, self.state)
+        self.grippers = build_grippers(scene, self.state)
+        self.obstacles = build_obstacles(scene, self.state)
         if state is None and self.obstacles is not None:
             try:
                 self.obstacles.check_outside(self.obstacles.names, scene.anchored_particles())
@@ -100,15 +102,15 @@ class Simulation(ExclusiveAccess):
         # Two shortcuts for a sleeping sheet. Both follow from the state and are not part of it.
         # First: the criterion of sleep was checked under the present parameters, and wrenches are accumulated.
         # Second: the last frame, kept as long as a next frame without events can only repeat it.
-        self._known_to_rest = False
-        self._slept: Frame | None = None
-        self._plans = Plans(scene)
+        self._is_rest_verified = False
+        self._repeatable_frame: Frame | None = None
+        self._plan_cache = PlanCache(scene)
         self._apply_scene(scene)
         # Only frame 0 and a new thickness need the check: later states are reached from a collision-free start.
         if self.plan.contact is not None:
             thickness = scene.contact.thickness
             if not self.state.frame or self.state.thickness not in (None, thickness):
-                self.plan.contact.check_clear(self.time, self.state.x)
+                self.plan.contact.check_initial_penetration(self.time, self.state.x)
                 reduce_contacts(self.plan, self.state, self.time, "the cloth")
             self.state.thickness = thickness
 
@@ -138,17 +140,17 @@ class Simulation(ExclusiveAccess):
         return is_asleep(self.state)
 
     @property
-    def sleeps_on(self) -> bool:
+    def will_stay_asleep(self) -> bool:
         """True if the next frame costs nothing: without events it can only repeat the last one."""
-        return self._slept is not None and self.frame < sleeps_until(self.state)
+        return self._repeatable_frame is not None and self.frame < sleeps_until(self.state)
 
     @between_frames
-    def held(self, index: int) -> int:
+    def grasped_count(self, index: int) -> int:
         """Return the number of particles that a gripper grasps, or has between its pads."""
         name = self.grippers.names[index]
         if self.pinching is not None and name in self.pinching.names:
-            return self.pinching.held(self.plan, self.time, name)
-        return int(self.grippers.held(index).size)
+            return self.pinching.grasped_count(self.plan, self.time, name)
+        return int(self.grippers.grasped_particles(index).size)
 
     @property
     @between_frames
@@ -163,15 +165,15 @@ class Simulation(ExclusiveAccess):
         return self.state.velocities
 
     @exclusive
-    def rests(self) -> bool:
+    def is_in_equilibrium(self) -> bool:
         """Return True if the cloth, released at rest, would stay in place by the criterion of sleep."""
-        return self._sleep.rests(self.state, self.time)
+        return self._sleep.is_in_equilibrium(self.state, self.time)
 
     @exclusive
     def energy(self) -> float:
         """Return kinetic plus potential energy [J] of the present state."""
         if self.plan.contact is not None:
-            self.plan.contact.take(self.state)
+            self.plan.contact.load_state(self.state)
         return self.plan.energy(self.time, self.state.x, self.state.v)
 
     @exclusive
@@ -182,12 +184,12 @@ class Simulation(ExclusiveAccess):
         None without obstacles and pads.
         """
         contact = self.plan.contact
-        return None if contact is None else contact.gaps_of(self.state, self.time)
+        return None if contact is None else contact.contact_gaps_of(self.state, self.time)
 
     @exclusive
-    def rates(self, scene: Scene) -> tuple[float, float]:
+    def spectral_bounds(self, scene: Scene) -> tuple[float, float]:
         """Return bounds of the squared highest frequency [1/s^2] and the damping rate [1/s] for another scene."""
-        return self._plans.rates(scene, self.state.x)
+        return self._plan_cache.spectral_bounds(scene, self.state.x)
 
     @between_frames
     def check(self, event: Event) -> None:
@@ -205,7 +207,7 @@ class Simulation(ExclusiveAccess):
         Raises:
             EventError: naming the obstacle and the location.
         """
-        check_added(self._scene, scene, self.state)
+        check_new_scene(self._scene, scene, self.state)
 
     @exclusive
     def advance(self, events: Sequence[Event] = ()) -> Frame:
@@ -217,17 +219,17 @@ class Simulation(ExclusiveAccess):
             EventError: for an event that can't take effect.
             UnstableError: if the motion does not stay finite.
         """
-        if self._slept is not None and not events and self.sleeps_on:
+        if self._repeatable_frame is not None and not events and self.will_stay_asleep:
             self.state.frame += 1
-            return self._slept.again(self.frame, self.time)
-        self._slept = None
+            return self._repeatable_frame.repeated(self.frame, self.time)
+        self._repeatable_frame = None
         in_order = ordered(list(events))
         check_all(in_order, self._scene, self.state, self._initial)
         before = self._snapshot()
         try:
             return self._advance(in_order)
         except BaseException:
-            self._become(before)
+            self._assign(before)
             raise
 
     @exclusive
@@ -238,16 +240,16 @@ class Simulation(ExclusiveAccess):
         return self._snapshot()
 
     def _snapshot(self) -> Snapshot:
-        return taken(
+        return take_snapshot(
             scene=self._scene,
             state=self.state,
             initial=self._initial,
             plan=self.plan,
-            gripped=self.grippers,
-            book=self._book,
-            watched=self._energy,
+            gripper_set=self.grippers,
+            accumulator=self._accumulator,
+            balance=self._energy_watch,
             report=self.energy_report,
-            rest=(self._known_to_rest, self._slept),
+            sleep=(self._is_rest_verified, self._repeatable_frame),
         )
 
     @exclusive
@@ -258,170 +260,176 @@ class Simulation(ExclusiveAccess):
             ValueError: for a snapshot of another scene; the message names a parameter that differs.
         """
         snapshot.check_fits(self._scene)
-        self._become(snapshot)
+        self._assign(snapshot)
 
     def _advance(self, events: list[Event]) -> Frame:
         grasps: list[GraspResult] = []
-        stepped = False
+        is_stepped = False
         for event in events:
             match event:
                 case Target(gripper=name):
-                    first = self.grippers.set_target(event)
-                    if first and self.pinching is not None and name in self.pinching.names:
-                        self._stand_obstacles()
+                    is_first = self.grippers.set_target(event)
+                    if is_first and self.pinching is not None and name in self.pinching.names:
+                        self._place_bodies()
                         rows = pad_rows(self.plan, name)
                         reduce_contacts(self.plan, self.state, self.time, f"target of '{name}': the cloth", rows=rows)
                 case Move():
                     assert self.obstacles is not None
                     self.obstacles.set_target(event)
                 case Grasp():
-                    held = np.empty(0, dtype=np.int64) if event.closed else self._held(event.gripper)
-                    grasps.append(grasp(event, self.state, self._scene, self.model, self.grippers, self.pinching))
-                    if held.size:
-                        reduce_contacts(self.plan, self.state, self.time, relieved=held)
+                    grasped = np.empty(0, dtype=np.int64) if event.closed else self._grasped_particles(event.gripper)
+                    grasps.append(apply_grasp(event, self.state, self._scene, self.model, self.grippers, self.pinching))
+                    if grasped.size:
+                        reduce_contacts(self.plan, self.state, self.time, relieved=grasped)
                 case SetParameters(values=values):
                     self._set_parameters(values)
                 case Relax(factor=factor):
                     relaxation.set_factor(self.state, factor)
-                    self._hold_tolerance()
+                    self._apply_tolerance()
                     wake(self.state)
                 case Pause(paused=paused):
                     self.state.memory["paused"] = np.array([paused])
                 case Step():
-                    stepped = True
+                    is_stepped = True
                 case Reset():
                     self._reset()
-        concerned = any(isinstance(event, _MAY_REDUCE) for event in events)
-        recovery = contact_recovery(self.plan, self.state) if concerned else None
-        moved = stepped or not self.paused
-        done = self._move() if moved else None
-        pinches = self.pinching.settle(self.plan, self.time) if moved and self.pinching is not None else []
-        halted = self._halted if moved else ()
-        lags = moved and (halted or self.grippers.limited)
-        wrenches, loads = booked(self._book if moved else None, self.plan, self.grippers, self.pinching)
+        may_reduce = any(isinstance(event, _CONTACT_EVENTS) for event in events)
+        recovery = contact_recovery(self.plan, self.state) if may_reduce else None
+        is_moved = is_stepped or not self.paused
+        done = self._advance_time() if is_moved else None
+        pinches = self.pinching.report_rested(self.plan, self.time) if is_moved and self.pinching is not None else []
+        stopped = self._stopped if is_moved else ()
+        is_lagging = is_moved and (stopped or self.grippers.speed_limited)
+        wrenches, obstacle_wrenches = frame_wrenches(
+            self._accumulator if is_moved else None, self.plan, self.grippers, self.pinching
+        )
         frame = Frame(
             index=self.frame,
             time=self.time,
             events=tuple(events),
             grasps=tuple(grasps),
             pinches=tuple(pinches),
-            halted=halted,
-            lagging=self.grippers.lagging(halted) if lags else (),
+            stopped=stopped,
+            lagging=self.grippers.lagging(stopped) if is_lagging else (),
             recovery=recovery,
-            moved=moved,
+            moved=is_moved,
             integrator=done.integrator if done else self._integrator.name,
             tolerance=self._tolerance,
             advance=done,
             wrenches=wrenches,
-            loads=loads,
+            obstacle_wrenches=obstacle_wrenches,
         )
-        if done and not done.steps and not self.paused and self._settled:
-            self._slept = frame
+        if done and not done.steps and not self.paused and self._is_at_rest:
+            self._repeatable_frame = frame
         return frame
 
-    def _held(self, gripper: str) -> NDArray[np.int64]:
+    def _grasped_particles(self, gripper: str) -> NDArray[np.int64]:
         """Return the indices of the particles that a gripper grasps, or that touch its pads."""
         if self.plan.contact is not None:
             # Poses come from the state: a path's end rounds differently, and a run from a saved state has no path.
-            self._stand_obstacles()
+            self._place_bodies()
         if self.pinching is not None and gripper in self.pinching.names:
-            return touching_particles(self.plan, self.state, self.time, pad_rows(self.plan, gripper).tolist()[:-1])
-        return self.grippers.held(self.grippers.names.index(gripper))
+            return particles_in_contact(self.plan, self.state, self.time, pad_rows(self.plan, gripper).tolist()[:-1])
+        return self.grippers.grasped_particles(self.grippers.names.index(gripper))
 
     def _set_parameters(self, values: dict[str, Any]) -> None:
         before, scene, anchors = self._scene, self._scene.changed(values), self.model.anchors
         if self.plan.contact is not None:
-            self._stand_obstacles()  # see `_grasped_particles`
+            self._place_bodies()  # see `_grasped_particles`
         relieved = relieved_particles(self.plan, self.state, self.time, before, scene)
-        observing = all(entry.observes for entry in scene.entries if entry.name in values)
+        affects_no_motion = all(entry.observes for entry in scene.entries if entry.name in values)
         # A motion that was already beyond the fixed step is not caused by the parameters.
-        stable = observing or self._holds_step()
-        self._initial = self._initial.share()  # snapshots share the old one
+        is_step_stable = affects_no_motion or self._is_step_stable()
+        self._initial = self._initial.shallow_copy()  # snapshots share the old one
         change_obstacles(before, scene, (self.state, self._initial))
-        self.obstacles = obstacles_of(scene, self.state)
+        self.obstacles = build_obstacles(scene, self.state)
         self._apply_scene(scene)
-        if observing:
+        if affects_no_motion:
             return
-        if not is_gentle(values, before, scene, self.state.v):
-            restart(self.state, entirely=stable)
+        if not is_small_change(values, before, scene, self.state.v):
+            reset_step_control(self.state, entirely=is_step_stable)
         wake(self.state)
-        stop(self.state, np.setdiff1d(self.model.anchors, anchors))
+        stop_particles(self.state, np.setdiff1d(self.model.anchors, anchors))
         self.state.thickness = None if self.plan.contact is None else scene.contact.thickness
         rows = compressed_rows(before, scene)
         if rows.any() or relieved.size:
             reduce_contacts(self.plan, self.state, self.time, "the cloth", rows=rows, relieved=relieved)
 
-    def _move(self) -> Advance:
+    def _advance_time(self) -> Advance:
         state, start, period = self.state, self.time, self._period
         done: Advance | None = None
-        self._halted: tuple[str, ...] = ()
-        if is_asleep(state) and self._known_to_rest and self._settled and self.frame < sleeps_until(state):
+        self._stopped: tuple[str, ...] = ()
+        if is_asleep(state) and self._is_rest_verified and self._is_at_rest and self.frame < sleeps_until(state):
             done = self._sleep.frame(self._integrator.name)
         else:
-            before = None if self.plan.contact is None else state.share()
-            self._plan_movers(start)
-            if is_asleep(state) and self._sleeps_on(start):
+            before = None if self.plan.contact is None else state.shallow_copy()
+            self._plan_paths(start)
+            if is_asleep(state) and self._may_stay_asleep(start):
                 done = self._sleep.frame(self._integrator.name)
         if done is None:
-            self._known_to_rest = False
-            if self._energy is not None:
-                self._energy.begin(state, start)
+            self._is_rest_verified = False
+            if self._energy_watch is not None:
+                self._energy_watch.begin(state, start)
             try:
-                done = self._integrator.advance(self.plan, state, start, period, self._book)
+                done = self._integrator.advance(self.plan, state, start, period, self._accumulator)
             except UnstableError:
                 if before is not None:
                     state.restore(before)
-                    self._halted = halt(self.obstacles, self.grippers)
-                if not self._halted:
+                    self._stopped = stop_bodies(self.obstacles, self.grippers)
+                if not self._stopped:
                     raise
                 # With stopped bodies a solution always exists: the cloth at rest.
-                self._plan_movers(start)
-                done = self._integrator.advance(self.plan, state, start, period, self._book)
-            if self._energy is not None and self._book is not None:
-                self.energy_report = self._energy.end(state, start + period, self._book)
-            moving = None if self._energy is None else state.share()
-            if self._sleep.follow(state, start + period) and self._energy is not None and moving is not None:
-                self.energy_report = self._energy.stop(moving)
+                self._plan_paths(start)
+                done = self._integrator.advance(self.plan, state, start, period, self._accumulator)
+            if self._energy_watch is not None and self._accumulator is not None:
+                self.energy_report = self._energy_watch.end(state, start + period, self._accumulator)
+            state_before_sleep = None if self._energy_watch is None else state.shallow_copy()
+            if (
+                self._sleep.update(state, start + period)
+                and self._energy_watch is not None
+                and state_before_sleep is not None
+            ):
+                self.energy_report = self._energy_watch.stop(state_before_sleep)
         state.frame += 1
         end_recovery(self.plan, state, self.time)
         return done
 
     @property
-    def _settled(self) -> bool:
+    def _is_at_rest(self) -> bool:
         """True if grippers and obstacles are at rest."""
-        return self.grippers.settled and (self.obstacles is None or self.obstacles.settled)
+        return self.grippers.is_at_rest and (self.obstacles is None or self.obstacles.is_at_rest)
 
-    def _plan_movers(self, t: float) -> None:
+    def _plan_paths(self, t: float) -> None:
         """Upload the paths of grippers and obstacles over the frame that starts at time t [s]."""
-        change = plan_movers(self.plan, self._scene, self.obstacles, self.pinching, self.grippers, t)
+        change = plan_paths(self.plan, self._scene, self.obstacles, self.pinching, self.grippers, t)
         begin_recovery(self.plan, self.state, t, self._period)
-        if change > JUMP * self._period:
-            restart(self.state)
+        if change > MAX_VELOCITY_CHANGE * self._period:
+            reset_step_control(self.state)
 
-    def _sleeps_on(self, t: float) -> bool:
+    def _may_stay_asleep(self, t: float) -> bool:
         """Return True if a sleeping cloth may stay asleep; its wrenches are then accumulated."""
         # A loaded state may have fallen asleep under other parameters, so the criterion is checked once. A state that
         # fell asleep under these parameters always passes, because criterion and positions are the same.
-        if not self._known_to_rest and not self._sleep.rests(self.state, t):
+        if not self._is_rest_verified and not self._sleep.is_in_equilibrium(self.state, t):
             wake(self.state)
-        if not is_asleep(self.state) or not self._sleep.goes_on(self.state):
+        if not is_asleep(self.state) or not self._sleep.may_stay_asleep(self.state):
             return False
-        self._known_to_rest = True
-        if self._book is not None:
-            self._book.restart()
-            note(self._book, self.plan, t, self.state.x, self.state.v, self._period)
+        self._is_rest_verified = True
+        if self._accumulator is not None:
+            self._accumulator.reset()
+            accumulate(self._accumulator, self.plan, t, self.state.x, self.state.v, self._period)
         return True
 
     def _reset(self) -> None:
         frame, paused, factor = self.state.frame, self.paused, relaxation.factor_of(self.state)
         self.state.restore(self._initial)
-        hold(self._scene, self.state)
+        stop_anchored(self._scene, self.state)
         relaxation.set_factor(self.state, factor)
         self.state.frame = frame
         self.state.memory["paused"] = np.array([paused])
-        self.grippers = grippers_of(self._scene, self.state)
-        self.obstacles = obstacles_of(self._scene, self.state)
-        self._stand_obstacles()
+        self.grippers = build_grippers(self._scene, self.state)
+        self.obstacles = build_obstacles(self._scene, self.state)
+        self._place_bodies()
         reduce_contacts(self.plan, self.state, self.time, "the cloth as it starts")
 
     @property
@@ -430,55 +438,67 @@ class Simulation(ExclusiveAccess):
         """Contacts with a reduced thickness and their recovery time; None if every contact has the full one."""
         return contact_recovery(self.plan, self.state)
 
-    def _stand_obstacles(self) -> None:
+    def _place_bodies(self) -> None:
         """Place obstacles and pads at their present poses for contact, until the next frame moves them."""
         #: Pinching grippers; None without any.
-        self.pinching = pinching_of(self.plan, self.grippers, self.state)
+        self.pinching = build_parallel_grippers(self.plan, self.grippers, self.state)
         if self.plan.contact is not None:
-            stand(self.plan.contact.force, self.obstacles, self.pinching, self.grippers, self.time)
+            set_constant_paths(self.plan.contact.force, self.obstacles, self.pinching, self.grippers, self.time)
 
     def _apply_scene(self, scene: Scene) -> None:
         self._scene, self._period = scene, scene.period
-        self.plan = self._plans.change(scene)
+        self.plan = self._plan_cache.change(scene)
         self.model = self.plan.model
-        watches = scene.diagnostics.energy
+        is_energy_watched = scene.diagnostics.energy
         grippers, obstacles = self.plan.gripper_count, self.plan.obstacle_count
-        noted = grippers or obstacles or watches
-        self._book = Book(grippers, powers=watches, obstacle_count=obstacles) if noted else None
-        self._stand_obstacles()
-        self._energy: EnergyWatch | None = None
-        if watches:
+        needs_accumulator = grippers or obstacles or is_energy_watched
+        self._accumulator = (
+            WorkAccumulator(grippers, record_power=is_energy_watched, obstacle_count=obstacles)
+            if needs_accumulator
+            else None
+        )
+        self._place_bodies()
+        self._energy_watch: EnergyWatch | None = None
+        if is_energy_watched:
             from cloth_sim_ros.simulation.energy_watch import EnergyWatch
 
-            self._energy = EnergyWatch(self.plan)
+            self._energy_watch = EnergyWatch(self.plan)
         self.energy_report = None
-        self._hold_tolerance()
+        self._apply_tolerance()
 
-    def _holds_step(self) -> bool:
+    def _is_step_stable(self) -> bool:
         """Return True if the fixed step is within the present stability limit, or no step is set."""
         step = self._scene.step
-        return not step or step <= self._integrator.step_limit(*self.plan.rates(self.state.x))
+        return not step or step <= self._integrator.step_limit(*self.plan.spectral_bounds(self.state.x))
 
-    def _hold_tolerance(self) -> None:
+    def _apply_tolerance(self) -> None:
         """Set the tolerance in force for integrator and sleep: the scene's times the state's relaxation factor."""
-        scene, self._factor = self._scene, relaxation.factor_of(self.state)
-        self._integrator = scene.build_integrator(factor=self._factor)
+        scene, self._relaxation_factor = self._scene, relaxation.factor_of(self.state)
+        self._integrator = scene.build_integrator(factor=self._relaxation_factor)
         #: Tolerance in force [m]; None if the step is fixed or no tolerance is set.
-        self._tolerance = (relaxation.relaxed(scene.tolerance, self._factor) or None) if not scene.step else None
-        self._sleep = Sleep(self.plan, tolerance=self._tolerance, period=scene.period)
-        self._known_to_rest, self._slept = False, None
+        self._tolerance = (
+            (relaxation.relaxed_tolerance(scene.tolerance, self._relaxation_factor) or None) if not scene.step else None
+        )
+        self._sleep = SleepRule(self.plan, tolerance=self._tolerance, period=scene.period)
+        self._is_rest_verified, self._repeatable_frame = False, None
 
-    def _become(self, snapshot: Snapshot) -> None:
+    def _assign(self, snapshot: Snapshot) -> None:
         scene = snapshot.scene
-        self.state.become(snapshot.state)
+        self.state.assign(snapshot.state)
         self._initial = snapshot.initial
         if scene is not self._scene and scene != self._scene:
-            self.obstacles = obstacles_of(scene, self.state)
+            self.obstacles = build_obstacles(scene, self.state)
             self._apply_scene(scene)
-        elif relaxation.factor_of(self.state) != self._factor:
-            self._hold_tolerance()
+        elif relaxation.factor_of(self.state) != self._relaxation_factor:
+            self._apply_tolerance()
         self._scene = scene
-        give_back(snapshot, plan=self.plan, gripped=self.grippers, book=self._book, watched=self._energy)
-        if self._energy is not None and snapshot.energy is not None:
+        restore_parts(
+            snapshot,
+            plan=self.plan,
+            gripper_set=self.grippers,
+            accumulator=self._accumulator,
+            balance=self._energy_watch,
+        )
+        if self._energy_watch is not None and snapshot.energy is not None:
             self.energy_report = snapshot.energy[1]
-        self._known_to_rest, self._slept = snapshot.rest
+        self._is_rest_verified, self._repeatable_frame = snapshot.sleep

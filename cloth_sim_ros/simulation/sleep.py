@@ -21,22 +21,22 @@ import numpy as np
 
 from cloth_sim_ros.physics.arrays import largest_distance
 from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.controller_state import JAWS_KEY, reset_step_control
+from cloth_sim_ros.physics.controller_state import SLEEP_POSITIONS_KEY as FROM
+from cloth_sim_ros.physics.controller_state import SLEEP_VELOCITIES_KEY as VELOCITY
+from cloth_sim_ros.physics.controller_state import SleepState as Memory
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import PINCHED, restart
-from cloth_sim_ros.physics.remembered import SLEEP_FROM as FROM
-from cloth_sim_ros.physics.remembered import SLEEP_VELOCITY as VELOCITY
-from cloth_sim_ros.physics.remembered import Sleep as Memory
 from cloth_sim_ros.physics.state import State
 
 #: Accelerations below this many rounding errors of a coordinate, times the largest squared frequency, count as zero.
-_ROUNDINGS = 4.0
+_ROUNDING_FACTOR = 4.0
 #: Longest sleep [frames], for a sheet whose motion rounds to zero.
-_FOR_GOOD = 2.0**53
+_MAX_FRAMES = 2.0**53
 
 
-class Sleep:
+class SleepRule:
     """Criterion and duration of sleep for one simulation. Everything that it stores is in the state.
 
     Args:
@@ -48,81 +48,85 @@ class Sleep:
     def __init__(self, plan: Plan, *, tolerance: float | None, period: float) -> None:
         self._plan, self._period = plan, period
         self._tolerance = tolerance or 0.0
-        self._room = CONSTANTS.drift * self._tolerance
-        self._frames = max(2, math.ceil(CONSTANTS.calm / period))
+        self._max_drift = CONSTANTS.sleep_drift_fraction * self._tolerance
+        self._watch_frames = max(2, math.ceil(CONSTANTS.sleep_quiet_time / period))
 
-    def follow(self, state: State, t: float) -> bool:
+    def update(self, state: State, t: float) -> bool:
         """Update with a frame that moved and ended at time t [s]; put the sheet to sleep if the criterion permits.
 
         Returns:
             True if the sheet fell asleep.
         """
-        if not self._calm(state):
+        if not self._is_calm(state):
             state.memory.pop(FROM, None)
             return False
-        memory = Memory.of(state)
+        memory = Memory.load(state)
         if FROM not in state.memory:
             # The watch starts here.
-            state.memory[FROM], memory.frames = state.x, 0.0
+            state.memory[FROM], memory.quiet_frames = state.x, 0.0
             memory.store(state)
             return False
-        memory.frames += 1.0
-        if memory.frames < self._frames:
+        memory.quiet_frames += 1.0
+        if memory.quiet_frames < self._watch_frames:
             memory.store(state)
             return False
-        moved = largest_distance(state.x, state.memory.pop(FROM)) * CONSTANTS.calm / (memory.frames * self._period)
-        memory.used += 2.0 * max(moved, memory.moved) * memory.slept
-        memory.slept, memory.moved, memory.frames = 0.0, moved, 0.0
-        frames = self._most(moved, self._room - memory.used)
-        if frames >= self._frames and self.rests(state, t):
-            memory.until = min(_FOR_GOOD, float(state.frame + 1 + frames))
-            memory.slept = frames * self._period
+        drift_rate = (
+            largest_distance(state.x, state.memory.pop(FROM))
+            * CONSTANTS.sleep_quiet_time
+            / (memory.quiet_frames * self._period)
+        )
+        memory.drift_used += 2.0 * max(drift_rate, memory.max_displacement) * memory.sleep_time
+        memory.sleep_time, memory.max_displacement, memory.quiet_frames = 0.0, drift_rate, 0.0
+        frames = self._max_sleep_frames(drift_rate, self._max_drift - memory.drift_used)
+        if frames >= self._watch_frames and self.is_in_equilibrium(state, t):
+            memory.wake_frame = min(_MAX_FRAMES, float(state.frame + 1 + frames))
+            memory.sleep_time = frames * self._period
             state.memory[VELOCITY], state.v = state.v, np.zeros_like(state.v)
         memory.store(state)
         return is_asleep(state)
 
-    def _most(self, moved: float, room: float) -> int:
+    def _max_sleep_frames(self, drift_rate: float, budget: float) -> int:
         """Return the largest number of frames of sleep; `drift_rate`: motion in a second [m], `budget`: permitted
         motion [m].
         """
-        if room <= 0.0:
+        if budget <= 0.0:
             return 0
-        if moved == 0.0:
-            return int(_FOR_GOOD)
+        if drift_rate == 0.0:
+            return int(_MAX_FRAMES)
         # d (T + 4 T^2) = room, without cancellation.
-        ratio = room / moved
-        return int(min(_FOR_GOOD, 2.0 * ratio / (1.0 + math.sqrt(1.0 + 16.0 * ratio)) / self._period))
+        ratio = budget / drift_rate
+        return int(min(_MAX_FRAMES, 2.0 * ratio / (1.0 + math.sqrt(1.0 + 16.0 * ratio)) / self._period))
 
-    def rests(self, state: State, t: float) -> bool:
+    def is_in_equilibrium(self, state: State, t: float) -> bool:
         """Return True if a state, released at rest at time t [s], is accelerated by no more than sleep permits."""
         model = self._plan.model
-        if not self._tolerance or not self._steady() or state.v[:, model.anchors].any():
+        if not self._tolerance or not self._is_steady() or state.v[:, model.anchors].any():
             return False
         if self._plan.contact is not None:
-            self._plan.contact.take(state)
+            self._plan.contact.load_state(state)
         acceleration = np.empty_like(state.x)
         self._plan.accelerations(t, state.x, np.zeros_like(state.v), acceleration)
         coordinate = max(float(state.x.max()), -float(state.x.min()))
-        omega2, _ = self._plan.rates(state.x)
-        rounding = _ROUNDINGS * float(np.finfo(np.float64).eps) * omega2 * coordinate
-        most = max(self._room, rounding)
+        omega2, _ = self._plan.spectral_bounds(state.x)
+        rounding = _ROUNDING_FACTOR * float(np.finfo(np.float64).eps) * omega2 * coordinate
+        max_acceleration = max(self._max_drift, rounding)
         contact = self._plan.contact
-        if contact is not None and contact.force.pads:
-            pushed = contact.pad_accelerations(t, state.x, np.zeros_like(state.v))
-            if not (np.abs(pushed) <= most).all():
+        if contact is not None and contact.force.jaws:
+            pad_accelerations = contact.jaw_accelerations(t, state.x, np.zeros_like(state.v))
+            if not (np.abs(pad_accelerations) <= max_acceleration).all():
                 return False
-        return bool(all_below(acceleration, most))
+        return bool(are_all_below(acceleration, max_acceleration))
 
-    def goes_on(self, state: State) -> bool:
+    def may_stay_asleep(self, state: State) -> bool:
         """Return True if a sleeping sheet may stay asleep. Otherwise wake it.
 
         It wakes if its time is up, or if a body that it hangs on moves.
         """
-        if not self._steady():
+        if not self._is_steady():
             wake(state)
             return False
-        if state.frame >= Memory.of(state).until:
-            _rise(state)
+        if state.frame >= Memory.load(state).wake_frame:
+            _resume_motion(state)
             return False
         return True
 
@@ -134,20 +138,20 @@ class Sleep:
             step=0.0,
             limit=math.inf,
             integrator=integrator,
-            binds="rest",
-            error=self._room * self._period / CONSTANTS.calm,
+            limited_by="rest",
+            error=self._max_drift * self._period / CONSTANTS.sleep_quiet_time,
             reason=f"asleep: at rest within the tolerance {self._tolerance:g} m until something touches the cloth",
         )
 
-    def _steady(self) -> bool:
+    def _is_steady(self) -> bool:
         return self._plan.steady()
 
-    def _calm(self, state: State) -> bool:
-        limit = self._room / CONSTANTS.calm
-        pads = state.memory.get(PINCHED)
+    def _is_calm(self, state: State) -> bool:
+        limit = self._max_drift / CONSTANTS.sleep_quiet_time
+        pads = state.memory.get(JAWS_KEY)
         if pads is not None and not (np.abs(pads[:, 1]) <= limit).all():
             return False
-        return bool(self._tolerance) and bool(all_below(state.v, limit)) and self._steady()
+        return bool(self._tolerance) and bool(are_all_below(state.v, limit)) and self._is_steady()
 
 
 def is_asleep(state: State) -> bool:
@@ -157,28 +161,28 @@ def is_asleep(state: State) -> bool:
 
 def sleeps_until(state: State) -> float:
     """Return the index of the frame at which a sleeping sheet wakes by itself."""
-    return Memory.of(state).until
+    return Memory.load(state).wake_frame
 
 
 def wake(state: State) -> None:
     """Wake the sheet, if it sleeps, and reset the watch for rest."""
     if is_asleep(state):
-        _rise(state)
-        restart(state)
+        _resume_motion(state)
+        reset_step_control(state)
     for name in (Memory.key, FROM):
         state.memory.pop(name, None)
 
 
-def _rise(state: State) -> None:
+def _resume_motion(state: State) -> None:
     """Restore the velocities that a sleeping sheet had."""
     state.v = state.memory.pop(VELOCITY).copy()
 
 
-def all_below(vectors: Array, limit: float) -> bool:
+def are_all_below(vectors: Array, limit: float) -> bool:
     """Return True if every vector of an array (3, n) is at most as long as the limit; False if one is not finite."""
     # The last particle is checked first. It usually moves if the sheet does, whereas the first ones are often anchored.
     x, y, z = vectors[:, -1].tolist()
     if not x * x + y * y + z * z <= limit * limit:
         return False
-    square = vectors[0] * vectors[0] + vectors[1] * vectors[1] + vectors[2] * vectors[2]
-    return bool((square <= limit * limit).all())
+    squared_lengths = vectors[0] * vectors[0] + vectors[1] * vectors[1] + vectors[2] * vectors[2]
+    return bool((squared_lengths <= limit * limit).all())

@@ -14,10 +14,10 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation import grippers
 from cloth_sim_ros.simulation.frame import Frame
@@ -42,13 +42,13 @@ class Snapshot:
     state: State
     initial: State
     #: Inputs of the plan for the last frame: grips and gripper paths; paths of obstacles and pads, and drives of pads.
-    grips: grippers.Noted
+    grips: grippers.SavedGrips
     contact: tuple[Array, NDArray[np.bool_]] | None
     #: Integrals of the last frame, and the energy balance.
-    book: tuple[Array, float, float, float] | None
-    energy: tuple[energy_watch.Noted, EnergyReport | None] | None
+    accumulator: tuple[Array, float, float, float] | None
+    energy: tuple[energy_watch.SavedBalance, EnergyReport | None] | None
     #: True if the rest of a sleeping cloth was verified, and the frame that it repeats.
-    rest: tuple[bool, Frame | None]
+    sleep: tuple[bool, Frame | None]
 
     @property
     def frame(self) -> int:
@@ -74,13 +74,17 @@ class Snapshot:
         if self.scene is scene or self.scene == scene:
             return
         live = {entry.name for entry in (*self.scene.entries, *scene.entries) if entry.live}
-        mine, theirs = self.scene.parameters(), scene.parameters()
-        for name in (name for name in mine if name not in live):
-            here, there = theirs.get(name), mine[name]
-            if here != there or self._content(self.scene, there) != self._content(scene, here):
-                told = "its file has other content" if here == there else f"{name} is {there!r} there, {here!r} here"
+        snapshot_values, current_values = self.scene.parameters(), scene.parameters()
+        for name in (name for name in snapshot_values if name not in live):
+            current, recorded = current_values.get(name), snapshot_values[name]
+            if current != recorded or self._content(self.scene, recorded) != self._content(scene, current):
+                mismatch = (
+                    "its file has other content"
+                    if current == recorded
+                    else f"{name} is {recorded!r} there, {current!r} here"
+                )
                 raise ValueError(
-                    f"the snapshot is of another scene: {told}; restore it in a simulation of its own scene"
+                    f"the snapshot is of another scene: {mismatch}; restore it in a simulation of its own scene"
                 )
 
     @staticmethod
@@ -88,17 +92,17 @@ class Snapshot:
         return scene.files.get(name) if isinstance(name, str) else None
 
 
-def taken(
+def take_snapshot(
     *,
     scene: Scene,
     state: State,
     initial: State,
     plan: Plan,
-    gripped: Grippers,
-    book: Book | None,
-    watched: EnergyWatch | None,
+    gripper_set: Grippers,
+    accumulator: WorkAccumulator | None,
+    balance: EnergyWatch | None,
     report: EnergyReport | None,
-    rest: tuple[bool, Frame | None],
+    sleep: tuple[bool, Frame | None],
 ) -> Snapshot:
     """Take a snapshot from the parts of a simulation.
 
@@ -116,29 +120,34 @@ def taken(
     contact = plan.contact
     return Snapshot(
         scene=scene,
-        state=state.share(),
+        state=state.shallow_copy(),
         initial=initial,
-        grips=gripped.noted(plan.grips),
-        contact=None if contact is None else (contact.force.paths, contact.force.driven),
-        book=None if book is None else book.noted(),
-        energy=None if watched is None else (watched.noted(), report),
-        rest=rest,
+        grips=gripper_set.save(plan.grips),
+        contact=None if contact is None else (contact.force.paths, contact.force.jaw_commands),
+        accumulator=None if accumulator is None else accumulator.save(),
+        energy=None if balance is None else (balance.save(), report),
+        sleep=sleep,
     )
 
 
-def give_back(
-    snapshot: Snapshot, *, plan: Plan, gripped: Grippers, book: Book | None, watched: EnergyWatch | None
+def restore_parts(
+    snapshot: Snapshot,
+    *,
+    plan: Plan,
+    gripper_set: Grippers,
+    accumulator: WorkAccumulator | None,
+    balance: EnergyWatch | None,
 ) -> None:
     """Restore the inputs and integrals of a snapshot in a simulation of the same scene. The state must be restored
     before.
     """
-    gripped.go_back(snapshot.grips, plan.grips)
+    gripper_set.restore(snapshot.grips, plan.grips)
     if plan.contact is not None and snapshot.contact is not None:
         paths, driven = snapshot.contact
-        plan.contact.force.move(paths)
-        plan.contact.force.drive(driven)
-        plan.contact.force.recover(snapshot.time)
-    if book is not None and snapshot.book is not None:
-        book.go_back(snapshot.book)
-    if watched is not None and snapshot.energy is not None:
-        watched.go_back(snapshot.energy[0])
+        plan.contact.force.set_paths(paths)
+        plan.contact.force.set_jaw_commands(driven)
+        plan.contact.force.start_recovery(snapshot.time)
+    if accumulator is not None and snapshot.accumulator is not None:
+        accumulator.restore(snapshot.accumulator)
+    if balance is not None and snapshot.energy is not None:
+        balance.restore(snapshot.energy[0])

@@ -19,19 +19,24 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.frame_record import FrameRecord
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 from cloth_sim_ros.verify.certificate import (
-    MOST_GROWTH,
-    MOST_OWN,
-    WITHOUT_TOLERANCE,
+    DEFAULT_TOLERANCE,
+    MAX_AMPLIFICATION,
+    MAX_UNCERTAINTY_FRACTION,
+    AccuracyWindow,
     Certificate,
     FrameAccuracy,
     Sample,
-    Window,
 )
-from cloth_sim_ros.verify.fine import distance
-from cloth_sim_ros.verify.independent import frame_by_dop853
-from cloth_sim_ros.verify.motion import Equations, FrameWatch, RunFrame, starting_state
+from cloth_sim_ros.verify.independent_integrator import frame_by_dop853
+from cloth_sim_ros.verify.reference_integrator import max_distance
+from cloth_sim_ros.verify.reference_motion import Equations, FrameCapture, SimulatedFrame, starting_state
+from cloth_sim_ros.verify.reference_solution import (
+    ReferenceResult,
+    ReferenceSolution,
+    later_amplification,
+    reference_positions,
+)
 from cloth_sim_ros.verify.run import Verdict, verify
-from cloth_sim_ros.verify.truth import Told, Truth, frame_truth, later_growth
 
 #: Length of a window [s].
 WINDOW = 1.0
@@ -42,7 +47,7 @@ _FLOAT32 = 2.0**-24
 def certify(
     paths: Sequence[Path],
     *,
-    judged: Callable[[], object] = lambda: None,
+    on_frame: Callable[[], object] = lambda: None,
     particles: BinaryIO | None = None,
     every_sample: bool = False,
 ) -> tuple[Verdict, Certificate]:
@@ -61,66 +66,68 @@ def certify(
     Raises:
         SessionError: if a file cannot be read, or its scene and state make no simulation.
     """
-    watch = _Accuracy(judged, particles, every_sample)
-    verdict = verify(paths, watch=watch)
-    watch.end()
-    certificate = watch.certificate
-    certificate.name, certificate.seconds = verdict.name, watch.seconds
-    verdict.seconds -= watch.seconds
+    certifier = _Certifier(on_frame, particles, every_sample)
+    verdict = verify(paths, observer=certifier)
+    certifier.end()
+    certificate = certifier.certificate
+    certificate.name, certificate.seconds = verdict.name, certifier.seconds
+    verdict.seconds -= certifier.seconds
     return verdict, certificate
 
 
-class _Accuracy:
+class _Certifier:
     """Measures the frames of a re-run; a `RunObserver`."""
 
-    def __init__(self, judged: Callable[[], object], particles: BinaryIO | None, every_sample: bool) -> None:
+    def __init__(self, on_frame: Callable[[], object], particles: BinaryIO | None, every_sample: bool) -> None:
         self.certificate, self.seconds = Certificate(name=""), 0.0
-        self._judged, self._particles, self._every_sample = judged, particles, every_sample
-        self._watch, self._equations = FrameWatch(), Equations()
-        self._frame: RunFrame | None = None
-        self._again = False
+        self._on_frame, self._particles, self._every_sample = on_frame, particles, every_sample
+        self._capture, self._equations = FrameCapture(), Equations()
+        self._frame: SimulatedFrame | None = None
+        self._is_reproduced = False
         self._recorded: NDArray[np.floating] | None = None
-        self._altered = False
-        self._last = -1
-        self._window: Window | None = None
-        self._of_window: Truth | None = None
+        self._is_altered = False
+        self._last_index = -1
+        self._window: AccuracyWindow | None = None
+        self._window_reference: ReferenceSolution | None = None
         #: Frames of the current window.
-        self._frames: list[RunFrame] = []
-        self._of_session: Truth | None = None
+        self._frames: list[SimulatedFrame] = []
+        self._session_reference: ReferenceSolution | None = None
         self._session_start = 0.0
-        self._growth = 0.0
+        self._amplification = 0.0
         #: Distance of the last frame's recorded positions from those of the re-run; its value at the start of the
         #: window [m].
-        self._off = self._off_at_start = 0.0
+        self._deviation = self._start_deviation = 0.0
 
-    def frame(self, simulation: Simulation, was: Scene, before: State, frame: Frame, record: FrameRecord) -> None:
+    def frame(
+        self, simulation: Simulation, scene_before: Scene, before: State, frame: Frame, record: FrameRecord
+    ) -> None:
         """Store a frame of the re-run."""
-        self._frame = self._watch.after(simulation, was, before, frame)
-        self._again = record.digest == simulation.state.digest()
-        self._recorded, self._altered = None, False
+        self._frame = self._capture.capture(simulation, scene_before, before, frame)
+        self._is_reproduced = record.digest == simulation.state.digest()
+        self._recorded, self._is_altered = None, False
 
-    def cloud(self, recorded: NDArray[np.floating], same: bool) -> None:
+    def cloud(self, recorded: NDArray[np.floating], is_same: bool) -> None:
         """Store the frame's recorded positions (n, 3) [m]; `is_same`: they equal those of the re-run."""
         self._recorded = recorded
-        self._altered = not same and self._again
+        self._is_altered = not is_same and self._is_reproduced
 
     def close(self) -> None:
         """Assess the frame, after all its messages."""
         frame, self._frame = self._frame, None
-        self.certificate.altered += self._altered
+        self.certificate.altered += self._is_altered
         if frame is not None:
-            begun = time.perf_counter()
-            self._judge(frame)
-            self.seconds += time.perf_counter() - begun
-            self._off = 0.0 if self._again else _away(self._in_file(), frame.after.x)
-            self._judged()
-        self._altered = False
+            start_time = time.perf_counter()
+            self._assess(frame)
+            self.seconds += time.perf_counter() - start_time
+            self._deviation = 0.0 if self._is_reproduced else _max_error(self._recorded_positions(), frame.after.x)
+            self._on_frame()
+        self._is_altered = False
 
     def end(self) -> None:
         """Assess the last window."""
-        begun = time.perf_counter()
+        start_time = time.perf_counter()
         self._end_window()
-        self.seconds += time.perf_counter() - begun
+        self.seconds += time.perf_counter() - start_time
 
     def _end_window(self) -> None:
         """Measure the amplification of later perturbations if those at its beginning do not explain the window's error.
@@ -129,34 +136,38 @@ class _Accuracy:
         """
         window, self._window = self._window, None
         if window is not None and window.verdict == "not kept" and not window.standing_out:
-            window.later = later_growth(self._equations, self._frames)
+            window.later = later_amplification(self._equations, self._frames)
 
-    def _judge(self, frame: RunFrame) -> None:
+    def _assess(self, frame: SimulatedFrame) -> None:
         start = starting_state(frame)
-        if frame.reset or frame.before.frame != self._last:
+        if frame.reset or frame.before.frame != self._last_index:
             self._end_window()
             self._begin_session(frame, start)
-        self._last = frame.index
+        self._last_index = frame.index
         # A frame reproduced to the last bit began with the recorded state.
-        off = 0.0 if frame.reset or self._again else self._off
+        deviation = 0.0 if frame.reset or self._is_reproduced else self._deviation
         if self._window is None:
-            self._window = Window(number=len(self.certificate.windows), start=frame.t)
+            self._window = AccuracyWindow(number=len(self.certificate.windows), start=frame.t)
             self.certificate.windows.append(self._window)
-            self._of_window, self._growth, self._frames = Truth(start, seed=frame.index), 0.0, []
-            self._off_at_start = off
+            self._window_reference, self._amplification, self._frames = (
+                ReferenceSolution(start, seed=frame.index),
+                0.0,
+                [],
+            )
+            self._start_deviation = deviation
         window = self._window
         self._frames.append(frame)
-        assert self._of_window is not None
-        exact = self._again and not self._altered
+        assert self._window_reference is not None
+        exact = self._is_reproduced and not self._is_altered
         # The recorded positions: those of the re-run if the states are equal, otherwise those in the file.
-        recorded = frame.after.x if exact else self._in_file()
-        true = frame_truth(self._equations, frame, start)
-        told = self._of_window.frame(self._equations, frame)
-        self._growth = max(self._growth, told.growth)
-        session = self._go_on(frame)
-        floor = told.floor + (0.0 if exact else self._rounding() * float(np.abs(told.x).max()))
-        error_of_frame = _away(recorded, true)
-        found = FrameAccuracy(
+        recorded = frame.after.x if exact else self._recorded_positions()
+        frame_reference = reference_positions(self._equations, frame, start)
+        reference = self._window_reference.advance(self._equations, frame)
+        self._amplification = max(self._amplification, reference.amplification)
+        session_reference = self._advance_session(frame)
+        floor = reference.rounding_floor + (0.0 if exact else self._rounding() * float(np.abs(reference.x).max()))
+        error_of_frame = _max_error(recorded, frame_reference)
+        accuracy = FrameAccuracy(
             frame=frame.index,
             time=frame.t + frame.duration,
             window=window.number,
@@ -164,25 +175,25 @@ class _Accuracy:
             flagged=frame.flagged,
             exact=exact,
             error_of_frame=error_of_frame,
-            promise_of_frame=self._promise_of(frame, start, error_of_frame),
-            error=_away(recorded, told.x),
-            growth=self._growth,
+            promise_of_frame=self._frame_error_bound(frame, start, error_of_frame),
+            error=_max_error(recorded, reference.x),
+            growth=self._amplification,
             # If the re-run deviates from the recording, this deviation adds to the uncertainty.
-            own=told.own + self._off_at_start * max(1.0, self._growth) + off,
+            own=reference.uncertainty + self._start_deviation * max(1.0, self._amplification) + deviation,
             floor=floor,
-            session_error=math.nan if session is None else _away(recorded, session.x),
-            session_growth=math.nan if session is None else session.growth,
-            session_own=math.nan if session is None else session.own,
+            session_error=math.nan if session_reference is None else _max_error(recorded, session_reference.x),
+            session_growth=math.nan if session_reference is None else session_reference.amplification,
+            session_own=math.nan if session_reference is None else session_reference.uncertainty,
         )
-        self.certificate.frames.append(found)
-        window.add(found)
-        self._write(recorded, told.x)
+        self.certificate.frames.append(accuracy)
+        window.add(accuracy)
+        self._write(recorded, reference.x)
         if self._every_sample or (window.frames == 1 + window.number % 7 and _is_sampled(window.number)):
-            self._sample(frame, start, true, found)
+            self._sample(frame, start, frame_reference, accuracy)
         if frame.t + 1.5 * frame.duration > window.start + WINDOW:
             self._end_window()
 
-    def _in_file(self) -> Array | None:
+    def _recorded_positions(self) -> Array | None:
         """Return the recorded positions, shape (3, n) [m]; None without a cloud."""
         return None if self._recorded is None else self._recorded.T.astype(np.float64)
 
@@ -190,52 +201,60 @@ class _Accuracy:
         """Return the relative rounding of the recorded positions."""
         return 2.0**-53 if self._recorded is not None and self._recorded.dtype.itemsize == 8 else _FLOAT32
 
-    def _begin_session(self, frame: RunFrame, start: State) -> None:
-        self._of_session, self._session_start = Truth(start, seed=frame.index), frame.t
+    def _begin_session(self, frame: SimulatedFrame, start: State) -> None:
+        self._session_reference, self._session_start = ReferenceSolution(start, seed=frame.index), frame.t
 
-    def _go_on(self, frame: RunFrame) -> Told | None:
+    def _advance_session(self, frame: SimulatedFrame) -> ReferenceResult | None:
         """Advance the reference from the session's beginning; None beyond the horizon."""
-        if self._of_session is None:
+        if self._session_reference is None:
             return None
-        told, certificate = self._of_session.frame(self._equations, frame), self.certificate
+        reference, certificate = self._session_reference.advance(self._equations, frame), self.certificate
         time = frame.t - self._session_start
-        if told.growth <= MOST_GROWTH and told.own <= MOST_OWN * (frame.tolerance or WITHOUT_TOLERANCE):
+        if reference.amplification <= MAX_AMPLIFICATION and reference.uncertainty <= MAX_UNCERTAINTY_FRACTION * (
+            frame.tolerance or DEFAULT_TOLERANCE
+        ):
             certificate.longest = max(certificate.longest, time + frame.duration)
-            return told
-        self._of_session = None
+            return reference
+        self._session_reference = None
         certificate.horizon = time if certificate.horizon is None else min(certificate.horizon, time)
         return None
 
-    def _promise_of(self, frame: RunFrame, start: State, error: float) -> float:
+    def _frame_error_bound(self, frame: SimulatedFrame, start: State, error: float) -> float:
         """Return the error bound of a single frame [m]; nan without a tolerance."""
         if frame.tolerance is None:
             return math.nan
         if not error > frame.tolerance:
             return frame.tolerance
-        return frame.tolerance * max(1.0, Truth(start, seed=frame.index).frame(self._equations, frame).growth)
+        return frame.tolerance * max(
+            1.0, ReferenceSolution(start, seed=frame.index).advance(self._equations, frame).amplification
+        )
 
-    def _sample(self, frame: RunFrame, start: State, true: Array, found: FrameAccuracy) -> None:
-        other = frame_by_dop853(self._equations, frame, start)
+    def _sample(self, frame: SimulatedFrame, start: State, reference: Array, accuracy: FrameAccuracy) -> None:
+        independent = frame_by_dop853(self._equations, frame, start)
         self.certificate.samples.append(
             Sample(
                 frame=frame.index,
-                stated=distance(frame.after.x, true),
-                independent=distance(frame.after.x, other),
-                difference=distance(true, other),
-                tolerance=found.tolerance,
+                stated=max_distance(frame.after.x, reference),
+                independent=max_distance(frame.after.x, independent),
+                difference=max_distance(reference, independent),
+                tolerance=accuracy.tolerance,
             )
         )
 
-    def _write(self, recorded: Array | None, true: Array) -> None:
+    def _write(self, recorded: Array | None, reference: Array) -> None:
         if self._particles is not None:
-            away = np.full(true.shape[1], np.nan) if recorded is None else np.sqrt(np.square(recorded - true).sum(0))
-            self._particles.write(away.astype("<f4").tobytes())
+            errors = (
+                np.full(reference.shape[1], np.nan)
+                if recorded is None
+                else np.sqrt(np.square(recorded - reference).sum(0))
+            )
+            self._particles.write(errors.astype("<f4").tobytes())
 
 
-def _away(recorded: Array | None, true: Array) -> float:
-    if recorded is None or recorded.shape != true.shape:
+def _max_error(recorded: Array | None, reference: Array) -> float:
+    if recorded is None or recorded.shape != reference.shape:
         return math.nan
-    return distance(recorded, true)
+    return max_distance(recorded, reference)
 
 
 def _is_sampled(window: int) -> bool:

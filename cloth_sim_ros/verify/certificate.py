@@ -9,13 +9,13 @@ from typing import Literal
 import attrs
 
 #: Amplification above which positions are unpredictable.
-MOST_GROWTH = 1e3
+MAX_AMPLIFICATION = 1e3
 #: Maximum uncertainty of the certificate, as a fraction of the tolerance.
-MOST_OWN = 0.1
+MAX_UNCERTAINTY_FRACTION = 0.1
 #: Substitute for the tolerance if none is set [m].
-WITHOUT_TOLERANCE = 1e-4
+DEFAULT_TOLERANCE = 1e-4
 
-Verdict = Literal["kept", "flagged", "not kept", "undecided", "no promise"]
+WindowVerdict = Literal["kept", "flagged", "not kept", "undecided", "no promise"]
 
 
 @attrs.frozen(kw_only=True)
@@ -54,7 +54,7 @@ class FrameAccuracy:
     session_own: float
 
     @property
-    def promise(self) -> float:
+    def error_bound(self) -> float:
         """Error bound up to this frame [m]; nan without a tolerance."""
         return float("nan") if self.tolerance is None else self.tolerance * max(1.0, self.growth)
 
@@ -65,7 +65,7 @@ class FrameAccuracy:
 
 
 @attrs.define(kw_only=True)
-class Window:
+class AccuracyWindow:
     """One second of simulated time, from the simulation's state at its beginning; shorter at an end or a reset."""
 
     number: int
@@ -94,36 +94,36 @@ class Window:
 
     def add(self, frame: FrameAccuracy) -> None:
         """Add the next frame."""
-        first = not self.frames
+        is_first = not self.frames
         self.end, self.frames = frame.time, self.frames + 1
         self.flagged += frame.flagged
-        both = None not in (frame.tolerance, self.tolerance)
-        if first:
+        has_tolerances = None not in (frame.tolerance, self.tolerance)
+        if is_first:
             self.tolerance = frame.tolerance
         else:
-            self.tolerance = min(frame.tolerance, self.tolerance) if both else None  # type: ignore[type-var]
+            self.tolerance = min(frame.tolerance, self.tolerance) if has_tolerances else None  # type: ignore[type-var]
         self.judged = self.judged and frame.error == frame.error
         self.standing_out += frame.stands_out
-        if frame.error > self.error or first:
+        if frame.error > self.error or is_first:
             self.error, self.worst = frame.error, frame.frame
         self.growth = max(self.growth, frame.growth)
         self.own, self.floor = max(self.own, frame.own), max(self.floor, frame.floor)
 
     @property
-    def promise(self) -> float:
+    def error_bound(self) -> float:
         """Error bound [m]; nan without a tolerance."""
         return float("nan") if self.tolerance is None else self.tolerance * max(1.0, self.growth, self.later)
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> WindowVerdict:
         """Verdict on the error bound. The rounding floor is added to the bound: no error can be smaller."""
         if self.tolerance is None:
             return "no promise"
         if self.standing_out:
             return "not kept"
-        allowed = self.promise + self.floor
+        allowed = self.error_bound + self.floor
         if self.judged and self.error <= allowed:
-            return "kept" if self.own <= MOST_OWN * allowed else "undecided"
+            return "kept" if self.own <= MAX_UNCERTAINTY_FRACTION * allowed else "undecided"
         if self.flagged:
             return "flagged"
         return "not kept" if self.judged and self.error > allowed + self.own else "undecided"
@@ -145,7 +145,7 @@ class Sample:
     @property
     def agrees(self) -> bool:
         """True if the two differ by at most 20 % of the error or 10 % of the tolerance."""
-        allowed = max(0.2 * self.independent, MOST_OWN * (self.tolerance or WITHOUT_TOLERANCE))
+        allowed = max(0.2 * self.independent, MAX_UNCERTAINTY_FRACTION * (self.tolerance or DEFAULT_TOLERANCE))
         return self.difference <= allowed
 
 
@@ -154,7 +154,7 @@ class Certificate:
     """Accuracy of a session."""
 
     name: str
-    windows: list[Window] = attrs.field(factory=list)
+    windows: list[AccuracyWindow] = attrs.field(factory=list)
     frames: list[FrameAccuracy] = attrs.field(factory=list)
     samples: list[Sample] = attrs.field(factory=list)
     horizon: float | None = None
@@ -166,11 +166,11 @@ class Certificate:
     seconds: float = 0.0
     """Wall time of the measurement [s]."""
 
-    def having(self, *verdicts: Verdict) -> list[Window]:
+    def windows_with(self, *verdicts: WindowVerdict) -> list[AccuracyWindow]:
         """Return the windows with one of the given verdicts."""
         return [window for window in self.windows if window.verdict in verdicts]
 
     @property
-    def kept(self) -> bool:
+    def is_satisfied(self) -> bool:
         """True if every unflagged window with an error bound satisfies it, and the independent integrator agrees."""
-        return not self.having("not kept", "undecided") and all(sample.agrees for sample in self.samples)
+        return not self.windows_with("not kept", "undecided") and all(sample.agrees for sample in self.samples)

@@ -23,23 +23,23 @@ from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.verdict import Findings
 
 #: Maximum number of waiting targets; larger than the limit of the node.
-_MOST_WAITING = 20_000
+_MAX_WAITING_TARGETS = 20_000
 #: Maximum time that a target received before the recording waits for its stamp [ns].
 _GRACE = 1_500_000_000
 #: Maximum lead of a stamp over its arrival [ns].
-_AHEAD = 1_000_000_000
+_MAX_STAMP_LEAD = 1_000_000_000
 #: Events that services and the node cause, without a message.
-_UNASKED = ("set_parameters", "pause", "step", "reset", "relax")
+_UNCOMMANDED_EVENTS = ("set_parameters", "pause", "step", "reset", "relax")
 
 _Pose = tuple[float, ...]
 
 
-class _Waiting(NamedTuple):
+class _PendingTarget(NamedTuple):
     """A received target that has not taken effect yet."""
 
     stamp: int
     """ROS time from which the target is valid [ns]."""
-    number: int
+    arrival_index: int
     """Index in the order of arrival."""
     pose: _Pose
     certain: bool
@@ -68,13 +68,13 @@ class CommandCheck:
             for leaf in leaves
         }
         #: Bodies that are not compared, with the reason: received commands alone do not move them.
-        self._not_told = {name: _FOLLOWS for name in scene.gripper_names if scene.of_gripper(name, "frame")}
-        self._not_told |= {name: _FOLLOWS for name, obstacle in scene.described.items() if obstacle.frame}
-        self._waiting: dict[str, list[_Waiting]] = {}
+        self._untracked = {name: _FOLLOWS for name in scene.gripper_names if scene.of_gripper(name, "frame")}
+        self._untracked |= {name: _FOLLOWS for name, obstacle in scene.described.items() if obstacle.frame}
+        self._waiting: dict[str, list[_PendingTarget]] = {}
         self._newest: dict[str, int] = {}
         self._grasps: dict[str, list[bool]] = {}
         self._count = 0
-        self._known_from: int | None = -1 if from_start else None
+        self._complete_from: int | None = -1 if from_start else None
 
     @property
     def topics(self) -> frozenset[str]:
@@ -88,32 +88,32 @@ class CommandCheck:
             content = decode(message.data, message.type_name)
             pose = None if leaf == "grasp" else _READERS[leaf](content)
         except (SessionError, AttributeError, ValueError):
-            self._leave(message.topic, "refused: its bytes are no such message")
+            self._skip(message.topic, "refused: its bytes are no such message")
             return
         if pose is None:
             self._grasps.setdefault(name, []).append(bool(content.data))
             return
         if content.header.frame_id not in ("", self._frame_id):
-            self._not_told[name] = _TRANSFORMED
-        if name in self._not_told:
-            self._leave(message.topic, self._not_told[name])
+            self._untracked[name] = _TRANSFORMED
+        if name in self._untracked:
+            self._skip(message.topic, self._untracked[name])
             return
         stamp = content.header.stamp.sec * 10**9 + content.header.stamp.nanosec
-        refused = self._refused(name, pose, simulation)
-        if refused or content.header.stamp.sec < 0 or content.header.stamp.nanosec >= 10**9:
-            self._leave(message.topic, "refused by the node's own rules")
+        is_refused = self._is_refused(name, pose, simulation)
+        if is_refused or content.header.stamp.sec < 0 or content.header.stamp.nanosec >= 10**9:
+            self._skip(message.topic, "refused by the node's own rules")
             return
         arrived = message.publish_time
         stamp, newest = stamp or arrived, self._newest.get(name, 0)
-        if stamp > arrived + _AHEAD:
-            self._leave(message.topic, "refused by the node's own rules")
+        if stamp > arrived + _MAX_STAMP_LEAD:
+            self._skip(message.topic, "refused by the node's own rules")
             return
         self._newest[name] = max(stamp, newest)
         self._count += 1
         waiting = self._waiting.setdefault(name, [])
-        waiting.append(_Waiting(stamp, self._count, pose, newest <= stamp <= arrived, message.topic))
-        if len(waiting) > _MOST_WAITING:
-            self._leave(waiting.pop(0).topic, "more than can wait")
+        waiting.append(_PendingTarget(stamp, self._count, pose, newest <= stamp <= arrived, message.topic))
+        if len(waiting) > _MAX_WAITING_TARGETS:
+            self._skip(waiting.pop(0).topic, "more than can wait")
 
     def compare(self, record: FrameRecord, log_time: int, stamp: int, simulation: Simulation) -> None:
         """Compare the commands received before a frame with its events.
@@ -124,35 +124,35 @@ class CommandCheck:
             stamp: ROS time at which the frame was due [ns].
             simulation: after the frame.
         """
-        if self._known_from is None:
-            self._known_from = log_time + _GRACE
-        known = log_time > self._known_from
-        cleared = "clock_jump" in record.extras
-        forgiven = cleared or any(event.get("kind") == "reset" for event in record.events)
+        if self._complete_from is None:
+            self._complete_from = log_time + _GRACE
+        is_complete = log_time > self._complete_from
+        is_cleared = "clock_jump" in record.extras
+        is_forgiven = is_cleared or any(event.get("kind") == "reset" for event in record.events)
         grasps, self._grasps = self._grasps, {}
         moved = set()
         for event in record.events:
             kind = event.get("kind")
             if kind == "grasp":
-                self._take_grasp(event, grasps)
+                self._match_grasp(event, grasps)
             elif kind in ("target", "move"):
                 name = str(event["gripper" if kind == "target" else "obstacle"])
                 moved.add(name)
-                self._take_target(name, event, stamp, known=known)
-            elif kind in _UNASKED:
-                self._leave("events", f"{kind}, by a service or the node itself")
+                self._match_target(name, event, stamp, known=is_complete)
+            elif kind in _UNCOMMANDED_EVENTS:
+                self._skip("events", f"{kind}, by a service or the node itself")
                 if kind == "set_parameters":
-                    self._follow_parameters(event["values"])
+                    self._update_bodies(event["values"])
         for name in [name for name, waiting in self._waiting.items() if waiting and name not in moved]:
-            self._expect_target(name, stamp, simulation, known=known and not forgiven)
-        for name, left in grasps.items():
+            self._check_overdue(name, stamp, simulation, known=is_complete and not is_forgiven)
+        for name, unmatched in grasps.items():
             # A clock jump back clears the waiting commands.
-            if cleared:
-                self._leave(f"{name}/grasp", "cleared when the clock went back", len(left))
-            elif left:
-                action = "close" if left[0] else "open"
+            if is_cleared:
+                self._skip(f"{name}/grasp", "cleared when the clock went back", len(unmatched))
+            elif unmatched:
+                action = "close" if unmatched[0] else "open"
                 self._findings.difference("command", f"{name} was commanded to {action}, which did not take effect")
-        if cleared:
+        if is_cleared:
             for name, waiting in self._waiting.items():
                 self._drop(waiting, "cleared when the clock went back")
                 self._newest.pop(name, None)
@@ -161,54 +161,58 @@ class CommandCheck:
         """List commands that still wait at the end of the session."""
         for waiting in self._waiting.values():
             self._drop(waiting, "waiting at the end, or refused as too far ahead or too old")
-        for name, left in self._grasps.items():
-            self._leave(f"{name}/grasp", "waiting at the end", len(left))
+        for name, unmatched in self._grasps.items():
+            self._skip(f"{name}/grasp", "waiting at the end", len(unmatched))
 
-    def _take_grasp(self, event: Mapping[str, Any], grasps: Mapping[str, list[bool]]) -> None:
+    def _match_grasp(self, event: Mapping[str, Any], grasps: Mapping[str, list[bool]]) -> None:
         received = grasps.get(str(event.get("gripper", "")), [])
         if received and received[0] == event.get("closed"):
             received.pop(0)
             self._findings.compared("command")
         else:
-            self._leave("events", "grasp without a message, by a service or gripper.timeout")
+            self._skip("events", "grasp without a message, by a service or gripper.timeout")
 
-    def _take_target(self, name: str, event: Mapping[str, Any], stamp: int, *, known: bool) -> None:
-        if name in self._not_told:
-            self._leave("events", f"{event['kind']} of {name}: {self._not_told[name]}")
+    def _match_target(self, name: str, event: Mapping[str, Any], stamp: int, *, known: bool) -> None:
+        if name in self._untracked:
+            self._skip("events", f"{event['kind']} of {name}: {self._untracked[name]}")
             return
-        wanted = _pose(event["position"], event.get("orientation"))
+        pose = _pose(event["position"], event.get("orientation"))
         waiting = self._waiting.get(name, [])
-        same = [one for one in waiting if _same(wanted, one.pose)]
-        if not same:
+        candidates = [target for target in waiting if _is_same_pose(pose, target.pose)]
+        if not candidates:
             if known:
                 self._findings.difference(
                     "command", f"{name} moved to {list(event['position'])}, which was not commanded"
                 )
             else:
-                self._leave("events", f"{event['kind']} that may have been commanded before the recording began")
+                self._skip("events", f"{event['kind']} that may have been commanded before the recording began")
             return
         self._findings.compared("command")
         # A target with the same pose may belong to a later frame. On wall time, a frame that begins late also applies
         # targets stamped after it was due; therefore later ones may belong to this frame.
-        found = max((one for one in same if one.stamp <= stamp), default=min(same))
-        replaced = [one for one in waiting if one < found]
-        self._waiting[name] = [one._replace(certain=one.certain and one > max(same)) for one in waiting if one > found]
+        match = max((target for target in candidates if target.stamp <= stamp), default=min(candidates))
+        replaced = [target for target in waiting if target < match]
+        self._waiting[name] = [
+            target._replace(certain=target.certain and target > max(candidates)) for target in waiting if target > match
+        ]
         self._drop(replaced, "replaced by a newer one in the same frame, refused, or too old")
-        self._expect_target(name, stamp, None, known=known)
+        self._check_overdue(name, stamp, None, known=known)
 
-    def _expect_target(self, name: str, stamp: int, simulation: Simulation | None, *, known: bool) -> None:
+    def _check_overdue(self, name: str, stamp: int, simulation: Simulation | None, *, known: bool) -> None:
         """Report waiting targets that the node must have applied by now."""
         waiting = self._waiting.get(name, [])
-        overdue = [one for one in waiting if one.certain and one.stamp <= stamp]
+        overdue = [target for target in waiting if target.certain and target.stamp <= stamp]
         if not overdue:
             return
-        self._waiting[name] = [one for one in waiting if one > max(overdue)]
+        self._waiting[name] = [target for target in waiting if target > max(overdue)]
         if known and not (simulation is not None and self._may_be_impossible(name, simulation)):
             self._findings.difference(
                 "command", f"{name} was commanded to {list(overdue[-1].pose[:3])}, which did not take effect"
             )
         else:
-            self._drop([one for one in waiting if one <= max(overdue)], "cleared, or received before the recording")
+            self._drop(
+                [target for target in waiting if target <= max(overdue)], "cleared, or received before the recording"
+            )
 
     def _may_be_impossible(self, name: str, simulation: Simulation) -> bool:
         """Return True if the node may have refused the target: its body was removed, or its pads are not placed yet."""
@@ -217,7 +221,7 @@ class CommandCheck:
             return simulation.obstacles is None or name not in simulation.obstacles.names
         return simulation.scene.pinches(name) and not grippers.is_placed(grippers.names.index(name))
 
-    def _follow_parameters(self, values: Mapping[str, Any]) -> None:
+    def _update_bodies(self, values: Mapping[str, Any]) -> None:
         for key, value in values.items():
             if key.endswith(".shape"):
                 # An obstacle that was added during the recording.
@@ -226,11 +230,11 @@ class CommandCheck:
             if key.endswith(".frame") and value:
                 name = key.removesuffix(".frame")
                 names = self._grippers if name == "gripper" else (name,)
-                self._not_told |= dict.fromkeys(names, _FOLLOWS)
-                for one in names:
-                    self._drop(self._waiting.get(one, []), _FOLLOWS)
+                self._untracked |= dict.fromkeys(names, _FOLLOWS)
+                for follower in names:
+                    self._drop(self._waiting.get(follower, []), _FOLLOWS)
 
-    def _refused(self, name: str, pose: _Pose, simulation: Simulation) -> bool:
+    def _is_refused(self, name: str, pose: _Pose, simulation: Simulation) -> bool:
         kind = Target if name in self._grippers else Move
         try:
             simulation.check(kind(name, pose[:3], pose[3:] or None))
@@ -238,12 +242,12 @@ class CommandCheck:
             return True
         return False
 
-    def _drop(self, waiting: list[_Waiting], reason: str) -> None:
-        for one in waiting:
-            self._leave(one.topic, reason)
+    def _drop(self, waiting: list[_PendingTarget], reason: str) -> None:
+        for target in waiting:
+            self._skip(target.topic, reason)
         waiting.clear()
 
-    def _leave(self, topic: str, reason: str, count: int = 1) -> None:
+    def _skip(self, topic: str, reason: str, count: int = 1) -> None:
         self._findings.not_compared(topic, reason, count)
 
 
@@ -255,9 +259,9 @@ def _pose(position: Iterable[float], orientation: Iterable[float] | None) -> _Po
     return (*position, *(() if orientation is None else orientation))
 
 
-def _same(one: _Pose, other: _Pose) -> bool:
-    return len(one) == len(other) and all(
-        a == b and math.copysign(1.0, a) == math.copysign(1.0, b) for a, b in zip(one, other, strict=True)
+def _is_same_pose(pose_a: _Pose, pose_b: _Pose) -> bool:
+    return len(pose_a) == len(pose_b) and all(
+        a == b and math.copysign(1.0, a) == math.copysign(1.0, b) for a, b in zip(pose_a, pose_b, strict=True)
     )
 
 

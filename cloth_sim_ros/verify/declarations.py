@@ -8,7 +8,7 @@ Channel and schema define the meaning of the bytes: other tools decode a cloud b
 from __future__ import annotations
 
 from cloth_sim_ros.session import messages
-from cloth_sim_ros.session.layouts import MESSAGE_ENCODING, SCHEMA_ENCODING, describe
+from cloth_sim_ros.session.channel_description import MESSAGE_ENCODING, SCHEMA_ENCODING, describe
 from cloth_sim_ros.session.part import SessionPart
 from cloth_sim_ros.verify import diagnostics, markers, states
 from cloth_sim_ros.verify.verdict import Findings
@@ -28,7 +28,7 @@ _TYPES = {
     "diagnostics": diagnostics.TYPE,
 }
 #: Maximum ratio of the lengths of a definition with comments and one without.
-_LONGER = 20
+_MAX_LENGTH_RATIO = 20
 
 
 def compare_declarations(part: SessionPart, node: str, topics: frozenset[str], findings: Findings) -> None:
@@ -40,39 +40,43 @@ def compare_declarations(part: SessionPart, node: str, topics: frozenset[str], f
         topics: topics whose messages were compared.
         findings: collects the differences.
     """
-    schemas, channels = part.records()
+    schemas, channels = part.declarations()
     for channel in channels.values():
         topic, schema = channel.topic, schemas.get(channel.schema_id)
         if topic not in topics or schema is None:
             continue
-        wanted = states.STATE if topic == f"{node}/state" else _TYPES[topic.rpartition("/")[2]]
+        expected_type = states.STATE if topic == f"{node}/state" else _TYPES[topic.rpartition("/")[2]]
         compared = (
-            ("type", schema.name, wanted),
+            ("type", schema.name, expected_type),
             ("encoding", channel.message_encoding, MESSAGE_ENCODING),
             ("schema's encoding", schema.encoding, SCHEMA_ENCODING),
         )
-        for what, recorded, due in compared:
-            if recorded != due:
-                findings.difference("declaration", f"the {what} of {topic} ({recorded} is recorded, {due} is due)")
+        for quantity, recorded, expected in compared:
+            if recorded != expected:
+                findings.difference(
+                    "declaration", f"the {quantity} of {topic} ({recorded} is recorded, {expected} is due)"
+                )
                 break
         else:
-            if not _is_same_definition(schema.data, wanted):
+            if not _is_same_definition(schema.data, expected_type):
                 findings.difference("declaration", f"the message definition of {topic}")
 
 
 def _is_same_definition(recorded: bytes, type_name: str) -> bool:
     """Return True if a definition describes the fields of a standard type, up to comments."""
-    wanted = describe(type_name).definition
-    if recorded == wanted.encode():
+    expected = describe(type_name).definition
+    if recorded == expected.encode():
         return True
-    if len(recorded) > _LONGER * len(wanted):
+    if len(recorded) > _MAX_LENGTH_RATIO * len(expected):
         return False
     from rosbags.typesys import TypesysError, get_types_from_msg
 
     try:
-        found = get_types_from_msg(recorded.decode(), type_name)
+        recorded_types = get_types_from_msg(recorded.decode(), type_name)
     except (TypesysError, ValueError):
         return False
-    due = get_types_from_msg(wanted, type_name)
+    expected_types = get_types_from_msg(expected, type_name)
     # Only fields are compared: a tool may leave out constants.
-    return {name: fields for name, (_, fields) in found.items()} == {name: fields for name, (_, fields) in due.items()}
+    return {name: fields for name, (_, fields) in recorded_types.items()} == {
+        name: fields for name, (_, fields) in expected_types.items()
+    }

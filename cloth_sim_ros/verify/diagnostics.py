@@ -38,7 +38,7 @@ _EXACT = frozenset({"frame", "simulated_time", "paused"})
 #: Tolerances of printed numbers: they are rounded, and numpy's order of summation depends on the processor.
 _RELATIVE, _ABSOLUTE = 2e-5, 2e-6
 #: Maximum number of edges for which the node measures the strain.
-_MOST_EDGES = 400_000
+_MAX_EDGES = 400_000
 
 
 class DiagnosticsCheck:
@@ -54,23 +54,23 @@ class DiagnosticsCheck:
         self._name = f"{node.strip('/')}: cloth"
         self._from_start, self._findings = from_start, findings
         self._advance: Advance | None = None
-        self._halted: set[str] | None = set() if from_start else None
+        self._stopped: set[str] | None = set() if from_start else None
         self._gauge: _StrainGauge | None = None
         self._last = b""
 
-    def follow(self, frame: Frame, simulation: Simulation) -> None:
+    def observe_frame(self, frame: Frame, simulation: Simulation) -> None:
         """Update the state with a frame of the re-run."""
         self._advance = frame.advance or self._advance
         if any(isinstance(event, Reset) for event in frame.events):
-            self._halted = set()
-        if self._halted is None:
+            self._stopped = set()
+        if self._stopped is None:
             return
-        if self._halted:
+        if self._stopped:
             scene = simulation.scene
-            anew = {event.obstacle for event in frame.events if isinstance(event, Move)}
-            anew |= {event.gripper for event in frame.events if isinstance(event, Target)}
-            self._halted = (self._halted - anew) & {*scene.obstacle_names, *scene.gripper_names}
-        self._halted |= set(frame.halted)
+            retargeted = {event.obstacle for event in frame.events if isinstance(event, Move)}
+            retargeted |= {event.gripper for event in frame.events if isinstance(event, Target)}
+            self._stopped = (self._stopped - retargeted) & {*scene.obstacle_names, *scene.gripper_names}
+        self._stopped |= set(frame.stopped)
 
     def next_file(self) -> None:
         """Continue from a snapshot: the energy sums restart."""
@@ -83,32 +83,34 @@ class DiagnosticsCheck:
         except SessionError as error:
             self._findings.difference("diagnostics message", f"the diagnostics cannot be read: {error}")
             return
-        own = [status for status in content.status if status.name == self._name]
-        if len(own) < len(content.status) or not own:
+        node_statuses = [status for status in content.status if status.name == self._name]
+        if len(node_statuses) < len(content.status) or not node_statuses:
             self._findings.not_compared(message.topic, "of another name than the node's")
-        if not own:
+        if not node_statuses:
             return
-        wrong = self._wrong_frame(content, message, own)
-        if wrong:
-            self._findings.difference("diagnostics message", f"the diagnostics, by {wrong}")
-        again = self._again(simulation)
+        header_error = self._header_error(content, message, node_statuses)
+        if header_error:
+            self._findings.difference("diagnostics message", f"the diagnostics, by {header_error}")
+        expected = self._expected(simulation)
         self._findings.compared("diagnostics message")
-        keys = {value.key for value in own[0].values}
-        left = {f"{key}, which is not there" for key in again.keys() - keys}
-        for value in own[0].values:
-            if value.key == "paused" and value.value == "false" != again["paused"]:
+        keys = {value.key for value in node_statuses[0].values}
+        unchecked = {f"{key}, which is not there" for key in expected.keys() - keys}
+        for value in node_statuses[0].values:
+            if value.key == "paused" and value.value == "false" != expected["paused"]:
                 # A node also reports a pause by its user.
                 self._findings.not_compared(message.topic, "paused, though not by the user: /clock stands still")
-            elif value.key not in again or (value.key in _TEXTS and self._findings.verdict.environment):
-                left.add(value.key)
-            elif value.value != again[value.key] and (value.key in _EXACT or not _same(value.value, again[value.key])):
+            elif value.key not in expected or (value.key in _TEXTS and self._findings.verdict.environment):
+                unchecked.add(value.key)
+            elif value.value != expected[value.key] and (
+                value.key in _EXACT or not _is_same_number(value.value, expected[value.key])
+            ):
                 self._findings.difference(
                     "diagnostics message",
-                    f"the diagnostics, by {value.key} ({value.value} is recorded, {again[value.key]} came out)",
+                    f"the diagnostics, by {value.key} ({value.value} is recorded, {expected[value.key]} came out)",
                     rounding=value.key not in _EXACT,
                 )
                 break
-        for key in sorted(left):
+        for key in sorted(unchecked):
             self._findings.not_compared(message.topic, key)
         self._findings.not_compared(message.topic, "level, summary and hardware_id")
         if self._last == message.data:
@@ -116,19 +118,19 @@ class DiagnosticsCheck:
         self._last = message.data
 
     @staticmethod
-    def _wrong_frame(content: Any, message: Message, own: Sequence[Any]) -> str:
+    def _header_error(content: Any, message: Message, node_statuses: Sequence[Any]) -> str:
         """Return the wrong part of stamp, frame_id, status and keys, as text; empty if none."""
         if content.header.stamp.sec * 10**9 + content.header.stamp.nanosec != message.publish_time:
             return "their stamp"
         if content.header.frame_id:
             return f"their frame_id ({content.header.frame_id} is recorded, none is due)"
-        if len(own) > 1:
+        if len(node_statuses) > 1:
             return "a second status of the node"
-        keys = [value.key for value in own[0].values]
-        twice = [key for key in keys if keys.count(key) > 1]
-        return f"{twice[0]}, which is there twice" if twice else ""
+        keys = [value.key for value in node_statuses[0].values]
+        repeated = [key for key in keys if keys.count(key) > 1]
+        return f"{repeated[0]}, which is there twice" if repeated else ""
 
-    def _again(self, simulation: Simulation) -> dict[str, str]:
+    def _expected(self, simulation: Simulation) -> dict[str, str]:
         values = {
             "frame": str(simulation.frame),
             "simulated_time": f"{simulation.time:.6f}",
@@ -145,17 +147,17 @@ class DiagnosticsCheck:
         energy = simulation.energy_report
         if energy is None:
             return {} if simulation.scene.diagnostics.energy else {"energy_j": "off"}
-        found = {"energy_j": f"{energy.total:.9g}"}
+        texts = {"energy_j": f"{energy.total:.9g}"}
         if self._from_start:
             contact = simulation.plan.contact
             # The energy balance is left out: it is rounding of numpy's sums.
             sums = dict(zip(_SUMS[:3], (energy.work, energy.wind, energy.dissipated), strict=True))
-            if contact is not None and contact.force.layered:
-                sums["energy_rubbed_j"] = energy.rubbed
+            if contact is not None and contact.force.has_self_friction:
+                sums["energy_rubbed_j"] = energy.friction_work
             if energy.recovered:
                 sums["energy_recovered_j"] = energy.recovered
-            found |= {key: f"{value:.6g}" for key, value in sums.items()}
-        return found
+            texts |= {key: f"{value:.6g}" for key, value in sums.items()}
+        return texts
 
     @staticmethod
     def _step(advance: Advance | None) -> dict[str, str]:
@@ -169,40 +171,40 @@ class DiagnosticsCheck:
         }
 
     def _contacts(self, simulation: Simulation) -> dict[str, str]:
-        gaps, contact, found = simulation.gaps(), simulation.plan.contact, dict[str, str]()
+        gaps, contact, texts = simulation.gaps(), simulation.plan.contact, dict[str, str]()
         if gaps is not None and len(gaps):
-            found = {"contacts": str(int(gaps[:, 0].sum())), "smallest_gap_m": f"{gaps[:, 1].min():.6g}"}
-            if self._halted is not None:
-                found["halted"] = ", ".join(sorted(self._halted)) or "none"
+            texts = {"contacts": str(int(gaps[:, 0].sum())), "smallest_gap_m": f"{gaps[:, 1].min():.6g}"}
+            if self._stopped is not None:
+                texts["halted"] = ", ".join(sorted(self._stopped)) or "none"
         if contact is not None and contact.force.surface is not None:
-            count, gap = contact.own_gaps(simulation.state.x)
-            found |= {"self_contacts": str(count), "self_smallest_gap_m": f"{gap:.6g}"}
-        return found
+            count, gap = contact.self_gaps(simulation.state.x)
+            texts |= {"self_contacts": str(count), "self_smallest_gap_m": f"{gap:.6g}"}
+        return texts
 
 
 class _StrainGauge:
     """Largest strain of a cloth's edges."""
 
     def __init__(self, scene: Scene) -> None:
-        triangles, rest = scene.sheet.triangles(), scene.sheet.positions()
+        triangles, rest_positions = scene.sheet.triangles(), scene.sheet.positions()
         edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
         edges = np.unique(np.sort(edges, axis=1), axis=0)
-        lengths = np.linalg.norm(rest[edges[:, 1]] - rest[edges[:, 0]], axis=1)
+        lengths = np.linalg.norm(rest_positions[edges[:, 1]] - rest_positions[edges[:, 0]], axis=1)
         self._edges, self._lengths = edges[lengths > 0.0].T, lengths[lengths > 0.0]
 
     def largest(self, x: Array) -> float | None:
         """Return the largest relative elongation at x [m], shape (3, n); None if the node does not measure it."""
-        if not 0 < len(self._lengths) <= _MOST_EDGES:
+        if not 0 < len(self._lengths) <= _MAX_EDGES:
             return None
-        away = np.linalg.norm(x[:, self._edges[0]] - x[:, self._edges[1]], axis=0)
-        return float((away / self._lengths).max() - 1.0)
+        edge_lengths = np.linalg.norm(x[:, self._edges[0]] - x[:, self._edges[1]], axis=0)
+        return float((edge_lengths / self._lengths).max() - 1.0)
 
 
-def _same(recorded: str, again: str) -> bool:
+def _is_same_number(recorded: str, expected: str) -> bool:
     """Return True if two printed numbers differ by rounding only."""
     try:
-        one, other = float(recorded), float(again)
+        recorded_number, rerun_number = float(recorded), float(expected)
     except ValueError:
         return False
-    whole = not set(recorded + again) & set(".en")
-    return not whole and math.isclose(one, other, rel_tol=_RELATIVE, abs_tol=_ABSOLUTE)
+    are_integers = not set(recorded + expected) & set(".en")
+    return not are_integers and math.isclose(recorded_number, rerun_number, rel_tol=_RELATIVE, abs_tol=_ABSOLUTE)

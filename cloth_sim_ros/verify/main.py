@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING
 
 from cloth_sim_ros.session.console import escape_unencodable
 from cloth_sim_ros.session.errors import SessionError
-from cloth_sim_ros.session.outputs import OutputError, check_outputs, written_whole
+from cloth_sim_ros.session.output_files import OutputError, atomic_write, check_outputs
+from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.session.reader import SessionReader, by_session
-from cloth_sim_ros.session.words import counted
 
 if TYPE_CHECKING:
     from cloth_sim_ros.verify.certificate import Certificate
@@ -34,9 +34,9 @@ UNREADABLE = 2
 #: Exit status: recorded by a version with other arithmetic; rounding explains all differences.
 OTHER_ARITHMETIC = 3
 #: Exit status with `--accuracy`: equal bits, but an unflagged window violates its error bound, or may do so.
-NOT_KEPT = 4
+BOUND_VIOLATED = 4
 #: In ascending order; the most severe status of several sessions counts.
-_GRAVITY = (SAME, OTHER_ARITHMETIC, NOT_KEPT, DIFFERENT, UNREADABLE)
+_SEVERITY = (SAME, OTHER_ARITHMETIC, BOUND_VIOLATED, DIFFERENT, UNREADABLE)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -67,10 +67,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 status = UNREADABLE
                 continue
             print(describe(verdict), flush=True)
-            status = max(status, status_of(verdict), key=_GRAVITY.index)
+            status = max(status, status_of(verdict), key=_SEVERITY.index)
             if certificate is not None:
-                status = max(status, SAME if certificate.kept else NOT_KEPT, key=_GRAVITY.index)
-                _tell(certificate, verdict, options)
+                status = max(status, SAME if certificate.is_satisfied else BOUND_VIOLATED, key=_SEVERITY.index)
+                _write_certificate(certificate, verdict, options)
     except KeyboardInterrupt:
         return 130
     except OSError as error:
@@ -95,8 +95,8 @@ def _add_accuracy(parser: argparse.ArgumentParser) -> None:
 
 def _outputs(options: argparse.Namespace) -> dict[str, Path]:
     """Return the output files by option."""
-    given = {f"--{name}": getattr(options, name) for name in ("json", "plot", "particles")}
-    return {option: path for option, path in given.items() if path is not None}
+    paths = {f"--{name}": getattr(options, name) for name in ("json", "plot", "particles")}
+    return {option: path for option, path in paths.items() if path is not None}
 
 
 def _check_accuracy(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
@@ -129,21 +129,22 @@ def status_of(verdict: Verdict) -> int:
 
 def describe(verdict: Verdict) -> str:
     """Format a verdict as sentences: the outcome first, then its qualifications."""
-    where = f"{verdict.name}: "
-    pace = f"{verdict.simulated:.1f} s run in {verdict.seconds:.1f} s"
-    counts = f"{counted(verdict.frames, 'frame')} and {counted(verdict.clouds, 'cloud')}"
+    prefix = f"{verdict.name}: "
+    speed = f"{verdict.simulated:.1f} s run in {verdict.seconds:.1f} s"
+    counts = f"{pluralize(verdict.frames, 'frame')} and {pluralize(verdict.clouds, 'cloud')}"
     if not verdict.frames:
         sentences = ["it holds no frames: there is nothing to compare."]
     elif verdict.same:
         if not verdict.clouds:
-            counts = counted(verdict.frames, "frame")
-        sentences = [f"{counts} came out the same to the last bit{_further(verdict)} ({pace})."]
+            counts = pluralize(verdict.frames, "frame")
+        sentences = [f"{counts} came out the same to the last bit{_format_other_kinds(verdict)} ({speed})."]
     else:
         sentences = [
             f"it differs from frame {verdict.first_frame} ({verdict.first_time:.3f} s) on, in {verdict.first_reason}.",
-            f"Of {counts}, {counted(verdict.different, 'frame')} {'differs' if verdict.different == 1 else 'differ'}; "
-            f"the largest deviation of a particle is {verdict.largest_deviation:.3g} m ({pace}).",
-            f"What differs: {', '.join(counts_of(verdict.differing))}.",
+            f"Of {counts}, {pluralize(verdict.different, 'frame')} "
+            f"{'differs' if verdict.different == 1 else 'differ'}; "
+            f"the largest deviation of a particle is {verdict.largest_deviation:.3g} m ({speed}).",
+            f"What differs: {', '.join(format_counts(verdict.differing))}.",
         ]
     if verdict.other_arithmetic and not verdict.same:
         sentences.append(
@@ -154,46 +155,46 @@ def describe(verdict: Verdict) -> str:
             sentences.append(f"But arithmetic does not explain {verdict.unexplained}.")
     if verdict.environment:
         changed = "; ".join(verdict.environment)
-        promise = "" if verdict.same else ", where equal bits are not promised"
-        sentences.append(f"Here is not what it was recorded with{promise}: {changed}.")
+        caveat = "" if verdict.same else ", where equal bits are not promised"
+        sentences.append(f"Here is not what it was recorded with{caveat}: {changed}.")
     if verdict.absent:
-        sentences.append(f"No message is there of {', '.join(verdict.absent)}{_without_clouds(verdict)}.")
+        sentences.append(f"No message is there of {', '.join(verdict.absent)}{_note_missing_clouds(verdict)}.")
     if verdict.not_compared:
-        sentences.append(f"Not compared: {'; '.join(omissions(verdict))}.")
+        sentences.append(f"Not compared: {'; '.join(format_omissions(verdict))}.")
     if verdict.missing:
         sentences.append(f"Not all of it is there: {'; '.join(verdict.missing)}.")
-    return where + " ".join(sentences)
+    return prefix + " ".join(sentences)
 
 
-def counts_of(counts: Mapping[str, int]) -> list[str]:
+def format_counts(counts: Mapping[str, int]) -> list[str]:
     """Format counts of frames and messages by kind."""
     plurals = {"wrench": "wrenches", "topology": "topologies"}
     return [
-        f"{count} {plurals[kind]}" if kind in plurals and count != 1 else counted(count, kind)
+        f"{count} {plurals[kind]}" if kind in plurals and count != 1 else pluralize(count, kind)
         for kind, count in sorted(counts.items())
         if count
     ]
 
 
-def omissions(verdict: Verdict) -> list[str]:
+def format_omissions(verdict: Verdict) -> list[str]:
     """Format the messages that were not compared: count and reason by topic."""
-    found: dict[str, dict[int, list[str]]] = {}
+    reasons_by_topic: dict[str, dict[int, list[str]]] = {}
     for (topic, reason), count in sorted(verdict.not_compared.items()):
-        found.setdefault(topic, {}).setdefault(count, []).append(reason)
-    listed = []
-    for topic, counts in found.items():
-        words = "; ".join(f"{count} x {', '.join(reasons)}" for count, reasons in counts.items())
-        listed.append(f"{topic} ({words})")
-    return listed
+        reasons_by_topic.setdefault(topic, {}).setdefault(count, []).append(reason)
+    lines = []
+    for topic, counts in reasons_by_topic.items():
+        text = "; ".join(f"{count} x {', '.join(reasons)}" for count, reasons in counts.items())
+        lines.append(f"{topic} ({text})")
+    return lines
 
 
-def _further(verdict: Verdict) -> str:
+def _format_other_kinds(verdict: Verdict) -> str:
     """Format the counts of the other kinds of equal messages."""
-    further = counts_of({kind: count for kind, count in verdict.compared.items() if kind != "cloud"})
-    return f", and so did {', '.join(further)}" if further else ""
+    counts = format_counts({kind: count for kind, count in verdict.compared.items() if kind != "cloud"})
+    return f", and so did {', '.join(counts)}" if counts else ""
 
 
-def _without_clouds(verdict: Verdict) -> str:
+def _note_missing_clouds(verdict: Verdict) -> str:
     clouds = any(topic.endswith("/points") for topic in verdict.absent)
     return ": of the positions, the digests of the frames alone were compared" if clouds else ""
 
@@ -205,7 +206,7 @@ def _verify(paths: Sequence[Path]) -> Verdict:
 
     total = sum(path.stat().st_size for path in paths if path.is_file())
     with tqdm(total=total, unit="B", unit_scale=True, desc="verify", delay=1.0, disable=None, leave=False) as bar:
-        return verify(paths, progress=lambda read: bar.update(max(read - bar.n, 0)))
+        return verify(paths, on_progress=lambda read: bar.update(max(read - bar.n, 0)))
 
 
 def _certify(paths: Sequence[Path], options: argparse.Namespace) -> tuple[Verdict, Certificate]:
@@ -216,17 +217,17 @@ def _certify(paths: Sequence[Path], options: argparse.Namespace) -> tuple[Verdic
     with contextlib.ExitStack() as stack:
         particles = None
         if options.particles is not None:
-            place = stack.enter_context(written_whole(options.particles))
-            particles = stack.enter_context(place.open("wb"))
+            output = stack.enter_context(atomic_write(options.particles))
+            particles = stack.enter_context(output.open("wb"))
         bar = stack.enter_context(
             tqdm(total=_frames_in(paths), unit="frame", desc="accuracy", delay=1.0, disable=None, leave=False)
         )
-        return certify(paths, particles=particles, judged=bar.update)
+        return certify(paths, particles=particles, on_frame=bar.update)
 
 
-def _tell(certificate: Certificate, verdict: Verdict, options: argparse.Namespace) -> None:
-    from cloth_sim_ros.verify.accuracy_files import write_json, write_plot
-    from cloth_sim_ros.verify.accuracy_text import describe_accuracy
+def _write_certificate(certificate: Certificate, verdict: Verdict, options: argparse.Namespace) -> None:
+    from cloth_sim_ros.verify.certificate_files import write_json, write_plot
+    from cloth_sim_ros.verify.certificate_text import describe_accuracy
 
     print(describe_accuracy(certificate), flush=True)
     if options.json is not None:
@@ -243,8 +244,12 @@ def _frames_in(paths: Sequence[Path]) -> int | None:
             if part.summary is None or part.summary.statistics is None:
                 return None
             counts = part.summary.statistics.channel_message_counts
-            topics = {number: channel.topic for number, channel in part.summary.channels.items()}
-            count += sum(times for number, times in counts.items() if topics.get(number) == f"{reader.node}/frame")
+            topics = {channel_id: channel.topic for channel_id, channel in part.summary.channels.items()}
+            count += sum(
+                n_messages
+                for channel_id, n_messages in counts.items()
+                if topics.get(channel_id) == f"{reader.node}/frame"
+            )
     return count
 
 

@@ -17,8 +17,8 @@ from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.session.cdr import decode, encode, message_class
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.part import Message
+from cloth_sim_ros.simulation.bodies import solids_and_poses
 from cloth_sim_ros.simulation.simulation import Simulation
-from cloth_sim_ros.simulation.surroundings import solids_and_poses
 from cloth_sim_ros.verify.outputs import same_bytes
 from cloth_sim_ros.verify.verdict import Findings
 
@@ -29,11 +29,11 @@ _COLOUR, _GROUND = (0.45, 0.5, 0.58, 1.0), (0.24, 0.26, 0.3, 1.0)
 _CUBE, _SPHERE, _CYLINDER, _TRIANGLES = 1, 2, 3, 11
 _ADD, _DELETE = 0, 2
 #: Maximum number of markers of one obstacle: a capsule has three.
-_MOST = 3
+_MAX_MARKERS = 3
 #: Tolerance of a marker's position: numpy's rounding depends on the processor [m].
-_NEAR = 1e-9
+_POSITION_TOLERANCE = 1e-9
 #: Marker numbers that locate stamps and poses in an encoded message.
-_MARKED_SECOND, _MARKED_PLACE = 0x5AC3_0000, 1.2345e222
+_MARKED_SECOND, _MARKED_POSITION = 0x5AC3_0000, 1.2345e222
 
 
 class MarkerCheck:
@@ -53,23 +53,23 @@ class MarkerCheck:
         #: Names that a message may delete: all obstacles so far.
         self._known: set[str] = set(self._names)
         self._removed: tuple[str, ...] | None = None
-        self._gone: tuple[str, ...] = ()
+        self._deleted: tuple[str, ...] = ()
         #: True if the file had markers so far: a node deletes only markers that it has sent.
         self._sent = False
-        self._layouts: dict[tuple[str, ...], _Layout] = {}
+        self._layouts: dict[tuple[str, ...], _MarkerLayout] = {}
 
     @property
     def names(self) -> list[str]:
         """Names of the current obstacles and pads."""
         return self._names
 
-    def follow(self, simulation: Simulation) -> tuple[bool, bool]:
+    def observe_frame(self, simulation: Simulation) -> tuple[bool, bool]:
         """Update with a frame of the re-run; return True if the obstacles changed, and True if markers are due."""
         solids, poses = solids_and_poses(simulation.obstacles, simulation.pinching)
         names = [solid.name for solid in solids]
         changed = names != self._names
         if changed:
-            self._removed = self._gone = tuple(name for name in self._names if name not in names)
+            self._removed = self._deleted = tuple(name for name in self._names if name not in names)
             self._known.update(names)
             self._names, self._layouts = names, {}
         moved = changed or not np.array_equal(poses, self._poses)
@@ -85,8 +85,8 @@ class MarkerCheck:
             stamp: expected ROS time of the markers [ns]; None if unknown.
             changed: True if this frame added or removed obstacles.
         """
-        first, self._sent = not self._sent, True
-        if stamp is not None and self._again(simulation, self._gone).is_same(message.data, self._poses, stamp):
+        is_first, self._sent = not self._sent, True
+        if stamp is not None and self._layout(simulation, self._deleted).is_same(message.data, self._poses, stamp):
             return
         try:
             recorded = decode(message.data, MARKERS).markers
@@ -94,161 +94,177 @@ class MarkerCheck:
             self._findings.difference("marker message", f"the markers of obstacles cannot be read: {error}")
             return
         if not recorded:
-            if self._names or self._gone:
+            if self._names or self._deleted:
                 self._findings.difference("marker message", "the markers of obstacles: there is none")
             return
-        told = tuple(dict.fromkeys(one.ns.removeprefix(f"{self._node}/") for one in recorded if one.action == _DELETE))
-        wrong = self._wrong_gone(told, changed and not (first and not told))
-        if wrong:
-            self._findings.difference("marker message", f"the markers of obstacles, by {wrong}")
+        deleted_names = tuple(
+            dict.fromkeys(marker.ns.removeprefix(f"{self._node}/") for marker in recorded if marker.action == _DELETE)
+        )
+        deletion_error = self._deletion_error(deleted_names, changed and not (is_first and not deleted_names))
+        if deletion_error:
+            self._findings.difference("marker message", f"the markers of obstacles, by {deletion_error}")
             return
-        self._gone = told
+        self._deleted = deleted_names
         if stamp is None:
             time = recorded[0].header.stamp
             stamp = min(time.sec * 10**9 + time.nanosec, message.publish_time)
-        layout = self._again(simulation, told)
+        layout = self._layout(simulation, deleted_names)
         if layout.is_same(message.data, self._poses, stamp):
             return
-        reason = _difference(recorded, decode(layout.at(self._poses, stamp), MARKERS).markers)
+        reason = _difference(recorded, decode(layout.encode(self._poses, stamp), MARKERS).markers)
         if not reason:
             layout.learn_gaps(message.data)
-        if reason == _LOOKS and self._findings.verdict.environment:
+        if reason == _APPEARANCE and self._findings.verdict.environment:
             self._findings.not_compared(message.topic, "colours, by other code")
         elif reason:
             self._findings.difference(
                 "marker message", f"the markers of obstacles, by {reason}", rounding=_MOVED in reason
             )
 
-    def _wrong_gone(self, told: tuple[str, ...], changed: bool) -> str:
-        if changed and self._removed is not None and set(told) != set(self._removed):
-            return f"those that are gone ({', '.join(told) or 'none'} is recorded)"
-        there = [name for name in told if name in self._names]
-        unknown = [name for name in told if self._removed is not None and name not in self._known]
-        return f"{(there or unknown)[0]}, which is not gone" if there or unknown else ""
+    def _deletion_error(self, deleted_names: tuple[str, ...], changed: bool) -> str:
+        if changed and self._removed is not None and set(deleted_names) != set(self._removed):
+            return f"those that are gone ({', '.join(deleted_names) or 'none'} is recorded)"
+        present = [name for name in deleted_names if name in self._names]
+        unknown = [name for name in deleted_names if self._removed is not None and name not in self._known]
+        return f"{(present or unknown)[0]}, which is not gone" if present or unknown else ""
 
-    def _again(self, simulation: Simulation, gone: tuple[str, ...]) -> _Layout:
-        if gone not in self._layouts:
+    def _layout(self, simulation: Simulation, deleted_names: tuple[str, ...]) -> _MarkerLayout:
+        if deleted_names not in self._layouts:
             solids, _ = solids_and_poses(simulation.obstacles, simulation.pinching)
-            self._layouts[gone] = _Layout(solids, frame_id=self._frame_id, node=self._node, gone=gone)
-        return self._layouts[gone]
+            self._layouts[deleted_names] = _MarkerLayout(
+                solids, frame_id=self._frame_id, node=self._node, deleted_names=deleted_names
+            )
+        return self._layouts[deleted_names]
 
 
-class _Layout:
+class _MarkerLayout:
     """Encoder of visualization_msgs/MarkerArray messages that differ in stamps and poses only."""
 
-    def __init__(self, solids: Sequence[Obstacle], *, frame_id: str, node: str, gone: Sequence[str]) -> None:
-        markers = [_marker(ns=f"{node}/{name}", id=number, action=_DELETE) for name in gone for number in range(_MOST)]
+    def __init__(self, solids: Sequence[Obstacle], *, frame_id: str, node: str, deleted_names: Sequence[str]) -> None:
+        markers = [
+            _marker(ns=f"{node}/{name}", id=marker_index, action=_DELETE)
+            for name in deleted_names
+            for marker_index in range(_MAX_MARKERS)
+        ]
         #: Index of the obstacle of each marker, and the marker's offset in the obstacle's frame [m].
         self._parts: list[tuple[int, NDArray[np.float64]]] = []
         for k, solid in enumerate(solids):
-            for number, (fields, place) in enumerate(_parts(solid)):
+            for marker_index, (fields, offset) in enumerate(_marker_parts(solid)):
                 colour = _GROUND if solid.shape == "plane" else _COLOUR
-                markers.append(_marker(ns=f"{node}/{solid.name}", id=number, action=_ADD, colour=colour, **fields))
-                markers[-1].pose.position.x = _MARKED_PLACE * (1 + len(self._parts))
-                self._parts.append((k, place))
-        for number, marker in enumerate(markers):
+                markers.append(
+                    _marker(ns=f"{node}/{solid.name}", id=marker_index, action=_ADD, colour=colour, **fields)
+                )
+                markers[-1].pose.position.x = _MARKED_POSITION * (1 + len(self._parts))
+                self._parts.append((k, offset))
+        for marker_index, marker in enumerate(markers):
             marker.header.frame_id = frame_id
-            marker.header.stamp.sec = _MARKED_SECOND + number
+            marker.header.stamp.sec = _MARKED_SECOND + marker_index
         self._data = bytearray(encode(message_class(MARKERS)(markers=markers), MARKERS))
-        self._stamps, start = [], 0
-        for number in range(len(markers)):
-            start = self._data.index(struct.pack("<i", _MARKED_SECOND + number), start)
-            self._stamps.append(start)
-        self._places, start = [], 0
-        for number in range(len(self._parts)):
-            start = self._data.index(struct.pack("<d", _MARKED_PLACE * (1 + number)), start)
-            self._places.append(start)
+        self._stamp_offsets, start = [], 0
+        for marker_index in range(len(markers)):
+            start = self._data.index(struct.pack("<i", _MARKED_SECOND + marker_index), start)
+            self._stamp_offsets.append(start)
+        self._pose_offsets, start = [], 0
+        for marker_index in range(len(self._parts)):
+            start = self._data.index(struct.pack("<d", _MARKED_POSITION * (1 + marker_index)), start)
+            self._pose_offsets.append(start)
 
         #: Padding bytes between fields; a middleware leaves them uninitialised.
         self._gaps = np.zeros(len(self._data), dtype=np.bool_)
 
     def is_same(self, recorded: bytes, poses: Array, stamp: int) -> bool:
         """Return True if a message equals the markers of `poses` at a ROS time [ns], up to known padding."""
-        again = self.at(poses, stamp)
-        if same_bytes(recorded, again):
+        expected = self.encode(poses, stamp)
+        if same_bytes(recorded, expected):
             return True
-        if len(recorded) != len(again):
+        if len(recorded) != len(expected):
             return False
-        return not (self._unlike(recorded) & ~self._gaps).any()
+        return not (self._differing_bytes(recorded) & ~self._gaps).any()
 
     def learn_gaps(self, recorded: bytes) -> None:
         """Learn the padding of a message whose fields equal those of the last `encode`."""
         if len(recorded) == len(self._data):
-            found = self._unlike(recorded)
-            for start in self._places:
-                found[start : start + 56] = False
-            self._gaps |= found
+            differing = self._differing_bytes(recorded)
+            for start in self._pose_offsets:
+                differing[start : start + 56] = False
+            self._gaps |= differing
 
-    def _unlike(self, recorded: bytes) -> NDArray[np.bool_]:
+    def _differing_bytes(self, recorded: bytes) -> NDArray[np.bool_]:
         return np.frombuffer(recorded, np.uint8) != np.frombuffer(self._data, np.uint8)
 
-    def at(self, poses: Array, stamp: int) -> bytes:
+    def encode(self, poses: Array, stamp: int) -> bytes:
         """Encode the markers for poses (obstacle_count, 7) at a ROS time [ns]."""
         time = struct.pack("<iI", *divmod(stamp, 10**9))
-        for start in self._stamps:
+        for start in self._stamp_offsets:
             self._data[start : start + 8] = time
-        for start, (k, place) in zip(self._places, self._parts, strict=True):
+        for start, (k, offset) in zip(self._pose_offsets, self._parts, strict=True):
             pose = poses[k]
-            at = (pose[:3] + rotation_matrix(pose[3:]) @ place).tolist()
+            at = (pose[:3] + rotation_matrix(pose[3:]) @ offset).tolist()
             struct.pack_into("<7d", self._data, start, *at, *pose[3:].tolist())
         return bytes(self._data)
 
 
-_LOOKS, _MOVED = "their looks", "m of its place"
+_APPEARANCE, _MOVED = "their looks", "m of its place"
 
 
-def _difference(recorded: Sequence[Any], again: Sequence[Any]) -> str:
-    if [(one.ns, one.id, one.action) for one in recorded] != [(one.ns, one.id, one.action) for one in again]:
+def _difference(recorded: Sequence[Any], expected: Sequence[Any]) -> str:
+    if [(marker.ns, marker.id, marker.action) for marker in recorded] != [
+        (marker.ns, marker.id, marker.action) for marker in expected
+    ]:
         return "their names"
-    found = ""
-    for one, other in zip(recorded, again, strict=True):
-        if one.header != other.header:
-            return f"the header of {one.ns}"
-        away = float(np.abs(_numbers(one.pose) - _numbers(other.pose)).max())
-        if not away <= _NEAR:
-            return f"{away:.3g} {_MOVED}, of {one.ns}"
-        if one.type != other.type or not np.allclose(_numbers(one.scale), _numbers(other.scale), rtol=0, atol=_NEAR):
-            return f"the size of {one.ns}"
-        if [_numbers(point).tolist() for point in one.points] != [_numbers(point).tolist() for point in other.points]:
-            return f"the mesh of {one.ns}"
-        other.pose, other.scale = one.pose, one.scale
-        if encode(one, "visualization_msgs/msg/Marker") != encode(other, "visualization_msgs/msg/Marker"):
-            found = _LOOKS
-    return found
+    reason = ""
+    for marker, expected_marker in zip(recorded, expected, strict=True):
+        if marker.header != expected_marker.header:
+            return f"the header of {marker.ns}"
+        distance = float(np.abs(_components(marker.pose) - _components(expected_marker.pose)).max())
+        if not distance <= _POSITION_TOLERANCE:
+            return f"{distance:.3g} {_MOVED}, of {marker.ns}"
+        if marker.type != expected_marker.type or not np.allclose(
+            _components(marker.scale), _components(expected_marker.scale), rtol=0, atol=_POSITION_TOLERANCE
+        ):
+            return f"the size of {marker.ns}"
+        if [_components(point).tolist() for point in marker.points] != [
+            _components(point).tolist() for point in expected_marker.points
+        ]:
+            return f"the mesh of {marker.ns}"
+        expected_marker.pose, expected_marker.scale = marker.pose, marker.scale
+        if encode(marker, "visualization_msgs/msg/Marker") != encode(expected_marker, "visualization_msgs/msg/Marker"):
+            reason = _APPEARANCE
+    return reason
 
 
-def _numbers(value: Any) -> NDArray[np.float64]:
+def _components(value: Any) -> NDArray[np.float64]:
     """Return the numbers of a pose, point or vector."""
     if hasattr(value, "orientation"):
-        return np.concatenate([_numbers(value.position), _numbers(value.orientation)])
+        return np.concatenate([_components(value.position), _components(value.orientation)])
     return np.array([getattr(value, axis) for axis in "xyzw" if hasattr(value, axis)])
 
 
-def _parts(solid: Obstacle) -> list[tuple[dict[str, Any], NDArray[np.float64]]]:
+def _marker_parts(solid: Obstacle) -> list[tuple[dict[str, Any], NDArray[np.float64]]]:
     """Return type, size and points of the markers of an obstacle, and their offsets in its frame [m]."""
-    here = np.zeros(3)
+    origin = np.zeros(3)
     if solid.shape == "plane":
         width, height = _PLANE
         return [({"type": _CUBE, "scale": (width, width, height)}, np.array([0.0, 0.0, -0.5 * height]))]
     if solid.shape == "box":
-        return [({"type": _CUBE, "scale": tuple(solid.size)}, here)]
+        return [({"type": _CUBE, "scale": tuple(solid.size)}, origin)]
     if solid.shape == "sphere":
-        return [({"type": _SPHERE, "scale": (2.0 * solid.size[0],) * 3}, here)]
+        return [({"type": _SPHERE, "scale": (2.0 * solid.size[0],) * 3}, origin)]
     if solid.shape in ("cylinder", "capsule"):
         radius, length = solid.size
         width = 2.0 * radius
-        found: list[tuple[dict[str, Any], NDArray[np.float64]]] = [
-            ({"type": _CYLINDER, "scale": (width, width, length)}, here)
+        parts: list[tuple[dict[str, Any], NDArray[np.float64]]] = [
+            ({"type": _CYLINDER, "scale": (width, width, length)}, origin)
         ]
         if solid.shape == "capsule":
-            found += [
-                ({"type": _SPHERE, "scale": (width,) * 3}, np.array([0.0, 0.0, side * length])) for side in (-0.5, 0.5)
+            parts += [
+                ({"type": _SPHERE, "scale": (width,) * 3}, np.array([0.0, 0.0, sign * length])) for sign in (-0.5, 0.5)
             ]
-        return found
+        return parts
     assert solid.vertices is not None
     assert solid.triangles is not None
     points = solid.vertices[solid.triangles.ravel()].tolist()
-    return [({"type": _TRIANGLES, "scale": (1.0, 1.0, 1.0), "points": points}, here)]
+    return [({"type": _TRIANGLES, "scale": (1.0, 1.0, 1.0), "points": points}, origin)]
 
 
 def _marker(
@@ -261,33 +277,35 @@ def _marker(
     colour: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
     points: Sequence[Sequence[float]] = (),
 ) -> Any:
-    of, point = message_class, message_class("geometry_msgs/msg/Point")
+    message_type, point = message_class, message_class("geometry_msgs/msg/Point")
 
     def header() -> Any:
-        return of("std_msgs/msg/Header")(stamp=of("builtin_interfaces/msg/Time")(sec=0, nanosec=0), frame_id="")
+        return message_type("std_msgs/msg/Header")(
+            stamp=message_type("builtin_interfaces/msg/Time")(sec=0, nanosec=0), frame_id=""
+        )
 
     empty = np.empty(0, dtype=np.uint8)
-    return of("visualization_msgs/msg/Marker")(
+    return message_type("visualization_msgs/msg/Marker")(
         header=header(),
         ns=ns,
         id=id,
         type=type,
         action=action,
-        pose=of("geometry_msgs/msg/Pose")(
+        pose=message_type("geometry_msgs/msg/Pose")(
             position=point(x=0.0, y=0.0, z=0.0),
-            orientation=of("geometry_msgs/msg/Quaternion")(x=0.0, y=0.0, z=0.0, w=1.0),
+            orientation=message_type("geometry_msgs/msg/Quaternion")(x=0.0, y=0.0, z=0.0, w=1.0),
         ),
-        scale=of("geometry_msgs/msg/Vector3")(**dict(zip("xyz", map(float, scale), strict=True))),
-        color=of("std_msgs/msg/ColorRGBA")(**dict(zip("rgba", colour, strict=True))),
-        lifetime=of("builtin_interfaces/msg/Duration")(sec=0, nanosec=0),
+        scale=message_type("geometry_msgs/msg/Vector3")(**dict(zip("xyz", map(float, scale), strict=True))),
+        color=message_type("std_msgs/msg/ColorRGBA")(**dict(zip("rgba", colour, strict=True))),
+        lifetime=message_type("builtin_interfaces/msg/Duration")(sec=0, nanosec=0),
         frame_locked=False,
         points=[point(x=x, y=y, z=z) for x, y, z in points],
         colors=[],
         texture_resource="",
-        texture=of("sensor_msgs/msg/CompressedImage")(header=header(), format="", data=empty),
+        texture=message_type("sensor_msgs/msg/CompressedImage")(header=header(), format="", data=empty),
         uv_coordinates=[],
         text="",
         mesh_resource="",
-        mesh_file=of("visualization_msgs/msg/MeshFile")(filename="", data=empty),
+        mesh_file=message_type("visualization_msgs/msg/MeshFile")(filename="", data=empty),
         mesh_use_embedded_materials=False,
     )

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.scene.sections import Points
+from cloth_sim_ros.scene.sections import PointsParameters
 from cloth_sim_ros.session import messages
-from cloth_sim_ros.session.cdr import Cloud, decode, decode_cloud, decode_surface, encode
+from cloth_sim_ros.session.cdr import Cloud, decode, decode_cloud, decode_mesh, encode
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.part import Message
 from cloth_sim_ros.simulation.frame import Frame
@@ -24,32 +24,32 @@ from cloth_sim_ros.verify.verdict import Findings
 #: Last part of the cloth's TF frame, after the node's name.
 _CLOTH = "cloth"
 #: Tolerance of the centre of mass: numpy's order of summation depends on the processor [m].
-_CENTRE = 1e-9
+_CENTRE_TOLERANCE = 1e-9
 #: Alignment to which CDR may pad the end of a message [bytes].
-_FILLED = 4
+_PADDING = 4
 #: Sizes of the encapsulation header and of a stamp [bytes].
-_CDR, _STAMP = 4, 8
+_CDR_HEADER_SIZE, _STAMP_SIZE = 4, 8
 #: Size of the numbers of a wrench [bytes].
-_NUMBERS = 48
+_WRENCH_SIZE = 48
 
 
-def same_bytes(recorded: bytes, again: bytes) -> bool:
+def same_bytes(recorded: bytes, expected: bytes) -> bool:
     """Return True if two messages are equal up to the padding at their ends."""
-    if recorded == again:
+    if recorded == expected:
         return True
-    short, long = sorted((recorded, again), key=len)
-    return len(long) - len(short) < _FILLED and long.startswith(short)
+    short, long = sorted((recorded, expected), key=len)
+    return len(long) - len(short) < _PADDING and long.startswith(short)
 
 
-def same_content(recorded: bytes, again: bytes, type_name: str) -> bool:
+def same_content(recorded: bytes, expected: bytes, type_name: str) -> bool:
     """Return True if two messages are equal up to padding, which middlewares leave uninitialised.
 
     Raises SessionError if the first one cannot be read.
     """
-    if same_bytes(recorded, again):
+    if same_bytes(recorded, expected):
         return True
-    return len(recorded) < len(again) + _FILLED and encode(decode(recorded, type_name), type_name) == encode(
-        decode(again, type_name), type_name
+    return len(recorded) < len(expected) + _PADDING and encode(decode(recorded, type_name), type_name) == encode(
+        decode(expected, type_name), type_name
     )
 
 
@@ -64,18 +64,20 @@ class CloudCheck:
     def __init__(self, scene: Scene, findings: Findings) -> None:
         self._frame_id, self._shape, self._findings = scene.frame_id, scene.shape, findings
         #: Fields of the first scene: a study keeps them; a node follows the current scene.
-        self._first = scene.points
-        self._bytes: dict[Points, messages.CloudBytes] = {}
+        self._first_fields = scene.points
+        self._encoders: dict[PointsParameters, messages.CloudEncoder] = {}
         #: Expected header by recorded header that equals it up to padding.
-        self._heads: dict[bytes, bytes] = {}
+        self._equivalent_headers: dict[bytes, bytes] = {}
 
     def compare(self, message: Message, simulation: Simulation, stamp: int) -> bool:
         """Compare a cloud with the last frame at a ROS time [ns]; return True if the positions are equal."""
         state, fields = simulation.state, simulation.scene.points
-        for points in dict.fromkeys((fields, self._first)):
-            layout = self._again(points)
+        for points in dict.fromkeys((fields, self._first_fields)):
+            encoder = self._encoder(points)
             if self._is_same(
-                message.data, layout.at(state.x, stamp, state.v if points.velocity else None), layout.start
+                message.data,
+                encoder.encode(state.x, stamp, state.v if points.velocity else None),
+                encoder.points_offset,
             ):
                 return True
         try:
@@ -85,62 +87,72 @@ class CloudCheck:
             return False
         if not self._compare_header(recorded, stamp):
             return False
-        if _different(recorded.xyz, state.x).size:
-            self._tell_positions(recorded.xyz, state.x.T.astype(recorded.xyz.dtype))
+        if _differing_particles(recorded.xyz, state.x).size:
+            self._report_positions(recorded.xyz, state.x.T.astype(recorded.xyz.dtype))
             return False
         if recorded.velocity is not None and fields.velocity:
-            wrong = _different(recorded.velocity, state.v)
-            if wrong.size:
-                self._findings.difference("cloud", f"its cloud, by the velocity of particle {wrong[0]}", rounding=True)
+            differing = _differing_particles(recorded.velocity, state.v)
+            if differing.size:
+                self._findings.difference(
+                    "cloud", f"its cloud, by the velocity of particle {differing[0]}", rounding=True
+                )
                 return True
         self._findings.difference("cloud", "its cloud, by the layout of its points")
         return True
 
-    def _is_same(self, recorded: bytes, again: bytes, start: int) -> bool:
+    def _is_same(self, recorded: bytes, expected: bytes, start: int) -> bool:
         """Return True if two clouds are equal up to padding before the points, which begin at offset `start`."""
-        if same_bytes(recorded, again):
+        if same_bytes(recorded, expected):
             return True
-        if not same_bytes(recorded[start:], again[start:]) or recorded[: _CDR + _STAMP] != again[: _CDR + _STAMP]:
+        if (
+            not same_bytes(recorded[start:], expected[start:])
+            or recorded[: _CDR_HEADER_SIZE + _STAMP_SIZE] != expected[: _CDR_HEADER_SIZE + _STAMP_SIZE]
+        ):
             return False
-        head, wanted = recorded[_CDR + _STAMP : start], again[_CDR + _STAMP : start]
-        if self._heads.get(head) == wanted:
+        header, expected_header = (
+            recorded[_CDR_HEADER_SIZE + _STAMP_SIZE : start],
+            expected[_CDR_HEADER_SIZE + _STAMP_SIZE : start],
+        )
+        if self._equivalent_headers.get(header) == expected_header:
             return True
         try:
-            same = same_content(recorded, again, messages.CLOUD)
+            is_same = same_content(recorded, expected, messages.CLOUD)
         except SessionError:
             return False
-        if same:
-            self._heads = {head: wanted}
-        return same
+        if is_same:
+            self._equivalent_headers = {header: expected_header}
+        return is_same
 
-    def _again(self, points: Points) -> messages.CloudBytes:
-        if points not in self._bytes:
+    def _encoder(self, points: PointsParameters) -> messages.CloudEncoder:
+        if points not in self._encoders:
             height, width = self._shape
-            self._bytes[points] = messages.CloudBytes(
+            self._encoders[points] = messages.CloudEncoder(
                 frame_id=self._frame_id, height=height, width=width, velocity=points.velocity, double=points.double
             )
-        return self._bytes[points]
+        return self._encoders[points]
 
     def _compare_header(self, cloud: Cloud, stamp: int) -> bool:
         height, width = self._shape
-        points = height * width
-        if len(cloud.xyz) != points:
-            self._findings.difference("cloud", f"its cloud has {len(cloud.xyz)} points, the cloth {points}")
+        n_points = height * width
+        if len(cloud.xyz) != n_points:
+            self._findings.difference("cloud", f"its cloud has {len(cloud.xyz)} points, the cloth {n_points}")
             return False
-        for name, recorded, again in (
+        for name, recorded, expected in (
             ("stamp", cloud.stamp, stamp),
             ("frame_id", cloud.frame_id, self._frame_id),
             ("height x width", f"{cloud.height} x {cloud.width}", f"{height} x {width}"),
         ):
-            if recorded != again:
-                self._findings.difference("cloud", f"its cloud, by its {name} ({recorded} is recorded, {again} is due)")
+            if recorded != expected:
+                self._findings.difference(
+                    "cloud", f"its cloud, by its {name} ({recorded} is recorded, {expected} is due)"
+                )
                 return False
         return True
 
-    def _tell_positions(self, recorded: NDArray[np.floating], again: NDArray[np.floating]) -> None:
-        away = np.linalg.norm(recorded.astype(np.float64) - again, axis=1)
-        worst = int(np.argmax(np.where(np.isfinite(away), away, np.inf)))
-        deviation = float(away[worst]) if math.isfinite(away[worst]) else math.inf
+    def _report_positions(self, recorded: NDArray[np.floating], expected: NDArray[np.floating]) -> None:
+        distances = np.linalg.norm(recorded.astype(np.float64) - expected, axis=1)
+        worst = int(np.argmax(np.where(np.isfinite(distances), distances, np.inf)))
+        deviation = float(distances[worst]) if math.isfinite(distances[worst]) else math.inf
         verdict = self._findings.verdict
         verdict.largest_deviation = max(verdict.largest_deviation, deviation)
         self._findings.difference(
@@ -150,19 +162,21 @@ class CloudCheck:
         )
 
 
-def _different(recorded: NDArray[np.floating], again: Array) -> NDArray[np.intp]:
+def _differing_particles(recorded: NDArray[np.floating], expected: Array) -> NDArray[np.intp]:
     """Return the particles whose recorded vectors (n, 3) differ in bits from the re-run's (3, n) in that precision."""
     bits = np.dtype(f"u{recorded.dtype.itemsize}")
-    return np.flatnonzero((recorded.view(bits) != again.T.astype(recorded.dtype).view(bits)).any(axis=1))
+    return np.flatnonzero((recorded.view(bits) != expected.T.astype(recorded.dtype).view(bits)).any(axis=1))
 
 
 def compare_wrench(message: Message, wrench: Array, *, frame_id: str, stamp: int, findings: Findings) -> None:
     """Compare a recorded wrench with that of the re-run: 6 numbers [N, N m]."""
-    again = messages.wrench_bytes(wrench, frame_id=frame_id, stamp=stamp)
+    expected = messages.wrench_bytes(wrench, frame_id=frame_id, stamp=stamp)
     # Layout after the stamp: length and text of the frame_id, padding, numbers.
-    name = _CDR + _STAMP + 4 + len(frame_id.encode()) + 1
-    same_ends = message.data[:name] == again[:name] and message.data[-_NUMBERS:] == again[-_NUMBERS:]
-    if same_ends and len(message.data) == len(again):
+    name_end = _CDR_HEADER_SIZE + _STAMP_SIZE + 4 + len(frame_id.encode()) + 1
+    same_ends = (
+        message.data[:name_end] == expected[:name_end] and message.data[-_WRENCH_SIZE:] == expected[-_WRENCH_SIZE:]
+    )
+    if same_ends and len(message.data) == len(expected):
         return
     reason = f"the wrench on {message.topic.split('/')[-2]}"
     try:
@@ -181,21 +195,25 @@ def compare_wrench(message: Message, wrench: Array, *, frame_id: str, stamp: int
 
 def compare_topology(message: Message, scene: Scene, findings: Findings) -> None:
     """Compare the recorded triangles and rest shape with the scene's."""
-    triangles, places = scene.sheet.triangles(), scene.sheet.positions()
-    if same_bytes(message.data, messages.mesh_bytes(triangles, places)):
+    triangles, rest_positions = scene.sheet.triangles(), scene.sheet.positions()
+    if same_bytes(message.data, messages.mesh_bytes(triangles, rest_positions)):
         return
     try:
-        recorded = decode_surface(message.data)
+        recorded = decode_mesh(message.data)
     except SessionError as error:
         findings.difference("topology", f"the topology cannot be read: {error}")
         return
     if not np.array_equal(recorded.triangles, triangles):
         findings.difference("topology", "the topology, by its triangles")
-    elif recorded.vertices.shape != places.shape:
-        findings.difference("topology", f"the topology has {len(recorded.vertices)} points, the cloth {len(places)}")
+    elif recorded.vertices.shape != rest_positions.shape:
+        findings.difference(
+            "topology", f"the topology has {len(recorded.vertices)} points, the cloth {len(rest_positions)}"
+        )
     else:
-        worst = float(np.abs(recorded.vertices - places).max(initial=0.0))
-        findings.difference("topology", f"the topology, by {worst:.3g} m of its rest shape", rounding=worst < _CENTRE)
+        worst = float(np.abs(recorded.vertices - rest_positions).max(initial=0.0))
+        findings.difference(
+            "topology", f"the topology, by {worst:.3g} m of its rest shape", rounding=worst < _CENTRE_TOLERANCE
+        )
 
 
 def compare_transforms(message: Message, node: str, simulation: Simulation, stamp: int, findings: Findings) -> None:
@@ -209,26 +227,26 @@ def compare_transforms(message: Message, node: str, simulation: Simulation, stam
     except SessionError as error:
         findings.difference("transform", f"its transforms cannot be read: {error}")
         return
-    if [one.child_frame_id for one in recorded] != [name for name, _ in frames]:
+    if [transform.child_frame_id for transform in recorded] != [name for name, _ in frames]:
         findings.difference("transform", "its transforms, by the names of their frames")
         return
-    for one, (name, pose) in zip(recorded, frames, strict=True):
-        header = _header_difference(one.header, parent, stamp)
-        if header:
-            findings.difference("transform", f"its transform of {name}, by {header}")
+    for transform, (name, pose) in zip(recorded, frames, strict=True):
+        header_error = _header_difference(transform.header, parent, stamp)
+        if header_error:
+            findings.difference("transform", f"its transform of {name}, by {header_error}")
             return
-        place, turn = one.transform.translation, one.transform.rotation
-        told = [place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w]
-        limit = _CENTRE if name.endswith(f"/{_CLOTH}") else 0.0
-        if not all(abs(a - b) <= limit for a, b in zip(told, pose, strict=True)):
+        translation, rotation = transform.transform.translation, transform.transform.rotation
+        recorded_pose = [translation.x, translation.y, translation.z, rotation.x, rotation.y, rotation.z, rotation.w]
+        limit = _CENTRE_TOLERANCE if name.endswith(f"/{_CLOTH}") else 0.0
+        if not all(abs(a - b) <= limit for a, b in zip(recorded_pose, pose, strict=True)):
             findings.difference("transform", f"its transform of {name}", rounding=True)
             return
 
 
 def wrenches(scene: Scene, frame: Frame) -> list[tuple[str, Array]]:
     """Return names and wrenches [N, N m] of a frame for each gripper and each obstacle."""
-    found = list(zip(scene.gripper_names, frame.wrenches, strict=True))
-    return [*found, *zip(scene.obstacle_names, frame.loads, strict=True)]
+    gripper_wrenches = list(zip(scene.gripper_names, frame.wrenches, strict=True))
+    return [*gripper_wrenches, *zip(scene.obstacle_names, frame.obstacle_wrenches, strict=True)]
 
 
 def _transforms(prefix: str, simulation: Simulation) -> list[tuple[str, Sequence[float]]]:
@@ -243,8 +261,8 @@ def _transforms(prefix: str, simulation: Simulation) -> list[tuple[str, Sequence
 def _header_difference(header: object, frame_id: str, stamp: int) -> str:
     """Return the wrong part of a header, as text; empty if none."""
     time = header.stamp  # type: ignore[attr-defined]
-    told = time.sec * 10**9 + time.nanosec
-    if told != stamp:
-        return f"its stamp ({told} is recorded, {stamp} is due)"
-    found = header.frame_id  # type: ignore[attr-defined]
-    return "" if found == frame_id else f"its frame_id ({found} is recorded, {frame_id} is due)"
+    recorded_stamp = time.sec * 10**9 + time.nanosec
+    if recorded_stamp != stamp:
+        return f"its stamp ({recorded_stamp} is recorded, {stamp} is due)"
+    recorded_frame_id = header.frame_id  # type: ignore[attr-defined]
+    return "" if recorded_frame_id == frame_id else f"its frame_id ({recorded_frame_id} is recorded, {frame_id} is due)"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene.recorded import recorded_values
+from cloth_sim_ros.scene.recorded_scene import recorded_values
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import decode_cloud
 from cloth_sim_ros.session.errors import SessionError
@@ -27,34 +27,36 @@ from cloth_sim_ros.simulation.environment import differences, recorder_with_othe
 from cloth_sim_ros.simulation.events import Event, from_dict
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 from cloth_sim_ros.verify.commands import CommandCheck
+from cloth_sim_ros.verify.completeness import CompletenessCheck
 from cloth_sim_ros.verify.declarations import compare_declarations
 from cloth_sim_ros.verify.diagnostics import TOPIC as DIAGNOSTICS
 from cloth_sim_ros.verify.diagnostics import DiagnosticsCheck
-from cloth_sim_ros.verify.numbering import Numbering
-from cloth_sim_ros.verify.shown import ShownCheck
-from cloth_sim_ros.verify.verdict import Findings, Place, Verdict
+from cloth_sim_ros.verify.frame_outputs import FrameOutputCheck
+from cloth_sim_ros.verify.verdict import Findings, FramePosition, Verdict
 
-__all__ = ["Verdict", "Watch", "verify"]
+__all__ = ["RunObserver", "Verdict", "verify"]
 
 #: Parts of a frame record that other arithmetic can change.
-_OF_ROUNDING = frozenset({"the digest of its state", "its steps", "its integrator"})
+_ROUNDING_AFFECTED = frozenset({"the digest of its state", "its steps", "its integrator"})
 #: Entries of a frame record's extras from `Frame.extras`.
 _FRAME_EXTRAS = frozenset({"poses", "halted"})
 #: Topics that the node shares with others, with their description.
 _SHARED = {"/rosout": "texts of the log", "/parameter_events": "changes of parameters, as the node announced them"}
 #: Reasons of an end after a complete frame; after any other end, the last frame may lack messages.
-_WHOLE_ENDS = frozenset({"stopped", "split", "node stopped", "~/record", "failed"})
+_CLEAN_END_REASONS = frozenset({"stopped", "split", "node stopped", "~/record", "failed"})
 #: Simulated time after which a node's recording must have diagnostics [s].
-_REPORTED = 10.0
+_DIAGNOSTICS_WITHIN = 10.0
 
 
-class Watch(Protocol):
+class RunObserver(Protocol):
     """Observer of a re-run."""
 
-    def frame(self, simulation: Simulation, was: Scene, before: State, frame: Frame, record: FrameRecord) -> None:
+    def frame(
+        self, simulation: Simulation, scene_before: Scene, before: State, frame: Frame, record: FrameRecord
+    ) -> None:
         """Receive a frame of the re-run, with scene and state before it."""
 
-    def cloud(self, recorded: NDArray[np.floating], same: bool) -> None:
+    def cloud(self, recorded: NDArray[np.floating], is_same: bool) -> None:
         """Receive the frame's recorded positions (n, 3) [m]; `is_same`: they equal those of the re-run."""
 
     def close(self) -> None:
@@ -64,8 +66,8 @@ class Watch(Protocol):
 def verify(
     paths: Sequence[Path],
     *,
-    progress: Callable[[int], None] = lambda _bytes: None,
-    watch: Watch | None = None,
+    on_progress: Callable[[int], None] = lambda _bytes: None,
+    observer: RunObserver | None = None,
 ) -> Verdict:
     """Run a session again and compare it with the recording.
 
@@ -77,44 +79,44 @@ def verify(
     Raises:
         SessionError: if a file cannot be read, or its scene and state make no simulation.
     """
-    begun = time.perf_counter()
+    start_time = time.perf_counter()
     with SessionReader(list(paths)) as reader:
         verdict = Verdict(name=", ".join(path.name for path in paths))
         verdict.other_arithmetic = recorder_with_other_arithmetic(reader.metadata)
         if not verdict.other_arithmetic:
             verdict.environment = differences(reader.metadata)
-        run, done = _Run(reader.node, Findings(verdict), watch), 0
+        run, finished_bytes = _SessionRun(reader.node, Findings(verdict), observer), 0
         for part in reader.parts:
             run.begin(part)
             part.rewind()
-            whole = True
+            is_whole = True
             for message in part.messages():
-                if not run.take(message):
-                    whole = False
+                if not run.add(message):
+                    is_whole = False
                     break
-                progress(done + part.position)
-            run.finish(whole=whole)
+                on_progress(finished_bytes + part.position)
+            run.finish(whole=is_whole)
             verdict.damaged = verdict.damaged or bool(part.damage)
-            done += part.size()
+            finished_bytes += part.size()
         run.end()
         if reader.missing:
             verdict.missing.insert(0, reader.missing)
-    verdict.seconds = time.perf_counter() - begun
+    verdict.seconds = time.perf_counter() - start_time
     return verdict
 
 
-class _Run:
+class _SessionRun:
     """Re-run of a session, file by file."""
 
-    def __init__(self, node: str, findings: Findings, watch: Watch | None) -> None:
-        self._node, self._findings, self._watch = node, findings, watch
+    def __init__(self, node: str, findings: Findings, observer: RunObserver | None) -> None:
+        self._node, self._findings, self._observer = node, findings, observer
         self._verdict = findings.verdict
         self._frame_topic, self._points = f"{node}/frame", f"{node}/points"
-        self._numbering = Numbering(findings)
-        self._numbering.declare(self._frame_topic, "frame", droppable=False)
-        self._numbering.declare(self._points, "cloud", droppable=True)
-        self._numbering.declare(DIAGNOSTICS, "diagnostics message", droppable=False)
-        self._before: Simulation | None = None
+        self._completeness = CompletenessCheck(findings)
+        self._completeness.declare(self._frame_topic, "frame", droppable=False)
+        self._completeness.declare(self._points, "cloud", droppable=True)
+        self._completeness.declare(DIAGNOSTICS, "diagnostics message", droppable=False)
+        self._previous: Simulation | None = None
         self._commands: CommandCheck | None = None
         self._diagnostics: DiagnosticsCheck | None = None
 
@@ -127,93 +129,99 @@ class _Run:
         for name in sorted(set(scene.files) - set(part.files)):
             self._verdict.environment.append(f"{name} as found here: the session does not hold it")
         opened = part.attachments[STATE_NAME].log_time
-        self._numbering.begin(part, opened)
+        self._completeness.begin(part, opened)
         # Waiting commands carry over to the next file.
         if self._commands is None or self._diagnostics is None:
             self._commands = CommandCheck(node=self._node, scene=scene, from_start=from_start, findings=self._findings)
             self._diagnostics = DiagnosticsCheck(self._node, from_start=from_start, findings=self._findings)
         else:
             self._diagnostics.next_file()
-        self._shown = ShownCheck(
-            self._node, part=part, opened=opened, simulation=simulation, numbering=self._numbering,
+        self._frame_outputs = FrameOutputCheck(
+            self._node, part=part, open_time=opened, simulation=simulation, completeness=self._completeness,
             findings=self._findings,
         )  # fmt: skip
         self._frame: Frame | None = None
         self._frames_before = self._verdict.frames
 
-    def take(self, message: Message) -> bool:
+    def add(self, message: Message) -> bool:
         """Run the frame of a record, or compare another message; return False if the re-run cannot continue."""
-        topic, opens = message.topic, self._frame is None
+        topic, is_opening = message.topic, self._frame is None
         assert self._commands is not None
         assert self._diagnostics is not None
         if topic == self._frame_topic:
-            self._numbering.add(message, own=True)
+            self._completeness.add(message, is_from_node=True)
             return self._run_frame(read_frame(message), message)
-        if self._shown.takes(topic):
-            same = self._shown.take(message, opens=opens)
-            self._numbering.add(message, own=True, opens=opens and self._shown.is_latched(topic))
-            if topic == self._points and same is not None:
-                self._show_cloud(message, same)
+        if self._frame_outputs.is_compared(topic):
+            is_same = self._frame_outputs.compare(message, is_opening=is_opening)
+            self._completeness.add(
+                message, is_from_node=True, is_opening=is_opening and self._frame_outputs.is_latched(topic)
+            )
+            if topic == self._points and is_same is not None:
+                self._observe_cloud(message, is_same)
             return True
         if topic in self._commands.topics:
-            self._numbering.declare(topic, "command", droppable=False)
-            self._numbering.add(message, own=True)
+            self._completeness.declare(topic, "command", droppable=False)
+            self._completeness.add(message, is_from_node=True)
             self._commands.receive(message, self.simulation)
         elif topic == DIAGNOSTICS:
-            self._numbering.add(message, own=True)
+            self._completeness.add(message, is_from_node=True)
             self._diagnostics.compare(message, self.simulation)
         else:
-            self._leave(message)
+            self._skip(message)
         return True
 
     def finish(self, *, whole: bool) -> None:
         """End a file. `whole`: True if it was read to its end."""
-        self._shown.close_frame()
-        self._close_watch()
+        self._frame_outputs.close_frame()
+        self._close_frame()
         if self._verdict.frames > self._frames_before:
-            self._shown.finish()
-        self._numbering.finish(whole=whole)
+            self._frame_outputs.finish()
+        self._completeness.finish(whole=whole)
         assert self._commands is not None
-        compared = self._shown.topics | self._commands.topics | {self._frame_topic, DIAGNOSTICS}
+        compared = self._frame_outputs.topics | self._commands.topics | {self._frame_topic, DIAGNOSTICS}
         compare_declarations(self._part, self._node, compared, self._findings)
-        self._before = self.simulation
+        self._previous = self.simulation
 
     def end(self) -> None:
         """End the session."""
         assert self._commands is not None
-        part, place = self._part, self._findings.place
-        if part.end_notes.get("reason") not in _WHOLE_ENDS and self._verdict.frames:
-            lacking = self._numbering.pardon(place)
-            if lacking:
-                self._findings.missing(f"its last frame, {place.frame}, was recorded without {', '.join(lacking)}")
-        self._shown.end()
-        self._numbering.end()
+        part, position = self._part, self._findings.position
+        if part.end_notes.get("reason") not in _CLEAN_END_REASONS and self._verdict.frames:
+            missing_topics = self._completeness.forgive_last_frame(position)
+            if missing_topics:
+                self._findings.missing(
+                    f"its last frame, {position.frame}, was recorded without {', '.join(missing_topics)}"
+                )
+        self._frame_outputs.end()
+        self._completeness.end()
         if (
             "dropped" in part.end_notes
-            and self._verdict.simulated > _REPORTED
-            and not self._numbering.is_seen(DIAGNOSTICS)
+            and self._verdict.simulated > _DIAGNOSTICS_WITHIN
+            and not self._completeness.is_seen(DIAGNOSTICS)
         ):
             self._findings.absent(DIAGNOSTICS)
         self._commands.end()
 
-    def _leave(self, message: Message) -> None:
+    def _skip(self, message: Message) -> None:
         topic = message.topic
-        own = topic in _SHARED or topic == "/tf" or topic.startswith(f"{self._node}/")
-        self._numbering.add(message, own=own)
+        is_from_node = topic in _SHARED or topic == "/tf" or topic.startswith(f"{self._node}/")
+        self._completeness.add(message, is_from_node=is_from_node)
         reason = _SHARED.get(topic)
-        self._findings.not_compared(topic, reason or ("an unknown topic of the node" if own else "not the node's"))
+        self._findings.not_compared(
+            topic, reason or ("an unknown topic of the node" if is_from_node else "not the node's")
+        )
 
     def _check_snapshot(self) -> None:
         """Compare the snapshot of a split file with the final state of the previous file."""
-        before = self._before
-        if before is None or before.frame != self.simulation.frame:
+        previous = self._previous
+        if previous is None or previous.frame != self.simulation.frame:
             return
-        if before.state.digest() != self.simulation.state.digest():
+        if previous.state.digest() != self.simulation.state.digest():
             self._findings.difference("snapshot", f"the snapshot that {self._part.path.name} opens with", rounding=True)
 
     def _run_frame(self, record: FrameRecord, message: Message) -> bool:
-        self._shown.close_frame()
-        self._close_watch()
+        self._frame_outputs.close_frame()
+        self._close_frame()
         simulation, verdict = self.simulation, self._verdict
         if record.frame > simulation.frame + 1:
             verdict.damaged = True
@@ -222,8 +230,8 @@ class _Run:
                 "what follows them cannot be run"
             )
             return False
-        self._findings.place = Place(verdict.frames, record.frame, record.time)
-        since, scene, before = simulation.time, simulation.scene, simulation.state.share()
+        self._findings.position = FramePosition(verdict.frames, record.frame, record.time)
+        start_time, scene, before = simulation.time, simulation.scene, simulation.state.shallow_copy()
         verdict.frames += 1
         try:
             events: list[Event] = [from_dict(dict(event)) for event in record.events]
@@ -233,15 +241,15 @@ class _Run:
             return False
         # Messages of a frame share its publish time; a log time may be raised to keep the order of recording.
         stamp = message.publish_time
-        verdict.simulated += simulation.time - since
+        verdict.simulated += simulation.time - start_time
         self._compare_frame(record, frame)
-        if self._watch is not None:
-            self._watch.frame(simulation, scene, before, frame, record)
+        if self._observer is not None:
+            self._observer.frame(simulation, scene, before, frame, record)
         assert self._commands is not None
         assert self._diagnostics is not None
         self._commands.compare(record, message.log_time, stamp, simulation)
-        self._diagnostics.follow(frame, simulation)
-        self._shown.open_frame(frame, stamp)
+        self._diagnostics.observe_frame(frame, simulation)
+        self._frame_outputs.open_frame(frame, stamp)
         return True
 
     def _compare_frame(self, record: FrameRecord, frame: Frame) -> None:
@@ -256,11 +264,11 @@ class _Run:
             ("its steps", record.steps, steps),
             ("its integrator", record.integrator, frame.integrator),
         )
-        for what, recorded, again in compared:
-            if recorded != again:
-                rounding = what in _OF_ROUNDING
+        for quantity, recorded, rerun in compared:
+            if recorded != rerun:
+                rounding = quantity in _ROUNDING_AFFECTED
                 self._findings.difference(
-                    "frame", f"{what} ({recorded} was recorded, {again} came out)", rounding=rounding
+                    "frame", f"{quantity} ({recorded} was recorded, {rerun} came out)", rounding=rounding
                 )
                 return
         self._compare_extras(record, frame)
@@ -271,35 +279,37 @@ class _Run:
             if key not in record.extras:  # older sessions have no such entries
                 self._findings.not_compared(self._frame_topic, f"'{key}', absent from the record")
         for key, recorded in record.extras.items():
-            again: Any
+            rerun: Any
             if key in _FRAME_EXTRAS:
-                again = expected.get(key)
-                wrong = recorded != again
+                rerun = expected.get(key)
+                is_wrong = recorded != rerun
             elif key == "flagged":
-                again = frame.advance.flagged if frame.advance else 0
-                wrong = recorded != again
+                rerun = frame.advance.flagged if frame.advance else 0
+                is_wrong = recorded != rerun
             elif key == "energy" and energy is not None:
-                again = energy.total
-                wrong = not (isinstance(recorded, float) and math.isclose(recorded, again, rel_tol=1e-9, abs_tol=1e-12))
+                rerun = energy.total
+                is_wrong = not (
+                    isinstance(recorded, float) and math.isclose(recorded, rerun, rel_tol=1e-9, abs_tol=1e-12)
+                )
             else:
                 self._findings.not_compared(self._frame_topic, f"'{key}' of the record")
                 continue
-            if wrong:
+            if is_wrong:
                 self._findings.difference(
-                    "frame", f"its {key} ({recorded} was recorded, {again} came out)", rounding=True
+                    "frame", f"its {key} ({recorded} was recorded, {rerun} came out)", rounding=True
                 )
 
-    def _show_cloud(self, message: Message, same: bool) -> None:
-        if self._watch is not None:
+    def _observe_cloud(self, message: Message, is_same: bool) -> None:
+        if self._observer is not None:
             try:
-                self._watch.cloud(decode_cloud(message.data).xyz, same)
+                self._observer.cloud(decode_cloud(message.data).xyz, is_same)
             except SessionError:
                 # An unreadable cloud is reported already; it has no positions.
                 return
 
-    def _close_watch(self) -> None:
-        if self._watch is not None:
-            self._watch.close()
+    def _close_frame(self) -> None:
+        if self._observer is not None:
+            self._observer.close()
 
 
 def _simulation(part: SessionPart) -> Simulation:

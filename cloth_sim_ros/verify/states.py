@@ -9,7 +9,7 @@ from typing import Any
 from cloth_sim_ros.session.cdr import decode
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.part import Message
-from cloth_sim_ros.session.words import counted
+from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation.events import Reset
 from cloth_sim_ros.simulation.frame import Frame
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -34,7 +34,7 @@ class StateCheck:
         #: True if the last state precedes the last frame.
         self._is_older = False
         #: True if the frame before the last state was paused.
-        self._explained = False
+        self._is_explained = False
 
     def compare(self, message: Message, simulation: Simulation) -> None:
         """Compare a state with the pause of the preceding frame."""
@@ -45,7 +45,7 @@ class StateCheck:
             return
         if self._last == (content.id, content.label):
             self._findings.difference("state", f"the state of the node, {content.label}, that is there twice in a row")
-        self._last, self._explained, self._is_older = (content.id, content.label), simulation.paused, False
+        self._last, self._is_explained, self._is_older = (content.id, content.label), simulation.paused, False
         if self._last == (_INACTIVE if simulation.paused else _ACTIVE):
             self._findings.compared("state")
         elif self._last == _ACTIVE:
@@ -63,7 +63,7 @@ class StateCheck:
         """Return True if the last state contradicts the last frame: another state must follow."""
         if simulation.paused:
             return self._last == _ACTIVE
-        return self._last == _INACTIVE and (self._explained or self._is_older)
+        return self._last == _INACTIVE and (self._is_explained or self._is_older)
 
 
 class GripperStateCheck:
@@ -78,7 +78,7 @@ class GripperStateCheck:
         self._prefix, self._findings = node.strip("/"), findings
 
     @staticmethod
-    def due(frame: Frame, simulation: Simulation) -> dict[str, str]:
+    def expected_reasons(frame: Frame, simulation: Simulation) -> dict[str, str]:
         """Return the grippers whose state is due at a frame, each with the reason of a failed grasp."""
         if not frame.events and not frame.pinches:
             return {}
@@ -93,16 +93,16 @@ class GripperStateCheck:
         if recorded is None:
             return
         self._findings.compared("gripper state")
-        again = self._again(name, reason, simulation)
-        wrong = [key for key, value in again.items() if recorded.get(key) != value]
-        more = [key for key in recorded if key not in again]
-        if wrong == ["message"] and self._findings.verdict.environment:
+        expected = self._expected(name, reason, simulation)
+        differing = [key for key, value in expected.items() if recorded.get(key) != value]
+        unexpected = [key for key in recorded if key not in expected]
+        if differing == ["message"] and self._findings.verdict.environment:
             self._findings.not_compared(message.topic, "texts, by other code")
-        elif wrong or more:
-            key = (wrong or more)[0]
+        elif differing or unexpected:
+            key = (differing or unexpected)[0]
             self._findings.difference(
                 "gripper state",
-                f"the state of {name}, by its {key} ({recorded.get(key)} is recorded, {again.get(key)} is due)",
+                f"the state of {name}, by its {key} ({recorded.get(key)} is recorded, {expected.get(key)} is due)",
                 rounding=key in ("held", "message", "level"),
             )
 
@@ -111,12 +111,12 @@ class GripperStateCheck:
         recorded = self._read(message, name)
         if recorded is None:
             return
-        again = self._again(name, "", simulation)
-        if recorded == again:
+        expected = self._expected(name, "", simulation)
+        if recorded == expected:
             self._findings.compared("gripper state")
             return
-        told, frame = recorded.get("closed"), str(recorded.get("frame", ""))
-        if told != again["closed"] or not frame.isdecimal() or int(frame) > simulation.frame:
+        recorded_closed, frame = recorded.get("closed"), str(recorded.get("frame", ""))
+        if recorded_closed != expected["closed"] or not frame.isdecimal() or int(frame) > simulation.frame:
             self._findings.difference("gripper state", f"the state of {name} that the file begins with")
         else:
             self._findings.not_compared(message.topic, "sent before the file began")
@@ -138,15 +138,15 @@ class GripperStateCheck:
             **{value.key: value.value for value in content.values},
         }
 
-    def _again(self, name: str, reason: str, simulation: Simulation) -> dict[str, object]:
+    def _expected(self, name: str, reason: str, simulation: Simulation) -> dict[str, object]:
         grippers = simulation.grippers
         index = grippers.names.index(name)
-        closed, held = grippers.is_closed(index), simulation.held(index)
-        words = f"closed, holds {counted(held, 'particle') if held else 'nothing'}" if closed else "open"
+        closed, held = grippers.is_closed(index), simulation.grasped_count(index)
+        summary = f"closed, holds {pluralize(held, 'particle') if held else 'nothing'}" if closed else "open"
         return {
             "level": _WARN if closed and not held else _OK,
             "name": f"{self._prefix}: {name}",
-            "message": f"{words}: {reason}" if reason else words,
+            "message": f"{summary}: {reason}" if reason else summary,
             "hardware_id": "none",
             "closed": str(closed).lower(),
             "held": str(held),

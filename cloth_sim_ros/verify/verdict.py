@@ -61,7 +61,7 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Place:
+class FramePosition:
     """Position of a frame record in the session."""
 
     ordinal: int
@@ -80,9 +80,9 @@ class Findings:
 
     def __init__(self, verdict: Verdict) -> None:
         self.verdict = verdict
-        self.place = Place(0)
+        self.position = FramePosition(0)
         """Position of the last frame record."""
-        self._first = Place(-1)
+        self._first_position = FramePosition(-1)
         self._different: set[int] = set()
 
     def compared(self, kind: str, count: int = 1) -> None:
@@ -104,7 +104,7 @@ class Findings:
             self.verdict.missing.append(sentence)
 
     def difference(
-        self, kind: str, reason: str, *, place: Place | None = None, rounding: bool = False, count: int = 1
+        self, kind: str, reason: str, *, position: FramePosition | None = None, rounding: bool = False, count: int = 1
     ) -> None:
         """Add a difference.
 
@@ -115,13 +115,13 @@ class Findings:
             rounding: True if other arithmetic can cause the difference.
             count: number of differing messages.
         """
-        place = place or self.place
+        position = position or self.position
         verdict = self.verdict
         verdict.differing[kind] += count
         if verdict.other_arithmetic and not rounding and not verdict.unexplained:
-            verdict.unexplained = f"frame {place.frame}, {reason}"
-        self._different.add(place.ordinal)
+            verdict.unexplained = f"frame {position.frame}, {reason}"
+        self._different.add(position.ordinal)
         verdict.different = len(self._different)
-        if verdict.first_frame is None or place < self._first:
-            self._first = place
-            verdict.first_frame, verdict.first_time, verdict.first_reason = place.frame, place.time, reason
+        if verdict.first_frame is None or position < self._first_position:
+            self._first_position = position
+            verdict.first_frame, verdict.first_time, verdict.first_reason = position.frame, position.time, reason

@@ -19,9 +19,9 @@ import pyarrow.parquet as pq
 
 from cloth_sim_ros.batch import study_file
 from cloth_sim_ros.batch.folder import StudyFolder
-from cloth_sim_ros.batch.forecast import draw
 from cloth_sim_ros.batch.lerobot_stats import aggregate, statistics
 from cloth_sim_ros.batch.main import main
+from cloth_sim_ros.batch.study_estimate import sample_and_estimate
 from cloth_sim_ros.batch.study_run import perform
 from cloth_sim_ros.session.cdr import decode, decode_cloud
 from cloth_sim_ros.session.reader import SessionReader, read_frame
@@ -59,16 +59,16 @@ STUDY = {
 
 @pytest.fixture(scope="module", params=[True, False], ids=["clouds", "no clouds"])
 def folder(request, tmp_path_factory) -> StudyFolder:
-    here = tmp_path_factory.mktemp("study")
-    (here / "arm.py").write_text(POLICY)
+    root = tmp_path_factory.mktemp("study")
+    (root / "arm.py").write_text(POLICY)
     vary = {"material.density": [0.1, 0.2], "policy.fails": [False, True]}
-    study = study_file.from_dict({**STUDY, "vary": vary, "clouds": request.param}, folder=here)
-    place = StudyFolder(here / "out")
-    samples, _ = draw(study, 1)
-    place.create(study, samples, "")
+    study = study_file.from_dict({**STUDY, "vary": vary, "clouds": request.param}, folder=root)
+    study_folder = StudyFolder(root / "out")
+    samples, _ = sample_and_estimate(study, 1)
+    study_folder.create(study, samples, "")
     for run, values in enumerate(samples):
-        perform(place, study, run, values)
-    return place
+        perform(study_folder, study, run, values)
+    return study_folder
 
 
 def recorded(path: Path):
@@ -101,7 +101,7 @@ def test_zarr_equals_recorded_sessions(folder: StudyFolder, tmp_path: Path) -> N
     assert group["positions"].chunks == (1, 16, 30, 3)
     assert group["positions"].dtype == np.float32
     for k, run in enumerate((0, 2)):
-        clouds, velocities, wrenches, events = recorded(folder.session(run))
+        clouds, velocities, wrenches, events = recorded(folder.session_file(run))
         if len(clouds):
             assert np.array_equal(group["positions"][k, 1:], clouds)
             assert np.array_equal(group["velocities"][k, 1:], velocities)
@@ -133,7 +133,7 @@ def test_lerobot_equals_recorded_sessions(folder: StudyFolder, tmp_path: Path) -
         assert rows[name].shape == ((30,) if width == 1 and feature["names"] is None else (30, width))
     assert pq.read_metadata(out / "data" / "chunk-000" / "file-000.parquet").num_row_groups == 2
     for k, run in enumerate((0, 2)):
-        clouds, velocities, wrenches, _ = recorded(folder.session(run))
+        clouds, velocities, wrenches, _ = recorded(folder.session_file(run))
         part = slice(15 * k, 15 * k + 15)
         if len(clouds):
             assert np.array_equal(rows["observation.environment_state"][part][1:], clouds[:-1].reshape(14, -1))
@@ -160,12 +160,12 @@ def test_video_has_one_picture_per_row(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     (tmp_path / "arm.py").write_text(POLICY)
     study = study_file.from_dict({**STUDY, "duration": 0.1, "vary": {"material.density": [0.1]}}, folder=tmp_path)
-    place = StudyFolder(tmp_path / "out")
-    samples, _ = draw(study, 1)
-    place.create(study, samples, "")
-    perform(place, study, 0, samples[0])
+    study_folder = StudyFolder(tmp_path / "out")
+    samples, _ = sample_and_estimate(study, 1)
+    study_folder.create(study, samples, "")
+    perform(study_folder, study, 0, samples[0])
     out = tmp_path / "set"
-    assert main(["export", str(place.path), "--lerobot", str(out), "--video"]) == 0
+    assert main(["export", str(study_folder.path), "--lerobot", str(out), "--video"]) == 0
     info = json.loads((out / "meta" / "info.json").read_text())
     key = "observation.images.cloth"
     with av.open(str(out / info["video_path"].format(video_key=key, chunk_index=0, file_index=0))) as video:
@@ -198,18 +198,18 @@ def performed(folder: Path, **vary) -> StudyFolder:
         "ball.position": [0.0, 1.0, 0.2],
     }
     study = study_file.from_dict({**entries, "parameters": parameters}, folder=folder)
-    place, (samples, _) = StudyFolder(folder / "out"), draw(study, 1)
-    place.create(study, samples, "")
+    study_folder, (samples, _) = StudyFolder(folder / "out"), sample_and_estimate(study, 1)
+    study_folder.create(study, samples, "")
     for run, values in enumerate(samples):
-        assert perform(place, study, run, values)["status"] == "ok"
-    return place
+        assert perform(study_folder, study, run, values)["status"] == "ok"
+    return study_folder
 
 
 def test_zarr_stores_triangles_of_differing_cloths(tmp_path: Path) -> None:
     import zarr
 
-    place, out = performed(tmp_path, **{"cloth.resolution[0]": [4, 5]}), tmp_path / "set.zarr"
-    assert main(["export", str(place.path), "--zarr", str(out)]) == 0
+    study_folder, out = performed(tmp_path, **{"cloth.resolution[0]": [4, 5]}), tmp_path / "set.zarr"
+    assert main(["export", str(study_folder.path), "--zarr", str(out)]) == 0
     group = zarr.open_group(str(out), mode="r")
     triangles = group["triangles"][:]
     assert triangles.shape == (2, 24, 3)
@@ -220,16 +220,16 @@ def test_zarr_stores_triangles_of_differing_cloths(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["--zarr", "--lerobot"])
 def test_runs_at_several_rates_are_refused(tmp_path: Path, capsys, kind: str) -> None:
-    place, out = performed(tmp_path, rate=[60.0, 120.0]), tmp_path / "set"
-    assert main(["export", str(place.path), kind, str(out)]) == 2
+    study_folder, out = performed(tmp_path, rate=[60.0, 120.0]), tmp_path / "set"
+    assert main(["export", str(study_folder.path), kind, str(out)]) == 2
     assert "rate of run 1 is 120.0" in capsys.readouterr().err
     assert not out.exists()
-    assert main(["export", str(place.path), "--mcap", str(out)]) == 0
+    assert main(["export", str(study_folder.path), "--mcap", str(out)]) == 0
 
 
 def test_runs_with_other_obstacles_are_refused(tmp_path: Path, capsys) -> None:
-    place = performed(tmp_path, obstacles=[[""], ["ball"]])
-    assert main(["export", str(place.path), "--zarr", str(tmp_path / "set")]) == 2
+    study_folder = performed(tmp_path, obstacles=[[""], ["ball"]])
+    assert main(["export", str(study_folder.path), "--zarr", str(tmp_path / "set")]) == 2
     assert "obstacles of run 1 is ['ball'], of the first one []" in capsys.readouterr().err
 
 

@@ -57,47 +57,47 @@ def test_noisy_swing_estimates_lie_within_bounds(fitted: Fit) -> None:
         true = TRUTH[estimate.parameter.name]
         # A correct program exceeds four standard deviations once in 4,000 parameters on average; the seed is fixed.
         assert abs(np.log(estimate.value / true)) < 4.0 * estimate.bound
-        assert not estimate.told or abs(estimate.value / true - 1.0) < 0.05
-        assert estimate.told == (estimate.bound <= 0.025)
+        assert not estimate.is_identified or abs(estimate.value / true - 1.0) < 0.05
+        assert estimate.is_identified == (estimate.bound <= 0.025)
     # 15 clouds of 24 particles: 1080 coordinates give their deviation to 2 %; about four times that is allowed.
     assert fitted.sigma == pytest.approx(0.002, rel=0.1)
-    assert fitted.missing == pytest.approx(1 / 3, abs=0.1)
+    assert fitted.missing_fraction == pytest.approx(1 / 3, abs=0.1)
     assert fitted.correlation < 0.15
-    assert (fitted.clouds, fitted.reason) == (15, "")
+    assert (fitted.n_clouds, fitted.reason) == (15, "")
 
 
 def test_bounds_scale_with_noise(noisy: Path, fitted: Fit) -> None:
-    other = fit(read_session([noisy]), NAMES, start=fitted.values, sigma=0.004, workers=1)
-    for one, two in zip(fitted.estimates, other.estimates, strict=True):
+    refitted = fit(read_session([noisy]), NAMES, start=fitted.values, sigma=0.004, workers=1)
+    for estimate, refitted_estimate in zip(fitted.estimates, refitted.estimates, strict=True):
         # Twice the noise gives twice the bound, except for other points and steps of the derivatives.
-        assert two.bound == pytest.approx(2.0 * one.bound * 0.002 / fitted.sigma, rel=0.05)
-    assert other.sigma_given
+        assert refitted_estimate.bound == pytest.approx(2.0 * estimate.bound * 0.002 / fitted.sigma, rel=0.05)
+    assert refitted.is_sigma_prescribed
 
 
 def test_noiseless_fit_finds_true_values(tmp_path: Path) -> None:
     path = record_swing(tmp_path, TRUTH, seconds=0.5, resolution=6, noise=0.0, missing=0.0)
-    found = fit(read_session([path]), ["shear", "damping"], start={"shear": 60.0, "damping": 0.08}, workers=1)
-    for name, value in found.values.items():
+    result = fit(read_session([path]), ["shear", "damping"], start={"shear": 60.0, "damping": 0.08}, workers=1)
+    for name, value in result.values.items():
         # Clouds are float32, and the simulations have a tolerance of 1e-5 m or less.
         assert value == pytest.approx(TRUTH[name], rel=1e-3)
-    assert found.rms < 1e-6
-    assert found.all_told
+    assert result.rms < 1e-6
+    assert result.all_identified
 
 
 def test_worker_count_changes_no_bit(noisy: Path) -> None:
     short = read_session([noisy]).part(until=0.25)
-    one, two = (fit(short, ["bending"], start={"bending": 3e-4}, workers=workers) for workers in (1, 2))
-    assert two.values == one.values
-    assert two.estimates[0].bound == one.estimates[0].bound
+    serial, parallel = (fit(short, ["bending"], start={"bending": 3e-4}, workers=workers) for workers in (1, 2))
+    assert parallel.values == serial.values
+    assert parallel.estimates[0].bound == serial.estimates[0].bound
 
 
 def test_unpredictable_clouds_are_not_used(tmp_path: Path) -> None:
     # The swing is eight times stronger, so that the sheet collapses between the hands.
     path = record_swing(tmp_path, TRUTH, seed=2, seconds=1.0, resolution=6, strength=8.0)
-    found = fit(read_session([path]), ["bending"], start={"bending": 3e-4}, workers=1)
-    assert "clouds" in found.reason
-    assert 0.2 <= found.until < 1.0
-    for estimate in found.estimates:
+    result = fit(read_session([path]), ["bending"], start={"bending": 3e-4}, workers=1)
+    assert "clouds" in result.reason
+    assert 0.2 <= result.end_time < 1.0
+    for estimate in result.estimates:
         assert abs(np.log(estimate.value / TRUTH[estimate.parameter.name])) < 4.0 * estimate.bound + 0.01
 
 
@@ -115,16 +115,16 @@ def test_misfit_identifies_no_parameter(tmp_path: Path, capsys: pytest.CaptureFi
     out = {name: tmp_path / f"fit.{name}" for name in ("json", "yaml")}
     options = ["--parameters", "bending", "--start", "bending=3e-4", "--workers", "1"]
     status = fit_main.main([str(path), *options, "--json", str(out["json"]), "--write", str(out["yaml"])])
-    said, written = capsys.readouterr().out, json.loads(out["json"].read_text())
+    output, written = capsys.readouterr().out, json.loads(out["json"].read_text())
     (entry,) = written["parameters"]
     # The bound alone would identify the parameter.
     assert entry["bound"] < 0.025
     assert not entry["told"]
     assert not written["all_told"]
-    assert status == fit_main.NOT_TOLD
-    assert "NOT IDENTIFIED: the simulated cloth does not follow the recording" in said
+    assert status == fit_main.NOT_IDENTIFIED
+    assert "NOT IDENTIFIED: the simulated cloth does not follow the recording" in output
     assert "follows only a part of the recording" in written["doubt"]
-    assert "No parameter is identified: " in said
+    assert "No parameter is identified: " in output
     assert parameter_file.read(out["yaml"])["material.bending_modulus"] == TRUTH["material.bending_modulus"]
 
 
@@ -132,21 +132,21 @@ def test_residuals_above_sigma_identify_no_parameter(noisy: Path) -> None:
     result = fit(read_session([noisy]), ["bending"], start={"bending": 3e-4}, sigma=0.0005, workers=1)
     (estimate,) = result.estimates
     assert estimate.bound < 0.025
-    assert not estimate.told
+    assert not estimate.is_identified
     assert "times the deviation that --sigma gives" in describe(result)
 
 
 def test_real_recording_fits_parameters_and_offset(bag: Path) -> None:
     # The frames are longer than those of the true motion, so that most clouds lie between two frames' ends.
-    recording = read_bag([bag], scene_of(**{**TRUTH, "rate": 45.0}), settle=2.0)
-    assert recording.lead == 90
+    recording = read_bag([bag], scene_of(**{**TRUTH, "rate": 45.0}), settle_time=2.0)
+    assert recording.n_settle_frames == 90
     assert recording.frames[:3] == pytest.approx([90.0, 91.5, 93.0])
-    found = fit(recording, ["bending", "stretch"], start={"bending": 3e-4, "stretch": 500.0}, workers=1)
+    result = fit(recording, ["bending", "stretch"], start={"bending": 3e-4, "stretch": 500.0}, workers=1)
     # The initial state was not recorded; the simulated cloth settles to it.
-    assert found.shift == pytest.approx((0.003, -0.004, 0.002), abs=3e-4)
-    for estimate in found.estimates:
+    assert result.shift == pytest.approx((0.003, -0.004, 0.002), abs=3e-4)
+    for estimate in result.estimates:
         assert abs(np.log(estimate.value / TRUTH[estimate.parameter.name])) < 4.0 * estimate.bound
-    assert "The clouds have a common offset of (" in describe(found)
+    assert "The clouds have a common offset of (" in describe(result)
 
 
 def test_index_field_assigns_points_to_particles(tmp_path: Path) -> None:
@@ -177,10 +177,10 @@ def test_index_field_assigns_points_to_particles(tmp_path: Path) -> None:
 
 def test_bare_points_fit_by_surface_distance(noisy: Path) -> None:
     bare = read_session([noisy], matched=False).part(until=0.4)
-    found = fit(bare, ["bending"], start={"bending": 2e-4}, workers=1)
-    (estimate,) = found.estimates
+    result = fit(bare, ["bending"], start={"bending": 2e-4}, workers=1)
+    (estimate,) = result.estimates
     assert abs(np.log(estimate.value / TRUTH["material.bending_modulus"])) < 4.0 * estimate.bound
-    assert found.missing is None
+    assert result.missing_fraction is None
 
 
 def test_command_writes_json_parameters_and_plot(
@@ -203,11 +203,11 @@ def test_command_writes_json_parameters_and_plot(
             *("--json", str(out["json"]), "--write", str(out["yaml"]), "--plot", str(out["png"])),
         ]
     )
-    told = json.loads(out["json"].read_text())
-    assert status == (fit_main.TOLD if told["all_told"] else fit_main.NOT_TOLD)
+    report = json.loads(out["json"].read_text())
+    assert status == (fit_main.IDENTIFIED if report["all_told"] else fit_main.NOT_IDENTIFIED)
     assert "material.bending_modulus" in capsys.readouterr().out
     written = parameter_file.read(out["yaml"])
-    for entry in told["parameters"]:
+    for entry in report["parameters"]:
         if entry["told"]:
             assert written[entry["name"]] == pytest.approx(entry["value"], rel=1e-5)
     assert out["png"].read_bytes().startswith(b"\x89PNG")
@@ -216,7 +216,7 @@ def test_command_writes_json_parameters_and_plot(
 def test_unidentified_parameter_keeps_scene_value(noisy: Path, tmp_path: Path) -> None:
     out = tmp_path / "fit.yaml"
     options = ["--parameters", "damping", "--start", "damping=0.2", "--workers", "1", "--within", "1e-5"]
-    assert fit_main.main([str(noisy), *options, "--write", str(out)]) == fit_main.NOT_TOLD
+    assert fit_main.main([str(noisy), *options, "--write", str(out)]) == fit_main.NOT_IDENTIFIED
     assert parameter_file.read(out)["material.damping"] == TRUTH["material.damping"]
     assert "not identified" in out.read_text()
 
@@ -265,11 +265,11 @@ def test_mismatched_recording_is_refused(tmp_path: Path, noisy: Path, bag: Path)
         read_bag([bag], scene_of(), poses={"middle": "/robot/left/pose"})
     with pytest.raises(FitError, match="there is no topic '/lost'"):
         read_bag([bag], scene_of(), topic="/lost")
-    other = write_bag(tmp_path / "other.mcap", TRUTH, seconds=0.1, poses=("/arm/a", "/arm/b"))
+    renamed_bag = write_bag(tmp_path / "other.mcap", TRUTH, seconds=0.1, poses=("/arm/a", "/arm/b"))
     with pytest.raises(FitError, match=r"2 topics hold poses of gripper 'left'.*--pose left=TOPIC"):
-        read_bag([other], scene_of())
+        read_bag([renamed_bag], scene_of())
     named = {"left": "/arm/a", "right": "/arm/b"}
-    assert len(read_bag([other], scene_of(), poses=named).clouds) == 4
+    assert len(read_bag([renamed_bag], scene_of(), poses=named).clouds) == 4
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(bag.read_bytes()[:200])
     with pytest.raises(FitError, match="can't be read as MCAP"):
@@ -282,7 +282,7 @@ def test_damaged_session_is_reported(
     noisy: Path, fitted: Fit, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     whole, hurt = noisy.read_bytes(), tmp_path / "hurt.mcap"
-    assert read_session([noisy]).lost == ""
+    assert read_session([noisy]).unreadable == ""
     assert "unreadable" not in describe(fitted)
     hurt.write_bytes(whole[: len(whole) // 2])
     assert fit_main.main([str(hurt), "--parameters", "stretch"]) == fit_main.REFUSED
@@ -293,9 +293,9 @@ def test_damaged_session_is_reported(
     hurt.write_bytes(whole[:-20])
     recording = read_session([hurt])
     assert len(recording.clouds) == len(fitted.recording.clouds)
-    told = describe(attrs.evolve(fitted, recording=recording))
-    assert f"A part of the recording is unreadable: {recording.lost}." in told
-    assert recording.lost.startswith("hurt.mcap: ")
+    description = describe(attrs.evolve(fitted, recording=recording))
+    assert f"A part of the recording is unreadable: {recording.unreadable}." in description
+    assert recording.unreadable.startswith("hurt.mcap: ")
 
 
 def test_unguarded_program_can_fit_in_processes(noisy: Path, tmp_path: Path) -> None:

@@ -72,7 +72,7 @@ def test_refused_recording_is_read_from_suggested_time(tmp_path: Path, capsys: p
         read_bag([path], scene)
     begin = float(str(caught.value).rsplit("--from ", 1)[1])
     assert 0.3 < begin < 2.5
-    recording = read_bag([path], scene, begin=begin)
+    recording = read_bag([path], scene, first_time=begin)
     assert recording.seconds[0] == 0.0
     assert len(recording.clouds) < 82
     out = tmp_path / "scene.yaml"

@@ -23,12 +23,12 @@ def test_input_file_as_output_is_refused(
     if option == "--plot":
         pytest.importorskip("matplotlib")
     monkeypatch.setattr(fit_main, "_fit", lambda _: pytest.fail("a session was read"))
-    session, link, scene, other = (tmp_path / name for name in ("s.mcap", "link.png", "scene.png", "o.mcap"))
+    session, link, scene, second_session = (tmp_path / name for name in ("s.mcap", "link.png", "scene.png", "o.mcap"))
     session.write_bytes(SESSION)
-    other.write_bytes(SESSION)
+    second_session.write_bytes(SESSION)
     link.symlink_to(session)
     scene.write_text("/**: {ros__parameters: {}}")
-    for out in (session, link, scene, other):
+    for out in (session, link, scene, second_session):
         was = out.read_bytes()
         arguments = [str(session), "--scene", str(scene), "--parameters", "stretch", option, str(out)]
         assert fit_main.main(arguments) == fit_main.REFUSED

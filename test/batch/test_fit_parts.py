@@ -13,34 +13,34 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros.batch import fit_solver
-from cloth_sim_ros.batch.fit_information import correlation, ties
-from cloth_sim_ros.batch.fit_parameters import FitError, Fitted, choose, scene_with
-from cloth_sim_ros.batch.fit_recording import Recording
-from cloth_sim_ros.batch.fit_runs import Run, _between, shift
-from cloth_sim_ros.batch.fit_solver import Problem, descend, deviations, information
-from cloth_sim_ros.batch.fit_surface import distances
-from cloth_sim_ros.batch.fit_text import _tied
-from cloth_sim_ros.batch.fit_windows import solve
+from cloth_sim_ros.batch.fit_information import confounded_directions, correlation
+from cloth_sim_ros.batch.fit_parameters import FitError, FitParameter, choose_parameters, scene_with
+from cloth_sim_ros.batch.fit_recording import FitRecording
+from cloth_sim_ros.batch.fit_runs import FitRun, _interpolate, mean_offset
+from cloth_sim_ros.batch.fit_solver import FitProblem, fisher_information, minimize, standard_deviations
+from cloth_sim_ros.batch.fit_surface import signed_distances
+from cloth_sim_ros.batch.fit_text import _describe_direction
+from cloth_sim_ros.batch.fit_windows import solve_windows
 from cloth_sim_ros.physics.sheets.surface import grid_triangles
 from cloth_sim_ros.scene.scene import Scene
 
 
-def sought(*names: str) -> list[Fitted]:
-    return [Fitted(name=name, unit="", start=1.0, least=0.01, most=100.0) for name in names]
+def sought(*names: str) -> list[FitParameter]:
+    return [FitParameter(name=name, unit="", start=1.0, min_value=0.01, max_value=100.0) for name in names]
 
 
 class Decay:
     """Model y = a exp(-b t) in place of a cloth: two parameters, one cloud per time."""
 
     def __init__(self, measured: np.ndarray, times: np.ndarray) -> None:
-        self.measured, self.times, self.fitted, self.made = measured, times, sought("a", "b"), 0
+        self.measured, self.times, self.parameters, self.n_runs = measured, times, sought("a", "b"), 0
 
     def residuals(self, a: float, b: float, count: int) -> np.ndarray:
         return self.measured[:count] - a * np.exp(-b * self.times[:count])
 
-    def make(self, runs: Sequence[Run]) -> list[Any]:
-        self.made += len(runs)
-        return [self.residuals(*run.values, run.clouds) for run in runs]
+    def compute_residuals(self, runs: Sequence[FitRun]) -> list[Any]:
+        self.n_runs += len(runs)
+        return [self.residuals(*run.values, run.n_clouds) for run in runs]
 
 
 @pytest.fixture
@@ -50,47 +50,47 @@ def decay() -> Decay:
     return Decay(3.0 * np.exp(-0.7 * times) + noise, times)
 
 
-def problem_of(runs: Any, **further: Any) -> Problem:
-    return Problem(runs=runs, offsets=np.arange(201), tick=lambda _: None, **{"sigma": None, **further})
+def problem_of(runs: Any, **further: Any) -> FitProblem:
+    return FitProblem(pool=runs, offsets=np.arange(201), on_progress=lambda _: None, **{"sigma": None, **further})
 
 
 def test_least_squares_agrees_with_scipy(decay: Decay) -> None:
     from scipy.optimize import least_squares
 
     problem = problem_of(decay)
-    start = problem.linear(problem.start, np.full(2, 0.01), 200, 1e-5)
-    found = descend(problem, start, 200, 1e-5)
-    theirs = least_squares(lambda x: decay.residuals(*x, 200), [1.0, 1.0], xtol=1e-12, ftol=1e-12)
-    bounds = deviations(information(found, problem.deviation(found.r)))
+    start = problem.linearize(problem.start, np.full(2, 0.01), 200, 1e-5)
+    minimum = minimize(problem, start, 200, 1e-5)
+    reference = least_squares(lambda x: decay.residuals(*x, 200), [1.0, 1.0], xtol=1e-12, ftol=1e-12)
+    bounds = standard_deviations(fisher_information(minimum, problem.deviation(minimum.r)))
     # Steps below a tenth of the bound count as converged; the prior's effect is far smaller.
-    assert np.all(np.abs(found.theta - np.log(theirs.x)) < 0.1 * bounds)
-    covariance = np.linalg.inv(theirs.jac.T @ theirs.jac) * 2.0 * theirs.cost / 198
-    assert bounds == pytest.approx(np.sqrt(np.diag(covariance)) / theirs.x, rel=1e-2)
+    assert np.all(np.abs(minimum.theta - np.log(reference.x)) < 0.1 * bounds)
+    covariance = np.linalg.inv(reference.jac.T @ reference.jac) * 2.0 * reference.cost / 198
+    assert bounds == pytest.approx(np.sqrt(np.diag(covariance)) / reference.x, rel=1e-2)
 
 
 def test_windows_reach_end_of_linear_motion(decay: Decay) -> None:
-    windows = solve(problem_of(decay), decay.times)
-    assert [window.clouds for window in windows.done] == sorted({window.clouds for window in windows.done})
-    assert windows.done[-1].clouds == 200
+    windows = solve_windows(problem_of(decay), decay.times)
+    assert [window.n_clouds for window in windows.windows] == sorted({window.n_clouds for window in windows.windows})
+    assert windows.windows[-1].n_clouds == 200
     assert not windows.reason
-    assert np.exp(windows.done[-1].linear.theta) == pytest.approx([3.0, 0.7], rel=0.02)
+    assert np.exp(windows.windows[-1].linearization.theta) == pytest.approx([3.0, 0.7], rel=0.02)
 
 
 def test_unexplained_later_clouds_are_not_used(decay: Decay) -> None:
     decay.measured[130:] += 0.5
-    windows = solve(problem_of(decay), decay.times)
-    assert windows.done[-1].clouds < 130
+    windows = solve_windows(problem_of(decay), decay.times)
+    assert windows.windows[-1].n_clouds < 130
     assert "the model does not explain" in windows.reason
     assert "follows only a part of the recording" in windows.doubt
-    assert np.exp(windows.done[-1].linear.theta) == pytest.approx([3.0, 0.7], rel=0.1)
+    assert np.exp(windows.windows[-1].linearization.theta) == pytest.approx([3.0, 0.7], rel=0.1)
 
 
 def test_misfit_of_added_clouds_is_found(decay: Decay) -> None:
     # The last half has 1.7 times the noise, the whole window less than 1.5 times.
     random = np.random.default_rng(7)
     decay.measured[101:] += random.choice([-1.0, 1.0], 99) * 0.0275
-    windows = solve(problem_of(decay), decay.times)
-    assert windows.done[-1].clouds <= 101
+    windows = solve_windows(problem_of(decay), decay.times)
+    assert windows.windows[-1].n_clouds <= 101
     assert windows.doubt
 
 
@@ -98,7 +98,7 @@ def test_slowly_growing_misfit_is_found(decay: Decay) -> None:
     # Each window's residuals are 1.4 times those of the previous window.
     for begin in (26, 51, 101):
         decay.measured[begin:] += np.random.default_rng(begin).normal(scale=0.028, size=200 - begin)
-    assert solve(problem_of(decay), decay.times).doubt
+    assert solve_windows(problem_of(decay), decay.times).doubt
 
 
 class Turning(Decay):
@@ -114,30 +114,30 @@ def test_end_by_curvature_is_doubted_by_later_clouds(jump: float, doubted: bool)
     turning = Turning(np.random.default_rng(1).normal(scale=0.02, size=200), times)
     turning.measured -= turning.residuals(1.02, 0.99, 200) - turning.measured
     turning.measured[110:] += jump
-    windows = solve(problem_of(turning), times)
+    windows = solve_windows(problem_of(turning), times)
     assert "too steeply" in windows.reason or jump
-    assert windows.done[-1].clouds < 200
+    assert windows.windows[-1].n_clouds < 200
     assert bool(windows.doubt) == doubted
 
 
 def test_unconverged_search_is_doubted(decay: Decay, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fit_solver, "MOST_ITERATIONS", 1)
-    decay.fitted = [attrs.evolve(parameter, start=0.05) for parameter in decay.fitted]
-    windows = solve(problem_of(decay), decay.times[:30])
+    monkeypatch.setattr(fit_solver, "MAX_ITERATIONS", 1)
+    decay.parameters = [attrs.evolve(parameter, start=0.05) for parameter in decay.parameters]
+    windows = solve_windows(problem_of(decay), decay.times[:30])
     assert "the search did not converge" in windows.doubt
 
 
 def test_failed_simulation_is_reported(decay: Decay) -> None:
-    decay.make = lambda runs: ["it burst"] * len(runs)  # type: ignore[method-assign]
+    decay.compute_residuals = lambda runs: ["it burst"] * len(runs)  # type: ignore[method-assign]
     with pytest.raises(FitError, match="starting values: it burst"):
-        solve(problem_of(decay), decay.times)
+        solve_windows(problem_of(decay), decay.times)
 
 
 def test_bounds_are_infinite_only_for_unidentified() -> None:
-    told = np.array([[4e4, 1e3], [1e3, 1e4]])
-    assert deviations(told) == pytest.approx(np.sqrt(np.diag(np.linalg.inv(told))))
-    assert deviations(np.diag([1e4, 0.0])).tolist() == [0.01, np.inf]
-    assert np.isinf(deviations(1e6 * np.array([[1.0, -1.0], [-1.0, 1.0]]))).all()
+    fisher = np.array([[4e4, 1e3], [1e3, 1e4]])
+    assert standard_deviations(fisher) == pytest.approx(np.sqrt(np.diag(np.linalg.inv(fisher))))
+    assert standard_deviations(np.diag([1e4, 0.0])).tolist() == [0.01, np.inf]
+    assert np.isinf(standard_deviations(1e6 * np.array([[1.0, -1.0], [-1.0, 1.0]]))).all()
 
 
 @pytest.mark.parametrize(("sign", "word"), [(-1.0, "ratio"), (1.0, "product")])
@@ -146,16 +146,16 @@ def test_confounded_parameters_are_named(sign: float, word: str) -> None:
     fisher = np.zeros((3, 3))
     fisher[:2, :2] = 1e6 * np.array([[1.0, sign], [sign, 1.0]])
     fisher[2, 2] = 1e6
-    (tie,) = ties(sought("x", "y", "z"), fisher, 0.025)
-    assert {parameter.name for parameter in tie.parameters} == {"x", "y"}
-    assert f"only their {word} is" in _tied(tie, 0.025)
-    assert not list(ties(sought("x", "y", "z"), fisher + 1e5 * np.eye(3), 0.025))
+    (direction,) = confounded_directions(sought("x", "y", "z"), fisher, 0.025)
+    assert {parameter.name for parameter in direction.parameters} == {"x", "y"}
+    assert f"only their {word} is" in _describe_direction(direction, 0.025)
+    assert not list(confounded_directions(sought("x", "y", "z"), fisher + 1e5 * np.eye(3), 0.025))
 
 
 def test_single_unidentified_parameter_is_alone() -> None:
-    (tie,) = ties(sought("x", "y"), np.diag([1e6, 1.0]), 0.025)
-    assert tie.single
-    assert "hardly depend" in _tied(tie, 0.025)
+    (direction,) = confounded_directions(sought("x", "y"), np.diag([1e6, 1.0]), 0.025)
+    assert direction.is_single
+    assert "hardly depend" in _describe_direction(direction, 0.025)
 
 
 def test_signed_distance_of_plane_and_sphere() -> None:
@@ -165,29 +165,29 @@ def test_signed_distance_of_plane_and_sphere() -> None:
     triangles = grid_triangles(rows, columns, "alternating")
     random = np.random.default_rng(0)
     points = random.uniform([-0.05, -0.05, -0.1], [0.45, 0.35, 0.1], size=(200, 3))
-    found = distances(points, sheet, triangles)
+    signed_flat = signed_distances(points, sheet, triangles)
     up = np.sign(np.cross(*(sheet[triangles[0, 1:]] - sheet[triangles[0, 0]]))[2])
-    assert found == pytest.approx(up * points[:, 2], abs=1e-12)
+    assert signed_flat == pytest.approx(up * points[:, 2], abs=1e-12)
     # For a sphere it is the distance from the centre minus the radius, except for the triangles' sagitta.
     turn, rise = np.meshgrid(np.linspace(-0.6, 0.6, 25), np.linspace(-0.6, 0.6, 25))
     ball = np.stack([np.sin(turn) * np.cos(rise), np.sin(rise), np.cos(turn) * np.cos(rise)], axis=-1).reshape(-1, 3)
     out = ball.reshape(25, 25, 3)[5:20, 5:20].reshape(-1, 3) * random.uniform(0.9, 1.1, size=(225, 1))
-    signed = distances(out, ball, grid_triangles(25, 25, "alternating"))
+    signed = signed_distances(out, ball, grid_triangles(25, 25, "alternating"))
     # The sagitta of a cell of 0.05 on a radius of 1 is 0.05^2 / 4.
     assert np.abs(signed) == pytest.approx(np.abs(np.linalg.norm(out, axis=1) - 1.0), abs=1e-3)
-    assert distances(np.empty((0, 3)), sheet, triangles).shape == (0,)
+    assert signed_distances(np.empty((0, 3)), sheet, triangles).shape == (0,)
 
 
 def test_interpolation_is_exact_for_cubics() -> None:
     period, s = 0.02, 0.3
     cubic = np.polynomial.Polynomial([1.0, -2.0, 30.0, 400.0])
     ends = [np.full((3, 1), value) for t in (0.0, period) for value in (cubic(t), cubic.deriv()(t))]
-    assert _between(*ends, s, period)[0, 0] == pytest.approx(cubic(s * period), rel=1e-12)
+    assert _interpolate(*ends, s, period)[0, 0] == pytest.approx(cubic(s * period), rel=1e-12)
 
 
 def test_mean_offset_is_mean_of_residuals() -> None:
     r = np.random.default_rng(0).normal(size=(40, 3)) + np.array([1.0, 2.0, 3.0])
-    assert shift(r.ravel()) == pytest.approx(r.mean(axis=0))
+    assert mean_offset(r.ravel()) == pytest.approx(r.mean(axis=0))
 
 
 def test_correlation_of_successive_residuals() -> None:
@@ -203,7 +203,7 @@ def test_correlation_of_successive_residuals() -> None:
 
 def test_friction_entries_keep_their_ratio() -> None:
     scene = Scene.from_parameters({"contact.self": True, "contact.friction": [0.4, 0.3]})
-    (friction,) = choose(scene, ["friction"])
+    (friction,) = choose_parameters(scene, ["friction"])
     assert (friction.name, friction.start) == ("contact.friction", 0.4)
     changed = scene_with(scene, [friction], [0.8])
     assert changed.contact.friction == pytest.approx((0.8, 0.6))
@@ -212,12 +212,12 @@ def test_friction_entries_keep_their_ratio() -> None:
 
 def test_bending_name_follows_scene_model() -> None:
     crossed = Scene.from_parameters({"bending.model": "crossed", "material.bending_modulus": 1e-4})
-    assert choose(Scene.from_parameters({}), ["bending"])[0].name == "bending.stiffness"
-    assert choose(crossed, ["bending"])[0].name == "material.bending_modulus"
+    assert choose_parameters(Scene.from_parameters({}), ["bending"])[0].name == "bending.stiffness"
+    assert choose_parameters(crossed, ["bending"])[0].name == "material.bending_modulus"
 
 
 def test_recording_part_selects_clouds_and_events() -> None:
-    recording = Recording(
+    recording = FitRecording(
         name="",
         scene=Scene.from_parameters({}),
         state=None,

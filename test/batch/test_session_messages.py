@@ -20,13 +20,13 @@ STAMP = 1_800_000_000_123_456_789
 @pytest.mark.parametrize("double", [False, True])
 def test_cloud_bytes_equal_generic_writer(frame_id: str, velocity: bool, double: bool) -> None:
     x, v = np.random.default_rng(0).normal(size=(2, 3, 6))
-    made = messages.CloudBytes(frame_id=frame_id, height=2, width=3, velocity=velocity, double=double)
-    made = made.at(x, STAMP, v if velocity else None)
-    read = decode(made, messages.CLOUD)
+    content = messages.CloudEncoder(frame_id=frame_id, height=2, width=3, velocity=velocity, double=double)
+    content = content.encode(x, STAMP, v if velocity else None)
+    read = decode(content, messages.CLOUD)
     # Padding after the last field extends the message to a multiple of four bytes.
     again = encode(read, messages.CLOUD)
-    assert made[: len(again)] == again
-    assert len(made) % 4 == 0
+    assert content[: len(again)] == again
+    assert len(content) % 4 == 0
     assert read.header.stamp.sec * 10**9 + read.header.stamp.nanosec == STAMP
     assert read.header.frame_id == frame_id
     values = read.data.view("<f8" if double else "<f4").reshape(6, -1)
@@ -36,7 +36,7 @@ def test_cloud_bytes_equal_generic_writer(frame_id: str, velocity: bool, double:
 
 @pytest.mark.parametrize("frame_id", ["", "world", "map"])
 def test_small_message_bytes_equal_generic_writer(frame_id: str) -> None:
-    made = [
+    encoded = [
         (messages.POSE, messages.pose_bytes((1.0, -0.0, 3.0), (0.0, 0.6, 0.0, 0.8), frame_id=frame_id, stamp=STAMP)),
         (messages.POINT, messages.point_bytes((1.0, 2.0, 3.0), frame_id=frame_id, stamp=STAMP)),
         (messages.WRENCH, messages.wrench_bytes(range(6), frame_id=frame_id, stamp=STAMP)),
@@ -44,10 +44,10 @@ def test_small_message_bytes_equal_generic_writer(frame_id: str) -> None:
         (messages.MESH, messages.mesh_bytes([[0, 1, 2]], np.arange(9.0).reshape(3, 3))),
         (messages.MESH, messages.mesh_bytes(np.zeros((0, 3), np.int64), np.arange(9.0).reshape(3, 3))),
     ]
-    for kind, data in made:
+    for kind, data in encoded:
         assert encode(decode(data, kind), kind) == data
-    pose = decode(made[0][1], messages.POSE)
+    pose = decode(encoded[0][1], messages.POSE)
     assert (pose.pose.position.z, pose.pose.orientation.w, pose.header.frame_id) == (3.0, 0.8, frame_id)
     assert message_class(messages.WRENCH)
-    wrench = decode(made[2][1], messages.WRENCH).wrench
+    wrench = decode(encoded[2][1], messages.WRENCH).wrench
     assert (wrench.force.y, wrench.torque.z) == (1.0, 5.0)

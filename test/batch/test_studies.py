@@ -19,9 +19,9 @@ from cloth_sim_ros.batch import index, study_file
 from cloth_sim_ros.batch.errors import FolderError, StudyError
 from cloth_sim_ros.batch.factors import read
 from cloth_sim_ros.batch.folder import StudyFolder
-from cloth_sim_ros.batch.forecast import draw
 from cloth_sim_ros.batch.main import main
 from cloth_sim_ros.batch.sampling import sample
+from cloth_sim_ros.batch.study_estimate import sample_and_estimate
 from cloth_sim_ros.batch.study_run import perform, perform_all
 from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.verify.run import verify
@@ -68,11 +68,11 @@ def study_of(folder: Path, **entries):
     return study_file.from_dict({k: v for k, v in content.items() if v is not None}, folder=folder)
 
 
-def lay_down(folder: Path, study) -> tuple[StudyFolder, list]:
-    place = StudyFolder(folder)
-    samples, _ = draw(study, 2)
-    place.create(study, samples, "")
-    return place, samples
+def create_study(folder: Path, study) -> tuple[StudyFolder, list]:
+    study_folder = StudyFolder(folder)
+    samples, _ = sample_and_estimate(study, 2)
+    study_folder.create(study, samples, "")
+    return study_folder, samples
 
 
 @pytest.fixture
@@ -91,9 +91,9 @@ def with_policy(tmp_path: Path):
 
 def test_run_session_verifies_and_row_describes_it(tmp_path: Path) -> None:
     study = study_of(tmp_path)
-    place, samples = lay_down(tmp_path / "out", study)
-    row = perform(place, study, 2, samples[2])
-    verdict = verify([place.path / row["session"]])
+    study_folder, samples = create_study(tmp_path / "out", study)
+    row = perform(study_folder, study, 2, samples[2])
+    verdict = verify([study_folder.path / row["session"]])
     assert (verdict.same, verdict.frames, verdict.clouds) == (True, 30, 30)
     assert not verdict.missing
     assert (row["status"], row["frames"]) == ("ok", 30)
@@ -103,15 +103,15 @@ def test_run_session_verifies_and_row_describes_it(tmp_path: Path) -> None:
 
 def test_bits_are_independent_of_order_and_process(tmp_path: Path) -> None:
     study = study_of(tmp_path)
-    first, samples = lay_down(tmp_path / "first", study)
-    second, again = lay_down(tmp_path / "second", study)
+    first, samples = create_study(tmp_path / "first", study)
+    second, again = create_study(tmp_path / "second", study)
     assert samples == again
     for run in (0, 1, 2, 3):
         perform(first, study, run, samples[run])
     # A worker reads the study from the folder.
     perform_all(str(second.path), [(run, again[run]) for run in (3, 1, 0, 2)])
     for run in range(4):
-        assert first.session(run).read_bytes() == second.session(run).read_bytes()
+        assert first.session_file(run).read_bytes() == second.session_file(run).read_bytes()
     digests = [row["digest"] for row in first.rows()]
     assert digests == [row["digest"] for row in second.rows()]
     assert len(set(digests)) == 4
@@ -121,47 +121,47 @@ def test_session_without_clouds_is_small_and_verifies(tmp_path: Path) -> None:
     rows = {}
     for clouds in (True, False):
         study = study_of(tmp_path, clouds=clouds)
-        place, samples = lay_down(tmp_path / str(clouds), study)
-        rows[clouds] = perform(place, study, 0, samples[0])
-        assert verify([place.path / rows[clouds]["session"]]).same
+        study_folder, samples = create_study(tmp_path / str(clouds), study)
+        rows[clouds] = perform(study_folder, study, 0, samples[0])
+        assert verify([study_folder.path / rows[clouds]["session"]]).same
     assert rows[True]["digest"] == rows[False]["digest"]
     assert rows[False]["bytes"] < rows[True]["bytes"]
 
 
 def test_failed_run_is_recorded_until_its_failure(with_policy, tmp_path: Path) -> None:
-    place, samples = lay_down(tmp_path / "out", with_policy)
-    well, failed = (perform(place, with_policy, run, values) for run, values in enumerate(samples))
-    assert (well["status"], failed["status"]) == ("ok", "failed")
-    assert well["outcomes"]["kept"] == 1.0
-    assert well["outcomes"]["spread"] > 0.0
+    study_folder, samples = create_study(tmp_path / "out", with_policy)
+    succeeded, failed = (perform(study_folder, with_policy, run, values) for run, values in enumerate(samples))
+    assert (succeeded["status"], failed["status"]) == ("ok", "failed")
+    assert succeeded["outcomes"]["kept"] == 1.0
+    assert succeeded["outcomes"]["spread"] > 0.0
     assert "RuntimeError: the arm is at its end (arm.py, line 12)" in failed["error"]
-    verdict = verify([place.path / failed["session"]])
+    verdict = verify([study_folder.path / failed["session"]])
     assert verdict.same
     assert verdict.frames == failed["frames"] == 13
 
 
 def test_policy_random_numbers_depend_on_run(with_policy, tmp_path: Path) -> None:
-    one, samples = lay_down(tmp_path / "one", with_policy)
-    other, _ = lay_down(tmp_path / "other", with_policy)
-    perform(one, with_policy, 1, samples[0])
-    perform(one, with_policy, 0, samples[0])
-    perform(other, with_policy, 0, samples[0])
-    digests = [row["digest"] for row in one.rows()]
-    assert digests[0] == next(other.rows())["digest"]
+    first, samples = create_study(tmp_path / "one", with_policy)
+    second, _ = create_study(tmp_path / "other", with_policy)
+    perform(first, with_policy, 1, samples[0])
+    perform(first, with_policy, 0, samples[0])
+    perform(second, with_policy, 0, samples[0])
+    digests = [row["digest"] for row in first.rows()]
+    assert digests[0] == next(second.rows())["digest"]
     assert digests[0] != digests[1]
 
 
 def test_finished_run_is_not_repeated(tmp_path: Path) -> None:
     study = study_of(tmp_path)
-    place, samples = lay_down(tmp_path / "out", study)
-    row = perform(place, study, 0, samples[0])
-    assert perform(place, study, 0, samples[0]) == row
+    study_folder, samples = create_study(tmp_path / "out", study)
+    row = perform(study_folder, study, 0, samples[0])
+    assert perform(study_folder, study, 0, samples[0]) == row
 
 
 @pytest.mark.parametrize("where", ["session", "row"])
 def test_full_disk_names_folder_and_leaves_no_files(tmp_path: Path, monkeypatch, where: str) -> None:
     study = study_of(tmp_path)
-    place, samples = lay_down(tmp_path / "out", study)
+    study_folder, samples = create_study(tmp_path / "out", study)
 
     def full(*_arguments, **_options):
         raise OSError(28, "No space left on device")
@@ -169,11 +169,11 @@ def test_full_disk_names_folder_and_leaves_no_files(tmp_path: Path, monkeypatch,
     name = "cloth_sim_ros.session.storage.AppendFile._write" if where == "session" else "os.replace"
     monkeypatch.setattr(name, full)
     with pytest.raises(FolderError, match=r"no space left in .*out.*--resume"):
-        perform(place, study, 0, samples[0])
+        perform(study_folder, study, 0, samples[0])
     monkeypatch.undo()
-    assert not list(place.path.rglob(".unfinished*"))
-    assert not list(place.rows())
-    assert perform(place, study, 0, samples[0])["status"] == "ok"
+    assert not list(study_folder.path.rglob(".unfinished*"))
+    assert not list(study_folder.rows())
+    assert perform(study_folder, study, 0, samples[0])["status"] == "ok"
 
 
 @pytest.mark.parametrize(
@@ -218,7 +218,7 @@ def test_raising_policy_is_refused_before_first_run(tmp_path: Path) -> None:
     (tmp_path / "arm.py").write_text(POLICY)
     study = study_of(tmp_path, scripts=None, vary={}, policy="arm.py:broken")
     with pytest.raises(StudyError, match=r"no run starts: policy 'arm.py:broken' raised ZeroDivisionError.*line 16"):
-        draw(study, 2)
+        sample_and_estimate(study, 2)
     (tmp_path / "worse.py").write_text("import nothing_of_that_name\n")
     with pytest.raises(StudyError, match="ModuleNotFoundError"):
         study_of(tmp_path, scripts=None, vary={}, policy="worse.py:f")
@@ -231,32 +231,32 @@ def test_exit_in_user_code_fails_only_its_run(tmp_path: Path) -> None:
     (tmp_path / "gone.py").write_text("import sys\nsys.exit(5)\n")
     study = study_of(tmp_path, scripts=None, policy="arm.py:leaves", vary=None)
     with pytest.raises(StudyError, match=r"no run starts: policy 'arm.py:leaves' raised SystemExit: 3 \(arm.py"):
-        draw(study, 1)
+        sample_and_estimate(study, 1)
     with pytest.raises(StudyError, match=r"policy 'gone.py:lift' can't be imported: SystemExit: 5 \(gone.py, line 2\)"):
         study_of(tmp_path, scripts=None, policy="gone.py:lift", vary=None)
     study = study_of(tmp_path, outcomes="arm.py:ends", runs=1)
-    place, samples = lay_down(tmp_path / "out", study)
-    row = perform(place, study, 0, samples[0])
+    study_folder, samples = create_study(tmp_path / "out", study)
+    row = perform(study_folder, study, 0, samples[0])
     assert (row["status"], row["frames"]) == ("failed", 30)
     assert row["error"].startswith("outcome 'arm.py:ends' raised SystemExit: enough (arm.py")
 
 
 def test_too_many_runs_are_refused_with_estimate(tmp_path: Path) -> None:
     with pytest.raises(StudyError, match=r"runs is 1000000000; at most 10000000.*B and .* hours on 2 cores"):
-        draw(study_of(tmp_path, runs=1e9), 2)
+        sample_and_estimate(study_of(tmp_path, runs=1e9), 2)
 
 
 def test_invalid_normal_value_is_reported_with_run(tmp_path: Path) -> None:
     with pytest.raises(StudyError, match=r"'air.drag' is -.* in run \d+"):
-        draw(study_of(tmp_path, vary={"air.drag": {"normal": [0.0, 1.0]}}), 2)
+        sample_and_estimate(study_of(tmp_path, vary={"air.drag": {"normal": [0.0, 1.0]}}), 2)
 
 
 def test_folder_of_another_study_is_refused(tmp_path: Path, capsys) -> None:
-    place, _ = lay_down(tmp_path / "out", study_of(tmp_path))
+    study_folder, _ = create_study(tmp_path / "out", study_of(tmp_path))
     with pytest.raises(StudyError, match="holds another study: it differs in duration"):
-        place.create(study_of(tmp_path, duration=1.0), [], "")
+        study_folder.create(study_of(tmp_path, duration=1.0), [], "")
     (tmp_path / "study.yaml").write_text(json.dumps({**BASE, "seed": 5}))
-    assert main([str(tmp_path / "study.yaml"), "--out", str(place.path), "--resume"]) == 2
+    assert main([str(tmp_path / "study.yaml"), "--out", str(study_folder.path), "--resume"]) == 2
     assert "differs in seed" in capsys.readouterr().err
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "thesis.txt").write_text("")
@@ -266,10 +266,10 @@ def test_folder_of_another_study_is_refused(tmp_path: Path, capsys) -> None:
 
 def test_study_round_trip_is_exact(tmp_path: Path) -> None:
     study = study_of(tmp_path, vary={"cloth.size[0]": [0.8, 1.2], "material.density": {"uniform": [0.1, 0.3]}})
-    place, samples = lay_down(tmp_path / "out", study)
-    assert place.read() == study
-    assert place.samples(study) == samples
-    place.check_same(place.read())
+    study_folder, samples = create_study(tmp_path / "out", study)
+    assert study_folder.read() == study
+    assert study_folder.samples(study) == samples
+    study_folder.check_same(study_folder.read())
 
 
 @pytest.mark.parametrize("sampling", ["sobol", "latin_hypercube", "random"])
@@ -313,29 +313,32 @@ def test_command_runs_and_resumes_study(tmp_path: Path, capsys) -> None:
     command = [str(tmp_path / "study.yaml"), "--out", str(tmp_path / "out"), "--workers", "1"]
     assert main(command) == 0
     assert "6 of 6 runs were successful" in capsys.readouterr().out
-    place = StudyFolder(tmp_path / "out")
-    whole = index.read(place).to_pydict()
+    study_folder = StudyFolder(tmp_path / "out")
+    whole = index.read(study_folder).to_pydict()
     assert whole["run"] == list(range(6))
     assert "outcome.mean_height" in whole
     assert main(command) == 2
     assert "continue with --resume" in capsys.readouterr().err
-    place.row_file(3).unlink()
-    place.row_file(4).write_text('{"run": 4, "sta')
-    (place.path / "runs" / ".unfinished-0000003-abc").mkdir()
+    study_folder.row_file(3).unlink()
+    study_folder.row_file(4).write_text('{"run": 4, "sta')
+    (study_folder.path / "runs" / ".unfinished-0000003-abc").mkdir()
     assert main([*command, "--resume"]) == 0
-    again = index.read(place).to_pydict()
+    again = index.read(study_folder).to_pydict()
     assert again["digest"] == whole["digest"]
-    assert not list(place.path.rglob(".unfinished*"))
-    assert main(["view", str(place.path), "--outcome", "mean_height", "--rows", "2"]) == 0
+    assert not list(study_folder.path.rglob(".unfinished*"))
+    assert main(["view", str(study_folder.path), "--outcome", "mean_height", "--rows", "2"]) == 0
     shown = capsys.readouterr().out
     assert "mean_height" in shown
     assert "4 more" in shown
     picture = tmp_path / "plot.png"
     assert (
-        main(["view", str(place.path), "--outcome", "held", "--over", "material.density", "--plot", str(picture)]) == 0
+        main(
+            ["view", str(study_folder.path), "--outcome", "held", "--over", "material.density", "--plot", str(picture)]
+        )
+        == 0
     )
     assert picture.read_bytes()[:4] == b"\x89PNG"
-    assert main(["view", str(place.path), "--outcome", "mean_heigth"]) == 2
+    assert main(["view", str(study_folder.path), "--outcome", "mean_heigth"]) == 2
     assert "did you mean 'mean_height'" in capsys.readouterr().err
 
 
@@ -358,15 +361,19 @@ def test_invalid_option_is_refused(tmp_path: Path, capsys, option: str, value: s
 
 
 def test_second_client_is_refused(tmp_path: Path) -> None:
-    place, _ = lay_down(tmp_path / "out", study_of(tmp_path))
-    with place.held(), pytest.raises(StudyError, match="another cloth_batch"), StudyFolder(place.path).held():
+    study_folder, _ = create_study(tmp_path / "out", study_of(tmp_path))
+    with (
+        study_folder.lock(),
+        pytest.raises(StudyError, match="another cloth_batch"),
+        StudyFolder(study_folder.path).lock(),
+    ):
         pass
 
 
 def test_session_metadata_names_run(tmp_path: Path) -> None:
     study = study_of(tmp_path)
-    place, samples = lay_down(tmp_path / "out", study)
-    row = perform(place, study, 0, samples[0])
-    with SessionReader([place.path / row["session"]]) as reader:
+    study_folder, samples = create_study(tmp_path / "out", study)
+    row = perform(study_folder, study, 0, samples[0])
+    with SessionReader([study_folder.path / row["session"]]) as reader:
         assert reader.missing is None
         assert reader.metadata["session"] == "run_0000000"

@@ -30,21 +30,23 @@ STUDY = {
 
 
 @pytest.fixture
-def place(tmp_path: Path) -> StudyFolder:
+def study_folder(tmp_path: Path) -> StudyFolder:
     """A finished study of two runs."""
     from cloth_sim_ros.batch import study_file
-    from cloth_sim_ros.batch.forecast import draw
+    from cloth_sim_ros.batch.study_estimate import sample_and_estimate
 
     (tmp_path / "study.yaml").write_text(json.dumps(STUDY))
     study = study_file.read(tmp_path / "study.yaml")
-    place, samples = StudyFolder(tmp_path / "out"), draw(study, 1)[0]
-    place.create(study, samples, "")
-    index.write(place, [perform(place, study, run, values) for run, values in enumerate(samples)])
-    return place
+    folder, samples = StudyFolder(tmp_path / "out"), sample_and_estimate(study, 1)[0]
+    folder.create(study, samples, "")
+    index.write(folder, [perform(folder, study, run, values) for run, values in enumerate(samples)])
+    return folder
 
 
-def resume(place: StudyFolder) -> int:
-    return main([str(place.path.parent / "study.yaml"), "--out", str(place.path), "--resume", "--workers", "1"])
+def resume(study_folder: StudyFolder) -> int:
+    return main(
+        [str(study_folder.path.parent / "study.yaml"), "--out", str(study_folder.path), "--resume", "--workers", "1"]
+    )
 
 
 @pytest.mark.parametrize(
@@ -59,40 +61,42 @@ def resume(place: StudyFolder) -> int:
     ],
 )
 def test_unreadable_study_is_refused(
-    place: StudyFolder, capsys: pytest.CaptureFixture[str], name: str, text: str | None, words: str
+    study_folder: StudyFolder, capsys: pytest.CaptureFixture[str], name: str, text: str | None, words: str
 ) -> None:
     if text is None:
-        (place.path / name).unlink()
+        (study_folder.path / name).unlink()
     else:
-        (place.path / name).write_text(text)
-    assert resume(place) == 2
-    told = capsys.readouterr().err
-    assert words in told
-    assert "start in another folder" in told
+        (study_folder.path / name).write_text(text)
+    assert resume(study_folder) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert "start in another folder" in error
 
 
 @pytest.mark.parametrize("text", ['{"run": 1}', '{"run": "x"}', "[]", "", None])
-def test_incomplete_row_is_ignored(place: StudyFolder, text: str | None) -> None:
-    row, path = read_row(place.row_file(0)), place.row_file(1)
+def test_incomplete_row_is_ignored(study_folder: StudyFolder, text: str | None) -> None:
+    row, path = read_row(study_folder.row_file(0)), study_folder.row_file(1)
     assert row is not None
     # None stands for another run's row under this run's name.
     path.write_text(json.dumps(row) if text is None else text)
     assert read_row(path) is None
-    assert [row["run"] for row in place.rows()] == [0]
+    assert [row["run"] for row in study_folder.rows()] == [0]
 
 
-def test_run_with_damaged_row_is_repeated(place: StudyFolder, capsys: pytest.CaptureFixture[str]) -> None:
-    whole = index.read(place).to_pydict()
-    place.row_file(1).write_text('{"run": 1}')
-    assert resume(place) == 0
+def test_run_with_damaged_row_is_repeated(study_folder: StudyFolder, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = index.read(study_folder).to_pydict()
+    study_folder.row_file(1).write_text('{"run": 1}')
+    assert resume(study_folder) == 0
     assert "2 of 2 runs were successful; 1 took" in capsys.readouterr().out
-    assert index.read(place).to_pydict()["digest"] == whole["digest"]
+    assert index.read(study_folder).to_pydict()["digest"] == whole["digest"]
 
 
-def test_damaged_index_is_refused_and_rebuilt_from_rows(place: StudyFolder, capsys: pytest.CaptureFixture[str]) -> None:
-    whole = index.read(place).to_pydict()
-    place.index.write_bytes(place.index.read_bytes()[:100])
-    assert main(["view", str(place.path)]) == 2
+def test_damaged_index_is_refused_and_rebuilt_from_rows(
+    study_folder: StudyFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = index.read(study_folder).to_pydict()
+    study_folder.index_file.write_bytes(study_folder.index_file.read_bytes()[:100])
+    assert main(["view", str(study_folder.path)]) == 2
     assert "Remove it: it is rebuilt from the rows" in capsys.readouterr().err
-    place.index.unlink()
-    assert index.read(place).to_pydict() == whole
+    study_folder.index_file.unlink()
+    assert index.read(study_folder).to_pydict() == whole

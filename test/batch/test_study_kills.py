@@ -24,10 +24,10 @@ pytest.importorskip("mcap")
 pytest.importorskip("rosbags")
 
 from cloth_sim_ros.batch import study_file
-from cloth_sim_ros.batch.conduct import Conductor
 from cloth_sim_ros.batch.folder import StudyFolder
-from cloth_sim_ros.batch.forecast import draw
+from cloth_sim_ros.batch.study_estimate import sample_and_estimate
 from cloth_sim_ros.batch.study_run import perform
+from cloth_sim_ros.batch.study_runner import StudyRunner
 
 STUDY = {
     "scene": "cloth_sim.yaml",
@@ -46,27 +46,27 @@ def test_runs_of_killed_worker_repeat_with_same_digests(tmp_path: Path) -> None:
     finally:
         sys.path.pop(0)
     study = study_file.from_dict(STUDY, folder=tmp_path)
-    samples, _ = draw(study, 1)
-    calm, shot = StudyFolder(tmp_path / "calm"), StudyFolder(tmp_path / "shot")
-    for place in (calm, shot):
-        place.create(study, samples, "")
-    wanted = [perform(calm, study, run, values)["digest"] for run, values in enumerate(samples)]
-    told: dict[int, dict] = {}
-    conductor = Conductor(shot, study, samples, 10.0, told.__setitem__, say=lambda _text: None)
+    samples, _ = sample_and_estimate(study, 1)
+    undisturbed, killed_study = StudyFolder(tmp_path / "calm"), StudyFolder(tmp_path / "shot")
+    for study_folder in (undisturbed, killed_study):
+        study_folder.create(study, samples, "")
+    expected = [perform(undisturbed, study, run, values)["digest"] for run, values in enumerate(samples)]
+    finished: dict[int, dict] = {}
+    runner = StudyRunner(killed_study, study, samples, 10.0, finished.__setitem__, on_message=lambda _text: None)
     with cluster(1, tmp_path) as dask:
         arguments = {"address": dask.address, "runs": range(4), "wait": 200.0}
-        thread = threading.Thread(target=conductor.conduct, kwargs=arguments, daemon=True)
+        thread = threading.Thread(target=runner.run, kwargs=arguments, daemon=True)
         thread.start()
         killed = False
         while thread.is_alive():
             thread.join(0.1)
-            if told and not killed:
+            if finished and not killed:
                 dask.kill_worker(0)
                 killed = True
             dask.tend()
     assert killed
-    assert [told[run]["digest"] for run in range(4)] == wanted
-    assert [row["run"] for row in shot.rows()] == [0, 1, 2, 3]
+    assert [finished[run]["digest"] for run in range(4)] == expected
+    assert [row["run"] for row in killed_study.rows()] == [0, 1, 2, 3]
 
 
 def test_ctrl_c_stops_study_with_one_line(tmp_path: Path) -> None:
@@ -75,17 +75,17 @@ def test_ctrl_c_stops_study_with_one_line(tmp_path: Path) -> None:
     (tmp_path / "study.yaml").write_text(json.dumps(study))
     command = [sys.executable, "-m", "cloth_sim_ros.batch.main", "study.yaml", "--out", "out", "--workers", "2"]
     # The process gets its own group, because a terminal sends the signal to a group.
-    begun = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    command_process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
     try:
         end = time.monotonic() + 60.0
         while not list(tmp_path.glob("out/rows/*/*.json")) and time.monotonic() < end:
             time.sleep(0.1)
-        os.killpg(begun.pid, signal.SIGINT)
-        told = begun.communicate(timeout=60.0)[1]
+        os.killpg(command_process.pid, signal.SIGINT)
+        error = command_process.communicate(timeout=60.0)[1]
     finally:
-        begun.kill()
-    assert begun.returncode == 130
-    assert "Traceback" not in told
-    assert told.splitlines()[-1] == "cloth_batch: interrupted; finished runs are kept; continue with --resume"
+        command_process.kill()
+    assert command_process.returncode == 130
+    assert "Traceback" not in error
+    assert error.splitlines()[-1] == "cloth_batch: interrupted; finished runs are kept; continue with --resume"
     assert not list(tmp_path.rglob(".unfinished*"))
     assert (tmp_path / "out" / "index.parquet").is_file()

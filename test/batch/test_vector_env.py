@@ -55,14 +55,14 @@ def heavier(rng: np.random.Generator, scene: Scene) -> dict[str, float] | None:
 
 @pytest.fixture
 def make():
-    made: list[ClothVectorEnv] = []
+    environments: list[ClothVectorEnv] = []
 
     def new(count: int = COUNT, **options) -> ClothVectorEnv:
-        made.append(ClothVectorEnv(count, **{"scene": SCENE, **options}))
-        return made[-1]
+        environments.append(ClothVectorEnv(count, **{"scene": SCENE, **options}))
+        return environments[-1]
 
     yield new
-    for cloths in made:
+    for cloths in environments:
         cloths.close()
 
 
@@ -74,10 +74,10 @@ def test_each_cloth_equals_single_simulation(make, threads: int) -> None:
     for simulation in alone:
         take_corner(simulation)
     rng = np.random.default_rng(0)
-    place = alone[0].positions[-1]
+    corner = alone[0].positions[-1]
     for _ in range(6):
         acts = np.zeros((COUNT, 1, 4), dtype=np.float32)
-        acts[:, 0, :3] = place + rng.uniform(-0.1, 0.1, (COUNT, 3))
+        acts[:, 0, :3] = corner + rng.uniform(-0.1, 0.1, (COUNT, 3))
         acts[:, 0, 3] = rng.random(COUNT) > 0.3
         observations, *_ = cloths.step(acts)
         for simulation, action in zip(alone, acts, strict=True):
@@ -99,38 +99,38 @@ def test_vector_env_equals_single_envs(make, mode: AutoresetMode) -> None:
     def single():
         return gymnasium.wrappers.TimeLimit(ClothEnv(**options), 7)
 
-    others = SyncVectorEnv([single] * COUNT, autoreset_mode=mode)
-    assert cloths.observation_space == others.observation_space
-    assert cloths.action_space == others.action_space
+    singles = SyncVectorEnv([single] * COUNT, autoreset_mode=mode)
+    assert cloths.observation_space == singles.observation_space
+    assert cloths.action_space == singles.action_space
     assert cloths.metadata["autoreset_mode"] is mode
-    assert _equal(cloths.reset(seed=7), others.reset(seed=7))
+    assert _equal(cloths.reset(seed=7), singles.reset(seed=7))
     ended = 0
     for acts in actions(cloths, 20):
-        here, there = cloths.step(acts), others.step(acts)
-        assert _equal(here, there)
-        assert here[0] in cloths.observation_space
-        over = here[2] | here[3]
+        vector_step, single_step = cloths.step(acts), singles.step(acts)
+        assert _equal(vector_step, single_step)
+        assert vector_step[0] in cloths.observation_space
+        over = vector_step[2] | vector_step[3]
         ended += int(over.sum())
         if mode is AutoresetMode.DISABLED and over.any():
-            assert _equal(*(each.reset(options={"reset_mask": over.copy()}) for each in (cloths, others)))
+            assert _equal(*(env.reset(options={"reset_mask": over.copy()}) for env in (cloths, singles)))
     assert ended > COUNT
-    others.close()
+    singles.close()
 
 
-def _equal(here, there) -> bool:
+def _equal(actual, reference) -> bool:
     """Return true if results are equal; masked entries of infos are ignored."""
-    *data, info = here
-    *expected, told = there
+    *data, info = actual
+    *expected, expected_info = reference
     assert all(np.array_equal(a, b) and a.dtype == b.dtype for a, b in zip(data, expected, strict=True))
-    assert set(info) == set(told)
+    assert set(info) == set(expected_info)
     for name in (name for name in info if not name.startswith("_")):
-        mask = told["_" + name]
+        mask = expected_info["_" + name]
         assert (info["_" + name] == mask).all()
-        mine, theirs = info[name], told[name]
-        if isinstance(mine, dict):
-            assert all((mine[key][mask] == theirs[key][mask]).all() for key in mine)
+        actual_values, expected_values = info[name], expected_info[name]
+        if isinstance(actual_values, dict):
+            assert all((actual_values[key][mask] == expected_values[key][mask]).all() for key in actual_values)
         else:
-            assert all(np.array_equal(mine[i], theirs[i]) for i in np.flatnonzero(mask))
+            assert all(np.array_equal(actual_values[i], expected_values[i]) for i in np.flatnonzero(mask))
     return True
 
 
@@ -183,7 +183,7 @@ def test_reset_restores_snapshot_without_rebuild(make, monkeypatch) -> None:
     fresh = cloths.reset()[0]
     for acts in actions(cloths, 3):
         cloths.step(acts)
-    monkeypatch.setattr("cloth_sim_ros.batch.herd.Simulation", None)
+    monkeypatch.setattr("cloth_sim_ros.batch.simulation_pool.Simulation", None)
     assert (cloths.reset()[0] == fresh).all()
 
 
@@ -200,15 +200,15 @@ def test_gripper_speed_is_limited(make) -> None:
     cloths.reset()
     start = np.array([[[0.0, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0, 0.0]]])
     cloths.step(start)
-    there = start + np.array([0.3, -0.1, 0.0, 0.0, 0.0, 0.9, -0.9, 0.0])
+    goal = start + np.array([0.3, -0.1, 0.0, 0.0, 0.0, 0.9, -0.9, 0.0])
     before = start[0, 0, :3]
     for _ in range(100):
-        cloths.step(there)
+        cloths.step(goal)
         pose = cloths.snapshots[0].state.memory["gripper.pose"][0]
-        way = np.linalg.norm(pose[:3] - before)
-        assert way <= 0.3 / 30.0 + 1e-9
+        distance = np.linalg.norm(pose[:3] - before)
+        assert distance <= 0.3 / 30.0 + 1e-9
         before = pose[:3]
-    assert pose[:3] == pytest.approx(there[0, 0, :3], abs=1e-6)
+    assert pose[:3] == pytest.approx(goal[0, 0, :3], abs=1e-6)
 
 
 def bad(value: float) -> np.ndarray:

@@ -243,7 +243,7 @@ def test_what_peers_are_told_is_ours(name: str) -> None:
     assert tables["path"].shape == ((122, 8, 3) if name == "fold" else (1, 0, 3))
     assert len(np.unique(tables["triangles"])) == len(tables["positions"])
     # Ours gives bending a share of the stiffness along the threads, which peers' membranes keep.
-    springs = contest.scene.model().force("structural").listed
+    springs = contest.scene.model().force("structural").pair_springs
     assert tables["retardation"] == pytest.approx(np.median(springs.damping / springs.rigidity), rel=0.06)
 
 

@@ -86,7 +86,7 @@ def test_two_threads_move_the_sheet_to_the_same_bits() -> None:
     assert row.gain > 0.0
     # Steps of a frame are stable ones.
     sheet = curtain(16).build()[0]
-    limit = speed_kernels.leapfrog_limit(*sheet.rates(curtain(16).build()[1].x))
+    limit = speed_kernels.leapfrog_limit(*sheet.spectral_bounds(curtain(16).build()[1].x))
     assert PERIOD / speed_kernels.thread_gain(16, np.float64, seconds=0.0).steps < limit
 
 

@@ -33,16 +33,16 @@ GRAVITY = -9.81
 @pytest.fixture(scope="module")
 def as_usual() -> dict[str, list[str]]:
     """Digests of all scenes' frames, by the engine that this machine takes."""
-    return bits.run_apart(bits.ways()[0], FRAMES)["digests"]
+    return bits.run_in_subprocess(bits.run_configurations()[0], FRAMES)["digests"]
 
 
-@pytest.mark.parametrize("way", bits.ways()[1:], ids=lambda way: way.name)
+@pytest.mark.parametrize("way", bits.run_configurations()[1:], ids=lambda way: way.name)
 def test_bits_are_the_same(as_usual: dict[str, list[str]], way: Any) -> None:
-    if way.why_not:
-        pytest.skip(f"{way.name}: {way.why_not}")
+    if way.skip_reason:
+        pytest.skip(f"{way.name}: {way.skip_reason}")
     if "CLOTH_SIM_ROS_ENGINE" in way.environment and not (bits.ENGINE / f"_{way.name}.so").exists():
         pytest.skip(f"{way.name}: not built")
-    output = bits.run_apart(way, FRAMES)
+    output = bits.run_in_subprocess(way, FRAMES)
     if "CLOTH_SIM_ROS_ENGINE" in way.environment:
         assert output["engine"] == way.name
     assert bits.compare(as_usual, output["digests"], way.name) == []
@@ -56,7 +56,7 @@ def test_scenes_use_both_precisions_and_all_integrators(monkeypatch: pytest.Monk
     runs, advance = Plan.runs, Simulation.advance
 
     def watched(self: Plan, t: float, duration: float, start: Any, steps: Any, **options: Any) -> Any:
-        precisions.add(bool(options.get("narrow")))
+        precisions.add(bool(options.get("single_precision")))
         orders.add(len(steps))
         return runs(self, t, duration, start, steps, **options)
 
@@ -82,8 +82,8 @@ def test_contact_scenes_cover_every_contact() -> None:
             gaps, contact = simulation.gaps(), simulation.plan.contact
             names = [obstacle.name for obstacle in contact.force.obstacles]
             contacts |= {(scene, name) for name, (count, _) in zip(names, gaps.tolist(), strict=True) if count}
-            self_contacts |= {scene} if contact.own_gaps(simulation.state.x)[0] else set()
-            pinched |= {scene} if simulation.held(0) and simulation.pinching else set()
+            self_contacts |= {scene} if contact.self_gaps(simulation.state.x)[0] else set()
+            pinched |= {scene} if simulation.grasped_count(0) and simulation.pinching else set()
     by_scene = {scene: {name for changed, name in contacts if changed == scene} for scene, _ in contacts}
     assert len(by_scene["obstacles"]) >= 3
     assert {"table"} <= by_scene["friction"] & by_scene["friction, implicit"]
@@ -109,10 +109,10 @@ def test_first_differing_frame_is_reported(capsys: pytest.CaptureFixture[str], m
     changed = {"one": ["a", "x", "y"], "two": ["d", "e", "f"]}
     assert bits.compare(usual, changed, "there") == [bits.Difference("one", "there", 2)]
     answers = iter([usual, usual, changed])
-    monkeypatch.setattr(bits, "run_apart", lambda *_, **__: {"engine": "any", "digests": next(answers)})
-    ways = [(bits.Way(name, {}, why_not), "python") for name, why_not in
+    monkeypatch.setattr(bits, "run_in_subprocess", lambda *_, **__: {"engine": "any", "digests": next(answers)})
+    ways = [(bits.RunConfiguration(name, {}, why_not), "python") for name, why_not in
              [("here", ""), ("absent", "no such thing"), ("same", ""), ("there", "")]]  # fmt: skip
-    assert bits.tell(ways, 3) == 1
+    assert bits.compare_runs(ways, 3) == 1
     printed = capsys.readouterr().out
     assert "absent: left out, no such thing" in printed
     assert "same (any): 6 frames of 2 scenes, the same bits" in printed
@@ -143,7 +143,7 @@ def test_trace_replays_with_equal_bits(replay: Path, tmp_path: Path, scene: str)
         ROOT / "scripts" / "bits_trace.py",
         trace,
         "--frames",
-        bits.traced(scene) if scene in _CONTACT else "1",
+        bits.n_traced_frames(scene) if scene in _CONTACT else "1",
         scene,
     ]
     subprocess.run(recorder, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True)
@@ -162,7 +162,7 @@ def test_trace_replays_with_equal_bits(replay: Path, tmp_path: Path, scene: str)
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="an x86-64 C library is switched")
 def test_plain_environment_changes_c_library_and_numpy() -> None:
-    way = next(way for way in bits.ways() if way.name.startswith("plain"))
+    way = next(way for way in bits.run_configurations() if way.name.startswith("plain"))
     if not way.environment["NPY_DISABLE_CPU_FEATURES"]:
         pytest.skip("numpy takes nothing of this processor that it could do without")
     script = (

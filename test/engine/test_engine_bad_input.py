@@ -147,19 +147,19 @@ def test_what_no_gripper_holds_is_refused(name, bad):
     grips, x = Grips(1), np.zeros((3, N))
     plan = compile(Model(np.ones(N), [grips]))
     grips.hold(**GRIPS)
-    plan.rates(x)
+    plan.spectral_bounds(x)
     # What is wrong with the numbers of particles and starts is told of both.
     words = "particles|starts" if name in ("particles", "starts") else name
     grips.hold(**{**GRIPS, name: bad})
     for ask in (
-        lambda: plan.rates(x),
+        lambda: plan.spectral_bounds(x),
         lambda: plan.runs(0.0, 0.01, (x, x), [1]),
         lambda: plan.accelerations(0.0, x, x, x),
     ):
         with pytest.raises(ValueError, match=words):
             ask()
     grips.hold(**GRIPS)
-    plan.rates(x)
+    plan.spectral_bounds(x)
 
 
 @pytest.mark.parametrize("count", [-1, 1.5, None, "two"])
@@ -239,10 +239,10 @@ def read_only(shape=(3, N)):
 CALLS = {
     "runs": (lambda p, x, v: p.runs(0.0, 0.01, (x, v), [2, 3], weights=[-1.0, 2.0]), "x v", ""),
     "accelerations": (lambda p, x, v, out: p.accelerations(0.0, x, v, out), "x v out", "out"),
-    "rates": (lambda p, x: p.rates(x), "x", ""),
+    "rates": (lambda p, x: p.spectral_bounds(x), "x", ""),
     "energies": (lambda p, x, v: p.energies(0.0, x, v), "x v", ""),
     "powers": (lambda p, x, v: p.powers(0.0, x, v), "x v", ""),
-    "grip_rates": (lambda p, x, v: p.grip_rates(0.0, x, v), "x v", ""),
+    "grip_rates": (lambda p, x, v: p.grip_wrench_rates(0.0, x, v), "x v", ""),
     "add_bounds": (lambda p, x, stiff, damped: p.add_bounds(x, stiff, damped), "x stiff damped", "stiff damped"),
     "add_jacobian_product": (lambda p, *key: p.add_jacobian_product(0.0, *key), "x v dx dv out", "out"),
 }
@@ -300,7 +300,7 @@ def test_bits_ignore_number_of_threads(plan, threads):
     (actual,), _ = plan.runs(0.0, 0.01, (good(), good()), [5], threads=threads)
     (expected,), _ = plan.runs(0.0, 0.01, (good(), good()), [5])
     assert actual.x.tobytes() == expected.x.tobytes()
-    at_once, _ = plan.runs(0.0, 0.01, (good(), good()), [5, 9, 7], abreast=threads)
+    at_once, _ = plan.runs(0.0, 0.01, (good(), good()), [5, 9, 7], concurrency=threads)
     in_turn, _ = plan.runs(0.0, 0.01, (good(), good()), [5, 9, 7])
     assert [run.x.tobytes() for run in at_once] == [run.x.tobytes() for run in in_turn]
 
@@ -313,9 +313,9 @@ def test_non_finite_state_gives_flagged_result(plan, value, single):
     x[1, 3] = value
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        _, result = plan.runs(0.0, 0.01, (x, v), [2, 3], weights=[-1.0, 2.0], narrow=single)
+        _, result = plan.runs(0.0, 0.01, (x, v), [2, 3], weights=[-1.0, 2.0], single_precision=single)
     if not abs(value) < INF:
-        assert not result[2].finite
+        assert not result[2].is_finite
 
 
 def test_lists_of_other_springs_are_refused():
@@ -365,4 +365,4 @@ def test_forces_accept_or_refuse_any_argument(first, second, third, fourth):
             except (ValueError, TypeError, OverflowError):
                 continue
         plan.runs(0.0, 1e-3, (good(), good()), [1])
-        plan.rates(good())
+        plan.spectral_bounds(good())

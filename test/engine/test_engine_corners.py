@@ -45,8 +45,8 @@ def test_sheet_with_any_subset_of_families(names, single):
     sheet = springs(rows, columns, names)
     masses = np.full(rows * columns, 1e-4)
     ends = [
-        compile(Model(masses, [force])).runs(0.0, 5e-4, (x, v), [5], narrow=single)[0][0].x
-        for force in (sheet, sheet.listed)
+        compile(Model(masses, [force])).runs(0.0, 5e-4, (x, v), [5], single_precision=single)[0][0].x
+        for force in (sheet, sheet.pair_springs)
     ]
     assert np.abs(ends[0] - ends[1]).max() < (1e-8 if single else 1e-15)
 
@@ -59,12 +59,12 @@ def test_bounds_at_row_start_ignore_padding(columns):
     sheet = springs(rows, columns, REST_LENGTHS)
     # The first column decides.
     masses = np.where(np.arange(rows * columns) % columns == 0, 1e-5, 1e-4)
-    grid, listed = (compile(Model(masses, [force])) for force in (sheet, sheet.listed))
+    grid, listed = (compile(Model(masses, [force])) for force in (sheet, sheet.pair_springs))
     actual, expected = (np.zeros((2, 6, rows * columns)) for _ in range(2))
     grid.add_bounds(x, *actual)
     listed.add_bounds(x, *expected)
     assert np.abs(actual - expected).max() < 1e-13 * np.abs(expected).max()
-    np.testing.assert_allclose(grid.rates(x), of_blocks(listed, x), rtol=3e-6)
+    np.testing.assert_allclose(grid.spectral_bounds(x), of_blocks(listed, x), rtol=3e-6)
 
 
 RUN_ON = """
@@ -124,13 +124,13 @@ def test_busy_plan_refuses_second_run():
 
 
 QUESTIONS = {
-    "rates": lambda plan, x, v: plan.rates(x),
+    "rates": lambda plan, x, v: plan.spectral_bounds(x),
     "energy": lambda plan, x, v: plan.energies(0.0, x, v),
     "powers": lambda plan, x, v: plan.powers(0.0, x, v),
     "bounds": lambda plan, x, v: plan.add_bounds(x, np.zeros((6, 16)), np.zeros((6, 16))),
-    "gaps": lambda plan, x, v: plan.contact.own_gaps(x),
-    "ahead": lambda plan, x, v: plan.contact.own_ahead(0.0, 0.01, x, v),
-    "rest": lambda plan, x, v: plan.contact.rests(0.01, x, v),
+    "gaps": lambda plan, x, v: plan.contact.self_gaps(x),
+    "ahead": lambda plan, x, v: plan.contact.predict_surface_contact(0.0, 0.01, x, v),
+    "rest": lambda plan, x, v: plan.contact.is_clear_of_itself(0.01, x, v),
 }
 
 

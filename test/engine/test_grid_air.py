@@ -61,7 +61,7 @@ def scene(
     springs = GridSprings(rows, columns, families)
     normal, tangential = coefficients
     air = AirPanels(cells, normal=normal, tangential=tangential, wind=wind)
-    forces = [springs.listed if as_lists else springs, air, Gravity((0.0, 0.0, -9.81))]
+    forces = [springs.pair_springs if as_lists else springs, air, Gravity((0.0, 0.0, -9.81))]
     if hinges:
         forces.append(AltitudeSprings(grid_hinges(rows, columns), 0.0, 1.0, 1e-3))
     x = np.zeros((3, rows, columns))
@@ -118,11 +118,13 @@ def test_rows_equal_lists(shape, coefficients, left_out):
     rows, lists = (scene(shape, coefficients, left_out=left_out, as_lists=as_lists) for as_lists in (False, True))
     assert_close(accelerations(rows), accelerations(lists), 1e-13)
     for single, rounding in ((False, 1e-13), (True, 2e-6)):
-        actual, expected = run(rows, narrow=single), run(lists, narrow=single)
-        for a, b in zip(actual.ends, expected.ends, strict=True):
+        actual, expected = run(rows, single_precision=single), run(lists, single_precision=single)
+        for a, b in zip(actual.end_state, expected.end_state, strict=True):
             assert_close(a, b, rounding)
-        assert np.isfinite(actual.ends).all()
-        actual, expected = (run(case, narrow=single, powers=True).powers for case in (rows, lists))
+        assert np.isfinite(actual.end_state).all()
+        actual, expected = (
+            run(case, single_precision=single, record_power=True).power_integrals for case in (rows, lists)
+        )
         np.testing.assert_allclose(
             actual, expected, rtol=0.0, atol=(1e-5 if single else 1e-12) * np.abs(expected).max()
         )
@@ -141,7 +143,7 @@ def test_panels_off_cells_and_duplicates_act():
         plan, x, v = scene((rows, columns))
         panels = AirPanels([*cells, odd], normal=0.3, tangential=0.1, wind=(1.0, 2.0, 3.0))
         plan = compile(Model(np.full(rows * columns, MASS), [plan.model.forces[0], panels]))
-        expected = compile(Model(np.full(rows * columns, MASS), [plan.model.forces[0].listed, panels]))
+        expected = compile(Model(np.full(rows * columns, MASS), [plan.model.forces[0].pair_springs, panels]))
         assert_close(accelerations((plan, x, v)), accelerations((expected, x, v)), 1e-13)
 
 
@@ -151,10 +153,10 @@ def test_second_list_of_cells_acts():
     more.name = "more air"
     actual, expected = (
         compile(Model(np.full(42, MASS), [springs, *plan.model.forces[1:], more]))
-        for springs in (plan.model.forces[0], plan.model.forces[0].listed)
+        for springs in (plan.model.forces[0], plan.model.forces[0].pair_springs)
     )
     assert_close(accelerations((actual, x, v)), accelerations((expected, x, v)), 1e-13)
-    assert actual.rates(x) == pytest.approx(of_blocks(expected, x), rel=1e-5)
+    assert actual.spectral_bounds(x) == pytest.approx(of_blocks(expected, x), rel=1e-5)
 
 
 @pytest.mark.parametrize("wind", [(0.0, 0.0, 0.0), (30.0, -1.0, 0.5)])
@@ -165,32 +167,32 @@ def test_row_bounds_equal_law_bounds(shape, coefficients, damped, wind):
     scaled = tuple(1e3 * coefficient for coefficient in coefficients)
     plan, x, _ = scene(shape, scaled, damped=damped, wind=wind)
     # With drag along the surface alone the two largest eigenvalues may be alike: single precision knows them less well.
-    assert plan.rates(x) == pytest.approx(of_blocks(plan, x), rel=1e-5 if coefficients[0] else 1e-3)
-    assert plan.rates(x)[1] > scene(shape, (0.0, 0.0), damped=damped)[0].rates(x)[1]
+    assert plan.spectral_bounds(x) == pytest.approx(of_blocks(plan, x), rel=1e-5 if coefficients[0] else 1e-3)
+    assert plan.spectral_bounds(x)[1] > scene(shape, (0.0, 0.0), damped=damped)[0].spectral_bounds(x)[1]
 
 
 @pytest.mark.parametrize("hinges", [False, True])
 @pytest.mark.parametrize("single", [False, True])
 def test_bits_ignore_threads_and_recorded_powers(single, hinges):
     case = scene((130, 97), hinges=hinges)
-    alone = run(case, narrow=single, threads=1).ends
+    alone = run(case, single_precision=single, threads=1).end_state
     for threads in (2, 5, 8, 16):
-        np.testing.assert_array_equal(run(case, narrow=single, threads=threads).ends, alone)
-    np.testing.assert_array_equal(run(case, narrow=single, powers=True).ends, alone)
+        np.testing.assert_array_equal(run(case, single_precision=single, threads=threads).end_state, alone)
+    np.testing.assert_array_equal(run(case, single_precision=single, record_power=True).end_state, alone)
 
 
 def test_multirate_hinges_leave_air_unchanged():
     rows, lists = (scene((19, 16), hinges=True, as_lists=as_lists) for as_lists in (False, True))
-    assert_close(run(rows, every=3).ends[0], run(lists, every=3).ends[0], 1e-13)
+    assert_close(run(rows, multirate=3).end_state[0], run(lists, multirate=3).end_state[0], 1e-13)
 
 
 def test_new_wind_acts_in_rows():
     plan, x, v = scene((7, 9), wind=(0.0, 0.0, 0.0))
-    blown = air_of(plan).blown((4.0, 2.0, 1.0))
+    blown = air_of(plan).in_wind((4.0, 2.0, 1.0))
     before = accelerations((plan, x, v))
     forces = [blown if isinstance(force, AirPanels) else force for force in plan.model.forces]
     uniform = [force for force in forces if isinstance(force, Gravity)]
-    plan.change_uniform(forces, uniform, air=blown.common)
+    plan.change_uniform(forces, uniform, air_coefficients=blown.coefficients)
     after = accelerations((plan, x, v))
     assert np.abs(after - before).max() > 0.1
     assert np.array_equal(after, accelerations(scene((7, 9), wind=(4.0, 2.0, 1.0))))
@@ -203,10 +205,10 @@ def digest() -> str:
         for coefficients in COEFFICIENTS:
             case = scene(shape, coefficients)
             sha.update(accelerations(case).tobytes())
-            sha.update(np.array(case[0].rates(case[1])).tobytes())
+            sha.update(np.array(case[0].spectral_bounds(case[1])).tobytes())
             for single in (False, True):
-                done = run(case, narrow=single, powers=True)
-                sha.update(done.ends.tobytes() + done.notes.tobytes())
+                done = run(case, single_precision=single, record_power=True)
+                sha.update(done.end_state.tobytes() + done.integrals.tobytes())
     return sha.hexdigest()
 
 

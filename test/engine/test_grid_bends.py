@@ -107,7 +107,7 @@ def test_rows_equal_lists(kind, shape, damped, left_out):
     shuffled = accelerations(scene(kind, shape, **options, order=1))
     assert np.array_equal(actual, shuffled) == (left_out < 0.6)
     for single, rounding in ((False, 1e-13), (True, 1e-6)):
-        actual, expected = run(rows, narrow=single).ends, run(lists, narrow=single).ends
+        actual, expected = run(rows, single_precision=single).end_state, run(lists, single_precision=single).end_state
         for a, b in zip(actual, expected, strict=True):
             np.testing.assert_allclose(a, b, rtol=0.0, atol=rounding * np.abs(b).max())
         assert np.isfinite(actual).all()
@@ -118,17 +118,19 @@ def test_rows_equal_lists(kind, shape, damped, left_out):
 @pytest.mark.parametrize("kind", KINDS)
 def test_bits_ignore_threads_and_recorded_powers(kind, damped, single):
     case = scene(kind, (130, 97), damped=damped)
-    alone = run(case, narrow=single, threads=1).ends
+    alone = run(case, single_precision=single, threads=1).end_state
     for threads in (2, 5, 8, 16):
-        np.testing.assert_array_equal(run(case, narrow=single, threads=threads).ends, alone)
-    np.testing.assert_array_equal(run(case, narrow=single, powers=True).ends, alone)
+        np.testing.assert_array_equal(run(case, single_precision=single, threads=threads).end_state, alone)
+    np.testing.assert_array_equal(run(case, single_precision=single, record_power=True).end_state, alone)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_dissipation_is_recorded(kind):
     rows, lists = scene(kind, (19, 16)), scene(kind, (19, 16), as_lists=True)
     for single, rounding in ((False, 1e-12), (True, 1e-5)):
-        actual, expected = (run(case, narrow=single, powers=True).powers for case in (rows, lists))
+        actual, expected = (
+            run(case, single_precision=single, record_power=True).power_integrals for case in (rows, lists)
+        )
         assert expected[0] > 0.0
         np.testing.assert_allclose(actual, expected, rtol=rounding)
 
@@ -149,8 +151,8 @@ def digest() -> str:
                 case = scene(kind, shape, damped=damped)
                 sha.update(accelerations(case).tobytes())
                 for single in (False, True):
-                    done = run(case, narrow=single, powers=True)
-                    sha.update(done.ends.tobytes() + done.notes.tobytes())
+                    done = run(case, single_precision=single, record_power=True)
+                    sha.update(done.end_state.tobytes() + done.integrals.tobytes())
     return sha.hexdigest()
 
 

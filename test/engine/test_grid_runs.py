@@ -140,7 +140,7 @@ def test_forces_equal_sum_over_pairs(choice, shape):
 @pytest.mark.parametrize("choice", CHOICES)
 def test_listed_springs_equal_their_definition(choice):
     springs = GridSprings(6, 9, CHOICES[choice])
-    listed, defined = springs.listed, []
+    listed, defined = springs.pair_springs, []
     for family in springs.families:
         ends, factor = pairs(springs, family)
         numbers = np.outer(factor, [1.0, family.stiffness, family.damping])
@@ -155,7 +155,7 @@ def test_listed_springs_equal_their_definition(choice):
 def test_coincident_particles_stay_finite():
     plan = sheet(GridSprings(4, 5, ALL))
     for single in (False, True):
-        done = run(plan, np.zeros((3, 20)), np.ones((3, 20)), 3, 1e-3, narrow=single)
+        done = run(plan, np.zeros((3, 20)), np.ones((3, 20)), 3, 1e-3, single_precision=single)
         assert np.array_equal(done.v, np.ones((3, 20)))
 
 
@@ -237,18 +237,21 @@ def test_grips_exert_equal_and_opposite_forces(choice, single, relative):
     springs, inverse, grips = GridSprings(11, 13, CHOICES[choice]), some_masses(143), some_grips()
     x, v = crumpled(11, 13)
     expected_x, expected_v, booked = plain_leapfrog(x, v, springs, inverse, 20, 2e-4, gravity=GRAVITY, grips=grips)
-    done = run(sheet(springs, inverse, gravity=GRAVITY, grips=grips), x, v, 20, 2e-4, narrow=single)
+    done = run(sheet(springs, inverse, gravity=GRAVITY, grips=grips), x, v, 20, 2e-4, single_precision=single)
     assert close(done.x, expected_x, relative)
     assert close(done.v, expected_v, relative)
-    assert close(done.grips[:, [0, 1, 2]], booked[:, :3], 10 * relative)
-    assert close(done.grips[:, 6], booked[:, 3], 10 * relative)
+    assert close(done.gripper_integrals[:, [0, 1, 2]], booked[:, :3], 10 * relative)
+    assert close(done.gripper_integrals[:, 6], booked[:, 3], 10 * relative)
 
 
 def test_single_precision_independent_of_origin():
     springs, inverse = GridSprings(19, 16, ALL), np.full(304, 1.0 / MASS)
     x, v = crumpled(19, 16)
     plan = sheet(springs, inverse)
-    at_origin, at_100_m = run(plan, x, v, 20, 2e-4, narrow=True), run(plan, x + 100.0, v, 20, 2e-4, narrow=True)
+    at_origin, at_100_m = (
+        run(plan, x, v, 20, 2e-4, single_precision=True),
+        run(plan, x + 100.0, v, 20, 2e-4, single_precision=True),
+    )
     exact = run(plan, x, v, 20, 2e-4)
     # A map frame far away must not cost digits, but those of the coordinates themselves.
     assert close(at_origin.x, exact.x, 1e-6)
@@ -311,13 +314,13 @@ def test_bits_ignore_number_of_threads(kind, choice, single, shape):
     springs, inverse = GridSprings(*shape, CHOICES[choice]), some_masses(shape[0] * shape[1])
     lists = [crosswise(*shape)] if kind == "sheet and list" else []
     x, v = crumpled(*shape)
-    springs = springs.listed if kind == "list" else springs
+    springs = springs.pair_springs if kind == "list" else springs
     plan = sheet(springs, inverse, lists=lists, gravity=GRAVITY, drag=1.5, grips=some_grips())
     for steps in (1, 7, 33):
         # Noted powers would keep all to one thread.
-        alone = run(plan, x, v, steps, 1e-4, narrow=single, threads=1)
+        alone = run(plan, x, v, steps, 1e-4, single_precision=single, threads=1)
         for threads in (2, 3, 16):
-            done = run(plan, x, v, steps, 1e-4, narrow=single, threads=threads)
+            done = run(plan, x, v, steps, 1e-4, single_precision=single, threads=threads)
             for name, actual, expected in zip(done._fields, done, alone, strict=True):
                 assert np.array_equal(actual, expected), f"{name} of {steps} steps by {threads} threads"
     assert np.abs(alone.x - x).max() > 1e-4
@@ -326,7 +329,7 @@ def test_bits_ignore_number_of_threads(kind, choice, single, shape):
 def test_single_precision_does_not_lose_small_motion():
     """Ten thousand steps, each far below the rounding of the position, add up."""
     x = np.array([[0.0, 3.0], [0.0, 0.0], [0.0, 0.0]])
-    done = run(sheet(GridSprings(1, 2, ())), x, np.full((3, 2), 1e-4), 10_000, 1e-4, narrow=True)
+    done = run(sheet(GridSprings(1, 2, ())), x, np.full((3, 2), 1e-4), 10_000, 1e-4, single_precision=True)
     assert np.allclose(done.x, x + 1e-4, rtol=0.0, atol=1e-10)
 
 
@@ -334,11 +337,11 @@ def test_single_precision_does_not_lose_small_motion():
 def test_non_finite_state_leaves_no_trace(single):
     plan = sheet(GridSprings(6, 5, ALL), some_masses(30), drag=1.5, gravity=GRAVITY)
     x, v = crumpled(6, 5)
-    first = run(plan, x, v, 3, 1e-4, narrow=single)
+    first = run(plan, x, v, 3, 1e-4, single_precision=single)
     broken = x.copy()
     broken[0, 7] = np.nan
-    run(plan, broken, v, 3, 1e-4, narrow=single)
-    again = run(plan, x, v, 3, 1e-4, narrow=single)
+    run(plan, broken, v, 3, 1e-4, single_precision=single)
+    again = run(plan, x, v, 3, 1e-4, single_precision=single)
     assert np.array_equal(first.x, again.x)
     assert np.array_equal(first.v, again.v)
 

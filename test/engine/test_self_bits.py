@@ -28,7 +28,7 @@ for listed, integrator, frames in ((False, "auto", 8), (True, "auto", 8), (False
     state, met = State(places, velocities), 0
     for k in range(frames):
         method.advance(plan, state, k / 60.0, 1.0 / 60.0)
-        met += plan.contact.own_gaps(state.x)[0]
+        met += plan.contact.self_gaps(state.x)[0]
     print(state.digest(), met)
 """
 

@@ -16,13 +16,13 @@ from cloth_sim_ros.physics.sheets.surface import Surface
 N = 9
 RNG = np.random.default_rng(7)
 HINGES = np.array([RNG.permutation(N)[:4] for _ in range(8)])
-REST = RNG.uniform(-0.4, 0.4, 8)
+REST_LENGTHS = RNG.uniform(-0.4, 0.4, 8)
 STIFFNESS = RNG.uniform(5, 50, 8)
 DAMPING = RNG.uniform(0.1, 2.0, 8)
 FORCES = {
-    "crossed": CrossedSprings(HINGES[:, :2], HINGES[:, 2:], REST, STIFFNESS, DAMPING),
+    "crossed": CrossedSprings(HINGES[:, :2], HINGES[:, 2:], REST_LENGTHS, STIFFNESS, DAMPING),
     "crossed flat": CrossedSprings(HINGES[:, :2], HINGES[:, 2:], 0.0, STIFFNESS),
-    "altitude": AltitudeSprings(HINGES, REST, STIFFNESS, DAMPING),
+    "altitude": AltitudeSprings(HINGES, REST_LENGTHS, STIFFNESS, DAMPING),
     "altitude flat": AltitudeSprings(HINGES, 0.0, STIFFNESS),
 }
 LENGTHS = {"crossed": laws.crossed_length, "altitude": laws.blended_length}
@@ -35,7 +35,7 @@ def test_lengths_are_those_of_the_candidates(seed):
     for hinge in HINGES:
         p = x.T[hinge]
         volume, seven = laws.volume(p), laws.candidates(p)
-        heights, areas = (np.array([each[k] for each in seven]) for k in (0, 2))
+        heights, areas = (np.array([candidate[k] for candidate in seven]) for k in (0, 2))
         assert heights == pytest.approx(volume / areas, rel=1e-10), "each by its own feet, signs included"
         edge = x.T[hinge[1]] - x.T[hinge[0]]
         defined = np.hypot(areas[0], 0.1 * (edge @ edge))
@@ -99,11 +99,11 @@ def test_undefined_length_is_nan():
 )
 def test_degenerate_states_give_no_nan(hinges, x):
     plan, v = alone(hinges, count=N), np.ones((3, N)) * np.arange(N)
-    found = [force(plan, x, v), *blocks(plan, x), product(plan, x, v, x + 1.0, v)]
-    for narrow in (False, True):
-        (run,), _ = plan.runs(0.0, 0.0, (x, v), [1], narrow=narrow)
-        found += [run.x, run.v]
-    for value in (*found, plan.energies(0.0, x, v), plan.dissipation(0.0, x, v), plan.rates(x)):
+    arrays = [force(plan, x, v), *blocks(plan, x), product(plan, x, v, x + 1.0, v)]
+    for single_precision in (False, True):
+        (run,), _ = plan.runs(0.0, 0.0, (x, v), [1], single_precision=single_precision)
+        arrays += [run.x, run.v]
+    for value in (*arrays, plan.energies(0.0, x, v), plan.dissipation(0.0, x, v), plan.spectral_bounds(x)):
         assert np.isfinite(value).all()
 
 
@@ -154,9 +154,9 @@ def test_stiffness_bound_is_tight_for_hinges_of_any_shape(kind):
     for _ in range(300):
         x = rng.standard_normal((3, 4)) * 10.0 ** rng.uniform(-1.5, 0, (3, 1))
         length = signed_lengths(PAIR, x, kind=kind.kind)[0]
-        rest = length + rng.choice([-1.0, 1.0]) * rng.uniform(0, 3)
+        rest_length = length + rng.choice([-1.0, 1.0]) * rng.uniform(0, 3)
         ends = (PAIR,) if kind is AltitudeSprings else (PAIR[:, :2], PAIR[:, 2:])
-        plan = alone(kind(*ends, rest, 1.0), count=4)
+        plan = alone(kind(*ends, rest_length, 1.0), count=4)
         whole, bound = matrix(plan, x, 0.0 * x, "x"), full(blocks(plan, x)[0])
         largest = np.linalg.eigvalsh(whole)[-1]
         assert np.linalg.eigvalsh(bound - whole)[0] > -1e-9 * np.abs(whole).max()

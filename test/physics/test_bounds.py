@@ -32,7 +32,7 @@ SHEETS = [
 
 def listed(model):
     """Return the model with a sheet's springs as lists."""
-    forces = [force.listed if isinstance(force, GridSprings) else force for force in model.forces]
+    forces = [force.pair_springs if isinstance(force, GridSprings) else force for force in model.forces]
     return compile(Model(model.masses, forces, anchors=model.anchors))
 
 
@@ -54,14 +54,14 @@ def test_sheet_bounds_are_those_of_its_springs_one_by_one(values, crumpled):
         x[:, 5] = x[:, 4]  # a spring without a direction
     single = listed(plan.model)
     # A sheet's bounds are calculated in single precision. Two nearly equal eigenvalues are accurate to its root.
-    assert plan.rates(x) == pytest.approx(of_blocks(single, x), rel=SINGLE)
+    assert plan.spectral_bounds(x) == pytest.approx(of_blocks(single, x), rel=SINGLE)
     x[:, 3] = x[:, 2] + 1e-9  # as good as none
-    for one, other in zip(blocks(plan, x), blocks(single, x), strict=True):
-        assert one == pytest.approx(other, abs=1e-12 * np.abs(other).max())
-    assert np.isfinite(plan.rates(x)).all()
+    for grid_blocks, single_blocks in zip(blocks(plan, x), blocks(single, x), strict=True):
+        assert grid_blocks == pytest.approx(single_blocks, abs=1e-12 * np.abs(single_blocks).max())
+    assert np.isfinite(plan.spectral_bounds(x)).all()
     x[1, 3] = np.nan
-    for each in (plan, single):
-        assert np.isnan(each.rates(x)[0])
+    for checked_plan in (plan, single):
+        assert np.isnan(checked_plan.spectral_bounds(x)[0])
 
 
 @pytest.mark.parametrize("values", SHEETS)
@@ -71,7 +71,9 @@ def test_spectral_bounds_are_tight_upper_bounds(values, crumpled):
     plan = scene.plan()
     x = np.ascontiguousarray(scene.initial_positions().T)
     x += crumpled * np.random.default_rng(1).standard_normal(x.shape)
-    for true, rate, sharper in zip(true_rates(plan, x), plan.rates(x), listed(plan.model).rates(x), strict=True):
+    for true, rate, sharper in zip(
+        true_rates(plan, x), plan.spectral_bounds(x), listed(plan.model).spectral_bounds(x), strict=True
+    ):
         assert true <= sharper * (1.0 + SINGLE) <= rate * (1.0 + SINGLE) ** 2
         # Next to anchors, and at compressed or crossing springs, the bound is looser than within a flat sheet.
         assert rate <= 4.0 * true + 1e-9
@@ -81,17 +83,17 @@ def test_bounds_of_a_grasped_sheet_add_springs_and_grips():
     values = {"cloth.resolution": [9, 11], "grippers": ["a", "b"], "gripper.radius": 0.3, "gripper.stiffness": 1e4}
     simulation = Simulation(Scene.from_parameters(values))
     low = simulation.positions[-1]
-    before = simulation.plan.rates(simulation.state.x)
+    before = simulation.plan.spectral_bounds(simulation.state.x)
     simulation.advance([Target("a", low), Target("b", low), Grasp("a", True), Grasp("b", True)])
     x = simulation.state.x
-    assert simulation.plan.rates(x)[0] > 1.2 * before[0]
+    assert simulation.plan.spectral_bounds(x)[0] > 1.2 * before[0]
     x += 0.03 * np.random.default_rng(1).standard_normal(x.shape)
-    found = simulation.plan.rates(x)
+    bounds = simulation.plan.spectral_bounds(x)
     largest = [
         max(np.linalg.eigvalsh(full(bound[:, [p]]))[-1] * inverse for p, inverse in enumerate(inverses))
         for bound, inverses in zip(blocks(simulation.plan, x), [simulation.model.inverse_masses] * 2, strict=True)
     ]
-    assert found == pytest.approx(largest, rel=SINGLE), "both grippers count where both hold"
+    assert bounds == pytest.approx(largest, rel=SINGLE), "both grippers count where both hold"
 
 
 def mesh_file(count=1500):
@@ -117,17 +119,17 @@ def mesh_file(count=1500):
 def test_bounds_of_a_grasped_mesh_are_below_its_largest_block(values):
     common = {"cloth.mesh": "sheet.obj", "cloth.anchors": ["3"], "bending.model": "none", "grippers": ["a", "b"]}
     simulation = Simulation(Scene.from_parameters({**common, **values}, files={"sheet.obj": mesh_file()}))
-    place = simulation.positions[-1]
-    simulation.advance([Target("a", place), Target("b", place), Grasp("a", True), Grasp("b", True)])
-    assert simulation.grippers.held(0).size
+    position = simulation.positions[-1]
+    simulation.advance([Target("a", position), Target("b", position), Grasp("a", True), Grasp("b", True)])
+    assert simulation.grippers.grasped_particles(0).size
     x = simulation.state.x
     x += 0.01 * np.random.default_rng(1).standard_normal(x.shape)
     if not values.get("bending.model"):
         x[:, 5] = x[:, next(b for a, b in simulation.model.force("structural").pairs if a == 5)]
-    for rate, even in zip(simulation.plan.rates(x), of_blocks(simulation.plan, x), strict=True):
+    for rate, even in zip(simulation.plan.spectral_bounds(x), of_blocks(simulation.plan, x), strict=True):
         assert 0.5 * even <= rate <= even * (1.0 + 1e-12)
     x[1, 40] = np.nan
-    assert np.isnan(simulation.plan.rates(x)[0])
+    assert np.isnan(simulation.plan.spectral_bounds(x)[0])
 
 
 @pytest.mark.parametrize("bending", ["none", "crossed", "altitude"])
@@ -140,7 +142,7 @@ def test_bounds_of_an_irregular_mesh_are_tight_upper_bounds(bending, crumpled, s
     plan = (scene := Scene.from_parameters(values, files={"sheet.obj": mesh_file(120)})).plan()
     x = np.ascontiguousarray(scene.initial_positions().T)
     x += crumpled * np.random.default_rng(1).standard_normal(x.shape)
-    for true, rate, even in zip(true_rates(plan, x), plan.rates(x), of_blocks(plan, x), strict=True):
+    for true, rate, even in zip(true_rates(plan, x), plan.spectral_bounds(x), of_blocks(plan, x), strict=True):
         assert true <= rate * (1.0 + 1e-9)
         assert rate <= even * (1.0 + 1e-12)
         if not crumpled:
@@ -154,7 +156,7 @@ def test_light_particle_distributes_its_bound_to_heavy_ones():
     x = np.concatenate([np.zeros((3, 1)), [np.cos(angles), np.sin(angles), 0.0 * angles]], axis=1)
     springs = PairSprings([[0, i] for i in range(1, 5)], 1.0, 100.0, 2.0)
     plan = compile(Model([1e-3, 1.0, 1.0, 1.0, 1.0], [springs]))
-    omega2, damping = plan.rates(x)
+    omega2, damping = plan.spectral_bounds(x)
     assert of_blocks(plan, x) == pytest.approx([4e5, 8e3])
     assert 2e5 < omega2 < 2.4e5
     assert 4e3 < damping < 4.8e3
@@ -185,21 +187,21 @@ def test_bounds_of_a_python_force_add_to_those_of_the_engine():
     x = np.ascontiguousarray(scene.initial_positions().T) + 0.02 * np.random.default_rng(3).standard_normal((3, 20))
     both = compile(Model(model.masses, [*model.forces, Tether(3e4, 7.0)], anchors=model.anchors))
     alone = scene.plan()
-    for one, other, more in zip(blocks(both, x), blocks(alone, x), (3e4, 7.0), strict=True):
-        assert one[:3] == pytest.approx(other[:3] + more, rel=1e-14)
-        assert one[3:] == pytest.approx(other[3:], rel=1e-14)
+    for both_blocks, engine_blocks, added in zip(blocks(both, x), blocks(alone, x), (3e4, 7.0), strict=True):
+        assert both_blocks[:3] == pytest.approx(engine_blocks[:3] + added, rel=1e-14)
+        assert both_blocks[3:] == pytest.approx(engine_blocks[3:], rel=1e-14)
     # An isotropic part shifts all eigenvalues alike.
     expected = [
-        max((np.linalg.eigvalsh(full(b[:, [p]]))[-1] + more) * model.inverse_masses[p] for p in range(20))
-        for b, more in zip(blocks(alone, x), (3e4, 7.0), strict=True)
+        max((np.linalg.eigvalsh(full(b[:, [p]]))[-1] + added) * model.inverse_masses[p] for p in range(20))
+        for b, added in zip(blocks(alone, x), (3e4, 7.0), strict=True)
     ]
-    assert both.rates(x) == pytest.approx(expected, rel=1e-10)
+    assert both.spectral_bounds(x) == pytest.approx(expected, rel=1e-10)
 
 
 def eigenvalues(bound):
-    found = np.empty(bound.shape[1])
-    check(library().cloth_eigenvalues(np.ascontiguousarray(bound).ctypes.data, bound.shape[1], found.ctypes.data))
-    return found
+    largest = np.empty(bound.shape[1])
+    check(library().cloth_eigenvalues(np.ascontiguousarray(bound).ctypes.data, bound.shape[1], largest.ctypes.data))
+    return largest
 
 
 def test_largest_eigenvalues_are_those_of_numpy():
@@ -210,15 +212,15 @@ def test_largest_eigenvalues_are_those_of_numpy():
     for i, diagonal in enumerate([(1, 1, 0), (1, 0, 0), (1, 1, 1), (0, 0, 0), (2, 1, 1), (1e9, 1, 1e-9), (5, 5, 4)]):
         matrices[i] = turns[i] @ np.diag(diagonal) @ turns[i].T
     bound = np.stack([matrices[:, i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))])
-    found, exact = eigenvalues(bound), np.linalg.eigvalsh(matrices)[:, -1]
-    assert found[7:] == pytest.approx(exact[7:], rel=1e-10)
+    calculated, exact = eigenvalues(bound), np.linalg.eigvalsh(matrices)[:, -1]
+    assert calculated[7:] == pytest.approx(exact[7:], rel=1e-10)
     # A double root is known to the square root of rounding.
-    assert found[:7] == pytest.approx(exact[:7], rel=5e-8, abs=1e-14)
+    assert calculated[:7] == pytest.approx(exact[:7], rel=5e-8, abs=1e-14)
 
 
 def test_nan_blocks_give_nan_eigenvalues():
     bound = np.zeros((6, 2))
     bound[3, 1] = np.nan
-    found = eigenvalues(bound)
-    assert found[0] == 0.0
-    assert np.isnan(found[1])
+    calculated = eigenvalues(bound)
+    assert calculated[0] == 0.0
+    assert np.isnan(calculated[1])

@@ -15,13 +15,13 @@ PLAIN = {0.0, 0.5, 1.0, 2.0}
 #: Every other number, and the reason that it is not tuned.
 REASONS = {
     "automatic.py": {1e9: "nanoseconds a second"},
-    "choice.py": {0.99: "says in words that a step is shorter than the one asked for; decides nothing"},
-    "ending.py": {0.25: "quarters of the last half step", 0.75: "the same", 4.0: "fourth difference", 6.0: "the same"},
+    "step_choice.py": {0.99: "text about a step that is shorter than the requested one; decides nothing"},
+    "force_jump.py": {0.25: "quarters of the last half step", 0.75: "same", 4.0: "fourth difference", 6.0: "same"},
     "energy.py": {1e-12: "rounding of a sum of energies", 8.0: "roundings", 0.125: "h^2/8 v'Kv of the leapfrog"},
     "error.py": {
         3.0: "order of a single run's error in a frame: h^3 x'''",
-        4.0: "roundings; frames without a judgement where the error is far below, as the table says of `wait`",
-        1e3: "a prediction that is off by more leads to a judgement whatever the margin",
+        4.0: "roundings; frames without an estimate if the error is far below, see `max_estimate_period`",
+        1e3: "a prediction that is off by more causes an estimate at any margin",
         1e-6: "two lengths of frames that differ by rounding",
     },
     "explicit.py": {64.0: "a cap divided by 2^64 is none"},
@@ -31,15 +31,15 @@ REASONS = {
         10.0: "expected evaluations of an implicit step, two stages of five iterations; hard ones take more",
         64.0: "a cap divided by 2^64 is none",
     },
-    "hinges.py": {
+    "multirate.py": {
         9.0: "a ninth of what hinges take is left, which is what a step takes without",
         4.0: "fewer impulses in a run could not tell runs apart",
         3.0: "by waves driven by w_b^2 / w and damped by tau w^2",
-        0.6: "the rule's bounds are within a tenth of the eigenvalues' (test_hinge_rule.py); the rest is for motion",
+        0.6: "the rule's bounds are within a tenth of the eigenvalues' (test_multirate_rule.py)",
     },
     "precision.py": {
         24.0: "bits of single precision",
-        4.0: "judgements of a motion that begins: after 0, 1, 3 and 7 frames; a further one repeats the last",
+        4.0: "estimates of a motion that begins: after 0, 1, 3 and 7 frames; later ones repeat the last",
     },
     "stability.py": {
         6.0: "by the eigenvalues of the combinations (test_control_rules.py)",
@@ -47,7 +47,7 @@ REASONS = {
         0.25: "the same",
         0.75: "the same",
     },
-    "stretch.py": {24.0: "halvings down to a ten thousandth of a microsecond", 3.0: "order of a missed jump's error"},
+    "interval.py": {24.0: "halvings down to a ten thousandth of a microsecond", 3.0: "order of a missed jump's error"},
     "sleep.py": {4.0: "roundings", 53.0: "whole numbers that float64 holds", 16.0: "root of a quadratic equation"},
 }
 FILES = [*sorted((PACKAGE / "physics" / "control").glob("*.py")), PACKAGE / "simulation" / "sleep.py"]
@@ -64,7 +64,7 @@ def numbers(tree: ast.AST) -> set[float]:
             inner = [node]
         elif isinstance(node, ast.keyword) and node.arg in ("start", "axis", "maxsize"):
             inner = [node.value]
-        left_out.update(id(each) for part in inner for each in ast.walk(part))
+        left_out.update(id(inner_node) for part in inner for inner_node in ast.walk(part))
     return {
         float(node.value)
         for node in ast.walk(tree)
@@ -77,8 +77,8 @@ def numbers(tree: ast.AST) -> set[float]:
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 def test_numbers_outside_the_table_have_a_reason(path: Path) -> None:
-    found = numbers(ast.parse(path.read_bytes())) - PLAIN
-    assert found == set(REASONS.get(path.name, {}))
+    unlisted = numbers(ast.parse(path.read_bytes())) - PLAIN
+    assert unlisted == set(REASONS.get(path.name, {}))
 
 
 def test_numbers_in_any_expression_are_collected() -> None:

@@ -7,11 +7,11 @@ import pytest
 from scipy.integrate import solve_ivp
 from support.contact_scenes import SHAPES, THICKNESS, contact, drop, flat_sheet, still
 
-from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.energy_balance import EnergyBalance
 from cloth_sim_ros.physics.integrators.base import StepLimitError
 from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
 
 FRAME = 1.0 / 60.0
 #: Depth of each shape below the origin at which a sheet around the origin first touches it [m].
@@ -75,15 +75,15 @@ def test_impact_at_20_m_per_s_penetrates_nothing(shape, listed, tolerance):
     balance = EnergyBalance(plan, state)
     energy = plan.energy(0.0, state.x, state.v)
     for k in range(6):
-        done = integrator.advance(plan, state, k * FRAME, FRAME, balance.book)
+        done = integrator.advance(plan, state, k * FRAME, FRAME, balance.accumulator)
         assert done.integrator != "implicit"
-        _, gap = plan.contact.gaps((k + 1) * FRAME, state.x)[0]
+        _, gap = plan.contact.obstacle_gaps((k + 1) * FRAME, state.x)[0]
         assert gap > 0.0
         balance.close((k + 1) * FRAME, state)
         now = plan.energy(0.0, state.x, state.v)
         assert now <= energy * (1.0 + 2e-3)
         energy = min(energy, now)
-    assert balance.lost > 0.05 * energy
+    assert balance.dissipation > 0.05 * energy
 
 
 def test_particle_stops_where_its_energy_is_used_up():
@@ -107,17 +107,17 @@ def test_obstacle_at_10_m_per_s_penetrates_nothing(tolerance):
     ball = Obstacle(name="ball", shape="sphere", size=(0.3,))
     path = still((0.0, 0.0, -0.35))
     path[6] = 10.0
-    own = contact(ball, paths=[path])
-    model, places = flat_sheet(12, 12, own, size=0.5)
+    contact_force = contact(ball, paths=[path])
+    model, places = flat_sheet(12, 12, contact_force, size=0.5)
     plan, state, integrator = drop(model, places, tolerance=tolerance)
     balance = EnergyBalance(plan, state)
     for k in range(6):
-        integrator.advance(plan, state, k * FRAME, FRAME, balance.book)
-        gaps = plan.contact.gaps((k + 1) * FRAME, state.x)
+        integrator.advance(plan, state, k * FRAME, FRAME, balance.accumulator)
+        gaps = plan.contact.obstacle_gaps((k + 1) * FRAME, state.x)
         assert gaps[0, 1] > 0.0
         residual = balance.close((k + 1) * FRAME, state)
         # The recorded gap is as coarse as the steps, which without a tolerance are as long as stability allows.
-        assert residual <= (1e-2 if tolerance else 3e-2) * balance.turned_over
+        assert residual <= (1e-2 if tolerance else 3e-2) * balance.energy_turnover
     assert state.x[2].max() > 0.5
 
 
@@ -142,7 +142,7 @@ def test_accelerating_particle_is_predicted():
     for k in range(12):
         integrator.advance(plan, state, k * FRAME, FRAME)
         fastest = max(fastest, float(np.abs(state.v).max()))
-        assert plan.contact.gaps(0.0, state.x)[0, 1] > 0.0
+        assert plan.contact.obstacle_gaps(0.0, state.x)[0, 1] > 0.0
     assert fastest > 5.0
 
 
@@ -166,7 +166,7 @@ def test_implicit_steps_penetrate_nothing():
     energy = plan.energy(0.0, state.x, state.v)
     for k in range(6):
         integrator.advance(plan, state, k * FRAME, FRAME)
-        assert plan.contact.gaps(0.0, state.x)[0, 1] > 0.0
+        assert plan.contact.obstacle_gaps(0.0, state.x)[0, 1] > 0.0
         assert plan.energy(0.0, state.x, state.v) <= energy * (1.0 + 1e-3)
 
 
@@ -176,8 +176,8 @@ def test_restored_state_has_the_same_min_gap_and_steps():
     for k in range(4):
         integrator.advance(plan, state, k * FRAME, FRAME)
     again = State.from_bytes(state.to_bytes())
-    book = Book(plan.gripper_count, obstacle_count=1)
-    for one in (state, again):
-        done = integrator.advance(plan, one, 4 * FRAME, FRAME, book)
+    book = WorkAccumulator(plan.gripper_count, obstacle_count=1)
+    for compared_state in (state, again):
+        done = integrator.advance(plan, compared_state, 4 * FRAME, FRAME, book)
     assert done.steps > 0
     assert state.digest() == again.digest()

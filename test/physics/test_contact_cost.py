@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.control.fallback import whole_work, work_cap
-from cloth_sim_ros.physics.touching import NEAR, PAIR, RUBBED
+from cloth_sim_ros.physics.contact_binding import FRICTION_OPERATIONS, PAIR_OPERATIONS, PARTICLE_OPERATIONS
+from cloth_sim_ros.physics.control.fallback import evaluation_budget, work_cap
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
@@ -36,9 +36,9 @@ def added(**values: Any) -> float:
     for _ in range(2):
         costs.append(cloth.plan.contact_cost(cloth.time, cloth.scene.period, cloth.state))
         # Meanwhile neighbour lists are built for another reach.
-        cloth.plan.ahead(cloth.time, 10.0 * cloth.scene.period, cloth.state.x, cloth.state.v + 1.0)
+        cloth.plan.predict_contact(cloth.time, 10.0 * cloth.scene.period, cloth.state.x, cloth.state.v + 1.0)
     assert costs[0] == costs[1]
-    return costs[0] / CONSTANTS.operation
+    return costs[0] / CONSTANTS.operation_time
 
 
 def test_obstacles_out_of_reach_cost_nothing() -> None:
@@ -47,29 +47,33 @@ def test_obstacles_out_of_reach_cost_nothing() -> None:
 
 
 def test_particles_in_reach_cost_more_with_friction() -> None:
-    assert added(it__position=[0.0, 0.0, -0.003]) == pytest.approx(25 * NEAR)
-    assert added(it__position=[0.0, 0.0, -0.003], it__friction=[0.5]) == pytest.approx(25 * (NEAR + RUBBED))
+    assert added(it__position=[0.0, 0.0, -0.003]) == pytest.approx(25 * PARTICLE_OPERATIONS)
+    assert added(it__position=[0.0, 0.0, -0.003], it__friction=[0.5]) == pytest.approx(
+        25 * (PARTICLE_OPERATIONS + FRICTION_OPERATIONS)
+    )
 
 
 def test_edge_and_face_pairs_in_reach_cost() -> None:
     ball = {"it__shape": "sphere", "it__size": [0.01], "it__position": [0.02, 0.02, -0.0115]}
-    found = added(**ball)
+    added_cost = added(**ball)
     # A point and its adjacent triangles.
-    assert found >= PAIR
-    assert found == pytest.approx(PAIR * round(found / PAIR))
+    assert added_cost >= PAIR_OPERATIONS
+    assert added_cost == pytest.approx(PAIR_OPERATIONS * round(added_cost / PAIR_OPERATIONS))
 
 
 def test_work_limit_allows_fewer_evaluations_if_each_costs_more() -> None:
     plan = Scene.from_parameters({**OVER, "obstacles": [""]}).plan()
     bare = plan.step_cost * plan.model.particle_count
-    caps = [sum(work_cap(plan, whole_work(plan, 1000.0, 1 / 60, met), 1 / 60, 1e-3, 0.0, met)) for met in (0.0, bare)]
+    caps = [
+        sum(work_cap(plan, evaluation_budget(plan, 1000.0, 1 / 60, met), 1 / 60, 1e-3, 0.0, met)) for met in (0.0, bare)
+    ]
     assert caps[0] == pytest.approx(2.0 * caps[1], rel=1e-2)
 
 
 def test_work_limit_always_fits_some_runs_during_contact() -> None:
     plan = Scene.from_parameters({**OVER, "obstacles": [""]}).plan()
     bare, longest = plan.step_cost * plan.model.particle_count, 1e-4
-    runs, little = CONSTANTS.work / 60.0 / longest, whole_work(plan, 1e-3, 1 / 60, bare)
+    runs, little = CONSTANTS.min_work_cap / 60.0 / longest, evaluation_budget(plan, 1e-3, 1 / 60, bare)
     assert work_cap(plan, little, 1 / 60, longest, 0.0, bare) == (pytest.approx(runs), pytest.approx(runs))
     # The budget of explicit steps is halved after each fallback; the fallback itself stays.
     assert work_cap(plan, little, 1 / 60, longest, 3.0, bare) == (pytest.approx(runs / 8.0), pytest.approx(runs))

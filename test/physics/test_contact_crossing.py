@@ -4,10 +4,10 @@
 
 import numpy as np
 import pytest
-from support.contact_scenes import SHAPES, THICKNESS, contact, moving, near, still
+from support.contact_scenes import SHAPES, THICKNESS, contact, moving, points_near, still
 from support.laws import pose
 
-from cloth_sim_ros.physics.gripper_path import carried
+from cloth_sim_ros.physics.gripper_path import rigid_velocities
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import compile
 
@@ -16,12 +16,12 @@ START, DURATION = 0.02, 0.05
 SHALLOW = 1e-3 * THICKNESS
 
 
-def least_gap(obstacle, path, start, end):
+def min_gap(obstacle, path, start, end):
     """Return the least gap [m] of a particle that moves straight from one position to another."""
     points = []
     for part in np.linspace(0.0, 1.0, 201):
-        place, _, rotation, _ = pose(path, START + part * DURATION)
-        points.append(rotation.T @ (start + part * (end - start) - place))
+        position, _, rotation, _ = pose(path, START + part * DURATION)
+        points.append(rotation.T @ (start + part * (end - start) - position))
     return obstacle.distance(points)[0].min()
 
 
@@ -32,14 +32,14 @@ def test_particle_hits_an_obstacle_on_its_path(shape):
     for seed in range(16):
         path = moving(seed)
         plan = compile(Model([1.0], [contact(shape, paths=[path])]))
-        start = near(SHAPES[shape], path, START, 1, rng, deepest=0.05, farthest=2.0)
+        start = points_near(SHAPES[shape], path, START, 1, rng, deepest=0.05, farthest=2.0)
         # It moves with the obstacle or stands, with a gap below or above the given one.
-        along = start + (seed % 2) * DURATION * carried(path, START, DURATION, start)
+        along = start + (seed % 2) * DURATION * rigid_velocities(path, START, DURATION, start)
         end = along + rng.normal(size=(3, 1)) * THICKNESS * 10.0 ** rng.uniform(-1.5, 1.0)
-        gap = least_gap(SHAPES[shape], path, start[:, 0], end[:, 0])
+        gap = min_gap(SHAPES[shape], path, start[:, 0], end[:, 0])
         if abs(gap) < SHALLOW:
             continue
-        assert plan.contact.crosses(START, DURATION, start, end) == (gap < 0.0), (seed, gap)
+        assert plan.contact.ccd_hits(START, DURATION, start, end) == (gap < 0.0), (seed, gap)
         met += gap < 0.0
     assert 0 < met < 16
 
@@ -53,7 +53,7 @@ def ball(*, velocity=(0.0, 0.0, 0.0), acceleration=(0.0, 0.0, 0.0)):
 
 def meets(path, start, end, obstacle="sphere"):
     plan = compile(Model([1.0], [contact(obstacle, paths=[path])]))
-    return plan.contact.crosses(START, DURATION, *(np.array([place]).T.copy() for place in (start, end)))
+    return plan.contact.ccd_hits(START, DURATION, *(np.array([position]).T.copy() for position in (start, end)))
 
 
 def test_particle_moving_with_a_fast_obstacle_does_not_hit_it():
@@ -77,5 +77,5 @@ def test_edge_that_sweeps_over_a_particle_hits_it():
     # A box of 0.5 m x 0.3 m x 0.2 m that turns about z: its corner, 0.292 m off, passes through the x axis.
     path = still()
     path[0], path[19] = START, -1.0 / DURATION
-    for place, met in ((0.27, True), (0.3, False)):
-        assert meets(path, [place, 0.0, 0.0], [place, 0.0, 0.0], "box") == met
+    for position, is_hit in ((0.27, True), (0.3, False)):
+        assert meets(path, [position, 0.0, 0.0], [position, 0.0, 0.0], "box") == is_hit

@@ -8,13 +8,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support import laws
 from support.alone import alone, force, product
-from support.contact_scenes import SHAPES, THICKNESS, contact, drop, flat_sheet, moving, near, still
+from support.contact_scenes import SHAPES, THICKNESS, contact, drop, flat_sheet, moving, points_near, still
 
+from cloth_sim_ros.physics.controller_state import ANCHORS_KEY
 from cloth_sim_ros.physics.energy_balance import EnergyBalance
 from cloth_sim_ros.physics.forces.gravity import Gravity
 from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.remembered import ANCHORS
 from cloth_sim_ros.physics.state import State
 
 FRAME = 1.0 / 60.0
@@ -29,65 +29,71 @@ def about(shape, rough=(0.6, 0.4), frequency=2000.0, seed=0):
     rng = np.random.default_rng(seed)
     path = moving(seed)
     obstacle = attrs.evolve(SHAPES[shape], friction=rough)
-    own = contact(obstacle, paths=[path])
-    own.frequency = frequency
-    x = near(obstacle, path, 0.3, COUNT, rng, deepest=0.6, farthest=0.97)
+    contact_force = contact(obstacle, paths=[path])
+    contact_force.frequency = frequency
+    x = points_near(obstacle, path, 0.3, COUNT, rng, deepest=0.6, farthest=0.97)
     masses = rng.uniform(0.5, 2.0, COUNT)
-    plan = alone(own, masses=masses)
-    place, velocity, rotation, turning = laws.pose(path, 0.3)
+    plan = alone(contact_force, masses=masses)
+    position, velocity, rotation, turning = laws.pose(path, 0.3)
     # Relative to the obstacle: from slower than static friction allows to faster than kinetic friction.
     v = 10.0 ** rng.uniform(-3.0, -0.5, COUNT) * rng.normal(size=x.shape)
-    v += velocity[:, None] + turning @ (rotation.T @ (x - place[:, None]))
+    v += velocity[:, None] + turning @ (rotation.T @ (x - position[:, None]))
     anchors = np.zeros((1, 4, COUNT))
     anchors[0, 3] = rng.integers(0, 3, COUNT)
-    anchors[0, :3] = rotation.T @ (x - place[:, None]) + 10.0 ** rng.uniform(-6, -2, COUNT) * rng.normal(size=x.shape)
+    anchors[0, :3] = rotation.T @ (x - position[:, None]) + 10.0 ** rng.uniform(-6, -2, COUNT) * rng.normal(
+        size=x.shape
+    )
     anchors[0, :3] *= anchors[0, 3] > 0.0
-    state = State(x.T, v.T, memory={ANCHORS: anchors})
-    plan.contact.take(state)
-    return own, plan, masses, x, v, anchors
+    state = State(x.T, v.T, memory={ANCHORS_KEY: anchors})
+    plan.contact.load_state(state)
+    return contact_force, plan, masses, x, v, anchors
 
 
-def by_formulas(own, masses, x, v, anchors):
+def by_formulas(contact_force, masses, x, v, anchors):
     """Return forces (3, n), dragged anchors, and the dissipated power, contact by contact from the formulas."""
-    plain, _ = laws.contact(0.3, x, v, own, masses)
-    total, dragged, lost = plain.force.copy(), anchors.copy(), plain.lost
-    place, velocity, rotation, turning = laws.pose(own.paths[0], 0.3)
+    plain, _ = laws.contact(0.3, x, v, contact_force, masses)
+    total, dragged, dissipation = plain.force.copy(), anchors.copy(), plain.dissipation
+    position, velocity, rotation, turning = laws.pose(contact_force.paths[0], 0.3)
     for i in range(x.shape[1]):
-        arm = x[:, i] - place
-        here = rotation.T @ arm
-        _, normals = own.obstacles[0].distance(here[None])
+        arm = x[:, i] - position
+        local_position = rotation.T @ arm
+        _, normals = contact_force.obstacles[0].distance(local_position[None])
         normal = rotation @ normals[0]
         bond = anchors[0, 3, i]
-        way = rotation @ (here - anchors[0, :3, i]) if bond else np.zeros(3)
-        slip = v[:, i] - velocity - turning @ here
-        push = plain.force[:, i] @ normal / masses[i]
-        rubs, stretch, slides = laws.friction(way, normal, slip, push, own.obstacles[0].friction, own.frequency)
-        total[:, i] += masses[i] * rubs
-        lost -= masses[i] * (rubs @ slip + (0.0 if slides else own.frequency**2 * stretch @ slip))
+        anchor_offset = rotation @ (local_position - anchors[0, :3, i]) if bond else np.zeros(3)
+        slip = v[:, i] - velocity - turning @ local_position
+        pressure = plain.force[:, i] @ normal / masses[i]
+        acceleration, stretch, slides = laws.friction(
+            anchor_offset, normal, slip, pressure, contact_force.obstacles[0].friction, contact_force.frequency
+        )
+        total[:, i] += masses[i] * acceleration
+        dissipation -= masses[i] * (
+            acceleration @ slip + (0.0 if slides else contact_force.frequency**2 * stretch @ slip)
+        )
         if slides:
-            dragged[0, :3, i] = here - rotation.T @ stretch
+            dragged[0, :3, i] = local_position - rotation.T @ stretch
         elif not bond:
-            dragged[0, :3, i] = here
+            dragged[0, :3, i] = local_position
         dragged[0, 3, i] = 2.0 if slides else 1.0
-    return total, dragged, lost
+    return total, dragged, dissipation
 
 
 @every_shape
 def test_forces_and_anchors_are_those_of_the_formulas(shape):
-    own, plan, masses, x, v, anchors = about(shape)
-    expected, dragged, lost = by_formulas(own, masses, x, v, anchors)
-    plain, _ = laws.contact(0.3, x, v, own, masses)
+    contact_force, plan, masses, x, v, anchors = about(shape)
+    expected, dragged, dissipation = by_formulas(contact_force, masses, x, v, anchors)
+    plain, _ = laws.contact(0.3, x, v, contact_force, masses)
     assert np.abs(expected - plain.force).max() > 10.0
     scale = np.abs(expected).max()
     assert force(plan, x, v, 0.3) == pytest.approx(expected, rel=1e-8, abs=1e-9 * scale)
-    assert plan.contact.rates(0.3, x, v)[0, :3] == pytest.approx(-expected.sum(axis=1), abs=1e-9 * scale * COUNT)
-    assert plan.dissipation(0.3, x, v) == pytest.approx(lost, rel=1e-8)
-    found = plan.contact.settle(0.3, x, v, anchors[None], [1.0])
-    assert found == pytest.approx(dragged, abs=1e-12)
+    assert plan.contact.wrench_rates(0.3, x, v)[0, :3] == pytest.approx(-expected.sum(axis=1), abs=1e-9 * scale * COUNT)
+    assert plan.dissipation(0.3, x, v) == pytest.approx(dissipation, rel=1e-8)
+    new_anchors = plan.contact.combine_anchors(0.3, x, v, anchors[None], [1.0])
+    assert new_anchors == pytest.approx(dragged, abs=1e-12)
     # Inside the cone not a bit moves.
     stays = (dragged[0] == anchors[0]).all(axis=0)
     assert stays.any()
-    assert np.array_equal(found[0][:, stays], anchors[0][:, stays])
+    assert np.array_equal(new_anchors[0][:, stays], anchors[0][:, stays])
 
 
 @every_shape
@@ -105,8 +111,8 @@ def on_a_slope(rough, degrees, frames, *, count=6, listed=False, tolerance=1e-4,
     """Return mean positions (frames, 3) along a slope of a sheet that starts at rest, its plan and its state."""
     turn = Rotation.from_euler("y", degrees, degrees=True)
     slope = Obstacle(name="slope", shape="plane", friction=rough)
-    own = contact(slope, paths=[still(orientation=turn.as_quat())])
-    model, places = flat_sheet(count, count, own, size=0.3, drag=False, listed=listed)
+    contact_force = contact(slope, paths=[still(orientation=turn.as_quat())])
+    model, places = flat_sheet(count, count, contact_force, size=0.3, drag=False, listed=listed)
     plan, state, steps = drop(
         model, turn.apply(places + np.array([0.0, 0.0, 0.98 * THICKNESS])), tolerance=tolerance, integrator=integrator
     )
@@ -124,10 +130,10 @@ def test_sheet_slips_within_0_1_degree_of_the_friction_angle(mu, listed):
     below, _, state = on_a_slope((mu, mu), steep - 0.1, 60, listed=listed)
     # It settles first; then it moves by less than a nanometre, and no anchor changes a bit.
     assert np.abs(below[-1] - below[-30]).max() < 1e-9
-    assert (state.memory[ANCHORS][0, 3] == 1.0).all()
+    assert (state.memory[ANCHORS_KEY][0, 3] == 1.0).all()
     above, _, state = on_a_slope((mu, mu), steep + 0.1, 60, listed=listed)
     assert above[-1, 0] - above[0, 0] > 1e-3
-    assert (state.memory[ANCHORS][0, 3] == 2.0).all()
+    assert (state.memory[ANCHORS_KEY][0, 3] == 2.0).all()
 
 
 @pytest.mark.parametrize("mu", [0.1, 0.5, 1.0])
@@ -136,18 +142,18 @@ def test_sliding_sheet_accelerates_by_kinetic_friction(mu):
     means, _, _ = on_a_slope((mu, 0.8 * mu), steep, 45)
     angle = np.radians(steep)
     expected = 9.81 * (np.sin(angle) - 0.8 * mu * np.cos(angle))
-    found = (means[-1, 0] - 2.0 * means[-16, 0] + means[-31, 0]) / (15 * FRAME) ** 2
-    assert found == pytest.approx(expected, rel=1e-2)
+    acceleration = (means[-1, 0] - 2.0 * means[-16, 0] + means[-31, 0]) / (15 * FRAME) ** 2
+    assert acceleration == pytest.approx(expected, rel=1e-2)
 
 
 def test_anchors_keep_their_bits_while_a_sheet_sticks():
     # Before it is at rest the normal force oscillates, and with it the cone: this test needs a state of rest.
     _, plan, state = on_a_slope((0.5, 0.5), 20.0, 60)
-    kept = state.memory[ANCHORS].copy()
+    first_anchors = state.memory[ANCHORS_KEY].copy()
     _, _, steps = drop(plan.model, state.positions, tolerance=1e-4)
     for k in range(60):
         steps.advance(plan, state, 1.0 + k * FRAME, FRAME)
-        assert np.array_equal(state.memory[ANCHORS], kept)
+        assert np.array_equal(state.memory[ANCHORS_KEY], first_anchors)
     assert np.abs(state.v).max() < 1e-9
 
 
@@ -157,7 +163,7 @@ def test_every_integrator_holds_a_sheet_on_a_slope(integrator):
     means, _, state = on_a_slope((0.5, 0.5), 20.0, 40, tolerance=tolerance, integrator=integrator)
     # Implicit steps are as long as a frame, and anchors follow after each of them: the sheet comes to rest more slowly.
     assert np.abs(means[-1] - means[-15]).max() < (1e-5 if integrator == "implicit" else 1e-6)
-    assert (state.memory[ANCHORS][0, 3] == 1.0).all()
+    assert (state.memory[ANCHORS_KEY][0, 3] == 1.0).all()
 
 
 @pytest.mark.parametrize("shape", ["plane", "cylinder"])
@@ -169,7 +175,7 @@ def test_sliding_converges_with_second_order(shape):
     plan = alone(contact(obstacle, paths=[path]), Gravity([0.0, 0.0, -9.81]), count=1)
     x, v = np.array([[0.05], [0.0], [0.97 * THICKNESS]]), np.array([[0.5], [0.2], [0.0]])
     counts = [100, 200, 400, 12800]
-    ends = [run.x for run in plan.runs(0.0, 0.05, (x, v), counts, touches=True)[0]]
+    ends = [run.x for run in plan.runs(0.0, 0.05, (x, v), counts, record_obstacles=True)[0]]
     errors = np.array([np.linalg.norm(end - ends[-1]) for end in ends[:-1]])
     assert (errors[:-1] > 3.4 * errors[1:]).all()
 
@@ -182,36 +188,36 @@ def test_friction_takes_energy_and_the_balance_closes():
     balance = EnergyBalance(plan, state)
     energy = plan.energy(0.0, state.x, state.v)
     for k in range(30):
-        integrator.advance(plan, state, k * FRAME, FRAME, balance.book)
+        integrator.advance(plan, state, k * FRAME, FRAME, balance.accumulator)
         residual = balance.close((k + 1) * FRAME, state)
         now = plan.energy(0.0, state.x, state.v)
         assert now <= energy * (1.0 + 1e-6)
-        assert abs(residual) < 1e-3 * balance.turned_over
+        assert abs(residual) < 1e-3 * balance.energy_turnover
         energy = now
     assert np.abs(state.v).max() < 1e-3
     # 1.044 m/s come to rest within v^2 / (2 mu g).
-    way = np.linalg.norm(state.x[:2].mean(axis=1))
-    assert way == pytest.approx((1.0 + 0.09) / (2.0 * 0.3 * 9.81), rel=1e-2)
+    displacement = np.linalg.norm(state.x[:2].mean(axis=1))
+    assert displacement == pytest.approx((1.0 + 0.09) / (2.0 * 0.3 * 9.81), rel=1e-2)
 
 
 def test_a_sheet_is_carried_by_a_table_that_speeds_up_gently():
     table = Obstacle(name="table", shape="plane", friction=(0.5, 0.5))
     path = still()
-    own = contact(table, paths=[path])
-    model, places = flat_sheet(8, 8, own, size=0.3, drag=False)
+    contact_force = contact(table, paths=[path])
+    model, places = flat_sheet(8, 8, contact_force, size=0.3, drag=False)
     places[:, 2] = 0.98 * THICKNESS
     plan, state, integrator = drop(model, places, tolerance=1e-4)
     for k in range(40):
         integrator.advance(plan, state, k * FRAME, FRAME)
     # 2 m/s^2 are less than mu g: x = t^2 from t = 40 frames on.
     path[0], path[7] = 40 * FRAME, 1.0
-    own.move(path[None])
+    contact_force.set_paths(path[None])
     start = state.x.copy()
     for k in range(40, 70):
         integrator.advance(plan, state, k * FRAME, FRAME)
     gone = state.x[0] - start[0]
     assert gone == pytest.approx(np.full(64, (30 * FRAME) ** 2), abs=1e-5)
-    assert (state.memory[ANCHORS][0, 3] == 1.0).all()
+    assert (state.memory[ANCHORS_KEY][0, 3] == 1.0).all()
 
 
 @pytest.mark.parametrize("listed", [False, True])
@@ -223,26 +229,28 @@ def test_no_bit_depends_on_threads(listed):
     plan = compile(model)
     x, v = np.ascontiguousarray(places.T), np.zeros((3, len(places)))
     v[2] = -1.0
-    runs = [plan.runs(0.0, 0.02, (x, v), [700], touches=True, threads=threads)[0][0] for threads in (1, 2, 3, 8)]
+    runs = [
+        plan.runs(0.0, 0.02, (x, v), [700], record_obstacles=True, threads=threads)[0][0] for threads in (1, 2, 3, 8)
+    ]
     assert np.count_nonzero(runs[0].anchors[0, 3]) > 3
     for run in runs[1:]:
-        for one, other in zip(runs[0], run, strict=True):
-            assert np.array_equal(one, other)
+        for reference_run, compared_run in zip(runs[0], run, strict=True):
+            assert np.array_equal(reference_run, compared_run)
 
 
 def test_state_restored_from_bytes_continues_with_the_same_bits():
     ball = attrs.evolve(SHAPES["sphere"], friction=(0.5, 0.3))
-    own = contact(ball, paths=[still((0.03, 0.02, -0.2 - 1.5 * THICKNESS))])
-    model, places = flat_sheet(9, 9, own, size=0.4)
+    contact_force = contact(ball, paths=[still((0.03, 0.02, -0.2 - 1.5 * THICKNESS))])
+    model, places = flat_sheet(9, 9, contact_force, size=0.4)
     plan, state, integrator = drop(model, places, tolerance=1e-4)
     for k in range(8):
         integrator.advance(plan, state, k * FRAME, FRAME)
-    assert state.memory[ANCHORS].any()
+    assert state.memory[ANCHORS_KEY].any()
     again = State.from_bytes(state.to_bytes())
-    other = compile(model)
+    second_plan = compile(model)
     for k in range(8, 11):
         integrator.advance(plan, state, k * FRAME, FRAME)
-        integrator.advance(other, again, k * FRAME, FRAME)
+        integrator.advance(second_plan, again, k * FRAME, FRAME)
         assert state.digest() == again.digest()
 
 

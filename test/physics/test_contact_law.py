@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support import laws
 from support.alone import alone, blocks, force, gradient, matrix, product
-from support.contact_scenes import SHAPES, THICKNESS, contact, moving, near, still
+from support.contact_scenes import SHAPES, THICKNESS, contact, moving, points_near, still
 
 from cloth_sim_ros.physics.forces.contact import Contact
 from cloth_sim_ros.physics.model import Model
@@ -23,25 +23,25 @@ def about(shape, seed=0, damping=10.0, path=None, **where):
     """
     rng = np.random.default_rng(seed)
     path = moving(seed) if path is None else path
-    own = contact(shape, paths=[path], damping=damping)
-    x = near(SHAPES[shape], path, 0.3, COUNT, rng, **where)
+    contact_force = contact(shape, paths=[path], damping=damping)
+    x = points_near(SHAPES[shape], path, 0.3, COUNT, rng, **where)
     masses = rng.uniform(0.5, 2.0, COUNT)
-    return own, alone(own, masses=masses), masses, x, 3.0 * rng.normal(size=x.shape)
+    return contact_force, alone(contact_force, masses=masses), masses, x, 3.0 * rng.normal(size=x.shape)
 
 
 @every_shape
 @pytest.mark.parametrize("damping", [0.0, 0.1, 10.0])
 def test_forces_energies_and_powers_are_those_of_the_formulas(shape, damping):
-    own, plan, masses, x, v = about(shape, damping=damping)
-    found, booked = laws.contact(0.3, x, v, own, masses)
-    assert np.abs(found.force).max() > 1e4
+    contact_force, plan, masses, x, v = about(shape, damping=damping)
+    expected, booked = laws.contact(0.3, x, v, contact_force, masses)
+    assert np.abs(expected.force).max() > 1e4
     # Positions are accurate to 1e-16 m, which is 1e-13 of a thickness of 2 mm.
-    scale = np.abs(found.force).max()
-    assert force(plan, x, v, 0.3) == pytest.approx(found.force, rel=1e-9, abs=1e-10 * scale)
-    assert plan.energies(0.3, x, v)[1] == pytest.approx(found.energy, rel=1e-9)
-    assert plan.dissipation(0.3, x, v) == pytest.approx(found.lost, rel=1e-9)
-    assert plan.contact.rates(0.3, x, v) == pytest.approx(booked, rel=1e-9, abs=1e-9 * np.abs(booked).max())
-    assert plan.contact.gaps(0.3, x)[0, 0] == np.count_nonzero(np.abs(found.force).any(axis=0))
+    scale = np.abs(expected.force).max()
+    assert force(plan, x, v, 0.3) == pytest.approx(expected.force, rel=1e-9, abs=1e-10 * scale)
+    assert plan.energies(0.3, x, v)[1] == pytest.approx(expected.energy, rel=1e-9)
+    assert plan.dissipation(0.3, x, v) == pytest.approx(expected.dissipation, rel=1e-9)
+    assert plan.contact.wrench_rates(0.3, x, v) == pytest.approx(booked, rel=1e-9, abs=1e-9 * np.abs(booked).max())
+    assert plan.contact.obstacle_gaps(0.3, x)[0, 0] == np.count_nonzero(np.abs(expected.force).any(axis=0))
 
 
 @every_shape
@@ -53,14 +53,14 @@ def test_static_force_is_minus_the_energy_gradient(shape):
 
 @every_shape
 def test_damping_never_gives_energy_and_never_pulls(shape):
-    own, plan, masses, x, v = about(shape)
-    one = compile(Model(masses, [own]))
+    contact_force, plan, masses, x, v = about(shape)
+    undamped_plan = compile(Model(masses, [contact_force]))
     for speed in (1e-3, 0.1, 10.0, 1e3):
-        found = force(plan, x, speed * v, 0.3)
-        still_found = force(one, x, np.zeros_like(x), 0.3)
+        damped_force = force(plan, x, speed * v, 0.3)
+        static_force = force(undamped_plan, x, np.zeros_like(x), 0.3)
         assert plan.dissipation(0.3, x, speed * v) >= 0.0
         # Each along one normal: the force never pulls.
-        assert (np.sum(found * still_found, axis=0) >= 0.0).all()
+        assert (np.sum(damped_force * static_force, axis=0) >= 0.0).all()
 
 
 @every_shape
@@ -72,9 +72,9 @@ def test_the_derivative_product_is_that_of_the_force(shape):
     by_place = (force(plan, x + h * dx, v, 0.3) - force(plan, x - h * dx, v, 0.3)) / (2 * h)
     by_speed = (force(plan, x, v + 1e-5 * dv, 0.3) - force(plan, x, v - 1e-5 * dv, 0.3)) / 2e-5
     zero = np.zeros_like(x)
-    found = product(plan, x, v, dx, zero, 0.3), product(plan, x, v, zero, dv, 0.3)
-    assert found[0] == pytest.approx(by_place, abs=1e-4 * np.abs(by_place).max())
-    assert found[1] == pytest.approx(by_speed, abs=1e-6 * np.abs(by_speed).max())
+    products = product(plan, x, v, dx, zero, 0.3), product(plan, x, v, zero, dv, 0.3)
+    assert products[0] == pytest.approx(by_place, abs=1e-4 * np.abs(by_place).max())
+    assert products[1] == pytest.approx(by_speed, abs=1e-6 * np.abs(by_speed).max())
 
 
 @every_shape
@@ -86,11 +86,11 @@ def test_bounds_hold_at_rest(shape):
     for part, bound in (("x", stiff), ("v", damped)):
         whole = matrix(plan, x, zero, part)
         whole = 0.5 * (whole + whole.T)
-        each = whole.reshape(3, COUNT, 3, COUNT)
+        particle_matrix = whole.reshape(3, COUNT, 3, COUNT)
         for i in range(COUNT):
             xx, yy, zz, xy, xz, yz = bound[:, i]
             block = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-            least = np.linalg.eigvalsh(block - each[:, i, :, i])[0]
+            least = np.linalg.eigvalsh(block - particle_matrix[:, i, :, i])[0]
             assert least >= -1e-9 * np.abs(bound).max()
     # Damping grows with speed to at most the bound.
     whole = matrix(plan, x, v, "v")
@@ -108,13 +108,13 @@ def test_force_starts_smoothly_at_the_thickness():
 
 @every_shape
 def test_energy_and_force_are_not_finite_without_a_gap(shape):
-    own, plan, *_ = about(shape)
-    place, _, rotation, _ = laws.pose(own.paths[0], 0.3)
-    inside = (place + 0.05 * rotation @ [0.1, 0.2, -1.0])[:, None]
-    one = alone(own, count=1)
-    assert plan.contact.gaps(0.3, np.repeat(inside, COUNT, axis=1))[0, 1] < 0.0
-    assert not np.isfinite(force(one, inside, t=0.3)).all()
-    assert not np.isfinite(one.energies(0.3, inside, None)[1])
+    contact_force, plan, *_ = about(shape)
+    position, _, rotation, _ = laws.pose(contact_force.paths[0], 0.3)
+    inside = (position + 0.05 * rotation @ [0.1, 0.2, -1.0])[:, None]
+    single_plan = alone(contact_force, count=1)
+    assert plan.contact.obstacle_gaps(0.3, np.repeat(inside, COUNT, axis=1))[0, 1] < 0.0
+    assert not np.isfinite(force(single_plan, inside, t=0.3)).all()
+    assert not np.isfinite(single_plan.energies(0.3, inside, None)[1])
 
 
 def test_forces_of_several_obstacles_add_up():
@@ -123,16 +123,16 @@ def test_forces_of_several_obstacles_add_up():
     paths[0][1:4], paths[0][13:26] = [0.0, 0.0, -9.0], still()[13:26]
     for k, path in enumerate(paths):
         path[1] += 30.0 * k
-    places = [near(SHAPES[shape], path, 0.1, 9, rng) for shape, path in zip(SHAPES, paths, strict=True)]
+    places = [points_near(SHAPES[shape], path, 0.1, 9, rng) for shape, path in zip(SHAPES, paths, strict=True)]
     x = np.concatenate(places, axis=1)
     v = rng.normal(size=x.shape)
     masses = rng.uniform(0.5, 2.0, x.shape[1])
-    own = contact(*SHAPES, paths=paths)
-    plan = compile(Model(masses, [own], anchors=[3, 20]))
+    contact_force = contact(*SHAPES, paths=paths)
+    plan = compile(Model(masses, [contact_force], anchors=[3, 20]))
     free = plan.model.inverse_masses > 0.0
-    expected = laws.contact(0.1, x, v, own, masses)[0].force * free
+    expected = laws.contact(0.1, x, v, contact_force, masses)[0].force * free
     assert force(plan, x, v, 0.1) == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
-    booked = plan.contact.rates(0.1, x, v)
+    booked = plan.contact.wrench_rates(0.1, x, v)
     assert booked[:, :3].sum(axis=0) == pytest.approx(-expected.sum(axis=1), rel=1e-9)
 
 
@@ -140,15 +140,15 @@ def test_predicted_bounds_are_those_of_the_stopping_gap():
     plan = alone(contact("plane", damping=0.0), count=1)
     for speed in (0.5, 3.0, 20.0):
         x, v = np.array([[0.0], [0.0], [0.01]]), np.array([[1.0], [0.0], [-speed]])
-        omega2, _ = plan.ahead(0.0, 0.05, x, v)
+        omega2, _ = plan.predict_contact(0.0, 0.05, x, v)
         # The slope of the force at (1 - s)^4 / s = (speed / U)^2, with a margin of the same energy again.
         gaps = np.linspace(1e-3, 1.0, 100_001)
         s = gaps[np.argmin(np.abs((1.0 - gaps) ** 4 / gaps - (speed / laws.STOPPING_SPEED) ** 2))]
         slope = laws.STOPPING_SPEED**2 / 2.0 / THICKNESS**2 * (2.0 / s**3 - 8.0 + 6.0 * s)
         assert slope <= omega2 <= 2.5 * slope
         # It moves away, or does not arrive.
-        assert plan.ahead(0.0, 0.05, x, -v) == (0.0, 0.0)
-        assert plan.ahead(0.0, 0.001 / speed, x, v) == (0.0, 0.0)
+        assert plan.predict_contact(0.0, 0.05, x, -v) == (0.0, 0.0)
+        assert plan.predict_contact(0.0, 0.001 / speed, x, v) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -166,12 +166,12 @@ def test_invalid_contact_is_refused(values, message):
 
 
 def test_two_contact_forces_and_wrong_paths_are_refused():
-    one, two = contact("plane"), contact(Obstacle(name="other", shape="plane"))
-    two.name = "more"
+    first, second = contact("plane"), contact(Obstacle(name="other", shape="plane"))
+    second.name = "more"
     with pytest.raises(ValueError, match="merge them into one"):
-        compile(Model([1.0], [one, two]))
-    plan = alone(one, count=1)
+        compile(Model([1.0], [first, second]))
+    plan = alone(first, count=1)
     for paths, message in ((np.zeros((2, 26)), "paths have shape"), (np.full((1, 26), np.nan), "must be finite")):
-        one.move(paths)
+        first.set_paths(paths)
         with pytest.raises(ValueError, match=message):
-            plan.contact.gaps(0.0, np.zeros((3, 1)))
+            plan.contact.obstacle_gaps(0.0, np.zeros((3, 1)))

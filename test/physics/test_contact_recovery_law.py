@@ -11,8 +11,8 @@ import pytest
 from support import laws
 from support import self_scenes as own
 from support.alone import alone, blocks, force, gradient, matrix, product
-from support.contact_scenes import SHAPES, THICKNESS, contact, near, still
-from support.feature_scenes import SMALL, TIME, facing
+from support.contact_scenes import SHAPES, THICKNESS, contact, points_near, still
+from support.feature_scenes import SMALL, TIME, facing_scene
 
 from cloth_sim_ros.physics.contact_thickness import (
     LAYER_RECOVERY_SPEED,
@@ -20,8 +20,8 @@ from cloth_sim_ros.physics.contact_thickness import (
     RECOVERY_SPEED,
     START_GAP,
     check_gaps,
+    grown_thickness,
     reduced_thickness,
-    regained,
 )
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.plan import Plan, compile
@@ -34,13 +34,13 @@ STILL = still((0.3, -0.2, 0.1), (0.5, -0.5, 0.1, 0.7))
 
 def reduce(plan: Plan, *, duration: float = DURATION) -> Array:
     """Set a random thickness that has been growing to the full one for a while; return it."""
-    touching = plan.contact
-    assert touching is not None
-    whole = touching.force.thickness
-    reduced = np.random.default_rng(3).uniform(0.6, 0.95, touching.thickness_shape) * whole
-    touching.force.recover(TIME - GROWN, duration, np.full_like(reduced, whole) if duration else None)
-    touching.sync()
-    touching.lay_thickness(reduced)
+    contact_binding = plan.contact
+    assert contact_binding is not None
+    whole = contact_binding.force.thickness
+    reduced = np.random.default_rng(3).uniform(0.6, 0.95, contact_binding.thickness_shape) * whole
+    contact_binding.force.start_recovery(TIME - GROWN, duration, np.full_like(reduced, whole) if duration else None)
+    contact_binding.sync()
+    contact_binding.set_thickness(reduced)
     return reduced
 
 
@@ -48,12 +48,14 @@ def scene(kind: str, damping: float) -> tuple[Plan, Array]:
     """Return the plan of contact alone, and positions (3, n) at which it acts with a reduced thickness, too."""
     rng = np.random.default_rng(1)
     if kind == "cloth":
-        triangles, rest, x, masses = own.sheets(0.0, 0.5 * 4e-3, rough=5e-4, shift=(0.0031, 0.0057), rows=3, columns=3)
-        return compile(own.alone(triangles, rest, masses, 4e-3, damping=damping)), np.ascontiguousarray(x.T)
+        triangles, rest_positions, x, masses = own.sheets(
+            0.0, 0.5 * 4e-3, rough=5e-4, shift=(0.0031, 0.0057), rows=3, columns=3
+        )
+        return compile(own.alone(triangles, rest_positions, masses, 4e-3, damping=damping)), np.ascontiguousarray(x.T)
     if kind == "points and edges":
-        plan, _, x, _, _ = facing(SMALL["box"], 0, damping=damping, path=STILL, gap=0.25)
+        plan, _, x, _, _ = facing_scene(SMALL["box"], 0, damping=damping, path=STILL, gap=0.25)
         return plan, np.ascontiguousarray(x.T)
-    x = near(SHAPES[kind], STILL, TIME, COUNT, rng, deepest=0.3)
+    x = points_near(SHAPES[kind], STILL, TIME, COUNT, rng, deepest=0.3)
     return alone(contact(kind, paths=[STILL], damping=damping), masses=rng.uniform(0.5, 2.0, COUNT)), x
 
 
@@ -78,11 +80,11 @@ def test_reduced_law_is_that_of_its_own_thickness() -> None:
     plan, x = scene("sphere", 0.0)
     masses = plan.model.masses
     for thickness in (0.7 * THICKNESS, 0.9 * THICKNESS):
-        touching = plan.contact
-        assert touching is not None
-        touching.force.recover(TIME)
-        touching.sync()
-        touching.lay_thickness(np.full(touching.thickness_shape, thickness))
+        contact_binding = plan.contact
+        assert contact_binding is not None
+        contact_binding.force.start_recovery(TIME)
+        contact_binding.sync()
+        contact_binding.set_thickness(np.full(contact_binding.thickness_shape, thickness))
         # The law of another thickness with a proportional U: the same squared frequencies at the same s.
         thin = contact("sphere", paths=[STILL], damping=0.0, thickness=thickness)
         expected, _ = laws.contact(TIME, x, np.zeros_like(x), thin, masses)
@@ -104,11 +106,11 @@ def test_growth_power_closes_the_energy_balance(kind: str, damping: float) -> No
     # Power of these forces on the motion, and the gain of contact energy.
     change = (potential(plan, x + h * v, TIME + h) - potential(plan, x - h * v, TIME - h)) / (2.0 * h)
     done = float((force(plan, x, v, TIME) * v).sum())
-    grown, lost = plan.contact.recovering(TIME, x, v), plan.dissipation(TIME, x, v)
-    size = abs(change) + abs(done) + grown + lost
+    grown, dissipation = plan.contact.recovery_power(TIME, x, v), plan.dissipation(TIME, x, v)
+    size = abs(change) + abs(done) + grown + dissipation
     assert grown > 1e-3 * size
-    assert (lost > 0.0) == (damping > 0.0)
-    assert change + done - grown + lost == pytest.approx(0.0, abs=1e-5 * size)
+    assert (dissipation > 0.0) == (damping > 0.0)
+    assert change + done - grown + dissipation == pytest.approx(0.0, abs=1e-5 * size)
 
 
 @KINDS
@@ -124,43 +126,43 @@ def test_growth_ends_with_the_whole_law(kind: str) -> None:
     assert reduced.max() < plan.contact.force.thickness
     assert force(plan, x, v, later) == pytest.approx(whole[0], rel=1e-12, abs=1e-12 * np.abs(whole[0]).max())
     assert potential(plan, x, later) == pytest.approx(whole[1], rel=1e-12)
-    plan.contact.lay_thickness(None)
+    plan.contact.set_thickness(None)
     assert np.array_equal(force(plan, x, v, TIME), whole[0])
-    assert plan.contact.recovering(TIME, x, v) == 0.0
+    assert plan.contact.recovery_power(TIME, x, v) == 0.0
 
 
 @KINDS
 def test_contacts_grow_at_rates_of_their_own(kind: str) -> None:
     plan, x = scene(kind, 0.0)
-    reduced, touching = reduce(plan), plan.contact
-    assert touching is not None
+    reduced, contact_binding = reduce(plan), plan.contact
+    assert contact_binding is not None
     rng = np.random.default_rng(4)
     # Half of them do not grow, the others to a part of the whole thickness.
     parts = rng.uniform(0.0, 1.0, reduced.shape) * (rng.uniform(size=reduced.shape) < 0.5)
-    after = reduced + parts * (touching.force.thickness - reduced)
+    after = reduced + parts * (contact_binding.force.thickness - reduced)
     for share in (0.25, 1.0):
-        touching.force.recover(TIME - share * DURATION, DURATION, after)
-        touching.lay_thickness(reduced)
+        contact_binding.force.start_recovery(TIME - share * DURATION, DURATION, after)
+        contact_binding.set_thickness(reduced)
         grown = force(plan, x, t=TIME)
-        touching.force.recover(TIME)
-        touching.lay_thickness(reduced + share * (after - reduced))
+        contact_binding.force.start_recovery(TIME)
+        contact_binding.set_thickness(reduced + share * (after - reduced))
         assert grown == pytest.approx(force(plan, x, t=TIME), rel=1e-9, abs=1e-9 * np.abs(grown).max())
-        assert touching.recovering(TIME, x, np.zeros_like(x)) == 0.0
+        assert contact_binding.recovery_power(TIME, x, np.zeros_like(x)) == 0.0
 
 
 def test_contacts_grow_up_to_the_max_push() -> None:
     plan, x = scene("plane", 0.0)
-    touching = plan.contact
-    assert touching is not None
+    contact_binding = plan.contact
+    assert contact_binding is not None
     # The force by the engine's law, at gaps around the one at which growth stops.
-    gaps = touching.gap_rows(TIME, x)
+    gaps = contact_binding.contact_gaps(TIME, x)
     reduced = gaps / np.linspace(0.9, 0.99, gaps.shape[1])
-    thickness = touching.force.thickness
+    thickness = contact_binding.force.thickness
     reduced[~(reduced < thickness)] = thickness
-    touching.force.recover(TIME)
-    touching.lay_thickness(reduced)
+    contact_binding.force.start_recovery(TIME)
+    contact_binding.set_thickness(reduced)
     push = np.linalg.norm(force(plan, x, t=TIME), axis=0) / plan.model.masses
-    after = regained(reduced, gaps, thickness, 1e-3)
+    after = grown_thickness(reduced, gaps, thickness, 1e-3)
     assert after is not None
     grows, below = (after > reduced)[0, :-1], reduced[0, :-1] < thickness
     assert np.array_equal(grows, below & (push <= MAX_PUSH))
@@ -196,15 +198,15 @@ def test_bounds_hold_with_a_reduced_thickness(kind: str) -> None:
 
 def test_predicted_bounds_follow_the_growth() -> None:
     plan, x = scene("plane", DAMPING)
-    touching = plan.contact
-    assert touching is not None
+    contact_binding = plan.contact
+    assert contact_binding is not None
     normals = force(plan, x, t=TIME)
     assert (np.abs(normals).max(axis=0) > 0.0).sum() > 10
     reduced = reduce(plan)
-    grows = touching.ahead(TIME, 1e-3, x, np.zeros_like(x))
-    touching.force.recover(TIME - GROWN)
-    touching.lay_thickness(reduced)
-    stands = touching.ahead(TIME, 1e-3, x, np.zeros_like(x))
+    grows = contact_binding.predict_contact(TIME, 1e-3, x, np.zeros_like(x))
+    contact_binding.force.start_recovery(TIME - GROWN)
+    contact_binding.set_thickness(reduced)
+    stands = contact_binding.predict_contact(TIME, 1e-3, x, np.zeros_like(x))
     assert grows[0] > stands[0] > 0.0
     # Present bounds of a contact are at most those predicted.
     reduce(plan)
@@ -228,17 +230,17 @@ def test_layers_regain_their_thickness_more_slowly() -> None:
     # The last row is of the cloth with itself.
     reduced, thickness = np.array([[1.2e-3, 1.9e-3, 2e-3], [1.2e-3, 1.95e-3, 2e-3]]), 2e-3
     gaps, duration = START_GAP * reduced, 2e-4 / RECOVERY_SPEED
-    after = regained(reduced, gaps, thickness, duration)
+    after = grown_thickness(reduced, gaps, thickness, duration)
     assert after is not None
     layer = 1.2e-3 + LAYER_RECOVERY_SPEED * duration
     assert after == pytest.approx(np.array([[1.4e-3, 2e-3, 2e-3], [layer, 2e-3, 2e-3]]))
     assert layer < 1.4e-3
-    whole = regained(after, START_GAP * after, thickness, (thickness - layer) / LAYER_RECOVERY_SPEED + duration)
+    whole = grown_thickness(after, START_GAP * after, thickness, (thickness - layer) / LAYER_RECOVERY_SPEED + duration)
     assert whole is not None
     assert (whole == thickness).all()
     # The thickness is full, or the cloth has not followed.
-    assert regained(whole, START_GAP * whole, thickness, duration) is None
-    assert regained(reduced, 0.5 * reduced, thickness, duration) is None
+    assert grown_thickness(whole, START_GAP * whole, thickness, duration) is None
+    assert grown_thickness(reduced, 0.5 * reduced, thickness, duration) is None
 
 
 @pytest.mark.parametrize(

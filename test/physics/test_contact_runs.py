@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 from support import laws
 from support.contact_scenes import SHAPES, THICKNESS, contact, drop, flat_sheet, moving, still
 
-from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.energy_balance import EnergyBalance
 from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
 
 #: Below the sheet: contact begins at once with the downward motion.
 BELOW = {
@@ -38,53 +38,64 @@ def turning(shape):
 @every_shape
 @pytest.mark.parametrize("listed", [False, True])
 def test_a_run_is_that_of_the_formulas(shape, listed):
-    own = contact(shape, paths=[turning(shape)])
-    model, places = flat_sheet(5, 6, own, listed=listed, anchors=[0], size=0.3)
+    contact_force = contact(shape, paths=[turning(shape)])
+    model, places = flat_sheet(5, 6, contact_force, listed=listed, anchors=[0], size=0.3)
     x = np.ascontiguousarray(places.T)
     v = np.zeros_like(x)
     v[2, 1:] = -1.0
     plan = compile(model)
-    (run,), _ = plan.runs(0.0, 2e-3, (x, v), [50], touches=True)
+    (run,), _ = plan.runs(0.0, 2e-3, (x, v), [50], record_obstacles=True)
     expected = laws.leapfrog(model, 0.0, 2e-3, x, v, 50)
     assert run.x == pytest.approx(expected[0], abs=1e-11)
     assert run.v == pytest.approx(expected[1], abs=1e-7)
-    assert np.abs(run.touches[0, :3]).max() > 1e-4
-    (narrow,), _ = plan.runs(0.0, 2e-3, (x, v), [50], narrow=True, touches=True)
-    assert narrow.x == pytest.approx(run.x, abs=3e-6)
-    assert narrow.touches == pytest.approx(run.touches, rel=2e-2, abs=2e-2 * np.abs(run.touches).max())
+    assert np.abs(run.obstacle_integrals[0, :3]).max() > 1e-4
+    (single_run,), _ = plan.runs(0.0, 2e-3, (x, v), [50], single_precision=True, record_obstacles=True)
+    assert single_run.x == pytest.approx(run.x, abs=3e-6)
+    assert single_run.obstacle_integrals == pytest.approx(
+        run.obstacle_integrals, rel=2e-2, abs=2e-2 * np.abs(run.obstacle_integrals).max()
+    )
 
 
 @pytest.mark.parametrize("listed", [False, True])
-@pytest.mark.parametrize("narrow", [False, True])
-def test_no_bit_depends_on_threads(listed, narrow):
+@pytest.mark.parametrize("single_precision", [False, True])
+def test_no_bit_depends_on_threads(listed, single_precision):
     shapes = ["sphere", "cylinder", "capsule", "box"]
     paths = np.array([turning(shape) for shape in shapes])
     paths[:, 1:3] += 0.4 * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
-    own = contact(*shapes, paths=paths)
-    model, places = flat_sheet(40, 31, own, listed=listed)
+    contact_force = contact(*shapes, paths=paths)
+    model, places = flat_sheet(40, 31, contact_force, listed=listed)
     plan = compile(model)
     x = np.ascontiguousarray(places.T)
     x[2] += 0.01
     v = np.zeros_like(x)
     v[2] = -1.0
     runs = [
-        plan.runs(0.0, 0.02, (x, v), [700], narrow=narrow, powers=True, touches=True, threads=threads)[0][0]
+        plan.runs(
+            0.0,
+            0.02,
+            (x, v),
+            [700],
+            single_precision=single_precision,
+            record_power=True,
+            record_obstacles=True,
+            threads=threads,
+        )[0][0]
         for threads in (1, 2, 3, 8)
     ]
-    assert runs[0].reached > 0.0
-    assert np.abs(runs[0].touches[:, :3]).max(axis=1).min() > 0.0
+    assert runs[0].encountered_energy > 0.0
+    assert np.abs(runs[0].obstacle_integrals[:, :3]).max(axis=1).min() > 0.0
     for run in runs[1:]:
-        for one, other in zip(runs[0], run, strict=True):
-            assert np.array_equal(one, other)
+        for reference_run, compared_run in zip(runs[0], run, strict=True):
+            assert np.array_equal(reference_run, compared_run)
 
 
 @pytest.mark.parametrize("listed", [False, True])
 def test_obstacles_out_of_reach_change_no_bit_and_no_step(listed):
-    far = Obstacle(name="far", shape="sphere", size=(0.3,))
+    distant = Obstacle(name="far", shape="sphere", size=(0.3,))
     nearer = Obstacle(name="nearer", shape="box", size=(0.3, 0.3, 0.3))
-    own = contact(far, nearer, paths=[still((0.0, 0.0, -40.0)), still((0.0, 0.0, -0.5))])
+    contact_force = contact(distant, nearer, paths=[still((0.0, 0.0, -40.0)), still((0.0, 0.0, -0.5))])
     ends = []
-    for forces in ([], [own]):
+    for forces in ([], [contact_force]):
         model, places = flat_sheet(20, 20, *forces, listed=listed)
         plan, state, integrator = drop(model, places, tolerance=1e-4)
         evaluations = [integrator.advance(plan, state, k / 60.0, 1.0 / 60.0).evaluations for k in range(8)]
@@ -97,25 +108,27 @@ def test_obstacles_out_of_reach_change_no_bit_and_no_step(listed):
 @every_shape
 @pytest.mark.parametrize("listed", [False, True])
 def test_obstacle_impulse_equals_the_cloths_momentum_loss(shape, listed):
-    own = contact(shape, paths=[turning(shape)])
-    model, places = flat_sheet(7, 9, own, listed=listed, gravity=False, drag=False)
+    contact_force = contact(shape, paths=[turning(shape)])
+    model, places = flat_sheet(7, 9, contact_force, listed=listed, gravity=False, drag=False)
     plan = compile(model)
     x, v = np.ascontiguousarray(places.T), np.zeros((3, len(places)))
     v[2] = -1.0
     duration, steps = 5e-3, 4000
-    (run,), _ = plan.runs(0.0, duration, (x, v), [steps], touches=True)
-    lost = ((v - run.v) * model.masses).sum(axis=1)
-    assert run.touches[0, :3] == pytest.approx(lost, rel=1e-9, abs=1e-12)
+    (run,), _ = plan.runs(0.0, duration, (x, v), [steps], record_obstacles=True)
+    momentum_loss = ((v - run.v) * model.masses).sum(axis=1)
+    assert run.obstacle_integrals[0, :3] == pytest.approx(momentum_loss, rel=1e-9, abs=1e-12)
     # About its moving position, at second order in the step.
     spun = np.cross(x.T, (v * model.masses).T).sum(axis=0) - np.cross(run.x.T, (run.v * model.masses).T).sum(axis=0)
     halves = np.linspace(0.0, duration, 201)
     moments = np.zeros(3)
     for a, b in pairwise(halves):
-        (part,), _ = plan.runs(0.0, b, (x, v), [round(b / duration * steps)], touches=True)
-        (before,), _ = plan.runs(0.0, a, (x, v), [round(a / duration * steps)], touches=True) if a else ((None,), None)
-        force = part.touches[0, :3] - (before.touches[0, :3] if before is not None else 0.0)
-        moments += np.cross(laws.pose(own.paths[0], 0.5 * (a + b))[0], force)
-    assert run.touches[0, 3:6] + moments == pytest.approx(spun, abs=1e-4 * np.abs(spun).max() + 1e-9)
+        (part,), _ = plan.runs(0.0, b, (x, v), [round(b / duration * steps)], record_obstacles=True)
+        (before,), _ = (
+            plan.runs(0.0, a, (x, v), [round(a / duration * steps)], record_obstacles=True) if a else ((None,), None)
+        )
+        force = part.obstacle_integrals[0, :3] - (before.obstacle_integrals[0, :3] if before is not None else 0.0)
+        moments += np.cross(laws.pose(contact_force.paths[0], 0.5 * (a + b))[0], force)
+    assert run.obstacle_integrals[0, 3:6] + moments == pytest.approx(spun, abs=1e-4 * np.abs(spun).max() + 1e-9)
 
 
 def test_the_balance_of_energy_closes_with_a_moving_obstacle():
@@ -126,10 +139,10 @@ def test_the_balance_of_energy_closes_with_a_moving_obstacle():
     plan, state, integrator = drop(model, places, tolerance=1e-5)
     balance = EnergyBalance(plan, state)
     for k in range(15):
-        integrator.advance(plan, state, k / 60.0, 1.0 / 60.0, balance.book)
+        integrator.advance(plan, state, k / 60.0, 1.0 / 60.0, balance.accumulator)
         residual = balance.close((k + 1) / 60.0, state)
     assert balance.work > 0.01
-    assert abs(residual) < 1e-3 * balance.turned_over
+    assert abs(residual) < 1e-3 * balance.energy_turnover
 
 
 @pytest.mark.parametrize("listed", [False, True])
@@ -139,13 +152,13 @@ def test_a_table_bears_the_weight_of_a_sheet_that_lies_on_it(listed):
     plan, state, integrator = drop(model, places, tolerance=1e-4)
     for k in range(60):
         integrator.advance(plan, state, k / 60.0, 1.0 / 60.0)
-    book = Book(plan.gripper_count, obstacle_count=1)
+    book = WorkAccumulator(plan.gripper_count, obstacle_count=1)
     integrator.advance(plan, state, 1.0, 1.0 / 60.0, book)
     weight = 9.81 * model.mass
-    assert book.loads[0, :3] == pytest.approx([0.0, 0.0, -weight], abs=1e-3 * weight)
-    assert book.loads[0, 3:] == pytest.approx(np.zeros(3), abs=1e-3 * weight)
+    assert book.obstacle_wrenches[0, :3] == pytest.approx([0.0, 0.0, -weight], abs=1e-3 * weight)
+    assert book.obstacle_wrenches[0, 3:] == pytest.approx(np.zeros(3), abs=1e-3 * weight)
     # Under a weight of 1 m/s^2 the force is a cube of the depth: 4 (1 - s)^3 = 2 d g / U^2, approximately.
-    s = plan.contact.gaps(1.0, state.x)[0, 1] / THICKNESS
+    s = plan.contact.obstacle_gaps(1.0, state.x)[0, 1] / THICKNESS
     assert (1.0 - s) ** 3 * (1.0 + 3.0 * s) / s**2 == pytest.approx(2.0 * THICKNESS * 9.81 / 35.0**2, rel=1e-3)
 
 
@@ -159,7 +172,7 @@ def test_rotated_scene_gives_the_rotated_motion():
         x = np.ascontiguousarray(rotation.apply(places).T)
         v = np.ascontiguousarray(np.repeat(rotation.apply([[0.3, 0.0, -2.0]]), len(places), axis=0).T)
         (run,), _ = plan.runs(0.0, 0.02, (x, v), [1500])
-        assert run.reached > 0.0
+        assert run.encountered_energy > 0.0
         ends.append(rotation.inv().apply(run.x.T))
     assert ends[1] == pytest.approx(ends[0], abs=1e-9)
 
@@ -168,7 +181,7 @@ def test_obstacles_follow_random_paths_as_grippers_do():
     # A particle carried by a box that turns about itself stays on its surface.
     path = moving(4) * 0.2
     path[13:17] = moving(4)[13:17]
-    own = contact("box", paths=[path])
-    assert own.steady() is False
-    own.move(np.array([still()]))
-    assert own.steady() is True
+    contact_force = contact("box", paths=[path])
+    assert contact_force.steady() is False
+    contact_force.set_paths(np.array([still()]))
+    assert contact_force.steady() is True

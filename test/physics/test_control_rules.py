@@ -15,12 +15,12 @@ from cloth_sim_ros import Gravity, Model, PairSprings, Scene, Simulation, State,
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.control.error import ErrorRule
-from cloth_sim_ros.physics.control.fallback import FINISHED, finish, whole_work, work_cap
-from cloth_sim_ros.physics.control.stability import UNDAMPED_SHARES, UNDAMPED_STEPS, StabilityRule
+from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, evaluation_budget, finish_implicitly, work_cap
+from cloth_sim_ros.physics.control.stability import MAX_UNDAMPED_STEPS, UNDAMPED_LIMIT_FRACTIONS, StabilityRule
+from cloth_sim_ros.physics.controller_state import ErrorState, FallbackState, StabilityState
 from cloth_sim_ros.physics.forces.force import Force
-from cloth_sim_ros.physics.integrators.columns import step_counts, weights
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import step_counts, weights
 from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.remembered import Error, Fallback, Stability
 from cloth_sim_ros.simulation.events import Grasp, Target
 
 #: Allowed growth of an undamped wave per step.
@@ -38,13 +38,13 @@ def critical() -> tuple[Model, State]:
 def taut() -> tuple[Model, State]:
     """Return an undamped chain of seven particles, stretched by a tenth, with a transverse impulse."""
     springs = PairSprings(np.stack([np.arange(6), np.arange(1, 7)], axis=1), 0.1, 200.0, 0.0)
-    places, speeds = np.zeros((7, 3)), np.zeros((7, 3))
-    places[:, 0] = 0.11 * np.arange(7)
-    speeds[3, 2], speeds[2, 0] = 0.5, 0.2
-    return Model(np.full(7, 0.01), [springs, Gravity()], anchors=[0, 6]), State(places, speeds)
+    positions, velocities = np.zeros((7, 3)), np.zeros((7, 3))
+    positions[:, 0] = 0.11 * np.arange(7)
+    velocities[3, 2], velocities[2, 0] = 0.5, 0.2
+    return Model(np.full(7, 0.01), [springs, Gravity()], anchors=[0, 6]), State(positions, velocities)
 
 
-def end_of(model: Model, state: State) -> np.ndarray:
+def reference_end(model: Model, state: State) -> np.ndarray:
     """Return positions after one second by an independent method, shape (3, n)."""
     plan, shape = compile(model), state.x.shape
 
@@ -55,24 +55,24 @@ def end_of(model: Model, state: State) -> np.ndarray:
         return np.concatenate([v.ravel(), a.ravel()])
 
     start = np.concatenate([state.x.ravel(), state.v.ravel()])
-    found = solve_ivp(slope, (0.0, 1.0), start, method="DOP853", rtol=1e-12, atol=1e-13)
-    return found.y[: state.x.size, -1].reshape(shape)
+    solution = solve_ivp(slope, (0.0, 1.0), start, method="DOP853", rtol=1e-12, atol=1e-13)
+    return solution.y[: state.x.size, -1].reshape(shape)
 
 
-@pytest.mark.parametrize("made", [critical, taut])
-def test_small_systems_satisfy_every_tolerance(made) -> None:
-    known, before = end_of(*made()), math.inf
+@pytest.mark.parametrize("make_system", [critical, taut])
+def test_small_systems_satisfy_every_tolerance(make_system) -> None:
+    reference, previous_error = reference_end(*make_system()), math.inf
     for tolerance in TOLERANCES:
-        model, state = made()
+        model, state = make_system()
         motion = simulate(model, state, 1.0, tolerance=tolerance)
-        error = np.abs(state.x - known).max()
+        error = np.abs(state.x - reference).max()
         assert error < tolerance
-        assert error <= max(before, 0.1 * tolerance)
+        assert error <= max(previous_error, 0.1 * tolerance)
         assert not any(advance.flagged for advance in motion.advances)
-        before = error
+        previous_error = error
 
 
-def thrown(work_limit: float = 3.0) -> Simulation:
+def violent_sheet(work_limit: float = 3.0) -> Simulation:
     """Return a sheet with hinges that become stiff when folded."""
     values = {"work_limit": work_limit, "material.stretch_modulus": 5e3, "cloth.resolution": [9, 9]}
     values |= {"bending.model": "crossed", "material.bending_modulus": 1e-5, "gripper.max_speed": 0.0}
@@ -80,36 +80,38 @@ def thrown(work_limit: float = 3.0) -> Simulation:
 
 
 def test_frame_work_stays_below_limit_and_excess_is_flagged() -> None:
-    simulation, rng, said = thrown(0.5), np.random.default_rng(2), []
+    simulation, rng, flagged = violent_sheet(0.5), np.random.default_rng(2), []
     plan, period = simulation.plan, simulation.scene.period
-    worth = simulation.scene.work_limit * period * 1e9 / plan.model.particle_count
+    max_evaluations = simulation.scene.work_limit * period * 1e9 / plan.model.particle_count
     simulation.advance([Target("gripper", simulation.positions[-1]), Grasp("gripper", True)])
     for _ in range(40):
         done = simulation.advance([Target("gripper", simulation.positions[-1] + rng.normal(size=3) * 0.3)]).advance
         # The multirate ratio lowers the cost of a force evaluation.
-        every = int(found[1]) if (found := re.search(r"bending every (\d)", done.reason)) else 1
-        assert done.evaluations <= worth / plan.cost(every)
+        ratio = int(match[1]) if (match := re.search(r"bending every (\d)", done.reason)) else 1
+        assert done.evaluations <= max_evaluations / plan.multirate_step_cost(ratio)
         if done.flagged:
-            said.append((done.binds, done.reason))
+            flagged.append((done.limited_by, done.reason))
     assert np.isfinite(simulation.positions).all()
-    assert said
-    assert all(bound == "work" and "work limit" in reason for bound, reason in said)
+    assert flagged
+    assert all(bound == "work" and "work limit" in reason for bound, reason in flagged)
 
 
 @pytest.mark.parametrize("most", [0.0, 64.0, 80.0, 110.0])
 def test_implicit_finish_stays_within_remaining_work(most: float) -> None:
-    simulation = thrown()
+    simulation = violent_sheet()
     free = simulation.model.inverse_masses > 0.0
     for seed in range(3):
         start = simulation.state.copy()
         start.x = start.x + np.random.default_rng(seed).normal(size=start.x.shape) * free
         ends = {most: start.copy(), math.inf: start.copy()}
-        taken = {
-            limit: finish(simulation.plan, state, 0.0, 1 / 60, None, instead_of="extrapolated", most=limit).evaluations
+        evaluations = {
+            limit: finish_implicitly(
+                simulation.plan, state, 0.0, 1 / 60, None, instead_of="extrapolated", max_evaluations=limit
+            ).evaluations
             for limit, state in ends.items()
         }
         # Eight steps of eight descent iterations are the minimum that finishes a frame.
-        assert taken[most] <= max(most, 64.0) < taken[math.inf]
+        assert evaluations[most] <= max(most, 64.0) < evaluations[math.inf]
         assert np.isfinite(ends[most].x).all()
 
 
@@ -117,9 +119,9 @@ def test_jerk_between_estimates_is_detected() -> None:
     """A mass falls freely, without any error, until its slack spring becomes taut."""
     spring = PairSprings([[0, 1]], 0.5, 40.0, 0.05)
     model, state = Model([0.1, 0.1], [spring, Gravity()], anchors=[0]), State([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
-    known = end_of(model, State(state.positions))
+    reference = reference_end(model, State(state.positions))
     simulate(model, state, 1.0, tolerance=1e-6)
-    assert np.abs(state.x - known).max() < 1e-6
+    assert np.abs(state.x - reference).max() < 1e-6
 
 
 class _Floor(Force):
@@ -137,25 +139,25 @@ class _Floor(Force):
         blocks[2] += 1e6 * (x[2] < 0.0)
 
 
-def bounce(height: float) -> float:
+def bounce_height(height: float) -> float:
     """Return the height [m] of a particle one second after its release at a height [m] above that floor."""
     g, w, fall = 9.81, 1e3, math.sqrt(2.0 * height / 9.81)
     # Half an oscillation about -g/w^2, entered and left at the speed of the fall.
-    swing = 2.0 / w * (math.pi - math.atan2(fall * w, 1.0))
-    since = (1.0 - fall - swing) % (2.0 * fall + swing)
-    return g * fall * since - 0.5 * g * since * since
+    contact_time = 2.0 / w * (math.pi - math.atan2(fall * w, 1.0))
+    elapsed = (1.0 - fall - contact_time) % (2.0 * fall + contact_time)
+    return g * fall * elapsed - 0.5 * g * elapsed * elapsed
 
 
 def test_impact_costs_fine_steps_only_around_it() -> None:
     plan, state = compile(Model([1.0], [Gravity(), _Floor()])), State([[0.0, 0.0, 0.3]])
     integrator = make_integrator("extrapolated", tolerance=1e-6)
-    done = [integrator.advance(plan, state, k / 60, 1 / 60) for k in range(60)]
-    growth = max(1.0, abs(bounce(0.3 + 1e-6) - bounce(0.3)) / 1e-6)
-    assert abs(state.x[2, 0] - bounce(0.3)) < 1e-6 * growth
-    assert not any(advance.flagged for advance in done)
+    advances = [integrator.advance(plan, state, k / 60, 1 / 60) for k in range(60)]
+    growth = max(1.0, abs(bounce_height(0.3 + 1e-6) - bounce_height(0.3)) / 1e-6)
+    assert abs(state.x[2, 0] - bounce_height(0.3)) < 1e-6 * growth
+    assert not any(advance.flagged for advance in advances)
     # Two of 60 frames contain an impact. Equally fine steps in all of both would take 400,000 evaluations, and further
     # runs without a gain 31,000.
-    assert sum(each.evaluations for each in done) < 25_000
+    assert sum(result.evaluations for result in advances) < 25_000
 
 
 def test_undamped_combinations_are_divided_into_parts() -> None:
@@ -190,17 +192,17 @@ def test_undamped_wave_growth_of_short_combinations_is_bounded(columns: int) -> 
 
     Frames of four steps and more are divided into parts of four to six.
     """
-    for first in range(4, UNDAMPED_STEPS + 1):
+    for first in range(4, MAX_UNDAMPED_STEPS + 1):
         counts = step_counts(first, columns)
-        for part in np.linspace(0.02, 1.0, 50):
-            phase = 2.0 * CONSTANTS.safety * UNDAMPED_SHARES[columns - 1] * part * first
-            done = np.zeros((2, 2))
+        for fraction in np.linspace(0.02, 1.0, 50):
+            phase = 2.0 * CONSTANTS.stability_safety * UNDAMPED_LIMIT_FRACTIONS[columns - 1] * fraction * first
+            combination = np.zeros((2, 2))
             for weight, count in zip(weights(counts), counts, strict=True):
                 z = phase / count
                 step = np.array([[1.0 - z * z / 2.0, z * (1.0 - z * z / 4.0)], [-z, 1.0 - z * z / 2.0]])
-                done += weight * np.linalg.matrix_power(step, count)
-            growth = math.log(np.abs(np.linalg.eigvals(done)).max()) / first
-            assert growth < UNDAMPED_GROWTH, (first, part, growth)
+                combination += weight * np.linalg.matrix_power(step, count)
+            growth = math.log(np.abs(np.linalg.eigvals(combination)).max()) / first
+            assert growth < UNDAMPED_GROWTH, (first, fraction, growth)
 
 
 def test_changed_frame_length_causes_a_new_estimate() -> None:
@@ -208,43 +210,48 @@ def test_changed_frame_length_causes_a_new_estimate() -> None:
     plan, integrator = compile(model), make_integrator("extrapolated", tolerance=1e-4)
     for frame in range(3):
         integrator.advance(plan, state, frame / 60, 1 / 60)
-    before = Error.of(state)
-    assert before.wait > 0.0
-    state.memory[Error.key] = np.array([*state.memory[Error.key][:2], 50.0, 50.0, *state.memory[Error.key][4:]])
+    error_state = ErrorState.load(state)
+    assert error_state.frames_until_estimate > 0.0
+    state.memory[ErrorState.key] = np.array(
+        [*state.memory[ErrorState.key][:2], 50.0, 50.0, *state.memory[ErrorState.key][4:]]
+    )
     integrator.advance(plan, state, 0.05, 1 / 30)
-    assert Error.of(state).interval < 50.0
-    assert Error.of(state).part == 1 / 30
+    assert ErrorState.load(state).estimate_period < 50.0
+    assert ErrorState.load(state).duration == 1 / 30
 
 
 def test_tolerance_below_rounding_is_flagged_and_ends() -> None:
     model, state = critical()
     state.x += 1e4
-    done = make_integrator("extrapolated", tolerance=1e-12).advance(compile(model), state, 0.0, 1 / 60)
-    assert done.flagged == 1
-    assert "finer than rounding" in done.reason
-    assert done.evaluations < 10_000
+    result = make_integrator("extrapolated", tolerance=1e-12).advance(compile(model), state, 0.0, 1 / 60)
+    assert result.flagged == 1
+    assert "finer than rounding" in result.reason
+    assert result.evaluations < 10_000
 
 
 def test_doubled_activity_is_not_predicted() -> None:
     model, state = critical()
-    stability = StabilityRule(compile(model), Stability(), state, 1 / 60)
-    rule = ErrorRule(Error(error=1e-12, activity=1.0), stability, 1e-6, 4, state)
-    assert rule.predicted(1, 0.0, 1.9) == pytest.approx(1.9**3 * 1e-12)
-    assert rule.predicted(1, 0.0, 2.1) == math.inf
+    stability = StabilityRule(compile(model), StabilityState(), state, 1 / 60)
+    rule = ErrorRule(ErrorState(error=1e-12, activity=1.0), stability, 1e-6, 4, state)
+    assert rule.predict(1, 0.0, 1.9) == pytest.approx(1.9**3 * 1e-12)
+    assert rule.predict(1, 0.0, 2.1) == math.inf
 
 
 def test_each_fallback_halves_the_work_cap() -> None:
     plan = compile(critical()[0])
     # The cap excludes the reserve of the fallback, which is at most half of the work.
-    whole = whole_work(plan, 10.0, 1 / 60)
-    caps = [work_cap(plan, whole, 1 / 60, 1e-3, fallen)[0] + FINISHED for fallen in (0.0, 1.0, 2.0)]
+    whole = evaluation_budget(plan, 10.0, 1 / 60)
+    caps = [
+        work_cap(plan, whole, 1 / 60, 1e-3, fallback_counts)[0] + FALLBACK_EVALUATIONS
+        for fallback_counts in (0.0, 1.0, 2.0)
+    ]
     assert caps == [caps[0], caps[0] / 2, caps[0] / 4]
     assert caps[0] == whole
-    assert work_cap(plan, FINISHED, 1 / 60, 1e-3, 0.0)[0] == FINISHED / 2
-    simulation, rng, fallen = thrown(0.05), np.random.default_rng(2), []
+    assert work_cap(plan, FALLBACK_EVALUATIONS, 1 / 60, 1e-3, 0.0)[0] == FALLBACK_EVALUATIONS / 2
+    simulation, rng, fallback_counts = violent_sheet(0.05), np.random.default_rng(2), []
     simulation.advance([Target("gripper", simulation.positions[-1]), Grasp("gripper", True)])
     for _ in range(40):
         done = simulation.advance([Target("gripper", simulation.positions[-1] + rng.normal(size=3) * 0.3)]).advance
-        fallen.append((done.integrator, Fallback.of(simulation.state).fallen))
-    assert ("implicit", 1.0) in fallen
-    assert all(count == 0.0 for name, count in fallen if name != "implicit")
+        fallback_counts.append((done.integrator, FallbackState.load(simulation.state).fallback_count))
+    assert ("implicit", 1.0) in fallback_counts
+    assert all(count == 0.0 for name, count in fallback_counts if name != "implicit")

@@ -7,14 +7,14 @@ import pytest
 from support import laws, self_scenes
 from support.alone import blocks, force, gradient, matrix, product
 from support.contact_scenes import still
-from support.feature_scenes import SMALL, THICKNESS, TIME, energy, facing, world
+from support.feature_scenes import SMALL, THICKNESS, TIME, energy, facing_scene, world_features
 
-from cloth_sim_ros.physics.book import BOOKED_NUMBERS
-from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
+from cloth_sim_ros.physics.forces.contact import Contact, ContactSurface
 from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.obstacle_features import features, round_enough
+from cloth_sim_ros.physics.obstacle_features import is_covered_by_particles, obstacle_features
 from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.work_accumulator import BOOKED_NUMBERS
 
 every_shape = pytest.mark.parametrize("shape", SMALL)
 each_seed = pytest.mark.parametrize("seed", [0, 1])
@@ -26,14 +26,14 @@ def columns(x):
 
 def of_particles(plan, x):
     """Return the energy of the particles' contact."""
-    found, _ = laws.contact(TIME, x, np.zeros_like(x), plan.contact.force, plan.model.masses)
-    return found.energy
+    expected, _ = laws.contact(TIME, x, np.zeros_like(x), plan.contact.force, plan.model.masses)
+    return expected.energy
 
 
 @every_shape
 @each_seed
 def test_the_energy_is_that_of_every_pair(shape, seed):
-    plan, triangles, x, masses, path = facing(SMALL[shape], seed)
+    plan, triangles, x, masses, path = facing_scene(SMALL[shape], seed)
     expected = energy(SMALL[shape], path, triangles, x, masses)
     assert expected > 1e-4
     whole = expected + of_particles(plan, columns(x))
@@ -43,7 +43,7 @@ def test_the_energy_is_that_of_every_pair(shape, seed):
 @every_shape
 @each_seed
 def test_undamped_force_is_minus_the_energy_gradient(shape, seed):
-    plan, _, x, _, _ = facing(SMALL[shape], seed, damping=0.0)
+    plan, _, x, _, _ = facing_scene(SMALL[shape], seed, damping=0.0)
     slopes = gradient(lambda places: plan.energies(TIME, places, None)[1], columns(x), step=1e-8)
     assert np.abs(slopes).max() > 1.0
     assert force(plan, columns(x), t=TIME) == pytest.approx(-slopes, abs=2e-5 * np.abs(slopes).max())
@@ -52,29 +52,29 @@ def test_undamped_force_is_minus_the_energy_gradient(shape, seed):
 @every_shape
 @each_seed
 def test_recorded_wrench_is_the_force_on_the_cloth(shape, seed):
-    plan, _, x, _, path = facing(SMALL[shape], seed)
+    plan, _, x, _, path = facing_scene(SMALL[shape], seed)
     rng = np.random.default_rng(seed)
     v = rng.normal(size=x.shape)
-    found = force(plan, columns(x), columns(v), TIME).T
-    booked = plan.contact.rates(TIME, columns(x), columns(v))[0]
-    size = np.abs(found).max()
-    assert booked[:3] == pytest.approx(-found.sum(axis=0), abs=1e-11 * size)
-    place = laws.pose(path, TIME)[0]
-    assert booked[3:6] == pytest.approx(-np.cross(x - place, found).sum(axis=0), abs=1e-11 * size)
+    cloth_force = force(plan, columns(x), columns(v), TIME).T
+    wrench = plan.contact.wrench_rates(TIME, columns(x), columns(v))[0]
+    size = np.abs(cloth_force).max()
+    assert wrench[:3] == pytest.approx(-cloth_force.sum(axis=0), abs=1e-11 * size)
+    position = laws.pose(path, TIME)[0]
+    assert wrench[3:6] == pytest.approx(-np.cross(x - position, cloth_force).sum(axis=0), abs=1e-11 * size)
     # The obstacle's work is dissipated, moves the cloth, or is stored: by differences of time.
     h = 1e-8
     ends = [plan.energies(TIME + s * h, columns(x + s * h * v), None)[1] for s in (1.0, -1.0)]
     grown = (ends[0] - ends[1]) / (2.0 * h)
-    terms = np.array([grown, (found * v).sum(), booked[6], booked[7]])
-    assert booked[7] >= 0.0
-    assert grown + (found * v).sum() == pytest.approx(booked[6] - booked[7], abs=1e-5 * np.abs(terms).max())
-    assert len(booked) == BOOKED_NUMBERS
+    terms = np.array([grown, (cloth_force * v).sum(), wrench[6], wrench[7]])
+    assert wrench[7] >= 0.0
+    assert grown + (cloth_force * v).sum() == pytest.approx(wrench[6] - wrench[7], abs=1e-5 * np.abs(terms).max())
+    assert len(wrench) == BOOKED_NUMBERS
 
 
 @every_shape
 @each_seed
 def test_the_derivative_product_is_that_of_the_force(shape, seed):
-    plan, _, x, _, _ = facing(SMALL[shape], seed)
+    plan, _, x, _, _ = facing_scene(SMALL[shape], seed)
     rng = np.random.default_rng(seed)
     v, dx, dv = rng.normal(size=(3, *x.T.shape))
     x, h = columns(x), 1e-9
@@ -89,7 +89,7 @@ def test_the_derivative_product_is_that_of_the_force(shape, seed):
 @each_seed
 def test_bounds_hold_at_rest(shape, seed):
     path = still((0.3, -0.2, 0.1), np.array([0.5, -0.5, 0.1, 0.7]))
-    plan, _, x, _, _ = facing(SMALL[shape], seed, path=path)
+    plan, _, x, _, _ = facing_scene(SMALL[shape], seed, path=path)
     x = columns(x)
     zero = np.zeros_like(x)
     stiff, damped = blocks(plan, x)
@@ -104,31 +104,33 @@ def test_bounds_hold_at_rest(shape, seed):
 def test_feature_force_ends_at_half_the_thickness():
     box = SMALL["box"]
     for gap, acts in ((0.499, True), (0.501, False)):
-        plan, _, x, _, _ = facing(box, gap=gap, damping=0.0)
+        plan, _, x, _, _ = facing_scene(box, gap=gap, damping=0.0)
         assert (plan.energies(TIME, columns(x), None)[1] > of_particles(plan, columns(x)) + 1e-15) == acts
-    plan, _, x, _, _ = facing(box, anchors=range(16))
+    plan, _, x, _, _ = facing_scene(box, anchors=range(16))
     assert plan.energies(TIME, columns(x), None)[1] == 0.0
 
 
 def test_point_force_is_independent_of_the_triangulation():
-    triangles, rest, x, masses = self_scenes.sheets(0.0, rows=5, columns=5)
+    triangles, rest_positions, x, masses = self_scenes.sheets(0.0, rows=5, columns=5)
     ball = Obstacle(name="ball", shape="sphere", size=(0.005,))
-    faces = OwnSurface(triangles, rest, thickness=THICKNESS)
+    faces = ContactSurface(triangles, rest_positions, thickness=THICKNESS)
     # Particles are out of its reach at the positions that count, because the gap is 0.4 of the thickness.
-    own = Contact([ball], thickness=THICKNESS, damping=0.0, faces=faces)
-    plan = compile(Model(masses, [own]))
+    contact_force = Contact([ball], thickness=THICKNESS, damping=0.0, faces=faces)
+    plan = compile(Model(masses, [contact_force]))
     s = 0.8
     expected = masses.mean() * 35.0**2 / THICKNESS * (1.0 - s) ** 3 * (1.0 + 3.0 * s) / s**2
     offsets = np.random.default_rng(0).uniform(0.02, 0.06, (60, 2))
     for offset in [*offsets, [0.03, 0.03], [0.04, 0.03], [0.035, 0.03], [0.04, 0.04]]:
-        own.move(np.array([still((*offset, -0.005 - 0.5 * s * THICKNESS))]))
-        found = plan.contact.rates(0.0, columns(x), np.zeros_like(columns(x)))[0, :3]
-        particles, _ = laws.contact(0.0, columns(x), np.zeros_like(columns(x)), own, masses)
-        assert found + particles.force.sum(axis=1) == pytest.approx([0.0, 0.0, -expected], abs=1e-9 * expected)
+        contact_force.set_paths(np.array([still((*offset, -0.005 - 0.5 * s * THICKNESS))]))
+        point_force = plan.contact.wrench_rates(0.0, columns(x), np.zeros_like(columns(x)))[0, :3]
+        particles, _ = laws.contact(0.0, columns(x), np.zeros_like(columns(x)), contact_force, masses)
+        assert point_force + particles.force.sum(axis=1) == pytest.approx([0.0, 0.0, -expected], abs=1e-9 * expected)
 
 
 def test_features_are_corners_edges_centres_and_axes_of_shapes():
-    box, marble, pin, coin = (features(SMALL[shape], THICKNESS) for shape in ("box", "sphere", "capsule", "cylinder"))
+    box, marble, pin, coin = (
+        obstacle_features(SMALL[shape], THICKNESS) for shape in ("box", "sphere", "capsule", "cylinder")
+    )
     assert len(box.points) == 8
     lengths = np.linalg.norm(box.points[box.edges[:, 0]] - box.points[box.edges[:, 1]], axis=1)
     assert np.sort(lengths) == pytest.approx(np.repeat([0.02, 0.03, 0.05], 4))
@@ -141,26 +143,30 @@ def test_features_are_corners_edges_centres_and_axes_of_shapes():
     inward = 0.008 - np.hypot(*middles[:, :2].T)
     assert -1e-15 < inward.min() <= inward.max() <= 0.05 * THICKNESS
     assert len(coin.edges) == 3 * len(coin.points) // 2
-    assert world(SMALL["sphere"], still((1.0, 2.0, 3.0)))[0] == pytest.approx(np.array([[1.0, 2.0, 3.0]]))
+    assert world_features(SMALL["sphere"], still((1.0, 2.0, 3.0)))[0] == pytest.approx(np.array([[1.0, 2.0, 3.0]]))
 
 
 @pytest.mark.parametrize("radius", [0.02, 0.2, 2.0])
 def test_ball_penetration_below_tenth_radius_needs_no_features(radius):
     # Equilateral triangles around the ball, with corners at three quarters of the thickness, stretched by a tenth.
-    near = radius + 0.75 * THICKNESS
+    particle_distance = radius + 0.75 * THICKNESS
     least = {}
     for longest in np.linspace(1e-3, 1.2 * radius, 400):
         inward = (1.1 * longest) ** 2 / 3.0
-        least[longest] = (near * near - inward) ** 0.5 - 0.9 * radius
-        assert round_enough(radius, longest, THICKNESS) == (least[longest] >= 0.0)
+        least[longest] = (particle_distance * particle_distance - inward) ** 0.5 - 0.9 * radius
+        assert is_covered_by_particles(radius, longest, THICKNESS) == (least[longest] >= 0.0)
     assert min(least.values()) < 0.0 < max(least.values())
     # No other triangle of such sides comes nearer.
     rng = np.random.default_rng(0)
     longest = max(length for length, gap in least.items() if gap >= 0.0)
     for _ in range(200):
-        way = rng.normal(size=3) * [1.0, 1.0, 0.0]
-        corners = near * np.array([0.0, 0.0, 1.0]) + rng.normal(size=(3, 3)) * 0.5 * longest + 0.1 * longest * way
-        corners *= np.maximum(near / np.linalg.norm(corners, axis=1), 1.0)[:, None]
+        direction = rng.normal(size=3) * [1.0, 1.0, 0.0]
+        corners = (
+            particle_distance * np.array([0.0, 0.0, 1.0])
+            + rng.normal(size=(3, 3)) * 0.5 * longest
+            + 0.1 * longest * direction
+        )
+        corners *= np.maximum(particle_distance / np.linalg.norm(corners, axis=1), 1.0)[:, None]
         sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).max()
         if sides <= 1.1 * longest:
             assert self_scenes.on_triangle(np.zeros(3), *corners) >= 0.9 * radius

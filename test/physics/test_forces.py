@@ -28,15 +28,15 @@ T = 0.03
 RNG = np.random.default_rng(11)
 PAIRS = np.array([(a, b) for a in range(N) for b in range(a + 1, N) if RNG.random() < 0.3])
 HINGES = np.array([RNG.permutation(N)[:4] for _ in range(11)])
-REST = RNG.uniform(-0.4, 0.4, len(HINGES))
+REST_LENGTHS = RNG.uniform(-0.4, 0.4, len(HINGES))
 STIFFNESS, DAMPING = RNG.uniform(5, 50, len(HINGES)), RNG.uniform(0.1, 2.0, len(HINGES))
 MASSES = RNG.uniform(0.1, 1.0, N)
 AROUND = RNG.permuted(np.tile(np.arange(N), (9, 1)), axis=1)
 
 
-def springs(rest=None, **options):
-    rest = RNG.uniform(0.3, 1.5, len(PAIRS)) if rest is None else rest
-    return PairSprings(PAIRS, rest, RNG.uniform(5, 50, len(PAIRS)), **options)
+def springs(rest_lengths=None, **options):
+    rest_lengths = RNG.uniform(0.3, 1.5, len(PAIRS)) if rest_lengths is None else rest_lengths
+    return PairSprings(PAIRS, rest_lengths, RNG.uniform(5, 50, len(PAIRS)), **options)
 
 
 def sheet(damping, parity, **options):
@@ -58,9 +58,9 @@ def sheet(damping, parity, **options):
 
 def grips(stillness=False):
     held = Grips(2)
-    one, turned = [0.1, 0, 0, 0, 0, 0, 1.0], [0.4, 0.2, 0.1, *Rotation.from_rotvec([1, 2, 0]).as_quat()]
+    pose, turned = [0.1, 0, 0, 0, 0, 0, 1.0], [0.4, 0.2, 0.1, *Rotation.from_rotvec([1, 2, 0]).as_quat()]
     twists = np.array([RNG.standard_normal(6) for _ in range(2)])
-    paths = planned_paths(0.0, 0.1, np.array([one, turned]), twists, np.zeros((2, 6)), np.array([turned, one]))[0]
+    paths = planned_paths(0.0, 0.1, np.array([pose, turned]), twists, np.zeros((2, 6)), np.array([turned, pose]))[0]
     if stillness:
         paths[:, 4:13] = paths[:, 17:26] = 0.0
     particles = np.array([1, 2, 2, 5])
@@ -76,10 +76,10 @@ INTERNAL = {
     "sheet": [sheet(0.3, None)],
     "undamped sheet": [sheet(0.0, None)],
     "checkered sheet": [sheet(0.3, 1)],
-    "opposite": [OppositeSprings(HINGES[:, 2:], np.abs(REST) + 0.3, STIFFNESS, DAMPING)],
-    "crossed": [CrossedSprings(HINGES[:, :2], HINGES[:, 2:], REST, STIFFNESS, DAMPING)],
+    "opposite": [OppositeSprings(HINGES[:, 2:], np.abs(REST_LENGTHS) + 0.3, STIFFNESS, DAMPING)],
+    "crossed": [CrossedSprings(HINGES[:, :2], HINGES[:, 2:], REST_LENGTHS, STIFFNESS, DAMPING)],
     "crossed flat": [CrossedSprings(HINGES[:, :2], HINGES[:, 2:], 0.0, STIFFNESS)],
-    "altitude": [AltitudeSprings(HINGES, REST, STIFFNESS, DAMPING)],
+    "altitude": [AltitudeSprings(HINGES, REST_LENGTHS, STIFFNESS, DAMPING)],
     "altitude flat": [AltitudeSprings(HINGES, 0.0, STIFFNESS)],
 }
 EXTERNAL = {
@@ -134,8 +134,8 @@ def test_forces_energies_and_powers_are_those_of_the_laws(forces, seed):
     kinetic, potential = plan.energies(T, x, v)
     assert kinetic == pytest.approx(0.5 * np.sum(MASSES * v * v), rel=1e-12)
     assert potential == pytest.approx(expected.energy, rel=1e-11, abs=1e-12)
-    assert plan.dissipation(T, x, v) == pytest.approx(expected.lost, rel=1e-11, abs=1e-12)
-    assert plan.supply(T, x, v) == pytest.approx(expected.given, rel=1e-11, abs=1e-12)
+    assert plan.dissipation(T, x, v) == pytest.approx(expected.dissipation, rel=1e-11, abs=1e-12)
+    assert plan.supply(T, x, v) == pytest.approx(expected.external_power, rel=1e-11, abs=1e-12)
 
 
 @over({name: ALL[name] for name in ("grips", "everything on a list", "everything on a sheet")})
@@ -144,23 +144,25 @@ def test_gripper_wrenches_are_those_of_the_law(forces, seed):
     x, v, _ = random_state(seed)
     held = next(force for force in forces if isinstance(force, Grips))
     expected = laws.grips(T, x, v, held)[1]
-    assert plan_of(forces).grip_rates(T, x, v) == pytest.approx(expected, rel=1e-11, abs=1e-10)
+    assert plan_of(forces).grip_wrench_rates(T, x, v) == pytest.approx(expected, rel=1e-11, abs=1e-10)
 
 
 @over(ALL)
 @pytest.mark.parametrize("steps", [1, 5])
-@pytest.mark.parametrize("narrow", [False, True], ids=["double", "single"])
-def test_runs_are_the_leapfrog_of_the_laws(forces, steps, narrow):
+@pytest.mark.parametrize("single_precision", [False, True], ids=["double", "single"])
+def test_runs_are_the_leapfrog_of_the_laws(forces, steps, single_precision):
     x, v, _ = random_state(1)
     model = Model(MASSES, forces, anchors=[0, 7])
     v[:, [0, 7]] = 0.0
     duration = 0.002 * steps
     expected = laws.leapfrog(model, T, duration, x, v, steps)
-    runs, _ = compile(model).runs(T, duration, (x, v), [steps], narrow=narrow)
+    runs, _ = compile(model).runs(T, duration, (x, v), [steps], single_precision=single_precision)
     # Single precision resolves 6e-8 of the largest numbers: positions and speeds of a few units, accelerations of a
     # thousand a step.
-    for found, right in zip(runs[0].ends, expected, strict=True):
-        assert found == pytest.approx(right, abs=(3e-6 if narrow else 1e-12) * np.abs(right).max())
+    for calculated, reference in zip(runs[0].end_state, expected, strict=True):
+        assert calculated == pytest.approx(
+            reference, abs=(3e-6 if single_precision else 1e-12) * np.abs(reference).max()
+        )
 
 
 @over(ALL)
@@ -168,24 +170,24 @@ def test_single_precision_is_single(forces):
     x, v, _ = random_state(1)
     plan = plan_of(forces)
     (wide,), _ = plan.runs(T, 0.01, (x, v), [5])
-    (narrow,), _ = plan.runs(T, 0.01, (x, v), [5], narrow=True)
-    assert np.abs(wide.v - narrow.v).max() > 1e-10
+    (single_run,), _ = plan.runs(T, 0.01, (x, v), [5], single_precision=True)
+    assert np.abs(wide.v - single_run.v).max() > 1e-10
 
 
 @over(ALL)
 @seeds
 def test_power_is_wind_power_minus_dissipation(forces, seed):
     x, v, _ = random_state(seed)
-    forces = [grips(stillness=True) if isinstance(each, Grips) else each for each in forces]
+    forces = [grips(stillness=True) if isinstance(model_force, Grips) else model_force for model_force in forces]
     plan = plan_of(forces)
-    lost, given = plan.dissipation(T, x, v), plan.supply(T, x, v)
+    dissipation, wind_power = plan.dissipation(T, x, v), plan.supply(T, x, v)
     still = np.zeros_like(x)
     # At rest the force is elastic, or that of the wind.
     resting = force(plan, x, still, T)
     pushed = laws.total(Model(MASSES, [f for f in forces if isinstance(f, (Wind, AirPanels))]), T, x, still).force
     power = float(np.sum((force(plan, x, v, T) - resting + pushed) * v))
-    assert lost >= 0.0
-    assert power == pytest.approx(given - lost, rel=1e-11, abs=1e-11 * max(1.0, np.abs(resting).max()))
+    assert dissipation >= 0.0
+    assert power == pytest.approx(wind_power - dissipation, rel=1e-11, abs=1e-11 * max(1.0, np.abs(resting).max()))
     assert plan.powers(T, x, still) == (0.0, 0.0)
 
 
@@ -239,8 +241,8 @@ def test_jacobian_product_is_the_derivative_of_the_force(forces, seed):
     dx, dv = rng.standard_normal((3, N)), rng.standard_normal((3, N))
     h = 1e-6
     difference = (force(plan, x + h * dx, v + h * dv, T) - force(plan, x - h * dx, v - h * dv, T)) / (2 * h)
-    found = product(plan, x, v, dx, dv, T)
-    assert found == pytest.approx(difference, abs=1e-6 * max(1.0, np.abs(difference).max()))
+    derivative = product(plan, x, v, dx, dv, T)
+    assert derivative == pytest.approx(difference, abs=1e-6 * max(1.0, np.abs(difference).max()))
 
 
 @over(ALL)
@@ -249,7 +251,7 @@ def test_blocks_bound_stiffness_and_damping(forces, seed):
     x, _, _ = random_state(seed)
     plan, still = plan_of(forces), np.zeros_like(x)
     for part, bound in zip("xv", blocks(plan, x), strict=True):
-        held = [grips(stillness=True) if isinstance(each, Grips) else each for each in forces]
+        held = [grips(stillness=True) if isinstance(model_force, Grips) else model_force for model_force in forces]
         whole = matrix(plan_of(held), x, still, part, T)
         room = np.linalg.eigvalsh(full(bound) - 0.5 * (whole + whole.T))
         assert room.min() > -1e-10 * max(1.0, np.abs(whole).max()), part
@@ -272,17 +274,17 @@ def test_spectral_bounds_are_at_most_the_largest_block_over_mass(forces, seed):
         max(np.linalg.eigvalsh(full(bound[:, [p]]))[-1] / MASSES[p] for p in range(N)) for bound in blocks(plan, x)
     ]
     # A sheet's are calculated in single precision, where two nearly equal eigenvalues cost half of the digits.
-    for rate, most in zip(plan.rates(x), expected, strict=True):
+    for rate, most in zip(plan.spectral_bounds(x), expected, strict=True):
         assert 0.5 * (1.0 - 3e-4) * most <= rate <= (1.0 + 3e-4) * most
 
 
-@pytest.mark.parametrize("rest", [0.0, 0.5])
-def test_coincident_ends_give_no_nan(rest):
-    plan = alone(PairSprings([[0, 1]], rest, 10.0, 1.0), count=2)
+@pytest.mark.parametrize("rest_length", [0.0, 0.5])
+def test_coincident_ends_give_no_nan(rest_length):
+    plan = alone(PairSprings([[0, 1]], rest_length, 10.0, 1.0), count=2)
     x, v = np.zeros((3, 2)), np.ones((3, 2))
     v[:, 1] = 2.0
-    for found in (force(plan, x, v), *blocks(plan, x), product(plan, x, v, x + 1.0, v)):
-        assert np.isfinite(found).all()
+    for array in (force(plan, x, v), *blocks(plan, x), product(plan, x, v, x + 1.0, v)):
+        assert np.isfinite(array).all()
     assert np.isfinite([plan.dissipation(0.0, x, v), plan.energy(0.0, x, v)]).all()
 
 

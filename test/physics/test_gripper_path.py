@@ -10,7 +10,7 @@ from support.alone import alone, force
 
 from cloth_sim_ros.engine.binding import check, library
 from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.gripper_path import normalised, planned_paths, rotation_matrix, rotation_vector
+from cloth_sim_ros.physics.gripper_path import normalized, planned_paths, rotation_matrix, rotation_vector
 
 T = 1 / 60
 
@@ -53,9 +53,9 @@ def test_velocity_and_spin_are_the_derivatives_of_the_pose(seed):
         assert spin == pytest.approx(Rotation.from_matrix(r1 @ r0.T).as_rotvec() / (2 * h), rel=1e-5, abs=1e-4)
         assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-14)
         # Angular velocity w: dR/dt R' = [w]x.
-        place, speed, turned, turning = laws.pose(row, t)
-        for found, expected in ((at(row, t)[0], place), (velocity, speed), (rotation, turned)):
-            assert found == pytest.approx(expected, rel=1e-12, abs=1e-12)
+        position, speed, turned, turning = laws.pose(row, t)
+        for calculated, expected in ((at(row, t)[0], position), (velocity, speed), (rotation, turned)):
+            assert calculated == pytest.approx(expected, rel=1e-12, abs=1e-12)
         assert spin == pytest.approx((turning @ turned.T)[[2, 0, 1], [1, 2, 0]], rel=1e-10, abs=1e-10)
 
 
@@ -66,8 +66,8 @@ def test_path_is_continuous_and_reaches_its_targets(seed):
     rows, _ = follow(targets[1:], targets[0])
     for k in range(len(rows) - 1):
         end, begin = at(rows[k], (k + 1) * T), at(rows[k + 1], (k + 1) * T)
-        for one, two in zip(end, begin, strict=True):
-            assert one == pytest.approx(two, abs=1e-9 * max(1.0, np.abs(one).max()))
+        for end_array, begin_array in zip(end, begin, strict=True):
+            assert end_array == pytest.approx(begin_array, abs=1e-9 * max(1.0, np.abs(end_array).max()))
         assert end[0] == pytest.approx(targets[k + 1][:3], abs=1e-12)
         assert end[2] == pytest.approx(rotation_matrix(targets[k + 1][3:]), abs=1e-12)
 
@@ -102,7 +102,7 @@ def test_a_half_turn_takes_the_shortest_way():
 @pytest.mark.parametrize("bad", [[0, 0, 0, 0], [np.nan, 0, 0, 1], [0, 0, 1]])
 def test_a_quaternion_without_direction_is_refused(bad):
     with pytest.raises(ValueError, match="no quaternion"):
-        normalised(bad)
+        normalized(bad)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -117,7 +117,7 @@ def test_grip_work_is_stored_energy_plus_dissipation(seed):
     x, v, t, h = rng.standard_normal((3, 4)), rng.standard_normal((3, 4)), 0.4 * T, 1e-7
     energies = [plan.energies(t + step, x + step * v, None)[1] for step in (h, -h)]
     rate = (energies[0] - energies[1]) / (2 * h)
-    f, booked = force(plan, x, v, t), plan.grip_rates(t, x, v)
+    f, booked = force(plan, x, v, t), plan.grip_wrench_rates(t, x, v)
     assert rate + plan.dissipation(t, x, v) == pytest.approx(booked[0, 6] - np.sum(f * v), rel=1e-6)
     # Wrench: the reaction to the forces on the particles, its torque about the gripper's pose.
     points = offsets @ at(path, t)[2].T
@@ -136,16 +136,16 @@ def test_grips_of_one_particle_add_up_in_any_order():
     x, v = rng.standard_normal((3, 6)), rng.standard_normal((3, 6))
     plan, (expected, booked) = alone(held, count=6), laws.grips(0.3 * T, x, v, held)
     assert force(plan, x, v, 0.3 * T) == pytest.approx(expected.force, rel=1e-11)
-    assert plan.grip_rates(0.3 * T, x, v) == pytest.approx(booked, rel=1e-10)
-    assert plan.grip_rates(0.3 * T, x, v, 0.5) == pytest.approx(0.5 * booked, rel=1e-10)
+    assert plan.grip_wrench_rates(0.3 * T, x, v) == pytest.approx(booked, rel=1e-10)
+    assert plan.grip_wrench_rates(0.3 * T, x, v, 0.5) == pytest.approx(0.5 * booked, rel=1e-10)
 
 
 def test_grasped_particles_may_change_and_none_gives_no_force():
     held, x = Grips(1), np.random.default_rng(2).standard_normal((3, 3))
     plan = alone(held, count=3)
     assert not force(plan, x).any()
-    one = (held.paths, np.array([0, 1]), np.array([2]), np.zeros((1, 3)), np.array([7.0]), np.array([0.0]))
-    held.hold(*one)
+    single_grip = (held.paths, np.array([0, 1]), np.array([2]), np.zeros((1, 3)), np.array([7.0]), np.array([0.0]))
+    held.hold(*single_grip)
     assert force(plan, x)[:, 2] == pytest.approx(-7.0 * x[:, 2])
     held.hold(
         held.paths, np.zeros(2, dtype=np.int64), np.empty(0, np.int64), np.empty((0, 3)), np.empty(0), np.empty(0)

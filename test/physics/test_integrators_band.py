@@ -15,10 +15,15 @@ from cloth_sim_ros.physics.integrators.base import UnstableError
 def system(count: int, width: int) -> tuple[BandMatrix, np.ndarray, np.ndarray, list[np.ndarray], np.ndarray]:
     """Return a band matrix, its dense equal, the free particles, blocks and masses; every fifth particle is fixed."""
     random = np.random.default_rng(count + width)
-    places = np.full(count, -1)
-    moving = np.arange(count) % 5 != 2
-    places[moving] = random.permutation(int(moving.sum()))
-    ends = [(a, b) for a in range(count) for b in range(a) if places[a] < 0 or abs(places[a] - places[b]) <= width]
+    block_rows = np.full(count, -1)
+    is_free = np.arange(count) % 5 != 2
+    block_rows[is_free] = random.permutation(int(is_free.sum()))
+    ends = [
+        (a, b)
+        for a in range(count)
+        for b in range(a)
+        if block_rows[a] < 0 or abs(block_rows[a] - block_rows[b]) <= width
+    ]
     pairs = np.array(ends, dtype=np.int64)
     away = random.normal(size=(len(pairs), 3))
     blocks = np.stack([away[:, i] * away[:, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))], axis=1)
@@ -27,15 +32,15 @@ def system(count: int, width: int) -> tuple[BandMatrix, np.ndarray, np.ndarray, 
         block = np.outer(d, d)
         for i, j, sign in ((a, a, 1), (b, b, 1), (a, b, -1), (b, a, -1)):
             dense[3 * i : 3 * i + 3, 3 * j : 3 * j + 3] += sign * block
-    return BandMatrix(places, width, [pairs]), dense, moving, [blocks], np.ones(count)
+    return BandMatrix(block_rows, width, [pairs]), dense, is_free, [blocks], np.ones(count)
 
 
 @pytest.mark.parametrize(("count", "width"), [(6, 2), (9, 6), (40, 3), (41, 4), (120, 7)])
 def test_band_solution_equals_dense_solution(count: int, width: int) -> None:
-    matrix, dense, moving, blocks, masses = system(count, width)
+    matrix, dense, is_free, blocks, masses = system(count, width)
     matrix.update(blocks, masses, np.zeros((6, count)))
     right = np.random.default_rng(1).normal(size=(3, count))
-    free = np.repeat(moving, 3)
+    free = np.repeat(is_free, 3)
     expected = np.zeros(3 * count)
     expected[free] = np.linalg.solve(dense[np.ix_(free, free)], right.T.ravel()[free])
     matrix.solve(right)
@@ -45,8 +50,8 @@ def test_band_solution_equals_dense_solution(count: int, width: int) -> None:
 def test_band_solution_has_equal_bits_on_one_and_two_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     solutions = []
     for enough in (0, 10**9):
-        monkeypatch.setattr(band_matrix, "_FACTOR_ASIDE", enough)
-        monkeypatch.setattr(band_matrix, "_SOLVE_ASIDE", enough)
+        monkeypatch.setattr(band_matrix, "_PARALLEL_FACTOR_OPERATIONS", enough)
+        monkeypatch.setattr(band_matrix, "_PARALLEL_SOLVE_SIZE", enough)
         matrix, _, _, blocks, masses = system(120, 7)
         matrix.update(blocks, masses, np.zeros((6, 120)))
         right = np.random.default_rng(1).normal(size=(3, 120))

@@ -56,10 +56,10 @@ def measured_order(make: Callable[[float], Integrator], counts: list[int], exact
     [
         (lambda h: SymplecticEuler(h), [40, 80, 160], 1, 0.1),
         (lambda h: Leapfrog(h), [20, 40, 80], 2, 0.1),
-        (lambda h: Extrapolated(step=h, columns=1), [20, 40, 80], 2, 0.1),
-        (lambda h: Extrapolated(step=h, columns=2), [20, 40, 80], 3, 0.1),
-        (lambda h: Extrapolated(step=h, columns=3), [20, 40, 80], 4, 0.1),
-        (lambda h: Extrapolated(step=h, columns=4), [32, 48, 64], 5, 0.5),
+        (lambda h: Extrapolated(step=h, n_runs=1), [20, 40, 80], 2, 0.1),
+        (lambda h: Extrapolated(step=h, n_runs=2), [20, 40, 80], 3, 0.1),
+        (lambda h: Extrapolated(step=h, n_runs=3), [20, 40, 80], 4, 0.1),
+        (lambda h: Extrapolated(step=h, n_runs=4), [32, 48, 64], 5, 0.5),
     ],
     ids=["symplectic_euler", "leapfrog", "columns_1", "columns_2", "columns_3", "columns_4"],
 )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support import self_scenes as own
 
-from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
+from cloth_sim_ros.physics.forces.contact import Contact, ContactSurface
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import compile
 
@@ -16,17 +16,17 @@ MU = (0.6, 0.4)
 
 def stacked(friction=MU, *, heights=(0.0, 0.7 * THICKNESS), rough=2e-4, damping=10.0, **options):
     """Return the plan of layers with contact alone, positions (3, n) and masses."""
-    triangles, rest, x, masses = own.sheets(*heights, rough=rough, shift=(0.0061, 0.0037), seed=4)
-    surface = OwnSurface(triangles, rest, thickness=THICKNESS, friction=friction)
+    triangles, rest_positions, x, masses = own.sheets(*heights, rough=rough, shift=(0.0061, 0.0037), seed=4)
+    surface = ContactSurface(triangles, rest_positions, thickness=THICKNESS, friction=friction)
     force = Contact(thickness=THICKNESS, damping=damping, surface=surface)
     return compile(Model(masses, [force], **options)), np.ascontiguousarray(x.T), masses
 
 
-def laid(plan, x):
+def set_random_anchors(plan, x):
     """Set anchors at the particles' positions; return them."""
-    plan.contact.lay(None)
-    anchors = plan.contact.settle(0.0, x, np.zeros_like(x), np.zeros((1, *plan.contact.anchors_shape)), [1.0])
-    return plan.contact.lay(anchors)
+    plan.contact.set_anchors(None)
+    anchors = plan.contact.combine_anchors(0.0, x, np.zeros_like(x), np.zeros((1, *plan.contact.anchors_shape)), [1.0])
+    return plan.contact.set_anchors(anchors)
 
 
 def forces(plan, x, v, masses):
@@ -39,7 +39,7 @@ def friction(x, v, *, moved=0.0, anchored=True, seed=3):
     """Return forces with friction minus those without, after particles moved from their anchors by some noise [m]."""
     plan, _, masses = stacked()
     if anchored:
-        laid(plan, x)
+        set_random_anchors(plan, x)
     away = x + moved * np.random.default_rng(seed).normal(size=x.shape)
     without, _, _ = stacked((0.0, 0.0))
     return forces(plan, away, v, masses) - forces(without, away, v, masses), away
@@ -58,7 +58,7 @@ def test_self_friction_keeps_linear_and_angular_momentum(moved):
 
 def test_sticking_force_is_minus_the_energy_gradient():
     plan, x, masses = stacked(damping=0.0)
-    laid(plan, x)
+    set_random_anchors(plan, x)
     x = x + 2e-8 * np.random.default_rng(2).normal(size=x.shape)
     without, _, _ = stacked((0.0, 0.0), damping=0.0)
     none = np.zeros_like(x)
@@ -73,15 +73,17 @@ def test_sticking_force_is_minus_the_energy_gradient():
         up, down = x.copy(), x.copy()
         up[c, i] += step
         down[c, i] -= step
-        found = (energy(down) - energy(up)) / (2 * step)
-        assert found == pytest.approx(f[c, i], abs=2e-7)
+        slopes = (energy(down) - energy(up)) / (2 * step)
+        assert slopes == pytest.approx(f[c, i], abs=2e-7)
 
 
 def test_bounds_include_the_friction_spring():
     plan, x, masses = stacked()
     without, _, _ = stacked((0.0, 0.0))
-    laid(plan, x)
-    own_rates, bare = (each.contact.own_ahead(0.0, 0.0, x, 0 * x) for each in (plan, without))
+    set_random_anchors(plan, x)
+    friction_bounds, bare = (
+        checked_plan.contact.predict_surface_contact(0.0, 0.0, x, 0 * x) for checked_plan in (plan, without)
+    )
     # Derivative of the forces by differences, in directions of the largest growth.
     none, rng = np.zeros_like(x), np.random.default_rng(5)
     u = rng.normal(size=x.shape)
@@ -93,17 +95,17 @@ def test_bounds_include_the_friction_spring():
         k = -(with_ - off) / (2 * step)
         omega2, u = float((u * k).sum()), k / masses
     assert omega2 > 0.2 * 2000.0**2
-    assert omega2 < own_rates[0] - bare[0]
+    assert omega2 < friction_bounds[0] - bare[0]
 
 
 def test_damping_and_sliding_only_take_energy():
     plan, x, _ = stacked()
     rng = np.random.default_rng(6)
     for moved, speed in ((0.0, 1e-3), (1e-7, 0.05), (1e-3, 0.5)):
-        laid(plan, x)
+        set_random_anchors(plan, x)
         away, v = x + moved * rng.normal(size=x.shape), speed * rng.normal(size=x.shape)
-        plan.contact.lay(plan.contact.settle(0.0, away, v, laid(plan, x)[None], [1.0]))
-        assert plan.contact.rubbed(0.0, away, v) > 0.0
+        plan.contact.set_anchors(plan.contact.combine_anchors(0.0, away, v, set_random_anchors(plan, x)[None], [1.0]))
+        assert plan.contact.friction_power(0.0, away, v) > 0.0
 
 
 def test_friction_stays_within_the_cone_and_follows_both_sides():
@@ -111,21 +113,21 @@ def test_friction_stays_within_the_cone_and_follows_both_sides():
     heights = (0.0, 0.98 * THICKNESS, 1.96 * THICKNESS)
     plan, x, masses = stacked(heights=heights, rough=0.0)
     without, _, _ = stacked((0.0, 0.0), heights=heights, rough=0.0)
-    anchors = laid(plan, x)
+    anchors = set_random_anchors(plan, x)
     v = np.zeros_like(x)
     v[0, 25:50] = 0.5
     a, b = forces(plan, x, v, masses), forces(without, x, v, masses)
-    rubbed = (a - b)[0]
+    friction_force = (a - b)[0]
     push = b[2, 50:].sum()
-    assert rubbed[25:50].sum() < 0.0
+    assert friction_force[25:50].sum() < 0.0
     assert (anchors[:, 3, 25:50] > 0.0).any(axis=1).all()
     # Damping uses the rest of the cone.
-    assert abs(rubbed[25:50].sum()) == pytest.approx(2 * MU[1] * push, rel=0.05)
+    assert abs(friction_force[25:50].sum()) == pytest.approx(2 * MU[1] * push, rel=0.05)
 
 
 def test_derivative_product_is_the_difference_of_forces():
     plan, x, masses = stacked()
-    laid(plan, x)
+    set_random_anchors(plan, x)
     rng = np.random.default_rng(8)
     x = x + 2e-8 * rng.normal(size=x.shape)
     v = 1e-4 * rng.normal(size=x.shape)
@@ -140,7 +142,7 @@ def test_invalid_coefficients_and_anchors_are_refused():
     with pytest.raises(ValueError, match=r"friction 0\.2 at rest and 0\.4 in motion"):
         stacked((0.2, 0.4))
     plan, x, _ = stacked()
-    anchors = laid(plan, x).copy()
+    anchors = set_random_anchors(plan, x).copy()
     anchors[0, 0, :], anchors[0, 3, :] = 1e6, 1.0
     with pytest.raises(ValueError, match=r"in triangle 1000000\.0; it must be a whole number from 0 to 63"):
-        plan.contact.lay(anchors)
+        plan.contact.set_anchors(anchors)

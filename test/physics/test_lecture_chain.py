@@ -159,10 +159,10 @@ def test_chain_modes_have_the_discrete_dispersion_and_damping(anchored, half_end
         jacobians.append(np.array(columns).T)
     generator = np.block([[np.zeros((free.size, free.size)), np.eye(free.size)], jacobians])
     roots = np.linalg.eigvals(generator)
-    found = np.sort(np.abs(roots[roots.imag > 1e-6]))
+    frequencies = np.sort(np.abs(roots[roots.imag > 1e-6]))
     modes = range(1, free.size + 1 if anchored == "both" else free.size)
     sines = np.sin(0.5 * np.pi * np.array([wave(j, n) for j in modes]))
-    assert found == pytest.approx(2.0 * LAW.frequency * sines, rel=1e-6)
+    assert frequencies == pytest.approx(2.0 * LAW.frequency * sines, rel=1e-6)
     damped = roots[roots.imag > 1e-6]
     ratios = (-damped.real / np.abs(damped))[np.argsort(np.abs(damped))]
     assert ratios == pytest.approx(k_d0 * sines, rel=1e-6)
@@ -170,7 +170,7 @@ def test_chain_modes_have_the_discrete_dispersion_and_damping(anchored, half_end
 
 def test_an_undamped_chain_is_stable_up_to_one_over_lambda():
     chain = Chain(law=LAW, particle_count=40, anchored="both")
-    omega2, damping = compile(chain.model()).rates(chain.state().x)
+    omega2, damping = compile(chain.model()).spectral_bounds(chain.state().x)
     limit = Leapfrog().step_limit(omega2, damping)
     assert limit == pytest.approx(LAW.stable_step, rel=1e-12)
 
@@ -296,7 +296,7 @@ def test_a_chains_motion_is_exact_to_1e_10_by_a_high_order(anchored, k_d0):
     exact = expm(0.4 * generator) @ np.concatenate([u[free], w[free]])
     for joints in (False, True):
         state, model = chain.state(), chain.model()
-        rest = chain.positions()
+        rest_positions = chain.positions()
         if joints:
             springs = model.forces[0]
             model = Model(
@@ -304,10 +304,10 @@ def test_a_chains_motion_is_exact_to_1e_10_by_a_high_order(anchored, k_d0):
                 [PairSprings(springs.pairs, 0.0, springs.rigidity, springs.damping)],
                 anchors=chain.anchors,
             )
-            rest = np.zeros_like(rest)
-            state = State(rest)
+            rest_positions = np.zeros_like(rest_positions)
+            state = State(rest_positions)
         state.x[0] += u
         state.v[0] = w
-        Extrapolated(columns=4, step=2e-4).advance(compile(model), state, 0.0, 0.4)
-        error = np.abs(state.x[0, free] - rest[free, 0] - exact[: free.size]).max()
+        Extrapolated(n_runs=4, step=2e-4).advance(compile(model), state, 0.0, 0.4)
+        error = np.abs(state.x[0, free] - rest_positions[free, 0] - exact[: free.size]).max()
         assert error < 1e-10 * np.abs(exact[: free.size]).max()

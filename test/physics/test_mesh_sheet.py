@@ -14,8 +14,12 @@ Y = 1000.0
 
 
 def regular(count=12):
-    rest = np.array([[j + 0.5 * i, i * np.sqrt(3) / 2, 0.0] for i in range(count) for j in range(count)]) * 0.05
-    return MeshSheet(rest=rest, surface=Surface.from_triangles(grid_triangles(count, count, "right")))
+    rest_positions = (
+        np.array([[j + 0.5 * i, i * np.sqrt(3) / 2, 0.0] for i in range(count) for j in range(count)]) * 0.05
+    )
+    return MeshSheet(
+        rest_positions=rest_positions, surface=Surface.from_triangles(grid_triangles(count, count, "right"))
+    )
 
 
 def irregular(shake, count=20, seed=0):
@@ -24,18 +28,18 @@ def irregular(shake, count=20, seed=0):
     inner = ((plane > 0) & (plane < 1)).all(axis=1)
     rng = np.random.default_rng(seed)
     plane[inner] += rng.uniform(-shake, shake, (inner.sum(), 2)) / (count - 1)
-    rest = np.concatenate([plane, np.zeros((len(plane), 1))], axis=1)
-    return MeshSheet(rest=rest, surface=Surface.from_triangles(Delaunay(plane).simplices))
+    rest_positions = np.concatenate([plane, np.zeros((len(plane), 1))], axis=1)
+    return MeshSheet(rest_positions=rest_positions, surface=Surface.from_triangles(Delaunay(plane).simplices))
 
 
 def moduli(sheet):
-    plan = alone(sheet.springs(stretch_modulus=Y, k_d0=0.1, density=0.2), count=len(sheet.rest))
-    rest, area, h, c = sheet.rest.T, sheet.areas().sum(), 1e-4, np.zeros((3, 3))
+    plan = alone(sheet.springs(stretch_modulus=Y, k_d0=0.1, density=0.2), count=len(sheet.rest_positions))
+    rest_positions, area, h, c = sheet.rest_positions.T, sheet.areas().sum(), 1e-4, np.zeros((3, 3))
 
     def energy(strain):
         xx, yy, xy = strain
         deformed = np.eye(3) + np.array([[xx, xy / 2, 0], [xy / 2, yy, 0], [0, 0, 0]])
-        return plan.energies(0.0, np.ascontiguousarray(deformed @ rest), None)[1] / area
+        return plan.energies(0.0, np.ascontiguousarray(deformed @ rest_positions), None)[1] / area
 
     for i in range(3):
         for j in range(3):

@@ -40,9 +40,9 @@ def test_nearest_surface_point_lies_one_gap_along_the_normal(shape: str) -> None
     on_it = points - gap[:, None] * normal
     assert np.abs(obstacle.distance(on_it)[0]).max() < 1e-12
     # No surface point is nearer: the gap changes by no more than the displacement, like any distance.
-    other = np.random.default_rng(2).permutation(len(points))
-    away = np.sqrt(((points - points[other]) ** 2).sum(axis=1))
-    assert (np.abs(gap - gap[other]) <= away + 1e-12).all()
+    permutation = np.random.default_rng(2).permutation(len(points))
+    away = np.sqrt(((points - points[permutation]) ** 2).sum(axis=1))
+    assert (np.abs(gap - gap[permutation]) <= away + 1e-12).all()
     assert (gap < 0.0).any()
     assert (gap > 0.0).any()
 
@@ -63,8 +63,8 @@ def test_nearest_surface_point_lies_one_gap_along_the_normal(shape: str) -> None
     ],
 )
 def test_distances_known_by_hand(shape: str, point: tuple[float, ...], gap: float, normal: tuple[float, ...]) -> None:
-    found, direction = SOLIDS[shape].distance([point])
-    assert found[0] == pytest.approx(gap, abs=1e-14)
+    gaps, direction = SOLIDS[shape].distance([point])
+    assert gaps[0] == pytest.approx(gap, abs=1e-14)
     assert direction[0] == pytest.approx(normal, abs=1e-14)
 
 
@@ -82,8 +82,8 @@ def test_bounding_radius_encloses_the_obstacle() -> None:
     away = np.sqrt((points * points).sum(axis=1))
     for obstacle in SOLIDS.values():
         inside = obstacle.distance(points)[0] <= 0.0
-        assert away[inside].max() <= obstacle.reach
-        assert obstacle.reach == math.inf or away[inside].max() > 0.85 * obstacle.reach
+        assert away[inside].max() <= obstacle.bounding_radius
+        assert obstacle.bounding_radius == math.inf or away[inside].max() > 0.85 * obstacle.bounding_radius
 
 
 def _mesh(vertices: Any = CORNERS, triangles: Any = FACES) -> dict[str, Any]:

@@ -35,7 +35,7 @@ def test_a_long_run_with_grippers_needs_no_memory_for_its_steps(gridded):
     paths[:, 16] = 1.0
     grips.hold(paths, np.arange(5), np.arange(4), np.zeros((4, 3)), np.ones(4), np.zeros(4))
     springs = GridSprings(2, 2, [GridFamily(name="right", stiffness=1.0, rest_length=1.0)])
-    plan = compile(Model(np.ones(4), [springs if gridded else springs.listed, grips]))
+    plan = compile(Model(np.ones(4), [springs if gridded else springs.pair_springs, grips]))
     x = np.zeros((3, 4))
     plan.runs(0.0, 1.0, (x, x), [10])
     Path("/proc/self/clear_refs").write_text("5")
@@ -65,21 +65,24 @@ def test_read_only_array_is_read_in_place():
 
 
 def test_a_sheet_without_families_has_no_listed_springs():
-    assert GridSprings(3, 4, []).listed.pairs.shape == (0, 2)
+    assert GridSprings(3, 4, []).pair_springs.pairs.shape == (0, 2)
 
 
 @pytest.mark.parametrize("columns", [1, 2, 7, 8, 9, 16, 33])
 def test_grid_accelerations_equal_those_of_listed_springs(columns):
     random = np.random.default_rng(columns)
     names = {"right": 1.0, "down": 1.0, "diagonal": 1.4, "antidiagonal": 1.4, "right2": 2.0, "down2": 2.0}
-    families = [GridFamily(name=name, stiffness=3.0, rest_length=rest, damping=0.2) for name, rest in names.items()]
+    families = [
+        GridFamily(name=name, stiffness=3.0, rest_length=rest_length, damping=0.2)
+        for name, rest_length in names.items()
+    ]
     springs, masses = GridSprings(5, columns, families), random.uniform(1.0, 2.0, 5 * columns)
     x, v = random.standard_normal((2, 3, 5 * columns))
-    found = np.full((2, *x.shape), np.nan)
-    for force, out in zip((springs, springs.listed), found, strict=True):
+    accelerations = np.full((2, *x.shape), np.nan)
+    for force, out in zip((springs, springs.pair_springs), accelerations, strict=True):
         compile(Model(masses, [force, Gravity((0.0, 0.0, -9.81))], anchors=[0])).accelerations(0.0, x, v, out)
-    np.testing.assert_allclose(found[0], found[1], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(accelerations[0], accelerations[1], rtol=1e-12, atol=1e-12)
     # The output may overwrite the input.
     over = x.copy()
     compile(Model(masses, [springs, Gravity((0.0, 0.0, -9.81))], anchors=[0])).accelerations(0.0, over, v, over)
-    np.testing.assert_array_equal(over, found[0])
+    np.testing.assert_array_equal(over, accelerations[0])

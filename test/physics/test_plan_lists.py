@@ -44,7 +44,7 @@ def test_local_order_is_invisible_outside():
         frame = simulation.advance([Grasp("one", True)])
         for k in range(3):
             last = simulation.advance([Target("one", corner + 0.01 * k)])
-        ends.append((simulation.positions[back], frame.grasps[0].held, last.wrenches))
+        ends.append((simulation.positions[back], frame.grasps[0].grasped_count, last.wrenches))
     assert ends[0][1] == ends[1][1] > 1
     assert ends[0][0] == pytest.approx(ends[1][0], abs=1e-12)
     assert ends[0][2] == pytest.approx(ends[1][2], abs=1e-9)
@@ -88,14 +88,14 @@ BUILT = [name for name in libraries() if (Path(engine.__path__[0]) / f"_{name}.s
 def test_any_instruction_set_gives_the_same_bits(name, values):
     common = {"grippers": ["one"], "gripper.radius": 0.2, "diagnostics.energy": True}
     arguments = [json.dumps({**common, **SCENES[name], **values}), str(Path(__file__).parents[1])]
-    told = set()
+    digests = set()
     for library in BUILT:
         environment = {**os.environ, "CLOTH_SIM_ROS_ENGINE": library}
         command = [sys.executable, "-c", DIGEST, *arguments]
         done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
         assert not done.returncode, done.stderr
-        told.add(done.stdout)
-    assert len(told) == 1
+        digests.add(done.stdout)
+    assert len(digests) == 1
 
 
 def test_coincident_particles_give_no_force_and_no_nan():
@@ -117,11 +117,11 @@ def test_many_hinges_give_the_sum_of_their_forces(kind, damping):
     x[:, 4:8] = np.outer([1, 2, 3], np.arange(4))
     x[:, 8:12], v[:, :12] = 0.5, 0.0
     quads = np.concatenate([quads, np.arange(12).reshape(3, 4)])
-    stiffness, rest = rng.uniform(0.1, 1, len(quads)), rng.uniform(-0.1, 0.1, len(quads))
+    stiffness, rest_lengths = rng.uniform(0.1, 1, len(quads)), rng.uniform(-0.1, 0.1, len(quads))
 
     def force(chosen):
         ends = (quads[chosen, :2], quads[chosen, 2:]) if kind is CrossedSprings else (quads[chosen],)
-        hinges = kind(*ends, rest[chosen], stiffness[chosen], damping * stiffness[chosen])
+        hinges = kind(*ends, rest_lengths[chosen], stiffness[chosen], damping * stiffness[chosen])
         out = np.empty_like(x)
         compile(Model(np.ones(300), [hinges])).accelerations(0.0, x, v, out)
         return out
@@ -140,8 +140,8 @@ def test_chain_with_a_joint_moves_by_its_formula(count):
     chain = Chain(
         law=SpringLaw(mass=0.1, rest_length=0.1, stiffness=5.0, k_d0=0.1), particle_count=count, anchored="both"
     )
-    far = (0, count - 2)
-    model = chain.model(gravity=(0.0, 0.0, -9.81), further=(joint(far, stiffness=2.0, k_d0=0.3, mass=0.1),))
+    joint_pair = (0, count - 2)
+    model = chain.model(gravity=(0.0, 0.0, -9.81), further=(joint(joint_pair, stiffness=2.0, k_d0=0.3, mass=0.1),))
     springs = [force for force in model.forces if hasattr(force, "pairs")]
     rng = np.random.default_rng(4)
     x = np.ascontiguousarray(chain.positions().T) + 0.01 * rng.standard_normal((3, count))
@@ -150,10 +150,16 @@ def test_chain_with_a_joint_moves_by_its_formula(count):
     def acceleration(x, v):
         f = np.zeros_like(x)
         for force in springs:
-            for (i, j), rest, k, c in zip(force.pairs, force.rest_length, force.rigidity, force.damping, strict=True):
+            for (i, j), rest_length, k, c in zip(
+                force.pairs, force.rest_length, force.rigidity, force.damping, strict=True
+            ):
                 s, u = x[:, j] - x[:, i], v[:, j] - v[:, i]
                 length = np.linalg.norm(s)
-                pull = k * s + c * u if rest == 0.0 else (k * (length - rest) + c * (u @ s) / length) * s / length
+                pull = (
+                    k * s + c * u
+                    if rest_length == 0.0
+                    else (k * (length - rest_length) + c * (u @ s) / length) * s / length
+                )
                 f[:, i] += pull
                 f[:, j] -= pull
         return f * model.inverse_masses + np.outer([0.0, 0.0, -9.81], model.inverse_masses > 0.0)
@@ -190,7 +196,7 @@ def test_local_order_reduces_bandwidth_and_keeps_local_orders():
 def test_grip_on_a_missing_particle_is_refused():
     simulation = Simulation(Scene.from_parameters({**SHEET, "grippers": ["one"]}, files=FILES))
     grips = simulation.plan.grips
-    one = np.ones(1)
-    grips.hold(grips.paths, np.array([0, 1]), np.array([400]), np.zeros((1, 3)), one, one)
+    ones = np.ones(1)
+    grips.hold(grips.paths, np.array([0, 1]), np.array([400]), np.zeros((1, 3)), ones, ones)
     with pytest.raises(ValueError, match=r"held particles names particle 400; there are 400"):
-        simulation.plan.rates(simulation.state.x)
+        simulation.plan.spectral_bounds(simulation.state.x)

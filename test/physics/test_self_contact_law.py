@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support import self_scenes as own
 
-from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
+from cloth_sim_ros.physics.forces.contact import Contact, ContactSurface
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import compile
 
@@ -15,9 +15,14 @@ THICKNESS = 4e-3
 
 def layers(**options):
     """Return two rough layers deep in contact: the triangles, the plan, positions (3, n) and masses."""
-    given = {"rough": 5e-4, "shift": (0.0031, 0.0057), **options}
-    triangles, rest, x, masses = own.sheets(0.0, 0.6 * THICKNESS, **given)
-    return triangles, compile(own.alone(triangles, rest, masses, THICKNESS)), np.ascontiguousarray(x.T), masses
+    options_with_defaults = {"rough": 5e-4, "shift": (0.0031, 0.0057), **options}
+    triangles, rest_positions, x, masses = own.sheets(0.0, 0.6 * THICKNESS, **options_with_defaults)
+    return (
+        triangles,
+        compile(own.alone(triangles, rest_positions, masses, THICKNESS)),
+        np.ascontiguousarray(x.T),
+        masses,
+    )
 
 
 def forces(plan, x, v=None):
@@ -35,7 +40,7 @@ def test_the_energy_is_that_of_every_pair(seed):
 
 def test_the_force_is_minus_the_gradient_of_the_energy():
     _, plan, x, _ = layers()
-    found, expected, step = forces(plan, x), np.zeros_like(x), 1e-7
+    calculated, expected, step = forces(plan, x), np.zeros_like(x), 1e-7
     for c in range(3):
         for i in range(x.shape[1]):
             ends = []
@@ -44,7 +49,7 @@ def test_the_force_is_minus_the_gradient_of_the_energy():
                 y[c, i] += sign * step
                 ends.append(plan.energies(0.0, y, None)[1])
             expected[c, i] = -(ends[0] - ends[1]) / (2.0 * step)
-    assert found == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
+    assert calculated == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("seed", [3, 4])
@@ -60,24 +65,27 @@ def test_forces_keep_linear_and_angular_momentum(seed):
 def test_a_flat_layer_has_no_ripples():
     # A layer slides over another one, across edges and particles: the force is that of one plane. The lower one has no
     # weight; therefore its border, which moves along below the upper one, does not count.
-    triangles, rest, lower, _ = own.sheets(0.0, rows=9, columns=9)
+    triangles, rest_positions, lower, _ = own.sheets(0.0, rows=9, columns=9)
     more, _, upper, _ = own.sheets(0.7 * THICKNESS, rows=4, columns=4)
     count = len(lower)
     masses = np.concatenate([np.full(count, 1e-30), np.full(len(upper), 1e-3)])
-    triangles, rest = np.concatenate([triangles, more + count]), np.concatenate([rest, upper + 10.0])
-    plan = compile(own.alone(triangles, rest, masses, THICKNESS))
+    triangles, rest_positions = (
+        np.concatenate([triangles, more + count]),
+        np.concatenate([rest_positions, upper + 10.0]),
+    )
+    plan = compile(own.alone(triangles, rest_positions, masses, THICKNESS))
     push = 0.5e-3 * own.U**2 / (2.0 * THICKNESS) * 0.3**3 * (1.0 + 3.0 * 0.7) / 0.7**2
     offsets = np.random.default_rng(0).uniform(0.03, 0.07, (100, 2))
     for offset in [*offsets, [0.04, 0.04], [0.05, 0.05], [0.05, 0.04], [0.043, 0.04], [0.045, 0.045]]:
-        found = forces(plan, np.concatenate([lower, upper + np.append(offset, 0.0)]).T)[:, count:]
-        expected = np.zeros_like(found)
+        layer_forces = forces(plan, np.concatenate([lower, upper + np.append(offset, 0.0)]).T)[:, count:]
+        expected = np.zeros_like(layer_forces)
         expected[2] = push
-        assert found == pytest.approx(expected, abs=1e-12 * push)
+        assert layer_forces == pytest.approx(expected, abs=1e-12 * push)
 
 
 def test_flat_sheet_squeezed_in_its_plane_has_no_self_contact():
-    triangles, rest, x, masses = own.sheets(0.0)
-    plan = compile(own.alone(triangles, rest, masses, THICKNESS))
+    triangles, rest_positions, x, masses = own.sheets(0.0)
+    plan = compile(own.alone(triangles, rest_positions, masses, THICKNESS))
     squeezed = x * [0.15, 1.0, 1.0]
     # The scale: about the force [N] between two such layers in contact.
     scale = 0.5 * masses.max() * own.U**2 / THICKNESS
@@ -87,19 +95,19 @@ def test_flat_sheet_squeezed_in_its_plane_has_no_self_contact():
 
 def test_no_force_acts_beyond_the_thickness():
     for height, acts in ((1.0, False), (1.0 - 1e-4, True)):
-        triangles, rest, x, masses = own.sheets(0.0, height * THICKNESS)
-        plan = compile(own.alone(triangles, rest, masses, THICKNESS))
+        triangles, rest_positions, x, masses = own.sheets(0.0, height * THICKNESS)
+        plan = compile(own.alone(triangles, rest_positions, masses, THICKNESS))
         assert forces(plan, x.T).any() == acts
-        assert (plan.contact.own_gaps(np.ascontiguousarray(x.T))[0] > 0) == acts
+        assert (plan.contact.self_gaps(np.ascontiguousarray(x.T))[0] > 0) == acts
 
 
 def test_anchored_particles_push_and_are_not_pushed():
-    triangles, rest, x, masses = own.sheets(0.0, 0.6 * THICKNESS, shift=(0.003, 0.004))
-    plan = compile(own.alone(triangles, rest, masses, THICKNESS, anchors=range(25)))
-    free = compile(own.alone(triangles, rest, masses, THICKNESS))
+    triangles, rest_positions, x, masses = own.sheets(0.0, 0.6 * THICKNESS, shift=(0.003, 0.004))
+    plan = compile(own.alone(triangles, rest_positions, masses, THICKNESS, anchors=range(25)))
+    free = compile(own.alone(triangles, rest_positions, masses, THICKNESS))
     ends = [np.empty_like(x.T, order="C") for _ in range(2)]
-    for one, out in zip((plan, free), ends, strict=True):
-        one.accelerations(0.0, np.ascontiguousarray(x.T), np.zeros((3, len(x))), out)
+    for checked_plan, out in zip((plan, free), ends, strict=True):
+        checked_plan.accelerations(0.0, np.ascontiguousarray(x.T), np.zeros((3, len(x))), out)
     assert not ends[0][:, :25].any()
     assert np.array_equal(ends[0][:, 25:], ends[1][:, 25:])
     assert ends[0][2, 25:].max() > 0.0
@@ -120,9 +128,9 @@ def test_derivative_products_are_those_of_differences(seed):
 def test_damping_dissipates_what_it_reports(seed):
     _, plan, x, _ = layers(seed=seed)
     v = np.random.default_rng(seed).normal(size=x.shape)
-    lost = plan.dissipation(0.0, x, v)
-    assert lost == pytest.approx(-float(((forces(plan, x, v) - forces(plan, x)) * v).sum()), rel=1e-9)
-    assert lost > 0.0
+    dissipation = plan.dissipation(0.0, x, v)
+    assert dissipation == pytest.approx(-float(((forces(plan, x, v) - forces(plan, x)) * v).sum()), rel=1e-9)
+    assert dissipation > 0.0
     assert plan.dissipation(0.0, x, -v) > 0.0
 
 
@@ -135,16 +143,16 @@ def test_damping_of_nearly_parallel_edges_matches_its_report(turning):
     v = np.zeros_like(x)
     v[3:5, 1] = turning * x[3:5, 0]
     x, v = np.ascontiguousarray(x.T), np.ascontiguousarray(v.T)
-    lost = plan.dissipation(0.0, x, v)
-    assert lost == pytest.approx(-float(((forces(plan, x, v) - forces(plan, x)) * v).sum()), rel=1e-9)
-    assert lost > 0.0
+    dissipation = plan.dissipation(0.0, x, v)
+    assert dissipation == pytest.approx(-float(((forces(plan, x, v) - forces(plan, x)) * v).sum()), rel=1e-9)
+    assert dissipation > 0.0
 
 
 @pytest.mark.parametrize("seed", [9, 10])
 def test_bounds_are_above_the_largest_eigenvalue(seed):
     _, plan, x, _ = layers(seed=seed, rows=3, columns=3)
-    blocks, rest = np.zeros((2, 6, x.shape[1]))
-    plan.add_bounds(x, blocks, rest)
+    blocks, damping_blocks = np.zeros((2, 6, x.shape[1]))
+    plan.add_bounds(x, blocks, damping_blocks)
     size = x.size
     stiffness, bound = np.zeros((size, size)), np.zeros((size, size))
     for k in range(size):
@@ -164,13 +172,13 @@ def test_bounds_are_above_the_largest_eigenvalue(seed):
 
 
 def test_refusals_name_the_value_the_limit_and_the_remedy():
-    triangles, rest, *_ = own.sheets(0.0)
+    triangles, rest_positions, *_ = own.sheets(0.0)
     with pytest.raises(
         ValueError, match=r"0\.011 m, more than half the cloth's shortest edge, 0\.02 m.*take 0\.0098 m"
     ):
-        OwnSurface(triangles, rest, thickness=0.011)
+        ContactSurface(triangles, rest_positions, thickness=0.011)
     with pytest.raises(ValueError, match="without triangles"):
-        OwnSurface(np.zeros((0, 3), dtype=int), rest, thickness=1e-3)
-    surface = OwnSurface(triangles, rest, thickness=1e-3)
+        ContactSurface(np.zeros((0, 3), dtype=int), rest_positions, thickness=1e-3)
+    surface = ContactSurface(triangles, rest_positions, thickness=1e-3)
     with pytest.raises(ValueError, match="has 25 particles, the model 30"):
         compile(Model(np.ones(30), [Contact(thickness=1e-3, surface=surface)]))

@@ -47,8 +47,8 @@ def test_a_run_is_that_of_the_forces(listed):
         plan.accelerations(0.0, y, w + 0.25 * h * (last + before), a)
         w = w + h * a
         y, last, before = y + 0.5 * h * w, a.copy(), last
-    assert run.gap < THICKNESS
-    assert run.own[0] > 0.0
+    assert run.min_gap < THICKNESS
+    assert run.self_contact[0] > 0.0
     assert run.x == pytest.approx(y, abs=1e-12)
     assert run.v == pytest.approx(w, abs=1e-9)
 
@@ -57,21 +57,21 @@ def test_a_run_is_that_of_the_forces(listed):
 def test_no_bit_depends_on_pair_searches_or_threads(listed):
     model, places, velocities = folded(12, listed=listed, **TABLE)
     plan, state, integrator = start(model, places, velocities, tolerance=1e-3)
-    while not plan.contact.own_gaps(state.x)[0]:
+    while not plan.contact.self_gaps(state.x)[0]:
         integrator.advance(plan, state, 0.0, 5e-3)
     start_at, ends = (state.x, state.v), []
     for keeps, threads in ((True, 1), (False, 1), (True, 2), (True, 8)):
         plan = compile(model)
-        plan.contact.keep_pairs(keeps)
+        plan.contact.reuse_pairs(keeps)
         (run,), _ = plan.runs(0.0, 5e-3, start_at, [400], threads=threads)
         (run,), _ = plan.runs(5e-3, 5e-3, (run.x, run.v), [400], threads=threads)
         ends.append(run)
-    assert 0.0 < ends[0].gap < THICKNESS
+    assert 0.0 < ends[0].min_gap < THICKNESS
     for run in ends[1:]:
         assert np.array_equal(ends[0].x, run.x)
         assert np.array_equal(ends[0].v, run.v)
-        assert ends[0].gap == run.gap
-        assert ends[0].own == run.own
+        assert ends[0].min_gap == run.min_gap
+        assert ends[0].self_contact == run.self_contact
 
 
 @both_loops
@@ -80,19 +80,19 @@ def test_run_with_steps_too_long_for_contact_has_no_result(listed):
     model, places, velocities = folded(10, radius=0.035, speed=20.0, listed=listed, gravity=False, drag=False)
     places[velocities[:, 2] < 0.0, 2] = 5e-3
     plan, (x, v) = compile(model), arrays(places, velocities)
-    (run,), (_, _, told) = plan.runs(0.0, 1.6e-3, (x, v), [4], weights=[1.0])
+    (run,), (_, _, summary) = plan.runs(0.0, 1.6e-3, (x, v), [4], weights=[1.0])
     assert np.isnan(run.x).all()
-    assert not told.finite
-    (fine,), (_, _, told) = plan.runs(0.0, 1.6e-3, (x, v), [400], weights=[1.0])
-    assert told.finite
-    assert 0.0 < fine.gap < THICKNESS
+    assert not summary.is_finite
+    (fine,), (_, _, summary) = plan.runs(0.0, 1.6e-3, (x, v), [400], weights=[1.0])
+    assert summary.is_finite
+    assert 0.0 < fine.min_gap < THICKNESS
 
 
 @pytest.mark.parametrize("rise", [5e-3, 9e-3])
 def test_particle_on_the_other_side_after_a_step_fails_the_run(rise):
     # A layer that is 5 or 9 mm above another one and 16 mm lower a step later, beyond the reach of any force.
-    triangles, rest, x, masses = own.sheets(0.0, rise, shift=(0.003, 0.004))
-    plan = compile(own.alone(triangles, rest, masses, THICKNESS))
+    triangles, rest_positions, x, masses = own.sheets(0.0, rise, shift=(0.003, 0.004))
+    plan = compile(own.alone(triangles, rest_positions, masses, THICKNESS))
     v = np.zeros_like(x)
     v[25:, 2] = -20.0
     (run,), _ = plan.runs(0.0, 1.6e-3, arrays(x, v), [2])
@@ -113,7 +113,7 @@ def test_a_sheet_that_falls_on_itself_keeps_its_tolerance(tolerance):
     flagged, met = 0, 0
     for k in range(8):
         flagged += integrator.advance(plan, state, k * FRAME, FRAME).flagged
-        met += plan.contact.own_gaps(state.x)[0]
+        met += plan.contact.self_gaps(state.x)[0]
     assert met > 10
     assert not flagged
     assert furthest(state.x, end) <= tolerance * max(1.0, growth)
@@ -128,9 +128,9 @@ def test_layers_meeting_at_20_m_per_s_do_not_intersect(listed, tolerance):
     balance = EnergyBalance(plan, state)
     for k in range(4):
         before = state.x.copy()
-        done = integrator.advance(plan, state, k * FRAME, FRAME, balance.book)
+        done = integrator.advance(plan, state, k * FRAME, FRAME, balance.accumulator)
         assert done.integrator != "implicit"
-        least = min(least, plan.contact.own_gaps(state.x)[1])
+        least = min(least, plan.contact.self_gaps(state.x)[1])
         assert least > 0.0
         now = plan.energy(0.0, state.x, state.v)
         assert now <= energy * (1.0 + 2e-3)
@@ -144,11 +144,11 @@ def test_energy_balance_includes_contact_dissipation():
     plan, state, integrator = start(model, places, velocities, tolerance=1e-5)
     balance = EnergyBalance(plan, state)
     for k in range(6):
-        integrator.advance(plan, state, k * FRAME, FRAME, balance.book)
+        integrator.advance(plan, state, k * FRAME, FRAME, balance.accumulator)
         residual = balance.close((k + 1) * FRAME, state)
-    assert residual <= 1e-3 * balance.turned_over
+    assert residual <= 1e-3 * balance.energy_turnover
     # In addition to the threads' own damping.
-    assert balance.lost > 0.0
+    assert balance.dissipation > 0.0
 
 
 def test_implicit_steps_penetrate_nothing():
@@ -160,19 +160,19 @@ def test_implicit_steps_penetrate_nothing():
         integrator.advance(plan, state, k * FRAME, FRAME)
         assert np.isfinite(state.x).all()
         assert not np.array_equal(start_at, state.x)
-        met += plan.contact.own_gaps(state.x)[0]
+        met += plan.contact.self_gaps(state.x)[0]
         assert plan.energy(0.0, state.x, state.v) <= energy * (1.0 + 1e-3)
     assert met > 0
 
 
 def test_straight_paths_through_the_cloth_are_detected():
-    triangles, rest, x, masses = own.sheets(0.0, 3e-3, shift=(0.003, 0.004))
-    plan = compile(own.alone(triangles, rest, masses, THICKNESS))
+    triangles, rest_positions, x, masses = own.sheets(0.0, 3e-3, shift=(0.003, 0.004))
+    plan = compile(own.alone(triangles, rest_positions, masses, THICKNESS))
     ends = {}
     for rise in (-2e-3, -4e-3, 30e-3):
         end = x.copy()
         end[25:, 2] += rise
-        ends[rise] = plan.contact.passes(0.0, 0.0, np.ascontiguousarray(x.T), np.ascontiguousarray(end.T))
+        ends[rise] = plan.contact.ccd_surface_hits(0.0, 0.0, np.ascontiguousarray(x.T), np.ascontiguousarray(end.T))
     assert ends == {-2e-3: False, -4e-3: True, 30e-3: False}
     # Edges that cross far from any particle.
     rods = np.array([[0, 1, 2], [3, 4, 5]])
@@ -180,11 +180,11 @@ def test_straight_paths_through_the_cloth_are_detected():
     plan = compile(own.alone(rods, places, np.ones(6), 0.05))
     end = places.copy()
     end[3:, 2] -= 0.2
-    assert plan.contact.passes(0.0, 0.0, np.ascontiguousarray(places.T), np.ascontiguousarray(end.T))
+    assert plan.contact.ccd_surface_hits(0.0, 0.0, np.ascontiguousarray(places.T), np.ascontiguousarray(end.T))
 
 
-@pytest.mark.parametrize(("speed", "ahead"), [(1.0, False), (6.0, False), (6.3, True)])
-def test_edges_are_predicted_if_particles_may_not_stop_layers(speed, ahead):
+@pytest.mark.parametrize(("speed", "is_predicted"), [(1.0, False), (6.0, False), (6.3, True)])
+def test_edges_are_predicted_if_particles_may_not_stop_layers(speed, is_predicted):
     # Two edges that cross far from any particle, 0.1 m apart; they keep 25 mm.
     rods = np.array([[0, 1, 2], [3, 4, 5]])
     places = np.array([[-1, 0, 0], [1, 0, 0], [0, 0, -9], [0, -1, 0.1], [0, 1, 0.1], [0, 0, 9]], dtype=float)
@@ -192,13 +192,13 @@ def test_edges_are_predicted_if_particles_may_not_stop_layers(speed, ahead):
     velocities[3:, 2] = -speed
     plan = compile(own.alone(rods, places, np.ones(6), 0.05))
     x, v = arrays(places, velocities)
-    omega2, damping = plan.contact.own_ahead(0.0, 0.2, x, v)
-    assert (omega2 > 0.0) == (damping > 0.0) == ahead
+    omega2, damping = plan.contact.predict_surface_contact(0.0, 0.2, x, v)
+    assert (omega2 > 0.0) == (damping > 0.0) == is_predicted
     # The run resolves them either way, and they do not pass.
     (run,), _ = plan.runs(0.0, 0.12 / speed, (x, v), [4000])
-    assert run.own[0] > 0.0
-    assert 0.0 < run.gap < 0.025
-    assert not plan.contact.passes(0.0, 0.0, x, run.x)
+    assert run.self_contact[0] > 0.0
+    assert 0.0 < run.min_gap < 0.025
+    assert not plan.contact.ccd_surface_hits(0.0, 0.0, x, run.x)
 
 
 @both_loops
@@ -211,14 +211,14 @@ def test_frame_without_near_pairs_skips_contact_with_same_bits(listed, speed):
     plain, _, _ = folded(8, radius=0.06, thickness=3e-3, listed=listed, gravity=False)
     without = Model(plain.masses, [force for force in plain.forces if force.name != "contact"])
     ends = []
-    for one in (model, without):
-        plan = compile(one)
+    for compared_model in (model, without):
+        plan = compile(compared_model)
         (run,), _ = plan.runs(0.0, 5e-3, arrays(places, velocities), [60])
         ends.append(run)
     plan = compile(model)
-    assert plan.contact.rests(5e-3, *arrays(places, velocities)) == (speed < 1.0)
-    assert ends[0].gap > 1.0
-    assert ends[0].own == (0.0, 0.0)
+    assert plan.contact.is_clear_of_itself(5e-3, *arrays(places, velocities)) == (speed < 1.0)
+    assert ends[0].min_gap > 1.0
+    assert ends[0].self_contact == (0.0, 0.0)
     assert np.array_equal(ends[0].x, ends[1].x)
     assert np.array_equal(ends[0].v, ends[1].v)
 
@@ -241,7 +241,7 @@ def test_frame_faster_than_assumed_is_repeated_with_contact():
     push = Push(velocities[:, 2] < 0.0, model.masses, 4000.0)
     plan = compile(Model(model.masses, [*model.forces, push]))
     start_at = arrays(places, np.zeros_like(places))
-    assert plan.contact.rests(6e-3, *start_at)
+    assert plan.contact.is_clear_of_itself(6e-3, *start_at)
     (run,), _ = plan.runs(0.0, 6e-3, start_at, [3000])
-    assert 0.0 < run.gap < THICKNESS
-    assert run.own[0] > 0.0
+    assert 0.0 < run.min_gap < THICKNESS
+    assert run.self_contact[0] > 0.0

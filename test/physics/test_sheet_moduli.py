@@ -26,14 +26,14 @@ def sheet_and_springs(layout, *, shape=(7, 7), size=(0.3, 0.3), shear=G, bend=0.
 
 def moduli(sheet, springs):
     """The 3x3 matrix C of energy density = e' C e / 2 for strains e = (xx, yy, 2 xy), by second differences."""
-    rest = sheet.positions().T
+    rest_positions = sheet.positions().T
     area = sheet.height * sheet.width
-    plan = alone(*springs, count=rest.shape[1])
+    plan = alone(*springs, count=rest_positions.shape[1])
 
     def energy(strain):
         xx, yy, xy = strain
         deformed = np.eye(3) + np.array([[xx, xy / 2, 0], [xy / 2, yy, 0], [0, 0, 0]])
-        return plan.energies(0.0, np.ascontiguousarray(deformed @ rest), None)[1] / area
+        return plan.energies(0.0, np.ascontiguousarray(deformed @ rest_positions), None)[1] / area
 
     h = 1e-4
     c = np.zeros((3, 3))
@@ -101,13 +101,15 @@ def test_a_network_is_isotropic_only_at_a_third():
 def test_diagonals_resist_shear_and_edge_springs_alone_do_not():
     for layout in LAYOUTS:
         sheet, _, springs = sheet_and_springs(layout, shape=(2, 2), size=(1.0, 1.0))
-        rest = sheet.positions() + 0.5
+        rest_positions = sheet.positions() + 0.5
         for angle in np.radians([10, 45, 89.9]):
-            sheared = rest.copy()
-            sheared[:, 0] = rest[:, 0] + rest[:, 1] * np.sin(angle)
-            sheared[:, 1] = rest[:, 1] * np.cos(angle)
+            sheared = rest_positions.copy()
+            sheared[:, 0] = rest_positions[:, 0] + rest_positions[:, 1] * np.sin(angle)
+            sheared[:, 1] = rest_positions[:, 1] * np.cos(angle)
             places = np.ascontiguousarray(sheared.T)
-            structural, shear = (alone(each, count=4).energies(0.0, places, None)[1] for each in springs)
+            structural, shear = (
+                alone(springs_force, count=4).energies(0.0, places, None)[1] for springs_force in springs
+            )
             assert structural < 1e-25 * Y
             assert shear > 0.01 * G * angle**2
         assert np.ptp(sheared[:, 0]) == pytest.approx(2.0, rel=1e-5), "a line of twice the edge"

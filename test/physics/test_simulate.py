@@ -53,11 +53,11 @@ def test_unstable_motion_reports_its_bounds() -> None:
         simulate(Model([1.0], [Drag(1e300)]), State([[0.0, 0.0, 0.0]]), 0.1)
 
 
-@pytest.mark.parametrize(("forces", "fallen"), [([], 0.0), ([Gravity()], 0.5 * 9.81 * 0.05**2)])
-def test_single_particle_moves_without_a_step_limit(forces: list[Force], fallen: float) -> None:
+@pytest.mark.parametrize(("forces", "drop_height"), [([], 0.0), ([Gravity()], 0.5 * 9.81 * 0.05**2)])
+def test_single_particle_moves_without_a_step_limit(forces: list[Force], drop_height: float) -> None:
     # Within the default tolerance in this number of frames, and far below it.
     motion = simulate(Model([1.0], forces), State([[0.0, 0.0, 0.0]]), 0.05)
-    np.testing.assert_allclose(motion.positions[-1], [[0.0, 0.0, -fallen]], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(motion.positions[-1], [[0.0, 0.0, -drop_height]], rtol=0, atol=1e-6)
 
 
 def test_fully_anchored_cloth_stays() -> None:

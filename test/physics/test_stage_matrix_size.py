@@ -5,7 +5,7 @@
 import pytest
 
 from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.integrators import implicit_run, stage_matrix
+from cloth_sim_ros.physics.integrators import implicit_advance, stage_matrix
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
@@ -26,10 +26,10 @@ def test_a_sheet_too_large_for_implicit_frames_asks_for_no_matrix(monkeypatch):
         raise AssertionError("a matrix was asked for")
 
     # It takes the function by its name: were it first imported now, it would keep the replacement.
-    monkeypatch.setattr(implicit_run, "stage_matrix", refuse)
+    monkeypatch.setattr(implicit_advance, "stage_matrix", refuse)
     monkeypatch.setattr(stage_matrix, "stage_matrix", refuse)
-    monkeypatch.setattr(CONSTANTS, "operation", 1e3)
+    monkeypatch.setattr(CONSTANTS, "operation_time", 1e3)
     with pytest.raises(AssertionError, match="a matrix was asked for"):
         Simulation(scene).advance()
-    monkeypatch.setattr(CONSTANTS, "implicit", 100.0)
+    monkeypatch.setattr(CONSTANTS, "implicit_max_particles", 100.0)
     Simulation(scene).advance()

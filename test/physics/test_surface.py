@@ -40,11 +40,11 @@ def test_grid_is_a_disc_with_every_hinge_from_its_triangles(rows: int, columns: 
     assert len(surface.boundary_loops()) == 1
     # brute force: two triangles share exactly two particles
     expected = set()
-    for one, two in itertools.combinations(map(set, triangles.tolist()), 2):
-        if len(one & two) == 2:
-            expected.add((frozenset(one & two), frozenset(one ^ two)))
-    found = {(frozenset(h[:2]), frozenset(h[2:])) for h in surface.hinges.tolist()}
-    assert found == expected and len(surface.hinges) == len(expected)
+    for first, second in itertools.combinations(map(set, triangles.tolist()), 2):
+        if len(first & second) == 2:
+            expected.add((frozenset(first & second), frozenset(first ^ second)))
+    hinges = {(frozenset(h[:2]), frozenset(h[2:])) for h in surface.hinges.tolist()}
+    assert hinges == expected and len(surface.hinges) == len(expected)
     # each hinge's two triangles, as directed by it, are triangles of the surface
     rings = {tuple(np.roll(t, k)) for t in triangles for k in range(3)}
     for edge0, edge1, wing0, wing1 in surface.hinges:
@@ -81,10 +81,10 @@ def test_the_other_diagonal_is_not_counted_twice() -> None:
     surface = Surface.from_triangles(grid_triangles(3, 3, "both"))
     pairs = opposite_pairs(surface.hinges)
     assert len(pairs) == len(surface.hinges) == 8
-    kept = opposite_pairs(surface.hinges, grid_diagonals(3, 3, "both"))
+    new_pairs = opposite_pairs(surface.hinges, grid_diagonals(3, 3, "both"))
     diagonals = {tuple(sorted(d)) for d in grid_diagonals(3, 3, "both").tolist()}
-    assert len(kept) == 4
-    assert not {tuple(sorted(p)) for p in kept.tolist()} & diagonals
+    assert len(new_pairs) == 4
+    assert not {tuple(sorted(p)) for p in new_pairs.tolist()} & diagonals
 
 
 def test_closed_surface() -> None:
@@ -119,18 +119,18 @@ def test_bad_surfaces_are_refused_with_the_place(triangles: list, message: str) 
 
 
 def test_two_closed_fans_in_one_particle_are_refused() -> None:
-    other = TETRAHEDRON.copy()
-    other[other > 0] += 3
+    second_fan = TETRAHEDRON.copy()
+    second_fan[second_fan > 0] += 3
     with pytest.raises(SurfaceError, match="at particle 0 two parts"):
-        Surface.from_triangles(np.concatenate((TETRAHEDRON, other)))
+        Surface.from_triangles(np.concatenate((TETRAHEDRON, second_fan)))
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(2, 3), (4, 5), (5, 4)])
 def test_grid_hinges_are_those_of_both_checkerboards(rows: int, columns: int) -> None:
     hinges = grid_hinges(rows, columns)
-    one = Surface.from_triangles(grid_triangles(rows, columns, "alternating")).hinges
-    assert hinges[: len(one)].tolist() == one.tolist()
-    assert len(hinges) == 2 * len(one)
+    checkerboard = Surface.from_triangles(grid_triangles(rows, columns, "alternating")).hinges
+    assert hinges[: len(checkerboard)].tolist() == checkerboard.tolist()
+    assert len(hinges) == 2 * len(checkerboard)
     # together they are the same after a shift by one cell, as one checkerboard is not: every cell has both diagonals
     quads = {(frozenset(h[:2]), frozenset(h[2:])) for h in hinges.tolist()}
     assert len(quads) == len(hinges)

@@ -61,8 +61,8 @@ def test_a_panel_without_area_feels_nothing(corners):
     line[0] = np.arange(corners)
     panels = AirPanels([list(range(corners))], normal=1.0, tangential=1.0, wind=(1.0, 2.0, 3.0))
     plan = alone(panels, count=corners)
-    for found in (force(plan, line, line), product(plan, line, line, line, line), blocks(plan, line)[1]):
-        assert not found.any()
+    for array in (force(plan, line, line), product(plan, line, line, line, line), blocks(plan, line)[1]):
+        assert not array.any()
     assert plan.powers(0.0, line, line) == (0.0, 0.0)
 
 
@@ -147,10 +147,10 @@ def test_heavy_drag_counts_in_the_step_limit():
     values = BARE | {"wind.normal_drag": 1000.0, "wind.velocity": (0.0, 0.0, 5.0), "integrator": "leapfrog"}
     values |= {"material.stretch_modulus": 10.0, "material.shear_modulus": 1.0, "tolerance": 0.0}
     cloth = Simulation(Scene.from_parameters(values))
-    _, rate = cloth.plan.rates(cloth.state.x)
+    _, rate = cloth.plan.spectral_bounds(cloth.state.x)
     # A third of each triangle's drag acts at its corners, like the masses: everywhere normal_drag / density.
     assert rate >= (1.0 - 1e-6) * 1000.0 / 0.2
-    _, calm = Simulation(Scene.from_parameters(values | {"wind.normal_drag": 0.0})).plan.rates(cloth.state.x)
+    _, calm = Simulation(Scene.from_parameters(values | {"wind.normal_drag": 0.0})).plan.spectral_bounds(cloth.state.x)
     assert rate < 2.0 * 1000.0 / 0.2 + calm
     for _ in range(20):
         cloth.advance()

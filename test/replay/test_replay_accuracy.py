@@ -36,12 +36,12 @@ def test_curves_and_colours_are_those_of_the_certificate(tmp_path: Path) -> None
     assert np.ravel(growth) == pytest.approx([math.log10(frame.growth) for frame in certificate.frames])
     measured = measure([session], tmp_path, 72)
     _, painted = rows(out, "/world/cloth", "Mesh3D:vertex_colors")
-    wanted = np.empty(72, np.uint32)
+    expected = np.empty(72, np.uint32)
     for frame, row in zip(certificate.frames, painted, strict=True):
         particles = measured.errors(frame.frame)
         assert particles.max() == pytest.approx(frame.error, rel=1e-6)
-        colours.strain_colours(particles, measured.limit, wanted)
-        assert row == wanted.tolist()
+        colours.strain_colours(particles, measured.limit, expected)
+        assert row == expected.tolist()
     # Anchors have no error, up to rounding.
     assert particles[:9].max() < 1e-12
     assert len(set(painted[-1])) > 10

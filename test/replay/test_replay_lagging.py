@@ -15,13 +15,13 @@ import pytest
 
 pytest.importorskip("mcap")
 pytest.importorskip("rosbags")
-from support.falsifier import FRAME, Falsification, each, falsify
+from support.falsifier import FRAME, Falsification, alter_messages, falsify
 from support.session_maker import SessionMaker
 
 from cloth_sim_ros import Grasp, Scene, Simulation, Target
-from cloth_sim_ros.batch.recording import RunRecording
+from cloth_sim_ros.batch.run_recording import RunRecording
 from cloth_sim_ros.replay.grippers import GripperTracks
-from cloth_sim_ros.replay.scene_text import read_opening
+from cloth_sim_ros.replay.opening import read_opening
 from cloth_sim_ros.session.cdr import decode_string, encode_string
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.frame_record import FrameRecord
@@ -55,11 +55,16 @@ PINCH: dict[str, Any] = {
 def attach_events(scene: Scene) -> list[list[Event]]:
     """Grasp of a corner, jump of 1 m with a turn, pause and step in between, arrival, release, grasp, reset."""
     x, y, z = scene.initial_positions()[-1].tolist()
-    there = Target("gripper", (x, y + 1.0, z), QUARTER_TURN)
-    events: list[list[Event]] = [[Target("gripper", (x, y, z), NO_TURN)], [Grasp("gripper", True)], [there], []]
+    target_position = Target("gripper", (x, y + 1.0, z), QUARTER_TURN)
+    events: list[list[Event]] = [
+        [Target("gripper", (x, y, z), NO_TURN)],
+        [Grasp("gripper", True)],
+        [target_position],
+        [],
+    ]
     events += [[Pause(True)], [], [Step()], [Pause(False)], *[[] for _ in range(8)]]
     events += [[Target("gripper", (x, y, z), NO_TURN)], [Grasp("gripper", False)], [Grasp("gripper", True)]]
-    events += [[Target("gripper", (x, y + 2.0, z))], [Reset()], [], [there], [Grasp("gripper", True)]]
+    events += [[Target("gripper", (x, y + 2.0, z))], [Reset()], [], [target_position], [Grasp("gripper", True)]]
     return [*events, [SetParameters({"gripper.max_speed": 1.0}), Target("gripper", (x, y, z))], [], []]
 
 
@@ -90,7 +95,7 @@ def record(folder: Path, scene: Scene, events: Sequence[Sequence[Event]]) -> Rec
     def watch(simulation: Simulation, frame: Frame) -> None:
         recorded.frames.append(frame)
         recorded.poses.append(simulation.grippers.poses()[0])
-        recorded.held.append(simulation.grippers.held(0).tolist())
+        recorded.held.append(simulation.grippers.grasped_particles(0).tolist())
 
     maker = SessionMaker(folder, scene, watch=watch)
     for each_frame in events:
@@ -113,7 +118,7 @@ def records_of(path: Path) -> list[FrameRecord]:
 
 def replayed(path: Path, scene: Scene) -> list[tuple[np.ndarray | None, list[int]]]:
     """Return pose and held particles of the first gripper in a replay after each frame."""
-    found = []
+    frames = []
     with SessionReader(path) as reader:
         opening = read_opening(reader.scene_yaml, reader.state)
         tracks = GripperTracks(opening, opening.anchored(*scene.shape))
@@ -123,9 +128,9 @@ def replayed(path: Path, scene: Scene) -> list[tuple[np.ndarray | None, list[int
             tracks.advance(recorded.frame, lambda before=before: before)
             track = tracks.tracks[scene.gripper_names[0]]
             assert track.held is not None
-            found.append((None if track.pose is None else track.pose.copy(), track.held.tolist()))
+            frames.append((None if track.pose is None else track.pose.copy(), track.held.tolist()))
             before = recorded.cloud.xyz
-    return found
+    return frames
 
 
 def altered(path: Path, target: Path, alter: Callable[[dict[str, Any]], object]) -> Path:
@@ -137,7 +142,7 @@ def altered(path: Path, target: Path, alter: Callable[[dict[str, Any]], object])
             alter(content["extras"])
         return message._replace(data=encode_string(json.dumps(content, separators=(",", ":"))))
 
-    return falsify(path, target, Falsification(each(FRAME, change)))
+    return falsify(path, target, Falsification(alter_messages(FRAME, change)))
 
 
 def test_replayed_poses_equal_simulation(recorded: Recorded) -> None:
@@ -147,8 +152,8 @@ def test_replayed_poses_equal_simulation(recorded: Recorded) -> None:
             np.testing.assert_allclose(pose, recorded.poses[k], rtol=0.0, atol=1e-15, err_msg=f"frame {k}")
         assert held == recorded.held[k]
     if "hand" in scene.gripper_names:
-        assert any(frame.halted == ("hand",) for frame in recorded.frames)
-    assert any(frame.lagging and not frame.halted for frame in recorded.frames)
+        assert any(frame.stopped == ("hand",) for frame in recorded.frames)
+    assert any(frame.lagging and not frame.stopped for frame in recorded.frames)
 
 
 def test_step_of_sleeping_cloth_moves_replayed_gripper(tmp_path: Path) -> None:
@@ -166,7 +171,7 @@ def test_step_of_sleeping_cloth_moves_replayed_gripper(tmp_path: Path) -> None:
 def test_poses_are_recorded_only_for_missed_targets(recorded: Recorded) -> None:
     scene = recorded.scene
     name, target = scene.gripper_names[0], None
-    for frame, pose, made in zip(recorded.frames, recorded.poses, records_of(recorded.path), strict=True):
+    for frame, pose, record in zip(recorded.frames, recorded.poses, records_of(recorded.path), strict=True):
         for event in frame.events:
             if isinstance(event, Target):
                 turn = event.orientation or (NO_TURN if target is None else tuple(target[3:]))
@@ -174,22 +179,24 @@ def test_poses_are_recorded_only_for_missed_targets(recorded: Recorded) -> None:
             elif isinstance(event, Reset):
                 target = None
         missed = frame.moved and target is not None and not np.allclose(pose, target, rtol=0.0, atol=1e-12)
-        assert made.extras.get("poses") == ({name: pose.tolist()} if missed else None)
-        if frame.halted:
-            assert made.extras["halted"] == [name]
+        assert record.extras.get("poses") == ({name: pose.tolist()} if missed else None)
+        if frame.stopped:
+            assert record.extras["halted"] == [name]
             target = pose
 
 
 def test_studies_record_the_same_extras(tmp_path: Path, recorded: Recorded) -> None:
     scene, events = recorded.scene, recorded.events
-    made = records_of(recorded.path)
+    records = records_of(recorded.path)
     simulation = Simulation(scene)
     run = RunRecording(tmp_path, simulation, name="run", clouds=False)
     for each_frame in events:
         run.add(each_frame, simulation.advance(each_frame))
-    kept = [{k: v for k, v in found.extras.items() if k != "flagged"} for found in records_of(run.finish(reason="x"))]
-    assert kept == [dict(found.extras) for found in made]
-    assert any(kept)
+    study_extras = [
+        {k: v for k, v in record.extras.items() if k != "flagged"} for record in records_of(run.finish(reason="x"))
+    ]
+    assert study_extras == [dict(record.extras) for record in records]
+    assert any(study_extras)
 
 
 def test_verify_compares_poses_exactly(tmp_path: Path, recorded: Recorded) -> None:

@@ -87,15 +87,15 @@ def test_mesh_obstacle_is_drawn_by_its_triangles(tmp_path: Path) -> None:
         view.show(Moment(0.1 * k, k, k), markers.serialized(np.array([[0.1 * k, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]), k))
     view.show(
         Moment(0.3, 3, 3),
-        ObstacleMarkers([], frame_id="world", node="/cloth", gone=["rock"]).serialized(np.zeros((0, 7)), 3),
+        ObstacleMarkers([], frame_id="world", node="/cloth", removed=["rock"]).serialized(np.zeros((0, 7)), 3),
     )
     for table_rows in tables.values():
         table_rows.send(recording)
     recording.disconnect()
     _, corners = rows(out, "/world/obstacles/rock/0", "Mesh3D:vertex_positions")
-    assert [len(found) for found in corners] == [12, 0], "sent once, though it moved"
+    assert [len(row) for row in corners] == [12, 0], "sent once, though it moved"
     np.testing.assert_allclose(corners[0], vertices[triangles.ravel()])
     _, normals = rows(out, "/world/obstacles/rock/0", "Mesh3D:vertex_normals")
     np.testing.assert_allclose(normals[0][-1], np.full(3, 3.0**-0.5), rtol=1e-6)
     _, places = rows(out, "/world/obstacles/rock/0", "Transform3D:translation")
-    np.testing.assert_allclose([place[0][0] for place in places], [0.0, 0.1, 0.2], atol=1e-6)
+    np.testing.assert_allclose([translation[0][0] for translation in places], [0.0, 0.1, 0.2], atol=1e-6)

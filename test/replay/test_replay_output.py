@@ -87,7 +87,7 @@ def test_each_grasp_of_a_frame_has_its_count(tmp_path: Path) -> None:
     maker.add([Target("gripper", corner)])
     for events in ([close, let_go], [close, Reset()], [Target("gripper", corner)], [close], [close, let_go, close]):
         maker.add(events)
-        held.append(maker.simulation.held(0))
+        held.append(maker.simulation.grasped_count(0))
     count = held[-1]
     assert count > 0
     closes = f"gripper closes, holds {count} particles"
@@ -138,7 +138,7 @@ def test_gripper_at_sleeping_cloth_shows_held_particles(tmp_path: Path) -> None:
     maker.add([Target("gripper", tuple(corner.tolist()))])
     assert maker.simulation.asleep
     maker.add([Grasp("gripper", True)])
-    held = len(maker.simulation.grippers.held(0))
+    held = len(maker.simulation.grippers.grasped_particles(0))
     assert held > 0
     out = tmp_path / "out.rrd"
     assert main([str(maker.finish()), "--save", str(out)]) == 0
@@ -155,7 +155,7 @@ def test_anchors_that_change_are_shown_and_not_grabbed(tmp_path: Path) -> None:
     maker.add([SetParameters({"cloth.anchors": ["top", str(last)]})])
     maker.add([Target("gripper", corner), Grasp("gripper", True)])
     maker.add([SetParameters({"cloth.anchors": [""]})])
-    held = maker.simulation.grippers.held(0).tolist()
+    held = maker.simulation.grippers.grasped_particles(0).tolist()
     assert last not in held
     out = tmp_path / "out.rrd"
     assert main([str(maker.finish()), "--save", str(out)]) == 0
@@ -203,12 +203,12 @@ def test_follow_shows_session_during_recording(tmp_path: Path, wait_until: Any) 
     for frame in events[:20]:
         maker.add(frame)
     follower.start()
-    wait_until(lambda: out.exists() and out.stat().st_size > 20_000, what="the followed frames in the recording")
+    wait_until(lambda: out.exists() and out.stat().st_size > 20_000, description="the followed frames in the recording")
     assert follower.is_alive()
     before = out.stat().st_size
     for frame in events[20:]:
         maker.add(frame)
-    wait_until(lambda: out.stat().st_size > before, what="the newer frames in the recording")
+    wait_until(lambda: out.stat().st_size > before, description="the newer frames in the recording")
     maker.finish()
     follower.join(30.0)
     assert status == [0]
@@ -280,7 +280,7 @@ def test_unusable_driver_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     if listed:
         driver.write_text("{}")
     monkeypatch.setenv("VK_DRIVER_FILES", str(driver))
-    message = str(viewer._why(log, "does not answer (transport error)"))
+    message = str(viewer._viewer_error(log, "does not answer (transport error)"))
     assert "apt-get install mesa-vulkan-drivers" in message
     assert ("none is installed here" in message) is not listed
     assert message.endswith("it said: thread 'main' panicked at 'Failed to get render context')")
@@ -309,7 +309,7 @@ def test_other_viewer_failure_is_reported(tmp_path: Path, monkeypatch: pytest.Mo
     driver.write_text("{}")
     monkeypatch.setenv("VK_DRIVER_FILES", str(driver))
     log.write_text("Error: the port is taken\n\nReport bugs: https://...\n")
-    message = str(viewer._why(log, "ended with status 1"))
+    message = str(viewer._viewer_error(log, "ended with status 1"))
     assert message == "the viewer ended with status 1; it said: Error: the port is taken"
 
 
@@ -337,9 +337,9 @@ def test_a_wrong_command_line_is_refused(arguments: list[str], reason: str, caps
 
 def test_foreign_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "out.rrd")
-    other = tmp_path / "other.mcap"
-    other.write_bytes(b"no session")
-    assert main([str(other), "--save", out]) == 2
+    foreign_file = tmp_path / "other.mcap"
+    foreign_file.write_bytes(b"no session")
+    assert main([str(foreign_file), "--save", out]) == 2
     assert main([str(tmp_path / "absent.mcap"), "--save", out]) == 2
     errors = capsys.readouterr().err
     assert "is not an MCAP file" in errors

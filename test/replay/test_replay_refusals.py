@@ -11,7 +11,7 @@ import pytest
 from support.session_maker import make_grasp
 
 from cloth_sim_ros.replay.main import main
-from cloth_sim_ros.replay.stream import Stream
+from cloth_sim_ros.replay.stream import ReplayStream
 
 pytest.importorskip("rerun", reason="the viewer is not installed: pip install 'cloth_sim_ros[replay]'")
 
@@ -28,9 +28,9 @@ def test_session_is_refused_as_output(
     was = session.read_bytes()
     link = tmp_path / "link.png"
     link.symlink_to(session)
-    other = tmp_path / "other.mcap"
-    other.write_bytes(was)
-    for out in (session, link, other):
+    second_session = tmp_path / "other.mcap"
+    second_session.write_bytes(was)
+    for out in (session, link, second_session):
         assert main([str(session), option, str(out)]) == 2
         assert capsys.readouterr().err.startswith(f"cloth_replay: {option} is '{out}', ")
         assert out.read_bytes() == was
@@ -48,13 +48,13 @@ def test_interrupted_recording_keeps_existing_output(
     out, old = tmp_path / "out.rrd", tmp_path / "old.rrd"
     assert main([str(session), "--save", str(old)]) == 0
     was = old.read_bytes()
-    shown = Stream.add_all
+    shown = ReplayStream.add_all
 
     def interrupted(*arguments: object) -> None:
         shown(*arguments)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Stream, "add_all", interrupted)
+    monkeypatch.setattr(ReplayStream, "add_all", interrupted)
     for path in (out, old):
         assert main([str(session), "--save", str(path)]) == 1
     assert old.read_bytes() == was

@@ -67,7 +67,7 @@ class SlowCloth:
         for module in (gripper_player, cloth_clock):
             monkeypatch.setattr(module, "time", steady)
         self.player = gripper_player.GripperPlayer(
-            self.node, [SCRIPT], target="/cloth_sim", played=cloth_clock.ClothTime(self.node, "/cloth_sim")
+            self.node, [SCRIPT], target="/cloth_sim", script_time=cloth_clock.ClothTime(self.node, "/cloth_sim")
         )
 
     def targets(self) -> list[tuple[float, float]]:
@@ -114,7 +114,7 @@ def test_script_is_as_slow_as_the_cloth(monkeypatch: pytest.MonkeyPatch, factor:
     by_frame = dict(cloth.targets())
     ways = [b - a for a, b in zip(list(by_frame.values()), list(by_frame.values())[1:], strict=False)]
     assert max(map(abs, ways)) < 2.4 * 1.6 * PERIOD
-    assert [hold.held for hold in cloth.player.hands[0].holds] == [9]
+    assert [hold.held for hold in cloth.player.grippers[0].reports] == [9]
 
 
 def test_target_is_sent_within_the_frame_of_a_slow_cloth(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -191,10 +191,10 @@ def test_clock_shows_the_time_of_each_frame(client: Client) -> None:
             lambda message: times.append(message.clock.sec + 1e-9 * message.clock.nanosec),
             QoSProfile(depth=10),
         )
-        client.spin_until(lambda: client.node.count_publishers("/cloth_sim/clock") == 1, what="the topic")
-        client.spin_until(lambda: cloth.tick() or times, what="a time")
+        client.spin_until(lambda: client.node.count_publishers("/cloth_sim/clock") == 1, description="the topic")
+        client.spin_until(lambda: cloth.tick() or times, description="a time")
         cloth.tick(3)
-        client.spin_until(lambda: times[-1] > cloth.simulation.time - 1e-8, what="the newest time")
+        client.spin_until(lambda: times[-1] > cloth.simulation.time - 1e-8, description="the newest time")
         assert times[-3:] == pytest.approx([cloth.simulation.time - k * PERIOD for k in (2, 1, 0)], abs=1e-8)
 
 
@@ -213,14 +213,14 @@ def test_script_waits_for_a_paused_cloth(client: Client, start_process: Callable
     # Match the service first: discovery may take longer than the script.
     assert client.call(SetBool, "/cloth_sim/pause", SetBool.Request(data=False)).success
     gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", script])
-    client.spin_until(lambda: len(targets) > 20, what="targets")
+    client.spin_until(lambda: len(targets) > 20, description="targets")
     assert client.call(SetBool, "/cloth_sim/pause", SetBool.Request(data=True)).success
     gripper.wait_for_output("stands at")
     count = len(targets)
     assert "of simulated time (~/state: inactive): the script waits" in gripper.output
     assert client.call(SetBool, "/cloth_sim/pause", SetBool.Request(data=False)).success
     assert gripper.wait() == 0
-    client.spin_until(lambda: len(targets) > count, what="the rest of the targets")
+    client.spin_until(lambda: len(targets) > count, description="the rest of the targets")
     assert "held 1 particle" in gripper.output
     # Targets of a tenth of a second may still have been in transit.
     assert count < 100

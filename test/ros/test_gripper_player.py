@@ -11,7 +11,7 @@ import attrs
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from cloth_sim_ros.ros import gripper_hand, gripper_player
+from cloth_sim_ros.ros import gripper_client, gripper_player
 from cloth_sim_ros.ros.gripper_main import describe_holds
 from cloth_sim_ros.simulation.gripper_script import GripperScript
 
@@ -37,12 +37,12 @@ class Cloth:
         self.to: list[str] = []
         self.time = 0.0
         #: Time at which the system suspends the player, and the duration [s].
-        self.held_up_at, self.held_up_for = 0.0, 0.0
+        self.suspended_at, self.suspended_for = 0.0, 0.0
         self._held = held
         self._answers_after = answers_after
         #: Future answers of the gripper with their time [s].
         self._answers: list[tuple[float, str, bool]] = []
-        self._hear: dict[str, Any] = {}
+        self._callbacks: dict[str, Any] = {}
         # The middleware never acknowledges in time: only the node's answers count.
         clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=round(self.time * 1e9)))
         self.node: Any = SimpleNamespace(
@@ -52,10 +52,12 @@ class Cloth:
         monkeypatch.setattr(gripper_player, "SingleThreadedExecutor", lambda: executor)
         monkeypatch.setattr(gripper_player, "time", SimpleNamespace(monotonic=lambda: self.time))
 
-    def say(self, closed: bool, gripper: str = "gripper") -> None:
+    def publish_state(self, closed: bool, gripper: str = "gripper") -> None:
         """Publish the state of the gripper, as the node does for late subscribers."""
         values = {"closed": str(closed).lower(), "held": str(self._held if closed else 0)}
-        self._hear[gripper](DiagnosticStatus(values=[KeyValue(key=key, value=value) for key, value in values.items()]))
+        self._callbacks[gripper](
+            DiagnosticStatus(values=[KeyValue(key=key, value=value) for key, value in values.items()])
+        )
 
     def play(self) -> gripper_player.GripperPlayer:
         player = gripper_player.GripperPlayer(self.node, [SCRIPT], target="/cloth_sim")
@@ -64,15 +66,15 @@ class Cloth:
 
     def grasps(self) -> list[int]:
         """Indices of the grasps among the received commands."""
-        return [k for k, (_, what) in enumerate(self.sent) if isinstance(what, bool)]
+        return [k for k, (_, command) in enumerate(self.sent) if isinstance(command, bool)]
 
     def _spin_once(self, timeout_sec: float) -> None:
         before, self.time = self.time, self.time + timeout_sec
-        if before < self.held_up_at <= self.time:
-            self.time += self.held_up_for
+        if before < self.suspended_at <= self.time:
+            self.time += self.suspended_for
         while self._answers and self.time >= self._answers[0][0]:
             _, gripper, closed = self._answers.pop(0)
-            self.say(closed, gripper)
+            self.publish_state(closed, gripper)
 
     def _create_publisher(self, _kind: Any, topic: str, _qos: Any) -> Any:
         _, gripper, _ = topic.strip("/").split("/")
@@ -88,30 +90,32 @@ class Cloth:
         if hasattr(message, "data"):
             self._answers.append((self.time + self._answers_after, gripper, message.data))
 
-    def _subscribe(self, _kind: Any, topic: str, hear: Any, _qos: Any) -> None:
+    def _subscribe(self, _kind: Any, topic: str, callback: Any, _qos: Any) -> None:
         node, gripper, leaf = topic.strip("/").split("/")
         assert (node, leaf) == ("cloth_sim", "state")
-        self._hear[gripper] = hear
+        self._callbacks[gripper] = callback
 
 
 @pytest.mark.parametrize(("at", "for_long"), [(0.5, 0.0), (0.95, 0.7), (0.3, 30.0), (1.8, 5.0)])
 def test_grasps_happen_at_script_positions(monkeypatch: pytest.MonkeyPatch, at: float, for_long: float) -> None:
     cloth = Cloth(monkeypatch)
-    cloth.held_up_at, cloth.held_up_for = at, for_long
+    cloth.suspended_at, cloth.suspended_for = at, for_long
     cloth.play()
     sent, grasps = cloth.sent, cloth.grasps()
     assert [sent[k][1] for k in grasps] == [True, False]
-    for k, place in zip(grasps, (0.0, 1.0), strict=True):
+    for k, expected in zip(grasps, (0.0, 1.0), strict=True):
         # The target before the grasp, and those of the tenth of a second before.
-        assert sent[k - 1][1] == pytest.approx(place, abs=1e-3)
-        near = [what for when, what in sent[:k] if sent[k][0] - 0.08 < when and not isinstance(what, bool)]
-        assert len(near) >= 4
-        assert near == pytest.approx([place] * len(near), abs=0.01)
+        assert sent[k - 1][1] == pytest.approx(expected, abs=1e-3)
+        positions = [
+            command for when, command in sent[:k] if sent[k][0] - 0.08 < when and not isinstance(command, bool)
+        ]
+        assert len(positions) >= 4
+        assert positions == pytest.approx([expected] * len(positions), abs=0.01)
 
 
 @pytest.mark.parametrize("held", [0, 3])
 def test_grasp_report_has_particle_count(monkeypatch: pytest.MonkeyPatch, held: int) -> None:
-    assert [hold.held for hold in Cloth(monkeypatch, held=held).play().hands[0].holds] == [held]
+    assert [hold.held for hold in Cloth(monkeypatch, held=held).play().grippers[0].reports] == [held]
 
 
 def test_gripper_opens_after_grasp_answer(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -120,23 +124,23 @@ def test_gripper_opens_after_grasp_answer(monkeypatch: pytest.MonkeyPatch) -> No
     player = cloth.play()
     closed, opened = (cloth.sent[k][0] for k in cloth.grasps())
     assert opened - closed >= 2.5
-    assert [hold.held for hold in player.hands[0].holds] == [3]
+    assert [hold.held for hold in player.grippers[0].reports] == [3]
 
 
 def test_script_starts_after_node_reports_open_gripper(monkeypatch: pytest.MonkeyPatch) -> None:
     cloth = Cloth(monkeypatch, answers_after=2.5)
     player = gripper_player.GripperPlayer(cloth.node, [SCRIPT], target="/cloth_sim")
     # The state before the request is no answer.
-    cloth.say(False)
+    cloth.publish_state(False)
     assert player.wait_for_grippers(10.0)
-    assert [what for _, what in cloth.sent] == [False]
+    assert [command for _, command in cloth.sent] == [False]
     assert 2.5 <= cloth.time < 3.0
 
 
 def test_missing_open_report_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     cloth = Cloth(monkeypatch, answers_after=1e9)
     player = gripper_player.GripperPlayer(cloth.node, [SCRIPT], target="/cloth_sim")
-    cloth.say(False)
+    cloth.publish_state(False)
     with pytest.raises(gripper_player.GripperError, match="does not say that it is open"):
         player.wait_for_grippers(10.0)
 
@@ -145,29 +149,29 @@ def test_missing_grasp_answer_times_out(monkeypatch: pytest.MonkeyPatch) -> None
     cloth = Cloth(monkeypatch, answers_after=1e9)
     player = cloth.play()
     assert len(cloth.grasps()) == 2
-    (hold,) = player.hands[0].holds
+    (hold,) = player.grippers[0].reports
     assert hold.held is None
-    assert "did not answer within" in hold.words
-    assert "not known" in describe_holds(player.hands[0].holds)
+    assert "did not answer within" in hold.text
+    assert "not known" in describe_holds(player.grippers[0].reports)
 
 
 def test_scripts_of_several_grippers_start_and_wait_together(monkeypatch: pytest.MonkeyPatch) -> None:
     cloth = Cloth(monkeypatch)
-    cloth.held_up_at, cloth.held_up_for = 0.95, 0.7
+    cloth.suspended_at, cloth.suspended_for = 0.95, 0.7
     scripts = [attrs.evolve(SCRIPT, gripper=name) for name in ("left", "right")]
     player = gripper_player.GripperPlayer(cloth.node, scripts, target="/cloth_sim")
     for name in ("left", "right"):
-        cloth.say(False, name)
+        cloth.publish_state(False, name)
     assert player.wait_for_grippers(10.0)
     cloth.sent.clear()
     cloth.to.clear()
     assert player.play()
     of = {name: [sent for to, sent in zip(cloth.to, cloth.sent, strict=True) if to == name] for name in set(cloth.to)}
     assert of["left"] == of["right"]
-    assert [[hold.held for hold in hand.holds] for hand in player.hands] == [[3], [3]]
+    assert [[hold.held for hold in hand.reports] for hand in player.grippers] == [[3], [3]]
 
 
 def test_grasp_reports_are_described_in_words() -> None:
-    holds = [gripper_hand.Hold(1, ""), gripper_hand.Hold(0, "")]
+    holds = [gripper_client.GraspReport(1, ""), gripper_client.GraspReport(0, "")]
     assert describe_holds(holds) == "held 1 particle; held nothing (the node's log says why)"
     assert describe_holds([]) == "the script closes nothing"

@@ -39,11 +39,11 @@ def anchored(*names: str) -> SetParameters:
 
 def test_new_anchor_holds_its_current_position() -> None:
     simulation = swinging()
-    there = simulation.positions[BOTTOM]
+    anchors = simulation.positions[BOTTOM]
     assert np.abs(simulation.velocities[BOTTOM]).max() > 0.1
     for _ in range(5):
         simulation.advance([anchored("top", "bottom")] if simulation.frame == 20 else [])
-        np.testing.assert_allclose(simulation.positions[BOTTOM], there, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(simulation.positions[BOTTOM], anchors, rtol=0.0, atol=1e-12)
     assert not simulation.velocities[BOTTOM].any()
 
 
@@ -70,16 +70,16 @@ def test_grasped_particle_may_be_anchored_and_released() -> None:
     simulation = swinging()
     corner = 41
     simulation.advance([Target("gripper", tuple(simulation.positions[corner])), Grasp("gripper", True)])
-    assert simulation.grippers.held(0).tolist() == [corner]
+    assert simulation.grippers.grasped_particles(0).tolist() == [corner]
     simulation.advance([anchored("top", "41")])
-    there = simulation.positions[corner]
+    position = simulation.positions[corner]
     for k in range(10):
-        simulation.advance([Target("gripper", tuple(there + np.array([0.0, 0.0, 0.01 * k])))])
-    np.testing.assert_allclose(simulation.positions[corner], there, rtol=0.0, atol=1e-12)
+        simulation.advance([Target("gripper", tuple(position + np.array([0.0, 0.0, 0.01 * k])))])
+    np.testing.assert_allclose(simulation.positions[corner], position, rtol=0.0, atol=1e-12)
     simulation.advance([anchored("top")])
     for _ in range(10):
         simulation.advance()
-    assert simulation.positions[corner][2] > there[2] + 0.05
+    assert simulation.positions[corner][2] > position[2] + 0.05
 
 
 def test_reset_restores_positions_and_keeps_anchors() -> None:
@@ -101,30 +101,30 @@ def test_anchor_changes_replay_bit_for_bit_from_any_frame(integrator: str) -> No
             return [anchored()]
         return [anchored("top"), Reset()] if frame == 32 else []
 
-    one = Simulation(Scene.from_parameters(GRID | {"integrator": integrator}))
+    simulation = Simulation(Scene.from_parameters(GRID | {"integrator": integrator}))
     saved = {}
     for frame in range(40):
-        saved[frame] = (one.scene, one.state.to_bytes())
-        one.advance(events(frame))  # type: ignore[arg-type]
+        saved[frame] = (simulation.scene, simulation.state.to_bytes())
+        simulation.advance(events(frame))  # type: ignore[arg-type]
     for begin in (0, 24, 26, 30, 33):
         scene, state = saved[begin]
         again = Simulation(scene, State.from_bytes(state))
         for frame in range(begin, 40):
             again.advance(events(frame))  # type: ignore[arg-type]
-        assert again.state.digest() == one.state.digest(), begin
+        assert again.state.digest() == simulation.state.digest(), begin
 
 
 def test_a_state_begins_with_other_anchors_at_rest(tmp_path: Path) -> None:
     path = tmp_path / "state.npz"
     path.write_bytes(swinging().state.to_bytes())
     simulation = Simulation(Scene.from_parameters(GRID | {"cloth.anchors": ["bottom"], "initial_state": str(path)}))
-    there = simulation.positions[BOTTOM]
+    anchors = simulation.positions[BOTTOM]
     for _ in range(3):
         simulation.advance()
-    np.testing.assert_allclose(simulation.positions[BOTTOM], there, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(simulation.positions[BOTTOM], anchors, rtol=0.0, atol=1e-12)
     simulation.advance([Reset()])
     simulation.advance()
-    np.testing.assert_allclose(simulation.positions[BOTTOM], there, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(simulation.positions[BOTTOM], anchors, rtol=0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize(

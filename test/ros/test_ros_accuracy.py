@@ -20,29 +20,29 @@ from rcl_interfaces.srv import SetParameters as SetParametersService
 from support.ros_client import STARTED, Client, start_cloth
 
 from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.ros.accuracy import Accuracy
+from cloth_sim_ros.ros.accuracy_monitor import AccuracyMonitor
+from cloth_sim_ros.ros.accuracy_switch import AccuracySwitch
 from cloth_sim_ros.ros.log import ThrottledLog
-from cloth_sim_ros.ros.shadow import Shadow
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, SetParameters, Target
 from cloth_sim_ros.simulation.simulation import Simulation
-from cloth_sim_ros.verify.shadow import judge
+from cloth_sim_ros.verify.accuracy_worker import assess_window
 
 SMALL = {"cloth.resolution": [5, 5], "cloth.size": [0.4, 0.4], "rate": 30.0, "material.stretch_modulus": 100.0,
          "tolerance": 1e-4}  # fmt: skip
-MODULE = "cloth_sim_ros.verify.shadow"
+MODULE = "cloth_sim_ros.verify.accuracy_worker"
 
 
 @pytest.fixture
-def shadow() -> Iterator[Shadow]:
-    shadow = Shadow()
-    yield shadow
-    shadow.close()
+def monitor() -> Iterator[AccuracyMonitor]:
+    monitor = AccuracyMonitor()
+    yield monitor
+    monitor.close()
 
 
-def _frame(shadow: Shadow, simulation: Simulation, events: list[Event] | None = None) -> None:
-    shadow.before_frame(simulation)
-    shadow.after_frame(simulation, simulation.advance(events or []))
+def _frame(monitor: AccuracyMonitor, simulation: Simulation, events: list[Event] | None = None) -> None:
+    monitor.before_frame(simulation)
+    monitor.after_frame(simulation, simulation.advance(events or []))
 
 
 def _shadows_of(pid: int) -> list[psutil.Process]:
@@ -62,34 +62,34 @@ def _script(simulation: Simulation) -> list[list[Event]]:
     return script
 
 
-def test_accuracy_diagnostics_match_the_windows(shadow: Shadow, wait_until: Callable[..., Any]) -> None:
+def test_accuracy_diagnostics_match_the_windows(monitor: AccuracyMonitor, wait_until: Callable[..., Any]) -> None:
     simulation = Simulation(Scene.from_parameters(SMALL))
-    assert shadow.describe(0.0)["accuracy"] == "starting"
+    assert monitor.describe(0.0)["accuracy"] == "starting"
     start, ends, moved = simulation.state.copy(), [], 0
     script = _script(simulation)
     for k, events in enumerate(script):
         if moved == 30:
             # The second window waits for the verdict of the first, so that none is skipped.
-            wait_until(lambda: shadow.describe(0.0)["accuracy_windows"] == "1", what="the first window")
+            wait_until(lambda: monitor.describe(0.0)["accuracy_windows"] == "1", description="the first window")
             ends.append((k, simulation.state.copy()))
         before = simulation.frame
-        _frame(shadow, simulation, events)
+        _frame(monitor, simulation, events)
         moved += simulation.frame - before
-    wait_until(lambda: shadow.describe(0.0)["accuracy_windows"] == "2", what="the second window")
+    wait_until(lambda: monitor.describe(0.0)["accuracy_windows"] == "2", description="the second window")
     ((length, end),) = ends
-    first = judge(Scene.from_parameters(SMALL), start, script[:length], end.digest())
+    first = assess_window(Scene.from_parameters(SMALL), start, script[:length], end.digest())
     assert first["verdict"] == "kept"
     assert 0.0 < first["own"] < 0.01 * first["error"]
-    told = shadow.describe(simulation.time)
-    assert told["accuracy"] == "running"
-    assert told["accuracy_window_s"] == "1.000 to 2.000"
-    assert told["accuracy_windows_left_out"] == "0"
-    assert 0.0 < float(told["accuracy_error_m"]) < 1e-4
-    assert float(told["accuracy_behind_s"]) == pytest.approx(simulation.time - 2.0, abs=1e-3)
-    assert shadow.complaints() == []
+    entries = monitor.describe(simulation.time)
+    assert entries["accuracy"] == "running"
+    assert entries["accuracy_window_s"] == "1.000 to 2.000"
+    assert entries["accuracy_windows_left_out"] == "0"
+    assert 0.0 < float(entries["accuracy_error_m"]) < 1e-4
+    assert float(entries["accuracy_behind_s"]) == pytest.approx(simulation.time - 2.0, abs=1e-3)
+    assert monitor.take_warnings() == []
     page = (Path(__file__).resolve().parents[2] / "docs" / "ros.md").read_text()
     rows = [line.split("|") for line in page.split("### Accuracy\n")[1].split("\n## ")[0].splitlines()]
-    assert set(told) == {name for row in rows if len(row) > 2 for name in re.findall(r"`(\w+)`", row[1])}
+    assert set(entries) == {name for row in rows if len(row) > 2 for name in re.findall(r"`(\w+)`", row[1])}
 
 
 def test_verdict_equals_certificate_of_the_window() -> None:
@@ -98,11 +98,11 @@ def test_verdict_equals_certificate_of_the_window() -> None:
     start = State.from_bytes(simulation.state.to_bytes())
     for _ in range(30):
         simulation.advance([])
-    told = judge(scene, start, [()] * 30, simulation.state.digest())
-    assert told["verdict"] == "kept"
-    assert (told["start"], told["end"]) == (0.0, pytest.approx(1.0))
+    verdict = assess_window(scene, start, [()] * 30, simulation.state.digest())
+    assert verdict["verdict"] == "kept"
+    assert (verdict["start"], verdict["end"]) == (0.0, pytest.approx(1.0))
     # If the worker's run does not end in the state of the simulation, there is no verdict.
-    assert "otherwise" in judge(scene, start, [()] * 30, "0" * 32)["trouble"]
+    assert "otherwise" in assess_window(scene, start, [()] * 30, "0" * 32)["trouble"]
 
 
 def test_amplification_is_computed_above_tolerance_only(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -117,41 +117,42 @@ def test_amplification_is_computed_above_tolerance_only(monkeypatch: pytest.Monk
     start = simulation.state.copy()
     for _ in range(30):
         simulation.advance([])
-    told = judge(scene, start, [()] * 30, simulation.state.digest())
-    assert told["verdict"] == "not kept"
-    assert told["allowed"] > 1e-7
-    assert told["error"] > told["allowed"]
+    verdict = assess_window(scene, start, [()] * 30, simulation.state.digest())
+    assert verdict["verdict"] == "not kept"
+    assert verdict["allowed"] > 1e-7
+    assert verdict["error"] > verdict["allowed"]
 
 
-def test_whole_windows_are_skipped_when_worker_lags(shadow: Shadow, wait_until: Callable[..., Any]) -> None:
-    (child,) = wait_until(lambda: _shadows_of(os.getpid()), what="the process")
+def test_whole_windows_are_skipped_when_worker_lags(monitor: AccuracyMonitor, wait_until: Callable[..., Any]) -> None:
+    (child,) = wait_until(lambda: _shadows_of(os.getpid()), description="the process")
     child.send_signal(signal.SIGSTOP)
     simulation = Simulation(Scene.from_parameters(SMALL))
     # None of these calls may wait, or the test would never end.
     for _ in range(30 * 8):
-        _frame(shadow, simulation)
-    assert int(shadow.describe(simulation.time)["accuracy_windows_left_out"]) >= 5
+        _frame(monitor, simulation)
+    assert int(monitor.describe(simulation.time)["accuracy_windows_left_out"]) >= 5
     child.send_signal(signal.SIGCONT)
-    wait_until(lambda: shadow.describe(simulation.time)["accuracy"] == "running", what="an answer")
+    wait_until(lambda: monitor.describe(simulation.time)["accuracy"] == "running", description="an answer")
     # The newest window waited.
     wait_until(
-        lambda: shadow.describe(simulation.time).get("accuracy_window_s") == "7.000 to 8.000", what="the newest window"
+        lambda: monitor.describe(simulation.time).get("accuracy_window_s") == "7.000 to 8.000",
+        description="the newest window",
     )
-    assert shadow.describe(simulation.time)["accuracy_behind_s"] == "0.000"
-    assert shadow.complaints() == []
+    assert monitor.describe(simulation.time)["accuracy_behind_s"] == "0.000"
+    assert monitor.take_warnings() == []
     child.send_signal(signal.SIGSTOP)
-    shadow.close()
-    wait_until(lambda: not psutil.pid_exists(child.pid), what="its end")
+    monitor.close()
+    wait_until(lambda: not psutil.pid_exists(child.pid), description="its end")
 
 
 def test_accuracy_off_loads_and_starts_nothing(ros_domain: int, start_process: Callable[..., Any]) -> None:
     script = (
         "import atexit, sys\n"
         "from cloth_sim_ros.ros.main import main\n"
-        "def tell():\n"
-        "    extra = [n for n in sys.modules if n.startswith('cloth_sim_ros.verify') or n.endswith('ros.shadow')]\n"
+        "def report():\n"
+        "    extra = [n for n in sys.modules if n.startswith('cloth_sim_ros.verify') or n.endswith('ros.accuracy_monitor')]\n"
         "    print('LOADED', extra, flush=True)\n"
-        "atexit.register(tell)\n"
+        "atexit.register(report)\n"
         "sys.exit(main())\n"
     )
     process = start_process([sys.executable, "-c", script])
@@ -160,10 +161,10 @@ def test_accuracy_off_loads_and_starts_nothing(ros_domain: int, start_process: C
     assert process.interrupt() == 0
     assert "LOADED []" in process.output
     simulation = Simulation(Scene.from_parameters(SMALL))
-    accuracy = Accuracy(simulation, ThrottledLog(None))
+    accuracy = AccuracySwitch(simulation, ThrottledLog(None))
     accuracy.before_frame()
     accuracy.after_frame(simulation.advance([]))
-    accuracy.follow()
+    accuracy.update()
     assert accuracy.describe() == {"accuracy": "off"}
 
 
@@ -192,28 +193,28 @@ def _set_accuracy(client: Client, on: bool) -> None:
 def test_node_reports_error_and_survives_worker_death(client: Client, start_process: Callable[..., Any]) -> None:
     latest = _listen(client)
     process = start_cloth(start_process, *PARAMETERS, "diagnostics.accuracy:=true")
-    client.spin_until(lambda: latest().get("accuracy_verdict") == "kept", what="a window that is judged")
+    client.spin_until(lambda: latest().get("accuracy_verdict") == "kept", description="a window that is judged")
     assert 0.0 < float(latest()["accuracy_error_m"]) < float(latest()["accuracy_allowed_m"])
     assert float(latest()["accuracy_behind_s"]) >= 0.0
     (child,) = _shadows_of(process.pid)
     child.send_signal(signal.SIGKILL)
-    client.spin_until(lambda: "ended by itself (status -9)" in latest().get("accuracy", ""), what="its end told")
+    client.spin_until(lambda: "ended by itself (status -9)" in latest().get("accuracy", ""), description="its end told")
     frame = int(latest()["frame"])
-    client.spin_until(lambda: int(latest()["frame"]) > frame, what="further frames")
+    client.spin_until(lambda: int(latest()["frame"]) > frame, description="further frames")
     _set_accuracy(client, False)
-    client.spin_until(lambda: latest()["accuracy"] == "off", what="off")
+    client.spin_until(lambda: latest()["accuracy"] == "off", description="off")
     _set_accuracy(client, True)
-    client.spin_until(lambda: latest()["accuracy"] == "running", what="another one")
+    client.spin_until(lambda: latest()["accuracy"] == "running", description="another one")
     (child,) = _shadows_of(process.pid)
     assert process.interrupt() == 0
     assert "Traceback" not in process.output
-    client.spin_until(lambda: not psutil.pid_exists(child.pid), what="its end with the node")
+    client.spin_until(lambda: not psutil.pid_exists(child.pid), description="its end with the node")
 
 
 def test_worker_ends_when_node_is_killed(client: Client, start_process: Callable[..., Any]) -> None:
     latest = _listen(client)
     process = start_cloth(start_process, *PARAMETERS, "diagnostics.accuracy:=true")
-    client.spin_until(lambda: "accuracy_verdict" in latest(), what="a window that is judged")
+    client.spin_until(lambda: "accuracy_verdict" in latest(), description="a window that is judged")
     (child,) = _shadows_of(process.pid)
     os.kill(process.pid, signal.SIGKILL)
-    client.spin_until(lambda: not child.is_running() or child.status() == psutil.STATUS_ZOMBIE, what="its end")
+    client.spin_until(lambda: not child.is_running() or child.status() == psutil.STATUS_ZOMBIE, description="its end")

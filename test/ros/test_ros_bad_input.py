@@ -21,7 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 from support.ros_client import Client, pose, positions, start_cloth
 
 from cloth_sim_ros import Scene, Simulation
-from cloth_sim_ros.ros.outputs import LATCHED
+from cloth_sim_ros.ros.outputs import LATCHED_QOS
 
 TARGET = "/cloth_sim/gripper/target"
 
@@ -121,7 +121,7 @@ def test_gripper_waits_for_the_node_and_not_for_its_middleware(
         gripper = start_process(["-m", "cloth_sim_ros.ros.gripper_main", "--wait", "6.0"])
         gripper.wait_for_output("waiting for")
         # A latched message reaches the gripper although the node does not spin.
-        said = idle.node.create_publisher(DiagnosticStatus, "/cloth_sim/gripper/state", LATCHED)
+        said = idle.node.create_publisher(DiagnosticStatus, "/cloth_sim/gripper/state", LATCHED_QOS)
         said.publish(DiagnosticStatus(values=[KeyValue(key="closed", value="false")]))
         assert gripper.wait() == 1
     assert "/cloth_sim serves the gripper 'gripper', but does not say that it is open" in gripper.output
@@ -170,7 +170,7 @@ def test_running_node_refuses_with_reasons_and_goes_on(
 
 
 def check_commands(client: Client, process: Any) -> None:
-    def ahead() -> int:
+    def far_future() -> int:
         return client.node.get_clock().now().nanoseconds + 5_000_000_000
 
     target = client.publisher(PoseStamped, TARGET)
@@ -182,17 +182,17 @@ def check_commands(client: Client, process: Any) -> None:
         (lambda: target.publish(pose(0.0, 0.0, 1e9)), "no coordinate may be beyond 10000 m"),
         (lambda: target.publish(pose(0.0, 0.0, 0.0, w=0.0)), "is no quaternion"),
         (lambda: target.publish(pose(0.0, 0.0, 0.0, frame_id="base")), "'base' is not the cloth's frame 'world'"),
-        (lambda: target.publish(pose(0.0, 0.0, 0.0, stamp=ahead())), "at most 1 s can wait"),
+        (lambda: target.publish(pose(0.0, 0.0, 0.0, stamp=far_future())), "at most 1 s can wait"),
         (lambda: target.publish(serialize_message(pose(0.0, 0.0, 0.0))[:20]), "20 bytes are no PoseStamped"),
         (lambda: client.publisher(PointStamped, "/cloth_sim/gripper/point").publish(point), "point of 'gripper' is"),
         (lambda: grasp.publish(b"\x00\x01\x00\x00"), "4 bytes are no Bool"),
     ):
         # Each kind is logged at most once a second.
-        def told(send: Callable[[], None] = send, message: str = message) -> bool:
+        def is_logged(send: Callable[[], None] = send, message: str = message) -> bool:
             send()
             return message in process.output
 
-        client.spin_until(told, what=f"'{message}' in the log")
+        client.spin_until(is_logged, description=f"'{message}' in the log")
 
 
 def check_parameters(client: Client) -> None:

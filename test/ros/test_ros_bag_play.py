@@ -29,7 +29,7 @@ COMMANDS = ("/cloth_sim/gripper/target", "/cloth_sim/gripper/grasp")
 CLOTH = {"cloth.resolution": [6, 7]}
 CORNER = 41
 #: Time [s] and position [m] of the gripper: to the corner, up and away, then at rest.
-WAY = ((0.0, (0.6, -0.2, 0.4)), (0.3, (0.5, 0.0, 0.5)), (0.5, (0.5, 0.0, 0.5)), (1.2, (0.3, -0.3, 0.9)))
+WAYPOINTS = ((0.0, (0.6, -0.2, 0.4)), (0.3, (0.5, 0.0, 0.5)), (0.5, (0.5, 0.0, 0.5)), (1.2, (0.3, -0.3, 0.9)))
 CLOSED_AT, END, PACE = 0.4, 1.5, 0.01
 
 
@@ -39,7 +39,7 @@ class Run:
 
     path: Path
     held: list[int]
-    place: np.ndarray
+    position: np.ndarray
     corner: np.ndarray
 
 
@@ -61,13 +61,13 @@ def cloth_node(client: Client, folder: Path, **parameters: Any) -> ClothNode:
 def end(client: Client, cloth: ClothNode) -> Run:
     """Wait until the gripper has reached its last target, stop the node, and return the result."""
     client.spin_until(
-        lambda: np.allclose(cloth.simulation.grippers.poses()[0, :3], WAY[-1][1], atol=1e-9),
-        what="the gripper at its last target",
+        lambda: np.allclose(cloth.simulation.grippers.poses()[0, :3], WAYPOINTS[-1][1], atol=1e-9),
+        description="the gripper at its last target",
     )
     run = Run(
         path=Path(cloth._recording.status().path),  # type: ignore[union-attr]
-        held=cloth.simulation.grippers.held(0).tolist(),
-        place=cloth.simulation.grippers.poses()[0],
+        held=cloth.simulation.grippers.grasped_particles(0).tolist(),
+        position=cloth.simulation.grippers.poses()[0],
         corner=cloth.simulation.positions[CORNER],
     )
     client.executor.remove_node(cloth.node)
@@ -80,23 +80,23 @@ def grasp_live(client: Client, folder: Path) -> Run:
     """Grasp the corner of a live cloth as a robot would, and record a session."""
     cloth = cloth_node(client, folder)
     target, grasp = client.publisher(type(pose(0, 0, 0)), COMMANDS[0]), client.publisher(Bool, COMMANDS[1])
-    times, places = zip(*WAY, strict=True)
+    times, places = zip(*WAYPOINTS, strict=True)
     begun, closed, sent = time.monotonic(), False, 0
     while (elapsed := time.monotonic() - begun) < END:
         client.executor.spin_once(timeout_sec=0.002)
         if elapsed < sent * PACE:
             continue
-        where = [float(np.interp(elapsed, times, [place[i] for place in places])) for i in range(3)]
+        where = [float(np.interp(elapsed, times, [waypoint[i] for waypoint in places])) for i in range(3)]
         target.publish(pose(*where, stamp=client.node.get_clock().now().nanoseconds))
         if elapsed > CLOSED_AT and not closed:
             grasp.publish(Bool(data=True))
             closed = True
         sent += 1
-    target.publish(pose(*WAY[-1][1], stamp=client.node.get_clock().now().nanoseconds))
+    target.publish(pose(*WAYPOINTS[-1][1], stamp=client.node.get_clock().now().nanoseconds))
     client.executor.spin_once(timeout_sec=0.05)
     run = end(client, cloth)
     assert run.held == [CORNER]
-    assert np.linalg.norm(run.corner - WAY[-1][1]) < 0.02
+    assert np.linalg.norm(run.corner - WAYPOINTS[-1][1]) < 0.02
     return run
 
 
@@ -154,7 +154,7 @@ def check_bag_play_with_its_clock_grasps_again(client: Client, live: Run, folder
 
 def check_same_grasp(live: Run, again: Run, sent: int) -> None:
     assert again.held == live.held
-    np.testing.assert_allclose(again.place, live.place, atol=1e-6)
+    np.testing.assert_allclose(again.position, live.position, atol=1e-6)
     np.testing.assert_allclose(again.corner, live.corner, atol=0.01)
     for topic in COMMANDS:
         first, second = (list(commands_in(run.path, topic)) for run in (live, again))

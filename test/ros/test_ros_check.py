@@ -15,7 +15,7 @@ import pytest
 
 from cloth_sim_ros import Scene, Simulation
 from cloth_sim_ros.ros import main as node_main
-from cloth_sim_ros.ros.step_setters import in_words, step_setters
+from cloth_sim_ros.ros.step_limiters import describe_step_limiters, find_step_limiters
 from cloth_sim_ros.scene import parameter_file
 
 #: The environment of a machine without ROS.
@@ -181,16 +181,16 @@ def test_longest_topic_name_is_accepted(tmp_path: Path, capsys: pytest.CaptureFi
 def test_relative_file_names_resolve_as_in_the_node(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config, here = Path(__file__).parents[2] / "config", tmp_path / "here"
-    here.mkdir()
-    monkeypatch.chdir(here)
+    config, folder = Path(__file__).parents[2] / "config", tmp_path / "here"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
     assert check(str(config / "stack.yaml")) == 1
     assert capsys.readouterr().err.endswith(
-        f"; the node resolves relative names in its working directory, {here}: start it in {config}, or "
+        f"; the node resolves relative names in its working directory, {folder}: start it in {config}, or "
         f"give cloth.mesh as {config / 'stack.obj'}\n"
     )
     assert check(written(tmp_path, {"cloth.mesh": "nowhere.obj"})) == 1
-    assert capsys.readouterr().err.endswith(f" in its working directory, {here}: give the whole path\n")
+    assert capsys.readouterr().err.endswith(f" in its working directory, {folder}: give the whole path\n")
     # Another fault has no hint.
     assert check(written(tmp_path, {"cloth.mesh": "nowhere.obj", "rate": -1.0})) == 1
     assert "the node resolves" not in capsys.readouterr().err
@@ -214,29 +214,29 @@ def test_cost_of_few_short_edges_is_printed(tmp_path: Path, capsys: pytest.Captu
     assert "median of the mesh 50 mm" in said
     # Without the sliver no few particles limit the step, and the limit is larger by the printed ratio.
     simulation = Simulation(Scene.from_parameters(values))
-    found = step_setters(simulation.plan, simulation.state.x)
+    limiters = find_step_limiters(simulation.plan, simulation.state.x)
     whole = Simulation(Scene.from_parameters(values | {"cloth.mesh": sliver_mesh(tmp_path, moved=0.0)}))
-    without = step_setters(whole.plan, whole.state.x)
-    assert {220, 221} <= set(found.few) | {found.particle}
-    assert found.gain > 2.0
-    assert without.limit / found.limit == pytest.approx(found.gain, rel=0.25)
+    without = find_step_limiters(whole.plan, whole.state.x)
+    assert {220, 221} <= set(limiters.stiff_particles) | {limiters.particle}
+    assert limiters.gain > 2.0
+    assert without.limit / limiters.limit == pytest.approx(limiters.gain, rel=0.25)
     assert without.gain < 1.2
-    assert "no small group sets it" in in_words(without, whole.scene.sheet)[1]
+    assert "no small group sets it" in describe_step_limiters(without, whole.scene.sheet)[1]
 
 
 def test_step_limit_equals_that_of_the_plan() -> None:
     values = {"cloth.resolution": [9, 9], "material.damping": 0.0, "wind.normal_drag": 0.0}
     simulation = Simulation(Scene.from_parameters(values))
-    found = step_setters(simulation.plan, simulation.state.x)
-    omega2, _ = simulation.plan.rates(simulation.state.x)
-    assert found.limit == pytest.approx(2.0 / np.sqrt(omega2), rel=1e-3)
+    limiters = find_step_limiters(simulation.plan, simulation.state.x)
+    omega2, _ = simulation.plan.spectral_bounds(simulation.state.x)
+    assert limiters.limit == pytest.approx(2.0 / np.sqrt(omega2), rel=1e-3)
 
 
 def test_without_springs_nothing_bounds_the_step() -> None:
     anchored = [str(k) for k in range(4)]
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": [2, 2], "cloth.anchors": anchored}))
-    found = step_setters(simulation.plan, simulation.state.x)
-    assert in_words(found, simulation.scene.sheet) == ["nothing bounds the step by its stability"]
+    limiters = find_step_limiters(simulation.plan, simulation.state.x)
+    assert describe_step_limiters(limiters, simulation.scene.sheet) == ["nothing bounds the step by its stability"]
 
 
 def test_check_prints_obstacles_and_gaps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,7 +14,7 @@ from std_srvs.srv import SetBool
 from support.ros_client import Client, pose, positions, stamp_of, start_cloth
 
 from cloth_sim_ros import Scene, Simulation
-from cloth_sim_ros.ros.services import PATIENCE
+from cloth_sim_ros.ros.services import FRAME_TIMEOUT
 
 SECOND = 1_000_000_000
 
@@ -31,7 +31,9 @@ class ClockedClient(Client):
         """Set the time, and wait for the last cloud due at it."""
         last = int(seconds * 60.0 + 1e-6) * SECOND // 60
         self.set_time(seconds)
-        self.spin_until(lambda: self.clouds and stamp_of(self.clouds[-1]) == last, what=f"the cloud of {seconds} s")
+        self.spin_until(
+            lambda: self.clouds and stamp_of(self.clouds[-1]) == last, description=f"the cloud of {seconds} s"
+        )
 
 
 def test_the_cloth_follows_the_clock(ros_domain: int, start_process: Callable[..., Any]) -> None:
@@ -40,9 +42,9 @@ def test_the_cloth_follows_the_clock(ros_domain: int, start_process: Callable[..
         client.node.create_subscription(PoseStamped, "unused", lambda _: None, 1)
         client.publisher(Clock, "/clock")
         check_nothing_happens_without_a_clock(client)
-        check_frames_are_due_when_the_clock_reaches_them(client)
+        check_frame_stamps_follow_clock(client)
         check_it_stands_when_the_clock_stands(client)
-        check_a_jump_ahead_is_made_up_for_within_bounds(client, process)
+        check_jump_forward_is_caught_up(client, process)
         check_a_jump_back_resets(client, process)
     assert process.interrupt() == 0
     assert "Traceback" not in process.output
@@ -52,7 +54,7 @@ def check_nothing_happens_without_a_clock(client: ClockedClient) -> None:
     client.node.create_subscription(*cloud_subscription(client))
     answer = client.call(SetBool, "/cloth_sim/gripper/close", SetBool.Request(data=True))
     assert not answer.success
-    assert f"no frame was due within {PATIENCE:g} s: /clock stands still" in answer.message
+    assert f"no frame was due within {FRAME_TIMEOUT:g} s: /clock stands still" in answer.message
     assert client.clouds == []
 
 
@@ -62,13 +64,13 @@ def cloud_subscription(client: ClockedClient) -> tuple[Any, ...]:
     return PointCloud2, "/cloth_sim/points", client.clouds.append, 1000
 
 
-def check_frames_are_due_when_the_clock_reaches_them(client: ClockedClient) -> None:
+def check_frame_stamps_follow_clock(client: ClockedClient) -> None:
     # Even if /clock comes rarely, every frame is computed, with the stamp of its tick.
     client.advance_to(100.0)
     for seconds in (100.1, 100.11, 100.5, 101.0):
         client.advance_to(seconds)
     stamps = [stamp_of(cloud) for cloud in client.clouds]
-    assert stamps == [(6000 + number) * SECOND // 60 for number in range(61)]
+    assert stamps == [(6000 + index) * SECOND // 60 for index in range(61)]
     # They equal the frames of the simulation without ROS; the gripper closed on nothing in the first.
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": (10, 10)}))
     for cloud in client.clouds:
@@ -86,13 +88,13 @@ def check_it_stands_when_the_clock_stands(client: ClockedClient) -> None:
     assert len(client.clouds) == count
 
 
-def check_a_jump_ahead_is_made_up_for_within_bounds(client: ClockedClient, process: Any) -> None:
+def check_jump_forward_is_caught_up(client: ClockedClient, process: Any) -> None:
     count = len(client.clouds)
     client.advance_to(200.0)
     stamps = [stamp_of(cloud) for cloud in client.clouds[count:]]
     assert len(stamps) == 60
     assert stamps[0] == (12000 - 59) * SECOND // 60
-    assert "5880 frames left out" in process.output
+    assert "5880 frames skipped" in process.output
 
 
 def check_a_jump_back_resets(client: ClockedClient, process: Any) -> None:

@@ -66,15 +66,17 @@ def test_closed_nodes_leave_nothing_behind(
                 cloth.node.get_logger().info(f"node {attempt}")
                 return any(log.msg == f"node {attempt}" for log in logs)
 
-            client.spin_until(is_published, what=f"/rosout of node {attempt}")
-        client.spin_until(lambda: "cloth_sim" not in client.node.get_node_names(), what="its end in the graph")
+            client.spin_until(is_published, description=f"/rosout of node {attempt}")
+        client.spin_until(lambda: "cloth_sim" not in client.node.get_node_names(), description="its end in the graph")
         context.shutdown()
         del cloth, is_published
         if attempt == 0:
             before = count("fd"), count("task")
         most = before
         wait_until(
-            lambda most=most: count("fd") <= most[0] and count("task") <= most[1], limit=10.0, what="its descriptors"
+            lambda most=most: count("fd") <= most[0] and count("task") <= most[1],
+            limit=10.0,
+            description="its descriptors",
         )
 
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.kept_log import Log
+from support.line_log import LineLog
 
 from cloth_sim_ros import Grasp, Reset, Scene, SetParameters, Simulation, Target
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.ros.event_queue import MOST_WAITING, EventQueue, Outcome, QueueFullError
+from cloth_sim_ros.ros.event_queue import MAX_QUEUED_EVENTS, EventQueue, EventResult, QueueFullError
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.stamps import OldStampError, StampError, StampGate, checked
 from cloth_sim_ros.ros.stepper import Stepper
@@ -34,7 +34,7 @@ def test_stamps() -> None:
         gate.accept(NOW + SECOND + 6, NOW + 5)
     # After a second of silence an older stamp is accepted: a bag is played again.
     assert gate.accept(7, NOW + SECOND + 5) == 7
-    gate.forget()
+    gate.reset()
     assert gate.accept(3, NOW) == 3
 
 
@@ -44,30 +44,30 @@ def test_queue_returns_due_events() -> None:
     queue.put(late, stamp=20)
     queue.put(early, stamp=10)
     queue.put(Grasp("g", True))
-    assert [entry.event for entry in queue.take(9)] == [Grasp("g", True)]
-    assert [entry.event for entry in queue.take(25)] == [early, late]
-    assert queue.take(99) == []
+    assert [entry.event for entry in queue.pop_ready(9)] == [Grasp("g", True)]
+    assert [entry.event for entry in queue.pop_ready(25)] == [early, late]
+    assert queue.pop_ready(99) == []
 
 
 def test_queue_is_bounded() -> None:
     queue = EventQueue()
-    for number in range(MOST_WAITING + 10):
-        queue.put(Target("g", (float(number), 0, 0)))
-    assert len(queue) == MOST_WAITING
-    events = [entry.event for entry in queue.take(0)]
-    assert events[-1] == Target("g", (MOST_WAITING + 9.0, 0, 0))
-    for _ in range(MOST_WAITING):
+    for index in range(MAX_QUEUED_EVENTS + 10):
+        queue.put(Target("g", (float(index), 0, 0)))
+    assert len(queue) == MAX_QUEUED_EVENTS
+    events = [entry.event for entry in queue.pop_ready(0)]
+    assert events[-1] == Target("g", (MAX_QUEUED_EVENTS + 9.0, 0, 0))
+    for _ in range(MAX_QUEUED_EVENTS):
         queue.put(Grasp("g", True))
     with pytest.raises(QueueFullError):
         queue.put(Reset())
 
 
 def test_log_is_throttled_by_kind_and_counts_omissions() -> None:
-    log, now = Log(), [0.0]
+    log, now = LineLog(), [0.0]
     throttled = ThrottledLog(log, seconds=1.0, clock=lambda: now[0])
-    for number in range(100):
-        now[0] = number * 0.015
-        throttled.warn("a", f"a{number}")
+    for index in range(100):
+        now[0] = index * 0.015
+        throttled.warn("a", f"a{index}")
     throttled.warn("b", "b")
     assert log.lines == ["a0", "a67 (66 more of this kind since the last message)", "b"]
 
@@ -76,12 +76,15 @@ def test_queued_grasps_are_answered_after_their_frame() -> None:
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": (5, 5)}))
     queue = EventQueue()
     stepper = Stepper(simulation, queue)
-    told: list[Outcome] = []
-    queue.put(Grasp("gripper", True), answer=told.append)
+    results: list[EventResult] = []
+    queue.put(Grasp("gripper", True), answer=results.append)
     queue.put(Target("gripper", (0.5, 0.0, 0.5)))
-    queue.put(Grasp("gripper", False), answer=told.append)
+    queue.put(Grasp("gripper", False), answer=results.append)
     stepper.step(0)
-    assert [(outcome.grasp.closed, outcome.grasp.held) for outcome in told if outcome.grasp] == [(True, 1), (False, 0)]
+    assert [(outcome.grasp.closed, outcome.grasp.grasped_count) for outcome in results if outcome.grasp] == [
+        (True, 1),
+        (False, 0),
+    ]
 
 
 def test_unstable_motion_stops_time_and_keeps_the_commands(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -94,7 +97,7 @@ def test_unstable_motion_stops_time_and_keeps_the_commands(monkeypatch: pytest.M
         raise UnstableError("the motion became non-finite")
 
     with monkeypatch.context() as patch:
-        patch.setattr(simulation, "_move", fail)
+        patch.setattr(simulation, "_advance_time", fail)
         queue.put(Target("gripper", (0.5, 0.0, 0.5)))
         frame = stepper.step(0)
     assert not frame.moved
@@ -109,29 +112,29 @@ def test_stopped_time_is_answered_with_the_reason(monkeypatch: pytest.MonkeyPatc
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": (5, 5)}))
     queue = EventQueue()
     stepper = Stepper(simulation, queue)
-    told: list[Outcome] = []
+    results: list[EventResult] = []
 
     def fail(*_: Any) -> None:
         raise UnstableError("the motion became non-finite")
 
     with monkeypatch.context() as patch:
-        patch.setattr(simulation, "_move", fail)
+        patch.setattr(simulation, "_advance_time", fail)
         stepper.step(0)
         # The node must survive any number of such requests.
         for _ in range(2):
-            queue.put(event, answer=told.append)
-            queue.put(Grasp("gripper", True), answer=told.append)
+            queue.put(event, answer=results.append)
+            queue.put(Grasp("gripper", True), answer=results.append)
             frame = stepper.step(0)
             assert not frame.moved
             assert simulation.paused
             assert stepper.trouble == "the motion became non-finite"
-    reasons = [(outcome.frame is None, outcome.reason) for outcome in told if outcome.grasp is None]
+    reasons = [(outcome.frame is None, outcome.reason) for outcome in results if outcome.grasp is None]
     assert reasons == [(True, "time is stopped: the motion became non-finite")] * 2
-    assert sum(outcome.grasp is not None for outcome in told) == 2
-    queue.put(event, answer=told.append)
+    assert sum(outcome.grasp is not None for outcome in results) == 2
+    queue.put(event, answer=results.append)
     assert stepper.step(0).moved
     assert stepper.trouble == ""
-    assert told[-1].frame is not None
+    assert results[-1].frame is not None
 
 
 def test_refused_parameters_leave_other_events_in_effect() -> None:
@@ -151,14 +154,14 @@ def test_bad_parameters_and_unstable_motion_in_one_frame(monkeypatch: pytest.Mon
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": (5, 5)}))
     queue = EventQueue()
     stepper = Stepper(simulation, queue)
-    move = simulation._move
+    move = simulation._advance_time
 
     def fail() -> Any:
         if simulation.scene.step:
             return move()
         raise UnstableError("the motion became non-finite")
 
-    monkeypatch.setattr(simulation, "_move", fail)
+    monkeypatch.setattr(simulation, "_advance_time", fail)
     queue.put(SetParameters({"step": 0.5}))
     assert not stepper.step(0).moved
     assert "stability limit" in stepper.refused_parameters

@@ -59,7 +59,7 @@ def test_start_within_thickness_is_reported_and_calm(client: Client) -> None:
     lines = logged(client)
     with ClockedCloth(client, lying(0.001, **{"contact.thickness": 0.003})) as cloth:
         lift = 0.003 - 0.001 / START_GAP
-        client.spin_until(lambda: any("closer than" in line for line in lines), what="the warning")
+        client.spin_until(lambda: any("closer than" in line for line in lines), description="the warning")
         (line,) = [line for line in lines if "closer than" in line]
         assert line == (
             "the cloth starts closer than contact.thickness to 'table': 42 particles; contact begins thinner there and "
@@ -76,7 +76,7 @@ def test_raised_thickness_is_reported_and_calm(client: Client) -> None:
         result = cloth.node.node.set_parameters_atomically([Parameter("contact.thickness", value=0.01)])
         assert result.successful
         assert fastest(cloth, 0.01) < 0.1
-        client.spin_until(lambda: any("closer than" in line for line in lines), what="the warning")
+        client.spin_until(lambda: any("closer than" in line for line in lines), description="the warning")
         assert "the cloth is closer than contact.thickness to 'table': 42 particles" in "\n".join(lines)
 
 

@@ -22,7 +22,7 @@ from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client, pose
 
 from cloth_sim_ros.physics.integrators.symplectic_euler import SymplecticEuler
-from cloth_sim_ros.ros.failure import RAISE
+from cloth_sim_ros.ros.failure import RAISE_VARIABLE
 from cloth_sim_ros.ros.node import ClothNode
 from cloth_sim_ros.ros.outputs import Outputs
 from cloth_sim_ros.ros.states import States
@@ -49,7 +49,7 @@ PLACES = {
 
 @pytest.fixture(autouse=True)
 def _failures_are_not_raised(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(RAISE)
+    monkeypatch.delenv(RAISE_VARIABLE)
 
 
 @pytest.fixture
@@ -73,20 +73,22 @@ class Witness:
         return self.states[-1].label if self.states else ""
 
     def wait_for_label(self, start: str) -> str:
-        self.client.spin_until(lambda: self.label.startswith(start), what=f"the state '{start}', not '{self.label}'")
+        self.client.spin_until(
+            lambda: self.label.startswith(start), description=f"the state '{start}', not '{self.label}'"
+        )
         return self.label
 
     def wait_for_report(self, level: bytes, text: str) -> None:
         self.client.spin_until(
             lambda: self.reports and (self.reports[-1].level, self.reports[-1].message) == (level, text),
-            what=f"diagnostics '{text}'",
+            description=f"diagnostics '{text}'",
         )
 
 
 @contextlib.contextmanager
 def running(client: Client, concurrent: bool = False, **values: Any) -> Iterator[ClothNode]:
     overrides = [Parameter(name, value=value) for name, value in (SMALL | values).items()]
-    cloth = ClothNode(context=client.context, parameter_overrides=overrides, stopped=str if concurrent else None)
+    cloth = ClothNode(context=client.context, parameter_overrides=overrides, signal_name=str if concurrent else None)
     client.executor.add_node(cloth.node)
     cloth.warm_up()
     cloth.start()
@@ -134,7 +136,7 @@ def test_exception_in_a_frame_is_a_state_left_by_reset(
             witness.wait_for_label("active")
             client.wait_for_clouds(1)
             sessions = attempt + 2
-            client.spin_until(lambda n=sessions: len(list(tmp_path.glob("*.mcap"))) == n, what="a new recording")
+            client.spin_until(lambda n=sessions: len(list(tmp_path.glob("*.mcap"))) == n, description="a new recording")
         witness.wait_for_report(DiagnosticStatus.OK, "running")
     said = capfd.readouterr().err
     assert said.count(f"failed: {REASON}; time is stopped at frame") == 2
@@ -153,7 +155,7 @@ def check_it_is_reported(client: Client, witness: Witness, cloth: ClothNode, fol
     """Check reports, answers, the state of the last good frame, and that no clouds are published."""
     assert witness.states[-1].id == State.TRANSITION_STATE_ERRORPROCESSING
     witness.wait_for_report(DiagnosticStatus.ERROR, f"failed: {REASON}")
-    client.spin_until(lambda: not cloth._recording.busy, what="the end of the recording")
+    client.spin_until(lambda: not cloth._recording.busy, description="the end of the recording")
     newest = max(folder.glob("*.mcap"), key=lambda path: path.stat().st_mtime_ns)
     with SessionReader(newest, strict=True) as reader:
         *_, record = reader.frames()
@@ -179,7 +181,7 @@ def test_parameters_of_a_failed_frame_are_set_back(client: Client, monkeypatch: 
         monkeypatch.setattr(Outputs, "send", broken)
         cloth.node.set_parameters([Parameter("gravity", value=[0.0, 0.0, -1.0])])
         witness.wait_for_label("failed")
-        client.spin_until(lambda: cloth.node.get_parameter("gravity").value[2] == -9.81, what="the old gravity")
+        client.spin_until(lambda: cloth.node.get_parameter("gravity").value[2] == -9.81, description="the old gravity")
         assert cloth.simulation.scene.gravity[2] == -9.81
         monkeypatch.undo()
         # A parameter may be set while failed; it takes effect with the reset.
@@ -196,7 +198,7 @@ def test_exception_without_motion_is_a_failure_too(client: Client, monkeypatch: 
         if kind == "paused":
             assert client.call(SetBool, "/cloth_sim/pause", SetBool.Request(data=True)).success
         else:
-            client.spin_until(lambda: cloth.simulation.sleeps_on, what="sleep")
+            client.spin_until(lambda: cloth.simulation.will_stay_asleep, description="sleep")
         with monkeypatch.context() as patch:
             patch.setattr(Outputs, "send", broken)
             witness.wait_for_label("failed")
@@ -217,11 +219,11 @@ def test_waiting_requests_are_answered_when_a_frame_fails(client: Client, monkey
             (SetBool, "gripper/close", SetBool.Request(data=True)),
         ):
             caller = client.node.create_client(kind, f"/cloth_sim/{name}")
-            client.spin_until(caller.service_is_ready, what=name)
+            client.spin_until(caller.service_is_ready, description=name)
             requests.append(caller.call_async(request))
-        client.spin_until(lambda: len(cloth.node._queue) == 3, what="three requests that wait")
+        client.spin_until(lambda: len(cloth.node._queue) == 3, description="three requests that wait")
         cloth.publish_clock(cloth.now)
-        client.spin_until(lambda: all(request.done() for request in requests), what="answers", limit=4.0)
+        client.spin_until(lambda: all(request.done() for request in requests), description="answers", limit=4.0)
         assert {request.result().message for request in requests} == {f"failed: {REASON}; call ~/reset"}
         assert cloth.simulation.frame == 2
 
@@ -235,7 +237,7 @@ def test_jump_back_of_the_clock_recovers(client: Client, monkeypatch: pytest.Mon
             cloth.publish_clock(cloth.now)
             witness.wait_for_label("failed")
         cloth.publish_clock(10_000_000_000)
-        client.spin_until(lambda: cloth.simulation.frame == 3, what="a frame")
+        client.spin_until(lambda: cloth.simulation.frame == 3, description="a frame")
         witness.wait_for_label("active")
 
 
@@ -278,7 +280,7 @@ def test_on_failure_says_whether_the_node_ends(
 ) -> None:
     values = [f"on_failure:={on_failure}", "cloth.resolution:=[5, 5]", "record.enabled:=true"]
     arguments = [part for value in (*values, f"record.folder:={tmp_path}") for part in ("-p", value)]
-    process = start_process([sys.executable, "-c", BROKEN, "--ros-args", *arguments], env={RAISE: ""})
+    process = start_process([sys.executable, "-c", BROKEN, "--ros-args", *arguments], env={RAISE_VARIABLE: ""})
     process.wait_for_output(f"failed: {REASON}; time is stopped at frame")
     if on_failure == "stop":
         process.send_signal(signal.SIGTERM)

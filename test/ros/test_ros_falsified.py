@@ -56,10 +56,12 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 def call(cloth: ClockedCloth, kind: Any, name: str, request: Any = None) -> None:
     """Call a service that takes effect with the next frame."""
     answer = cloth.client.node.create_client(kind, f"/cloth_sim/{name}")
-    cloth.client.spin_until(answer.service_is_ready, what=name)
+    cloth.client.spin_until(answer.service_is_ready, description=name)
     future = answer.call_async(request or kind.Request())
     waiting = len(cloth.node._queue)
-    cloth.client.spin_until(lambda: len(cloth.node._queue) > waiting or future.done(), what=f"{name} to be taken")
+    cloth.client.spin_until(
+        lambda: len(cloth.node._queue) > waiting or future.done(), description=f"{name} to be taken"
+    )
 
 
 def change(cloth: ClockedCloth, **values: Any) -> None:
@@ -95,8 +97,8 @@ def act(cloth: ClockedCloth) -> None:
     cloth.tick(5)
     call(cloth, SetBool, "pause", SetBool.Request(data=True))
     cloth.publish_clock(cloth.now)
-    cloth._number += 1
-    cloth.client.spin_until(lambda: cloth.simulation.paused, what="the pause")
+    cloth._tick_index += 1
+    cloth.client.spin_until(lambda: cloth.simulation.paused, description="the pause")
     call(cloth, Trigger, "step")
     cloth.tick()
     call(cloth, SetBool, "pause", SetBool.Request(data=False))
@@ -131,16 +133,16 @@ def test_every_message_of_a_node_is_compared_or_listed(session: Path) -> None:
     kinds = ("cloud", "wrench", "topology", "gripper state", "state", "marker message", "command")
     assert all(verdict.compared[kind] for kind in (*kinds, "diagnostics message"))
     with SessionReader(session) as reader:
-        told: dict[str, int] = {}
+        counts: dict[str, int] = {}
         for message in reader.messages():
-            told[message.topic] = told.get(message.topic, 0) + 1
-    commands = sum(count for topic, count in told.items() if topic.endswith(("/target", "/grasp", "/point")))
+            counts[message.topic] = counts.get(message.topic, 0) + 1
+    commands = sum(count for topic, count in counts.items() if topic.endswith(("/target", "/grasp", "/point")))
     left = sum(count for (topic, _), count in verdict.not_compared.items() if topic.endswith(("/target", "/grasp")))
     assert verdict.compared["command"] + left == commands
-    assert verdict.clouds == told["/cloth_sim/points"] == told["/cloth_sim/frame"] == verdict.frames
-    assert verdict.compared["marker message"] == told["/cloth_sim/obstacles"]
+    assert verdict.clouds == counts["/cloth_sim/points"] == counts["/cloth_sim/frame"] == verdict.frames
+    assert verdict.compared["marker message"] == counts["/cloth_sim/obstacles"]
     # The states inactive (until /clock has come) and finalized depend on the node's clock and end.
-    assert verdict.compared["state"] == told["/cloth_sim/state"] - 2
+    assert verdict.compared["state"] == counts["/cloth_sim/state"] - 2
 
 
 @pytest.mark.parametrize("corruption", WAYS)
@@ -195,7 +197,7 @@ def test_recording_of_a_clock_that_goes_back_comes_out_the_same(ros_domain: int,
             act(cloth)
             cloth.target("left", CORNER)
             cloth.grasp("left", True)
-            cloth._number -= back
+            cloth._tick_index -= back
             cloth.tick()
         act(cloth)
     (path,) = tmp_path.glob("*.mcap")
@@ -208,7 +210,7 @@ def test_split_recording_comes_out_the_same(ros_domain: int, tmp_path: Path) -> 
         act(cloth)
         recorder = cloth.node._recording._recorder
         assert recorder is not None
-        client.spin_until(lambda: recorder.wants_split, what="the file to be large enough")
+        client.spin_until(lambda: recorder.wants_split, description="the file to be large enough")
         act(cloth)
     paths = sorted(tmp_path.glob("*.mcap"))
     assert len(paths) > 1

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.kept_log import Log
+from support.line_log import LineLog
 
 from cloth_sim_ros import Grasp, Scene, Simulation, Target
-from cloth_sim_ros.ros.companions import Companions
-from cloth_sim_ros.ros.frames import FrameError, FrameTransformer
 from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.tf_follower import TfFollower
+from cloth_sim_ros.ros.tf_frames import FrameError, FrameTransformer
 from cloth_sim_ros.simulation.events import Move
 
 SECOND = 1_000_000_000
@@ -44,14 +44,14 @@ NEWEST = 5 * SECOND + 7
 
 def stub_tf2(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, int]]:
     """A tf2_ros with one transform: base is rotated by 90 degrees about z, at x = 1 m."""
-    asked: list[tuple[str, str, int]] = []
+    lookups: list[tuple[str, str, int]] = []
 
     class TransformException(Exception):
         pass
 
     class Buffer:
         def lookup_transform(self, target: str, source: str, time: Any) -> Any:
-            asked.append((target, source, time.nanoseconds))
+            lookups.append((target, source, time.nanoseconds))
             if source != "base":
                 raise TransformException(f"'{source}' does not exist")
             if time.nanoseconds > NEWEST:
@@ -70,14 +70,14 @@ def stub_tf2(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str, int]]:
     module.TransformException = TransformException  # type: ignore[attr-defined]
     module.TransformListener = lambda buffer, node: None  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "tf2_ros", module)
-    return asked
+    return lookups
 
 
 def test_frames_with_tf2_are_transformed(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = stub_tf2(monkeypatch)
+    lookups = stub_tf2(monkeypatch)
     frames = transformer()
     position, orientation = frames.to_cloth("base", (1.0, 0.0, 0.5), (0.0, 0.0, 0.0, 1.0), 42)
-    assert asked == [("world", "base", 42)]
+    assert lookups == [("world", "base", 42)]
     assert position == pytest.approx((1.0, 1.0, 0.5))
     assert orientation == pytest.approx((0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)))
     with pytest.raises(
@@ -87,11 +87,11 @@ def test_frames_with_tf2_are_transformed(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_command_stamped_now_uses_newest_transform(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = stub_tf2(monkeypatch)
+    lookups = stub_tf2(monkeypatch)
     frames = transformer()
     position, _ = frames.to_cloth("base", (1.0, 0.0, 0.5), None, NEWEST + SECOND // 10)
     assert position == pytest.approx((1.0, 1.0, 0.5))
-    assert asked[-1] == ("world", "base", 0)
+    assert lookups[-1] == ("world", "base", 0)
     with pytest.raises(FrameError, match=r"no transform from 'base' .*: lookup would require extrapolation"):
         frames.to_cloth("base", (1.0, 0.0, 0.5), None, NEWEST + SECOND // 10 + 1)
     with pytest.raises(FrameError, match="'moon' does not exist"):
@@ -101,64 +101,64 @@ def test_command_stamped_now_uses_newest_transform(monkeypatch: pytest.MonkeyPat
 def test_transforms_are_cleared_when_clock_goes_back(monkeypatch: pytest.MonkeyPatch) -> None:
     stub_tf2(monkeypatch)
     frames = transformer()
-    frames.forget()
+    frames.clear()
     frames.to_cloth("base", (1.0, 0.0, 0.5), None, 42)
     cleared: list[bool] = []
     frames._buffer.clear = lambda: cleared.append(True)
-    frames.forget()
+    frames.clear()
     assert cleared == [True]
 
 
-def companions(heard: int | None, **values: Any) -> tuple[Simulation, Companions, Log]:
+def make_follower(last_target_time: int | None, **values: Any) -> tuple[Simulation, TfFollower, LineLog]:
     simulation = Simulation(
         Scene.from_parameters(
             {"cloth.resolution": (5, 5), **{name.replace("__", "."): v for name, v in values.items()}}
         )
     )
-    log = Log()
-    return simulation, Companions(simulation, transformer(), lambda _: heard, ThrottledLog(log)), log
+    log = LineLog()
+    return simulation, TfFollower(simulation, transformer(), lambda _: last_target_time, ThrottledLog(log)), log
 
 
 def test_silent_gripper_releases_only_with_timeout_set() -> None:
-    simulation, own, log = companions(NOW, gripper__timeout=0.5)
+    simulation, follower, log = make_follower(NOW, gripper__timeout=0.5)
     simulation.advance([Target("gripper", (0.5, 0.0, 0.5)), Grasp("gripper", True)])
-    assert own.events(NOW + SECOND // 2) == []
-    assert own.events(NOW + SECOND) == [Grasp("gripper", False)]
+    assert follower.events(NOW + SECOND // 2) == []
+    assert follower.events(NOW + SECOND) == [Grasp("gripper", False)]
     assert "no target has come for 1.00 s" in log.lines[0]
     simulation.advance([Grasp("gripper", False)])
-    assert own.events(NOW + SECOND) == []
-    patient, own, _ = companions(NOW)
+    assert follower.events(NOW + SECOND) == []
+    patient, follower, _ = make_follower(NOW)
     patient.advance([Target("gripper", (0.5, 0.0, 0.5)), Grasp("gripper", True)])
-    assert own.events(NOW + 1000 * SECOND) == []
+    assert follower.events(NOW + 1000 * SECOND) == []
 
 
 def test_a_gripper_follows_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     stub_tf2(monkeypatch)
-    _, own, _ = companions(None, gripper__frame="base")
-    (target,) = own.events(NOW)
+    _, follower, _ = make_follower(None, gripper__frame="base")
+    (target,) = follower.events(NOW)
     assert isinstance(target, Target)
     assert target.position == pytest.approx((1.0, 0.0, 0.0))
-    assert own.events(NOW) == [], "the same transform is no news"
-    _, own, log = companions(None, gripper__frame="{gripper}_tool")
-    assert own.events(NOW) == []
+    assert follower.events(NOW) == [], "the same transform is no news"
+    _, follower, log = make_follower(None, gripper__frame="{gripper}_tool")
+    assert follower.events(NOW) == []
     assert "'gripper_tool' does not exist" in log.lines[0]
 
 
 def test_a_gripper_follows_a_frame_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     stub_tf2(monkeypatch)
     two = {"grippers": ["left", "right"]}
-    _, grippers, log = companions(None, right__frame="base", **two)
+    _, grippers, log = make_follower(None, right__frame="base", **two)
     (target,) = grippers.events(NOW)
     assert isinstance(target, Target)
     assert target.gripper == "right"
     assert not log.lines
     # The other gripper follows the frame that is set for all.
-    _, grippers, log = companions(None, gripper__frame="{gripper}_tool", right__frame="base", **two)
+    _, grippers, log = make_follower(None, gripper__frame="{gripper}_tool", right__frame="base", **two)
     assert [event.gripper for event in grippers.events(NOW) if isinstance(event, Target)] == ["right"]
     assert len(log.lines) == 1
     assert "'left_tool' does not exist" in log.lines[0]
     # With an empty name it follows none.
-    _, grippers, log = companions(None, gripper__frame="base", right__frame="", **two)
+    _, grippers, log = make_follower(None, gripper__frame="base", right__frame="", **two)
     assert [event.gripper for event in grippers.events(NOW) if isinstance(event, Target)] == ["left"]
 
 
@@ -166,54 +166,54 @@ def test_frame_loss_and_recovery_are_logged(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     stub_tf2(monkeypatch)
-    _, own, log = companions(None, gripper__frame="base")
-    newest = own._frames.newest
+    _, follower, log = make_follower(None, gripper__frame="base")
+    newest = follower._frames.newest
 
-    def lost(frame_id: str) -> Any:
+    def fail_lookup(frame_id: str) -> Any:
         raise FrameError(f"{frame_id} is gone")
 
-    monkeypatch.setattr(own._frames, "newest", lost)
-    monkeypatch.setattr(own._log, "_seconds", 0.0)  # no throttling of the log
+    monkeypatch.setattr(follower._frames, "newest", fail_lookup)
+    monkeypatch.setattr(follower._log, "_seconds", 0.0)  # no throttling of the log
     for second in range(60):
-        assert own.events(NOW + second * SECOND) == []
+        assert follower.events(NOW + second * SECOND) == []
     assert log.lines == ["'gripper' can't follow frame 'base': base is gone"]
-    own.events(NOW + 60 * SECOND)
+    follower.events(NOW + 60 * SECOND)
     assert len(log.lines) == 2
     # The clock is set back: earlier warnings do not count.
-    own.events(NOW)
+    follower.events(NOW)
     assert len(log.lines) == 3
-    monkeypatch.setattr(own._frames, "newest", newest)
-    assert len(own.events(NOW + SECOND)) == 1
+    monkeypatch.setattr(follower._frames, "newest", newest)
+    assert len(follower.events(NOW + SECOND)) == 1
     assert log.lines[3:] == ["'gripper' follows frame 'base'"]
-    own.events(NOW + 2 * SECOND)
+    follower.events(NOW + 2 * SECOND)
     assert len(log.lines) == 4
 
 
 def test_an_obstacle_follows_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     stub_tf2(monkeypatch)
     ball = {"obstacles": ["ball"], "ball.shape": "sphere", "ball.size": [0.1], "ball.frame": "base"}
-    _, own, _ = companions(None, **ball)
-    (move,) = own.events(NOW)
+    _, follower, _ = make_follower(None, **ball)
+    (move,) = follower.events(NOW)
     assert isinstance(move, Move)
     assert move.obstacle == "ball"
     assert move.position == pytest.approx((1.0, 0.0, 0.0))
-    assert own.events(NOW) == [], "the same transform is no news"
+    assert follower.events(NOW) == [], "the same transform is no news"
 
 
 def test_gripper_with_stale_frame_releases_after_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
     stub_tf2(monkeypatch)
-    simulation, own, log = companions(None, gripper__frame="base", gripper__timeout=0.5)
-    simulation.advance(own.events(NOW))
+    simulation, follower, log = make_follower(None, gripper__frame="base", gripper__timeout=0.5)
+    simulation.advance(follower.events(NOW))
     simulation.advance([Grasp("gripper", True)])
-    assert own.events(NOW + SECOND // 2) == []
-    assert own.events(NOW + SECOND) == [Grasp("gripper", False)]
+    assert follower.events(NOW + SECOND // 2) == []
+    assert follower.events(NOW + SECOND) == [Grasp("gripper", False)]
     assert "no target has come for 1.00 s" in log.lines[0]
 
 
 def test_clock_set_back_restarts_gripper_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
     stub_tf2(monkeypatch)
-    simulation, own, _ = companions(None, gripper__frame="base", gripper__timeout=0.5)
-    simulation.advance(own.events(NOW))
+    simulation, follower, _ = make_follower(None, gripper__frame="base", gripper__timeout=0.5)
+    simulation.advance(follower.events(NOW))
     simulation.advance([Grasp("gripper", True)])
-    assert own.events(NOW - 100 * SECOND) == []
-    assert own.events(NOW - 99 * SECOND) == [Grasp("gripper", False)]
+    assert follower.events(NOW - 100 * SECOND) == []
+    assert follower.events(NOW - 99 * SECOND) == [Grasp("gripper", False)]

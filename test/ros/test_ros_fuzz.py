@@ -23,9 +23,9 @@ from support.ros_client import Client, positions, start_cloth
 
 from cloth_sim_ros import Scene, SetParameters, Simulation
 from cloth_sim_ros.ros.event_queue import EventQueue
+from cloth_sim_ros.ros.feasibility import check_feasibility
 from cloth_sim_ros.ros.parameters import LiveParameters, declare
 from cloth_sim_ros.ros.stepper import Stepper
-from cloth_sim_ros.ros.workload import refuse_endless_frames
 
 #: Commands of a short run; the long one sends the hundred thousand.
 SHORT, LONG = 3000, 100_000
@@ -53,8 +53,8 @@ def random_pose(random: np.random.Generator, kind: Any) -> Any:
 def random_bytes(random: np.random.Generator, message: Any) -> bytes:
     """The bytes of a message: some changed, or truncated, or all random."""
     data = bytearray(serialize_message(message))
-    for place in random.integers(0, len(data), random.integers(1, 6)):
-        data[place] = random.integers(0, 256)
+    for index in random.integers(0, len(data), random.integers(1, 6)):
+        data[index] = random.integers(0, 256)
     choice = random.random()
     if choice < 0.3:
         return bytes(data[: random.integers(4, len(data) + 1)])
@@ -148,7 +148,7 @@ def running(ros_domain: int) -> Any:
             node,
             scene,
             lambda values: queue.put(SetParameters(values)),
-            lambda _, wanted: refuse_endless_frames(wanted, simulation),
+            lambda _, wanted: check_feasibility(wanted, simulation),
             contextlib.nullcontext(),
         )
         yield node, simulation, stepper, live

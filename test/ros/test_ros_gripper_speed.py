@@ -15,7 +15,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.parameter import Parameter
 from support.clocked_cloth import ClockedCloth
-from support.kept_log import Log
+from support.line_log import LineLog
 from support.ros_client import Client
 
 from cloth_sim_ros import Grasp, Scene, Simulation, Target
@@ -41,7 +41,7 @@ def monitored(**values: Any) -> tuple[Simulation, Callable[..., list[str]]]:
     """A cloth with a grasped corner for each gripper, and the log of a frame with a target for each."""
     cloth = Simulation(Scene.from_parameters({"cloth.resolution": [5, 5], **values}))
     names = cloth.scene.gripper_names
-    log = Log()
+    log = LineLog()
     monitor = GripperSpeedMonitor(cloth, ThrottledLog(log, seconds=0.0))
     cloth.advance([Target(name, tuple(CORNER)) for name in names] + [Grasp(name, True) for name in names])
 
@@ -80,7 +80,7 @@ def test_pad_speed_limit_names_no_parameter() -> None:
     scene = Scene.from_parameters(
         {"cloth.resolution": [5, 5], "gripper.mode": "pinch", "contact.thickness": 0.005, "gripper.max_speed": 0.0}
     )
-    cloth, log = Simulation(scene), Log()
+    cloth, log = Simulation(scene), LineLog()
     monitor = GripperSpeedMonitor(cloth, ThrottledLog(log))
     cloth.advance([Target("gripper", (0.0, 1.0, 1.0))])
     cloth.advance([Target("gripper", (0.0, 2.0, 1.0))])
@@ -104,11 +104,11 @@ def test_a_wrong_target_is_followed_at_the_limit_and_warned_of(client: Client) -
         assert cloth.held("gripper")
         cloth.target("gripper", sideways(1.0))
         cloth.tick()
-        assert np.linalg.norm(cloth.place("gripper") - CORNER) == pytest.approx(10.0 / 60.0)
-        client.spin_until(lambda: any("gripper.max_speed" in line for line in lines), what="the warning")
+        assert np.linalg.norm(cloth.position("gripper") - CORNER) == pytest.approx(10.0 / 60.0)
+        client.spin_until(lambda: any("gripper.max_speed" in line for line in lines), description="the warning")
         assert set_one(cloth, "gripper.max_speed", 0.0).successful
         cloth.tick()
-        assert cloth.place("gripper") == pytest.approx(sideways(1.0))
+        assert cloth.position("gripper") == pytest.approx(sideways(1.0))
 
 
 def test_node_records_pose_of_limited_gripper(client: Client, tmp_path: Path) -> None:
@@ -123,7 +123,7 @@ def test_node_records_pose_of_limited_gripper(client: Client, tmp_path: Path) ->
         cloth.target("gripper", sideways(0.3))
         cloth.tick(3)
         frame = cloth.simulation.frame
-        assert cloth.place("gripper") == pytest.approx(sideways(0.3))
+        assert cloth.position("gripper") == pytest.approx(sideways(0.3))
     (path,) = tmp_path.glob("*.mcap")
     with SessionReader(path) as reader:
         frames = {shown.frame.frame: shown.frame for shown in reader.clouds() if shown.frame is not None}
@@ -153,8 +153,8 @@ def test_one_grippers_limit_is_set_while_the_cloth_runs(client: Client) -> None:
         for name in ("left", "right"):
             cloth.target(name, sideways(0.1))
         cloth.tick()
-        assert cloth.place("left")[1] == pytest.approx(1.5 / 60.0)
-        assert cloth.place("right")[1] == pytest.approx(0.1)
+        assert cloth.position("left")[1] == pytest.approx(1.5 / 60.0)
+        assert cloth.position("right")[1] == pytest.approx(0.1)
         assert set_one(cloth, "left.max_speed", 3.0).successful
         assert cloth.node.node.get_parameter("left.max_speed").value == 3.0
 
@@ -166,5 +166,5 @@ def test_individual_gripper_frame_is_a_parameter(client: Client) -> None:
     with ClockedCloth(client, {**values, "ball.position": [0.0, 2.0, 0.0]}) as cloth:
         assert cloth.node.node.get_parameter("left.frame").value == "left_tcp"
         cloth.tick()
-        client.spin_until(lambda: any("left_tcp" in line for line in lines), what="words on the frame")
+        client.spin_until(lambda: any("left_tcp" in line for line in lines), description="words on the frame")
     assert not [line for line in lines if "no parameter" in line]

@@ -40,7 +40,7 @@ def test_targets_at_any_rate(client: Client, rate: int) -> None:
         assert cloth.held("gripper") == [41]
         start = cloth.now
         stamps = iter([start + round(k * SECOND / rate) for k in range(seconds * rate)])
-        coming, newest, places = next(stamps), CORNER, [cloth.place("gripper")]
+        coming, newest, places = next(stamps), CORNER, [cloth.position("gripper")]
         for _ in range(60 * seconds):
             # Sent in time for their frame: each up to a millisecond ahead.
             while coming is not None and coming <= cloth.now:
@@ -49,8 +49,8 @@ def test_targets_at_any_rate(client: Client, rate: int) -> None:
                 coming = next(stamps, None)
             cloth.tick()
             # At any rate, the gripper is at the newest target in each frame.
-            np.testing.assert_allclose(cloth.place("gripper"), newest, rtol=0.0, atol=1e-12)
-            places.append(cloth.place("gripper"))
+            np.testing.assert_allclose(cloth.position("gripper"), newest, rtol=0.0, atol=1e-12)
+            places.append(cloth.position("gripper"))
         assert cloth.refused == (0, 0)
         # 0.1 m/s at rates above 60 Hz: no frame moves it further; lower rates jump by the skipped distance.
         steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
@@ -72,22 +72,22 @@ def test_out_of_order_repeated_and_early_stamps(client: Client) -> None:
             cloth.target("gripper", (x, 0.0, 0.0), stamp=stamp)
         cloth.tick()
         # An older target is dropped; of two with equal stamps the later one counts.
-        assert cloth.place("gripper")[0] == 0.4
+        assert cloth.position("gripper")[0] == 0.4
         assert cloth.refused == (0, 1)
         # A target ahead of time waits for its frame; older ones that arrive after it are still used.
         third = cloth.now + 2 * SECOND // 60
         cloth.target("gripper", (0.9, 0.0, 0.0), stamp=third)
         cloth.tick(2)
-        assert cloth.place("gripper")[0] == 0.4
+        assert cloth.position("gripper")[0] == 0.4
         cloth.tick()
-        assert cloth.place("gripper")[0] == pytest.approx(0.9, abs=1e-12)
+        assert cloth.position("gripper")[0] == pytest.approx(0.9, abs=1e-12)
         assert cloth.refused == (0, 1)
         # More than a second ahead: refused; zero means now.
         cloth.target("gripper", (2.0, 0.0, 0.0), stamp=cloth.now + 2 * SECOND)
         assert cloth.refused == (1, 1)
         cloth.point("gripper", (0.7, 0.0, 0.0))
         cloth.tick()
-        assert cloth.place("gripper")[0] == pytest.approx(0.7, abs=1e-12)
+        assert cloth.position("gripper")[0] == pytest.approx(0.7, abs=1e-12)
 
 
 def test_invalid_stamps_change_nothing(client: Client) -> None:
@@ -100,7 +100,7 @@ def test_invalid_stamps_change_nothing(client: Client) -> None:
             cloth.send("gripper/point", message)
         cloth.tick()
         assert cloth.refused == (2, 0)
-        assert cloth.place("gripper").tolist() == CORNER.tolist()
+        assert cloth.position("gripper").tolist() == CORNER.tolist()
 
 
 def test_targets_and_points_of_a_gripper_share_stamp_order(client: Client) -> None:
@@ -111,7 +111,7 @@ def test_targets_and_points_of_a_gripper_share_stamp_order(client: Client) -> No
         assert cloth.refused == (0, 1), "older than the pose before it"
         cloth.point("gripper", (0.1, 0.0, 1.0), stamp=cloth.now - 3)
         cloth.tick()
-        assert cloth.place("gripper").tolist() == [0.1, 0.0, 1.0]
+        assert cloth.position("gripper").tolist() == [0.1, 0.0, 1.0]
 
 
 def test_grasp_in_same_frame_as_target_uses_previous_pose(client: Client) -> None:
@@ -123,7 +123,7 @@ def test_grasp_in_same_frame_as_target_uses_previous_pose(client: Client) -> Non
         cloth.grasp("gripper", True)
         cloth.tick()
         assert cloth.held("gripper") == [41]
-        np.testing.assert_allclose(cloth.place("gripper"), off_corner(0.0, -0.05, 0.02), atol=1e-12)
+        np.testing.assert_allclose(cloth.position("gripper"), off_corner(0.0, -0.05, 0.02), atol=1e-12)
 
 
 def test_several_grippers_hold_the_same_particle(client: Client) -> None:
@@ -141,11 +141,11 @@ def test_several_grippers_hold_the_same_particle(client: Client) -> None:
         assert [cloth.held(name) for name in ("left", "right", "third")] == [[41], [41], [41]]
         # Two pull apart, the third stays: the corner stays in the middle, and the two have opposite forces.
         for k in range(1, 31):
-            for name, side in (("left", -1.0), ("right", 1.0)):
-                cloth.target(name, off_corner(0.0, side * 0.1 * k / 30, 0.0))
+            for name, offset in (("left", -1.0), ("right", 1.0)):
+                cloth.target(name, off_corner(0.0, offset * 0.1 * k / 30, 0.0))
             cloth.tick()
         cloth.tick(60)
-        client.spin_until(lambda: len(wrenches) == 3, what="all wrenches")
+        client.spin_until(lambda: len(wrenches) == 3, description="all wrenches")
         np.testing.assert_allclose(cloth.simulation.positions[41], CORNER, atol=2e-3)
         left, right = wrenches["left"].wrench.force.y, wrenches["right"].wrench.force.y
         assert left > 1.0
@@ -157,7 +157,7 @@ def test_several_grippers_hold_the_same_particle(client: Client) -> None:
         cloth.tick(60)
         assert cloth.held("left") == []
         assert cloth.held("right") == [41]
-        assert np.linalg.norm(cloth.simulation.positions[41] - cloth.place("right")) < 0.02
+        assert np.linalg.norm(cloth.simulation.positions[41] - cloth.position("right")) < 0.02
 
 
 def test_closing_on_no_and_all_particles_and_twice(client: Client) -> None:
@@ -241,7 +241,7 @@ def test_a_silent_gripper_keeps_its_last_target(client: Client) -> None:
         cloth.target("gripper", off_corner(0.0, -0.3, 0.1))
         cloth.tick(600)
         assert cloth.held("gripper") == [41]
-        np.testing.assert_allclose(cloth.place("gripper"), off_corner(0.0, -0.3, 0.1), atol=1e-12)
+        np.testing.assert_allclose(cloth.position("gripper"), off_corner(0.0, -0.3, 0.1), atol=1e-12)
 
 
 def test_gripper_timeout_releases_and_allows_new_grasp(client: Client) -> None:

@@ -39,8 +39,8 @@ def recorded(folder: Path, *, split: Sequence[int] = (), cut: bool = False, scen
     options = WriterOptions(chunk_bytes=1 << 10, sync_seconds=0.0)
     maker = SessionMaker(folder, scene or Scene.from_parameters(GRID), options=options)
     states = [maker.simulation.state.copy()]
-    for number, events in enumerate(script()):
-        if number in split:
+    for frame, events in enumerate(script()):
+        if frame in split:
             maker.split()
         maker.add(events)
         states.append(maker.simulation.state.copy())
@@ -124,9 +124,9 @@ def test_a_session_of_another_cloth_is_refused_with_the_reason(tmp_path: Path) -
 def test_a_session_that_runs_differently_here_is_refused(tmp_path: Path) -> None:
     maker = SessionMaker(tmp_path, Scene.from_parameters(GRID))
     events = script()
-    for number in range(FRAMES):
-        maker.add(events[number])
-        if number == 20:
+    for frame in range(FRAMES):
+        maker.add(events[frame])
+        if frame == 20:
             maker.simulation.state.v[0, 7] += 1e-9
     path = maker.finish()
     assert session_state(f"{path}@20")
@@ -136,9 +136,12 @@ def test_a_session_that_runs_differently_here_is_refused(tmp_path: Path) -> None
 
 def test_a_session_with_a_gap_is_refused(tmp_path: Path) -> None:
     maker = SessionMaker(tmp_path, Scene.from_parameters(GRID))
-    for number, events in enumerate(script()):
-        lost = number in (8, 9)
-        maker.add(events, change=lambda topic, data, lost=lost: None if lost and topic.endswith("/frame") else data)
+    for frame, events in enumerate(script()):
+        is_missing = frame in (8, 9)
+        maker.add(
+            events,
+            change=lambda topic, data, is_missing=is_missing: None if is_missing and topic.endswith("/frame") else data,
+        )
     path = maker.finish()
     assert session_state(f"{path}@8")
     with pytest.raises(ParameterError, match="frames 9 to 10 of the session are missing"):
@@ -148,8 +151,8 @@ def test_a_session_with_a_gap_is_refused(tmp_path: Path) -> None:
 def test_paused_frame_has_the_state_at_the_pause(tmp_path: Path) -> None:
     maker = SessionMaker(tmp_path, Scene.from_parameters(GRID))
     events = script()
-    for number in range(30):
-        maker.add(events[number])
+    for frame in range(30):
+        maker.add(events[frame])
     maker.add([Pause(True)])
     maker.add()
     path = maker.finish()

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from cloth_sim_ros.ros.clock import EXECUTOR_TIMEOUT, Due, WallPacer
+from cloth_sim_ros.ros.pacer import EXECUTOR_TIMEOUT, FrameTick, WallPacer
 
 RATE = 50.0
 
@@ -58,8 +58,12 @@ def start_pacer() -> Iterator[Callable[..., None]]:
     """`start_pacer(executor, on_frame_tick)`: frames in the timer thread until the test ends."""
     pacers = list[WallPacer]()
 
-    def start(executor: Executor, on_frame_tick: Callable[[Due], None]) -> None:
-        pacers.append(WallPacer(executor.node, rate=RATE, on_due=on_frame_tick, settled=executor.settled, beside=True))
+    def start(executor: Executor, on_frame_tick: Callable[[FrameTick], None]) -> None:
+        pacers.append(
+            WallPacer(
+                executor.node, rate=RATE, on_tick=on_frame_tick, is_drained=executor.settled, in_timer_thread=True
+            )
+        )
         pacers[-1].start()
 
     yield start
@@ -86,7 +90,7 @@ def test_frame_after_a_long_one_takes_waiting_commands(
     executor = Executor(delay=delay)
     left = list[int]()
 
-    def on_frame_tick(_tick: Due) -> None:
+    def on_frame_tick(_tick: FrameTick) -> None:
         left.append(executor.sent - executor.received)
         # The frame takes longer than its period; a command comes meanwhile.
         threading.Event().wait(frame)
@@ -104,7 +108,7 @@ def test_frames_wait_for_a_stopped_executor_once_at_most(
     executor = Executor(delay=1.4 / RATE)
     threads, skipped = list[int](), list[int]()
 
-    def on_frame_tick(tick: Due) -> None:
+    def on_frame_tick(tick: FrameTick) -> None:
         threads.append(threading.get_ident())
         skipped.append(tick.skipped)
         # Late frames: each requests the next spin of the executor.
@@ -117,7 +121,7 @@ def test_frames_wait_for_a_stopped_executor_once_at_most(
     executor.spin(is_executors_frame)
     # A tick came while that frame ran, and the executor does not spin any more.
     count = len(threads)
-    wait_until(lambda: len(threads) >= count + 150, what="frames without the executor")
+    wait_until(lambda: len(threads) >= count + 150, description="frames without the executor")
     assert threading.get_ident() not in threads[count:]
     assert skipped[count] >= EXECUTOR_TIMEOUT * RATE - 2
     # The executor spins again, and frames wait for it again.

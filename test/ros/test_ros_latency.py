@@ -11,7 +11,7 @@ from geometry_msgs.msg import PoseStamped
 from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client, pose
 
-from cloth_sim_ros.ros.commands import Commands
+from cloth_sim_ros.ros.commands import CommandSubscriptions
 
 
 @pytest.fixture
@@ -31,31 +31,31 @@ def test_a_frame_takes_all_that_has_come(client: Client) -> None:
 
         def newest() -> bool:
             cloth.tick()
-            return bool(cloth.place("gripper")[2] > 0.565)
+            return bool(cloth.position("gripper")[2] > 0.565)
 
-        client.spin_until(newest, what="the newest target")
+        client.spin_until(newest, description="the newest target")
         # The eight targets arrive almost together, and the executor hands over one a turn. A frame waits for several
         # turns, so they need fewer than eight frames.
         assert cloth.simulation.frame - begun < 8
 
 
-def commands_of(received: list[int]) -> Commands:
+def commands_of(received: list[int]) -> CommandSubscriptions:
     """Return Commands that receive `received[k]` more messages before the k-th call of `settled`."""
-    commands = Commands.__new__(Commands)
-    commands.received = commands._seen = commands._turns = 0
+    commands = CommandSubscriptions.__new__(CommandSubscriptions)
+    commands.received = commands._received_before = commands._busy_spins = 0
     coming = iter(received)
 
     def settled() -> bool:
         commands.received += next(coming)
-        return Commands.settled(commands)
+        return CommandSubscriptions.is_drained(commands)
 
-    commands.settled = settled  # type: ignore[method-assign]
+    commands.is_drained = settled  # type: ignore[method-assign]
     return commands
 
 
 def test_a_frame_waits_for_commands_but_not_for_a_flood() -> None:
     commands = commands_of([0, 3, 1, 0, 0])
-    assert [commands.settled() for _ in range(5)] == [True, False, False, True, True]
+    assert [commands.is_drained() for _ in range(5)] == [True, False, False, True, True]
     flooded = commands_of([1] * 30)
-    turns = [flooded.settled() for _ in range(30)]
+    turns = [flooded.is_drained() for _ in range(30)]
     assert [turn for turn, settled in enumerate(turns) if settled] == [10, 21]

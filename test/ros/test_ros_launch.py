@@ -42,11 +42,11 @@ class Substitution:
         return self._resolve(context.launch_configurations)
 
 
-def text_of(value: Any, given: dict[str, str]) -> str:
+def text_of(value: Any, arguments: dict[str, str]) -> str:
     """Resolve a text, a substitution, or a list of them, like launch."""
     if isinstance(value, Substitution):
-        return value.perform(SimpleNamespace(launch_configurations=given))
-    return "".join(text_of(item, given) for item in value) if isinstance(value, list) else str(value)
+        return value.perform(SimpleNamespace(launch_configurations=arguments))
+    return "".join(text_of(item, arguments) for item in value) if isinstance(value, list) else str(value)
 
 
 class Launched:
@@ -75,9 +75,9 @@ class Launched:
 
     def _stand_ins(self) -> dict[str, ModuleType]:
         def module(name: str, **members: Any) -> ModuleType:
-            made = ModuleType(name)
-            vars(made).update(members)
-            return made
+            stub = ModuleType(name)
+            vars(stub).update(members)
+            return stub
 
         def path_join(parts: list[Any]) -> Substitution:
             return Substitution(lambda given: str(Path(*(text_of(part, given) for part in parts))))
@@ -174,9 +174,11 @@ def test_each_packaged_scene_is_a_launch_argument(monkeypatch: pytest.MonkeyPatc
         Simulation(Scene.from_file(path))
         # Relative names in a scene's file are passed as full paths: a node resolves them in its working directory.
         further = [value for values in cloth["parameters"][1:] for value in values.items()]
-        given = read(path)
+        parameters = read(path)
         assert [(name, text_of(value, {})) for name, value in further] == [
-            (name, str(path.parent / given[name])) for name in ("cloth.mesh", "cloth.springs") if name in given
+            (name, str(path.parent / parameters[name]))
+            for name in ("cloth.mesh", "cloth.springs")
+            if name in parameters
         ]
 
 
@@ -213,9 +215,12 @@ def test_misspelt_launch_argument_is_reported(monkeypatch: pytest.MonkeyPatch) -
 def test_two_cloths_are_launched_from_one_parameter_file(
     ros_domain: int, start_process: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    own = {"/left_arm/towel": {"cloth": {"resolution": [5, 6]}}, "/right_arm/sheet": {"cloth": {"resolution": [7, 4]}}}
+    values = {
+        "/left_arm/towel": {"cloth": {"resolution": [5, 6]}},
+        "/right_arm/sheet": {"cloth": {"resolution": [7, 4]}},
+    }
     everyone = {"/**": {"rate": 50.0, "grippers": ["finger"], "gripper": {"radius": 0.3}}}
-    file = str(write_parameters(tmp_path / "cloths.yaml", **{**everyone, **own}))
+    file = str(write_parameters(tmp_path / "cloths.yaml", **{**everyone, **values}))
     cloths = {
         name: start_process(command_line(monkeypatch, params_file=file, namespace=name[0], name=name[1]))
         for name in (("left_arm", "towel"), ("right_arm", "sheet"))
@@ -229,7 +234,7 @@ def test_two_cloths_are_launched_from_one_parameter_file(
             client.node.create_subscription(
                 PointCloud2, f"/{namespace}/{name}/points", lambda cloud, name=name: clouds.__setitem__(name, cloud), 10
             )
-        client.spin_until(lambda: len(clouds) == 2, what="both clouds")
+        client.spin_until(lambda: len(clouds) == 2, description="both clouds")
         assert {name: (cloud.height, cloud.width) for name, cloud in clouds.items()} == {
             "towel": (5, 6), "sheet": (7, 4),
         }  # fmt: skip
@@ -242,9 +247,9 @@ def test_two_cloths_are_launched_from_one_parameter_file(
 
         target.publish(pose(0.5, 0.0, 0.5))
         grasp.publish(Bool(data=False))
-        client.spin_until(lambda: is_grasped() or close(client, target, grasp), what="the grasp")
+        client.spin_until(lambda: is_grasped() or close(client, target, grasp), description="the grasp")
         target.publish(pose(0.5, -0.4, 0.8))
-        client.spin_until(lambda: positions(clouds["towel"])[-1][2] > 0.7, what="one cloth lifted")
+        client.spin_until(lambda: positions(clouds["towel"])[-1][2] > 0.7, description="one cloth lifted")
         assert positions(clouds["sheet"])[-1][2] < 0.6
     for process in cloths.values():
         assert process.interrupt() == 0
@@ -274,14 +279,16 @@ def test_everything_may_be_remapped(ros_domain: int, start_process: Callable[...
         client.wait_for_clouds(2)
         target = client.publisher(PoseStamped, "/arm/commanded")
         grasp = client.publisher(Bool, "/hand/closed")
-        client.spin_until(lambda: "and holds" in process.output or close(client, target, grasp), what="the grasp")
+        client.spin_until(
+            lambda: "and holds" in process.output or close(client, target, grasp), description="the grasp"
+        )
         client.spin_until(
             lambda: {"/arm/felt", "/health"} <= {name for name, _ in client.node.get_topic_names_and_types()},
-            what="the remapped outputs",
+            description="the remapped outputs",
         )
         client.spin_until(
             lambda: "/hold_cloth" in {name for name, _ in client.node.get_service_names_and_types()},
-            what="the remapped service",
+            description="the remapped service",
         )
     assert process.interrupt() == 0
 
@@ -295,6 +302,6 @@ def test_the_documented_process_of_two_cloths(ros_domain: int, start_process: Ca
         for name in ("towel", "sheet"):
             clouds: list[PointCloud2] = []
             client.node.create_subscription(PointCloud2, f"/robot/{name}/points", clouds.append, 10)
-            client.spin_until(lambda clouds=clouds: len(clouds) > 3, what=f"clouds of {name}")
+            client.spin_until(lambda clouds=clouds: len(clouds) > 3, description=f"clouds of {name}")
     assert process.interrupt() == 0, process.output
     assert "Traceback" not in process.output

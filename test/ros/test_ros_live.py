@@ -69,7 +69,7 @@ def session(ros_domain: int, start_process: Callable[..., Any], tmp_path: Path) 
 
 
 def test_grasped_cloth_is_received_recorded_and_verified(session: Session) -> None:
-    check_received_at_60_hz_none_lost(session)
+    check_all_clouds_received_at_60_hz(session)
     check_corner_follows_the_gripper_and_falls(session)
     check_second_reader_agrees(session)
     check_runs_again(session)
@@ -77,7 +77,7 @@ def test_grasped_cloth_is_received_recorded_and_verified(session: Session) -> No
     assert "Traceback" not in session.log
 
 
-def check_received_at_60_hz_none_lost(session: Session) -> None:
+def check_all_clouds_received_at_60_hz(session: Session) -> None:
     from mcap.reader import make_reader
 
     with session.path.open("rb") as file:
@@ -131,14 +131,14 @@ def check_second_reader_agrees(session: Session) -> None:
         second = sorted((connection.topic, time, bytes(data)) for connection, time, data in reader.messages())
     assert first == second
     topics = {topic for topic, _, _ in first}
-    own = (
+    node_topics = (
         "points",
         "topology",
         "state",
         "frame",
         *(f"gripper/{leaf}" for leaf in ("wrench", "state", "target", "grasp")),
     )
-    assert {"/rosout", "/diagnostics", *(f"/cloth_sim/{name}" for name in own)} <= topics
+    assert {"/rosout", "/diagnostics", *(f"/cloth_sim/{name}" for name in node_topics)} <= topics
     logged = [decode(data, "rcl_interfaces/msg/Log") for topic, _, data in first if topic == "/rosout"]
     assert {message.name for message in logged} == {"cloth_sim"}
 
@@ -161,9 +161,9 @@ def check_runs_again(session: Session) -> None:
 
 
 def _messages(data: bytes) -> list[bytes]:
-    found, place = [], 0
-    while place + 8 <= len(data):
-        length = int.from_bytes(data[place : place + 8], "little")
-        found.append(data[place + 8 : place + 8 + length])
-        place += 8 + length
-    return found
+    messages, offset = [], 0
+    while offset + 8 <= len(data):
+        length = int.from_bytes(data[offset : offset + 8], "little")
+        messages.append(data[offset + 8 : offset + 8 + length])
+        offset += 8 + length
+    return messages

@@ -11,10 +11,10 @@ from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import LoggerLevel
 from rcl_interfaces.srv import GetLoggerLevels, SetLoggerLevels
 from support.clocked_cloth import ClockedCloth
-from support.kept_log import Log
+from support.line_log import LineLog
 from support.ros_client import Client, pose
 
-from cloth_sim_ros.ros.event_queue import MOST_WAITING, EventQueue
+from cloth_sim_ros.ros.event_queue import MAX_QUEUED_EVENTS, EventQueue
 from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.simulation.events import Grasp, Target
 
@@ -32,20 +32,20 @@ def lines_with(output: str, words: str) -> list[str]:
 
 
 def test_left_out_messages_are_counted_after_the_last(client: Client) -> None:
-    log, now = Log(), [0.0]
+    log, now = LineLog(), [0.0]
     throttled = ThrottledLog(log, seconds=1.0, clock=lambda: now[0])
     for index in range(5):
         throttled.warn("a", f"a{index}")
-    throttled.settle()
+    throttled.flush()
     assert log.lines == ["a0"]
     now[0] = 1.0
-    throttled.settle()
-    throttled.settle()
+    throttled.flush()
+    throttled.flush()
     assert log.lines == ["a0", "a4 (3 more of this kind since the last message)"]
     # A single omitted message is logged as it is, and another kind has its own period.
     throttled.warn("a", "a5")
     now[0] = 2.0
-    throttled.settle()
+    throttled.flush()
     assert log.lines[2:] == ["a5"]
 
 
@@ -62,7 +62,9 @@ def test_old_command_warning_has_gripper_age_and_count(client: Client, capfd: py
             return lines_with("".join(out), "is dropped")
 
         out: list[str] = []
-        lines = client.spin_until(lambda: len(counted := messages()) == 2 and counted, what="the count of old targets")
+        lines = client.spin_until(
+            lambda: len(counted := messages()) == 2 and counted, description="the count of old targets"
+        )
     assert "target of 'gripper' is dropped: its stamp is 0.100 s older than that of the newest command" in lines[0]
     assert "; 1 of 'gripper' so far" in lines[0]
     assert "; 4 of 'gripper' so far" in lines[1]
@@ -70,11 +72,11 @@ def test_old_command_warning_has_gripper_age_and_count(client: Client, capfd: py
 
 def test_evicted_targets_are_counted() -> None:
     queue = EventQueue()
-    for index in range(MOST_WAITING + 3):
+    for index in range(MAX_QUEUED_EVENTS + 3):
         queue.put(Target("g", (float(index), 0.0, 0.0)))
-    assert queue.displaced == 3
+    assert queue.n_evicted == 3
     queue.put(Grasp("g", True))
-    assert queue.displaced == 4
+    assert queue.n_evicted == 4
 
 
 @pytest.mark.parametrize(
@@ -122,10 +124,10 @@ def test_debug_lines_come_and_go_with_the_level(client: Client, capfd: pytest.Ca
             assert debug_lines() == []
             set_level(DEBUG)
             # The node reads the level four times a second.
-            lines = client.spin_until(debug_lines, what="DEBUG lines") + debug_lines()
+            lines = client.spin_until(debug_lines, description="DEBUG lines") + debug_lines()
         finally:
             set_level(INFO)
-        client.spin_until(lambda: debug_lines() == [], what="the end of DEBUG lines")
+        client.spin_until(lambda: debug_lines() == [], description="the end of DEBUG lines")
     for words in ("command received, for now: Target(", "applies Target(", "applies Grasp(", "integrator "):
         assert [line for line in lines if words in line], words
 

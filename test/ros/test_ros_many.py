@@ -49,12 +49,12 @@ def test_two_cloths_in_one_process(ros_domain: int) -> None:
             )
             cloth.start()
             client.executor.add_node(cloth.node)
-        client.spin_until(lambda: len(clouds) == 2, what="both clouds")
+        client.spin_until(lambda: len(clouds) == 2, description="both clouds")
         client.publisher(PoseStamped, "/one/towel/left/target").publish(pose(*CORNER))
         client.publisher(Bool, "/one/towel/left/grasp").publish(Bool(data=True))
-        client.spin_until(lambda: len(cloths[0].simulation.grippers.held(0)), what="the grasp")
+        client.spin_until(lambda: len(cloths[0].simulation.grippers.grasped_particles(0)), description="the grasp")
         client.publisher(PoseStamped, "/one/towel/left/target").publish(pose(0.5, -0.4, 0.8))
-        client.spin_until(lambda: positions(clouds["/one/towel"])[-1][2] > 0.7, what="one cloth lifted")
+        client.spin_until(lambda: positions(clouds["/one/towel"])[-1][2] > 0.7, description="one cloth lifted")
         assert positions(clouds["/two/towel"])[-1][2] < 0.55
         assert cloths[1].simulation.grippers.names == ["right"]
         for cloth in cloths:
@@ -121,7 +121,7 @@ def test_processes_may_die_during_a_grasp(ros_domain: int, start_process: Callab
     with Client() as client:
         client.watch()
         gripper = start_gripper()
-        client.spin_until(is_lifted, what="the corner lifted")
+        client.spin_until(is_lifted, description="the corner lifted")
         gripper.send_signal(signal.SIGKILL)
         subscriber.send_signal(signal.SIGKILL)
         client.wait_for_clouds(30)
@@ -135,7 +135,7 @@ def test_processes_may_die_during_a_grasp(ros_domain: int, start_process: Callab
         client.wait_for_clouds(3)
         assert abs(positions(client.clouds[-1])[-1][2] - 0.5) < 0.02, "a new cloth hangs where it starts"
         gripper = start_gripper()
-        client.spin_until(is_lifted, what="the corner lifted again")
+        client.spin_until(is_lifted, description="the corner lifted again")
     assert again.interrupt() == 0
     assert gripper.interrupt() == 130
 

@@ -71,12 +71,12 @@ def test_double_clouds_come_on_request(ros_domain: int, tmp_path: Path, capfd: p
     }
     with Client() as client, ClockedCloth(client, parameters) as cloth:
         client.node.create_subscription(PointCloud2, "/cloth_sim/points", client.clouds.append, 100)
-        client.spin_until(lambda: cloth.tick() or client.clouds, what="the first cloud")
+        client.spin_until(lambda: cloth.tick() or client.clouds, description="the first cloud")
         assert not doubles(client.clouds[-1])
         request = SetParameters.Request(parameters=[Parameter("points.double", value=True).to_parameter_msg()])
         assert client.call(SetParameters, "/cloth_sim/set_parameters", request).results[0].successful
         cloth.tick(4)
-        client.spin_until(lambda: doubles(client.clouds[-1]), what="a cloud in double precision")
+        client.spin_until(lambda: doubles(client.clouds[-1]), description="a cloud in double precision")
         cloud = client.clouds[-1]
         assert (cloud.width, cloud.point_step) == (AROUND * ALONG, 24)
         first = np.frombuffer(bytes(cloud.data), "<f8").reshape(-1, 3)[0]

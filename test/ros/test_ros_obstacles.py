@@ -49,7 +49,7 @@ def change(cloth: ClockedCloth, **values: Any) -> SetParametersResult:
 
 def shown(client: Client, arrays: list[MarkerArray], count: int) -> MarkerArray:
     """Wait for a number of marker arrays, and return the newest."""
-    client.spin_until(lambda: len(arrays) >= count, what=f"{count} marker arrays")
+    client.spin_until(lambda: len(arrays) >= count, description=f"{count} marker arrays")
     return arrays[-1]
 
 
@@ -112,7 +112,7 @@ def test_obstacles_come_and_go_with_their_topics(client: Client, capfd: pytest.C
         cloth.tick()
         gone = [marker for marker in shown(client, arrays, 4).markers if marker.action == Marker.DELETE]
         assert {marker.ns for marker in gone} == {"/cloth_sim/floor"}
-        client.spin_until(lambda: "floor/target" not in topics(), what="the topic to be gone")
+        client.spin_until(lambda: "floor/target" not in topics(), description="the topic to be gone")
 
 
 def test_target_of_removed_obstacle_is_dropped(client: Client) -> None:
@@ -137,9 +137,9 @@ def test_obstacle_overlapping_the_cloth_is_refused(client: Client) -> None:
 
 def test_friction_is_described_and_changes_while_the_cloth_runs(client: Client) -> None:
     with ClockedCloth(client, LYING) as cloth:
-        told = cloth.node.node.describe_parameter("block.friction")
-        assert told.description.startswith("Coefficients of friction between it and the cloth, at rest (sliding")
-        assert not told.read_only
+        descriptor = cloth.node.node.describe_parameter("block.friction")
+        assert descriptor.description.startswith("Coefficients of friction between it and the cloth: static (sliding")
+        assert not descriptor.read_only
         assert change(cloth, block__friction=[0.3]).successful
         assert cloth.node.node.get_parameter("block.friction").value == [0.3]
         refused = change(cloth, block__friction=[0.1, 0.2])
@@ -152,9 +152,9 @@ def test_block_bears_the_cloth_and_publishes_wrench(client: Client) -> None:
     wrenches: list[WrenchStamped] = []
     client.node.create_subscription(WrenchStamped, "/cloth_sim/block/wrench", wrenches.append, 10)
     with ClockedCloth(client, LYING) as cloth:
-        client.spin_until(lambda: client.node.count_publishers("/cloth_sim/block/wrench"), what="the wrench")
+        client.spin_until(lambda: client.node.count_publishers("/cloth_sim/block/wrench"), description="the wrench")
         cloth.tick(120)
-        client.spin_until(lambda: wrenches, what="a wrench")
+        client.spin_until(lambda: wrenches, description="a wrench")
         force = wrenches[-1].wrench.force
         assert force.z == pytest.approx(-0.2 * 9.81, rel=1e-3)
         assert abs(force.x) + abs(force.y) < 1e-3

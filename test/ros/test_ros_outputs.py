@@ -35,26 +35,28 @@ def client(ros_domain: int) -> Iterator[Client]:
 
 def profile(client: Client, topic: str) -> Any:
     """Return the profile that the publisher of a topic offers in the graph."""
-    found = client.spin_until(lambda: client.node.get_publishers_info_by_topic(topic), what=f"a publisher of {topic}")
-    (info,) = found
+    publishers = client.spin_until(
+        lambda: client.node.get_publishers_info_by_topic(topic), description=f"a publisher of {topic}"
+    )
+    (info,) = publishers
     return info.qos_profile
 
 
 def test_surface_marker_is_built_for_subscribers_only(client: Client) -> None:
     with ClockedCloth(client, {"frame_id": "map"}) as cloth:
         marker = cloth.node._outputs._marker
-        made, make = [], marker.serialized
-        marker.serialized = lambda x, stamp: made.append(stamp) or make(x, stamp)
+        stamps, make = [], marker.serialized
+        marker.serialized = lambda x, stamp: stamps.append(stamp) or make(x, stamp)
         clouds: list[PointCloud2] = []
         client.node.create_subscription(PointCloud2, "/cloth_sim/points", clouds.append, 100)
-        client.spin_until(lambda: cloth.node._outputs._points.heard, what="the subscriber of points")
+        client.spin_until(lambda: cloth.node._outputs._points.has_subscribers, description="the subscriber of points")
         cloth.tick(5)
-        assert made == [], "nobody looks"
+        assert stamps == [], "nobody looks"
         markers: list[Marker] = []
         looking = client.node.create_subscription(Marker, "/cloth_sim/mesh", markers.append, 100)
-        client.spin_until(lambda: cloth.node._outputs._mesh.heard, what="the subscriber of mesh")
+        client.spin_until(lambda: cloth.node._outputs._mesh.has_subscribers, description="the subscriber of mesh")
         cloth.tick(3)
-        client.spin_until(lambda: len(markers) == 3 and len(clouds) >= 8, what="three markers")
+        client.spin_until(lambda: len(markers) == 3 and len(clouds) >= 8, description="three markers")
         triangles = cloth.simulation.scene.sheet.triangles()
         for message, cloud in zip(markers, clouds[-3:], strict=True):
             assert (message.type, message.action) == (Marker.TRIANGLE_LIST, Marker.ADD)
@@ -69,10 +71,10 @@ def test_surface_marker_is_built_for_subscribers_only(client: Client) -> None:
         # One surface per node, which each new one replaces.
         assert {(message.ns, message.id) for message in markers} == {("/cloth_sim", 0)}
         client.node.destroy_subscription(looking)
-        client.spin_until(lambda: not cloth.node._outputs._mesh.heard, what="the subscriber gone")
-        count = len(made)
+        client.spin_until(lambda: not cloth.node._outputs._mesh.has_subscribers, description="the subscriber gone")
+        count = len(stamps)
         cloth.tick(3)
-        assert len(made) == count
+        assert len(stamps) == count
 
 
 def test_late_subscriber_receives_topology(client: Client) -> None:
@@ -80,11 +82,11 @@ def test_late_subscriber_receives_topology(client: Client) -> None:
         cloth.tick(50)
         late: list[Mesh] = []
         client.node.create_subscription(Mesh, "/cloth_sim/topology", late.append, LATCHED)
-        client.spin_until(lambda: late, what="the topology")
+        client.spin_until(lambda: late, description="the topology")
         triangles = [list(triangle.vertex_indices) for triangle in late[0].triangles]
         assert triangles == cloth.simulation.scene.sheet.triangles().tolist()
-        rest = np.array([(v.x, v.y, v.z) for v in late[0].vertices])
-        np.testing.assert_array_equal(rest, cloth.simulation.scene.sheet.positions())
+        rest_positions = np.array([(v.x, v.y, v.z) for v in late[0].vertices])
+        np.testing.assert_array_equal(rest_positions, cloth.simulation.scene.sheet.positions())
         cloth.tick(5)
         assert len(late) == 1, "said once"
 
@@ -98,9 +100,11 @@ def test_a_mesh_is_published_in_its_own_order(client: Client, tmp_path: Path) ->
         meshes: list[Mesh] = []
         client.node.create_subscription(PointCloud2, "/cloth_sim/points", clouds.append, 10)
         client.node.create_subscription(Mesh, "/cloth_sim/topology", meshes.append, LATCHED)
-        client.spin_until(lambda: cloth.node._outputs._points.heard and meshes, what="the topology of a mesh")
+        client.spin_until(
+            lambda: cloth.node._outputs._points.has_subscribers and meshes, description="the topology of a mesh"
+        )
         cloth.tick()
-        client.spin_until(lambda: clouds, what="a cloud of a mesh")
+        client.spin_until(lambda: clouds, description="a cloud of a mesh")
         assert (clouds[0].height, clouds[0].width) == (1, 5)
         np.testing.assert_array_equal(positions(clouds[0]), cloth.simulation.positions.astype(np.float32))
         assert [list(triangle.vertex_indices) for triangle in meshes[0].triangles] == [[0, 1, 2], [0, 2, 3], [1, 4, 2]]
@@ -121,9 +125,9 @@ def test_profiles_are_reliable_and_overridable_one_by_one(client: Client) -> Non
         effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
         client.node.create_subscription(PointCloud2, "/cloth_sim/points", best.append, effort)
         client.node.create_subscription(PointCloud2, "/cloth_sim/points", all_of_them.append, 10)
-        client.spin_until(lambda: cloth.node._outputs._points.heard, what="a subscriber")
+        client.spin_until(lambda: cloth.node._outputs._points.has_subscribers, description="a subscriber")
         cloth.tick(3)
-        client.spin_until(lambda: best, what="a cloud by best effort")
+        client.spin_until(lambda: best, description="a cloud by best effort")
         assert all_of_them == []
     # The next cloth in this process has the defaults.
     with ClockedCloth(client, name="other"):
@@ -161,9 +165,12 @@ def test_frames_of_one_stamp_belong_together(client: Client) -> None:
         client.node.create_subscription(PointCloud2, "/cloth_sim/points", clouds.append, 100)
         client.node.create_subscription(WrenchStamped, "/cloth_sim/gripper/wrench", wrenches.append, 100)
         outputs = cloth.node._outputs
-        client.spin_until(lambda: outputs._points.heard and outputs._wrenches[0].heard, what="both subscribers")
+        client.spin_until(
+            lambda: outputs._points.has_subscribers and outputs._wrenches[0].has_subscribers,
+            description="both subscribers",
+        )
         cloth.tick(10)
-        client.spin_until(lambda: len(clouds) >= 10 and len(wrenches) >= 10, what="ten of each")
+        client.spin_until(lambda: len(clouds) >= 10 and len(wrenches) >= 10, description="ten of each")
         assert [stamp_of(cloud) for cloud in clouds] == [stamp_of(wrench) for wrench in wrenches]
 
 
@@ -179,12 +186,14 @@ def test_diagnostics_keys_match_the_docs(client: Client) -> None:
         client.node.create_subscription(
             DiagnosticArray, "/diagnostics", lambda message: seen.extend(message.status), 10
         )
-        client.spin_until(lambda: cloth.node._diagnostics._output.heard, what="the subscriber of diagnostics")
+        client.spin_until(
+            lambda: cloth.node._diagnostics._output.has_subscribers, description="the subscriber of diagnostics"
+        )
         cloth.target("gripper", (0.5, 0.0, 0.5))
         cloth.tick(30)
         seen.clear()
         cloth.node._diagnostics.send()
-        status = client.spin_until(lambda: seen and seen[0], what="diagnostics")
+        status = client.spin_until(lambda: seen and seen[0], description="diagnostics")
         values = {entry.key: entry.value for entry in status.values}
         assert status.name == "cloth_sim: cloth"
         # Entries of a recording and of contact exist only with a recording or contact.
@@ -208,14 +217,16 @@ def test_strain_is_measured_for_subscribers_only(client: Client) -> None:
         x[:, 0] = x[:, 1] + 1.5 * (x[:, 0] - x[:, 1])
         assert away > 0.0
         assert gauge.largest(x) == pytest.approx(0.5)
-        asked: list[bool] = []
-        cloth.node._diagnostics._collect._gauge.largest = lambda x: asked.append(True)
+        measured: list[bool] = []
+        cloth.node._diagnostics._collect._gauge.largest = lambda x: measured.append(True)
         cloth.node._diagnostics.send()
-        assert not asked
+        assert not measured
         client.node.create_subscription(DiagnosticArray, "/diagnostics", lambda message: None, 10)
-        client.spin_until(lambda: cloth.node._diagnostics._output.heard, what="the subscriber of diagnostics")
+        client.spin_until(
+            lambda: cloth.node._diagnostics._output.has_subscribers, description="the subscriber of diagnostics"
+        )
         cloth.node._diagnostics.send()
-        assert asked
+        assert measured
 
 
 def test_targets_take_any_publisher_and_grasps_reliable_ones(client: Client) -> None:
@@ -227,8 +238,8 @@ def test_targets_take_any_publisher_and_grasps_reliable_ones(client: Client) -> 
         for policy, profile in profiles.items():
             for kind, leaf in ((PoseStamped, "target"), (PointStamped, "point")):
                 publisher = client.node.create_publisher(kind, f"/cloth_sim/gripper/{leaf}", profile)
-                client.spin_until(publisher.get_subscription_count, what=f"{leaf} of a {policy.name} publisher")
+                client.spin_until(publisher.get_subscription_count, description=f"{leaf} of a {policy.name} publisher")
         sure = client.node.create_publisher(Bool, "/cloth_sim/gripper/grasp", profiles[ReliabilityPolicy.RELIABLE])
         unsure = client.node.create_publisher(Bool, "/cloth_sim/gripper/grasp", profiles[ReliabilityPolicy.BEST_EFFORT])
-        client.spin_until(sure.get_subscription_count, what="grasp of a reliable publisher")
+        client.spin_until(sure.get_subscription_count, description="grasp of a reliable publisher")
         assert unsure.get_subscription_count() == 0, "a grasp that may get lost is none"

@@ -115,13 +115,13 @@ def test_file_has_same_meaning_without_ros(tmp_path: Path, text: str, namespace:
     expected = of_ros(path, name="towel", namespace=namespace)
     assert expected is not None
     try:
-        found = parameter_file.read(path, node=f"{namespace}/towel")
+        values = parameter_file.read(path, node=f"{namespace}/towel")
     except ParameterError as error:
         if "sets nothing for the node" not in str(error):
             raise
         # Except other nodes of the same name.
-        found = {}
-    typed = {name: (value, type(value)) for name, value in found.items()}
+        values = {}
+    typed = {name: (value, type(value)) for name, value in values.items()}
     assert typed == {name: (value, type(value)) for name, value in expected.items()}
 
 

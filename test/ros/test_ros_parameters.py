@@ -115,7 +115,7 @@ def other_value(entry: Any, value: Any) -> Any:
     if entry.kind == "string":
         return f"other_{value}"
     if entry.is_array:
-        return ("left", "3") if entry.element == "string" else tuple(0.5 * number + 0.25 for number in value)
+        return ("left", "3") if entry.element == "string" else tuple(0.5 * component + 0.25 for component in value)
     return 0.9 * value if value else 0.001 * entry.most**0.5
 
 
@@ -135,9 +135,9 @@ def test_misspelt_qos_override_gives_a_warning(client: Client, capfd: pytest.Cap
     wrong = "qos_overrides./cloth_sim/pionts.publisher.reliability"
     with ClockedCloth(client, {right: "best_effort", wrong: "best_effort"}):
         pass
-    told = capfd.readouterr().err
-    assert f"there is no parameter '{wrong}', what sets it has no effect; did you mean '{right}'?" in told
-    assert f"'{right}', what sets" not in told
+    output = capfd.readouterr().err
+    assert f"there is no parameter '{wrong}', what sets it has no effect; did you mean '{right}'?" in output
+    assert f"'{right}', what sets" not in output
 
 
 def test_a_file_of_all_parameters_starts_the_same_cloth(client: Client, tmp_path: Path) -> None:
@@ -164,18 +164,18 @@ PLAIN = [
 
 def test_plain_scalars_have_same_meaning_without_ros(client: Client, tmp_path: Path) -> None:
     path = tmp_path / "scalars.yaml"
-    lines = "\n".join(f"    v{number}: {text}" for number, text in enumerate(PLAIN))
+    lines = "\n".join(f"    v{index}: {text}" for index, text in enumerate(PLAIN))
     path.write_text(f"/**:\n  ros__parameters:\n{lines}\n")
     node = reading(client, path)
     without = parameter_file.read(path)
-    for number, text in enumerate(PLAIN):
-        value = node.get_parameter(f"v{number}").value
-        assert (without[f"v{number}"], type(without[f"v{number}"])) == (value, type(value)), text
+    for index, text in enumerate(PLAIN):
+        value = node.get_parameter(f"v{index}").value
+        assert (without[f"v{index}"], type(without[f"v{index}"])) == (value, type(value)), text
     node.destroy_node()
 
 
 def test_written_values_are_read_back_with_and_without_ros(client: Client, tmp_path: Path) -> None:
-    values = {f"v{number}": text for number, text in enumerate(PLAIN)}
+    values = {f"v{index}": text for index, text in enumerate(PLAIN)}
     values |= {"f0": 1e-5, "f1": 1e300, "f2": 2.3e-308, "f3": -0.1, "i0": -(2**63), "b0": True, "l0": ["y", "1e3"]}
     path = tmp_path / "written.yaml"
     path.write_text(parameter_file.dump(values))

@@ -50,14 +50,14 @@ def client(ros_domain: int) -> Iterator[Client]:
 def calling(client: Client, service: str, request: Any) -> Any:
     """Return the future of a service call; the service exists."""
     caller = client.node.create_client(SetBool, service)
-    client.spin_until(caller.service_is_ready, what=f"the service {service}")
+    client.spin_until(caller.service_is_ready, description=f"the service {service}")
     return caller.call_async(request)
 
 
 def close_to_the_end(cloth: ClockedCloth, client: Client, *, closed: bool = True) -> tuple[Any, int]:
     """Call ~/gripper/close and run frames until it answers; return the answer and the frames."""
     future = calling(client, "/cloth_sim/gripper/close", SetBool.Request(data=closed))
-    client.spin_until(lambda: len(cloth.node._queue), what="the event")
+    client.spin_until(lambda: len(cloth.node._queue), description="the event")
     frames = 0
     while not future.done() and frames < 60:
         cloth.tick()
@@ -65,7 +65,7 @@ def close_to_the_end(cloth: ClockedCloth, client: Client, *, closed: bool = True
         # The answer of the last frame may still be in transit.
         for _ in range(5):
             client.executor.spin_once(timeout_sec=0.002)
-    client.spin_until(future.done, what="an answer")
+    client.spin_until(future.done, description="an answer")
     return future.result(), frames
 
 
@@ -82,7 +82,7 @@ def test_closing_answer_waits_for_pads_and_wrench_is_contact(client: Client) -> 
         assert answer.message == "holds 4 particles"
         # 7 mm at 0.05 m/s take 8 frames.
         assert frames > 8
-        client.spin_until(lambda: states and states[-1].message == "closed, holds 4 particles", what="its state")
+        client.spin_until(lambda: states and states[-1].message == "closed, holds 4 particles", description="its state")
         assert not [state for state in states if state.message.startswith("closed, holds nothing")]
         cloth.tick()
         # Out of its plane: pushed within its plane, a flat sheet would slip through the pads instead of bending.
@@ -92,13 +92,13 @@ def test_closing_answer_waits_for_pads_and_wrench_is_contact(client: Client) -> 
         cloth.tick(60)
         # The cloth below the pads, and a part of that beside them, pulls at them.
         assert -0.2 * 0.3 * 0.3 * 9.81 < wrenches[-1].wrench.force.z < -1e-3
-        there = off_corner(0.0, -0.09, 0.03)
-        assert np.linalg.norm(cloth.simulation.positions[-1] - there) < 1e-3
+        target = off_corner(0.0, -0.09, 0.03)
+        assert np.linalg.norm(cloth.simulation.positions[-1] - target) < 1e-3
         answer, frames = close_to_the_end(cloth, client, closed=False)
         assert answer.success
         assert frames <= 2
         cloth.tick(20)
-        assert np.linalg.norm(cloth.simulation.positions[-1] - there) > 0.01
+        assert np.linalg.norm(cloth.simulation.positions[-1] - target) > 0.01
 
 
 def test_closing_on_nothing_is_answered_when_pads_meet(client: Client) -> None:
@@ -116,18 +116,18 @@ def test_interrupted_closing_is_answered(client: Client, instead: str) -> None:
         cloth.target("gripper", CORNER)
         cloth.tick()
         future = calling(client, "/cloth_sim/gripper/close", SetBool.Request(data=True))
-        client.spin_until(lambda: len(cloth.node._queue), what="the event")
+        client.spin_until(lambda: len(cloth.node._queue), description="the event")
         cloth.tick(3)
         assert not future.done()
         if instead == "opened":
             cloth.grasp("gripper", False)
         else:
             reset = client.node.create_client(Trigger, "/cloth_sim/reset")
-            client.spin_until(reset.service_is_ready, what="~/reset")
+            client.spin_until(reset.service_is_ready, description="~/reset")
             reset.call_async(Trigger.Request())
-            client.spin_until(lambda: len(cloth.node._queue), what="the event")
+            client.spin_until(lambda: len(cloth.node._queue), description="the event")
         cloth.tick()
-        client.spin_until(future.done, what="an answer")
+        client.spin_until(future.done, description="an answer")
         assert not future.result().success
         assert future.result().message == f"holds 0 particles: {instead} before its pads came to rest"
 
@@ -139,7 +139,7 @@ def test_pads_are_shown_where_they_are(client: Client) -> None:
         cloth.tick()
         cloth.target("gripper", CORNER)
         cloth.tick()
-        client.spin_until(lambda: arrays and len(arrays[-1].markers) == 2, what="two pads")
+        client.spin_until(lambda: arrays and len(arrays[-1].markers) == 2, description="two pads")
         left, right = arrays[-1].markers
         assert left.ns == "/cloth_sim/gripper.left_pad"
         assert (left.type, left.scale.y) == (Marker.CUBE, 0.02)
@@ -148,7 +148,7 @@ def test_pads_are_shown_where_they_are(client: Client) -> None:
         assert right.pose.position.y == pytest.approx(-0.02, abs=2e-4)
         close_to_the_end(cloth, client)
         cloth.tick()
-        client.spin_until(lambda: arrays[-1].markers[0].pose.position.y < 0.0135, what="closed pads")
+        client.spin_until(lambda: arrays[-1].markers[0].pose.position.y < 0.0135, description="closed pads")
         assert arrays[-1].markers[0].pose.position.y > 0.01
 
 
@@ -161,7 +161,7 @@ def test_a_recorded_pinch_runs_again_to_the_last_bit(client: Client, tmp_path: P
         for k in range(20):
             cloth.target("gripper", off_corner(0.001 * k, 0.0, 0.002 * k))
             cloth.tick()
-        assert cloth.simulation.held(0) == 4
+        assert cloth.simulation.grasped_count(0) == 4
     (session,) = tmp_path.glob("*.mcap")
     verdict = verify([session])
     assert verdict.same, verdict.first_reason

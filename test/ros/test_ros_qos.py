@@ -35,7 +35,9 @@ def client(ros_domain: int) -> Iterator[Client]:
 
 def requested(client: Client, topic: str) -> Any:
     """Return the profile of a topic's only subscription in the graph."""
-    endpoints = client.spin_until(lambda: client.node.get_subscriptions_info_by_topic(topic), what=f"one of {topic}")
+    endpoints = client.spin_until(
+        lambda: client.node.get_subscriptions_info_by_topic(topic), description=f"one of {topic}"
+    )
     (info,) = endpoints
     return info.qos_profile
 
@@ -43,12 +45,14 @@ def requested(client: Client, topic: str) -> Any:
 def test_latched_points_reach_late_subscribers(client: Client) -> None:
     with ClockedCloth(client, {f"{POINTS}.durability": "transient_local", f"{POINTS}.depth": 1}) as cloth:
         listener = client.node.create_subscription(PointCloud2, "/cloth_sim/points", lambda _: None, LATCHED)
-        client.spin_until(lambda: client.node.count_publishers("/cloth_sim/points"), what="the publisher of points")
+        client.spin_until(
+            lambda: client.node.count_publishers("/cloth_sim/points"), description="the publisher of points"
+        )
         cloth.tick(3)
         client.node.destroy_subscription(listener)
         late: list[PointCloud2] = []
         client.node.create_subscription(PointCloud2, "/cloth_sim/points", late.append, LATCHED)
-        client.spin_until(lambda: late, what="the last cloud")
+        client.spin_until(lambda: late, description="the last cloud")
 
 
 def test_inputs_keep_their_defaults(client: Client) -> None:
@@ -73,9 +77,9 @@ def test_inputs_may_be_overridden(client: Client, capfd: pytest.CaptureFixture[s
         # Without overrides, the parameters hold the defaults, as in `ros2 param dump`.
         assert cloth.node.node.get_parameter(f"{GRASP}.depth").value == 100
         publisher = client.node.create_publisher(PoseStamped, "/cloth_sim/gripper/target", LATCHED)
-        client.spin_until(publisher.get_subscription_count, what="the subscription of targets")
+        client.spin_until(publisher.get_subscription_count, description="the subscription of targets")
         publisher.publish(pose(0.5, 0.0, 0.5))
-        client.spin_until(lambda: cloth.node._commands.received == 1, what="a target")
+        client.spin_until(lambda: cloth.node._commands.received == 1, description="a target")
         # An incompatible publisher is warned of, with the policy that it lacks.
         lacks = QoSProfile(depth=1)
         client.node.create_publisher(PoseStamped, "/cloth_sim/gripper/target", lacks)
@@ -85,7 +89,7 @@ def test_inputs_may_be_overridden(client: Client, capfd: pytest.CaptureFixture[s
             warnings.append(capfd.readouterr().err)
             return "is volatile, so none of its messages arrive" in "".join(warnings)
 
-        client.spin_until(misfit, what="a warning")
+        client.spin_until(misfit, description="a warning")
     assert "there is no parameter" not in "".join(warnings)
 
 
@@ -94,7 +98,7 @@ def test_latched_target_is_heard_by_a_node_that_starts_later(client: Client) -> 
     publisher.publish(pose(0.5, 0.0, 0.5))
     values = {f"{TARGET}.reliability": "reliable", f"{TARGET}.durability": "transient_local"}
     with ClockedCloth(client, values) as cloth:
-        client.spin_until(lambda: cloth.node._commands.received == 1, what="the target of before")
+        client.spin_until(lambda: cloth.node._commands.received == 1, description="the target of before")
 
 
 @pytest.mark.parametrize(

@@ -39,13 +39,13 @@ def offered(client: Client) -> set[str]:
 def test_discoverable_services_are_served(client: Client) -> None:
     cloth = ClothNode(context=client.context, parameter_overrides=[Parameter("cloth.resolution", value=[5, 5])])
     try:
-        client.spin_until(lambda: "cloth_sim" in client.node.get_node_names(), what="the node")
+        client.spin_until(lambda: "cloth_sim" in client.node.get_node_names(), description="the node")
         # rclpy's entity appears after the node's would.
-        client.spin_until(lambda: offered(client) >= RCLPY, what="the node's services")
+        client.spin_until(lambda: offered(client) >= RCLPY, description="the node's services")
         assert offered(client) == RCLPY
         client.executor.add_node(cloth.node)
         cloth.start()
-        client.spin_until(lambda: offered(client) >= COMMANDS | SERVICES, what="commands and services")
+        client.spin_until(lambda: offered(client) >= COMMANDS | SERVICES, description="commands and services")
         request = GetParameters.Request(names=["rate"])
         assert client.call(GetParameters, f"{NAME}/get_parameters", request).values[0].double_value == 60.0
     finally:
@@ -61,7 +61,7 @@ def test_parameter_services_can_be_disabled(client: Client) -> None:
         parameter_overrides=[Parameter("cloth.resolution", value=[5, 5])],
     )
     cloth.start()
-    client.spin_until(lambda: offered(client) >= COMMANDS, what="commands")
+    client.spin_until(lambda: offered(client) >= COMMANDS, description="commands")
     assert f"{NAME}/set_parameters" not in offered(client)
     cloth.close()
     cloth.node.destroy_node()

@@ -27,12 +27,12 @@ class OpeningRecording:
         self.running = self.busy = True
         self.begun += 1
 
-    def end_soon(self, *, reason: str) -> None:
+    def begin_close(self, *, reason: str) -> None:
         """End; the file is still being closed."""
         assert reason
         self.running = False
 
-    def tell(self, listener: Callable[[Any], None]) -> None:
+    def notify(self, listener: Callable[[Any], None]) -> None:
         """Call a listener at the next state."""
         self._listeners.append(listener)
 
@@ -56,11 +56,11 @@ def test_failure_of_an_opening_recording_is_resumed() -> None:
         control.fail("ValueError: first", 0)
         recording.become("closed")
         # After the reset a recording starts; the next failure comes before its file is open.
-        control.follow()
+        control.resume()
     assert (recording.begun, recording.running) == (3, True)
     control.fail("ValueError: again", 0)
     recording.become("closed")
-    control.follow()
+    control.resume()
     recording.become("recording")
     assert not errors
     assert (recording.begun, recording.running) == (4, True)

@@ -50,8 +50,8 @@ class Actors:
         if wait:
             self.wait_for_output(name, {"node": STARTED, "gripper": "waiting for", "subscriber": "ready"}[name])
 
-    def signal(self, name: str, number: int) -> None:
-        self._processes[name].send_signal(number)
+    def signal(self, name: str, signum: int) -> None:
+        self._processes[name].send_signal(signum)
 
     def kill(self, name: str) -> None:
         self._processes[name].kill()
@@ -88,7 +88,7 @@ def grasp(ros_domain: int, start_process: Callable[..., Any], tmp_path: Path) ->
         actors.start(name)
     with Client() as client:
         client.watch()
-        client.spin_until(lambda: is_lifted(client), what="the corner lifted", limit=2 * LIMIT)
+        client.spin_until(lambda: is_lifted(client), description="the corner lifted", limit=2 * LIMIT)
         yield actors, client
 
 
@@ -96,18 +96,18 @@ def lifted_again(actors: Actors, client: Client) -> None:
     """A new gripper finds the cloth and lifts it."""
     # Clouds of a killed node may still be in transit.
     since = actors.node_started
-    client.spin_until(lambda: is_lifted(client, since), what="the corner lifted again", limit=2 * LIMIT)
+    client.spin_until(lambda: is_lifted(client, since), description="the corner lifted again", limit=2 * LIMIT)
     before = actors.received
-    client.spin_until(lambda: actors.received > before, what="the subscriber to receive on")
+    client.spin_until(lambda: actors.received > before, description="the subscriber to receive on")
 
 
 def test_the_node_dies_first_and_its_callers_go_on(grasp: tuple[Actors, Client], tmp_path: Path) -> None:
     actors, client = grasp
     # A pending service call of a dead node is never answered, and blocks no process.
-    asked = client.node.create_client(SetBool, "/cloth_sim/gripper/close")
-    client.spin_until(asked.service_is_ready, what="the service")
+    pending = client.node.create_client(SetBool, "/cloth_sim/gripper/close")
+    client.spin_until(pending.service_is_ready, description="the service")
     actors.signal("node", signal.SIGSTOP)
-    future = asked.call_async(SetBool.Request(data=False))
+    future = pending.call_async(SetBool.Request(data=False))
     actors.kill("node")
     assert not future.done()
     # The gripper goes on publishing without a cloth. A new cloth receives its targets, but is not grasped.
@@ -149,7 +149,7 @@ def test_stalled_processes_do_not_block_others(grasp: tuple[Actors, Client]) -> 
     assert is_lifted(client)
     before = actors.received
     actors.signal("subscriber", signal.SIGCONT)
-    client.spin_until(lambda: actors.received > before, what="the subscriber to receive on")
+    client.spin_until(lambda: actors.received > before, description="the subscriber to receive on")
     # The node itself: frames are skipped, the grasp stays.
     actors.signal("node", signal.SIGSTOP)
     for _ in range(60):
@@ -182,7 +182,7 @@ def test_delayed_gripper_closes_at_the_cloth(
         # Until well after the lift.
         client.wait_for_clouds(180)
         actors.signal("gripper", signal.SIGCONT)
-        client.spin_until(lambda: is_lifted(client), what="the corner lifted")
+        client.spin_until(lambda: is_lifted(client), description="the corner lifted")
 
 
 def test_subscribers_come_and_go_amid_a_grasp(grasp: tuple[Actors, Client]) -> None:
@@ -192,7 +192,7 @@ def test_subscribers_come_and_go_amid_a_grasp(grasp: tuple[Actors, Client]) -> N
         actors.start("subscriber", wait=False)
         client.wait_for_clouds(20)
         assert is_lifted(client)
-    hear_again(actors, client)
+    check_clouds_resume(actors, client)
     # A node does not wait at its end for a dead subscriber that discovery still lists.
     actors.kill("subscriber")
     assert actors.interrupt("node") == 0
@@ -208,7 +208,7 @@ def test_half_made_port_blocks_no_process(ros_domain: int, start_process: Callab
     assert not port.exists()
 
 
-def hear_again(actors: Actors, client: Client) -> None:
+def check_clouds_resume(actors: Actors, client: Client) -> None:
     """Check that a subscriber started now receives clouds.
 
     In Fast DDS a subscriber sometimes receives nothing if its predecessor was killed during discovery. See issues 5053

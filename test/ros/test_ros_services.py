@@ -65,17 +65,20 @@ def check_grasp(client: Client) -> None:
         client.call(SetBool, close, SetBool.Request(data=False))
         return False
 
-    client.spin_until(lambda: closes((9.0, 9.0, 9.0), "the nearest is"), what="a grasp at nothing")
+    client.spin_until(lambda: closes((9.0, 9.0, 9.0), "the nearest is"), description="a grasp at nothing")
     client.call(SetBool, close, SetBool.Request(data=False))
-    client.spin_until(lambda: closes(CORNER, "holds 1 particle"), what="a grasp of the corner")
+    client.spin_until(lambda: closes(CORNER, "holds 1 particle"), description="a grasp of the corner")
     again = client.call(SetBool, close, SetBool.Request(data=True))
     assert "closed already" in again.message
     target.publish(pose(0.5, -0.3, 0.9))
     client.spin_until(
-        lambda: np.linalg.norm(positions(client.clouds[-1])[-1] - (0.5, -0.3, 0.9)) < 0.05, what="the corner lifted"
+        lambda: np.linalg.norm(positions(client.clouds[-1])[-1] - (0.5, -0.3, 0.9)) < 0.05,
+        description="the corner lifted",
     )
     # The cloth hangs from the gripper too and pulls down by less than its weight of 2 N.
-    client.spin_until(lambda: wrenches and -2.0 < wrenches[-1].wrench.force.z < -0.05, what="a wrench of the weight")
+    client.spin_until(
+        lambda: wrenches and -2.0 < wrenches[-1].wrench.force.z < -0.05, description="a wrench of the weight"
+    )
     assert wrenches[-1].header.frame_id == "world"
 
 
@@ -88,7 +91,7 @@ def check_pause_and_step(client: Client) -> None:
     assert stepped.success
     assert frame_of(stepped) == frame + 1
     assert frame_of(client.call(Trigger, "/cloth_sim/step")) == frame + 2
-    client.spin_until(lambda: not np.array_equal(positions(client.clouds[-1]), still), what="a step to be seen")
+    client.spin_until(lambda: not np.array_equal(positions(client.clouds[-1]), still), description="a step to be seen")
     # Commands take effect without time passing.
     answer = client.call(SetBool, "/cloth_sim/gripper/close", SetBool.Request(data=False))
     assert answer.success
@@ -142,7 +145,9 @@ def check_state(client: Client, folder: Path) -> None:
 def check_reset(client: Client) -> None:
     before = frame_of(client.call(Trigger, "/cloth_sim/reset"))
     flat = np.float32(0.5)
-    client.spin_until(lambda: abs(positions(client.clouds[-1])[-1][2] - flat) < 0.01, what="the cloth where it started")
+    client.spin_until(
+        lambda: abs(positions(client.clouds[-1])[-1][2] - flat) < 0.01, description="the cloth where it started"
+    )
     assert frame_of(client.call(Trigger, "/cloth_sim/reset")) > before
 
 
@@ -164,7 +169,7 @@ def check_parameters(client: Client) -> None:
     value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=[0.0, 0.0, 9.81])
     request = SetParameters.Request(parameters=[Parameter(name="gravity", value=value)])
     assert client.call(SetParameters, "/cloth_sim/set_parameters", request).results[0].successful
-    client.spin_until(lambda: positions(client.clouds[-1])[-1][2] > 1.0, what="the cloth falling up")
+    client.spin_until(lambda: positions(client.clouds[-1])[-1][2] > 1.0, description="the cloth falling up")
     request = GetParameters.Request(names=["gravity"])
     assert list(client.call(GetParameters, "/cloth_sim/get_parameters", request).values[0].double_array_value) == [
         0.0, 0.0, 9.81,
@@ -182,7 +187,7 @@ def check_parameters(client: Client) -> None:
     request = GetParameters.Request(names=["step"])
     client.spin_until(
         lambda: client.call(GetParameters, "/cloth_sim/get_parameters", request).values[0].double_value == 0.0,
-        what="the step set back",
+        description="the step set back",
     )
 
 
@@ -192,7 +197,7 @@ def check_surface(client: Client) -> None:
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     client.node.create_subscription(Mesh, "/cloth_sim/topology", meshes.append, latched)
     client.node.create_subscription(Marker, "/cloth_sim/mesh", markers.append, 10)
-    client.spin_until(lambda: meshes and markers, what="topology and mesh")
+    client.spin_until(lambda: meshes and markers, description="topology and mesh")
     assert len(meshes[0].vertices) == 10 * 12
     assert len(meshes[0].triangles) == 2 * 9 * 11
     assert len(markers[0].points) == 3 * len(meshes[0].triangles)
@@ -205,7 +210,7 @@ def check_diagnostics(client: Client) -> None:
     seen: list[DiagnosticStatus] = []
     received = len(client.clouds)
     client.node.create_subscription(DiagnosticArray, "/diagnostics", lambda message: seen.extend(message.status), 10)
-    status = client.spin_until(lambda: seen and seen[-1], what="diagnostics")
+    status = client.spin_until(lambda: seen and seen[-1], description="diagnostics")
     values = {entry.key: entry.value for entry in status.values}
     assert status.name == "cloth_sim: cloth"
     assert status.hardware_id == "none"

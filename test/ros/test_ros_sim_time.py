@@ -44,21 +44,21 @@ def test_clock_message_without_valid_time_is_ignored(ros_domain: int, start_proc
         client.node.create_subscription(PointCloud2, "/cloth_sim/points", client.clouds.append, 1000)
         # Each cloud is sent once: those before the match are missed, and a standing clock causes no other.
         seconds = itertools.count(1)
-        client.spin_until(lambda: shows(next(seconds)) or client.clouds, what="a cloud")
-        client.spin_until(lambda: shows(SOME), what="the last cloud before times that are none")
+        client.spin_until(lambda: shows(next(seconds)) or client.clouds, description="a cloud")
+        client.spin_until(lambda: shows(SOME), description="the last cloud before times that are none")
         for sec, nanosec, words in NO_TIMES:
             before = len(client.clouds)
 
-            def told(sec: int = sec, nanosec: int = nanosec, words: str = words) -> bool:
+            def is_logged(sec: int = sec, nanosec: int = nanosec, words: str = words) -> bool:
                 set_time(sec, nanosec)
                 return words in process.output
 
-            client.spin_until(told, what=f"'{words}' in the log")
+            client.spin_until(is_logged, description=f"'{words}' in the log")
             assert len(client.clouds) == before
-        client.spin_until(lambda: shows(SOME + 1), what="the cloud of the next second")
+        client.spin_until(lambda: shows(SOME + 1), description="the cloud of the next second")
         # The last valid time.
-        client.spin_until(lambda: shows(LAST), what="the cloud of the last second")
-        client.spin_until(lambda: shows(12), what="the cloud after it")
+        client.spin_until(lambda: shows(LAST), description="the cloud of the last second")
+        client.spin_until(lambda: shows(12), description="the cloud after it")
     assert process.interrupt() == 0
     assert "Traceback" not in process.output
 
@@ -69,25 +69,25 @@ def test_gripper_ignores_invalid_clock_message(ros_domain: int, start_process: C
     with Client() as client:
         clock = client.publisher(Clock, "/clock")
 
-        def told() -> bool:
+        def is_logged() -> bool:
             clock.publish(Clock(clock=Time(sec=-1)))
             return "a message on /clock is left out: its time is -1.000 s" in gripper.output
 
-        client.spin_until(told, what="a warning")
+        client.spin_until(is_logged, description="a warning")
     gripper.interrupt()
     assert "Traceback" not in gripper.output
 
 
 def test_silent_clock_is_warned_of_once_a_minute() -> None:
-    now, told = [100.0], []
+    now, lines = [100.0], []
 
     class Log:
         def warning(self, text: str) -> None:
-            told.append((now[0], text))
+            lines.append((now[0], text))
 
     silence = ClockSilence(Log(), seconds=lambda: now[0])
     for quarter in range(4 * 130):
         now[0] = 100.0 + quarter / 4
-        silence.look()
-    assert [when for when, _ in told] == [105.25, 165.5, 225.75]
-    assert told[1][1].startswith("use_sim_time is set, and for 66 s nothing has come on /clock")
+        silence.check()
+    assert [when for when, _ in lines] == [105.25, 165.5, 225.75]
+    assert lines[1][1].startswith("use_sim_time is set, and for 66 s nothing has come on /clock")

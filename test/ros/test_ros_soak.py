@@ -56,7 +56,7 @@ class Watch:
         values = {entry.key: entry.value for status in message.status for entry in status.values}
         self._late, self._frames = int(values["late_frames"]), int(values["frame"])
 
-    def look(self, elapsed: float) -> None:
+    def sample(self, elapsed: float) -> None:
         """Take one sample."""
         with self._process.oneshot():
             memory = self._process.memory_info().rss / 1e6
@@ -68,8 +68,8 @@ def led_by_the_corner(phase: float) -> tuple[PoseStamped, bool]:
     """Return target and grip at a phase of the cycle, 0 to 1: to the corner, close, a loop, release."""
     if phase < 0.15:
         return pose(0.5, 0.0, 0.5), False
-    turn = min(1.0, (phase - 0.15) / 0.7)
-    angle = 2.0 * np.pi * turn
+    phase_fraction = min(1.0, (phase - 0.15) / 0.7)
+    angle = 2.0 * np.pi * phase_fraction
     x, y, z = 0.5 - 0.2 * (1 - np.cos(angle)), -0.3 * np.sin(angle), 0.5 + 0.15 * (1 - np.cos(angle))
     return pose(x, y, z, w=1.0), phase < 0.85
 
@@ -90,7 +90,7 @@ def soak(start_process: Callable[..., Any], folder: Path, seconds: float) -> tup
                 grasp.publish(Bool(data=close))
                 closed, held_once = close, held_once + close
             if elapsed > WARM_UP and elapsed > (watch.samples[-1].elapsed if watch.samples else 0.0) + 2.0:
-                watch.look(elapsed)
+                watch.sample(elapsed)
                 client.clouds.clear()
             client.executor.spin_once(timeout_sec=0.01)
         # The last cycle may end before it closes.

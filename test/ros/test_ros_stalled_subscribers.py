@@ -18,7 +18,7 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
-from support.kept_log import Log
+from support.line_log import LineLog
 from support.ros_client import Client, stamp_of, start_cloth
 from visualization_msgs.msg import Marker
 
@@ -101,7 +101,7 @@ def test_suspended_subscriber_leaves_small_topics(
         wrenches.clear()
         health.clear()
         client.wait_for_clouds(60)
-        client.spin_until(lambda: health and wrenches, what="diagnostics and wrenches")
+        client.spin_until(lambda: health and wrenches, description="diagnostics and wrenches")
         stalled.send_signal(signal.SIGKILL)
         check_received(node, client, tmp_path)
 
@@ -135,7 +135,7 @@ def test_suspended_rviz_leaves_others_clouds_and_meshes(
         stalled.send_signal(signal.SIGSTOP)
         client.wait_for_clouds(60 * 2)
         meshes.clear()
-        client.spin_until(lambda: len(meshes) > 30, what="30 meshes")
+        client.spin_until(lambda: len(meshes) > 30, description="30 meshes")
         stalled.send_signal(signal.SIGKILL)
         check_received(node, client, tmp_path)
 
@@ -170,7 +170,7 @@ class SlowNode(Node):
 def test_long_publication_is_warned_of_once(monkeypatch: pytest.MonkeyPatch, ros_domain: int) -> None:
     with Client() as client:
         node = SlowNode("slow", context=client.context)
-        log = Log()
+        log = LineLog()
         monkeypatch.setattr(node, "get_logger", lambda: log)
         output = Output(node, PointCloud2, "~/points", Recorded())
         output.publish(b"\x00\x01\x00\x00")

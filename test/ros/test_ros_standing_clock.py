@@ -49,7 +49,7 @@ class Standing(ClockedCloth):
                 self.publish_clock(at)
             return condition()
 
-        self.client.spin_until(poll, what=expectation)
+        self.client.spin_until(poll, description=expectation)
 
     def stand(self, at: int | None) -> None:
         """Keep the time until the node reports that /clock stands."""
@@ -78,7 +78,7 @@ def test_clock_that_never_comes_is_warned_of(client: Client) -> None:
         cloth.wait_for_report(DiagnosticStatus.WARN, "waiting for /clock since ")
         assert cloth.states == ["inactive"]
         cloth.tick(3)
-        client.spin_until(lambda: cloth.states == ["inactive", "active"], what="active")
+        client.spin_until(lambda: cloth.states == ["inactive", "active"], description="active")
         cloth.wait_for_report(DiagnosticStatus.OK, "")
 
 
@@ -106,10 +106,12 @@ def test_standing_clock_is_a_pause(client: Client, tmp_path: Path, republished: 
         assert cloth.simulation.frame == frame
         start = Simulation(cloth.simulation.scene).positions
         assert cloth.ask(Trigger, "reset", at=still).success
-        client.spin_until(lambda: np.allclose(positions(client.clouds[-1]), start, atol=1e-6), what="the reset's cloud")
+        client.spin_until(
+            lambda: np.allclose(positions(client.clouds[-1]), start, atol=1e-6), description="the reset's cloud"
+        )
         assert cloth.simulation.frame == frame
         cloth.tick(3)
-        client.spin_until(lambda: cloth.states[-1] == "active", what="active")
+        client.spin_until(lambda: cloth.states[-1] == "active", description="active")
     stamps = [stamp_of(cloud) for cloud in client.clouds]
     assert stamps == sorted(stamps)
     (path,) = tmp_path.glob("*.mcap")
@@ -134,9 +136,9 @@ def test_users_pause_survives_a_standing_clock(client: Client) -> None:
         assert cloth.ask(SetBool, "pause", False).success
         assert cloth.simulation.frame == frame + 1
         assert cloth.states[-1] == "inactive"
-        cloth._number += 120
+        cloth._tick_index += 120
         cloth.tick(3)
-        client.spin_until(lambda: cloth.states[-1] == "active", what="active")
+        client.spin_until(lambda: cloth.states[-1] == "active", description="active")
 
 
 @pytest.mark.parametrize("back", [50 * SECOND + 1, 0])
@@ -154,9 +156,9 @@ def test_clock_standing_at_zero_is_a_clock(client: Client) -> None:
     with Standing(client) as cloth:
         cloth.wait_for_report(DiagnosticStatus.OK, "/clock stands at 0.000 s", at=0)
         assert cloth.ask(Trigger, "reset", at=0).success
-        cloth._number = 1
+        cloth._tick_index = 1
         cloth.tick(3)
-        client.spin_until(lambda: cloth.states[-1] == "active", what="active")
+        client.spin_until(lambda: cloth.states[-1] == "active", description="active")
 
 
 @pytest.mark.parametrize(("step", "frames"), [(11 * SECOND, 60), (SECOND // 10, 6)])
@@ -165,7 +167,9 @@ def test_frames_of_a_step_of_the_clock_are_not_late(client: Client, step: int, f
         cloth.tick(1)
         for count in range(1, 4):
             cloth.publish_clock(100 * SECOND + count * step)
-            client.spin_until(lambda n=count: cloth.simulation.frame >= 1 + n * frames, what="frames made up for")
+            client.spin_until(
+                lambda n=count: cloth.simulation.frame >= 1 + n * frames, description="frames made up for"
+            )
         assert cloth.simulation.frame == 1 + 3 * frames
         report = cloth.wait_for_report(DiagnosticStatus.OK, "")
         assert report["late_frames"] == "0"
@@ -190,4 +194,4 @@ def test_cloth_slower_than_the_clock_is_late(client: Client, monkeypatch: pytest
             values = {entry.key: entry.value for report in cloth.reports[-1:] for entry in report.values}
             return int(values.get("late_frames", 0)) > 10
 
-        client.spin_until(late, what="late frames")
+        client.spin_until(late, description="late frames")

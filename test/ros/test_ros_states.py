@@ -21,8 +21,8 @@ from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client
 
 from cloth_sim_ros import Scene
-from cloth_sim_ros.ros.broadcast import transforms_bytes
-from cloth_sim_ros.ros.outputs import LATCHED
+from cloth_sim_ros.ros.outputs import LATCHED_QOS
+from cloth_sim_ros.ros.tf_broadcaster import transforms_bytes
 from cloth_sim_ros.scene.parameters import ParameterError
 
 CORNER = (0.5, 0.0, 0.5)
@@ -34,21 +34,21 @@ def client(ros_domain: int) -> Iterator[Client]:
         yield client
 
 
-class Heard:
+class LatchedTopic:
     """The newest message of a latched topic for a new subscriber."""
 
     def __init__(self, client: Client, kind: Any, topic: str) -> None:
         self.messages: list[Any] = []
-        client.node.create_subscription(kind, topic, self.messages.append, LATCHED)
-        client.spin_until(lambda: self.messages, what=topic)
+        client.node.create_subscription(kind, topic, self.messages.append, LATCHED_QOS)
+        client.spin_until(lambda: self.messages, description=topic)
 
     @property
     def values(self) -> dict[str, str]:
         return {entry.key: entry.value for entry in self.messages[-1].values}
 
 
-def gripper_state(client: Client, name: str = "gripper") -> Heard:
-    return Heard(client, DiagnosticStatus, f"/cloth_sim/{name}/state")
+def gripper_state(client: Client, name: str = "gripper") -> LatchedTopic:
+    return LatchedTopic(client, DiagnosticStatus, f"/cloth_sim/{name}/state")
 
 
 def test_gripper_state_reaches_late_subscribers(client: Client) -> None:
@@ -60,10 +60,10 @@ def test_gripper_state_reaches_late_subscribers(client: Client) -> None:
         cloth.tick()
         cloth.grasp("left", True)
         cloth.tick(3)
-        for heard in (first, gripper_state(client, "left")):
-            client.spin_until(lambda heard=heard: heard.values["closed"] == "true", what="the grasp")
-            status = heard.messages[-1]
-            assert (heard.values["held"], heard.values["frame"]) == ("1", "2")
+        for topic in (first, gripper_state(client, "left")):
+            client.spin_until(lambda topic=topic: topic.values["closed"] == "true", description="the grasp")
+            status = topic.messages[-1]
+            assert (topic.values["held"], topic.values["frame"]) == ("1", "2")
             assert (status.level, status.message) == (DiagnosticStatus.OK, "closed, holds 1 particle")
             assert (status.name, status.hardware_id) == ("cloth_sim: left", "none")
         assert len(first.messages) == 2, "said once for each grasp, not each frame"
@@ -71,57 +71,57 @@ def test_gripper_state_reaches_late_subscribers(client: Client) -> None:
         # A closing without a change is published too.
         cloth.grasp("left", True)
         cloth.tick()
-        client.spin_until(lambda: len(first.messages) == 3, what="an answer")
+        client.spin_until(lambda: len(first.messages) == 3, description="an answer")
         assert "it is closed already" in first.messages[-1].message
         reset = client.node.create_client(Trigger, "/cloth_sim/reset")
-        client.spin_until(reset.service_is_ready, what="reset")
+        client.spin_until(reset.service_is_ready, description="reset")
         future = reset.call_async(Trigger.Request())
-        client.spin_until(lambda: len(cloth.node._queue) == 1, what="the reset to wait")
+        client.spin_until(lambda: len(cloth.node._queue) == 1, description="the reset to wait")
         cloth.tick()
-        client.spin_until(lambda: first.values["closed"] == "false", what="what the reset let go")
-        client.spin_until(future.done, what="the reset's answer")
+        client.spin_until(lambda: first.values["closed"] == "false", description="what the reset let go")
+        client.spin_until(future.done, description="the reset's answer")
 
 
 def test_closing_on_nothing_is_published_with_reason(client: Client) -> None:
     with ClockedCloth(client) as cloth:
-        heard = gripper_state(client)
+        topic = gripper_state(client)
         cloth.target("gripper", (3.0, 3.0, 3.0))
         cloth.tick()
         cloth.grasp("gripper", True)
         cloth.tick()
-        client.spin_until(lambda: heard.values["closed"] == "true", what="the grasp")
-        assert heard.messages[-1].level == DiagnosticStatus.WARN
-        assert heard.messages[-1].message.startswith("closed, holds nothing: no particle within 0.05 m")
+        client.spin_until(lambda: topic.values["closed"] == "true", description="the grasp")
+        assert topic.messages[-1].level == DiagnosticStatus.WARN
+        assert topic.messages[-1].message.startswith("closed, holds nothing: no particle within 0.05 m")
 
 
 def test_automatic_release_is_published(client: Client) -> None:
     with ClockedCloth(client, {"gripper.timeout": 0.05}) as cloth:
-        heard = gripper_state(client)
+        topic = gripper_state(client)
         cloth.target("gripper", CORNER)
         cloth.tick()
         cloth.grasp("gripper", True)
         cloth.tick(10)
         client.spin_until(
-            lambda: [m.message for m in heard.messages[1:]] == ["closed, holds 1 particle", "open"], what="it"
+            lambda: [m.message for m in topic.messages[1:]] == ["closed, holds 1 particle", "open"], description="it"
         )
 
 
 def test_node_state_follows_managed_node_ids(client: Client) -> None:
     with ClockedCloth(client) as cloth:
         cloth.tick(3)
-        heard = Heard(client, State, "/cloth_sim/state")
-        assert [(m.id, m.label) for m in heard.messages] == [(State.PRIMARY_STATE_ACTIVE, "active")]
+        topic = LatchedTopic(client, State, "/cloth_sim/state")
+        assert [(m.id, m.label) for m in topic.messages] == [(State.PRIMARY_STATE_ACTIVE, "active")]
         service = client.node.create_client(SetBool, "/cloth_sim/pause")
-        client.spin_until(service.service_is_ready, what="pause")
+        client.spin_until(service.service_is_ready, description="pause")
         service.call_async(SetBool.Request(data=True))
-        client.spin_until(lambda: len(cloth.node._queue) == 1, what="the pause to wait")
+        client.spin_until(lambda: len(cloth.node._queue) == 1, description="the pause to wait")
         cloth.publish_clock(cloth.now)
-        client.spin_until(lambda: len(heard.messages) == 2, what="inactive")
-        assert heard.messages[-1].label == "inactive"
-        cloth._number += 1
+        client.spin_until(lambda: len(topic.messages) == 2, description="inactive")
+        assert topic.messages[-1].label == "inactive"
+        cloth._tick_index += 1
         cloth.publish_clock(cloth.now)
-    client.spin_until(lambda: len(heard.messages) == 3, what="the end")
-    assert (heard.messages[-1].id, heard.messages[-1].label) == (State.PRIMARY_STATE_FINALIZED, "finalized")
+    client.spin_until(lambda: len(topic.messages) == 3, description="the end")
+    assert (topic.messages[-1].id, topic.messages[-1].label) == (State.PRIMARY_STATE_FINALIZED, "finalized")
 
 
 def test_states_are_recorded_from_the_beginning_of_a_recording(client: Client, tmp_path: Path) -> None:
@@ -165,9 +165,9 @@ def read(data: bytes) -> dict[str, Any]:
 @pytest.mark.parametrize("names", [[], ["a"], ["ab", "abc"], ["abcd", "abcde", "left_arm/towel/gripper"]], ids=len)
 def test_transform_bytes_match_ros_serialization(names: list[str]) -> None:
     frames = [(name, [0.1 + k, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8]) for k, name in enumerate(names)]
-    found = read(transforms_bytes(frames, frame_id="world", stamp=5_000_000_007))
-    assert list(found) == names
-    for k, transform in enumerate(found.values()):
+    transforms = read(transforms_bytes(frames, frame_id="world", stamp=5_000_000_007))
+    assert list(transforms) == names
+    for k, transform in enumerate(transforms.values()):
         assert transform.header.frame_id == "world"
         assert (transform.header.stamp.sec, transform.header.stamp.nanosec) == (5, 7)
         assert transform.transform.translation.x == 0.1 + k
@@ -180,22 +180,22 @@ def test_grippers_and_cloth_are_frames(client: Client, tf2_msgs: type) -> None:
     with ClockedCloth(client, {"tf.publish": True, "grippers": ["left", "right"], "frame_id": "base"}) as cloth:
         cloth.target("left", CORNER)
         cloth.tick()
-        client.spin_until(lambda: client.node.count_publishers("/tf"), what="the frames")
+        client.spin_until(lambda: client.node.count_publishers("/tf"), description="the frames")
         cloth.tick(2)
-        client.spin_until(lambda: len(got) >= 2, what="/tf")
-        found = read(got[-1])
+        client.spin_until(lambda: len(got) >= 2, description="/tf")
+        transforms = read(got[-1])
         # The right gripper has no pose yet.
-        assert set(found) == {"cloth_sim/cloth", "cloth_sim/left"}
-        assert {transform.header.frame_id for transform in found.values()} == {"base"}
-        place = found["cloth_sim/left"].transform.translation
-        assert (place.x, place.y, place.z) == CORNER
+        assert set(transforms) == {"cloth_sim/cloth", "cloth_sim/left"}
+        assert {transform.header.frame_id for transform in transforms.values()} == {"base"}
+        translation = transforms["cloth_sim/left"].transform.translation
+        assert (translation.x, translation.y, translation.z) == CORNER
         cloth.tick(3)
-        client.spin_until(lambda: len(got) >= 5, what="those of five frames")
+        client.spin_until(lambda: len(got) >= 5, description="those of five frames")
         simulation = cloth.simulation
         weights = simulation.model.masses / simulation.model.masses.sum()
         centre = weights @ simulation.positions
-        place = read(got[-1])["cloth_sim/cloth"].transform.translation
-        np.testing.assert_allclose((place.x, place.y, place.z), centre, atol=1e-3)
+        translation = read(got[-1])["cloth_sim/cloth"].transform.translation
+        np.testing.assert_allclose((translation.x, translation.y, translation.z), centre, atol=1e-3)
         # Off again: no further messages.
         cloth.node.node.set_parameters([Parameter("tf.publish", value=False)])
         cloth.tick()

@@ -18,11 +18,11 @@ from rclpy.parameter import Parameter
 from std_msgs.msg import Bool
 from support.ros_client import start_cloth
 
-from cloth_sim_ros.ros.aside import Aside
-from cloth_sim_ros.ros.clock import Due
 from cloth_sim_ros.ros.node import ClothNode
-from cloth_sim_ros.ros.shut_down import unless_shut_down
+from cloth_sim_ros.ros.pacer import FrameTick
+from cloth_sim_ros.ros.shut_down import ignore_errors_after_shutdown
 from cloth_sim_ros.ros.stopping import StopRequestedError, StopSignals
+from cloth_sim_ros.ros.worker_thread import WorkerThread
 
 #: The launch file allows 2 s; the remainder is for a busy machine.
 LIMIT = 10.0
@@ -40,8 +40,8 @@ def test_a_signal_closes_the_recording(
     from cloth_sim_ros.session.reader import SessionReader
 
     process = start_cloth(start_process, "record.enabled:=true", f"record.folder:={tmp_path}")
-    for number in numbers:
-        process.send_signal(number)
+    for signum in numbers:
+        process.send_signal(signum)
         process.wait_for_output(": stopping")
     assert process.wait(limit=LIMIT) == 0, process.output
     assert "Traceback" not in process.output
@@ -57,9 +57,9 @@ def test_context_shutdown_during_a_frame_is_no_error(ros_domain: int) -> None:
     rclpy.init(context=context)
     node = rclpy.create_node("speaks", context=context)
     publisher = node.create_publisher(Bool, "~/spoken", 1)
-    with pytest.raises(RuntimeError, match="of its own"), unless_shut_down(node):
+    with pytest.raises(RuntimeError, match="of its own"), ignore_errors_after_shutdown(node):
         raise RuntimeError("of its own")
-    with unless_shut_down(node):
+    with ignore_errors_after_shutdown(node):
         rclpy.shutdown(context=context)
         publisher.get_subscription_count()
         raise AssertionError("a publisher without a context speaks")
@@ -127,38 +127,38 @@ def test_a_signal_while_starting_ends_in_order(ros_domain: int, start_process: C
 
 @pytest.fixture
 def signals() -> Iterator[StopSignals]:
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    before = {signum: signal.getsignal(signum) for signum in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     signals = StopSignals()
     signals.install()
     yield signals
-    for number, handler in before.items():
-        signal.signal(number, handler)
+    for signum, handler in before.items():
+        signal.signal(signum, handler)
 
 
 def test_signal_raises_nothing_in_a_job(signals: StopSignals) -> None:
-    aside = Aside(signals.name)
+    worker = WorkerThread(signals.name)
 
     def interrupted() -> str:
         os.kill(os.getpid(), signal.SIGINT)
         return "done"
 
     # A job that ends soon is completed; no further job starts.
-    assert aside.run(interrupted) == "done"
-    assert not aside.left
+    assert worker.run(interrupted) == "done"
+    assert not worker.is_abandoned
     with pytest.raises(StopRequestedError, match="SIGINT"):
-        aside.run(lambda: pytest.fail("it began"))
+        worker.run(lambda: pytest.fail("it began"))
 
 
 def test_running_job_is_abandoned_on_signal(signals: StopSignals) -> None:
-    aside, ended = Aside(signals.name), threading.Event()
+    worker, ended = WorkerThread(signals.name), threading.Event()
 
     def endless() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
         ended.wait()
 
     with pytest.raises(StopRequestedError, match="SIGTERM"):
-        aside.run(endless)
-    assert aside.left
+        worker.run(endless)
+    assert worker.is_abandoned
     ended.set()
 
 
@@ -172,14 +172,14 @@ def test_no_frame_starts_beside_an_abandoned_one(ros_domain: int, wait_until: Ca
         raise StopRequestedError("SIGINT")
 
     overrides = [Parameter("cloth.resolution", value=[5, 5]), Parameter("rate", value=1000.0)]
-    cloth = ClothNode(context=context, parameter_overrides=overrides, aside=left, stopped=str)
-    due: list[Due] = []
-    on_due = cloth._on_due
-    cloth._on_due = lambda one: (on_due(one), due.append(one))  # type: ignore[method-assign, assignment]
+    cloth = ClothNode(context=context, parameter_overrides=overrides, run_job=left, signal_name=str)
+    ticks: list[FrameTick] = []
+    on_tick = cloth._on_tick
+    cloth._on_tick = lambda one: (on_tick(one), ticks.append(one))  # type: ignore[method-assign, assignment]
     try:
         cloth.start()
-        wait_until(lambda: len(due) > 5, what="further frames that are due")
-        assert cloth.cut_off
+        wait_until(lambda: len(ticks) > 5, description="further frames that are due")
+        assert cloth.frame_aborted
         assert len(begun) == 1
     finally:
         cloth.close()
@@ -231,8 +231,8 @@ def test_stopping_node_logs_no_warning(
     context.init()
     cloth = ClothNode(context=context)
     cloth.start()
-    own = (cloth.node.get_name(), cloth.node.get_namespace())
-    monkeypatch.setattr(cloth.node, "get_node_names_and_namespaces", lambda: [own, own])
+    full_name = (cloth.node.get_name(), cloth.node.get_namespace())
+    monkeypatch.setattr(cloth.node, "get_node_names_and_namespaces", lambda: [full_name, full_name])
     assert cloth.close()
     cloth.node.destroy_node()
     context.shutdown()

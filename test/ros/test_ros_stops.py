@@ -9,7 +9,7 @@ from typing import Any
 
 import attrs
 import numpy as np
-from support.kept_log import Log
+from support.line_log import LineLog
 
 from cloth_sim_ros import Scene, Simulation
 from cloth_sim_ros.ros.first_contact import FirstContact
@@ -27,16 +27,16 @@ FALLING: dict[str, Any] = {
 
 
 def test_repeated_stop_is_warned_of_once() -> None:
-    cloth, log = Simulation(Scene.from_parameters({"cloth.resolution": [5, 5]})), Log()
+    cloth, log = Simulation(Scene.from_parameters({"cloth.resolution": [5, 5]})), LineLog()
     frame = cloth.advance()
     node, nothing = SimpleNamespace(), SimpleNamespace()
     topics = ObstacleTopics(node, cloth, nothing, nothing, ThrottledLog(log, seconds=0.0))  # type: ignore[arg-type]
     # Two bodies are stopped together; commands push them into the cloth in every or every other frame.
     for index in range(1, 200):
         stopped = ("iron", "gripper") if index % 2 else ()
-        topics.send(attrs.evolve(frame, index=index, halted=stopped), 0)
+        topics.send(attrs.evolve(frame, index=index, stopped=stopped), 0)
     assert log.lines == ["'iron', 'gripper' are stopped: they would crush the cloth; send a new target to resume them"]
-    topics.send(attrs.evolve(frame, index=400, halted=("iron",)), 0)
+    topics.send(attrs.evolve(frame, index=400, stopped=("iron",)), 0)
     assert log.lines[1:] == ["'iron' is stopped: it would crush the cloth; send a new target to resume it"]
 
 
@@ -53,6 +53,6 @@ def test_contact_is_noticed_once_when_it_begins() -> None:
 def test_each_gripper_that_pinches_is_a_contact_of_its_own() -> None:
     cloth = Simulation(Scene.from_parameters({**FALLING, "gripper.mode": "pinch"}))
     watch, frame = FirstContact(cloth), cloth.advance()
-    pressing = attrs.evolve(frame, wrenches=np.ones((1, 6)), loads=np.ones((1, 6)))
+    pressing = attrs.evolve(frame, wrenches=np.ones((1, 6)), obstacle_wrenches=np.ones((1, 6)))
     assert watch.new_contacts(pressing) == "'floor', 'gripper'"
     assert not watch.new_contacts(pressing)

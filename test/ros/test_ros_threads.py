@@ -62,12 +62,12 @@ def test_a_service_waits_for_the_frame_under_way(
     client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done: list[str] = []
-    asked, saved = threading.Event(), threading.Event()
+    requested, saved = threading.Event(), threading.Event()
     with threaded(client, {"cloth.resolution": [5, 5], "record.folder": str(tmp_path)}) as cloth:
         advance, save = cloth.simulation.advance, cloth._services._save_state
 
         def slow(*arguments: Any) -> Any:
-            if not asked.is_set():
+            if not requested.is_set():
                 return advance(*arguments)
             done.append("begins")
             # Long enough for the service, which the client calls from here on, to collide with the frame.
@@ -76,19 +76,19 @@ def test_a_service_waits_for_the_frame_under_way(
             done.append("ends")
             return frame
 
-        def noted() -> Any:
+        def record_save() -> Any:
             done.append("saved")
             saved.set()
             return save()
 
         monkeypatch.setattr(cloth.simulation, "advance", slow)
-        monkeypatch.setattr(cloth._services, "_save_state", noted)
+        monkeypatch.setattr(cloth._services, "_save_state", record_save)
         service = client.node.create_client(Trigger, "/cloth_sim/save_state")
-        client.spin_until(service.service_is_ready, what="the service")
-        asked.set()
-        client.spin_until(lambda: "begins" in done, what="a frame")
+        client.spin_until(service.service_is_ready, description="the service")
+        requested.set()
+        client.spin_until(lambda: "begins" in done, description="a frame")
         future = service.call_async(Trigger.Request())
-        client.spin_until(future.done, what="the answer")
+        client.spin_until(future.done, description="the answer")
         assert future.result().success
     before = done[: done.index("saved")]
     assert before.count("begins") == before.count("ends")
@@ -104,16 +104,20 @@ def test_concurrent_service_callers_are_all_answered(client: Client, tmp_path: P
             "step": Trigger,
         }  # fmt: skip
         clients = {name: client.node.create_client(kind, f"/cloth_sim/{name}") for name, kind in kinds.items()}
-        client.spin_until(lambda: all(one.service_is_ready() for one in clients.values()), what="the services")
+        client.spin_until(
+            lambda: all(service.service_is_ready() for service in clients.values()), description="the services"
+        )
         answers: list[Any] = []
-        for turn in range(20):
+        for round_index in range(20):
             futures = []
-            for name, one in clients.items():
+            for name, service in clients.items():
                 request = kinds[name].Request()
                 if kinds[name] is SetBool:
-                    request.data = turn % 2 == 0
-                futures.append((name, one.call_async(request)))
-            client.spin_until(lambda futures=futures: all(future.done() for _, future in futures), what="the answers")
+                    request.data = round_index % 2 == 0
+                futures.append((name, service.call_async(request)))
+            client.spin_until(
+                lambda futures=futures: all(future.done() for _, future in futures), description="the answers"
+            )
             answers += [(name, future.result()) for name, future in futures]
         assert cloth.simulation.frame > 0
     assert len(answers) == 120
@@ -141,7 +145,7 @@ def test_change_refused_by_another_callback_is_not_applied(client: Client) -> No
     )
     changes: list[dict[str, Any]] = []
 
-    def check(_values: dict[str, Any], _wanted: Scene) -> None:
+    def check(_values: dict[str, Any], _scene: Scene) -> None:
         return
 
     LiveParameters(node, scene, changes.append, check, threading.RLock())

@@ -29,11 +29,13 @@ def client(ros_domain: int) -> Iterator[Client]:
 @pytest.mark.parametrize(("in_timer_thread", "most"), [(False, 1.5), (True, 0.5)], ids=["in the executor", "beside it"])
 def test_uncommanded_frame_takes_at_most_one_spin(client: Client, in_timer_thread: bool, most: float) -> None:
     overrides = [Parameter(name, value=value) for name, value in (AT_REST | {"rate": 500.0}).items()]
-    cloth = ClothNode(context=client.context, parameter_overrides=overrides, stopped=str if in_timer_thread else None)
+    cloth = ClothNode(
+        context=client.context, parameter_overrides=overrides, signal_name=str if in_timer_thread else None
+    )
     client.executor.add_node(cloth.node)
     cloth.start()
     try:
-        client.spin_until(lambda: cloth.simulation.frame > 50, what="frames")
+        client.spin_until(lambda: cloth.simulation.frame > 50, description="frames")
         begun, turns = cloth.simulation.frame, 0
         while cloth.simulation.frame < begun + 200:
             client.executor.spin_once(timeout_sec=1.0)
@@ -55,21 +57,21 @@ def test_wait_set_of_a_spin_is_small(client: Client) -> None:
 
 
 def test_a_sleeping_frame_wakes_no_other_thread(client: Client) -> None:
-    asked: list[int] = []
+    calls: list[int] = []
 
-    def aside(job: Callable[[], Any]) -> Any:
-        asked.append(1)
+    def run_job(job: Callable[[], Any]) -> Any:
+        calls.append(1)
         return job()
 
     overrides = [Parameter(name, value=value) for name, value in (AT_REST | {"use_sim_time": False}).items()]
-    cloth = ClothNode(context=client.context, parameter_overrides=overrides, aside=aside)
+    cloth = ClothNode(context=client.context, parameter_overrides=overrides, run_job=run_job)
     client.executor.add_node(cloth.node)
     cloth.start()
     try:
-        client.spin_until(lambda: cloth.simulation.sleeps_on, what="sleep")
-        before, frame = len(asked), cloth.simulation.frame
-        client.spin_until(lambda: cloth.simulation.frame >= frame + 20, what="frames")
-        assert len(asked) == before
+        client.spin_until(lambda: cloth.simulation.will_stay_asleep, description="sleep")
+        before, frame = len(calls), cloth.simulation.frame
+        client.spin_until(lambda: cloth.simulation.frame >= frame + 20, description="frames")
+        assert len(calls) == before
     finally:
         client.executor.remove_node(cloth.node)
         cloth.close()
@@ -82,17 +84,17 @@ def test_incompatible_grasp_publisher_is_warned_of(client: Client, capfd: pytest
         client.node.create_publisher(Bool, "/cloth_sim/gripper/grasp", effort)
         said = ""
 
-        def told() -> bool:
+        def is_logged() -> bool:
             nonlocal said
             said += capfd.readouterr().err
             return "a publisher of /cloth_sim/gripper/grasp offers best effort" in said
 
-        client.spin_until(told, what="a warning")
+        client.spin_until(is_logged, description="a warning")
 
 
 def test_commands_take_effect_in_timer_thread_frames(client: Client) -> None:
     overrides = [Parameter(name, value=value) for name, value in AT_REST.items()]
-    cloth = ClothNode(context=client.context, parameter_overrides=overrides, stopped=str)
+    cloth = ClothNode(context=client.context, parameter_overrides=overrides, signal_name=str)
     client.executor.add_node(cloth.node)
     cloth.start()
     try:
@@ -100,14 +102,14 @@ def test_commands_take_effect_in_timer_thread_frames(client: Client) -> None:
         grasp = client.publisher(Bool, "/cloth_sim/gripper/grasp")
         targets = client.publisher(PoseStamped, "/cloth_sim/gripper/target")
         targets.publish(pose(*corner.tolist()))
-        client.spin_until(lambda: cloth.simulation.grippers.is_placed(0), what="the target")
+        client.spin_until(lambda: cloth.simulation.grippers.is_placed(0), description="the target")
         grasp.publish(Bool(data=True))
-        client.spin_until(lambda: cloth.simulation.grippers.held(0).size, what="the grasp")
+        client.spin_until(lambda: cloth.simulation.grippers.grasped_particles(0).size, description="the grasp")
         begun = cloth.simulation.frame
-        client.spin_until(lambda: cloth.simulation.frame > begun + 10, what="frames that nobody commands")
+        client.spin_until(lambda: cloth.simulation.frame > begun + 10, description="frames that nobody commands")
         corner[1] += 0.1
         targets.publish(pose(*corner.tolist()))
-        client.spin_until(lambda: cloth.simulation.grippers.poses()[0, 1] > corner[1] - 0.01, what="the move")
+        client.spin_until(lambda: cloth.simulation.grippers.poses()[0, 1] > corner[1] - 0.01, description="the move")
     finally:
         client.executor.remove_node(cloth.node)
         cloth.close()
@@ -116,7 +118,7 @@ def test_commands_take_effect_in_timer_thread_frames(client: Client) -> None:
 
 def test_executor_raises_errors_of_the_timer_thread(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     overrides = [Parameter(name, value=value) for name, value in AT_REST.items()]
-    cloth = ClothNode(context=client.context, parameter_overrides=overrides, stopped=str)
+    cloth = ClothNode(context=client.context, parameter_overrides=overrides, signal_name=str)
 
     def broken(*_: Any) -> None:
         raise ZeroDivisionError("in a frame")
@@ -126,7 +128,7 @@ def test_executor_raises_errors_of_the_timer_thread(client: Client, monkeypatch:
     cloth.start()
     try:
         with pytest.raises(ZeroDivisionError, match="in a frame"):
-            client.spin_until(lambda: False, what="a frame")
+            client.spin_until(lambda: False, description="a frame")
     finally:
         client.executor.remove_node(cloth.node)
         cloth.close()

@@ -44,7 +44,9 @@ def test_velocities_come_and_go_on_request(ros_domain: int, start_process: Calla
         assert np.ptp(velocity[:, 2]) < 1e-6
         request = SetParameters.Request(parameters=[Parameter("points.velocity", value=False).to_parameter_msg()])
         assert client.call(SetParameters, "/cloth_sim/set_parameters", request).results[0].successful
-        client.spin_until(lambda: fields(client.clouds[-1]) == ["x", "y", "z"], what="a cloud of positions alone")
+        client.spin_until(
+            lambda: fields(client.clouds[-1]) == ["x", "y", "z"], description="a cloud of positions alone"
+        )
         client.wait_for_clouds(3)
     assert process.interrupt() == 0
     (path,) = tmp_path.glob("*.mcap")

@@ -37,7 +37,7 @@ def test_node_without_mcap_runs_and_reports_no_recording(
         assert REASON in answer.message
         seen: list[Any] = []
         client.node.create_subscription(DiagnosticArray, "/diagnostics", lambda m: seen.extend(m.status), 10)
-        status = client.spin_until(lambda: seen and seen[-1], what="diagnostics")
+        status = client.spin_until(lambda: seen and seen[-1], description="diagnostics")
         assert REASON in {entry.key: entry.value for entry in status.values}["recording"]
         # Everything else works, including saved states.
         assert client.call(Trigger, "/cloth_sim/save_state").success

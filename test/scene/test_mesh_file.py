@@ -23,8 +23,8 @@ SHUFFLED = np.random.default_rng(1).permutation(len(POINTS))
 
 def grid():
     """Return the grid with shuffled vertices."""
-    place = np.argsort(SHUFFLED)
-    return POINTS[SHUFFLED].copy(), place[TRIANGLES].copy()
+    new_index = np.argsort(SHUFFLED)
+    return POINTS[SHUFFLED].copy(), new_index[TRIANGLES].copy()
 
 
 def obj(points, triangles):
@@ -44,8 +44,8 @@ def test_a_written_mesh_is_read_again(kind):
     mesh = mesh_file.read(written.encode() if isinstance(written, str) else written, name=f"cloth.{kind}")
     assert mesh.repairs == ()
     assert len(mesh.positions) == len(points)
-    found, given = mesh.positions[mesh.surface.triangles], points[triangles]
-    assert found == pytest.approx(given, abs=1e-6)  # STL and trimesh's text keep single precision
+    read_triangles, written_triangles = mesh.positions[mesh.surface.triangles], points[triangles]
+    assert read_triangles == pytest.approx(written_triangles, abs=1e-6)  # STL and trimesh's text keep single precision
     if kind != "stl":  # the format has no vertex numbers
         assert mesh.surface.triangles.tolist() == triangles.tolist()
 
@@ -98,7 +98,7 @@ def test_unused_vertices_are_dropped_even_if_not_finite():
     points = np.insert(points, 6, [np.nan, 0, 0], axis=0)
     mesh = checked_mesh(points, triangles + (triangles >= 6))
     assert mesh.repairs == ("1 vertex in no triangle left out",)
-    assert mesh.kept.tolist() == [k for k in range(len(points)) if k != 6]
+    assert mesh.vertex_indices.tolist() == [k for k in range(len(points)) if k != 6]
     assert mesh.surface.triangles.tolist() == triangles.tolist()
 
 
@@ -124,9 +124,9 @@ def test_repeated_and_collapsed_triangles_are_left_out():
 def mobius(count=12):
     k = np.arange(count)
     top, bottom = 2 * k, 2 * k + 1
-    far = [(int(t), int(b)) for t, b in zip(np.roll(top, -1), np.roll(bottom, -1), strict=True)]
-    far[-1] = far[-1][::-1]
-    triangles = [t for i, (a, b) in enumerate(far) for t in ([2 * i, a, 2 * i + 1], [2 * i + 1, a, b])]
+    closing_edges = [(int(t), int(b)) for t, b in zip(np.roll(top, -1), np.roll(bottom, -1), strict=True)]
+    closing_edges[-1] = closing_edges[-1][::-1]
+    triangles = [t for i, (a, b) in enumerate(closing_edges) for t in ([2 * i, a, 2 * i + 1], [2 * i + 1, a, b])]
     turn, half = 2 * np.pi * k / count, np.pi * k / count
     across = 0.3 * np.stack((np.cos(half) * np.cos(turn), np.cos(half) * np.sin(turn), np.sin(half)), axis=1)
     ring = np.stack((np.cos(turn), np.sin(turn), 0 * turn), axis=1)
@@ -182,7 +182,7 @@ def test_irreparable_mesh_is_refused_with_location(kind, words):
 
 def test_several_pieces_need_self_contact() -> None:
     points, triangles = spoiled("shells")
-    assert checked_mesh(points, triangles, several=True).surface.pieces().max() == 1
+    assert checked_mesh(points, triangles, allow_pieces=True).surface.pieces().max() == 1
     values = {"cloth.mesh": "two.obj", "cloth.anchors": ["0"], "bending.model": "none", "contact.thickness": 0.001}
     files = {"two.obj": obj(points, triangles)}
     with pytest.raises(ParameterError, match=r"cloth.mesh 'two.obj': .*2 pieces.*set contact.self: true"):
@@ -274,10 +274,12 @@ def test_obj_comments_tabs_bom_and_continuations_are_read():
     assert mesh.surface.triangles.tolist() == [[0, 1, 2], [1, 3, 2]]
 
 
-def ply(points, faces, *, told=None):
+def ply(points, faces, *, n_faces=None):
     rows = [" ".join(map(str, row)) for row in points] + [" ".join(map(str, (len(f), *f))) for f in faces]
     head = f"ply\nformat ascii 1.0\nelement vertex {len(points)}\nproperty float x\nproperty float y\n"
-    head += f"property float z\nelement face {told or len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    head += (
+        f"property float z\nelement face {n_faces or len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
     return (head + "\n".join(rows) + "\n").encode()
 
 
@@ -287,7 +289,7 @@ SQUARE = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (ply(SQUARE, [[0, 1, 2]], told=2), "ends after 1 of 2 faces"),
+        (ply(SQUARE, [[0, 1, 2]], n_faces=2), "ends after 1 of 2 faces"),
         (ply(SQUARE, [])[:-8].replace(b"face 0", b"face 2"), "ends after 3 of 4 vertices"),
         (ply(SQUARE, [[0, 1, 2], [0, 2, 3]])[:-3], "face 1 has 3 of 4 values"),
         (trimesh.Trimesh(*grid(), process=False).export(file_type="ply")[:-5], "cut short"),
@@ -348,7 +350,7 @@ def test_program_errors_are_not_reported_as_file_errors(monkeypatch, kind):
 
 def test_wrong_reader_call_is_not_reported_as_broken_file():
     with pytest.raises(TypeError, match="no_such_option"):
-        mesh_file._by_trimesh(lambda file: file, b"", no_such_option=True)
+        mesh_file._load_with_trimesh(lambda file: file, b"", no_such_option=True)
 
 
 def test_damaged_mesh_files_raise_only_value_errors():
@@ -362,9 +364,9 @@ def test_damaged_mesh_files_raise_only_value_errors():
     }
     random = np.random.default_rng(7)
     refused = 0
-    for number in range(600):
-        kind = sorted(whole)[number % 3]
-        data = bytearray(whole[kind][number % len(whole[kind])])
+    for trial in range(600):
+        kind = sorted(whole)[trial % 3]
+        data = bytearray(whole[kind][trial % len(whole[kind])])
         for _ in range(random.integers(1, 4)):
             at = int(random.integers(len(data)))
             some = bytes(data[at : at + int(random.integers(1, 30))])

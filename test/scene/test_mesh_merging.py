@@ -63,7 +63,7 @@ def test_seam_with_rounding_gap_is_closed(scale: float) -> None:
 
 def test_lowest_vertex_of_a_cluster_stays() -> None:
     mesh = mesh_file.read(tube(), name="tube.obj")
-    assert mesh.kept.tolist() == [k for k in range((AROUND + 1) * ALONG) if k % (AROUND + 1) < AROUND]
+    assert mesh.vertex_indices.tolist() == [k for k in range((AROUND + 1) * ALONG) if k % (AROUND + 1) < AROUND]
 
 
 def test_merge_count_is_logged_as_information(caplog: pytest.LogCaptureFixture) -> None:

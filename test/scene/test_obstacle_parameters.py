@@ -11,8 +11,8 @@ import pytest
 
 from cloth_sim_ros import Scene
 from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.parameter_warnings import ineffective_parameters
 from cloth_sim_ros.scene.parameters import ParameterError
-from cloth_sim_ros.scene.without_effect import without_effect
 
 BASE: dict[str, Any] = {
     "cloth.resolution": [10, 10],
@@ -90,11 +90,14 @@ def test_obstacles_can_be_added_and_removed_but_not_reshaped() -> None:
 
 
 def test_ineffective_obstacle_parameters_are_reported() -> None:
-    given = {**BASE, "tabel.shape": "plane", "table.shape": "plane", "contact.thickness": 0.002}
-    told = sorted(without_effect(Scene.from_parameters(given), given))
-    assert len(told) == 2
-    assert told[0].startswith("tabel.shape is set and has no effect: obstacles does not name 'tabel'")
-    assert "Did you mean 'table'?" in told[0]
-    assert told[1] == "table.size is set and has no effect: a plane has no size"
-    given["obstacles"] = [""]
-    assert any("there are no obstacles" in sentence for sentence in without_effect(Scene.from_parameters(given), given))
+    values = {**BASE, "tabel.shape": "plane", "table.shape": "plane", "contact.thickness": 0.002}
+    sentences = sorted(ineffective_parameters(Scene.from_parameters(values), values))
+    assert len(sentences) == 2
+    assert sentences[0].startswith("tabel.shape is set and has no effect: obstacles does not name 'tabel'")
+    assert "Did you mean 'table'?" in sentences[0]
+    assert sentences[1] == "table.size is set and has no effect: a plane has no size"
+    values["obstacles"] = [""]
+    assert any(
+        "there are no obstacles" in sentence
+        for sentence in ineffective_parameters(Scene.from_parameters(values), values)
+    )

@@ -143,8 +143,8 @@ def test_repeated_values_are_written_without_aliases() -> None:
     ],
 )
 def test_plain_value_is_parsed_as_in_c(text: str, value: object) -> None:
-    found = ros_yaml.plain(text)
-    assert (found, type(found)) == (value, type(value))
+    parsed = ros_yaml.plain(text)
+    assert (parsed, type(parsed)) == (value, type(value))
 
 
 def test_a_text_ends_at_a_null_character() -> None:

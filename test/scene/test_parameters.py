@@ -20,8 +20,8 @@ def test_numpy_scalars_become_python_numbers() -> None:
         "work_limit": np.array(2.0),
         "cloth.resolution": np.array([3, 4]),
     }
-    found = Scene.from_parameters(values).parameters()
-    assert {name: found[name] for name in values} == {
+    checked = Scene.from_parameters(values).parameters()
+    assert {name: checked[name] for name in values} == {
         "rate": 50.0,
         "tolerance": 0.5,
         "points.velocity": True,
@@ -29,7 +29,7 @@ def test_numpy_scalars_become_python_numbers() -> None:
         "work_limit": 2.0,
         "cloth.resolution": (3, 4),
     }
-    assert all(type(found[name]) in (float, bool, str, tuple) for name in values)
+    assert all(type(checked[name]) in (float, bool, str, tuple) for name in values)
     with pytest.raises(ParameterError, match="rate is the whole number 60; it is a double"):
         Scene.from_parameters({"rate": np.int64(60)})
 

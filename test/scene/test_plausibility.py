@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from cloth_sim_ros.scene.mesh_file import read
+from cloth_sim_ros.scene.parameter_warnings import ineffective_parameters
 from cloth_sim_ros.scene.plausibility import cloth_size, implausible_sizes
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.scene.without_effect import without_effect
 
 #: A square of 0.4 m in millimetres, and a box likewise.
 SQUARE = b"v 0 0 0\nv 400 0 0\nv 400 400 0\nv 0 400 0\nf 1 2 3 4\n"
@@ -98,11 +98,11 @@ def test_obstacle_in_millimetres_is_reported_with_remedy() -> None:
 
 def test_scale_without_a_mesh_has_no_effect() -> None:
     values = {"cloth.scale": 0.001, "cloth.merge": False}
-    assert without_effect(Scene.from_parameters(values), values) == [
+    assert ineffective_parameters(Scene.from_parameters(values), values) == [
         "cloth.merge is set and has no effect: cloth.mesh is not set",
         "cloth.scale is set and has no effect: cloth.mesh is not set",
     ]
     ball = {"obstacles": ["ball"], "ball.shape": "sphere", "ball.size": [0.1], "ball.scale": 2.0}
-    assert without_effect(Scene.from_parameters(ball), ball) == [
+    assert ineffective_parameters(Scene.from_parameters(ball), ball) == [
         "ball.scale is set and has no effect: a sphere has no mesh"
     ]

@@ -163,7 +163,7 @@ def test_bending_model_adds_only_its_forces(model, names):
 def test_viscosity_replaces_damping_and_converges():
     def damping(rows):
         values = {"material.viscosity": 0.5, "cloth.resolution": [rows, rows]}
-        return Scene.from_parameters(values).model().force("structural").listed.damping.max()
+        return Scene.from_parameters(values).model().force("structural").pair_springs.damping.max()
 
     # k_d = (k_s / l0) viscosity / Y does not change with the resolution; constant k_d0 would halve it.
     assert damping(9) == pytest.approx(damping(5), rel=1e-12)

@@ -26,7 +26,7 @@ def test_a_pipe_is_refused_without_waiting_for_its_writer(tmp_path):
 
 
 def test_size_limit_ignores_claimed_size(tmp_path, monkeypatch):
-    monkeypatch.setattr(files, "MOST_BYTES", 1000)
+    monkeypatch.setattr(files, "MAX_BYTES", 1000)
     (tmp_path / "small").write_bytes(b"x" * 1000)
     (tmp_path / "large").write_bytes(b"x" * 1001)
     assert files.read({"cloth.mesh": "small"}, {}, tmp_path) == {"small": b"x" * 1000}

@@ -63,11 +63,11 @@ def test_npz_and_yaml_are_the_same_system():
         k_d0=[0.4, 0],
         velocities=[[0, 0, 0], [0, 0, 0], [0, 2, 0]],
     )
-    one, two = Simulation(scene()), Simulation(scene(buffer.getvalue()))
+    from_yaml, from_npz = Simulation(scene()), Simulation(scene(buffer.getvalue()))
     for _ in range(5):
-        one.advance()
-        two.advance()
-    assert one.state.digest() == two.state.digest()
+        from_yaml.advance()
+        from_npz.advance()
+    assert from_yaml.state.digest() == from_npz.state.digest()
 
 
 def test_the_content_is_kept_when_the_file_is_gone(tmp_path):
@@ -131,8 +131,8 @@ def test_damaged_archive_raises_value_error_or_is_harmless():
     refused = 0
     for _ in range(400):
         data = bytearray(whole)
-        for place in random.integers(len(data), size=3):
-            data[place] = random.integers(256)
+        for offset in random.integers(len(data), size=3):
+            data[offset] = random.integers(256)
         try:
             springs_file.parse(bytes(data))
         except ValueError:

@@ -14,7 +14,7 @@ pytest.importorskip("mcap")
 pytest.importorskip("rosbags")
 from support.session_maker import NODE, SessionMaker, cloud_bytes
 
-from cloth_sim_ros.batch.recording import RunRecording
+from cloth_sim_ros.batch.run_recording import RunRecording
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import decode_cloud
 from cloth_sim_ros.session.errors import SessionError
@@ -118,10 +118,10 @@ def test_fields_of_two_types_are_no_position(tmp_path: Path) -> None:
 def test_replay_measures_strain_in_double_precision(tmp_path: Path) -> None:
     pytest.importorskip("rerun")
     from cloth_sim_ros.replay.main import main
-    from cloth_sim_ros.replay.survey import survey
+    from cloth_sim_ros.replay.pre_scan import scan_session
 
     maker = session(tmp_path)
     path = maker.finish()
     with SessionReader([path]) as reader:
-        assert survey(reader).strain_limit <= 0.02
+        assert scan_session(reader).strain_limit <= 0.02
     assert main([str(path), "--save", str(tmp_path / "out.rrd")]) == 0

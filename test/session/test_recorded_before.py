@@ -126,9 +126,9 @@ def test_other_arithmetic_names_its_recorder(recorded: dict[str, str], by: str) 
 
 
 def test_environment_names_its_arithmetic() -> None:
-    told = environment()
-    assert set(told) == {"version", "numerics", "source", "instructions", "python", "numpy", "machine", "processor"}
-    assert told["instructions"] in {"baseline", "avx2", "avx512", "neon"}
+    versions = environment()
+    assert set(versions) == {"version", "numerics", "source", "instructions", "python", "numpy", "machine", "processor"}
+    assert versions["instructions"] in {"baseline", "avx2", "avx512", "neon"}
 
 
 def test_older_session_is_read_and_named(capsys: pytest.CaptureFixture[str]) -> None:
@@ -152,7 +152,7 @@ def test_older_state_continues() -> None:
         records = list(reader.frames())
         scene = scene_of(reader)
     # Its controller state follows older rules and is not used.
-    assert state.left_out == ("stepper", "automatic")
+    assert state.dropped_memory == ("stepper", "automatic")
     assert records[SAVED - 1].frame == state.frame == SAVED
     simulation = Simulation(scene, state)
     for _ in range(5):

@@ -15,7 +15,7 @@ from support.session_maker import SessionMaker
 
 from cloth_sim_ros import Grasp, Scene, Target
 from cloth_sim_ros.scene import parameter_file
-from cloth_sim_ros.scene.recorded import BEFORE, recorded_values
+from cloth_sim_ros.scene.recorded_scene import LEGACY_VALUES, recorded_values
 from cloth_sim_ros.verify.run import verify
 
 
@@ -54,8 +54,8 @@ def test_session_reruns_with_its_speed_limit(tmp_path: Path, speed: float) -> No
 
 
 def test_only_older_sessions_lack_speed_limit() -> None:
-    assert BEFORE["gripper.max_speed"] == 0.0
+    assert LEGACY_VALUES["gripper.max_speed"] == 0.0
     text = parameter_file.dump({"rate": 60.0})
-    assert recorded_values(text, node="/cloth_sim") == {"rate": 60.0, **BEFORE}
+    assert recorded_values(text, node="/cloth_sim") == {"rate": 60.0, **LEGACY_VALUES}
     assert Scene.from_parameters(parameter_file.parse(text)).gripper.max_speed == 10.0
     assert recorded_values(parameter_file.dump({"gripper.max_speed": 2.0}), node="/a")["gripper.max_speed"] == 2.0

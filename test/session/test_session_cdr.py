@@ -12,8 +12,8 @@ import pytest
 from support import session_samples as samples
 
 from cloth_sim_ros.session import cdr
+from cloth_sim_ros.session.channel_description import Qos, describe
 from cloth_sim_ros.session.errors import SessionError
-from cloth_sim_ros.session.layouts import Qos, describe
 
 # As published with ROS 2 Jazzy (`ros2 topic info -v`, metadata.yaml of its bags).
 POINT_CLOUD_HASH = "RIHS01_9198cabf7da3796ae6fe19c4cb3bdd3525492988c70522628af5daa124bae2b5"
@@ -50,7 +50,7 @@ def test_big_endian_cloud() -> None:
     content: Any = cdr.decode(little, "sensor_msgs/msg/PointCloud2")
     content.is_bigendian = True
     content.data = np.frombuffer(samples.positions(3, 10).astype(">f4").tobytes(), np.uint8)
-    from cloth_sim_ros.session.layouts import standard_types
+    from cloth_sim_ros.session.channel_description import standard_types
 
     data = bytes(standard_types().serialize_cdr(content, "sensor_msgs/msg/PointCloud2", little_endian=False))
     assert data[1] == 0
@@ -71,7 +71,7 @@ def test_rows_may_be_padded() -> None:
 @pytest.mark.parametrize("points", [0, 1, 3, 4, 7, 40])
 def test_surface_is_what_was_encoded(points: int) -> None:
     data = samples._topology(points)
-    surface = cdr.decode_surface(data)
+    surface = cdr.decode_mesh(data)
     generic: Any = cdr.decode(data, "shape_msgs/msg/Mesh")
     assert surface.triangles.tolist() == [triangle.vertex_indices.tolist() for triangle in generic.triangles]
     assert surface.vertices.tolist() == [[point.x, point.y, point.z] for point in generic.vertices]
@@ -89,7 +89,7 @@ def test_string(text: str) -> None:
     ("read", "data"),
     [
         (cdr.decode_cloud, samples.cloud(samples.positions(0, 5), 0)),
-        (cdr.decode_surface, samples._topology(5)),
+        (cdr.decode_mesh, samples._topology(5)),
         (cdr.decode_string, cdr.encode_string("frame")),
     ],
 )
@@ -104,11 +104,11 @@ def test_sizes_beyond_the_bytes_are_refused() -> None:
     data = bytearray(samples.cloud(samples.positions(0, 5), 0))
     content: Any = cdr.decode(bytes(data), "sensor_msgs/msg/PointCloud2")
     for field, value in [("width", 6), ("height", 2), ("row_step", 61), ("point_step", 8)]:
-        kept = getattr(content, field)
+        original = getattr(content, field)
         setattr(content, field, value)
         with pytest.raises(SessionError, match="does not fit"):
             cdr.decode_cloud(cdr.encode(content, "sensor_msgs/msg/PointCloud2"))
-        setattr(content, field, kept)
+        setattr(content, field, original)
     assert len(cdr.decode_cloud(cdr.encode(content, "sensor_msgs/msg/PointCloud2")).xyz) == 5
 
 

@@ -43,16 +43,16 @@ def test_info_summarizes_several_sessions_in_turn(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # The order of `sessions/*.mcap` after a second recording.
-    other = samples.write_session(tmp_path, CONTENT[:90], stem="other")
-    assert main(["info", str(session), str(other)]) == 0
+    second_session = samples.write_session(tmp_path, CONTENT[:90], stem="other")
+    assert main(["info", str(session), str(second_session)]) == 0
     text = capsys.readouterr().out
-    assert [line for line in text.splitlines() if line.endswith(".mcap")] == [session.name, other.name]
+    assert [line for line in text.splitlines() if line.endswith(".mcap")] == [session.name, second_session.name]
     assert text.count("state       complete") == 2
-    assert main(["info", "--json", str(session), str(other)]) == 0
+    assert main(["info", "--json", str(session), str(second_session)]) == 0
     assert [content["complete"] for content in json.loads(capsys.readouterr().out)] == [True, True]
-    other.write_bytes(other.read_bytes()[:-1000])
-    assert main(["info", str(session), str(other)]) == 1
-    assert main(["export", str(session), str(other)]) == 2
+    second_session.write_bytes(second_session.read_bytes()[:-1000])
+    assert main(["info", str(session), str(second_session)]) == 1
+    assert main(["export", str(session), str(second_session)]) == 2
     assert "give the files of one session at a time" in capsys.readouterr().err
 
 
@@ -138,8 +138,8 @@ def test_export_parquet(session: Path, tmp_path: Path) -> None:
 
 
 def test_parts_of_a_session_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for number in range(3):
-        writer = SessionWriter(tmp_path, snapshot=samples.SNAPSHOT, stem="s", part=number, log_time=0)
+    for index in range(3):
+        writer = SessionWriter(tmp_path, snapshot=samples.SNAPSHOT, stem="s", part=index, log_time=0)
         for item in CONTENT:
             if item.topic == samples.FRAME:
                 if not writer.is_declared(item.topic):

@@ -107,7 +107,7 @@ def test_messages_outside_of_chunks_are_read(session: Path, tmp_path: Path) -> N
     with SessionReader(tmp_path / "bare.mcap") as reader:
         messages = list(reader.messages())
         reader.parts[0].rewind()
-        first = next(iter(reader.parts[0].chunks())).place.offset
+        first = next(iter(reader.parts[0].chunks())).location.offset
     end = bare.index(b"\x0f\x04\0\0\0\0\0\0\0")
     both = tmp_path / "both.mcap"
     data_end = chunked.index(b"\x0f\x04\0\0\0\0\0\0\0")

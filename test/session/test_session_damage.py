@@ -38,7 +38,7 @@ def _chunk_ends(path: Path) -> list[tuple[int, int]]:
     part = SessionPart(path)
     for chunk in part.chunks():
         messages += sum(isinstance(item, RawMessage) for _, item in chunk_records(chunk))
-        ends.append((chunk.place.end, messages))
+        ends.append((chunk.location.end, messages))
     part.close()
     assert messages == len(CONTENT)
     return ends
@@ -82,7 +82,7 @@ def test_flipped_bits_never_pass_as_good(tmp_path: Path, compression: Compressio
     generator = random.Random(2)
     damaged = tmp_path / "damaged.mcap"
     known = set(EXPECTED)
-    refused = noted = harmless = 0
+    refused = reported = harmless = 0
     for _ in range(400):
         position = generator.randrange(len(data))
         changed = bytearray(data)
@@ -102,14 +102,14 @@ def test_flipped_bits_never_pass_as_good(tmp_path: Path, compression: Compressio
             else:
                 assert not reader.complete
                 assert reader.missing is not None
-                noted += 1
+                reported += 1
             assert reader.state == samples.SNAPSHOT.state
             assert reader.scene_yaml == samples.SNAPSHOT.scene_yaml
             assert reader.metadata["period"] == samples.SNAPSHOT.metadata["period"]
     # Bits in message indexes and chunk headers are harmless: this reader does not use them.
     assert refused > 20
-    assert noted > 100
-    assert refused + noted + harmless <= 400
+    assert reported > 100
+    assert refused + reported + harmless <= 400
 
 
 def test_strict_reading_raises_at_the_first_damage(tmp_path: Path) -> None:
@@ -129,14 +129,14 @@ def test_strict_reading_raises_at_the_first_damage(tmp_path: Path) -> None:
 def test_after_a_damaged_chunk_reading_goes_on(tmp_path: Path) -> None:
     path = _write(tmp_path)
     ends = _chunk_ends(path)
-    lost = slice(ends[2][1], ends[3][1])
+    damaged_span = slice(ends[2][1], ends[3][1])
     for cut in (None, ends[-2][0]):
         data = bytearray(_write(tmp_path / str(cut)).read_bytes()[:cut])
         data[ends[3][0] - 100] ^= 1
         damaged = tmp_path / "damaged.mcap"
         damaged.write_bytes(data)
         expected = EXPECTED[: None if cut is None else ends[-2][1]]
-        del expected[lost]
+        del expected[damaged_span]
         with SessionReader(damaged) as reader:
             assert samples.plain(list(reader.messages())) == expected
             assert reader.missing is not None
@@ -152,7 +152,7 @@ def test_torn_record_of_unfinished_file_loses_no_other_record(tmp_path: Path) ->
     # the following chunks are found by their checksums.
     with whole.open("rb") as file:
         third = SeekingReader(file).get_summary().chunk_indexes[3].chunk_start_offset
-    for place, value, lost in [
+    for offset, value, damaged_span in [
         (ends[2][0], 0x33, None),
         (ends[2][0] + 1, 0xFF, None),
         (ends[2][0] + 5, 0x01, None),
@@ -162,11 +162,11 @@ def test_torn_record_of_unfinished_file_loses_no_other_record(tmp_path: Path) ->
         (third + 8, 0x80, 3),
     ]:
         changed = bytearray(data)
-        changed[place] = value
+        changed[offset] = value
         path.write_bytes(changed)
         expected = EXPECTED[: ends[-1][1]]
-        if lost is not None:
-            del expected[ends[lost - 1][1] : ends[lost][1]]
+        if damaged_span is not None:
+            del expected[ends[damaged_span - 1][1] : ends[damaged_span][1]]
         with SessionReader(path) as reader:
             assert samples.plain(list(reader.messages())) == expected
             assert reader.missing is not None
@@ -198,10 +198,10 @@ def test_recovered_file_is_finished_and_holds_intact_chunks(tmp_path: Path, comp
     whole = _write(tmp_path, compression)
     ends = _chunk_ends(whole)
     cut = tmp_path / "cut.mcap"
-    for number in (0, 3, len(ends) - 1):
-        end, count = ends[number]
+    for chunk_index in (0, 3, len(ends) - 1):
+        end, count = ends[chunk_index]
         cut.write_bytes(whole.read_bytes()[: end + 7])
-        mended = recover(cut, tmp_path / f"mended_{number}.mcap")
+        mended = recover(cut, tmp_path / f"mended_{chunk_index}.mcap")
         assert mended.messages == count
         assert "cut off" in mended.missing
         with SessionReader(mended.path, strict=True) as reader:

@@ -46,18 +46,18 @@ def test_reader_returns_everything(session: Path) -> None:
         surface = reader.topology()
         assert surface is not None
         assert surface.triangles.shape == (38, 3)
-        for number, recorded in enumerate(reader.clouds()):
-            assert recorded.frame == next(iter_frames(number))
-            assert recorded.cloud.xyz.tolist() == samples.positions(number, 40).tolist()
+        for index, recorded in enumerate(reader.clouds()):
+            assert recorded.frame == next(iter_frames(index))
+            assert recorded.cloud.xyz.tolist() == samples.positions(index, 40).tolist()
 
 
-def iter_frames(number: int):  # type: ignore[no-untyped-def]
+def iter_frames(index: int):  # type: ignore[no-untyped-def]
     events = ()
-    if number % 3 == 0:
-        events = ({"kind": "target", "gripper": "gripper", "position": [0.5, 0.0, number / 60]},)
-    if number % 20 == 10:
+    if index % 3 == 0:
+        events = ({"kind": "target", "gripper": "gripper", "position": [0.5, 0.0, index / 60]},)
+    if index % 20 == 10:
         events += ({"kind": "grasp", "gripper": "gripper", "closed": True},)
-    yield samples.frame_record(number, events)
+    yield samples.frame_record(index, events)
 
 
 def test_mcap_readers_agree(session: Path) -> None:
@@ -129,7 +129,7 @@ def test_filters_by_topic_and_time(session: Path) -> None:
     with SessionReader(session) as reader:
         assert samples.plain(list(reader.messages([samples.FRAME], start=start, end=end))) == samples.plain(expected)
         # Chunks outside of the time range are not read.
-        assert all(chunk.place.offset > 5000 for chunk in reader.parts[0].chunks(start=end))
+        assert all(chunk.location.offset > 5000 for chunk in reader.parts[0].chunks(start=end))
 
 
 def test_a_chunk_closes_by_size_and_by_age(tmp_path: Path) -> None:
@@ -192,15 +192,15 @@ def test_hidden_leftovers_of_killed_process_are_removed(tmp_path: Path) -> None:
     old = tmp_path / ".session_000.mcap.0123abcd.unfinished"
     used = tmp_path / ".session_000.mcap.1123abcd.unfinished"
     young = tmp_path / ".session_000.mcap.2123abcd.unfinished"
-    other = tmp_path / ".notes"
-    for path in (old, used, young, other):
+    unrelated = tmp_path / ".notes"
+    for path in (old, used, young, unrelated):
         path.touch()
         if path != young:
             os.utime(path, (0, 0))
     with used.open() as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         samples.write_session(tmp_path, [])
-    assert [path.exists() for path in (old, used, young, other)] == [False, True, True, True]
+    assert [path.exists() for path in (old, used, young, unrelated)] == [False, True, True, True]
 
 
 def test_session_without_messages_is_complete(tmp_path: Path) -> None:
@@ -248,17 +248,17 @@ def test_wrong_settings_are_named(tmp_path: Path) -> None:
 
 def test_parts_are_accepted_in_order_only(tmp_path: Path) -> None:
     parts = []
-    for number in range(3):
-        writer = SessionWriter(tmp_path, snapshot=samples.SNAPSHOT, stem="s", part=number, log_time=0)
+    for index in range(3):
+        writer = SessionWriter(tmp_path, snapshot=samples.SNAPSHOT, stem="s", part=index, log_time=0)
         writer.finish(reason="split")
         parts.append(writer.path)
-    other = samples.write_session(tmp_path, [], stem="other")
+    second_session = samples.write_session(tmp_path, [], stem="other")
     SessionReader(parts).close()
     SessionReader(parts[1:]).close()
     for wrong, said in [
         (parts[::-1], "part 1 of its session and follows part 2"),
         ([parts[0], parts[2]], "part 2 of its session and follows part 0"),
-        ([parts[0], other], "belongs to session other"),
+        ([parts[0], second_session], "belongs to session other"),
         ([], "no session file"),
     ]:
         with pytest.raises(SessionError, match=said):

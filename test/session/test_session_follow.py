@@ -35,9 +35,9 @@ def _start(folder: Path) -> Recorder:
 
 @pytest.fixture
 def recorder(tmp_path: Path) -> Iterator[Recorder]:
-    made = _start(tmp_path)
-    yield made
-    made.close()
+    new_recorder = _start(tmp_path)
+    yield new_recorder
+    new_recorder.close()
 
 
 def test_messages_come_while_they_are_recorded(recorder: Recorder) -> None:
@@ -61,9 +61,9 @@ def test_split_session_is_followed_into_next_files(recorder: Recorder) -> None:
     with SessionReader(recorder.wait_until_open()) as reader:
         thread = threading.Thread(target=lambda: got.extend(reader.follow(poll=0.005)))
         thread.start()
-        for number in range(3):
-            _record(recorder, CONTENT[30 * number : 30 * number + 30])
-            recorder.split(samples.SNAPSHOT, log_time=CONTENT[30 * number + 30].log_time)
+        for index in range(3):
+            _record(recorder, CONTENT[30 * index : 30 * index + 30])
+            recorder.split(samples.SNAPSHOT, log_time=CONTENT[30 * index + 30].log_time)
         recorder.close()
         thread.join(30.0)
         assert not thread.is_alive()
@@ -105,10 +105,10 @@ def test_follow_ends_with_death_of_recording_process(tmp_path: Path) -> None:
 
 def test_follow_ends_on_request(recorder: Recorder) -> None:
     _record(recorder, CONTENT[:5])
-    asked = iter([True, True, False])
+    answers = iter([True, True, False])
     with SessionReader(recorder.wait_until_open()) as reader:
-        list(reader.follow(poll=0.001, keep_waiting=lambda: next(asked)))
-        assert list(asked) == []
+        list(reader.follow(poll=0.001, keep_waiting=lambda: next(answers)))
+        assert list(answers) == []
 
 
 def test_a_file_being_recorded_is_not_recovered(recorder: Recorder) -> None:

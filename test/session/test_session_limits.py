@@ -74,7 +74,7 @@ def test_recording_that_fails_to_begin_leaves_nothing(
     assert failed.status().state == "failed"
     assert failed.close().state == "failed"
     assert list(tmp_path.iterdir()) == []
-    wait_until(lambda: threading.active_count() == threads, what="the recorder's thread to end")
+    wait_until(lambda: threading.active_count() == threads, description="the recorder's thread to end")
     assert len(os.listdir("/proc/self/fd")) == descriptors
     again = recorder(tmp_path)
     assert again.wait_until_open().exists()
@@ -122,9 +122,9 @@ def test_failed_split_ends_a_complete_recording(
     files = iter([AppendFile, failing_file("sync_name", error)])
     recording = recorder(tmp_path, options=RecorderOptions(split_bytes=1), open_file=lambda *place: next(files)(*place))
     path = recording.wait_until_open()
-    wait_until(lambda: recording.wants_split, what="the file's limit")
+    wait_until(lambda: recording.wants_split, description="the file's limit")
     recording.split(SNAPSHOT, log_time=2)
-    wait_until(lambda: recording.status().state == "failed", what="the recording's end")
+    wait_until(lambda: recording.status().state == "failed", description="the recording's end")
     assert recording.status().error
     assert list(tmp_path.iterdir()) == [path]
     from cloth_sim_ros.session.reader import SessionReader

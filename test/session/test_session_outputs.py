@@ -14,7 +14,7 @@ from support import session_samples as samples
 
 from cloth_sim_ros.session import export
 from cloth_sim_ros.session.main import main
-from cloth_sim_ros.session.outputs import OutputError, check_outputs, written_whole
+from cloth_sim_ros.session.output_files import OutputError, atomic_write, check_outputs
 from cloth_sim_ros.session.recorder import Recorder
 
 CONTENT = list(samples.samples(30))
@@ -41,9 +41,9 @@ def test_inputs_and_sessions_are_refused_as_outputs(session: Path, tmp_path: Pat
     for path in (session, link, hard):
         assert "which is read" in _refusal(path, plain, session)
     assert "which is read" in _refusal(plain, session, plain)
-    other = tmp_path / "other.png"
-    other.write_bytes(session.read_bytes())
-    assert "holds an MCAP recording" in _refusal(other, session)
+    second_output = tmp_path / "other.png"
+    second_output.write_bytes(session.read_bytes())
+    assert "holds an MCAP recording" in _refusal(second_output, session)
     for name in ("new.mcap", "NEW.MCAP"):
         assert "ends in .mcap is a session" in _refusal(tmp_path / name, session)
 
@@ -54,9 +54,9 @@ def test_unwritable_output_is_reported_at_once(tmp_path: Path) -> None:
     if Path("/proc").is_dir():
         assert "nothing can be written into '/proc'" in _refusal(Path("/proc/out.png"))
     if os.geteuid():
-        kept = tmp_path / "kept.png"
-        kept.touch(0o400)
-        assert "must not be written" in _refusal(kept)
+        existing = tmp_path / "kept.png"
+        existing.touch(0o400)
+        assert "must not be written" in _refusal(existing)
     assert "end the name in .png" in _refusal(tmp_path / "out.jpg")
 
 
@@ -80,8 +80,8 @@ def test_two_outputs_need_two_files(tmp_path: Path) -> None:
 
 
 def _interrupted(target: Path) -> None:
-    with written_whole(target) as place:
-        place.write_text("half")
+    with atomic_write(target) as output:
+        output.write_text("half")
         raise KeyboardInterrupt
 
 
@@ -97,27 +97,27 @@ def test_interrupted_write_keeps_existing_file(tmp_path: Path) -> None:
     assert target.read_text() == "old"
     link = tmp_path / "link"
     link.symlink_to(target)
-    with written_whole(link) as place:
-        place.write_text("new")
+    with atomic_write(link) as output:
+        output.write_text("new")
     assert link.is_symlink()
     assert target.read_text() == "new"
     assert target.stat().st_mode & 0o777 == 0o640
-    with pytest.raises(FileExistsError), written_whole(target, replace=False) as place:
-        place.write_text("other")
+    with pytest.raises(FileExistsError), atomic_write(target, replace=False) as output:
+        output.write_text("other")
     assert target.read_text() == "new"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["link", "out"]
 
 
 def test_long_name_fits_while_it_is_written(tmp_path: Path) -> None:
     target = tmp_path / ("x" * 250)
-    with written_whole(target) as place:
-        place.write_text("all")
+    with atomic_write(target) as output:
+        output.write_text("all")
     assert target.read_text() == "all"
 
 
 def test_error_names_requested_output(tmp_path: Path) -> None:
     target = tmp_path / "absent" / "out"
-    with pytest.raises(FileNotFoundError) as refused, written_whole(target):
+    with pytest.raises(FileNotFoundError) as refused, atomic_write(target):
         pass
     assert refused.value.filename == str(target)
 

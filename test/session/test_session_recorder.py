@@ -134,8 +134,8 @@ def test_stuck_disk_drops_clouds_only_and_never_blocks(tmp_path: Path) -> None:
     assert (done.state, done.dropped) == ("closed", status.dropped)
     assert done.path is not None
     messages = samples.read_all(done.path)
-    kept = [item for item in messages if item.topic != samples.POINTS]
-    assert samples.plain(kept) == [item for item in samples.plain(CONTENT) if item[0] != samples.POINTS]
+    undroppable = [item for item in messages if item.topic != samples.POINTS]
+    assert samples.plain(undroppable) == [item for item in samples.plain(CONTENT) if item[0] != samples.POINTS]
     clouds = [item for item in messages if item.topic == samples.POINTS]
     assert len(clouds) == 60 - status.dropped
     # The sequence numbers show the missing messages.
@@ -275,7 +275,7 @@ def test_low_free_space_ends_recording_before_disk_is_full(tmp_path: Path) -> No
         def free_space(self) -> int:
             return 1_000_000 - self.size
 
-    options = dataclasses.replace(QUICK, least_free_space=950_000)
+    options = dataclasses.replace(QUICK, min_free_space=950_000)
     recorder = _start(tmp_path, writer=options, open_file=Shrinking)
     _record(recorder, CONTENT)
     _until(lambda: recorder.status().state == "failed")
@@ -338,17 +338,17 @@ def test_log_times_keep_the_order_of_recording(tmp_path: Path) -> None:
     recorder = _start(tmp_path)
     second = 10**9
     # A command precedes the frame that was due earlier; then the clock is set back by an hour.
-    given = [5 * second, 5 * second + 700, 5 * second + 300, 5 * second + 800, 5 * second - second // 2]
-    given += [7200 * second, 3600 * second, 3600 * second - 1]
-    for time_given in given:
-        recorder.record(samples.FRAME, "std_msgs/msg/String", b"", log_time=time_given, droppable=False)
+    log_times = [5 * second, 5 * second + 700, 5 * second + 300, 5 * second + 800, 5 * second - second // 2]
+    log_times += [7200 * second, 3600 * second, 3600 * second - 1]
+    for log_time in log_times:
+        recorder.record(samples.FRAME, "std_msgs/msg/String", b"", log_time=log_time, droppable=False)
     status = recorder.close()
     assert status.path is not None
     messages = samples.read_all(status.path)
     last = 5 * second + 800
     raised = [5 * second, last - 100, last - 100, last, last, 7200 * second, 3600 * second, 3600 * second]
     assert [item.log_time for item in messages] == raised
-    assert [item.publish_time for item in messages] == given
+    assert [item.publish_time for item in messages] == log_times
 
 
 def test_close_on_stuck_disk_ends_in_time(tmp_path: Path) -> None:
@@ -372,7 +372,7 @@ def test_close_on_stuck_disk_ends_in_time(tmp_path: Path) -> None:
 
 def test_split_files_each_open_with_their_snapshot(tmp_path: Path) -> None:
     recorder = _start(tmp_path, split_bytes=20_000)
-    later = samples.Snapshot(scene_yaml="later: 1\n", state=b"later", metadata=samples.SNAPSHOT.metadata)
+    later = samples.SessionSnapshot(scene_yaml="later: 1\n", state=b"later", metadata=samples.SNAPSHOT.metadata)
     expected: list[list[samples.Sample]] = [[]]
     for frame in range(120):
         content = list(samples.samples(1, first=frame))
@@ -388,16 +388,16 @@ def test_split_files_each_open_with_their_snapshot(tmp_path: Path) -> None:
     status = recorder.close()
     paths = sorted(tmp_path.glob("*.mcap"))
     assert len(paths) == len(expected) > 2
-    assert [path.name for path in paths] == [f"session_{number:03d}.mcap" for number in range(len(paths))]
+    assert [path.name for path in paths] == [f"session_{index:03d}.mcap" for index in range(len(paths))]
     assert status.bytes_written == sum(path.stat().st_size for path in paths)
     latched = samples.plain(expected[0][:1])[0]
-    for number, (path, content) in enumerate(zip(paths, expected, strict=True)):
+    for index, (path, content) in enumerate(zip(paths, expected, strict=True)):
         with SessionReader(path, strict=True) as reader:
             got = samples.plain(list(reader.messages()))
             assert reader.complete
-            assert reader.parts[0].number == number
+            assert reader.parts[0].index == index
             assert reader.topology() is not None
-            if number == 0:
+            if index == 0:
                 assert got == samples.plain(content)
                 assert reader.state == samples.SNAPSHOT.state
             else:
@@ -421,7 +421,7 @@ def test_each_file_counts_its_own_dropped_clouds(tmp_path: Path) -> None:
     _record(recorder, CONTENT[:120])
     first = recorder.status().dropped
     assert first > 0
-    recorder.split(samples.Snapshot(scene_yaml="-", state=b"-"), log_time=CONTENT[119].log_time)
+    recorder.split(samples.SessionSnapshot(scene_yaml="-", state=b"-"), log_time=CONTENT[119].log_time)
     _record(recorder, CONTENT[120:])
     Gated.gate.set()
     status = recorder.close()
@@ -467,8 +467,8 @@ def test_many_threads_record_concurrently(tmp_path: Path) -> None:
     recorder = _start(tmp_path)
 
     def work(name: str) -> None:
-        for number in range(300):
-            recorder.record(f"/{name}", "std_msgs/msg/String", str(number).encode(), log_time=number, droppable=False)
+        for index in range(300):
+            recorder.record(f"/{name}", "std_msgs/msg/String", str(index).encode(), log_time=index, droppable=False)
 
     threads = [threading.Thread(target=work, args=(name,)) for name in "abcd"]
     for thread in threads:

@@ -20,9 +20,9 @@ from support.session_maker import SessionMaker
 
 from cloth_sim_ros.physics.contact_thickness import LAYER_RECOVERY_SPEED, RECOVERY_SPEED, START_GAP
 from cloth_sim_ros.physics.control import explicit
+from cloth_sim_ros.physics.controller_state import THICKNESS_KEY as KEY
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.remembered import THICKNESS as KEY
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.event_checks import EventError
@@ -63,9 +63,9 @@ def recovering(frames: int = 3, **more: Any) -> Simulation:
 
 def frames_left(cloth: Simulation) -> int:
     """Return the number of frames until contacts have the full thickness."""
-    found = cloth.contact_recovery
-    assert found is not None
-    return math.ceil(found.duration * cloth.scene.rate)
+    recovery = cloth.contact_recovery
+    assert recovery is not None
+    return math.ceil(recovery.duration * cloth.scene.rate)
 
 
 def start_at(height: float, **more: Any) -> Simulation:
@@ -214,11 +214,11 @@ def test_implicit_steps_follow_the_growth(rate: float, tolerance: float, gap: fl
 
 def test_recovery_reports_what_recovers_and_for_how_long() -> None:
     cloth = start_at(0.5 * THICKNESS)
-    found = cloth.contact_recovery
-    assert found is not None
-    assert (found.names, found.particles) == (("table",), 49)
-    assert found.lift == pytest.approx((1.0 - 0.5 / START_GAP) * THICKNESS)
-    assert found.duration == pytest.approx(found.lift / RECOVERY_SPEED)
+    recovery = cloth.contact_recovery
+    assert recovery is not None
+    assert (recovery.names, recovery.particles) == (("table",), 49)
+    assert recovery.lift == pytest.approx((1.0 - 0.5 / START_GAP) * THICKNESS)
+    assert recovery.duration == pytest.approx(recovery.lift / RECOVERY_SPEED)
     for left in range(frames_left(cloth), 0, -1):
         assert frames_left(cloth) == left
         cloth.advance()
@@ -244,10 +244,10 @@ def test_layers_too_near_are_refused_with_the_lift() -> None:
     [{"contact.thickness": 0.02}, {"obstacles": ["table", "new"]}],
 )
 def test_parameters_that_leave_no_gap_are_refused(values: dict[str, Any]) -> None:
-    near = {"new.shape": "plane", "new.position": [0.0, 0.0, BORNE * THICKNESS - 0.01 * THICKNESS]}
+    near_plane = {"new.shape": "plane", "new.position": [0.0, 0.0, BORNE * THICKNESS - 0.01 * THICKNESS]}
     # A small thickness, of which 20 mm are fifty times as much.
     thin = {"contact.thickness": 0.15 * THICKNESS, "cloth.position": [0.0, 0.0, 0.147 * THICKNESS]}
-    cloth = lying(**(thin if "contact.thickness" in values else near))
+    cloth = lying(**(thin if "contact.thickness" in values else near_plane))
     cloth.advance()
     before = cloth.state.digest()
     with pytest.raises(
@@ -260,15 +260,15 @@ def test_parameters_that_leave_no_gap_are_refused(values: dict[str, Any]) -> Non
 
 def test_reset_to_a_compressed_start_recovers_again() -> None:
     cloth = start_at(0.3 * THICKNESS)
-    found, frames = cloth.contact_recovery, frames_left(cloth)
+    recovery, frames = cloth.contact_recovery, frames_left(cloth)
     first = [cloth.advance() and cloth.positions for _ in range(frames)]
     assert cloth.contact_recovery is None
     cloth.advance([Reset()])
-    assert found is not None
+    assert recovery is not None
     assert cloth.contact_recovery is not None
-    assert cloth.contact_recovery.lift == pytest.approx(found.lift - RECOVERY_SPEED / cloth.scene.rate)
+    assert cloth.contact_recovery.lift == pytest.approx(recovery.lift - RECOVERY_SPEED / cloth.scene.rate)
     again = [cloth.positions] + [cloth.advance() and cloth.positions for _ in range(frames - 1)]
-    assert again == [pytest.approx(place, abs=1e-6) for place in first]
+    assert again == [pytest.approx(coordinate, abs=1e-6) for coordinate in first]
 
 
 def test_reset_too_near_is_refused_and_changes_nothing() -> None:
@@ -284,16 +284,16 @@ def test_reset_too_near_is_refused_and_changes_nothing() -> None:
 
 def test_snapshots_amid_a_recovery_give_the_same_bits() -> None:
     cloth = recovering()
-    kept = cloth.snapshot()
+    snapshot = cloth.snapshot()
     frames = frames_left(cloth) + 2
     digests = [cloth.advance() and cloth.state.digest() for _ in range(frames)]
     assert cloth.contact_recovery is None
-    for other in (cloth, recovering(5), lying()):
-        if other.scene.contact.thickness != cloth.scene.contact.thickness:
-            other.advance([THICK])
-        other.restore(kept)
-        assert other.contact_recovery is not None
-        assert [other.advance() and other.state.digest() for _ in range(frames)] == digests
+    for simulation in (cloth, recovering(5), lying()):
+        if simulation.scene.contact.thickness != cloth.scene.contact.thickness:
+            simulation.advance([THICK])
+        simulation.restore(snapshot)
+        assert simulation.contact_recovery is not None
+        assert [simulation.advance() and simulation.state.digest() for _ in range(frames)] == digests
 
 
 def test_states_amid_a_recovery_go_through_bytes() -> None:
@@ -301,11 +301,11 @@ def test_states_amid_a_recovery_go_through_bytes() -> None:
     data = cloth.state.to_bytes()
     assert KEY in State.from_bytes(data).memory
     values = {**LYING, "contact.thickness": 5e-3}
-    other = Simulation(Scene.from_parameters(values), State.from_bytes(data))
+    restored = Simulation(Scene.from_parameters(values), State.from_bytes(data))
     for _ in range(10):
         cloth.advance()
-        other.advance()
-        assert other.state.digest() == cloth.state.digest()
+        restored.advance()
+        assert restored.state.digest() == cloth.state.digest()
 
 
 @pytest.mark.parametrize("seed", [2, 3, 5])
@@ -321,8 +321,8 @@ def test_release_on_a_moving_table_restarts_to_the_bit(seed: int) -> None:
         turn = random.normal(size=4) * [1e-3, 1e-3, 1e-2, 0.0] + [0.0, 0.0, 0.0, 1.0]
         cloth.advance([Target("gripper", tuple(held)), Move("table", tuple(table), tuple(turn))])
     again = Simulation(cloth.scene, State.from_bytes(cloth.state.to_bytes()))
-    for each in (cloth, again):
-        each.advance([Grasp("gripper", False)])
+    for simulation in (cloth, again):
+        simulation.advance([Grasp("gripper", False)])
     assert KEY in cloth.state.memory
     assert again.state.digest() == cloth.state.digest()
 
@@ -334,7 +334,7 @@ def test_thickness_that_reaches_pads_is_refused_in_check() -> None:
         cloth.check(SetParameters({"contact.thickness": 0.02}))
 
 
-def _narrow(reduced: Array) -> Array:
+def _single_precision(reduced: Array) -> Array:
     return reduced[:, 1:]
 
 
@@ -346,7 +346,7 @@ def _endless(reduced: Array) -> Array:
     return reduced * np.nan
 
 
-@pytest.mark.parametrize("spoil", [_narrow, _zero, _endless])
+@pytest.mark.parametrize("spoil", [_single_precision, _zero, _endless])
 def test_states_with_a_bad_thickness_are_refused(spoil: Any) -> None:
     state = recovering().state.copy()
     state.memory[KEY] = np.ascontiguousarray(spoil(state.memory[KEY]))
@@ -363,13 +363,13 @@ def test_states_of_other_obstacles_are_refused_or_whole() -> None:
 
 
 def test_full_thickness_leaves_no_state_entry() -> None:
-    cloth, other = lying(), lying()
+    cloth, reference = lying(), lying()
     for k in range(30):
         # Changes without effect on contact geometry leave the contact unchanged.
         cloth.advance([SetParameters({"table.friction": [0.5, 0.4]})] if k == 10 else ())
-        other.advance([SetParameters({"table.friction": [0.5, 0.4]})] if k == 10 else ())
+        reference.advance([SetParameters({"table.friction": [0.5, 0.4]})] if k == 10 else ())
         assert KEY not in cloth.state.memory
-    assert cloth.state.digest() == other.state.digest()
+    assert cloth.state.digest() == reference.state.digest()
 
 
 def test_cloth_stays_awake_while_contacts_recover() -> None:
@@ -391,7 +391,7 @@ def test_cloth_stays_awake_while_contacts_recover() -> None:
 
 
 def test_repeated_frames_keep_the_thickness(monkeypatch: pytest.MonkeyPatch) -> None:
-    moved, other = recovering(), recovering()
+    moved, reference = recovering(), recovering()
     order = Move("table", (0.0, 0.0, -0.051))
     advance, calls = explicit.advance, []
 
@@ -405,16 +405,16 @@ def test_repeated_frames_keep_the_thickness(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(explicit, "advance", fails_once)
     frame = moved.advance([order])
     monkeypatch.setattr(explicit, "advance", advance)
-    assert frame.halted == ("table",)
+    assert frame.stopped == ("table",)
     assert len(calls) == 2
     # The other simulation's table was never commanded: recovery continues as without the command.
-    other.advance()
-    assert np.array_equal(moved.state.memory[KEY], other.state.memory[KEY])
+    reference.advance()
+    assert np.array_equal(moved.state.memory[KEY], reference.state.memory[KEY])
 
 
 def test_failed_frames_leave_the_thickness(monkeypatch: pytest.MonkeyPatch) -> None:
     cloth = recovering()
-    before, kept = cloth.state.digest(), cloth.state.memory[KEY].copy()
+    before, thickness = cloth.state.digest(), cloth.state.memory[KEY].copy()
 
     def fails(*_: Any) -> Any:
         raise UnstableError("never")
@@ -424,7 +424,7 @@ def test_failed_frames_leave_the_thickness(monkeypatch: pytest.MonkeyPatch) -> N
         with pytest.raises(UnstableError):
             cloth.advance()
     assert cloth.state.digest() == before
-    assert np.array_equal(cloth.state.memory[KEY], kept)
+    assert np.array_equal(cloth.state.memory[KEY], thickness)
     cloth.advance()
 
 
@@ -447,17 +447,17 @@ def test_opening_pads_do_not_accelerate_the_cloth() -> None:
     cloth.advance([Target("gripper", corner), Grasp("gripper", True)])
     for _ in range(60):
         cloth.advance()
-    assert cloth.held(0) > 0
+    assert cloth.grasped_count(0) > 0
     cloth.advance([Grasp("gripper", False)])
-    found = cloth.contact_recovery
-    assert found is not None
-    assert set(found.names) == {"gripper.left_pad", "gripper.right_pad"}
+    recovery = cloth.contact_recovery
+    assert recovery is not None
+    assert set(recovery.names) == {"gripper.left_pad", "gripper.right_pad"}
     for _ in range(2 * frames_left(cloth)):
         # Across the pads.
         assert np.abs(cloth.velocities[:, 1]).max() < starts.FASTEST
         cloth.advance()
     assert cloth.contact_recovery is None
-    assert cloth.held(0) == 0
+    assert cloth.grasped_count(0) == 0
 
 
 def test_pads_placed_near_the_cloth_do_not_accelerate_it() -> None:
@@ -517,7 +517,7 @@ def test_the_certificate_covers_recovering_contacts(tmp_path: Path) -> None:
         _recorded(tmp_path, **{"table.friction": [0.0, 0.0], "tolerance": 1e-4}), every_sample=True
     )
     assert verdict.same
-    assert certificate.kept
+    assert certificate.is_satisfied
     # An independent integrator checks every frame.
     assert len(certificate.samples) == 14
     assert max(sample.difference for sample in certificate.samples) < 1e-6

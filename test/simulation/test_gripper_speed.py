@@ -44,11 +44,11 @@ def test_jump_is_followed_at_the_limit(jump: float) -> None:
     cloth = cloth_at(**{"gripper.max_speed": 60.0})
     before, ways = position(cloth), []
     cloth.advance([Target("gripper", corner(cloth, jump), NO_TURN)])
-    assert cloth.grippers.limited == ({} if jump == 1.0 else {"gripper": pytest.approx(60.0 * jump)})
+    assert cloth.grippers.speed_limited == ({} if jump == 1.0 else {"gripper": pytest.approx(60.0 * jump)})
     while True:
         ways.append(float(np.linalg.norm(position(cloth) - before)))
         before = position(cloth)
-        if not cloth.grippers.limited:
+        if not cloth.grippers.speed_limited:
             break
         cloth.advance()
     assert max(ways) <= 1.0 + 1e-6
@@ -60,10 +60,10 @@ def test_default_limits_a_distant_target_and_forgets_it() -> None:
     cloth = cloth_at()
     cloth.advance([Target("gripper", corner(cloth, 1.0))])
     assert position(cloth)[1] - corner(cloth)[1] == pytest.approx(MAX_SPEED / 60.0)
-    assert cloth.grippers.limited == {"gripper": pytest.approx(60.0)}
+    assert cloth.grippers.speed_limited == {"gripper": pytest.approx(60.0)}
     cloth.advance([Target("gripper", corner(cloth))])
     assert position(cloth) == pytest.approx(corner(cloth))
-    assert not cloth.grippers.limited
+    assert not cloth.grippers.speed_limited
 
 
 def test_velocity_is_continuous_at_the_limit() -> None:
@@ -85,13 +85,13 @@ def test_velocity_is_continuous_at_the_limit() -> None:
 def test_half_turn_speed_is_limited_by_grasped_particles() -> None:
     values = {"gripper.radius": 0.3, "cloth.size": [1.0, 1.0], "gripper.max_speed": 2.0}
     held, free = cloth_at(**values), cloth_at(closed=False, **values)
-    particles = held.grippers.held(0)
+    particles = held.grippers.grasped_particles(0)
     reach = float(np.linalg.norm(held.positions[particles] - position(held), axis=1).max())
     for cloth in (held, free):
         cloth.advance([Target("gripper", corner(cloth), HALF_TURN)])
     # Nothing is grasped, so nothing moves.
     assert free.grippers.poses()[0, 3:].tolist() == list(HALF_TURN)
-    assert held.grippers.limited == {"gripper": pytest.approx(math.pi * reach * 60.0)}
+    assert held.grippers.speed_limited == {"gripper": pytest.approx(math.pi * reach * 60.0)}
     turn = rotation_vector(NO_TURN, held.grippers.poses()[0, 3:].tolist())
     assert np.linalg.norm(turn) * reach == pytest.approx(2.0 / 60.0)
     for _ in range(60):
@@ -105,7 +105,7 @@ def test_each_gripper_has_its_own_limit() -> None:
     cloth.advance([Target(name, corner(cloth, 1.0)) for name in ("left", "right")])
     assert position(cloth, 0)[1] - corner(cloth)[1] == pytest.approx(3.0 / 60.0)
     assert position(cloth, 1) == pytest.approx(corner(cloth, 1.0))
-    assert list(cloth.grippers.limited) == ["left"]
+    assert list(cloth.grippers.speed_limited) == ["left"]
     cloth.advance([SetParameters({"right.max_speed": 1.0}), Target("right", corner(cloth))])
     assert corner(cloth, 1.0)[1] - position(cloth, 1)[1] == pytest.approx(1.0 / 60.0)
     assert cloth.scene.parameters()["right.max_speed"] == 1.0
@@ -120,20 +120,20 @@ def test_motion_up_to_the_limit_keeps_every_bit(speed: float) -> None:
         turned = (0.0, 0.0, 0.01 * k, 1.0)
         for cloth in (limited, free):
             cloth.advance([Target("gripper", corner(cloth, distance), turned if k > 15 else None)])
-        assert not limited.grippers.limited
+        assert not limited.grippers.speed_limited
         assert limited.state.digest() == free.state.digest()
 
 
 def test_limit_changes_while_the_cloth_runs_and_reset_clears() -> None:
     cloth = cloth_at(**{"gripper.max_speed": 1.0})
     cloth.advance([Target("gripper", corner(cloth, 1.0))])
-    assert cloth.grippers.limited
+    assert cloth.grippers.speed_limited
     cloth.advance([SetParameters({"gripper.max_speed": 0.0})])
     assert position(cloth) == pytest.approx(corner(cloth, 1.0))
     cloth.advance([SetParameters({"gripper.max_speed": 1.0}), Target("gripper", corner(cloth))])
-    assert cloth.grippers.limited
+    assert cloth.grippers.speed_limited
     cloth.advance([Reset()])
-    assert not cloth.grippers.limited
+    assert not cloth.grippers.speed_limited
 
 
 def test_limit_holds_while_cloth_is_held() -> None:
@@ -160,4 +160,4 @@ def test_pads_keep_to_the_smaller_limit() -> None:
         cloth.advance([Target("gripper", (0.0, 0.0, 1.0))])
         cloth.advance([Target("gripper", (0.0, 1.0, 1.0))])
         assert position(cloth)[1] == pytest.approx(most / 60.0)
-        assert list(cloth.grippers.limited) == ["gripper"]
+        assert list(cloth.grippers.speed_limited) == ["gripper"]

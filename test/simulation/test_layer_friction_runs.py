@@ -9,17 +9,17 @@ import pytest
 from support import layer_stacks as stacks
 from support.self_scenes import folded
 
-from cloth_sim_ros.physics.remembered import ANCHORS
+from cloth_sim_ros.physics.controller_state import ANCHORS_KEY
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.parameter_warnings import ineffective_parameters
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.scene.without_effect import without_effect
 from cloth_sim_ros.simulation.events import SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation
 
 MU = 0.5
 STEEP = math.degrees(math.atan(MU))
-GIVEN = {
+BASE_VALUES = {
     "cloth.resolution": [10, 10],
     "cloth.size": [0.3, 0.3],
     "cloth.anchors": [""],
@@ -37,24 +37,26 @@ GIVEN = {
 
 def fold(**values):
     """Simulation of a sheet that starts folded and falls on itself."""
-    wanted = Scene.from_parameters({**GIVEN, **{name.replace("__", "."): value for name, value in values.items()}})
+    folded_scene = Scene.from_parameters(
+        {**BASE_VALUES, **{name.replace("__", "."): value for name, value in values.items()}}
+    )
     _, places, velocities = folded(10)
-    state = Simulation(wanted).state.copy()
+    state = Simulation(folded_scene).state.copy()
     state.x, state.v = State(places, velocities).x, State(places, velocities).v
-    return Simulation(wanted, state)
+    return Simulation(folded_scene, state)
 
 
 def layers(simulation):
     """Anchors on layers, shape (sides, 4, particles)."""
-    return simulation.state.memory[ANCHORS][-2:]
+    return simulation.state.memory[ANCHORS_KEY][-2:]
 
 
 def pressed(**values):
     """Simulation of a folded sheet whose halves touch."""
-    return touching(fold(**values))
+    return cloth_with_layer_contact(fold(**values))
 
 
-def touching(simulation):
+def cloth_with_layer_contact(simulation):
     """Advance a bouncing folded sheet until its layers stick to each other."""
     for _ in range(40):
         simulation.advance()
@@ -66,10 +68,10 @@ def touching(simulation):
 def test_stack_below_friction_angle_keeps_anchors_exactly():
     below = stacks.stack(6, 9, STEEP - 0.5, (MU,))
     stacks.advance(below, 45)
-    kept, x = stacks.anchors(below), below.state.x.copy()
-    assert (kept[:, 3] == 1.0).any()
+    initial_anchors, x = stacks.anchors(below), below.state.x.copy()
+    assert (initial_anchors[:, 3] == 1.0).any()
     stacks.advance(below, 30)
-    assert np.array_equal(stacks.anchors(below), kept)
+    assert np.array_equal(stacks.anchors(below), initial_anchors)
     assert np.abs(below.state.x - x).max() < 1e-6
 
 
@@ -87,8 +89,8 @@ def test_friction_is_correct_when_work_limit_is_reached():
 def test_friction_only_dissipates_and_is_in_energy_balance():
     balance, worst, least = stacks.balanced(stacks.stack(6, 9, 40.0, (MU, 0.4)), 12)
     assert least > 0.0
-    assert 0.5 * balance.lost < balance.rubbed <= balance.lost
-    assert worst <= 1e-3 * balance.turned_over
+    assert 0.5 * balance.dissipation < balance.friction_work <= balance.dissipation
+    assert worst <= 1e-3 * balance.energy_turnover
 
 
 def test_sliding_along_an_edge_does_not_switch_sides_each_step():
@@ -113,8 +115,8 @@ def test_a_run_goes_on_from_a_saved_state_with_the_same_bits():
     assert simulation.state.digest() == again.state.digest()
     # Anchors are in the digest.
     changed = simulation.state.copy()
-    changed.memory = {**changed.memory, ANCHORS: changed.memory[ANCHORS].copy()}
-    changed.memory[ANCHORS][-1, 1, 3] += 1e-9
+    changed.memory = {**changed.memory, ANCHORS_KEY: changed.memory[ANCHORS_KEY].copy()}
+    changed.memory[ANCHORS_KEY][-1, 1, 3] += 1e-9
     assert changed.digest() != simulation.state.digest()
 
 
@@ -124,7 +126,7 @@ def test_zero_friction_gives_the_bits_of_no_friction():
         simulation = fold(**{"contact__friction": [0.0, 0.0], **friction})
         for _ in range(8):
             simulation.advance()
-        assert len(simulation.state.memory[ANCHORS]) == 1
+        assert len(simulation.state.memory[ANCHORS_KEY]) == 1
         digests.append(simulation.state.digest())
     assert len(set(digests)) == 1
     rough = fold()
@@ -136,9 +138,9 @@ def test_zero_friction_gives_the_bits_of_no_friction():
 def test_friction_may_change_while_it_runs():
     simulation = pressed()
     simulation.advance([SetParameters({"contact.friction": [0.0]})])
-    assert len(simulation.state.memory[ANCHORS]) == 1
+    assert len(simulation.state.memory[ANCHORS_KEY]) == 1
     simulation.advance([SetParameters({"contact.friction": [0.4]})])
-    assert len(touching(simulation).state.memory[ANCHORS]) == 3
+    assert len(cloth_with_layer_contact(simulation).state.memory[ANCHORS_KEY]) == 3
 
 
 def test_invalid_friction_is_refused():
@@ -146,21 +148,22 @@ def test_invalid_friction_is_refused():
         fold(contact__friction=[0.1, 0.1, 0.1])
     with pytest.raises(ParameterError, match=r"contact\.friction is 0\.2 at rest and 0\.3 in motion; the latter must"):
         fold(contact__friction=[0.2, 0.3])
-    off = Scene.from_parameters({**GIVEN, "contact.self": False})
+    off = Scene.from_parameters({**BASE_VALUES, "contact.self": False})
     assert any(
-        "contact.friction is set and has no effect" in line for line in without_effect(off, ["contact.friction"])
+        "contact.friction is set and has no effect" in line
+        for line in ineffective_parameters(off, ["contact.friction"])
     )
     simulation = pressed()
     state = simulation.state.copy()
-    state.memory = {**state.memory, ANCHORS: state.memory[ANCHORS].copy()}
-    state.memory[ANCHORS][-1, 0], state.memory[ANCHORS][-1, 3] = 1e5, 1.0
+    state.memory = {**state.memory, ANCHORS_KEY: state.memory[ANCHORS_KEY].copy()}
+    state.memory[ANCHORS_KEY][-1, 0], state.memory[ANCHORS_KEY][-1, 3] = 1e5, 1.0
     with pytest.raises(ValueError, match=r"in triangle 100000\.0; it must be a whole number from 0 to 161"):
         Simulation(simulation.scene, state).advance()
 
 
 def test_energy_report_includes_layer_friction_work():
-    simulation = touching(fold(diagnostics__energy=True))
+    simulation = cloth_with_layer_contact(fold(diagnostics__energy=True))
     for _ in range(3):
         simulation.advance()
     report = simulation.energy_report
-    assert 0.0 < report.rubbed < report.dissipated
+    assert 0.0 < report.friction_work < report.dissipated

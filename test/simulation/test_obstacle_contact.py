@@ -51,8 +51,8 @@ def test_lying_cloth_sleeps_and_reports_its_weight(rested: State) -> None:
     assert cloth.asleep
     assert frame.advance is not None
     assert frame.advance.steps == 0
-    assert frame.loads[0, 2] == pytest.approx(-WEIGHT, rel=1e-3)
-    assert np.abs(frame.loads[0, [0, 1, 3, 4, 5]]).max() < 1e-3
+    assert frame.obstacle_wrenches[0, 2] == pytest.approx(-WEIGHT, rel=1e-3)
+    assert np.abs(frame.obstacle_wrenches[0, [0, 1, 3, 4, 5]]).max() < 1e-3
     gaps = cloth.gaps()
     assert gaps is not None
     assert gaps[0, 0] == 64
@@ -169,11 +169,11 @@ def test_a_frame_that_fails_leaves_everything_as_it_was(rested: State) -> None:
         )
     assert cloth.state.digest() == before
     assert cloth.scene.obstacle_names == ["block"]
-    other = Simulation(cloth.scene, cloth.state)
+    reference = Simulation(cloth.scene, cloth.state)
     for _ in range(3):
         cloth.advance()
-        other.advance()
-    assert cloth.state.digest() == other.state.digest()
+        reference.advance()
+    assert cloth.state.digest() == reference.state.digest()
 
 
 def test_reset_into_an_obstacle_is_refused(rested: State) -> None:
@@ -184,8 +184,8 @@ def test_reset_into_an_obstacle_is_refused(rested: State) -> None:
     cloth.advance([SetParameters({"obstacles": ["block"]})])
     for _ in range(40):
         cloth.advance([Move("block", (0.0, 0.0, 0.3))])
-    near = {"ball.size": [0.2], "ball.position": [0.0, 0.0, 0.1]}
-    cloth.advance([SetParameters({"obstacles": ["block", "ball"], **near})])
+    near_ball = {"ball.size": [0.2], "ball.position": [0.0, 0.0, 0.1]}
+    cloth.advance([SetParameters({"obstacles": ["block", "ball"], **near_ball})])
     with pytest.raises(EventError, match="the cloth as it starts is inside obstacle 'ball'"):
         cloth.advance([Reset()])
 
@@ -199,9 +199,9 @@ def test_plan_has_obstacles_at_scene_poses() -> None:
     plan, state = scene.plan(), scene.starting_state()
     simulation = Simulation(scene)
     assert plan.contact is not None
-    found = simulation.gaps()
-    assert found is not None
-    assert np.array_equal(plan.contact.gaps(0.0, state.x), found)
+    gaps = simulation.gaps()
+    assert gaps is not None
+    assert np.array_equal(plan.contact.obstacle_gaps(0.0, state.x), gaps)
 
 
 def test_cloth_inside_obstacle_is_refused_with_its_name() -> None:
@@ -230,6 +230,6 @@ def test_obstacle_motion_within_one_frame_acts_on_the_cloth() -> None:
     # Two plates press the sheet from both sides, so that it does not move: their work is stored in the gaps.
     cloth.advance([Move("front", (0.0, -0.053, 1.0)), Move("back", (0.0, 0.053, 1.0))])
     assert cloth.gaps()[:, 1] == pytest.approx([0.003, 0.003], rel=1e-3)
-    put_in = cloth._book.work - cloth._book.lost
+    put_in = cloth._accumulator.work - cloth._accumulator.dissipation
     assert cloth.energy() - before > 100.0
     assert put_in == pytest.approx(cloth.energy() - before, rel=0.02)

@@ -47,8 +47,8 @@ def obj(vertices: Any, triangles: Any) -> bytes:
 
 
 def meshed(content: bytes | None = None, **values: Any) -> Scene:
-    own = obj(BALL.vertices, BALL.faces) if content is None else content
-    return Scene.from_parameters({**MESH, **values}, files={"it.obj": own})
+    mesh_content = obj(BALL.vertices, BALL.faces) if content is None else content
+    return Scene.from_parameters({**MESH, **values}, files={"it.obj": mesh_content})
 
 
 def test_ball_smaller_than_a_cell_carries_the_cloth() -> None:
@@ -56,7 +56,7 @@ def test_ball_smaller_than_a_cell_carries_the_cloth() -> None:
         cloth = Simulation(scene)
         for _ in range(12):
             frame = cloth.advance()
-        assert frame.loads[0, 2] < -0.05
+        assert frame.obstacle_wrenches[0, 2] < -0.05
         gaps = cloth.gaps()
         assert gaps is not None
         assert gaps[0, 0] == 0

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cloth_sim_ros import Scene
-from cloth_sim_ros.physics.remembered import ANCHORS
+from cloth_sim_ros.physics.controller_state import ANCHORS_KEY
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.simulation.events import Move, Reset, SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -33,17 +33,17 @@ SMALL: dict[str, Any] = {
 def inclined(degrees: float, **values: Any) -> Simulation:
     """A sheet on a box rotated about y, at the distance where contact carries it."""
     turn = Rotation.from_euler("y", degrees, degrees=True)
-    place = turn.apply([0.0, 0.0, 0.05 + 0.98 * 0.003])
-    own = {
-        "cloth.position": place.tolist(),
+    position = turn.apply([0.0, 0.0, 0.05 + 0.98 * 0.003])
+    scene_values = {
+        "cloth.position": position.tolist(),
         "cloth.orientation": turn.as_quat().tolist(),
         "box.orientation": turn.as_quat().tolist(),
     }
-    return Simulation(Scene.from_parameters({**SMALL, **own, **values}))
+    return Simulation(Scene.from_parameters({**SMALL, **scene_values, **values}))
 
 
 def anchors(cloth: Simulation) -> np.ndarray:
-    return cloth.state.memory[ANCHORS]
+    return cloth.state.memory[ANCHORS_KEY]
 
 
 def lying() -> Simulation:
@@ -60,11 +60,11 @@ def test_sheet_on_slope_slides_above_friction_angle_only() -> None:
     below = inclined(steep - 2.0)
     for _ in range(60):
         below.advance()
-    kept, x = anchors(below).copy(), below.positions
-    assert (kept[0, 3] == 1.0).all()
+    initial_anchors, x = anchors(below).copy(), below.positions
+    assert (initial_anchors[0, 3] == 1.0).all()
     for _ in range(30):
         below.advance()
-        assert np.array_equal(anchors(below), kept)
+        assert np.array_equal(anchors(below), initial_anchors)
     assert np.abs(below.positions - x).max() < 1e-6
     above = inclined(steep + 2.0)
     start = above.positions.mean(axis=0)
@@ -82,24 +82,24 @@ def test_zero_friction_gives_the_bits_of_no_friction() -> None:
         cloth = Simulation(Scene.from_parameters({**values, **flat}))
         for _ in range(20):
             cloth.advance()
-        assert ANCHORS not in cloth.state.memory
+        assert ANCHORS_KEY not in cloth.state.memory
         digests.append(cloth.state.digest())
     assert len(set(digests)) == 1
 
 
 def test_friction_anchors_belong_to_their_obstacle() -> None:
     cloth = lying()
-    kept = anchors(cloth)[0].copy()
+    initial_anchors = anchors(cloth)[0].copy()
     ball = {"ball.shape": "sphere", "ball.size": [0.1], "ball.position": [0.0, 0.0, -3.0], "obstacles": ["ball", "box"]}
     cloth.advance([SetParameters(ball)])
     assert anchors(cloth).shape == (2, 4, 25)
     # The sheet is at rest: only the number of anchors has changed.
-    assert np.array_equal(anchors(cloth)[1], kept)
+    assert np.array_equal(anchors(cloth)[1], initial_anchors)
     assert not anchors(cloth)[0].any()
     cloth.advance([SetParameters({"obstacles": ["box"]})])
-    assert np.array_equal(anchors(cloth), kept[None])
+    assert np.array_equal(anchors(cloth), initial_anchors[None])
     cloth.advance([SetParameters({"obstacles": ["ball"]})])
-    assert ANCHORS not in cloth.state.memory
+    assert ANCHORS_KEY not in cloth.state.memory
 
 
 def test_removing_one_obstacle_keeps_anchors_of_the_other() -> None:
@@ -112,7 +112,7 @@ def test_removing_one_obstacle_keeps_anchors_of_the_other() -> None:
 def test_disabling_friction_releases_anchors() -> None:
     cloth = lying()
     cloth.advance([SetParameters({"box.friction": [0.0]})])
-    assert ANCHORS not in cloth.state.memory
+    assert ANCHORS_KEY not in cloth.state.memory
     for _ in range(3):
         cloth.advance([SetParameters({"gravity": [2.0, 0.0, -9.81]})])
     x = cloth.positions
@@ -137,10 +137,10 @@ def test_refused_frame_keeps_anchors() -> None:
     with pytest.raises(ValueError, match="ball"):
         cloth.advance([SetParameters({"box.friction": [0.0]}), Move("ball", (0.0, 0.0, 0.0))])
     assert cloth.state.digest() == before
-    other = Simulation(cloth.scene, State.from_bytes(cloth.state.to_bytes()))
+    restored = Simulation(cloth.scene, State.from_bytes(cloth.state.to_bytes()))
     cloth.advance([Move("box", (0.01, 0.0, 0.0))])
-    other.advance([Move("box", (0.01, 0.0, 0.0))])
-    assert cloth.state.digest() == other.state.digest()
+    restored.advance([Move("box", (0.01, 0.0, 0.0))])
+    assert cloth.state.digest() == restored.state.digest()
 
 
 def test_the_energy_balance_closes_while_a_sheet_slides() -> None:
@@ -172,6 +172,6 @@ def test_the_energy_balance_closes_while_a_sheet_slides() -> None:
 )
 def test_anchors_that_do_not_fit_are_refused(change: Any, words: str) -> None:
     state = lying().state
-    state.memory[ANCHORS] = change(state.memory[ANCHORS])
+    state.memory[ANCHORS_KEY] = change(state.memory[ANCHORS_KEY])
     with pytest.raises(ValueError, match=f"memory 'contact.anchors' .*{words}"):
         State.from_bytes(state.to_bytes())

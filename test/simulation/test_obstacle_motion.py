@@ -13,7 +13,7 @@ from cloth_sim_ros import Scene
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Move, Reset, SetParameters, from_dict, ordered, to_dict
-from cloth_sim_ros.simulation.obstacles import MOST_SPEED
+from cloth_sim_ros.simulation.kinematic_bodies import MAX_BODY_SPEED
 from cloth_sim_ros.simulation.simulation import Simulation
 
 BASE: dict[str, Any] = {
@@ -42,19 +42,19 @@ def test_obstacle_reaches_target_at_frame_end_and_stays() -> None:
     cloth.advance([Move("ball", (0.05, 1.0, 1.0), turn)])
     assert cloth.obstacles.poses()[0].tolist() == pytest.approx([0.05, 1.0, 1.0, *turn])
     assert cloth.obstacles.poses()[1].tolist() == [0.0, -1.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-    assert not cloth.obstacles.settled
-    assert cloth.obstacles.behind == []
+    assert not cloth.obstacles.is_at_rest
+    assert cloth.obstacles.lagging == []
     cloth.advance()
     cloth.advance()
-    assert cloth.obstacles.settled
+    assert cloth.obstacles.is_at_rest
 
 
 def test_far_target_is_followed_at_the_speed_limit() -> None:
     cloth = simulation()
     assert cloth.obstacles is not None
     cloth.advance([Move("ball", (1.0, 1.0, 1.0), (0.0, 0.0, 1.0, 0.0))])
-    assert cloth.obstacles.behind == ["ball"]
-    places, most = [cloth.obstacles.poses()[0]], MOST_SPEED / 60.0
+    assert cloth.obstacles.lagging == ["ball"]
+    places, most = [cloth.obstacles.poses()[0]], MAX_BODY_SPEED / 60.0
     for _ in range(20):
         cloth.advance()
         places.append(cloth.obstacles.poses()[0])

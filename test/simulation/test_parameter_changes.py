@@ -11,7 +11,7 @@ import pytest
 
 from cloth_sim_ros import Grasp, Scene, SetParameters, Simulation, State, Target
 from cloth_sim_ros.physics import assembly
-from cloth_sim_ros.physics.remembered import RULES
+from cloth_sim_ros.physics.controller_state import STEP_CONTROL_STATES
 
 GRID: dict[str, Any] = {"cloth.resolution": [9, 8], "wind.velocity": [0.1, 0.0, 0.0]}
 SCENES: dict[str, dict[str, Any]] = {
@@ -37,10 +37,10 @@ CHANGES: list[dict[str, Any]] = [
 LIGHT = CHANGES[:4]
 
 
-def remembered(simulation: Simulation) -> dict[str, list[float]]:
+def controller_memory(simulation: Simulation) -> dict[str, list[float]]:
     """Return the controller state of step control."""
     memory = simulation.state.memory
-    return {rule.key: memory[rule.key].tolist() for rule in RULES if rule.key in memory}
+    return {rule.key: memory[rule.key].tolist() for rule in STEP_CONTROL_STATES if rule.key in memory}
 
 
 def started(values: dict[str, Any]) -> Simulation:
@@ -53,15 +53,15 @@ def started(values: dict[str, Any]) -> Simulation:
 
 @pytest.mark.parametrize("values", SCENES.values(), ids=SCENES)
 def test_reused_plan_gives_the_motion_of_a_new_plan(values: dict[str, Any]) -> None:
-    kept = started(values)
+    reusing = started(values)
     for change in CHANGES:
         # From state and scene alone, as a session is run again.
-        fresh = Simulation(kept.scene, State.from_bytes(kept.state.to_bytes()))
-        for simulation in (kept, fresh):
+        fresh = Simulation(reusing.scene, State.from_bytes(reusing.state.to_bytes()))
+        for simulation in (reusing, fresh):
             simulation.advance([SetParameters(change)])
         for _ in range(2):
-            assert kept.state.digest() == fresh.state.digest(), change
-            kept.advance()
+            assert reusing.state.digest() == fresh.state.digest(), change
+            reusing.advance()
             fresh.advance()
 
 
@@ -71,18 +71,18 @@ def test_uniform_force_change_rebuilds_no_spring_list(monkeypatch: pytest.Monkey
     plan = simulation.plan
     if values.get("integrator") != "implicit":
         # The matrix of implicit steps has its own plans.
-        monkeypatch.setattr(assembly.Assembly, "hand_over", lambda *_: pytest.fail("a plan was built"))
+        monkeypatch.setattr(assembly.Assembly, "upload", lambda *_: pytest.fail("a plan was built"))
     for change in LIGHT:
-        simulation.rates(simulation.scene.changed(change))
+        simulation.spectral_bounds(simulation.scene.changed(change))
         simulation.advance([SetParameters(change)])
         assert simulation.plan is plan
 
 
 def test_queried_change_is_built_once(monkeypatch: pytest.MonkeyPatch) -> None:
     simulation, built = started(SCENES["hinges"]), []
-    whole = assembly.Assembly.hand_over
-    monkeypatch.setattr(assembly.Assembly, "hand_over", lambda self, handle: (built.append(1), whole(self, handle))[1])
-    simulation.rates(simulation.scene.changed({"material.density": 0.3}))
+    whole = assembly.Assembly.upload
+    monkeypatch.setattr(assembly.Assembly, "upload", lambda self, handle: (built.append(1), whole(self, handle))[1])
+    simulation.spectral_bounds(simulation.scene.changed({"material.density": 0.3}))
     simulation.advance([SetParameters({"material.density": 0.3})])
     assert len(built) == 1
 
@@ -91,7 +91,7 @@ def test_storm_but_not_gust_triggers_a_new_error_estimate() -> None:
     simulation = started({"cloth.resolution": [9, 8]})
     for _ in range(40):
         simulation.advance()
-    for change, judged in (
+    for change, is_estimated in (
         ({"wind.velocity": [1.0, 0.0, 0.0]}, False),
         ({"gravity": [0.0, 0.0, -9.0]}, False),
         ({"air.drag": 0.3}, False),
@@ -103,15 +103,15 @@ def test_storm_but_not_gust_triggers_a_new_error_estimate() -> None:
         ({"material.stretch_modulus": 1100.0}, True),
         ({"tolerance": 2e-4}, True),
     ):
-        before = remembered(simulation)
-        restore = simulation.state.share()
+        before = controller_memory(simulation)
+        restore = simulation.state.shallow_copy()
         simulation._set_parameters(change)
-        assert (remembered(simulation) != before) is judged, change
+        assert (controller_memory(simulation) != before) is is_estimated, change
         simulation.state.restore(restore)
 
 
 def test_failed_change_keeps_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
-    tried, other = started(SCENES["panels"]), started(SCENES["panels"])
+    tried, reference = started(SCENES["panels"]), started(SCENES["panels"])
 
     def fails(*_: object, **__: object) -> None:
         raise MemoryError
@@ -122,8 +122,8 @@ def test_failed_change_keeps_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
             with pytest.raises(MemoryError):
                 tried.advance([SetParameters(change)])
         tried.advance()
-        other.advance()
-        assert tried.state.digest() == other.state.digest(), change
+        reference.advance()
+        assert tried.state.digest() == reference.state.digest(), change
 
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-4, 1e-5])
@@ -140,5 +140,5 @@ def test_gusts_leave_the_motion_within_its_tolerance(tolerance: float) -> None:
             places.append(simulation.positions)
         return np.array(places)
 
-    found, exact = flown(tolerance), flown(1e-9)
-    assert np.linalg.norm(found - exact, axis=2).max() < tolerance
+    positions, exact = flown(tolerance), flown(1e-9)
+    assert np.linalg.norm(positions - exact, axis=2).max() < tolerance

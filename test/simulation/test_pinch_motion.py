@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros import Scene
-from cloth_sim_ros.physics.remembered import ANCHORS, PINCHED, SETTLED
+from cloth_sim_ros.physics.controller_state import ANCHORS_KEY, JAWS_AT_REST_KEY, JAWS_KEY
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.parameter_warnings import ineffective_parameters
 from cloth_sim_ros.scene.parameters import ParameterError
-from cloth_sim_ros.scene.without_effect import without_effect
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, SetParameters, Target
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -48,20 +48,20 @@ def test_pinch_grasp_is_pending_until_pads_rest() -> None:
     cloth = Simulation(Scene.from_parameters(PINCH))
     first = cloth.advance([Target("gripper", CORNER), Grasp("gripper", True)])
     assert [grasp.pending for grasp in first.grasps] == [True]
-    told = [frame.pinches for frame in (cloth.advance() for _ in range(30)) if frame.pinches]
-    assert len(told) == 1
-    assert (told[0][0].held, told[0][0].reason, told[0][0].pending) == (4, "", False)
-    assert cloth.held(0) == 4
+    pinches = [frame.pinches for frame in (cloth.advance() for _ in range(30)) if frame.pinches]
+    assert len(pinches) == 1
+    assert (pinches[0][0].grasped_count, pinches[0][0].reason, pinches[0][0].pending) == (4, "", False)
+    assert cloth.grasped_count(0) == 4
     # Nothing is attached.
-    assert not cloth.grippers.held(0).size
+    assert not cloth.grippers.grasped_particles(0).size
     again = cloth.advance([Grasp("gripper", True)])
     assert again.grasps[0].reason == "it is closed already: open it first"
     opened = cloth.advance([Grasp("gripper", False)])
     assert (opened.grasps[0].closed, opened.grasps[0].reason) == (False, "")
     for _ in range(15):
         cloth.advance()
-    assert cloth.held(0) == 0
-    assert not cloth.state.memory[ANCHORS].any()
+    assert cloth.grasped_count(0) == 0
+    assert not cloth.state.memory[ANCHORS_KEY].any()
 
 
 def test_a_sheet_that_hangs_from_its_pads_weighs_on_the_gripper() -> None:
@@ -75,7 +75,7 @@ def test_a_sheet_that_hangs_from_its_pads_weighs_on_the_gripper() -> None:
     centre = (cloth.model.masses @ cloth.positions) / MASS
     moment = np.cross(centre - CORNER, [0.0, 0.0, -MASS * 9.81])
     assert wrench[3:] == pytest.approx(moment, abs=2e-2 * MASS * 9.81 * 0.3)
-    assert frame.loads.shape == (0, 6)
+    assert frame.obstacle_wrenches.shape == (0, 6)
 
 
 def test_lower_grip_force_lets_the_sheet_slip() -> None:
@@ -83,43 +83,43 @@ def test_lower_grip_force_lets_the_sheet_slip() -> None:
     cloth.advance([SetParameters({"cloth.anchors": [""], "gripper.force": 0.02})])
     for _ in range(60):
         cloth.advance()
-    assert cloth.held(0) == 0
+    assert cloth.grasped_count(0) == 0
     assert cloth.positions[:, 2].max() < -1.0
 
 
 def test_anchors_and_pads_stay_when_obstacles_come_and_go() -> None:
     cloth = pinching()
-    kept, pads = cloth.state.memory[ANCHORS].copy(), cloth.state.memory[PINCHED].copy()
-    assert sorted(np.flatnonzero(kept[0, 3])) == BETWEEN
+    initial_anchors, pads = cloth.state.memory[ANCHORS_KEY].copy(), cloth.state.memory[JAWS_KEY].copy()
+    assert sorted(np.flatnonzero(initial_anchors[0, 3])) == BETWEEN
     cloth.advance([Pause(True)])
     ball = {"ball.shape": "sphere", "ball.size": [0.1], "ball.position": [0.0, 0.0, -3.0], "obstacles": ["ball"]}
     cloth.advance([SetParameters(ball)])
-    assert np.array_equal(cloth.state.memory[ANCHORS][1:], kept)
-    assert not cloth.state.memory[ANCHORS][0].any()
-    assert np.array_equal(cloth.state.memory[PINCHED], pads)
+    assert np.array_equal(cloth.state.memory[ANCHORS_KEY][1:], initial_anchors)
+    assert not cloth.state.memory[ANCHORS_KEY][0].any()
+    assert np.array_equal(cloth.state.memory[JAWS_KEY], pads)
     cloth.advance([Pause(False)])
     for _ in range(5):
         frame = cloth.advance()
-    assert frame.loads.shape == (1, 6)
+    assert frame.obstacle_wrenches.shape == (1, 6)
     cloth.advance([SetParameters({"obstacles": [""]})])
-    assert cloth.state.memory[ANCHORS].shape == kept.shape
-    assert cloth.held(0) == 4
+    assert cloth.state.memory[ANCHORS_KEY].shape == initial_anchors.shape
+    assert cloth.grasped_count(0) == 4
 
 
 def test_a_reset_opens_pads_and_takes_them_away() -> None:
     cloth = pinching()
     cloth.advance([Reset()])
-    assert cloth.state.memory[PINCHED][0] == pytest.approx([0.01, 0.0])
+    assert cloth.state.memory[JAWS_KEY][0] == pytest.approx([0.01, 0.0])
     assert cloth.pinching is not None
-    assert cloth.pinching.shown() == []
-    assert not cloth.state.memory[ANCHORS].any()
+    assert cloth.pinching.placed_pads() == []
+    assert not cloth.state.memory[ANCHORS_KEY].any()
     for _ in range(3):
         assert not cloth.advance().pinches
 
 
 def test_snapshot_during_closing_continues_to_the_same_bits() -> None:
     cloth = pinching(frames=8)
-    assert not cloth.state.memory[SETTLED].any()
+    assert not cloth.state.memory[JAWS_AT_REST_KEY].any()
     twin = Simulation(cloth.scene, State.from_bytes(cloth.state.to_bytes()))
     for k in range(15):
         events: list[Event] = [Target("gripper", (0.15, -0.001 * k, 0.001 * k))]
@@ -141,8 +141,8 @@ def test_a_pinch_at_rest_sleeps_and_a_touch_wakes_it() -> None:
             break
         cloth.advance()
     assert cloth.asleep
-    kept = cloth.advance().wrenches
-    assert kept == pytest.approx(cloth.advance().wrenches)
+    wrenches = cloth.advance().wrenches
+    assert wrenches == pytest.approx(cloth.advance().wrenches)
     cloth.advance([Target("gripper", (0.15, -0.01, 0.0))])
     assert not cloth.asleep
 
@@ -151,9 +151,9 @@ def test_attaching_is_the_default_and_has_no_pads() -> None:
     cloth = Simulation(Scene.from_parameters({"cloth.resolution": [6, 6]}))
     cloth.advance()
     assert cloth.pinching is None
-    assert not {PINCHED, SETTLED} & set(cloth.state.memory)
+    assert not {JAWS_KEY, JAWS_AT_REST_KEY} & set(cloth.state.memory)
     attached = cloth.advance([Target("gripper", (0.5, 0.0, 0.5)), Grasp("gripper", True)])
-    assert attached.grasps[0].held == 1
+    assert attached.grasps[0].grasped_count == 1
     assert not attached.grasps[0].pending
 
 
@@ -178,17 +178,17 @@ def test_pads_that_would_come_through_a_cell_are_refused() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda memory: memory.pop(PINCHED), "memory 'contact.settled' has shape (1,); it must be (0,)"),
-        (lambda memory: memory.update({SETTLED: np.ones(2, dtype=bool)}), "has shape (2,); it must be (1,)"),
-        (lambda memory: memory.update({PINCHED: np.full((1, 2), np.nan)}), "must be finite"),
-        (lambda memory: memory.update({ANCHORS: np.zeros((3, 4, 36))}), "of 3 obstacles and pads"),
+        (lambda memory: memory.pop(JAWS_KEY), "memory 'contact.settled' has shape (1,); it must be (0,)"),
+        (lambda memory: memory.update({JAWS_AT_REST_KEY: np.ones(2, dtype=bool)}), "has shape (2,); it must be (1,)"),
+        (lambda memory: memory.update({JAWS_KEY: np.full((1, 2), np.nan)}), "must be finite"),
+        (lambda memory: memory.update({ANCHORS_KEY: np.zeros((3, 4, 36))}), "of 3 obstacles and pads"),
     ],
 )
 def test_inconsistent_pinch_states_are_refused(change: Any, words: str) -> None:
     state = pinching(frames=2).state.copy()
     state.memory["obstacle.pose"] = np.zeros((0, 7))
-    for what, width in (("target", 7), ("twist", 6), ("turn", 6)):
-        state.memory[f"obstacle.{what}"] = np.zeros((0, width))
+    for quantity, width in (("target", 7), ("twist", 6), ("turn", 6)):
+        state.memory[f"obstacle.{quantity}"] = np.zeros((0, width))
     State.from_bytes(state.to_bytes())
     change(state.memory)
     with pytest.raises(ValueError, match=re.escape(words)):
@@ -203,11 +203,11 @@ def test_a_state_of_another_mode_is_refused() -> None:
 
 
 def test_ineffective_pinch_parameters_are_reported() -> None:
-    given = {"gripper.force": 3.0, "gripper.radius": 0.1}
-    sentences = without_effect(Scene.from_parameters(given), given)
+    values = {"gripper.force": 3.0, "gripper.radius": 0.1}
+    sentences = ineffective_parameters(Scene.from_parameters(values), values)
     assert sentences == ["gripper.force is set and has no effect: no gripper pinches (gripper.mode)"]
-    given |= {"gripper.mode": "pinch"}
-    sentences = without_effect(Scene.from_parameters(given), given)
+    values |= {"gripper.mode": "pinch"}
+    sentences = ineffective_parameters(Scene.from_parameters(values), values)
     assert sentences == ["gripper.radius is set and has no effect: no gripper attaches (gripper.mode)"]
 
 
@@ -216,13 +216,13 @@ def test_one_gripper_pinches_while_another_attaches() -> None:
     cloth = Simulation(Scene.from_parameters(values))
     assert Scene.from_parameters(cloth.scene.parameters()) == cloth.scene
     places = {"left": (-0.15, 0.0, 0.0), "right": CORNER}
-    events: list[Event] = [Target(name, place) for name, place in places.items()]
+    events: list[Event] = [Target(name, position) for name, position in places.items()]
     first = cloth.advance([*events, *(Grasp(name, True) for name in places)])
-    assert [grasp.held for grasp in first.grasps] == [1, 0]
+    assert [grasp.grasped_count for grasp in first.grasps] == [1, 0]
     for _ in range(20):
         frame = cloth.advance()
-    assert [cloth.held(0), cloth.held(1)] == [1, 4]
-    assert cloth.grippers.held(0).tolist() == [30]
+    assert [cloth.grasped_count(0), cloth.grasped_count(1)] == [1, 4]
+    assert cloth.grippers.grasped_particles(0).tolist() == [30]
     assert frame.wrenches.shape == (2, 6)
 
 
@@ -255,8 +255,8 @@ def test_implicit_steps_see_pads_where_they_are() -> None:
     start = cloth.positions[-1]
     for k in range(16):
         share = k / 16.0
-        aside = (-0.3 * share, -0.35 * share, 0.3 * share * (1.0 - share))
-        events: list[Event] = [Target("gripper", np.add(start, aside).tolist(), (share / 3.0, 0.0, share, 1.0))]
+        displacement = (-0.3 * share, -0.35 * share, 0.3 * share * (1.0 - share))
+        events: list[Event] = [Target("gripper", np.add(start, displacement).tolist(), (share / 3.0, 0.0, share, 1.0))]
         if k == 2:
             events.append(Grasp("gripper", True))
         cloth.advance(events)

@@ -82,7 +82,7 @@ def test_failed_frame_keeps_the_tolerance(monkeypatch: pytest.MonkeyPatch) -> No
         raise UnstableError("no")
 
     with monkeypatch.context() as patch:
-        patch.setattr(cloth, "_move", fail)
+        patch.setattr(cloth, "_advance_time", fail)
         with pytest.raises(UnstableError):
             cloth.advance([Relax(5.0)])
     frame = cloth.advance()
@@ -105,8 +105,8 @@ def test_a_state_file_with_another_factor_is_refused() -> None:
 
 def test_display_parameters_change_no_bit() -> None:
     plain, watched = simulation(), simulation()
-    for number in range(6):
+    for index in range(6):
         plain.advance()
-        watched.advance([SetParameters({"points.velocity": number % 2 == 0, "overload": "relax"})])
+        watched.advance([SetParameters({"points.velocity": index % 2 == 0, "overload": "relax"})])
         assert plain.state.digest() == watched.state.digest()
     assert watched.scene.overload == "relax"

@@ -8,12 +8,12 @@ from support.self_scenes import alone, folded, intersections, sheets
 
 from cloth_sim_ros.physics.plan import compile
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.parameter_warnings import ineffective_parameters
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.scene.without_effect import without_effect
 from cloth_sim_ros.simulation.simulation import Simulation
 
-GIVEN = {
+BASE_VALUES = {
     "cloth.resolution": [12, 12],
     "cloth.size": [0.3, 0.3],
     "cloth.anchors": [""],
@@ -26,28 +26,28 @@ GIVEN = {
 
 
 def scene(**values):
-    return Scene.from_parameters({**GIVEN, **{name.replace("__", "."): value for name, value in values.items()}})
+    return Scene.from_parameters({**BASE_VALUES, **{name.replace("__", "."): value for name, value in values.items()}})
 
 
-def fold(wanted):
+def fold(scene):
     """Simulation of a scene whose sheet starts folded and falls on itself."""
     _, places, velocities = folded(12)
-    state = Simulation(wanted).state.copy()
+    state = Simulation(scene).state.copy()
     state.x, state.v = State(places, velocities).x, State(places, velocities).v
-    return Simulation(wanted, state)
+    return Simulation(scene, state)
 
 
-@pytest.mark.parametrize("own", [True, False])
-def test_sheet_intersects_itself_only_without_self_contact(own):
-    simulation, watch = fold(scene(contact__self=own)), fold(scene())
+@pytest.mark.parametrize("self_contact", [True, False])
+def test_sheet_intersects_itself_only_without_self_contact(self_contact):
+    simulation, watch = fold(scene(contact__self=self_contact)), fold(scene())
     met = passed = 0
     for _ in range(30):
         before = simulation.state.x
         simulation.advance()
-        met += simulation.plan.contact.own_gaps(simulation.state.x)[0]
-        passed += watch.plan.contact.passes(0.0, 0.0, before, simulation.state.x)
-    assert bool(met) == own
-    assert bool(passed) != own
+        met += simulation.plan.contact.self_gaps(simulation.state.x)[0]
+        passed += watch.plan.contact.ccd_surface_hits(0.0, 0.0, before, simulation.state.x)
+    assert bool(met) == self_contact
+    assert bool(passed) != self_contact
 
 
 def test_a_run_goes_on_from_a_saved_state_with_the_same_bits():
@@ -65,11 +65,13 @@ def test_self_contact_without_obstacles_reports_no_wrench():
     alone = scene(obstacles=[""])
     simulation = fold(alone)
     frame = simulation.advance()
-    assert frame.loads.shape == (0, 6)
+    assert frame.obstacle_wrenches.shape == (0, 6)
     assert len(simulation.gaps()) == 0
-    assert not any("contact" in sentence for sentence in without_effect(alone, ["contact.thickness", "contact.self"]))
+    assert not any(
+        "contact" in sentence for sentence in ineffective_parameters(alone, ["contact.thickness", "contact.self"])
+    )
     off = scene(obstacles=[""], contact__self=False)
-    assert any("contact.self is false" in sentence for sentence in without_effect(off, ["contact.thickness"]))
+    assert any("contact.self is false" in sentence for sentence in ineffective_parameters(off, ["contact.thickness"]))
 
 
 def test_invalid_self_contact_is_refused():
@@ -93,14 +95,19 @@ def test_self_intersecting_start_is_refused_with_location(tmp_path):
     lines = [f"v {x} {y} {z}" for x, y, z in places] + ["f 1 2 3", "f 2 4 3", "f 2 5 4", "f 2 6 5"]
     path = tmp_path / "through.obj"
     path.write_text("\n".join(lines) + "\n")
-    given = {"cloth.mesh": str(path), "bending.model": "none", "cloth.anchors": [""], "cloth.position": [0.0, 0.0, 0.0]}
+    values = {
+        "cloth.mesh": str(path),
+        "bending.model": "none",
+        "cloth.anchors": [""],
+        "cloth.position": [0.0, 0.0, 0.0],
+    }
     with pytest.raises(
         ValueError, match=r"the cloth passes through itself at \[.*\]: the edge from particle 4 to 5 goes"
     ):
-        Simulation(Scene.from_parameters({**given, "contact.self": True}))
-    Simulation(Scene.from_parameters(given))
+        Simulation(Scene.from_parameters({**values, "contact.self": True}))
+    Simulation(Scene.from_parameters(values))
     path.write_text("\n".join(lines).replace("0.3 0.5 -0.5", "0.3 0.5 1.5") + "\n")
-    Simulation(Scene.from_parameters({**given, "contact.self": True}))
+    Simulation(Scene.from_parameters({**values, "contact.self": True}))
 
 
 @pytest.mark.parametrize(
@@ -125,7 +132,7 @@ def test_start_too_close_to_itself_is_refused_with_location(gap, words):
     places[beyond, 0] *= -1.0
     places[beyond, 2] += gap
     if not words:
-        assert Simulation(scene(**flat), State(places)).plan.contact.own_gaps(State(places).x)[0] > 0
+        assert Simulation(scene(**flat), State(places)).plan.contact.self_gaps(State(places).x)[0] > 0
         return
     with pytest.raises(ValueError, match=words):
         Simulation(scene(**flat), State(places))
@@ -143,13 +150,15 @@ def test_self_intersecting_state_is_refused():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_self_intersection_check_equals_brute_force(seed):
-    triangles, rest, x, masses = sheets(0.0, 0.0, shift=(0.003, 0.004), rough=[1e-3, 1e-9, 3e-3][seed], seed=seed)
+    triangles, rest_positions, x, masses = sheets(
+        0.0, 0.0, shift=(0.003, 0.004), rough=[1e-3, 1e-9, 3e-3][seed], seed=seed
+    )
     x[25:, 2] += [3e-3, 1e-3, 1e-3][seed]
-    plan = compile(alone(triangles, rest, masses, 4e-3))
+    plan = compile(alone(triangles, rest_positions, masses, 4e-3))
     crossing = intersections(triangles, x)
     assert bool(crossing) == (seed == 2)
     if crossing:
         with pytest.raises(ValueError, match="passes through itself"):
-            plan.contact.check_clear(0.0, np.ascontiguousarray(x.T))
+            plan.contact.check_initial_penetration(0.0, np.ascontiguousarray(x.T))
     else:
-        plan.contact.check_clear(0.0, np.ascontiguousarray(x.T))
+        plan.contact.check_initial_penetration(0.0, np.ascontiguousarray(x.T))

@@ -16,13 +16,13 @@ from support.self_scenes import folded, intersections
 
 
 def test_oracles_detect_intersections():
-    wanted = self_runs.scene(12, 12, (0.3, 0.3))
+    scene = self_runs.scene(12, 12, (0.3, 0.3))
     _, places, velocities = folded(12)
-    oracle, upper = self_runs.Oracle(wanted), velocities[:, 2] < 0.0
+    oracle, upper = self_runs.Oracle(scene), velocities[:, 2] < 0.0
     for tilt, passes in ((0.0, False), (0.1, False), (0.5, True)):
         tilted = places.copy()
         tilted[upper, 2] += tilt * places[upper, 1]
-        assert oracle.passes(tilted) == passes
+        assert oracle.is_intersecting(tilted) == passes
         assert bool(intersections(oracle.triangles, tilted)) == passes
 
 
@@ -39,12 +39,12 @@ def test_oracles_detect_intersections():
     ids=lambda value: getattr(value, "__name__", ""),
 )
 def test_frames_do_not_self_intersect(run, options, met):
-    made = run(np.random.default_rng(1), **options)
-    simulation, oracle = made.simulation, self_runs.Oracle(made.simulation.scene)
-    for events in made.events:
+    result = run(np.random.default_rng(1), **options)
+    simulation, oracle = result.simulation, self_runs.Oracle(result.simulation.scene)
+    for events in result.events:
         simulation.advance(events)
-        assert not oracle.look(simulation)
-    assert oracle.met > met
+        assert not oracle.observe(simulation)
+    assert oracle.n_contacts > met
     assert not intersections(oracle.triangles, simulation.positions)
 
 
@@ -52,6 +52,6 @@ def test_soak_reports_intersections(monkeypatch, capsys):
     arguments = ["--steps", "1", "--scenes", "crush between plates"]
     assert soak_contact.main(arguments) == 0
     assert "0 in which a cloth passes through itself" in capsys.readouterr().out
-    monkeypatch.setattr(self_runs.Oracle, "passes", lambda _oracle, _x: True)
+    monkeypatch.setattr(self_runs.Oracle, "is_intersecting", lambda _oracle, _x: True)
     assert soak_contact.main(arguments) == 1
     assert "passes through itself in frame 1" in capsys.readouterr().err

@@ -90,9 +90,15 @@ def test_events_survive_their_text_form_to_the_last_bit():
 
 
 def test_events_are_ordered_targets_then_grasps_then_others():
-    one, two, other = Target("b", (0, 0, 0)), Target("b", (1, 0, 0)), Target("a", (2, 0, 0))
+    old_target, new_target, other_target = Target("b", (0, 0, 0)), Target("b", (1, 0, 0)), Target("a", (2, 0, 0))
     close, release = Grasp("b", True), Grasp("b", False)
-    assert ordered([Pause(True), close, one, release, other, two]) == [other, two, close, release, Pause(True)]
+    assert ordered([Pause(True), close, old_target, release, other_target, new_target]) == [
+        other_target,
+        new_target,
+        close,
+        release,
+        Pause(True),
+    ]
 
 
 def test_reading_a_simulation_changes_no_bit():
@@ -108,7 +114,7 @@ def test_grasped_corner_follows_gripper_and_falls_when_released():
     simulation = Simulation(small(gripper__radius=0.08))
     start = corner(simulation)
     grasp = simulation.advance([Target("left", start), Grasp("left", True)]).grasps[0]
-    assert (grasp.held, grasp.reason) == (1, "")
+    assert (grasp.grasped_count, grasp.reason) == (1, "")
     lift = np.array([-0.1, 0.3, 0.2])
     for k in range(1, 61):
         frame = simulation.advance([Target("left", start + lift * k / 60)])
@@ -127,7 +133,7 @@ def test_gripper_rotates_grasped_particles():
     simulation = Simulation(small(gripper__radius=0.16, gravity=[0.0, 0.0, 0.0]))
     start = corner(simulation)
     simulation.advance([Target("left", start), Grasp("left", True)])
-    held = simulation.grippers.held(0)
+    held = simulation.grippers.grasped_particles(0)
     assert len(held) >= 3
     offsets = simulation.positions[held] - start
     for k in range(1, 121):
@@ -140,20 +146,20 @@ def test_gripper_rotates_grasped_particles():
 def test_closing_reports_grasped_particles_or_the_reason():
     simulation = Simulation(small())
     nowhere, _ = simulation.advance([Grasp("left", True), Grasp("right", False)]).grasps
-    assert (nowhere.held, "nowhere" in nowhere.reason) == (0, True)
-    far = simulation.advance([Grasp("left", False), Target("left", (5.0, 0, 0)), Grasp("left", True)]).grasps[1]
-    assert (far.held, "no particle within 0.05 m" in far.reason) == (0, True)
+    assert (nowhere.grasped_count, "nowhere" in nowhere.reason) == (0, True)
+    far_grasp = simulation.advance([Grasp("left", False), Target("left", (5.0, 0, 0)), Grasp("left", True)]).grasps[1]
+    assert (far_grasp.grasped_count, "no particle within 0.05 m" in far_grasp.reason) == (0, True)
     again = simulation.advance([Grasp("left", True)]).grasps[0]
     assert "closed already" in again.reason
     top = simulation.advance([Target("right", simulation.positions[0]), Grasp("right", True)]).grasps[0]
-    assert (top.held, "anchored" in top.reason) == (0, True)
+    assert (top.grasped_count, "anchored" in top.reason) == (0, True)
 
 
 def test_two_grippers_hold_one_particle():
     simulation = Simulation(small())
     start = corner(simulation)
     both = [Target("left", start), Target("right", start), Grasp("left", True), Grasp("right", True)]
-    assert [grasp.held for grasp in simulation.advance(both).grasps] == [1, 1]
+    assert [grasp.grasped_count for grasp in simulation.advance(both).grasps] == [1, 1]
     for _ in range(60):
         simulation.advance(
             [Target("left", start - np.array([0.1, 0, 0])), Target("right", start + np.array([0.1, 0, 0]))]
@@ -170,7 +176,7 @@ def test_while_paused_commands_take_effect_without_time_passing():
     simulation.advance()
     positions = simulation.positions
     frame = simulation.advance([Pause(True), Target("left", corner(simulation)), Grasp("left", True)])
-    assert (frame.index, frame.moved, frame.grasps[0].held) == (1, False, 1)
+    assert (frame.index, frame.moved, frame.grasps[0].grasped_count) == (1, False, 1)
     assert np.array_equal(simulation.positions, positions)
     frame = simulation.advance([Step()])
     assert (frame.index, frame.moved, simulation.paused) == (2, True, True)
@@ -187,7 +193,7 @@ def test_reset_restores_cloth_and_grippers_not_frame_number():
     assert not simulation.velocities.any()
     assert simulation.frame == 9
     assert not simulation.grippers.is_placed(0)
-    assert simulation.grippers.held(0).size == 0
+    assert simulation.grippers.grasped_particles(0).size == 0
 
 
 @pytest.mark.parametrize(
@@ -219,9 +225,9 @@ def test_refused_event_gives_reason_and_changes_nothing(event, words):
 def test_a_state_of_another_cloth_is_refused():
     with pytest.raises(ValueError, match="has 4 particles, the cloth 72"):
         Simulation(small(), State(np.eye(4, 3)))
-    other = Simulation(small(grippers=["one"]))
+    other_cloth = Simulation(small(grippers=["one"]))
     with pytest.raises(ValueError, match="has 1 grippers, the scene 2"):
-        Simulation(small(), other.state)
+        Simulation(small(), other_cloth.state)
     with pytest.raises(ValueError, match="not a state file"):
         State.from_bytes(b"PK\x03\x04 no such thing")
 
@@ -269,7 +275,7 @@ def test_a_frame_that_fails_leaves_state_and_scene_as_they_were(monkeypatch):
 def test_frames_replace_state_arrays_and_never_write_them(integrator):
     simulation = Simulation(small(integrator=integrator, tolerance=1e-3))
     for batch in [*script(simulation, 12, seed=4), [Pause(True), Reset()]]:
-        held = simulation.state.share()
+        held = simulation.state.shallow_copy()
         digest = held.digest()
         simulation.advance(batch)
         assert held.digest() == digest
@@ -288,9 +294,9 @@ def test_steady_targets_give_a_constant_gripper_velocity():
 def test_energy_balance_closes_and_changes_no_bit():
     watched, plain = Simulation(small(**{"diagnostics.energy": True})), Simulation(small())
     for batch in list(script(watched, 30, seed=2)):
-        kept = [event for event in batch if isinstance(event, Target | Grasp)]
-        watched.advance(kept)
-        plain.advance(kept)
+        gripper_events = [event for event in batch if isinstance(event, Target | Grasp)]
+        watched.advance(gripper_events)
+        plain.advance(gripper_events)
     assert watched.state.digest() == plain.state.digest()
     assert plain.energy_report is None
     report = watched.energy_report
@@ -303,7 +309,7 @@ def test_energy_balance_closes_and_changes_no_bit():
 def test_numpy_bool_closes_a_gripper():
     simulation = Simulation(small())
     grasp = simulation.advance([Target("left", corner(simulation)), Grasp("left", np.True_)]).grasps[0]
-    assert (grasp.closed, grasp.held) == (True, 1)
+    assert (grasp.closed, grasp.grasped_count) == (True, 1)
 
 
 def test_fixed_step_above_grip_limit_fails_with_limit():

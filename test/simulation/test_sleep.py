@@ -127,14 +127,14 @@ def test_sleeping_sheet_pulls_and_wakes_when_gripper_moves(sleeping):
     sleeping.advance([Target("left", low), Grasp("left", True)])
     for k in range(30):
         sleeping.advance([Target("left", low + np.array([0.0, 0.0, 0.1]) * (k + 1) / 30)])
-    place = Target("left", low + np.array([0.0, 0.0, 0.1]))
-    last = until_asleep(sleeping, [place])
+    target = Target("left", low + np.array([0.0, 0.0, 0.1]))
+    last = until_asleep(sleeping, [target])
     asleep = sleeping.advance()
     assert asleep.advance.steps == 0
     assert np.linalg.norm(last.wrenches[0, :3]) > 1e-3
     assert asleep.wrenches == pytest.approx(last.wrenches, abs=2e-4 * np.abs(last.wrenches).max())
     assert np.array_equal(sleeping.advance().wrenches, asleep.wrenches)
-    assert np.array_equal(sleeping.advance([place]).wrenches, asleep.wrenches)
+    assert np.array_equal(sleeping.advance([target]).wrenches, asleep.wrenches)
     assert sleeping.asleep, "the same target again moves nothing"
     sleeping.advance([Target("left", low + np.array([0.0, 0.0, 0.1001]))])
     assert not sleeping.asleep
@@ -166,9 +166,9 @@ def test_a_run_goes_on_from_any_snapshot_to_the_last_bit(snapshot):
 
 def test_a_state_that_slept_under_another_scene_wakes(snapshot):
     for change in ({"gravity": [0.0, 2.0, -9.81]}, {"tolerance": 1e-7}, {"tolerance": 0.0}, {"step": 1e-3}):
-        other = Simulation(Scene.from_parameters({**CALM, **change}), State.from_bytes(snapshot))
-        assert other.advance().advance.steps > 0, change
-        assert not other.asleep
+        restored = Simulation(Scene.from_parameters({**CALM, **change}), State.from_bytes(snapshot))
+        assert restored.advance().advance.steps > 0, change
+        assert not restored.asleep
 
 
 def test_a_state_loaded_by_the_scene_starts_awake(snapshot):
@@ -195,11 +195,11 @@ def test_without_a_tolerance_nothing_sleeps(change, snapshot):
 def test_turning_point_does_not_count_as_rest():
     # Every particle is at rest simultaneously, as at a turning point, and accelerated.
     scene = Scene.from_parameters({**CALM, "rate": 1000.0})
-    rule = sleep.Sleep(scene.plan(), tolerance=1e-3, period=1e-3)
+    rule = sleep.SleepRule(scene.plan(), tolerance=1e-3, period=1e-3)
     state = scene.starting_state()
     for _ in range(1002):
         # As if it had been there for a second.
-        assert not rule.follow(state, 0.0)
+        assert not rule.update(state, 0.0)
     assert not sleep.is_asleep(state)
 
 
@@ -216,8 +216,8 @@ def test_undamped_motion_does_not_sleep():
             drifting.advance()
         assert drifting.asleep is falls
         # Regardless of the time asleep.
-        way = 5e-5 * (30.0 if not drag else 1.0 / drag)
-        assert drifting.positions[:, 1] - start.x[1] == pytest.approx(way, abs=0.25 * CALM["tolerance"])
+        displacement = 5e-5 * (30.0 if not drag else 1.0 / drag)
+        assert drifting.positions[:, 1] - start.x[1] == pytest.approx(displacement, abs=0.25 * CALM["tolerance"])
 
 
 def test_sheet_without_forces_sleeps_after_a_second():

@@ -48,11 +48,11 @@ PINCHED = {
 
 def along(*places: Sequence[float], frames: int) -> list[list[Event]]:
     """Targets of the gripper along waypoints, with a number of frames for each."""
-    found: list[list[Event]] = []
+    event_frames: list[list[Event]] = []
     for start, end in itertools.pairwise(places):
         ways = np.linspace(start, end, frames)
-        found += [[Target("gripper", way)] for way in ways]
-    return found
+        event_frames += [[Target("gripper", target_position)] for target_position in ways]
+    return event_frames
 
 
 def corner(values: dict) -> tuple[float, ...]:
@@ -121,30 +121,35 @@ BRIEFLY: list[list[Event]] = [[Relax(3.0), Grasp("gripper", False), Move("table"
 def now(simulation: Simulation) -> tuple:
     """Results of queries between frames."""
     gaps = simulation.gaps()
-    asked = simulation.energy(), simulation.plan.rates(simulation.state.x), simulation.held(0), simulation.time
-    return *asked, simulation.state.digest(), None if gaps is None else gaps.tobytes()
+    queries = (
+        simulation.energy(),
+        simulation.plan.spectral_bounds(simulation.state.x),
+        simulation.grasped_count(0),
+        simulation.time,
+    )
+    return *queries, simulation.state.digest(), None if gaps is None else gaps.tobytes()
 
 
 def run(simulation: Simulation, events: list[list[Event]]) -> list[tuple]:
     """Results of frames: digests, wrenches, and if time passed."""
-    told = []
-    for each in events:
-        frame = simulation.advance(each)
+    results = []
+    for frame_events in events:
+        frame = simulation.advance(frame_events)
         report = simulation.energy_report
-        told.append(
+        results.append(
             (
                 simulation.state.digest(),
                 frame.index,
                 frame.moved,
                 frame.advance,
                 frame.wrenches.tobytes(),
-                frame.loads.tobytes(),
+                frame.obstacle_wrenches.tobytes(),
                 frame.pinches,
                 simulation.asleep,
                 None if report is None else attrs.astuple(report),
             )
         )
-    return told
+    return results
 
 
 @pytest.mark.parametrize("name", STORIES)
@@ -156,65 +161,65 @@ def test_the_same_events_give_the_same_bits(name: str) -> None:
     if name == "asleep":
         assert simulation.asleep
     if name == "pinched":
-        assert simulation.held(0) > 0
+        assert simulation.grasped_count(0) > 0
     if name == "friction on a table":
         assert simulation.state.memory["contact.anchors"].any()
-    taken = simulation.snapshot()
-    digest, asked = taken.state.digest(), now(simulation)
+    snapshot = simulation.snapshot()
+    digest, queries = snapshot.state.digest(), now(simulation)
     expected = run(simulation, after)
-    assert len({told[0] for told in expected}) == len(expected)
+    assert len({result[0] for result in expected}) == len(expected)
     # In the same simulation, after other events.
     for between in (BETWEEN, BRIEFLY):
         known = [[event for event in events if values is LYING or not isinstance(event, Move)] for events in between]
         run(simulation, known)
-        simulation.restore(taken)
-        assert now(simulation) == asked
+        simulation.restore(snapshot)
+        assert now(simulation) == queries
         assert run(simulation, after) == expected
     # In another simulation, and from bytes.
-    other = Simulation(scene)
-    other.restore(taken)
-    assert now(other) == asked
-    assert run(other, after) == expected
-    other.restore(pickle.loads(pickle.dumps(taken)))
-    assert run(other, after) == expected
-    assert taken.state.digest() == digest
+    fresh = Simulation(scene)
+    fresh.restore(snapshot)
+    assert now(fresh) == queries
+    assert run(fresh, after) == expected
+    fresh.restore(pickle.loads(pickle.dumps(snapshot)))
+    assert run(fresh, after) == expected
+    assert snapshot.state.digest() == digest
 
 
 def test_rollouts_from_a_snapshot_do_not_change_it() -> None:
     simulation = Simulation(Scene.from_parameters(HUNG))
     run(simulation, carried(HUNG))
-    taken = simulation.snapshot()
-    place = simulation.grippers.poses()[0, :3]
+    snapshot = simulation.snapshot()
+    start = simulation.grippers.poses()[0, :3]
 
     def future(k: int) -> list[tuple]:
-        simulation.restore(taken)
-        return run(simulation, along(place, place + np.array([0.0, 0.02 * k, 0.0]), frames=3))
+        simulation.restore(snapshot)
+        return run(simulation, along(start, start + np.array([0.0, 0.02 * k, 0.0]), frames=3))
 
     ways = [future(k) for k in range(3)]
-    assert len({way[-1][0] for way in ways}) == 3
+    assert len({path[-1][0] for path in ways}) == 3
     assert future(1) == ways[1]
 
 
 def test_a_snapshot_copies_no_array() -> None:
     simulation = Simulation(Scene.from_parameters(HUNG))
     run(simulation, carried(HUNG))
-    taken = simulation.snapshot()
-    assert taken.state.x is simulation.state.x
-    assert taken.state.v is simulation.state.v
-    assert all(array is simulation.state.memory[name] for name, array in taken.state.memory.items())
-    assert (taken.frame, taken.time) == (simulation.frame, simulation.time)
-    assert (taken.positions == simulation.positions).all()
+    snapshot = simulation.snapshot()
+    assert snapshot.state.x is simulation.state.x
+    assert snapshot.state.v is simulation.state.v
+    assert all(array is simulation.state.memory[name] for name, array in snapshot.state.memory.items())
+    assert (snapshot.frame, snapshot.time) == (simulation.frame, simulation.time)
+    assert (snapshot.positions == simulation.positions).all()
 
 
 def test_reset_after_restore_uses_the_snapshot_scene() -> None:
     lies = Simulation(Scene.from_parameters(LYING)).state.to_bytes()
     scene = Scene.from_parameters({**LYING, "initial_state": "lies.npz"}, files={"lies.npz": lies})
     simulation = Simulation(scene)
-    taken = simulation.snapshot()
+    snapshot = simulation.snapshot()
     for _ in range(2):  # changes after the restore must not reach the snapshot
         simulation.advance([SetParameters({"obstacles": [""]})])
-        assert "obstacle.pose" in taken.initial.memory
-        simulation.restore(taken)
+        assert "obstacle.pose" in snapshot.initial.memory
+        simulation.restore(snapshot)
     simulation.advance([Reset()])
     assert "obstacle.pose" in simulation.state.memory
     assert simulation.scene.obstacle_names == ["table"]
@@ -226,32 +231,32 @@ def test_snapshot_with_read_only_arrays_is_restored() -> None:
     buffers: list[pickle.PickleBuffer] = []
     data = pickle.dumps(simulation.snapshot(), protocol=5, buffer_callback=buffers.append)
     # As a message from another process brings them.
-    taken = pickle.loads(data, buffers=[bytes(buffer.raw()) for buffer in buffers])
-    assert not taken.state.x.flags.writeable
-    other = Simulation(Scene.from_parameters(HUNG))
-    other.restore(taken)
-    assert other.energy() == simulation.energy()
+    snapshot = pickle.loads(data, buffers=[bytes(buffer.raw()) for buffer in buffers])
+    assert not snapshot.state.x.flags.writeable
+    restored = Simulation(Scene.from_parameters(HUNG))
+    restored.restore(snapshot)
+    assert restored.energy() == simulation.energy()
 
 
 def test_a_snapshot_of_another_scene_is_refused() -> None:
-    taken = Simulation(Scene.from_parameters(HUNG)).snapshot()
-    other = Simulation(Scene.from_parameters({**HUNG, "cloth.resolution": [7, 6]}))
-    before = other.state.digest()
+    snapshot = Simulation(Scene.from_parameters(HUNG)).snapshot()
+    other_scene = Simulation(Scene.from_parameters({**HUNG, "cloth.resolution": [7, 6]}))
+    before = other_scene.state.digest()
     with pytest.raises(ValueError, match=r"another scene: cloth\.resolution is \(6, 7\) there, \(7, 6\) here; restore"):
-        other.restore(taken)
-    assert other.state.digest() == before
+        other_scene.restore(snapshot)
+    assert other_scene.state.digest() == before
     more = Simulation(Scene.from_parameters({**HUNG, "grippers": ["left", "right"]}))
     with pytest.raises(ValueError, match="another scene: grippers is"):
-        more.restore(taken)
+        more.restore(snapshot)
 
 
 def test_failed_frame_keeps_the_grips_of_the_plan() -> None:
     simulation = Simulation(Scene.from_parameters({**HUNG, "step": 2e-3}))
     run(simulation, carried(HUNG))
-    taken = simulation.snapshot()
+    snapshot = simulation.snapshot()
     with pytest.raises(EventError, match="no gripper"):
         simulation.advance([Grasp("gripper", False), Grasp("none", True)])
     after: list[list[Event]] = [[SetParameters({"material.stretch_modulus": 100.0})], []]
-    there = run(simulation, after)
-    simulation.restore(taken)
-    assert run(simulation, after) == there
+    expected = run(simulation, after)
+    simulation.restore(snapshot)
+    assert run(simulation, after) == expected

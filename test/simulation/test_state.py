@@ -22,7 +22,7 @@ def saved(grippers=("left", "right")):
     held = [Target(grippers[0], (0.0, 0.0, 0.5)), Grasp(grippers[0], True)] if grippers else []
     simulation.advance(held)
     if grippers:
-        assert simulation.grippers.held(0).size > 1
+        assert simulation.grippers.grasped_particles(0).size > 1
     return simulation.state
 
 
@@ -210,10 +210,10 @@ def test_invalid_step_control_memory_is_refused(name, change, words):
         State.from_bytes(archive(arrays))
 
 
-@pytest.mark.parametrize(("place", "value"), [(0, 0.0), (1, 0.5), (2, -1.0), (3, 0.0), (7, 0.9)])
-def test_invalid_step_control_values_are_refused(place, value):
+@pytest.mark.parametrize(("key", "value"), [(0, 0.0), (1, 0.5), (2, -1.0), (3, 0.0), (7, 0.9)])
+def test_invalid_step_control_values_are_refused(key, value):
     arrays = stepped()
-    arrays["memory.control.error"][place] = value
+    arrays["memory.control.error"][key] = value
     with pytest.raises(ValueError, match=rf"memory 'control.error': \w+ is {value}; it must be finite and at least"):
         State.from_bytes(archive(arrays))
 
@@ -221,7 +221,7 @@ def test_invalid_step_control_values_are_refused(place, value):
 def test_unknown_controller_memory_is_dropped_and_named():
     arrays = {**saved().arrays(), "memory.stepper": np.ones(16), "memory.sleep": np.array([31, 1])}
     state = State.from_bytes(archive(arrays))
-    assert state.left_out == ("stepper", "sleep")
+    assert state.dropped_memory == ("stepper", "sleep")
     assert not {"stepper", "sleep"} & state.memory.keys()
 
 

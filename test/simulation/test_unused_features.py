@@ -35,12 +35,12 @@ def test_a_frame_is_one_call_of_the_engine(name):
 @pytest.mark.parametrize("presence", ["idle", "active, holding", "active, turning"])
 def test_a_gripper_is_part_of_it(presence):
     # Its path is planned, and the engine told where it leads.
-    assert calls_of_a_frame(running(f"gripper: {presence}")) == NEEDED | {"paths": 1, "plan_paths": 1}
+    assert calls_of_a_frame(running(f"gripper: {presence}")) == NEEDED | {"paths": 1, "plan_gripper_paths": 1}
 
 
 def test_error_control_adds_a_look_at_the_end():
     more = calls_of_a_frame(running("error control: active"), frames=1)
-    assert set(more) - set(NEEDED) <= {"distance", "combine", "rates"}
+    assert set(more) - set(NEEDED) <= {"distance", "combine", "spectral_bounds"}
 
 
 def test_a_sleeping_frame_calls_nothing_and_takes_no_memory():

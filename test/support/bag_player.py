@@ -21,7 +21,7 @@ from rosgraph_msgs.msg import Clock
 
 _CLOCK_PERIOD = 1.0 / 40.0
 #: Longest spin of the node unless the machine is busy [s].
-_LONG = 0.02
+_MAX_SPIN = 0.02
 
 
 def message_class(name: str) -> Any:
@@ -56,11 +56,11 @@ def play(
         clock: true to publish the bag's time.
         spin: waits for a time [s]; by default the client's executor spins.
     """
-    node, wanted = client.node, set(topics)
+    node, topic_names = client.node, set(topics)
     spin = spin or (lambda seconds: client.executor.spin_once(timeout_sec=seconds))
     with Reader(path) as reader:
-        connections = [connection for connection in reader.connections if connection.topic in wanted]
-        assert {connection.topic for connection in connections} == wanted
+        connections = [connection for connection in reader.connections if connection.topic in topic_names]
+        assert {connection.topic for connection in connections} == topic_names
         publishers = {
             connection.topic: node.create_publisher(
                 message_class(connection.msgtype), connection.topic, qos_of(connection)
@@ -69,11 +69,13 @@ def play(
         }
         # Like `--delay`: wait until publishers and subscriptions are matched.
         for topic, publisher in publishers.items():
-            client.spin_until(publisher.get_subscription_count, what=f"a subscriber of {topic} that takes its profile")
+            client.spin_until(
+                publisher.get_subscription_count, description=f"a subscriber of {topic} that takes its profile"
+            )
         ticker = node.create_publisher(Clock, "/clock", 10) if clock else None
         if ticker is not None:
-            client.spin_until(ticker.get_subscription_count, what="a subscriber of /clock")
-        begin, begun, ticked, sent = reader.start_time, time.monotonic(), -1.0, 0
+            client.spin_until(ticker.get_subscription_count, description="a subscriber of /clock")
+        begin, start, ticked, sent = reader.start_time, time.monotonic(), -1.0, 0
 
         def tick(elapsed: float) -> None:
             message = Clock()
@@ -81,26 +83,26 @@ def play(
             ticker.publish(message)
 
         messages = reader.messages(connections=connections)
-        coming = next(messages, None)
-        while coming is not None:
-            connection, stamp, data = coming
-            elapsed = time.monotonic() - begun
+        upcoming = next(messages, None)
+        while upcoming is not None:
+            connection, stamp, data = upcoming
+            elapsed = time.monotonic() - start
             if ticker is not None and elapsed - ticked >= _CLOCK_PERIOD:
                 tick(elapsed)
                 ticked = elapsed
             if (stamp - begin) * 1e-9 <= elapsed:
                 publishers[connection.topic].publish(bytes(data))
                 sent += 1
-                coming = next(messages, None)
+                upcoming = next(messages, None)
             else:
-                asked = time.monotonic()
+                spin_start = time.monotonic()
                 spin(0.001)
                 # The node shares this thread. Exclude its delays on a busy machine from the player's time; otherwise
                 # all late messages would be sent at once.
-                begun += max(0.0, time.monotonic() - asked - _LONG)
+                start += max(0.0, time.monotonic() - spin_start - _MAX_SPIN)
         if ticker is not None:
             # So that the last messages have their frame too.
-            tick(time.monotonic() - begun + 0.1)
+            tick(time.monotonic() - start + 0.1)
             spin(0.05)
         for publisher in [*publishers.values(), *([ticker] if ticker else [])]:
             node.destroy_publisher(publisher)

@@ -31,11 +31,11 @@ def chunk(payload: bytes, compression: str, size: int, crc: int = 0) -> bytes:
 
 def opening(session: Path) -> bytes:
     """Return the bytes of a session before its first chunk."""
-    from cloth_sim_ros.session.mcap_scan import place_at
+    from cloth_sim_ros.session.mcap_scan import locate_record
 
     with session.open("rb") as file:
         position = 8
-        while (record := place_at(file, position)) is not None and record.opcode != _CHUNK:
+        while (record := locate_record(file, position)) is not None and record.opcode != _CHUNK:
             position = record.end
         file.seek(0)
         return file.read(position)

@@ -41,7 +41,7 @@ class ClockedCloth:
         )
         self.simulation = self.node.simulation
         self._rate = self.simulation.scene.rate
-        self._number = round(begin * self._rate)
+        self._tick_index = round(begin * self._rate)
         self._sent = 0
         client.executor.add_node(self.node.node)
         self.node.start()
@@ -60,7 +60,7 @@ class ClockedCloth:
     @property
     def now(self) -> int:
         """Time of the newest tick [ns]."""
-        return int(self._number * SECOND / self._rate)
+        return int(self._tick_index * SECOND / self._rate)
 
     def publish_clock(self, time: int) -> None:
         """Set the time [ns]."""
@@ -73,8 +73,8 @@ class ClockedCloth:
         for _ in range(count):
             frame = self.simulation.frame
             self.publish_clock(self.now)
-            self._number += 1
-            self.client.spin_until(lambda frame=frame: self.simulation.frame > frame, what=f"frame {frame + 1}")
+            self._tick_index += 1
+            self.client.spin_until(lambda frame=frame: self.simulation.frame > frame, description=f"frame {frame + 1}")
 
     def send(self, leaf: str, message: Any) -> None:
         """Publish a command, and wait until the node has received it."""
@@ -83,7 +83,9 @@ class ClockedCloth:
         commands = self.node._commands
         publisher.publish(message)
         self._sent += 1
-        self.client.spin_until(lambda: commands.received == self._sent, what=f"{self._sent} commands to be taken")
+        self.client.spin_until(
+            lambda: commands.received == self._sent, description=f"{self._sent} commands to be taken"
+        )
 
     def target(self, gripper: str, position: Any, *, stamp: int = 0, w: float = 1.0) -> None:
         """Send a target."""
@@ -100,13 +102,13 @@ class ClockedCloth:
         """Close or open a gripper."""
         self.send(f"{gripper}/grasp", Bool(data=closed))
 
-    def place(self, gripper: str) -> np.ndarray:
+    def position(self, gripper: str) -> np.ndarray:
         """Return the position of a gripper [m], shape (3,)."""
         return self.simulation.grippers.poses()[self._index(gripper), :3]
 
     def held(self, gripper: str) -> list[int]:
         """Return the particles that a gripper holds."""
-        return [int(particle) for particle in self.simulation.grippers.held(self._index(gripper))]
+        return [int(particle) for particle in self.simulation.grippers.grasped_particles(self._index(gripper))]
 
     def is_closed(self, gripper: str) -> bool:
         """Return true if a gripper is closed."""

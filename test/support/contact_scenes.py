@@ -28,10 +28,10 @@ SHAPES = {
 THICKNESS = 2e-3
 
 
-def still(place=(0.0, 0.0, 0.0), orientation=(0.0, 0.0, 0.0, 1.0)):
+def still(position=(0.0, 0.0, 0.0), orientation=(0.0, 0.0, 0.0, 1.0)):
     """Return the path of an obstacle at rest."""
     row = np.zeros(26)
-    row[1:4], row[13:17] = place, orientation
+    row[1:4], row[13:17] = position, orientation
     return row
 
 
@@ -49,11 +49,11 @@ def contact(*shapes, paths=None, thickness=THICKNESS, damping=10.0):
     obstacles = [SHAPES[shape] if isinstance(shape, str) else shape for shape in shapes]
     force = Contact(obstacles, thickness=thickness, damping=damping)
     if paths is not None:
-        force.move(np.array(paths))
+        force.set_paths(np.array(paths))
     return force
 
 
-def near(obstacle, path, t, count, rng, thickness=THICKNESS, deepest=0.2, farthest=1.3):
+def points_near(obstacle, path, t, count, rng, thickness=THICKNESS, deepest=0.2, farthest=1.3):
     """Return points (3, n) at random positions near an obstacle, from deep in contact to outside."""
     from support.laws import pose
 
@@ -68,29 +68,29 @@ def near(obstacle, path, t, count, rng, thickness=THICKNESS, deepest=0.2, farthe
         )
     for _ in range(60):
         gap, normal = obstacle.distance(points)
-        wanted = thickness * np.linspace(deepest, farthest, len(points))
-        points = points + (wanted - gap)[:, None] * normal
+        gaps = thickness * np.linspace(deepest, farthest, len(points))
+        points = points + (gaps - gap)[:, None] * normal
     gap, _ = obstacle.distance(points)
     good = points[np.abs(gap - thickness * np.linspace(deepest, farthest, len(points))) < 1e-9]
-    place, _, rotation, _ = pose(path, t)
+    position, _, rotation, _ = pose(path, t)
     chosen = good[rng.permutation(len(good))[:count]]
     assert len(chosen) == count
-    return np.ascontiguousarray((place + chosen @ rotation.T).T)
+    return np.ascontiguousarray((position + chosen @ rotation.T).T)
 
 
 def flat_sheet(rows, columns, *forces, size=1.0, gravity=True, drag=True, listed=False, anchors=(), **material):
     """Return the model of a free flat grid, without air, and its positions (n, 3) around the origin, z = 0."""
     values = {"cloth.resolution": [rows, columns], "cloth.size": [size * (rows - 1) / (columns - 1), size], **material}
-    own = Scene.from_parameters({"cloth.anchors": [""], "wind.normal_drag": 0.0, **values}).plan().model
-    kept = [
-        force.listed if listed and isinstance(force, GridSprings) else force
-        for force in own.forces
+    scene_model = Scene.from_parameters({"cloth.anchors": [""], "wind.normal_drag": 0.0, **values}).plan().model
+    other_forces = [
+        force.pair_springs if listed and isinstance(force, GridSprings) else force
+        for force in scene_model.forces
         if (gravity or not isinstance(force, Gravity)) and (drag or not isinstance(force, Drag))
     ]
     grid = np.stack(np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"), axis=-1).reshape(-1, 2)
     flat = (grid - 0.5 * np.array([rows - 1, columns - 1])) * size / (columns - 1)
     places = np.concatenate([flat, np.zeros((len(flat), 1))], axis=1)
-    return Model(own.masses, [*kept, *forces], anchors=anchors), places
+    return Model(scene_model.masses, [*other_forces, *forces], anchors=anchors), places
 
 
 def drop(model, places, velocity=(0.0, 0.0, 0.0), **options):

@@ -99,14 +99,14 @@ def contents(path: Path) -> dict[str, Any]:
 
 def session_file() -> dict[str, Any]:
     """Return the contents of a session, the frame record, and the session's exports."""
-    from cloth_sim_ros.batch.recording import RunRecording
+    from cloth_sim_ros.batch.run_recording import RunRecording
     from cloth_sim_ros.simulation.simulation import Simulation
 
     folder = Path(tempfile.mkdtemp())
     # So little work misses the tolerance, which a frame's record tells.
     simulation = Simulation(Scene.from_parameters({**_SCENE, "tolerance": 1e-9, "work_limit": 1e-4}))
     recording = RunRecording(folder, simulation, name="run", clouds=True)
-    recording.add([], attrs.evolve(simulation.advance(), halted=("table",)))
+    recording.add([], attrs.evolve(simulation.advance(), stopped=("table",)))
     session, table = folder / "session.npz", folder / "session.parquet"
     _run("session.main", ["export", str(recorded()), "-o", str(session)])
     _run("session.main", ["export", str(recorded()), "-o", str(table)])
@@ -121,7 +121,7 @@ def session_file() -> dict[str, Any]:
         "frame record": {
             "fields": [name for name in inspect.signature(FrameRecord).parameters],
             "text": record.to_json(),
-            "extras that are read": sorted(frame_record._EXTRAS),
+            "extras that are read": sorted(frame_record._EXTRA_CHECKS),
         },
         "scene.yaml": sorted(yaml.safe_load(parameter_file.dump(simulation.scene.parameters()))),
         "export .npz": arrays,
@@ -156,7 +156,7 @@ def certificate() -> dict[str, Any]:
             verify_main.DIFFERENT,
             verify_main.UNREADABLE,
             verify_main.OTHER_ARITHMETIC,
-            verify_main.NOT_KEPT,
+            verify_main.BOUND_VIOLATED,
         ],
     }
 
@@ -174,7 +174,7 @@ def fit() -> dict[str, Any]:
     return {
         "keys": shape(json.loads(target.read_text())),
         "short names": fit_parameters._SHORT | {"bending": "by bending.model"},
-        "further names": list(fit_parameters._FURTHER),
+        "further names": list(fit_parameters._OTHER_NAMES),
     }
 
 
@@ -182,8 +182,8 @@ def study() -> dict[str, Any]:
     """Return what a study file may have, and what a study's folder and its exports hold."""
     from cloth_sim_ros.batch import factors, index, outcomes, study_file
     from cloth_sim_ros.batch.folder import StudyFolder
-    from cloth_sim_ros.batch.forecast import draw
     from cloth_sim_ros.batch.sampling import SAMPLINGS
+    from cloth_sim_ros.batch.study_estimate import sample_and_estimate
     from cloth_sim_ros.batch.study_run import perform
 
     folder = Path(tempfile.mkdtemp())
@@ -197,7 +197,7 @@ def study() -> dict[str, Any]:
     }
     (folder / "study.yaml").write_text(json.dumps(content))
     whole = study_file.read(folder / "study.yaml")
-    place, samples = StudyFolder(folder / "out"), draw(whole, 1)[0]
+    place, samples = StudyFolder(folder / "out"), sample_and_estimate(whole, 1)[0]
     place.create(whole, samples, "")
     rows = [perform(place, whole, run, values) for run, values in enumerate(samples)]
     index.write(place, rows)

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros.engine import NUMERICS, binding
-from cloth_sim_ros.physics import remembered, state_memory
+from cloth_sim_ros.physics import controller_state, state_memory
 from cloth_sim_ros.physics.control.automatic import INTEGRATORS
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
@@ -101,7 +101,10 @@ def memory() -> dict[str, Any]:
 
     Fields of the records of step control have no names in the array; their order shows in `values`.
     """
-    records: list[type[remembered.Remembered]] = [*remembered.RULES, remembered.Sleep]
+    records: list[type[controller_state.ControllerState]] = [
+        *controller_state.STEP_CONTROL_STATES,
+        controller_state.SleepState,
+    ]
     contract: dict[str, Any] = {
         "records": {
             record.key: [[field.default, field.metadata["least"]] for field in attrs.fields(typing.cast(Any, record))]
@@ -113,13 +116,13 @@ def memory() -> dict[str, Any]:
             for name, (kind, shape) in table.items()
         },
         "constants": [
-            remembered.ANCHORS,
-            remembered.PINCHED,
-            remembered.SETTLED,
-            remembered.THICKNESS,
-            *remembered.SLEEP_ARRAYS,
+            controller_state.ANCHORS_KEY,
+            controller_state.JAWS_KEY,
+            controller_state.JAWS_AT_REST_KEY,
+            controller_state.THICKNESS_KEY,
+            *controller_state.SLEEP_KEYS,
         ],
-        "of older versions": list(remembered.BEFORE),
+        "of older versions": list(controller_state.LEGACY_KEYS),
         "integrators": {},
         "values": {},
         "state file": {},

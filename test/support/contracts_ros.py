@@ -79,7 +79,7 @@ def live_session() -> dict[str, Any]:
             keys |= set(cloth.node._report(True)[2])
         # /clock goes far ahead, then back: a frame's record tells either.
         for jump in (1000, -2000):
-            cloth._number += jump
+            cloth._tick_index += jump
             cloth.tick()
         cloth.node.close(timeout=10.0)
     (path,) = folder.glob("*.mcap")
@@ -103,7 +103,7 @@ def _plots(keys: list[str]) -> dict[str, Any]:
     """Return the plot of each key of the diagnostics, as replay reads them."""
     return {
         "paths": sorted(plots.PLOTS),
-        "of keys": {key: place for key in keys if (place := plots._place(key)) is not None},
+        "of keys": {key: place for key in keys if (place := plots._plot_path(key)) is not None},
     }
 
 

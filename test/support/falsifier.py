@@ -14,7 +14,7 @@ import numpy as np
 from mcap.records import Metadata
 
 from cloth_sim_ros.session.cdr import decode, decode_cloud, encode
-from cloth_sim_ros.session.layouts import MESSAGE_ENCODING, SCHEMA_ENCODING, describe
+from cloth_sim_ros.session.channel_description import MESSAGE_ENCODING, SCHEMA_ENCODING, describe
 from cloth_sim_ros.session.mcap_builder import McapBuilder
 from cloth_sim_ros.session.part import Message, SessionPart
 from cloth_sim_ros.session.writer import END_METADATA_NAME, METADATA_NAME, metadata_checksum
@@ -63,7 +63,7 @@ def falsify(source: Path, target: Path, falsification: Falsification) -> Path:
     part = SessionPart(source)
     messages = falsification.change(list(part.messages()))
     builder = McapBuilder(compression="lz4")
-    opening = builder.opening(
+    opening = builder.encode_opening(
         library="cloth_sim_ros",
         metadata=[Metadata(name=METADATA_NAME, metadata=dict(part.metadata))],
         attachments=list(part.attachments.values()),
@@ -93,9 +93,9 @@ def falsify(source: Path, target: Path, falsification: Falsification) -> Path:
         notes["messages"] = str(len(messages))
     notes |= falsification.end
     notes["checksum"] = metadata_checksum(notes)
-    end = builder.metadata(Metadata(name=END_METADATA_NAME, metadata=notes), len(content))
+    end = builder.encode_metadata(Metadata(name=END_METADATA_NAME, metadata=notes), len(content))
     end = end if falsification.ended else b""
-    target.write_bytes(content + end + builder.closing(len(content) + len(end)))
+    target.write_bytes(content + end + builder.encode_closing(len(content) + len(end)))
     part.close()
     return target
 
@@ -105,63 +105,65 @@ def renumbered(change: Change) -> Change:
 
     def changed(messages: Messages) -> Messages:
         numbers: dict[str, int] = defaultdict(int)
-        found = []
+        renumbered_messages = []
         for message in change(messages):
-            found.append(message._replace(sequence=numbers[message.topic]))
+            renumbered_messages.append(message._replace(sequence=numbers[message.topic]))
             numbers[message.topic] += 1
-        return found
+        return renumbered_messages
 
     return changed
 
 
-def each(topic: str, alter: Callable[[Message], Message | None], *, only: Sequence[int] | None = None) -> Change:
+def alter_messages(
+    topic: str, alter: Callable[[Message], Message | None], *, only: Sequence[int] | None = None
+) -> Change:
     """Alter the messages of a topic, or only those with the given indices; None removes a message."""
 
     def changed(messages: Messages) -> Messages:
         places = [k for k, message in enumerate(messages) if message.topic == topic]
         chosen = set(places if only is None else [places[k] for k in only])
-        found = [alter(message) if k in chosen else message for k, message in enumerate(messages)]
-        return [message for message in found if message is not None]
+        altered = [alter(message) if k in chosen else message for k, message in enumerate(messages)]
+        return [message for message in altered if message is not None]
 
     return changed
 
 
 def drop(topic: str, *, only: Sequence[int] | None = None) -> Change:
     """Remove messages."""
-    return each(topic, lambda _message: None, only=only)
+    return alter_messages(topic, lambda _message: None, only=only)
 
 
-def double(topic: str, number: int) -> Change:
+def double(topic: str, index: int) -> Change:
     """Repeat one message of a topic."""
 
     def changed(messages: Messages) -> Messages:
-        place = [k for k, message in enumerate(messages) if message.topic == topic][number]
-        return [*messages[: place + 1], messages[place], *messages[place + 1 :]]
+        position = [k for k, message in enumerate(messages) if message.topic == topic][index]
+        return [*messages[: position + 1], messages[position], *messages[position + 1 :]]
 
     return changed
 
 
 def insert(
-    topic: str, number: int, after: str, at: int, alter: Callable[[Message], Message] = lambda message: message
+    topic: str, index: int, after: str, at: int, alter: Callable[[Message], Message] = lambda message: message
 ) -> Change:
     """Insert an altered copy of a message after another one, with the times of that one."""
 
     def changed(messages: Messages) -> Messages:
-        copied = [message for message in messages if message.topic == topic][number]
-        place = [k for k, message in enumerate(messages) if message.topic == after][at]
-        beside = messages[place]
-        copied = alter(copied)._replace(log_time=beside.log_time, publish_time=beside.publish_time)
-        return [*messages[: place + 1], copied, *messages[place + 1 :]]
+        copied = [message for message in messages if message.topic == topic][index]
+        position = [k for k, message in enumerate(messages) if message.topic == after][at]
+        neighbour = messages[position]
+        copied = alter(copied)._replace(log_time=neighbour.log_time, publish_time=neighbour.publish_time)
+        return [*messages[: position + 1], copied, *messages[position + 1 :]]
 
     return changed
 
 
-def swap(topic: str, one: int, other: int, *, whole: bool) -> Change:
+def swap(topic: str, first_index: int, second_index: int, *, whole: bool) -> Change:
     """Exchange two messages of a topic, or only their bytes."""
 
     def changed(messages: Messages) -> Messages:
         places = [k for k, message in enumerate(messages) if message.topic == topic]
-        a, b = places[one], places[other]
+        a, b = places[first_index], places[second_index]
         first, second = messages[a], messages[b]
         if whole:
             messages[a], messages[b] = second, first
@@ -182,9 +184,9 @@ def cut_frames(count: int) -> Change:
     return changed
 
 
-def rename(topic: str, other: str) -> Change:
+def rename(topic: str, new_topic: str) -> Change:
     """Move the messages of a topic to another topic."""
-    return each(topic, lambda message: message._replace(topic=other))
+    return alter_messages(topic, lambda message: message._replace(topic=new_topic))
 
 
 def edit(alter: Callable[[Any], object]) -> Callable[[Message], Message]:
@@ -230,8 +232,8 @@ def both(*alters: Callable[[Message], Message]) -> Callable[[Message], Message]:
 
 def _set(name: str, value: Any) -> Callable[[Any], None]:
     def alter(content: Any) -> None:
-        *way, last = name.split(".")
-        for step in way:
+        *parents, last = name.split(".")
+        for step in parents:
             content = content[int(step)] if step.isdigit() else getattr(content, step)
         setattr(content, last, value)
 
@@ -266,17 +268,19 @@ def falsifications(gripper: str, *, busy: bool) -> dict[str, Falsification]:
     wrench, grasp = f"{NODE}/{gripper}/wrench", f"{NODE}/{gripper}/grasp"
     target, state = f"{NODE}/{gripper}/target", f"{NODE}/{gripper}/state"
     shift = both(moved(0.5), later(1))
-    beside = (target, 2) if busy else (wrench, -3)
-    found = {
-        "clouds moved and published 1 ns later": Falsification(each(POINTS, shift)),
-        "one cloud published 1 ns later": Falsification(each(POINTS, later(1), only=[3])),
-        "cloud moved by one bit": Falsification(each(POINTS, moved(1e-7), only=[3])),
-        "cloud of another frame_id": Falsification(each(POINTS, edit(_set("header.frame_id", "map")))),
-        "cloud of another stamp": Falsification(each(POINTS, edit(_set("header.stamp.nanosec", 1)), only=[4])),
-        "cloud with rows and columns exchanged": Falsification(each(POINTS, edit(_turn_grid))),
-        "cloud that is not dense": Falsification(each(POINTS, edit(_set("is_dense", False)))),
+    after = (target, 2) if busy else (wrench, -3)
+    cases = {
+        "clouds moved and published 1 ns later": Falsification(alter_messages(POINTS, shift)),
+        "one cloud published 1 ns later": Falsification(alter_messages(POINTS, later(1), only=[3])),
+        "cloud moved by one bit": Falsification(alter_messages(POINTS, moved(1e-7), only=[3])),
+        "cloud of another frame_id": Falsification(alter_messages(POINTS, edit(_set("header.frame_id", "map")))),
+        "cloud of another stamp": Falsification(
+            alter_messages(POINTS, edit(_set("header.stamp.nanosec", 1)), only=[4])
+        ),
+        "cloud with rows and columns exchanged": Falsification(alter_messages(POINTS, edit(_turn_grid))),
+        "cloud that is not dense": Falsification(alter_messages(POINTS, edit(_set("is_dense", False)))),
         "cloud with its fields renamed": Falsification(
-            each(POINTS, edit(_set("fields.0.count", 2)), only=[2]), needs=POINTS
+            alter_messages(POINTS, edit(_set("fields.0.count", 2)), only=[2]), needs=POINTS
         ),
         "one cloud left out": Falsification(drop(POINTS, only=[5])),
         "one cloud left out, numbers made anew": Falsification(renumbered(drop(POINTS, only=[5]))),
@@ -289,39 +293,41 @@ def falsifications(gripper: str, *, busy: bool) -> dict[str, Falsification]:
         "one cloud twice": Falsification(double(POINTS, 4)),
         "one cloud twice, numbers made anew": Falsification(renumbered(double(POINTS, 4))),
         "every cloud twice": Falsification(
-            renumbered(lambda messages: [one for one in messages for _ in range(1 + (one.topic == POINTS))])
+            renumbered(lambda messages: [message for message in messages for _ in range(1 + (message.topic == POINTS))])
         ),
         "bytes of two clouds exchanged": Falsification(swap(POINTS, 2, 5, whole=False)),
         "two clouds exchanged": Falsification(swap(POINTS, 2, 5, whole=True)),
         "cloud between two frames": Falsification(renumbered(insert(POINTS, 2, wrench, 6))),
-        "topology with a triangle turned": Falsification(each(TOPOLOGY, edit(_flip_triangle))),
-        "topology with a point moved": Falsification(each(TOPOLOGY, edit(_set("vertices.0.x", 0.123)))),
+        "topology with a triangle turned": Falsification(alter_messages(TOPOLOGY, edit(_flip_triangle))),
+        "topology with a point moved": Falsification(alter_messages(TOPOLOGY, edit(_set("vertices.0.x", 0.123)))),
         "topology left out": Falsification(drop(TOPOLOGY)),
         "topology twice": Falsification(renumbered(double(TOPOLOGY, 0))),
         "wrenches published 1 ns later, and altered": Falsification(
-            each(wrench, both(edit(_set("wrench.force.x", 9.0)), later(1)))
+            alter_messages(wrench, both(edit(_set("wrench.force.x", 9.0)), later(1)))
         ),
-        "wrench of another frame_id": Falsification(each(wrench, edit(_set("header.frame_id", "map")))),
-        "wrench of another stamp": Falsification(each(wrench, edit(_set("header.stamp.sec", 1)), only=[2])),
+        "wrench of another frame_id": Falsification(alter_messages(wrench, edit(_set("header.frame_id", "map")))),
+        "wrench of another stamp": Falsification(alter_messages(wrench, edit(_set("header.stamp.sec", 1)), only=[2])),
         "one wrench left out, numbers made anew": Falsification(renumbered(drop(wrench, only=[3]))),
         "all wrenches left out": Falsification(drop(wrench), absent=wrench),
         "received targets left out": Falsification(renumbered(drop(target))),
-        "received target inserted": Falsification(renumbered(insert(target, 0, *beside, edit(_stamp_now)))),
+        "received target inserted": Falsification(renumbered(insert(target, 0, *after, edit(_stamp_now)))),
         "older target inserted": Falsification(renumbered(insert(target, 0, target, 2)), listed="too old"),
         "received grasp inserted": Falsification(renumbered(insert(grasp, 0, wrench, 2))),
         "received grasps left out": Falsification(renumbered(drop(grasp)), listed="grasp without a message"),
         "frame records' log times altered": Falsification(
-            each(FRAME, lambda one: one._replace(log_time=one.log_time + 1))
+            alter_messages(FRAME, lambda message: message._replace(log_time=message.log_time + 1))
         ),
         "log time of one cloud altered": Falsification(
-            each(POINTS, lambda one: one._replace(log_time=one.log_time - 5), only=[3])
+            alter_messages(POINTS, lambda message: message._replace(log_time=message.log_time - 5), only=[3])
         ),
         "sequence number altered": Falsification(
-            each(POINTS, lambda one: one._replace(sequence=one.sequence + 1), only=[3])
+            alter_messages(POINTS, lambda message: message._replace(sequence=message.sequence + 1), only=[3])
         ),
-        "sequence numbers shifted": Falsification(each(POINTS, lambda one: one._replace(sequence=one.sequence + 7))),
+        "sequence numbers shifted": Falsification(
+            alter_messages(POINTS, lambda message: message._replace(sequence=message.sequence + 7))
+        ),
         "sequence numbers gone": Falsification(
-            each(POINTS, lambda one: one._replace(sequence=0)), listed="without sequence numbers"
+            alter_messages(POINTS, lambda message: message._replace(sequence=0)), listed="without sequence numbers"
         ),
         "last frames cut out": Falsification(cut_frames(5), counted=False),
         "end record of another count": Falsification(end={"messages": "3"}),
@@ -330,10 +336,10 @@ def falsifications(gripper: str, *, busy: bool) -> dict[str, Falsification]:
             cut_frames(5), end={"messages": "many"}, listed="the number of its messages"
         ),
         "clouds declared as another type": Falsification(
-            each(POINTS, lambda one: one._replace(type_name="std_msgs/msg/String"))
+            alter_messages(POINTS, lambda message: message._replace(type_name="std_msgs/msg/String"))
         ),
         "frames declared as another type": Falsification(
-            each(FRAME, lambda one: one._replace(type_name="std_msgs/msg/Bool"))
+            alter_messages(FRAME, lambda message: message._replace(type_name="std_msgs/msg/Bool"))
         ),
         "rows and columns exchanged in the definition": Falsification(
             redefined=("uint32 height\nuint32 width", "uint32 width\nuint32 height")
@@ -343,71 +349,86 @@ def falsifications(gripper: str, *, busy: bool) -> dict[str, Falsification]:
             rename(wrench, "/other/wrench"), counted=False, listed="/other/wrench"
         ),
         "bytes that are no cloud": Falsification(
-            each(POINTS, both(lambda one: one._replace(data=one.data[:40]), later(1)), only=[2])
+            alter_messages(POINTS, both(lambda message: message._replace(data=message.data[:40]), later(1)), only=[2])
         ),
         # Only sessions of a node have these.
         "state left out": Falsification(renumbered(drop(STATE, only=[1])), needs=STATE),
-        "state altered": Falsification(each(STATE, edit(_set("id", 2)), only=[-2]), needs=STATE),
+        "state altered": Falsification(alter_messages(STATE, edit(_set("id", 2)), only=[-2]), needs=STATE),
         "first active state left out": Falsification(renumbered(drop(STATE, only=[1])), needs=STATE),
         "state twice": Falsification(renumbered(double(STATE, 1)), needs=STATE),
         "gripper state with a key twice": Falsification(
-            each(state, edit(lambda one: one.values.append(one.values[0])), only=[1]), needs=state
+            alter_messages(state, edit(lambda message: message.values.append(message.values[0])), only=[1]), needs=state
         ),
         "states left out": Falsification(drop(STATE), needs=STATE, absent=STATE),
         "gripper state left out": Falsification(renumbered(drop(state, only=[1])), needs=state),
         "gripper states left out": Falsification(drop(state), needs=state, absent=state),
-        "gripper state that holds more": Falsification(each(state, edit(_value("held", "99"))), needs=state),
+        "gripper state that holds more": Falsification(alter_messages(state, edit(_value("held", "99"))), needs=state),
         "gripper state of other words": Falsification(
-            each(state, edit(_set("message", "open")), only=[1]), needs=state
+            alter_messages(state, edit(_set("message", "open")), only=[1]), needs=state
         ),
         "markers left out": Falsification(renumbered(drop(MARKERS, only=[2])), needs=MARKERS),
         "all markers left out": Falsification(drop(MARKERS), needs=MARKERS, absent=MARKERS),
-        "marker moved": Falsification(each(MARKERS, edit(_set("markers.0.pose.position.x", 5.0))), needs=MARKERS),
-        "first marker moved": Falsification(
-            each(MARKERS, edit(_set("markers.0.pose.position.x", 5.0)), only=[0]), needs=MARKERS
+        "marker moved": Falsification(
+            alter_messages(MARKERS, edit(_set("markers.0.pose.position.x", 5.0))), needs=MARKERS
         ),
-        "marker of another size": Falsification(each(MARKERS, edit(_set("markers.0.scale.x", 5.0))), needs=MARKERS),
-        "marker of another colour": Falsification(each(MARKERS, edit(_set("markers.0.color.r", 0.9))), needs=MARKERS),
+        "first marker moved": Falsification(
+            alter_messages(MARKERS, edit(_set("markers.0.pose.position.x", 5.0)), only=[0]), needs=MARKERS
+        ),
+        "marker of another size": Falsification(
+            alter_messages(MARKERS, edit(_set("markers.0.scale.x", 5.0))), needs=MARKERS
+        ),
+        "marker of another colour": Falsification(
+            alter_messages(MARKERS, edit(_set("markers.0.color.r", 0.9))), needs=MARKERS
+        ),
         "marker of another frame_id": Falsification(
-            each(MARKERS, edit(_set("markers.0.header.frame_id", "map"))), needs=MARKERS
+            alter_messages(MARKERS, edit(_set("markers.0.header.frame_id", "map"))), needs=MARKERS
         ),
         "transforms left out": Falsification(drop(TF), needs=TF, absent=TF),
         "one transform left out": Falsification(renumbered(drop(TF, only=[3])), needs=TF),
         "transform moved": Falsification(
-            each(TF, edit(_set("transforms.0.transform.translation.x", 5.0)), only=[3]), needs=TF
+            alter_messages(TF, edit(_set("transforms.0.transform.translation.x", 5.0)), only=[3]), needs=TF
         ),
         "diagnostics of another frame": Falsification(
-            each(DIAGNOSTICS, edit(_value("frame", "7777"))), needs=DIAGNOSTICS
+            alter_messages(DIAGNOSTICS, edit(_value("frame", "7777"))), needs=DIAGNOSTICS
         ),
         "diagnostics of another strain": Falsification(
-            each(DIAGNOSTICS, edit(_value("largest_strain", "9.000000"))), needs=DIAGNOSTICS
+            alter_messages(DIAGNOSTICS, edit(_value("largest_strain", "9.000000"))), needs=DIAGNOSTICS
         ),
         "diagnostics of another integrator": Falsification(
-            each(DIAGNOSTICS, edit(_value("integrator", "other"))), needs=DIAGNOSTICS
+            alter_messages(DIAGNOSTICS, edit(_value("integrator", "other"))), needs=DIAGNOSTICS
         ),
         "diagnostics 1 us later": Falsification(
-            each(DIAGNOSTICS, edit(_value("simulated_time", "0.533334"))), needs=DIAGNOSTICS
+            alter_messages(DIAGNOSTICS, edit(_value("simulated_time", "0.533334"))), needs=DIAGNOSTICS
         ),
         "diagnostics of another frame_id": Falsification(
-            each(DIAGNOSTICS, edit(_set("header.frame_id", "map"))), needs=DIAGNOSTICS
+            alter_messages(DIAGNOSTICS, edit(_set("header.frame_id", "map"))), needs=DIAGNOSTICS
         ),
         "diagnostics with a key twice": Falsification(
-            each(DIAGNOSTICS, edit(lambda one: one.status[0].values.append(one.status[0].values[0]))),
+            alter_messages(
+                DIAGNOSTICS, edit(lambda message: message.status[0].values.append(message.status[0].values[0]))
+            ),
             needs=DIAGNOSTICS,
         ),
         "diagnostics with a status twice": Falsification(
-            each(DIAGNOSTICS, edit(lambda one: one.status.append(one.status[0]))), needs=DIAGNOSTICS
+            alter_messages(DIAGNOSTICS, edit(lambda message: message.status.append(message.status[0]))),
+            needs=DIAGNOSTICS,
         ),
         "diagnostics without values": Falsification(
-            each(DIAGNOSTICS, edit(lambda one: one.status[0].values.clear())), needs=DIAGNOSTICS, listed="is not there"
+            alter_messages(DIAGNOSTICS, edit(lambda message: message.status[0].values.clear())),
+            needs=DIAGNOSTICS,
+            listed="is not there",
         ),
         "diagnostics twice": Falsification(
             renumbered(double(DIAGNOSTICS, 0)), needs=DIAGNOSTICS, listed="the same message once more"
         ),
         "diagnostics of another real-time factor": Falsification(
-            each(DIAGNOSTICS, edit(_value("real_time_factor", "99.0"))), needs=DIAGNOSTICS, listed="real_time_factor"
+            alter_messages(DIAGNOSTICS, edit(_value("real_time_factor", "99.0"))),
+            needs=DIAGNOSTICS,
+            listed="real_time_factor",
         ),
-        "log altered": Falsification(each(ROSOUT, edit(_set("msg", "all well"))), needs=ROSOUT, listed="/rosout"),
+        "log altered": Falsification(
+            alter_messages(ROSOUT, edit(_set("msg", "all well"))), needs=ROSOUT, listed="/rosout"
+        ),
         "one line of the log left out": Falsification(drop(ROSOUT, only=[0]), needs=ROSOUT),
     }
-    return found
+    return cases

@@ -83,9 +83,9 @@ def hands(t: float, *, strength: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
 
     The swing starts smoothly over 0.3 s.
     """
-    way = min(1.0, t / 0.3)
-    way *= strength * way * (3.0 - 2.0 * way)
-    x, y, z, turn = (way * a * np.sin(2.0 * np.pi * f * t) for a, f in zip(AMPLITUDES, FREQUENCIES, strict=True))
+    ramp = min(1.0, t / 0.3)
+    ramp *= strength * ramp * (3.0 - 2.0 * ramp)
+    x, y, z, turn = (ramp * a * np.sin(2.0 * np.pi * f * t) for a, f in zip(AMPLITUDES, FREQUENCIES, strict=True))
     both, corner = np.array([x, y, z]), np.array([0.5 * SIZE * (1.0 - NEARER), 0.0, 1.0 + 0.5 * SIZE])
     against = np.array([0.0, turn, 0.0])
     return corner * [-1.0, 1.0, 1.0] + both + against, corner + both - against
@@ -195,8 +195,8 @@ def write_bag(
         hand = [writer.register_channel(topic, "cdr", pose) for topic in poses]
         for k in range(max(-20, round(100 * begin)), round(100 * seconds) + 5):
             now = EPOCH + k * 10_000_000
-            for channel, place in zip(hand, hands(min(max(0.01 * k, 0.0), swing)), strict=True):
-                writer.add_message(channel, now, target_bytes(Target("hand", place, (0.0, 0.0, 0.0, 1.0)), now), now)
+            for channel, position in zip(hand, hands(min(max(0.01 * k, 0.0), swing)), strict=True):
+                writer.add_message(channel, now, target_bytes(Target("hand", position, (0.0, 0.0, 0.0, 1.0)), now), now)
         for k in range(round(60 * seconds) + 1):
             if k:
                 left, right = hands(min(k / 60.0, swing))

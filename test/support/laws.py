@@ -28,28 +28,28 @@ class Values(NamedTuple):
 
     force: np.ndarray
     energy: float = 0.0
-    lost: float = 0.0
-    given: float = 0.0
+    dissipation: float = 0.0
+    external_power: float = 0.0
 
 
-def pair_springs(x, v, pairs, rest, stiffness, damping):
+def pair_springs(x, v, pairs, rest_lengths, stiffness, damping):
     """S1 where the rest length is above 0, S4 where it is 0: stiffness is k_s [N] and k [N/m]."""
-    f, energy, lost = np.zeros_like(x), 0.0, 0.0
-    for (a, b), l0, k, k_d in zip(pairs, rest, stiffness, damping, strict=True):
+    f, energy, dissipation = np.zeros_like(x), 0.0, 0.0
+    for (a, b), l0, k, k_d in zip(pairs, rest_lengths, stiffness, damping, strict=True):
         s, u = x[:, b] - x[:, a], v[:, b] - v[:, a]
         length = np.linalg.norm(s)
         if l0 == 0.0:
             push = -k * s - k_d * u
             energy += 0.5 * k * length**2
-            lost += k_d * (u @ u)
+            dissipation += k_d * (u @ u)
         else:
             d = s / length
             push = -k * (length / l0 - 1.0) * d - k_d * (u @ d) * d
             energy += 0.5 * k * l0 * (length / l0 - 1.0) ** 2
-            lost += k_d * (u @ d) ** 2
+            dissipation += k_d * (u @ d) ** 2
         f[:, b] += push
         f[:, a] -= push
-    return Values(f, energy, lost)
+    return Values(f, energy, dissipation)
 
 
 #: How a family's springs lead from their first end: rows down and columns to the right.
@@ -65,7 +65,7 @@ LEADS = {
 
 def grid_springs(x, v, rows, columns, families):
     """Springs of a sheet, enumerated cell by cell."""
-    pairs, rest, stiffness, damping = [], [], [], []
+    pairs, rest_lengths, stiffness, damping = [], [], [], []
     for family in families:
         down, right = LEADS[family.name]
         for row in range(rows):
@@ -79,10 +79,10 @@ def grid_springs(x, v, rows, columns, families):
                 along_border = (down == 0 and row in (0, rows - 1)) or (right == 0 and column in (0, columns - 1))
                 share = family.border if along_border else 1.0
                 pairs.append((row * columns + column, to[0] * columns + to[1]))
-                rest.append(family.rest_length)
+                rest_lengths.append(family.rest_length)
                 stiffness.append(share * family.stiffness)
                 damping.append(share * family.damping)
-    return pair_springs(x, v, pairs, rest, stiffness, damping)
+    return pair_springs(x, v, pairs, rest_lengths, stiffness, damping)
 
 
 def _sign(order):
@@ -153,21 +153,21 @@ def blended_length(p):
     return volume(p) / whole, gradient
 
 
-def hinge_springs(length, x, v, hinges, rest, stiffness, damping):
+def hinge_springs(length, x, v, hinges, rest_lengths, stiffness, damping):
     """S8 or S9: energy k (h - h0)^2 / 2, damping -k_d (grad h . v) grad h."""
-    f, energy, lost = np.zeros_like(x), 0.0, 0.0
-    for hinge, h0, k, k_d in zip(hinges, rest, stiffness, damping, strict=True):
+    f, energy, dissipation = np.zeros_like(x), 0.0, 0.0
+    for hinge, h0, k, k_d in zip(hinges, rest_lengths, stiffness, damping, strict=True):
         h, gradient = length(x.T[hinge])
         rate = np.sum(gradient * v.T[hinge])
         f[:, hinge] -= ((k * (h - h0) + k_d * rate) * gradient).T
         energy += 0.5 * k * (h - h0) ** 2
-        lost += k_d * rate**2
-    return Values(f, energy, lost)
+        dissipation += k_d * rate**2
+    return Values(f, energy, dissipation)
 
 
 def air_panels(x, v, panels, normal, tangential, wind):
     """Return F = -A/k (c_n n n' + c_t (1 - n n')) (v - w) on each of a panel's k corners; zero without an area."""
-    f, lost, given = np.zeros_like(x), 0.0, 0.0
+    f, dissipation, external_power = np.zeros_like(x), 0.0, 0.0
     for panel in panels:
         p = x.T[panel]
         area_vector = 0.5 * (np.cross(p[1] - p[0], p[2] - p[0]) if len(p) == 3 else np.cross(p[2] - p[0], p[3] - p[1]))
@@ -178,9 +178,9 @@ def air_panels(x, v, panels, normal, tangential, wind):
         drag = area / len(p) * (normal * across + tangential * (np.eye(3) - across))
         for corner in panel:
             f[:, corner] -= drag @ (v[:, corner] - wind)
-            lost += v[:, corner] @ drag @ v[:, corner]
-            given += wind @ drag @ v[:, corner]
-    return Values(f, 0.0, lost, given)
+            dissipation += v[:, corner] @ drag @ v[:, corner]
+            external_power += wind @ drag @ v[:, corner]
+    return Values(f, 0.0, dissipation, external_power)
 
 
 def pose(path, t):
@@ -203,11 +203,11 @@ def grips(t, x, v, force):
     f, energy = np.zeros_like(x), 0.0
     booked = np.zeros((force.gripper_count, 8))
     for gripper, path in enumerate(force.paths):
-        place, velocity, rotation, turning = pose(path, t)
+        position, velocity, rotation, turning = pose(path, t)
         for grip in range(force.starts[gripper], force.starts[gripper + 1]):
             particle, k, k_d = force.particles[grip], force.stiffness[grip], force.damping[grip]
             arm, speed = rotation @ force.offsets[grip], velocity + turning @ force.offsets[grip]
-            s, u = x[:, particle] - place - arm, v[:, particle] - speed
+            s, u = x[:, particle] - position - arm, v[:, particle] - speed
             push = -k * s - k_d * u
             f[:, particle] += push
             energy += 0.5 * k * (s @ s)
@@ -227,10 +227,10 @@ def contact(t, x, v, force, masses):
     f, energy, d = np.zeros_like(x), 0.0, force.thickness
     booked = np.zeros((len(force.obstacles), 8))
     for k, (obstacle, path) in enumerate(zip(force.obstacles, force.paths, strict=True)):
-        place, velocity, rotation, turning = pose(path, t)
-        gaps, normals = obstacle.distance((x.T - place) @ rotation)
+        position, velocity, rotation, turning = pose(path, t)
+        gaps, normals = obstacle.distance((x.T - position) @ rotation)
         for i in np.flatnonzero(gaps < d):
-            s, normal, arm = gaps[i] / d, rotation @ normals[i], x[:, i] - place
+            s, normal, arm = gaps[i] / d, rotation @ normals[i], x[:, i] - position
             surface = velocity + turning @ rotation.T @ arm
             closing = -(v[:, i] - surface) @ normal
             elastic = STOPPING_SPEED**2 / 2.0 / d * (1.0 / s**2 - 6.0 + 8.0 * s - 3.0 * s**2)
@@ -238,27 +238,27 @@ def contact(t, x, v, force, masses):
             push = masses[i] * elastic * (0.5 * u + np.sqrt(1.0 + 0.25 * u * u)) * normal
             f[:, i] += push
             energy += masses[i] * STOPPING_SPEED**2 / 2.0 * (1.0 - s) ** 4 / s
-            lost = (push - masses[i] * elastic * normal) @ normal * closing
-            booked[k] += [*-push, *np.cross(arm, -push), push @ surface, lost]
+            dissipation = (push - masses[i] * elastic * normal) @ normal * closing
+            booked[k] += [*-push, *np.cross(arm, -push), push @ surface, dissipation]
     return Values(f, energy, float(booked[:, 7].sum())), booked
 
 
-def friction(way, normal, slip, push, rough, frequency):
+def friction(anchor_offset, normal, slip, push, coefficients, frequency):
     """Acceleration of friction, by how much its spring is stretched then, and whether it slides, for one contact.
 
     Args:
-        way: from the anchor to the particle.
+        anchor_offset: from the anchor to the particle.
         normal: off the obstacle.
         slip: velocity seen from the obstacle.
         push: acceleration across the surface.
-        rough: coefficients at rest and in motion.
+        coefficients: coefficients at rest and in motion.
         frequency: of the spring; its damping is a tenth of critical.
     """
     across = np.eye(3) - np.outer(normal, normal)
-    stretch, speed = across @ way, across @ slip
+    stretch, speed = across @ anchor_offset, across @ slip
     # At rest up to 0.01 m/s, in motion from 0.02 m/s on, smoothly between.
     part = min(max((1.0 - speed @ speed / 0.02**2) / 0.75, 0.0), 1.0)
-    most = push * (rough[1] + (rough[0] - rough[1]) * part**2 * (3.0 - 2.0 * part))
+    most = push * (coefficients[1] + (coefficients[0] - coefficients[1]) * part**2 * (3.0 - 2.0 * part))
     slides = frequency**2 * np.linalg.norm(stretch) > most
     if slides:
         stretch = stretch / np.linalg.norm(stretch) * most / frequency**2
@@ -296,8 +296,8 @@ def values(force, t, x, v, masses):
 
 def total(model, t, x, v):
     """Return the sum over a model's forces, also on anchored particles."""
-    each = [values(force, t, x, v, model.masses) for force in model.forces]
-    return Values(sum(e.force for e in each), *(sum(e[k] for e in each) for k in (1, 2, 3)))
+    values_by_force = [values(force, t, x, v, model.masses) for force in model.forces]
+    return Values(sum(e.force for e in values_by_force), *(sum(e[k] for e in values_by_force) for k in (1, 2, 3)))
 
 
 def leapfrog(model, t, duration, x, v, steps):

@@ -13,22 +13,22 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.controller_state import ANCHORS_KEY, LAYER_SIDES
 from cloth_sim_ros.physics.energy_balance import EnergyBalance
-from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
+from cloth_sim_ros.physics.forces.contact import Contact, ContactSurface
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.gravity import Gravity
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.remembered import ANCHORS, LAYER_SIDES
 from cloth_sim_ros.physics.sheets.grid import grid_triangles
 from cloth_sim_ros.physics.sheets.mesh import MeshSheet
 from cloth_sim_ros.physics.sheets.surface import Surface
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.scene.sections import Material
+from cloth_sim_ros.scene.sections import MaterialParameters
 from support.obstacle_sheets import BORNE, FRAME, THICKNESS
 
 G = 9.81
@@ -65,15 +65,17 @@ def stack(
 ) -> Stack:
     """A stack that is laid at rest, with gravity as on a slope."""
     places, triangles, held = places_of(count, below, turned)
-    angle, material = math.radians(degrees), Material()
+    angle, material = math.radians(degrees), MaterialParameters()
     first = len(held)
-    lower = MeshSheet(rest=places[:first], surface=Surface.from_triangles(triangles[triangles[:, 0] < first]))
-    upper = MeshSheet(rest=places[first:], surface=Surface.from_triangles(triangles[triangles[:, 0] >= first] - first))
+    lower = MeshSheet(rest_positions=places[:first], surface=Surface.from_triangles(triangles[triangles[:, 0] < first]))
+    upper = MeshSheet(
+        rest_positions=places[first:], surface=Surface.from_triangles(triangles[triangles[:, 0] >= first] - first)
+    )
     threads = upper.springs(
         stretch_modulus=material.stretch_modulus, k_d0=material.damping, density=material.density, viscosity=0.0
     )
     springs = PairSprings(threads.pairs + first, threads.rest_length, threads.stiffness, threads.damping)
-    surface = OwnSurface(triangles, places, thickness=THICKNESS, friction=(friction[0], friction[-1]))
+    surface = ContactSurface(triangles, places, thickness=THICKNESS, friction=(friction[0], friction[-1]))
     forces = [
         springs,
         Gravity([G * math.sin(angle), 0.0, -G * math.cos(angle)]),
@@ -90,7 +92,7 @@ class Stack:
         self.plan, self.state, self.frames = compile(model), State(places), 0
         self._steps = Scene.from_parameters({"tolerance": tolerance}).build_integrator()
 
-    def advance(self, book: Book | None = None) -> Advance:
+    def advance(self, book: WorkAccumulator | None = None) -> Advance:
         """Advance by one frame."""
         done = self._steps.advance(self.plan, self.state, self.frames * FRAME, FRAME, book)
         self.frames += 1
@@ -112,7 +114,7 @@ def advance(motion: Stack, frames: int) -> float:
 
 def anchors(motion: Stack) -> Array:
     """Anchors on layers, shape (sides, 4, particles)."""
-    return motion.state.memory[ANCHORS][-LAYER_SIDES:].copy()
+    return motion.state.memory[ANCHORS_KEY][-LAYER_SIDES:].copy()
 
 
 def slides(motion: Stack) -> bool:
@@ -128,9 +130,9 @@ def balanced(motion: Stack, frames: int) -> tuple[EnergyBalance, float, float]:
     balance = EnergyBalance(motion.plan, motion.state)
     worst, least, before = 0.0, math.inf, 0.0
     for _ in range(frames):
-        motion.advance(balance.book)
+        motion.advance(balance.accumulator)
         worst = max(worst, abs(balance.close(motion.frames * FRAME, motion.state)))
-        least, before = min(least, balance.rubbed - before), balance.rubbed
+        least, before = min(least, balance.friction_work - before), balance.friction_work
     return balance, worst, least
 
 

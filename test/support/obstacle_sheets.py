@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.forces.contact import Contact
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
 from cloth_sim_ros.scene.scene import Scene
 from support import garment
 from support.random_meshes import shuffled_mesh
@@ -53,7 +53,7 @@ class Motion:
         self.plan, self.state, self._steps = scene.plan(), scene.starting_state(), scene.build_integrator()
         self.frames = 0
 
-    def advance(self, book: Book | None = None) -> Advance:
+    def advance(self, book: WorkAccumulator | None = None) -> Advance:
         """Advance by one frame."""
         done = self._steps.advance(self.plan, self.state, self.frames * FRAME, FRAME, book)
         self.frames += 1
@@ -64,8 +64,8 @@ class Motion:
         contact = self.plan.contact
         if contact is None:
             raise RuntimeError("there is no obstacle")
-        contact.take(self.state)
-        return contact.rates(self.frames * FRAME, self.state.x, self.state.v)[:, :3]
+        contact.load_state(self.state)
+        return contact.wrench_rates(self.frames * FRAME, self.state.x, self.state.v)[:, :3]
 
 
 def slope(kind: str, count: int, degrees: float, friction: tuple[float, float], tolerance: float = 1e-4) -> Motion:
@@ -133,7 +133,7 @@ class Capstan:
         path = np.zeros((1, 26))
         about = Rotation.from_rotvec([0.0, self.spin * t, 0.0]) * Rotation.from_euler("x", 90, degrees=True)
         path[0, 0], path[0, 13:17], path[0, 17:20] = t, about.as_quat(), [0.0, self.spin, 0.0]
-        self._contact.move(path)
+        self._contact.set_paths(path)
 
     def tensions(self, x: Array, v: Array) -> tuple[float, float]:
         """What pulls on the two ends [N], at positions and velocities (3, n)."""

@@ -18,10 +18,12 @@ from cloth_sim_ros.simulation.simulation import Simulation
 def sheet_of_triangles(count: int = 400, seed: int = 0) -> bytes:
     """A wavefront file of an irregular sheet whose vertices come in random order."""
     rng = np.random.default_rng(seed)
-    side = round(count**0.5)
-    plane = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1).reshape(-1, 2) / (side - 1.0)
+    n_columns = round(count**0.5)
+    plane = np.stack(np.meshgrid(np.arange(n_columns), np.arange(n_columns)), axis=-1).reshape(-1, 2) / (
+        n_columns - 1.0
+    )
     inner = ((plane > 0.0) & (plane < 1.0)).all(axis=1)
-    plane[inner] += rng.uniform(-0.2, 0.2, (int(inner.sum()), 2)) / side
+    plane[inner] += rng.uniform(-0.2, 0.2, (int(inner.sum()), 2)) / n_columns
     plane = plane[rng.permutation(len(plane))]
     vertices = [f"v {x:.6f} {y:.6f} 0" for x, y in plane]
     faces = ["f " + " ".join(str(i + 1) for i in triangle) for triangle in Delaunay(plane).simplices]
@@ -34,15 +36,15 @@ def tangle(count: int = 300, seed: int = 1) -> bytes:
     pairs = {tuple(sorted(pair)) for pair in rng.integers(0, count, (900, 2)).tolist() if pair[0] != pair[1]}
     pairs |= {(0, i) for i in range(1, 60)}
     chosen = np.array(sorted(pairs))[rng.permutation(len(pairs))]
-    many = len(chosen)
-    rest = rng.uniform(0.1, 1.0, many)
-    rest[::7] = 0.0
-    damping = np.where(np.arange(many) % 3 == 0, 0.0, 0.02)
+    n_springs = len(chosen)
+    rest_lengths = rng.uniform(0.1, 1.0, n_springs)
+    rest_lengths[::7] = 0.0
+    damping = np.where(np.arange(n_springs) % 3 == 0, 0.0, 0.02)
     tables = {
         "positions": rng.uniform(-1, 1, (count, 3)).tolist(),
         "masses": rng.uniform(0.1, 0.4, count).tolist(),
         "springs": chosen.tolist(),
-        "rest_lengths": rest.tolist(),
+        "rest_lengths": rest_lengths.tolist(),
         "stiffness": 5.0,
         "k_d": damping.tolist(),
     }
@@ -99,7 +101,7 @@ SCENES: dict[str, dict[str, Any]] = {
 
 def listed(model: Model) -> Model:
     """Return the model with each spring of a sheet separate."""
-    forces = [force.listed if isinstance(force, GridSprings) else force for force in model.forces]
+    forces = [force.pair_springs if isinstance(force, GridSprings) else force for force in model.forces]
     return Model(model.masses, forces, anchors=model.anchors)
 
 

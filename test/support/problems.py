@@ -216,7 +216,7 @@ def irregular_sheet() -> MeshSheet:
     triangles = Delaunay(points).simplices.astype(np.int64)
     rest = np.zeros((len(points), 3))
     rest[:, 0], rest[:, 2] = points[:, 0], -points[:, 1]
-    return MeshSheet(rest=rest, surface=Surface.from_triangles(_counterclockwise(points, triangles)))
+    return MeshSheet(rest_positions=rest, surface=Surface.from_triangles(_counterclockwise(points, triangles)))
 
 
 def _counterclockwise(points: Array, triangles: np.ndarray) -> np.ndarray:

@@ -12,21 +12,21 @@ from unittest import mock
 
 import numpy as np
 
+from cloth_sim_ros.physics.controller_state import ANCHORS_KEY
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import ANCHORS
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 #: Number of sizes by shape of obstacle.
 SIZES = {"plane": 0, "box": 3, "sphere": 1, "capsule": 2, "cylinder": 2}
 
 
-def some(random: np.random.Generator) -> list[str]:
+def random_obstacles(random: np.random.Generator) -> list[str]:
     """Return the names of random obstacles in random order."""
     names = [f"{shape}_1" for shape in SIZES if random.random() < 0.5]
     return [str(name) for name in random.permutation(names)] or [""]
 
 
-def touching(random: np.random.Generator, values: dict[str, Any]) -> dict[str, Any]:
+def contact_values(random: np.random.Generator, values: dict[str, Any]) -> dict[str, Any]:
     """Return parameters of a small cloth just above a floor with obstacles.
 
     Grippers pinch or attach, and self-contact is on or off, with equal probability.
@@ -35,7 +35,7 @@ def touching(random: np.random.Generator, values: dict[str, Any]) -> dict[str, A
     spacing = float(random.uniform(0.03, 0.06))
     size = [spacing * (rows - 1), spacing * (columns - 1)]
     thickness = float(random.uniform(0.1, 0.4)) * spacing
-    found = {
+    contact_parameters = {
         **values,
         "rate": float(random.choice([60.0, 120.0])),
         "tolerance": 1e-2,
@@ -54,20 +54,22 @@ def touching(random: np.random.Generator, values: dict[str, Any]) -> dict[str, A
     }
     for shape, count in SIZES.items():
         name = f"{shape}_1"
-        found[f"{name}.shape"] = shape
+        contact_parameters[f"{name}.shape"] = shape
         if count:
-            found[f"{name}.size"] = random.uniform(0.02, 0.1, count).tolist()
-        beside = [0.0, 0.0, 0.0] if shape == "plane" else (0.15 * random.normal(size=3) + [0.0, 0.0, 0.1]).tolist()
-        found[f"{name}.position"] = beside
-        found[f"{name}.friction"] = [float(random.choice([0.0, random.uniform(0.0, 1.0)]))]
-    return {**found, "obstacles": some(random)}
+            contact_parameters[f"{name}.size"] = random.uniform(0.02, 0.1, count).tolist()
+        obstacle_position = (
+            [0.0, 0.0, 0.0] if shape == "plane" else (0.15 * random.normal(size=3) + [0.0, 0.0, 0.1]).tolist()
+        )
+        contact_parameters[f"{name}.position"] = obstacle_position
+        contact_parameters[f"{name}.friction"] = [float(random.choice([0.0, random.uniform(0.0, 1.0)]))]
+    return {**contact_parameters, "obstacles": random_obstacles(random)}
 
 
 def change(random: np.random.Generator) -> dict[str, Any]:
     """Return a random change of contact parameters during a run."""
     name = f"{random.choice(list(SIZES))}_1"
     changes: list[dict[str, Any]] = [
-        {"obstacles": some(random)},
+        {"obstacles": random_obstacles(random)},
         {f"{name}.friction": [float(random.uniform(0.0, 1.0))]},
         {"contact.damping": float(random.uniform(0.0, 20.0))},
         {"contact.thickness": float(random.uniform(0.004, 0.01))},
@@ -87,16 +89,16 @@ class Coverage:
         gaps, contact = simulation.gaps(), simulation.plan.contact
         if gaps is None or contact is None or not frame.moved:
             return
-        touched = [solid for solid, (count, _) in zip(contact.force.obstacles, gaps, strict=True) if count]
-        self._seen.update("a pad" if k.name.endswith((".left", ".right")) else f"a {k.shape}" for k in touched)
-        anchors = simulation.state.memory.get(ANCHORS)
+        contacted = [solid for solid, (count, _) in zip(contact.force.obstacles, gaps, strict=True) if count]
+        self._seen.update("a pad" if k.name.endswith((".left", ".right")) else f"a {k.shape}" for k in contacted)
+        anchors = simulation.state.memory.get(ANCHORS_KEY)
         if anchors is not None and anchors[: len(gaps), 3].any():
             self._seen.add("friction on obstacles")
-        if contact.own_gaps(simulation.state.x)[0]:
+        if contact.self_gaps(simulation.state.x)[0]:
             self._seen.add("the cloth itself")
-        if any(result.held for result in frame.pinches):
+        if any(result.grasped_count for result in frame.pinches):
             self._seen.add("a closed pinch that holds")
-        if frame.halted:
+        if frame.stopped:
             self._seen.add("obstacles or grippers halted")
         if frame.advance is not None and frame.advance.flagged:
             self._seen.add("flagged frames")
@@ -107,7 +109,7 @@ class Coverage:
         self._seen.clear()
 
     def __str__(self) -> str:
-        return ", ".join(f"{what} {count}" for what, count in sorted(self.sessions.items()))
+        return ", ".join(f"{feature} {count}" for feature, count in sorted(self.sessions.items()))
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Pause, Relax, Reset, SetParameters, Step, Target
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 from support import random_contact
-from support.random_contact import SIZES, some
+from support.random_contact import SIZES, random_obstacles
 from support.session_maker import Change, SessionMaker
 
 _ANCHORS = (["top"], ["top_left", "top_right"], ["left"], ["0"], ["bottom", "3"], [""])
@@ -38,7 +38,7 @@ def random_scene(
         if obstacles:
             values |= _obstacles(random, values)
         if contact:
-            values = random_contact.touching(random, values)
+            values = random_contact.contact_values(random, values)
         try:
             scene = Scene.from_parameters(values)
             Simulation(scene)
@@ -50,17 +50,17 @@ def random_scene(
 
 def _obstacles(random: np.random.Generator, values: dict[str, Any]) -> dict[str, Any]:
     """Return obstacles near a cloth: all are described, some are active."""
-    found: dict[str, Any] = {"contact.thickness": float(random.uniform(0.002, 0.01))}
+    parameters: dict[str, Any] = {"contact.thickness": float(random.uniform(0.002, 0.01))}
     for shape, count in SIZES.items():
-        found[f"{shape}_1.shape"] = shape
+        parameters[f"{shape}_1.shape"] = shape
         if count:
-            found[f"{shape}_1.size"] = random.uniform(0.05, 0.5, count).tolist()
-        beside = random.normal(scale=0.4, size=3) - np.array([0.0, 0.0, 0.6 if shape == "plane" else 0.1])
-        found[f"{shape}_1.position"] = (np.array(values["cloth.position"]) + beside).tolist()
+            parameters[f"{shape}_1.size"] = random.uniform(0.05, 0.5, count).tolist()
+        offset = random.normal(scale=0.4, size=3) - np.array([0.0, 0.0, 0.6 if shape == "plane" else 0.1])
+        parameters[f"{shape}_1.position"] = (np.array(values["cloth.position"]) + offset).tolist()
         if shape != "plane":
-            found[f"{shape}_1.orientation"] = random.normal(size=4).tolist()
-        found[f"{shape}_1.friction"] = [float(random.uniform(0.0, 1.0))]
-    return {**found, "obstacles": some(random)}
+            parameters[f"{shape}_1.orientation"] = random.normal(size=4).tolist()
+        parameters[f"{shape}_1.friction"] = [float(random.uniform(0.0, 1.0))]
+    return {**parameters, "obstacles": random_obstacles(random)}
 
 
 def _values(random: np.random.Generator) -> dict[str, Any]:
@@ -94,12 +94,12 @@ def random_events(random: np.random.Generator, maker: SessionMaker, *, contact: 
         for _ in range(int(random.integers(0, 3))):
             particle = simulation.positions[random.integers(simulation.state.particle_count)]
             turn = random.normal(size=4)
-            place = tuple(float(x) for x in particle + random.normal(scale=0.02, size=3))
+            position = tuple(float(x) for x in particle + random.normal(scale=0.02, size=3))
             turned = tuple((turn / np.linalg.norm(turn)).tolist()) if random.random() < 0.5 else None
             # A target whose pads would intersect the cloth is refused.
             with contextlib.suppress(EventError):
-                simulation.check(Target(name, place, turned))
-                events.append(Target(name, place, turned))
+                simulation.check(Target(name, position, turned))
+                events.append(Target(name, position, turned))
         if random.random() < 0.15:
             events.append(Grasp(name, bool(random.random() < 0.6)))
     scene = simulation.scene
@@ -112,7 +112,7 @@ def random_events(random: np.random.Generator, maker: SessionMaker, *, contact: 
             )
     if random.random() < 0.05:
         change = SetParameters(
-            {"obstacles": some(random)} if scene.described and random.random() < 0.5 else _change(random)
+            {"obstacles": random_obstacles(random)} if scene.described and random.random() < 0.5 else _change(random)
         )
         # With contact, a fixed step may be refused later, during the run.
         if not (contact and "step" in change.values):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import FAMILIES, doubles
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.forces.grid_springs import ENDS, GridSprings
+from cloth_sim_ros.physics.forces.grid_springs import FAMILY_ENDS, GridSprings
 from cloth_sim_ros.physics.parts import GridFamily
 
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-std=c11", "-fPIC")
@@ -105,7 +105,7 @@ def _weights(springs: GridSprings, family: GridFamily, row: int) -> Array:
 
     Zero where the sheet has no such spring. Shape (columns,).
     """
-    first, second = ENDS[family.name]
+    first, second = FAMILY_ENDS[family.name]
     down, right = max(first[0], second[0]), max(first[1], second[1])
     weights = np.zeros(springs.columns)
     if row + down < springs.rows:

@@ -38,7 +38,7 @@ def measure(scene: Problem, known: Reference, integrator: str, tolerance: float,
     plan, state = scene.build()
     stepper = make_integrator(integrator, tolerance=tolerance)
     balance = EnergyBalance(plan, state) if energy else None
-    book = balance.book if balance is not None else None
+    book = balance.accumulator if balance is not None else None
     error = estimate = residual = 0.0
     evaluations = rejected = flagged = 0
     binds: Counter[str] = Counter()
@@ -50,9 +50,9 @@ def measure(scene: Problem, known: Reference, integrator: str, tolerance: float,
         evaluations += done.evaluations
         rejected += done.rejected
         flagged += done.flagged
-        binds[done.binds] += 1
+        binds[done.limited_by] += 1
         integrators[done.integrator] += 1
         if balance is not None:
             residual = max(residual, abs(balance.close((frame + 1) * PERIOD, state)))
-    relative = residual / balance.turned_over if balance is not None else math.nan
+    relative = residual / balance.energy_turnover if balance is not None else math.nan
     return Outcome(error, estimate, evaluations, rejected, flagged, binds, integrators, relative)

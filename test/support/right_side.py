@@ -35,7 +35,7 @@ class IndependentRightSide:
         lists = []
         for force in model.forces:
             if isinstance(force, GridSprings | PairSprings):
-                lists.append(force.listed if isinstance(force, GridSprings) else force)
+                lists.append(force.pair_springs if isinstance(force, GridSprings) else force)
             elif not self._uniform(force):
                 raise ValueError(f"the reference does not know the force '{force.name}'")
         pairs = np.concatenate([each.pairs for each in lists])

@@ -44,24 +44,24 @@ class Client:
         self.node.destroy_node()
         self.context.shutdown()
 
-    def spin_until(self, condition: Callable[[], Any], *, what: str, limit: float = LIMIT) -> Any:
+    def spin_until(self, condition: Callable[[], Any], *, description: str, limit: float = LIMIT) -> Any:
         """Spin until the condition holds and return its value."""
         end = time.monotonic() + limit
         while not (value := condition()):
             if time.monotonic() > end:
-                pytest.fail(f"waited {limit:g} s in vain for {what}")
+                pytest.fail(f"waited {limit:g} s in vain for {description}")
             self.executor.spin_once(timeout_sec=0.02)
         return value
 
     def watch(self, node: str = "/cloth_sim", depth: int = 1000) -> None:
         """Subscribe to clouds, and wait for the first one."""
         self.node.create_subscription(PointCloud2, f"{node}/points", self.clouds.append, QoSProfile(depth=depth))
-        self.spin_until(lambda: self.clouds, what="the first cloud")
+        self.spin_until(lambda: self.clouds, description="the first cloud")
 
     def wait_for_clouds(self, count: int) -> PointCloud2:
         """Spin until a number of further clouds have come, and return the newest."""
         goal = len(self.clouds) + count
-        self.spin_until(lambda: len(self.clouds) >= goal, what=f"{count} clouds")
+        self.spin_until(lambda: len(self.clouds) >= goal, description=f"{count} clouds")
         return self.clouds[-1]
 
     def publisher(self, kind: Any, topic: str) -> Any:
@@ -69,15 +69,15 @@ class Client:
         if topic not in self._publishers:
             publisher = self.node.create_publisher(kind, topic, QoSProfile(depth=1000))
             self._publishers[topic] = publisher
-            self.spin_until(publisher.get_subscription_count, what=f"a subscriber of {topic}")
+            self.spin_until(publisher.get_subscription_count, description=f"a subscriber of {topic}")
         return self._publishers[topic]
 
     def call(self, kind: Any, name: str, request: Any = None) -> Any:
         """Call a service and return its answer."""
         client = self.node.create_client(kind, name)
-        self.spin_until(client.service_is_ready, what=f"the service {name}")
+        self.spin_until(client.service_is_ready, description=f"the service {name}")
         future = client.call_async(kind.Request() if request is None else request)
-        self.spin_until(future.done, what=f"an answer of {name}")
+        self.spin_until(future.done, description=f"an answer of {name}")
         self.node.destroy_client(client)
         return future.result()
 

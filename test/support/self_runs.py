@@ -32,24 +32,24 @@ CONFIG = Path(__file__).resolve().parents[2] / "config"
 class Oracle:
     """ipctk's intersection test of a scene's surface, and the least gap of the observed frames."""
 
-    def __init__(self, wanted: Scene) -> None:
-        rest, self.triangles = wanted.sheet.positions(), wanted.sheet.triangles()
-        edges = wanted.sheet.surface.edges
+    def __init__(self, cloth_scene: Scene) -> None:
+        rest_positions, self.triangles = cloth_scene.sheet.positions(), cloth_scene.sheet.triangles()
+        edges = cloth_scene.sheet.surface.edges
         whole = [np.asfortranarray(a, dtype=np.int32) for a in (edges, self.triangles)]
-        self._mesh = ipctk.CollisionMesh(np.asfortranarray(rest), *whole)
-        self.least, self.met = math.inf, 0
+        self._mesh = ipctk.CollisionMesh(np.asfortranarray(rest_positions), *whole)
+        self.min_gap, self.n_contacts = math.inf, 0
 
-    def passes(self, x: Array) -> bool:
+    def is_intersecting(self, x: Array) -> bool:
         """Return true if the surface intersects itself at x (n, 3)."""
         return bool(ipctk.has_intersections(self._mesh, np.asfortranarray(x)))
 
-    def look(self, simulation: Simulation) -> bool:
+    def observe(self, simulation: Simulation) -> bool:
         """Return true if the surface intersects itself now; add up the contacts and the least gap [m]."""
         contact = simulation.plan.contact
         assert contact is not None
-        count, gap = contact.own_gaps(simulation.state.x)
-        self.met, self.least = self.met + count, min(self.least, gap)
-        return self.passes(simulation.positions)
+        count, gap = contact.self_gaps(simulation.state.x)
+        self.n_contacts, self.min_gap = self.n_contacts + count, min(self.min_gap, gap)
+        return self.is_intersecting(simulation.positions)
 
 
 @attrs.frozen
@@ -62,22 +62,22 @@ class SelfRun:
 
 def scene(rows: int, columns: int, size: tuple[float, float], **values: object) -> Scene:
     """A sheet in contact with itself, without anchors."""
-    given = {
+    parameters = {
         "cloth.resolution": [rows, columns],
         "cloth.size": list(size),
         "cloth.anchors": [""],
         "contact.self": True,
         "contact.thickness": THICKNESS,
     }
-    return Scene.from_parameters({**given, **values})
+    return Scene.from_parameters({**parameters, **values})
 
 
-def start(wanted: Scene, places: Array, velocities: Array) -> Simulation:
+def start(cloth_scene: Scene, places: Array, velocities: Array) -> Simulation:
     """Return a simulation that starts at positions with velocities (n, 3)."""
-    state = Simulation(wanted).state.copy()
-    given = State(places, velocities)
-    state.x, state.v = given.x, given.v
-    return Simulation(wanted, state)
+    state = Simulation(cloth_scene).state.copy()
+    start_state = State(places, velocities)
+    state.x, state.v = start_state.x, start_state.v
+    return Simulation(cloth_scene, state)
 
 
 def untouched(frames: int) -> Iterator[list[Event]]:
@@ -132,8 +132,8 @@ def twist(rng: np.random.Generator, turns: float = 4.0) -> SelfRun:
         yield from untouched(4)
         yield [Grasp("hand", True)]
         for k in range(1, frames + 1):
-            half, place = math.pi * turns * k / frames, [*low[:2], low[2] + nearer * k / frames]
-            yield [Target("hand", place, [0.0, 0.0, math.sin(half), math.cos(half)])]
+            half, position = math.pi * turns * k / frames, [*low[:2], low[2] + nearer * k / frames]
+            yield [Target("hand", position, [0.0, 0.0, math.sin(half), math.cos(half)])]
 
     return SelfRun(simulation, events())
 
@@ -142,14 +142,14 @@ def crush(rng: np.random.Generator, n: int = 12) -> SelfRun:
     """A fold between two plates that approach until three and a half thicknesses remain for its two layers."""
     plates = {"obstacles": ["table", "press"], "press.shape": "box", "press.size": [0.8, 0.8, 0.02]}
     high, low, speed = 0.12, 3.5 * THICKNESS - 0.003, rng.uniform(0.2, 1.0)
-    wanted = scene(n, n, (0.3, 0.3), **{**TABLE, **plates, "press.position": [0.0, 0.0, high + 0.01]})
+    crushed_scene = scene(n, n, (0.3, 0.3), **{**TABLE, **plates, "press.position": [0.0, 0.0, high + 0.01]})
     _, places, velocities = folded(n, speed=0.5)
-    simulation = start(wanted, places, velocities)
+    simulation = start(crushed_scene, places, velocities)
 
     def events() -> Iterator[list[Event]]:
         height = high
         while height > low:
-            height = max(low, height - speed * wanted.period)
+            height = max(low, height - speed * crushed_scene.period)
             yield [Move("press", [0.0, 0.0, height + 0.01])]
         yield from untouched(20)
 
@@ -187,7 +187,7 @@ def towel(rng: np.random.Generator, seconds: float = 7.0) -> SelfRun:
     values = parameter_file.read(CONFIG / "fold.yaml")
     values["contact.thickness"] = rng.uniform(0.003, 0.005)
     simulation = Simulation(Scene.from_parameters(values))
-    scripts = [GripperScript.from_file(CONFIG / f"fold_{side}.yaml") for side in ("left", "right")]
+    scripts = [GripperScript.from_file(CONFIG / f"fold_{corner}.yaml") for corner in ("left", "right")]
     played = ScriptEvents(scripts, simulation.scene.period)
     return SelfRun(simulation, map(played.at, range(round(seconds * simulation.scene.rate))))
 

@@ -9,7 +9,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from cloth_sim_ros.physics.forces.contact import Contact, OwnSurface
+from cloth_sim_ros.physics.forces.contact import Contact, ContactSurface
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.physics.sheets.grid import GridSheet, grid_triangles
 from support.contact_scenes import flat_sheet
@@ -24,19 +24,19 @@ def sheets(*heights, rows=5, columns=5, spacing=0.02, seed=0, rough=0.0, shift=(
     """
     rng = np.random.default_rng(seed)
     plane = np.stack(np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"), axis=-1).reshape(-1, 2) * spacing
-    own, rest, now = grid_triangles(rows, columns, "alternating"), [], []
+    layer_triangles, rest_positions, positions = grid_triangles(rows, columns, "alternating"), [], []
     for k, height in enumerate(heights):
-        rest.append(np.column_stack([plane, np.full(len(plane), 10.0 * k)]))
-        now.append(np.column_stack([plane + k * np.array(shift), np.full(len(plane), height)]))
-    x = np.concatenate(now)
+        rest_positions.append(np.column_stack([plane, np.full(len(plane), 10.0 * k)]))
+        positions.append(np.column_stack([plane + k * np.array(shift), np.full(len(plane), height)]))
+    x = np.concatenate(positions)
     x += rough * rng.normal(size=x.shape)
-    triangles = np.concatenate([own + k * len(plane) for k in range(len(heights))])
-    return triangles, np.concatenate(rest), x, rng.uniform(1.0, 2.0, len(x)) * 1e-3
+    triangles = np.concatenate([layer_triangles + k * len(plane) for k in range(len(heights))])
+    return triangles, np.concatenate(rest_positions), x, rng.uniform(1.0, 2.0, len(x)) * 1e-3
 
 
-def own_contact(triangles, rest, thickness, *, damping=10.0, **options):
+def self_contact(triangles, rest_positions, thickness, *, damping=10.0, **options):
     """Return the self-contact force of a surface."""
-    surface = OwnSurface(triangles, rest, thickness=thickness)
+    surface = ContactSurface(triangles, rest_positions, thickness=thickness)
     return Contact(thickness=thickness, damping=damping, surface=surface, **options)
 
 
@@ -47,10 +47,10 @@ def folded(n, *, size=0.3, thickness=4e-3, radius=0.024, speed=2.0, listed=False
     Its upper half comes down at a speed [m/s].
     """
     sheet = GridSheet(height=size, width=size, rows=n, columns=n, layout="alternating")
-    own = own_contact(sheet.triangles(), sheet.positions(), thickness, obstacles=obstacles)
+    contact_force = self_contact(sheet.triangles(), sheet.positions(), thickness, obstacles=obstacles)
     if paths is not None:
-        own.move(np.array(paths))
-    model, places = flat_sheet(n, n, own, size=size, listed=listed, **values)
+        contact_force.set_paths(np.array(paths))
+    model, places = flat_sheet(n, n, contact_force, size=size, listed=listed, **values)
     along, half = places[:, 0] + 0.5 * size, 0.5 * np.pi * radius
     first, last = 0.5 * size - half, 0.5 * size + half
     angle = np.clip((along - first) / radius, 0.0, np.pi)
@@ -111,9 +111,9 @@ def barrier(gap, thickness):
 def energy(triangles, x, masses, thickness):
     """Energy [J] of a surface's contact with itself at positions x (n, 3): every pair of it, one by one."""
     sides = {}
-    for number, t in enumerate(triangles):
+    for triangle_index, t in enumerate(triangles):
         for i in range(3):
-            sides.setdefault(tuple(sorted((t[i], t[(i + 1) % 3]))), []).append(number)
+            sides.setdefault(tuple(sorted((t[i], t[(i + 1) % 3]))), []).append(triangle_index)
     border = {i for edge, owners in sides.items() if len(owners) != 2 for i in edge}
     total = 0.0
     for i in range(len(x)):
@@ -138,9 +138,11 @@ def energy(triangles, x, masses, thickness):
     return total
 
 
-def alone(triangles, rest, masses, thickness, **options):
+def alone(triangles, rest_positions, masses, thickness, **options):
     """Return the model of a surface's self-contact alone."""
-    return Model(masses, [own_contact(triangles, rest, thickness, damping=options.pop("damping", 10.0))], **options)
+    return Model(
+        masses, [self_contact(triangles, rest_positions, thickness, damping=options.pop("damping", 10.0))], **options
+    )
 
 
 def intersections(triangles, x):
@@ -151,11 +153,11 @@ def intersections(triangles, x):
     exact = [tuple(Fraction(float(c)) for c in row) for row in x]
     edges = {tuple(sorted((int(t[k]), int(t[(k + 1) % 3])))) for t in triangles for k in range(3)}
     low, high = x[triangles].min(axis=1), x[triangles].max(axis=1)
-    found = []
+    pairs = []
     for a, b in sorted(edges):
         ends = x[[a, b]]
-        near = np.flatnonzero((ends.min(axis=0) <= high).all(axis=1) & (ends.max(axis=0) >= low).all(axis=1))
-        for k in near.tolist():
+        candidates = np.flatnonzero((ends.min(axis=0) <= high).all(axis=1) & (ends.max(axis=0) >= low).all(axis=1))
+        for k in candidates.tolist():
             corners = [int(c) for c in triangles[k]]
             if a in corners or b in corners:
                 continue
@@ -163,11 +165,11 @@ def intersections(triangles, x):
             above, below = _volume(c, e, f, p), _volume(c, e, f, q)
             sides = [_volume(p, q, c, e), _volume(p, q, e, f), _volume(p, q, f, c)]
             if above * below < 0 and (min(sides) > 0 or max(sides) < 0):
-                found.append((a, b, k))
-    return found
+                pairs.append((a, b, k))
+    return pairs
 
 
 def _volume(a, b, c, e):
     """Six times the volume of a tetrahedron."""
-    u, v, w = ([q - p for p, q in zip(a, other, strict=True)] for other in (b, c, e))
+    u, v, w = ([q - p for p, q in zip(a, origin, strict=True)] for origin in (b, c, e))
     return u[0] * (v[1] * w[2] - v[2] * w[1]) - u[1] * (v[0] * w[2] - v[2] * w[0]) + u[2] * (v[0] * w[1] - v[1] * w[0])

@@ -14,13 +14,13 @@ import numpy as np
 from cloth_sim_ros.scene import parameter_file
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import encode, encode_string, message_class
+from cloth_sim_ros.session.channel_description import Qos
 from cloth_sim_ros.session.frame_record import FrameRecord
-from cloth_sim_ros.session.layouts import Qos
-from cloth_sim_ros.session.writer import SessionWriter, Snapshot, WriterOptions
+from cloth_sim_ros.session.writer import SessionSnapshot, SessionWriter, WriterOptions
+from cloth_sim_ros.simulation.bodies import solids_and_poses
 from cloth_sim_ros.simulation.environment import environment
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target, to_dict
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
-from cloth_sim_ros.simulation.surroundings import solids_and_poses
 
 NODE = "/cloth_sim"
 #: ROS time at the start of every session [ns], arbitrary.
@@ -226,16 +226,16 @@ class SessionMaker:
         cloud = cloud_bytes(self.simulation.positions, now, scene.shape, velocity, double=scene.points.double)
         self._write(f"{NODE}/points", _CLOUD, change, cloud)
         # Markers need ROS's messages; they are omitted without ROS.
-        surrounded = self.simulation.obstacles is not None or self.simulation.pinching is not None
-        if surrounded and importlib.util.find_spec("rclpy"):
+        has_bodies = self.simulation.obstacles is not None or self.simulation.pinching is not None
+        if has_bodies and importlib.util.find_spec("rclpy"):
             self._write(f"{NODE}/obstacles", _MARKERS, change, self._markers(now))
         for name, wrench in zip(self.simulation.scene.gripper_names, frame.wrenches, strict=True):
             self._write(f"{NODE}/{name}/wrench", _WRENCH, change, wrench_bytes(wrench, now))
-        for name, load in zip(self.simulation.scene.obstacle_names, frame.loads, strict=True):
+        for name, load in zip(self.simulation.scene.obstacle_names, frame.obstacle_wrenches, strict=True):
             self._write(f"{NODE}/{name}/wrench", _WRENCH, change, wrench_bytes(load, now))
         for grasp in frame.grasps if states else ():
             index = scene.gripper_names.index(grasp.gripper)
-            closed, held = self.simulation.grippers.is_closed(index), self.simulation.held(index)
+            closed, held = self.simulation.grippers.is_closed(index), self.simulation.grasped_count(index)
             said = status_bytes(grasp.gripper, {"closed": str(closed).lower(), "held": str(held)})
             self._write(f"{NODE}/{grasp.gripper}/state", _STATUS, change, said)
         if scene.tf.publish:
@@ -278,7 +278,7 @@ class SessionMaker:
         solids, poses = solids_and_poses(self.simulation.obstacles, self.simulation.pinching)
         names = [solid.name for solid in solids]
         gone, self._marked = [name for name in self._marked if name not in names], names
-        return ObstacleMarkers(solids, frame_id="world", node=NODE, gone=gone).serialized(poses, now)
+        return ObstacleMarkers(solids, frame_id="world", node=NODE, removed=gone).serialized(poses, now)
 
     def split(self) -> None:
         """Continue in a new file that opens with a snapshot of the current state."""
@@ -299,7 +299,7 @@ class SessionMaker:
         simulation = self.simulation
         self._writer = SessionWriter(
             self._folder,
-            snapshot=Snapshot(
+            snapshot=SessionSnapshot(
                 scene_yaml=parameter_file.dump(simulation.scene.parameters()),
                 state=simulation.state.to_bytes(),
                 files=simulation.scene.files,
@@ -337,8 +337,8 @@ def carried_corner(scene: Scene, seconds: float) -> Iterable[list[Event]]:
     away = np.array([-0.35, -0.45, 0.45]) * min(scene.cloth.size)
     for k in range(frames):
         t = k / frames
-        way = np.clip((t - 0.25) / 0.4, 0.0, 1.0)
-        smooth = way * way * (3.0 - 2.0 * way)
+        progress = np.clip((t - 0.25) / 0.4, 0.0, 1.0)
+        smooth = progress * progress * (3.0 - 2.0 * progress)
         angle = 1.2 * smooth
         approach = np.array([0.0, -0.25, 0.0]) * np.clip(1.0 - t / 0.15, 0.0, 1.0)
         events: list[Event] = [

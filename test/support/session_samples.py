@@ -18,11 +18,11 @@ from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
 from cloth_sim_ros.session import cdr
+from cloth_sim_ros.session.channel_description import Qos
 from cloth_sim_ros.session.frame_record import FrameRecord
-from cloth_sim_ros.session.layouts import Qos
 from cloth_sim_ros.session.part import Message
 from cloth_sim_ros.session.reader import SessionReader
-from cloth_sim_ros.session.writer import SessionWriter, Snapshot, WriterOptions
+from cloth_sim_ros.session.writer import SessionSnapshot, SessionWriter, WriterOptions
 
 NODE = "/cloth_sim"
 FRAME = f"{NODE}/frame"
@@ -32,7 +32,7 @@ TARGET = f"{NODE}/gripper/target"
 START = 1_795_000_000_000_000_000
 PERIOD = 16_666_667
 LATCHED = Qos(durability="transient_local", depth=1)
-SNAPSHOT = Snapshot(
+SNAPSHOT = SessionSnapshot(
     scene_yaml="/**:\n  ros__parameters:\n    rate: 60.0\n",
     state=bytes(range(256)) * 20,
     metadata={"node": NODE, "period": "0.016666666666666666", "package": "0.1.0"},
@@ -176,9 +176,9 @@ def write_session(
     for sample in content:
         if not writer.is_declared(sample.topic):
             writer.declare(sample.topic, sample.type_name)
-        number = numbers.get(sample.topic, 0)
-        numbers[sample.topic] = number + 1
-        writer.add(sample.topic, sample.data, log_time=sample.log_time, publish_time=sample.log_time, sequence=number)
+        sequence = numbers.get(sample.topic, 0)
+        numbers[sample.topic] = sequence + 1
+        writer.add(sample.topic, sample.data, log_time=sample.log_time, publish_time=sample.log_time, sequence=sequence)
     writer.finish(reason="stopped", notes={"dropped": "0"})
     return writer.path
 
@@ -219,14 +219,14 @@ def check_structure(path: Path) -> None:
                 index.compressed_size,
                 index.uncompressed_size,
             )
-            found: dict[int, list[tuple[int, int]]] = {}
+            entries_by_channel: dict[int, list[tuple[int, int]]] = {}
             stream, length = get_chunk_data_stream(chunk, validate_crc=True)
             while stream.count < length:
                 position, opcode, body = stream.count, stream.read1(), stream.read8()
                 if opcode == Opcode.MESSAGE:
                     item = McapMessage.read(stream, body)
                     assert item.channel_id in channels
-                    found.setdefault(item.channel_id, []).append((item.log_time, position))
+                    entries_by_channel.setdefault(item.channel_id, []).append((item.log_time, position))
                     times.append(item.log_time)
                 elif opcode == Opcode.SCHEMA:
                     schema = Schema.read(stream)
@@ -238,15 +238,15 @@ def check_structure(path: Path) -> None:
                     assert channel.id not in channels, "declared twice"
                     assert channel.schema_id in schemas
                     channels[channel.id] = channel
-            assert index.message_index_offsets.keys() == found.keys()
-            for number, entries in found.items():
-                offset = index.message_index_offsets[number]
+            assert index.message_index_offsets.keys() == entries_by_channel.keys()
+            for channel_id, entries in entries_by_channel.items():
+                offset = index.message_index_offsets[channel_id]
                 assert index.chunk_start_offset + index.chunk_length <= offset < size
                 file.seek(offset + 9)
                 message_index = MessageIndex.read(ReadDataStream(file))
-                assert message_index.channel_id == number
+                assert message_index.channel_id == channel_id
                 assert message_index.records == entries
-            logged = [time for entries in found.values() for time, _ in entries]
+            logged = [time for entries in entries_by_channel.values() for time, _ in entries]
             assert (min(logged), max(logged)) == (index.message_start_time, index.message_end_time)
         assert summary.schemas == schemas
         assert summary.channels == channels

@@ -66,8 +66,8 @@ def test_the_fold_angle_is_signed(angle):
 @pytest.mark.parametrize("name", RESTS)
 @pytest.mark.parametrize("angle", [0.0, 0.5, 1.2, 2.1, -0.7])
 def test_fold_energy_is_half_hinge_constant_times_angle_squared(kind, name, angle):
-    rest = rest_shape(name, angle)
-    forces = bending_terms(kind, PAIR, rest, hinge_constants=[3.0])
+    rest_positions = rest_shape(name, angle)
+    forces = bending_terms(kind, PAIR, rest_positions, hinge_constants=[3.0])
     step = 1e-4
 
     def energy(fold):
@@ -138,8 +138,8 @@ def force(forces, x):
 
 
 def test_opposite_springs_have_no_preferred_side_when_coplanar():
-    rest = rest_shape("equilateral", math.radians(60))
-    (opposite,) = bending_terms("opposite", PAIR, rest, spring_stiffness=1.0)
+    rest_positions = rest_shape("equilateral", math.radians(60))
+    (opposite,) = bending_terms("opposite", PAIR, rest_positions, spring_stiffness=1.0)
     # coplanar: the force lies in the plane, although the rest shape is folded
     assert np.abs(force([opposite], flattened())).max() > 0.01
     assert force([opposite], flattened())[2] == pytest.approx(0.0, abs=1e-15)
@@ -157,63 +157,63 @@ def test_second_spring_lifts_a_coplanar_pair_to_the_right_side(kind):
         assert (lift[:2] < -0.1).all()
     flat = bending_terms(kind, PAIR, rest_shape("equilateral", 0.0), hinge_constants=[1.0])
     # near flat the moment is linear in the fold, where S7's is cubic
-    one, two = (energy_of(flat, rest_shape("equilateral", angle)) for angle in (1e-3, 2e-3))
-    assert two / one == pytest.approx(4.0, rel=1e-4)
+    energy1, energy2 = (energy_of(flat, rest_shape("equilateral", angle)) for angle in (1e-3, 2e-3))
+    assert energy2 / energy1 == pytest.approx(4.0, rel=1e-4)
 
 
 def test_opposite_springs_skip_existing_pairs():
     rows, columns = 4, 5
     row, column = np.divmod(np.arange(rows * columns), columns)
-    rest = np.stack((column, row, 0 * row), axis=1).astype(float)
+    rest_positions = np.stack((column, row, 0 * row), axis=1).astype(float)
     shear = grid_diagonals(rows, columns, "both")
     surface = Surface.from_triangles(grid_triangles(rows, columns, "both"))
-    (every,) = bending_terms("opposite", surface.hinges, rest, spring_stiffness=1.0)
-    (without,) = bending_terms("opposite", surface.hinges, rest, spring_stiffness=1.0, existing=shear)
+    (every,) = bending_terms("opposite", surface.hinges, rest_positions, spring_stiffness=1.0)
+    (without,) = bending_terms("opposite", surface.hinges, rest_positions, spring_stiffness=1.0, existing=shear)
     assert len(every.pairs) - len(without.pairs) == (rows - 1) * (columns - 1)
     assert not {tuple(p) for p in np.sort(shear, axis=1).tolist()} & {tuple(p) for p in without.pairs.tolist()}
 
 
 def test_rest_angles_come_from_the_mesh_or_from_the_scene():
-    rest = rest_shape("scalene", 0.8)
-    _, from_mesh = bending_terms("crossed", PAIR, rest, hinge_constants=[1.0])
-    _, given = bending_terms("crossed", PAIR, rest_shape("scalene", 0.0), hinge_constants=[1.0], rest_angle=0.8)
-    assert given.rest_length == pytest.approx(from_mesh.rest_length, rel=1e-12)
-    assert given.stiffness == pytest.approx(from_mesh.stiffness, rel=1e-12)
+    rest_positions = rest_shape("scalene", 0.8)
+    _, from_mesh = bending_terms("crossed", PAIR, rest_positions, hinge_constants=[1.0])
+    _, from_angle = bending_terms("crossed", PAIR, rest_shape("scalene", 0.0), hinge_constants=[1.0], rest_angle=0.8)
+    assert from_angle.rest_length == pytest.approx(from_mesh.rest_length, rel=1e-12)
+    assert from_angle.stiffness == pytest.approx(from_mesh.stiffness, rel=1e-12)
 
 
 def test_springs_of_one_pair_merge_and_add_their_stiffness():
     hinges = grid_hinges(3, 3)
     row, column = np.divmod(np.arange(9), 3)
-    rest = np.stack((column, row, 0 * row), axis=1).astype(float)
+    rest_positions = np.stack((column, row, 0 * row), axis=1).astype(float)
     constants = grid_hinge_constants(hinges, columns=3, spacing=(1.0, 1.0), bending_modulus=1.0)
-    opposite, _ = bending_terms("crossed", hinges, rest, hinge_constants=constants)
+    opposite, _ = bending_terms("crossed", hinges, rest_positions, hinge_constants=constants)
     assert len(np.unique(opposite.pairs, axis=0)) == len(opposite.pairs)
-    _, k7 = spring_constants("crossed", HingeShape.of(hinges, rest), constants)
+    _, k7 = spring_constants("crossed", HingeShape.of(hinges, rest_positions), constants)
     assert opposite.rigidity.sum() == pytest.approx(k7.sum())
 
 
 def test_added_membrane_stiffness_follows_from_the_energy():
     hinges = grid_hinges(4, 5)
     row, column = np.divmod(np.arange(20), 5)
-    rest = np.stack((column * 0.1, row * 0.2, 0 * row), axis=1)
+    rest_positions = np.stack((column * 0.1, row * 0.2, 0 * row), axis=1)
     constants = grid_hinge_constants(hinges, columns=5, spacing=(0.1, 0.2), bending_modulus=1e-3)
-    opposite, _ = bending_terms("altitude", hinges, rest, hinge_constants=constants)
+    opposite, _ = bending_terms("altitude", hinges, rest_positions, hinge_constants=constants)
     area = 0.4 * 0.6
-    added = added_membrane(opposite, rest, area=area)
+    added = added_membrane(opposite, rest_positions, area=area)
     strain = 1e-5
     for which, stretch in enumerate(
         [np.diag([1, 0, 0]), np.diag([0, 1, 0]), np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0]])]
     ):
-        energies = [energy_of([opposite], rest @ (np.eye(3) + sign * strain * stretch)) for sign in (1, -1)]
+        energies = [energy_of([opposite], rest_positions @ (np.eye(3) + sign * strain * stretch)) for sign in (1, -1)]
         assert np.mean(energies) == pytest.approx(0.5 * added[which] * strain**2 * area, rel=1e-4)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_critical_damping_of_two_equal_free_ends_is_root_two(kind):
     # only the wings of this pair can move, along the gradient: the decrement of the hinge's mode gives k_d0
-    rest, mass, k_d0 = rest_shape("checkerboard edge", 0.4), np.array([0.2, 0.3, 0.4, 0.5]), 0.7
-    _, springs = bending_terms(kind, PAIR, rest, hinge_constants=[1.0], damping=k_d0, masses=mass)
-    x = np.ascontiguousarray(rest.T)
+    rest_positions, mass, k_d0 = rest_shape("checkerboard edge", 0.4), np.array([0.2, 0.3, 0.4, 0.5]), 0.7
+    _, springs = bending_terms(kind, PAIR, rest_positions, hinge_constants=[1.0], damping=k_d0, masses=mass)
+    x = np.ascontiguousarray(rest_positions.T)
     step = 1e-6
     gradient = np.zeros_like(x)
     for index in np.ndindex(x.shape):

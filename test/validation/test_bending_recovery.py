@@ -17,10 +17,10 @@ COUNT = 340  # of each kind of start and each rest shape: 10,200 for a rest angl
 def test_altitude_springs_recover_every_start(degrees, edge_stiffness):
     total, missed = 0, []
     for name in RESTS:
-        rest = rest_shape(name, math.radians(degrees))
+        rest_positions = rest_shape(name, math.radians(degrees))
         for kind in STARTS:
-            begin = starts(kind, rest, COUNT, np.random.default_rng([round(degrees), len(name), len(kind)]))
-            came = recover(begin, rest, edge_stiffness=edge_stiffness)
+            begin = starts(kind, rest_positions, COUNT, np.random.default_rng([round(degrees), len(name), len(kind)]))
+            came = recover(begin, rest_positions, edge_stiffness=edge_stiffness)
             total += came.starts
             if came.missed:
                 missed.append((name, kind, came.missed))
@@ -33,26 +33,31 @@ def test_altitude_springs_recover_every_start(degrees, edge_stiffness):
 @pytest.mark.parametrize("degrees", [0, 30, 75, 85, 105, 150, -60])
 def test_altitude_springs_recover_at_other_rest_angles(degrees):
     for name in RESTS:
-        rest = rest_shape(name, math.radians(degrees))
+        rest_positions = rest_shape(name, math.radians(degrees))
         for kind in STARTS:
-            assert recover(starts(kind, rest, 20, np.random.default_rng(1)), rest).missed == 0, (name, kind)
+            assert recover(starts(kind, rest_positions, 20, np.random.default_rng(1)), rest_positions).missed == 0, (
+                name,
+                kind,
+            )
 
 
 def test_planar_starts_recover_from_a_small_perturbation():
-    rest = rest_shape("equilateral", 0.0)
-    swapped = rest[[0, 1, 3, 3]] + np.array([[0, 0, 0], [0, 0, 0], [0.05, 0.1, 0], [0, 0, 0]])  # both wings on one side
-    stuck = recover(swapped[None].copy(), rest)
+    rest_positions = rest_shape("equilateral", 0.0)
+    swapped = rest_positions[[0, 1, 3, 3]] + np.array(
+        [[0, 0, 0], [0, 0, 0], [0.05, 0.1, 0], [0, 0, 0]]
+    )  # both wings on one side
+    stuck = recover(swapped[None].copy(), rest_positions)
     assert stuck.missed == 1  # no force leaves the plane
     pushed = swapped.copy()
     pushed[2, 2] += 1e-6
-    assert recover(pushed[None], rest).missed == 0
+    assert recover(pushed[None], rest_positions).missed == 0
 
 
 def test_recovery_fails_at_a_wrong_stiffness_ratio():
     # S8's length falls to zero where a pair of unequal triangles is folded shut, and holds it there
-    rest = rest_shape("scalene", 0.0)
-    begin = starts("folded", rest, 50, np.random.default_rng(0))
-    assert recover(begin, rest, model="crossed", ratio=4.0, limit=5000).missed == 50
+    rest_positions = rest_shape("scalene", 0.0)
+    begin = starts("folded", rest_positions, 50, np.random.default_rng(0))
+    assert recover(begin, rest_positions, model="crossed", ratio=4.0, limit=5000).missed == 50
     # too weak an altitude spring leaves the mirror image to S7
     folded = rest_shape("equilateral", math.radians(120))
     begin = starts("inverted", folded, 50, np.random.default_rng(0))

@@ -79,7 +79,7 @@ def test_what_is_attacked_stays_finite_and_makes_no_energy(case: Case, integrato
 @pytest.mark.parametrize(("stretch", "k_d0"), [(1.0, 0.0), (2.0, 0.2), (3.0, 1.0)])
 def test_the_limit_found_about_a_stretched_state_is_hardly_beyond_its_bound(stretch: float, k_d0: float) -> None:
     plan, x = stretched_sheet(stretch, k_d0, resolution=8)
-    bound = Leapfrog().step_limit(*plan.rates(x))
+    bound = Leapfrog().step_limit(*plan.spectral_bounds(x))
     # Found by bisection to 0.2 %.
     assert 0.998 * bound <= limit_found(plan, x, bound) <= (1.0 + LARGEST_EXCESS) * bound
 

@@ -53,7 +53,7 @@ def test_scenes_are_of_every_kind_and_touch():
         run = run_contact(draw)
         assert not run.trouble
         plan = draw.scene.plan()
-        nearest = min(float(plan.contact.gaps_of(frame.after, frame.t)[0, 1]) for frame in run.frames)
+        nearest = min(float(plan.contact.contact_gaps_of(frame.after, frame.t)[0, 1]) for frame in run.frames)
         assert 0.0 < nearest < draw.scene.contact.thickness
 
 

@@ -20,12 +20,31 @@ from cloth_sim_ros.session.cdr import decode_cloud, decode_string, encode_string
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, Step, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.accuracy import _is_sampled, certify
-from cloth_sim_ros.verify.certificate import Certificate, FrameAccuracy, Window
-from cloth_sim_ros.verify.fine import FINE, FINER, FineSteps, Moving, distance, follow, weights
-from cloth_sim_ros.verify.independent import dop853, frame_by_dop853
-from cloth_sim_ros.verify.main import NOT_KEPT, main
-from cloth_sim_ros.verify.motion import Equations, FrameWatch, Motion, RunFrame, starting_state
-from cloth_sim_ros.verify.truth import KICK, Truth, later_growth, random_kick
+from cloth_sim_ros.verify.certificate import AccuracyWindow, Certificate, FrameAccuracy
+from cloth_sim_ros.verify.independent_integrator import dop853, frame_by_dop853
+from cloth_sim_ros.verify.main import BOUND_VIOLATED, main
+from cloth_sim_ros.verify.reference_integrator import (
+    CHECK_STEP_COUNTS,
+    STEP_COUNTS,
+    MotionState,
+    ReferenceIntegrator,
+    integrate_intervals,
+    max_distance,
+    weights,
+)
+from cloth_sim_ros.verify.reference_motion import (
+    Equations,
+    FrameCapture,
+    ReferenceMotion,
+    SimulatedFrame,
+    starting_state,
+)
+from cloth_sim_ros.verify.reference_solution import (
+    PERTURBATION,
+    ReferenceSolution,
+    later_amplification,
+    random_perturbation,
+)
 
 SMALL = {"cloth.resolution": [8, 9], "cloth.size": [0.4, 0.45], "material.stretch_modulus": 100.0,
          "material.shear_modulus": 10.0, "bending.stiffness": 0.5, "tolerance": 1e-4}  # fmt: skip
@@ -65,17 +84,17 @@ def _moved(scene: Scene, frame: int, metres: float) -> Callable[[int], Change | 
     return lambda k: spoil if k == frame else None
 
 
-def _run_frames(simulation: Simulation, script: list[list[Event]]) -> list[RunFrame]:
-    watch, frames = FrameWatch(), []
+def _run_frames(simulation: Simulation, script: list[list[Event]]) -> list[SimulatedFrame]:
+    watch, frames = FrameCapture(), []
     for events in script:
-        was, before = simulation.scene, simulation.state.share()
-        found = watch.after(simulation, was, before, simulation.advance(events))
-        if found is not None:
-            frames.append(found)
+        was, before = simulation.scene, simulation.state.shallow_copy()
+        simulated = watch.capture(simulation, was, before, simulation.advance(events))
+        if simulated is not None:
+            frames.append(simulated)
     return frames
 
 
-@pytest.mark.parametrize("counts", [FINE, FINER])
+@pytest.mark.parametrize("counts", [STEP_COUNTS, CHECK_STEP_COUNTS])
 def test_extrapolation_weights_cancel_stated_orders(counts: tuple[int, ...]) -> None:
     w = weights(counts)
     assert math.fsum(w) == pytest.approx(1.0, abs=1e-12)
@@ -88,26 +107,26 @@ def test_reference_error_rate_agrees_with_independent_integrator(damping: float)
     scene = Scene.from_parameters(SMALL | {"material.damping": damping, "cloth.anchors": ["top_left"]})
     simulation = Simulation(scene)
     _run_frames(simulation, [[]] * 20)
-    start, t = Moving(simulation.state.x, simulation.state.v), simulation.time
+    start, t = MotionState(simulation.state.x, simulation.state.v), simulation.time
     exact = dop853(scene.plan(), t, 0.1, start).x
     errors = []
     for rate in (1e-5, 1e-7, 1e-9):
-        now, lengths = FineSteps(rate).frame(scene.plan(), t, 0.1, start, math.inf)
-        errors.append(distance(now.x, exact))
-        finer = follow(scene.plan(), t, lengths, start, FINER).x
+        now, lengths = ReferenceIntegrator(rate).integrate_frame(scene.plan(), t, 0.1, start, math.inf)
+        errors.append(max_distance(now.x, exact))
+        finer = integrate_intervals(scene.plan(), t, lengths, start, CHECK_STEP_COUNTS).x
         assert errors[-1] <= rate
         # The check is closer, or both are at the rounding level.
-        assert distance(finer, exact) < max(0.5 * errors[-1], 1e-12)
+        assert max_distance(finer, exact) < max(0.5 * errors[-1], 1e-12)
     assert errors[2] <= errors[0]
 
 
 def test_reference_steps_are_at_most_half_the_simulation_steps() -> None:
     scene = Scene.from_parameters(SMALL)
     simulation = Simulation(scene)
-    start = Moving(simulation.state.x, simulation.state.v)
+    start = MotionState(simulation.state.x, simulation.state.v)
     for step in (1e-3, 1e-4):
-        _, lengths = FineSteps(1.0).frame(scene.plan(), 0.0, 1.0 / 60.0, start, step)
-        assert max(lengths) / FINE[0] <= 0.5 * step * (1.0 + 1e-9)
+        _, lengths = ReferenceIntegrator(1.0).integrate_frame(scene.plan(), 0.0, 1.0 / 60.0, start, step)
+        assert max(lengths) / STEP_COUNTS[0] <= 0.5 * step * (1.0 + 1e-9)
         assert sum(lengths) == pytest.approx(1.0 / 60.0, rel=1e-12)
 
 
@@ -115,9 +134,11 @@ def test_rate_below_rounding_does_not_shrink_intervals_forever() -> None:
     scene = Scene.from_parameters(SMALL | {"material.damping": 0.0})
     simulation = Simulation(scene)
     _run_frames(simulation, [[]] * 20)
-    start, counts = Moving(simulation.state.x, simulation.state.v), []
+    start, counts = MotionState(simulation.state.x, simulation.state.v), []
     for rate in (1e-9, 1e-14, 1e-20):
-        _, lengths = FineSteps(rate).frame(scene.plan(), simulation.time, 1.0 / 60.0, start, math.inf)
+        _, lengths = ReferenceIntegrator(rate).integrate_frame(
+            scene.plan(), simulation.time, 1.0 / 60.0, start, math.inf
+        )
         counts.append(len(lengths))
     assert counts[0] <= counts[1] <= counts[2] <= 20 * counts[0]
 
@@ -126,17 +147,17 @@ def test_reference_motion_equals_simulation_under_same_commands() -> None:
     # Grasps, turns, a grasp while paused, a release, a reset and sleep: the reference motion follows each of them.
     scene = Scene.from_parameters(SMALL | {"grippers": ["a", "b"], "gripper.radius": 0.08, "tolerance": 1e-7})
     simulation = Simulation(scene)
-    corner, other = (tuple(simulation.positions[k].tolist()) for k in (71, 63))
+    corner, neighbour = (tuple(simulation.positions[k].tolist()) for k in (71, 63))
     turned = (0.0, 0.0, math.sin(0.2), math.cos(0.2))
     lifted = (corner[0], corner[1] - 0.02, corner[2] + 0.01)
     script: list[list[Event]] = [
-        [Target("a", corner), Target("b", other)],
+        [Target("a", corner), Target("b", neighbour)],
         [Grasp("a", True)],
         *[[Target("a", lifted, turned)]] * 4,
         [Pause(True)],
         [Grasp("b", True)],
         [Step()],
-        [Pause(False), Target("b", (other[0], other[1], other[2] + 0.02))],
+        [Pause(False), Target("b", (neighbour[0], neighbour[1], neighbour[2] + 0.02))],
         *[[]] * 4,
         [Grasp("a", False)],
         *[[]] * 4,
@@ -144,15 +165,17 @@ def test_reference_motion_equals_simulation_under_same_commands() -> None:
         *[[]] * 3,
     ]
     frames, equations = _run_frames(simulation, script), Equations()
-    assert sum(bool(frame.grasping and frame.grasping.new) for frame in frames) == 2
-    motion = Motion(frames[0].before)
+    assert sum(bool(frame.grasping and frame.grasping.newly_closed) for frame in frames) == 2
+    motion = ReferenceMotion(frames[0].before)
     for frame in frames:
         if frame.reset:
-            motion = Motion(starting_state(frame))
-        motion.take_hold(frame)
-        steps = FineSteps(1e-9)
-        motion.now, _ = steps.frame(equations.plan(frame, motion), frame.t, frame.duration, motion.now, frame.step)
-        assert distance(motion.x, frame.after.x) < 1e-6, frame.index
+            motion = ReferenceMotion(starting_state(frame))
+        motion.apply_grasps(frame)
+        steps = ReferenceIntegrator(1e-9)
+        motion.state, _ = steps.integrate_frame(
+            equations.plan(frame, motion), frame.t, frame.duration, motion.state, frame.step
+        )
+        assert max_distance(motion.x, frame.after.x) < 1e-6, frame.index
 
 
 def test_grip_points_follow_from_reference_positions() -> None:
@@ -162,23 +185,25 @@ def test_grip_points_follow_from_reference_positions() -> None:
     turn = (0.0, 0.6, 0.0, 0.8)
     (_, frame) = _run_frames(simulation, [[Target("gripper", corner, turn)], [Grasp("gripper", True)]])
     assert frame.grasping is not None
-    motion = Motion(frame.before)
-    motion.kick(np.full_like(motion.x, 1e-3), np.zeros_like(motion.x))
-    motion.take_hold(frame)
-    own = simulation.state.memory["grip.offsets"]
+    motion = ReferenceMotion(frame.before)
+    motion.perturb(np.full_like(motion.x, 1e-3), np.zeros_like(motion.x))
+    motion.apply_grasps(frame)
+    simulation_offsets = simulation.state.memory["grip.offsets"]
     # A particle displaced by 1 mm keeps this offset in the gripper's frame.
-    assert np.linalg.norm(motion.offsets - own, axis=1) == pytest.approx(np.full(len(own), 1e-3 * math.sqrt(3.0)))
-    assert not np.allclose(motion.offsets - own, 1e-3)
+    assert np.linalg.norm(motion.offsets - simulation_offsets, axis=1) == pytest.approx(
+        np.full(len(simulation_offsets), 1e-3 * math.sqrt(3.0))
+    )
+    assert not np.allclose(motion.offsets - simulation_offsets, 1e-3)
 
 
 @pytest.mark.parametrize("smooth", [False, True])
 def test_perturbations_have_stated_size_and_skip_anchors(smooth: bool) -> None:
     x = np.random.default_rng(1).normal(size=(3, 50))
     free = np.arange(50) > 4
-    kick = random_kick(x, free, np.random.default_rng(2), smooth=smooth)
-    lengths = np.linalg.norm(kick, axis=0)
-    assert lengths.max() == pytest.approx(KICK)
-    assert not kick[:, :5].any()
+    perturbation = random_perturbation(x, free, np.random.default_rng(2), smooth=smooth)
+    lengths = np.linalg.norm(perturbation, axis=0)
+    assert lengths.max() == pytest.approx(PERTURBATION)
+    assert not perturbation[:, :5].any()
     assert lengths[5:].min() > 0.0
 
 
@@ -198,15 +223,15 @@ def test_window_errors_agree_with_independent_integrator(tmp_path: Path) -> None
     _, certificate = certify(maker.paths)
     simulation = Simulation(Scene.from_parameters(SMALL))
     frames, equations = _run_frames(simulation, list(carried_corner(simulation.scene, 20 / 60.0))), Equations()
-    motion = Motion(frames[0].before)
+    motion = ReferenceMotion(frames[0].before)
     for frame, stated in zip(frames, certificate.frames, strict=True):
-        motion.take_hold(frame)
-        motion.now = dop853(equations.plan(frame, motion), frame.t, frame.duration, motion.now)
-        error = distance(frame.after.x, motion.x)
+        motion.apply_grasps(frame)
+        motion.state = dop853(equations.plan(frame, motion), frame.t, frame.duration, motion.state)
+        error = max_distance(frame.after.x, motion.x)
         assert stated.error == pytest.approx(error, rel=0.01, abs=2.0 * stated.own + 1e-12)
         assert stated.session_error == stated.error
     alone = frame_by_dop853(equations, frames[-1], frames[-1].before)
-    assert certificate.frames[-1].error_of_frame == pytest.approx(distance(frames[-1].after.x, alone), rel=0.01)
+    assert certificate.frames[-1].error_of_frame == pytest.approx(max_distance(frames[-1].after.x, alone), rel=0.01)
 
 
 def test_frame_changed_by_a_millimetre_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -217,7 +242,7 @@ def test_frame_changed_by_a_millimetre_is_found(tmp_path: Path, capsys: pytest.C
     assert [frame.frame for frame in certificate.frames if frame.stands_out] == [17]
     assert certificate.frames[16].error == pytest.approx(1e-3, rel=0.02)
     assert not certificate.frames[16].exact
-    assert not certificate.kept
+    assert not certificate.is_satisfied
     # Differing bits are more severe than a violated bound.
     assert main(["--accuracy", str(maker.paths[0])]) == 1
     said = capsys.readouterr().out
@@ -227,14 +252,14 @@ def test_frame_changed_by_a_millimetre_is_found(tmp_path: Path, capsys: pytest.C
 
 def test_session_of_other_arithmetic_uses_recorded_positions(tmp_path: Path) -> None:
     # Every digest differs, as after other rounding: only the recorded positions can be assessed.
-    def other(topic: str, data: bytes) -> bytes:
+    def with_other_arithmetic(topic: str, data: bytes) -> bytes:
         if topic != f"{NODE}/frame":
             return data
         record = json.loads(decode_string(data))
         record["digest"] = "0" * 32
         return encode_string(json.dumps(record))
 
-    maker = _make(tmp_path, frames=70, change=lambda _k: other)
+    maker = _make(tmp_path, frames=70, change=lambda _k: with_other_arithmetic)
     verdict, certificate = certify(maker.paths)
     assert verdict.different == 70
     assert not any(frame.exact for frame in certificate.frames)
@@ -252,9 +277,9 @@ def test_windows_begin_each_second_and_span_files(tmp_path: Path) -> None:
     assert [window.start for window in certificate.windows] == pytest.approx([0.0, 1.0, 2.0])
     # A window starts from the simulation's state: the error of its first frame is that of this frame alone.
     for first in (0, 60, 120):
-        told = certificate.frames[first]
-        assert told.error == pytest.approx(told.error_of_frame, rel=1e-3)
-        assert told.growth < 3.0
+        first_frame = certificate.frames[first]
+        assert first_frame.error == pytest.approx(first_frame.error_of_frame, rel=1e-3)
+        assert first_frame.growth < 3.0
     assert certificate.frames[60].session_error > 2.0 * certificate.frames[60].error
 
 
@@ -277,7 +302,7 @@ def test_certificate_without_tolerance_states_error_only(tmp_path: Path, capsys:
     _, certificate = certify(maker.paths)
     assert [window.verdict for window in certificate.windows] == ["no promise"]
     assert certificate.windows[0].error > 1e-6
-    assert math.isnan(certificate.frames[0].promise)
+    assert math.isnan(certificate.frames[0].error_bound)
 
 
 def test_sleeping_frames_are_measured(tmp_path: Path) -> None:
@@ -293,7 +318,7 @@ def test_sleeping_frames_are_measured(tmp_path: Path) -> None:
     assert len(asleep) == 70
     # The position at the beginning of sleep is not the equilibrium: the difference is the error.
     assert max(frame.error for frame in asleep) > 1e-9
-    assert certificate.kept
+    assert certificate.is_satisfied
 
 
 def test_samples_thin_out_in_long_sessions() -> None:
@@ -304,7 +329,7 @@ def test_samples_thin_out_in_long_sessions() -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "own", "flagged", "verdict"),
+    ("error", "uncertainty", "flagged", "verdict"),
     [
         (1e-5, 1e-9, 0, "kept"),
         (1e-5, 1e-4, 0, "undecided"),
@@ -314,15 +339,15 @@ def test_samples_thin_out_in_long_sessions() -> None:
         (math.nan, 1e-9, 0, "undecided"),
     ],
 )
-def test_verdicts(error: float, own: float, flagged: int, verdict: str) -> None:
-    window = Window(number=0, start=0.0)
-    window.add(_frame(error=error, own=own, flagged=flagged > 0))
+def test_verdicts(error: float, uncertainty: float, flagged: int, verdict: str) -> None:
+    window = AccuracyWindow(number=0, start=0.0)
+    window.add(_frame(error=error, uncertainty=uncertainty, flagged=flagged > 0))
     assert window.verdict == verdict
     certificate = Certificate(name="", windows=[window])
-    assert certificate.kept == (verdict in ("kept", "flagged"))
+    assert certificate.is_satisfied == (verdict in ("kept", "flagged"))
 
 
-def _frame(*, error: float, own: float, flagged: bool) -> FrameAccuracy:
+def _frame(*, error: float, uncertainty: float, flagged: bool) -> FrameAccuracy:
     return FrameAccuracy(
         frame=1,
         time=0.1,
@@ -334,20 +359,20 @@ def _frame(*, error: float, own: float, flagged: bool) -> FrameAccuracy:
         promise_of_frame=1e-4,
         error=error,
         growth=2.0,
-        own=own,
+        own=uncertainty,
         floor=1e-14,
         session_error=error,
         session_growth=2.0,
-        session_own=own,
+        session_own=uncertainty,
     )
 
 
 def test_later_perturbations_count_for_unexplained_errors() -> None:
-    window = Window(number=0, start=0.0)
-    window.add(_frame(error=9e-3, own=1e-9, flagged=False))
-    assert (window.verdict, window.promise) == ("not kept", pytest.approx(2e-4))
+    window = AccuracyWindow(number=0, start=0.0)
+    window.add(_frame(error=9e-3, uncertainty=1e-9, flagged=False))
+    assert (window.verdict, window.error_bound) == ("not kept", pytest.approx(2e-4))
     window.later = 100.0
-    assert (window.verdict, window.promise) == ("kept", pytest.approx(1e-2))
+    assert (window.verdict, window.error_bound) == ("kept", pytest.approx(1e-2))
 
 
 def test_later_amplification_is_maximum_over_eighths() -> None:
@@ -356,34 +381,34 @@ def test_later_amplification_is_maximum_over_eighths() -> None:
     frames, equations = _run_frames(simulation, [[]] * 8), Equations()
     expected = 0.0
     for begin in range(1, 8):
-        truth = Truth(frames[begin].before, seed=frames[begin].index)
-        expected = max(expected, *(truth.frame(equations, frame).growth for frame in frames[begin:]))
-    assert later_growth(equations, frames) == expected > 0.0
-    assert later_growth(equations, frames[:1]) == 0.0
+        reference = ReferenceSolution(frames[begin].before, seed=frames[begin].index)
+        expected = max(expected, *(reference.advance(equations, frame).amplification for frame in frames[begin:]))
+    assert later_amplification(equations, frames) == expected > 0.0
+    assert later_amplification(equations, frames[:1]) == 0.0
 
 
 def test_window_explained_by_later_perturbations_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from cloth_sim_ros.scene import scene as scene_module
     from cloth_sim_ros.verify import accuracy
 
-    real, asked = scene_module.make_integrator, []
+    real, calls = scene_module.make_integrator, []
 
-    def grown(_equations: Equations, frames: list[RunFrame]) -> float:
-        asked.append([frame.index for frame in frames])
+    def grown(_equations: Equations, frames: list[SimulatedFrame]) -> float:
+        calls.append([frame.index for frame in frames])
         return 1e9
 
     monkeypatch.setattr(
         scene_module, "make_integrator", lambda name, *, tolerance, **more: real(name, tolerance=1e-2, **more)
     )
     monkeypatch.setattr(accuracy, "WINDOW", 0.1)
-    monkeypatch.setattr(accuracy, "later_growth", grown)
+    monkeypatch.setattr(accuracy, "later_amplification", grown)
     # Only the windows matter in this test.
     monkeypatch.setattr(FrameAccuracy, "stands_out", property(lambda _frame: False))
     maker = _make(tmp_path, frames=9, tolerance=1e-6)
     _, certificate = certify(maker.paths)
-    assert asked == [list(range(1, 7)), list(range(7, 10))]
+    assert calls == [list(range(1, 7)), list(range(7, 10))]
     assert [window.later for window in certificate.windows] == [1e9, 1e9]
-    assert certificate.kept
+    assert certificate.is_satisfied
 
 
 def test_loose_simulation_with_tight_tolerance_is_violated(
@@ -397,7 +422,7 @@ def test_loose_simulation_with_tight_tolerance_is_violated(
         scene_module, "make_integrator", lambda name, *, tolerance, **more: real(name, tolerance=1e-2, **more)
     )
     maker = _make(tmp_path, frames=40, tolerance=1e-6)
-    assert main(["--accuracy", str(maker.paths[0])]) == NOT_KEPT
+    assert main(["--accuracy", str(maker.paths[0])]) == BOUND_VIOLATED
     assert "VIOLATED, unflagged: 0.000 to 0.667 s" in capsys.readouterr().out
 
 
@@ -407,12 +432,12 @@ def test_numbers_are_written_as_json_plot_and_particles(tmp_path: Path) -> None:
     files = {name: tmp_path / name for name in ("json", "plot", "particles")}
     options = [text for name, path in files.items() for text in (f"--{name}", str(path))]
     assert main(["--accuracy", str(maker.paths[0]), *options]) == 0
-    told = json.loads(files["json"].read_text())
-    assert [frame["frame"] for frame in told["frames"]] == list(range(1, 13))
-    assert told["kept"] is True
-    assert told["windows"][0]["verdict"] == "kept"
+    content = json.loads(files["json"].read_text())
+    assert [frame["frame"] for frame in content["frames"]] == list(range(1, 13))
+    assert content["kept"] is True
+    assert content["windows"][0]["verdict"] == "kept"
     particles = np.fromfile(files["particles"], dtype="<f4").reshape(12, 72)
-    assert particles.max(axis=1) == pytest.approx([frame["error"] for frame in told["frames"]], rel=1e-6)
+    assert particles.max(axis=1) == pytest.approx([frame["error"] for frame in content["frames"]], rel=1e-6)
     assert files["plot"].read_bytes().startswith(b"\x89PNG")
 
 
@@ -435,6 +460,6 @@ def test_certificate_leaves_state_unchanged() -> None:
     simulation = Simulation(scene)
     (frame,) = _run_frames(simulation, [[]])
     before, after = frame.before.digest(), frame.after.digest()
-    Truth(frame.before, seed=1).frame(Equations(), frame)
+    ReferenceSolution(frame.before, seed=1).advance(Equations(), frame)
     assert (frame.before.digest(), frame.after.digest()) == (before, after)
     assert isinstance(frame.before, State)

@@ -38,9 +38,9 @@ def test_unaltered_copy_reruns_equally(session: Path, tmp_path: Path) -> None:
     assert not verdict.not_compared
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_falsified_session_is_found_or_listed(session: Path, tmp_path: Path, way: str) -> None:
-    falsification = WAYS[way]
+@pytest.mark.parametrize("case", WAYS)
+def test_falsified_session_is_found_or_listed(session: Path, tmp_path: Path, case: str) -> None:
+    falsification = WAYS[case]
     with SessionReader(session) as reader:
         if not any(True for _ in reader.messages([falsification.needs])):
             pytest.skip("a node's sessions alone have such messages")

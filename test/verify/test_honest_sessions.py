@@ -16,12 +16,12 @@ from support.mcap_copies import copy_by_tool
 from support.random_sessions import make_random_session
 from support.session_maker import NODE, make_grasp
 
-from cloth_sim_ros.session.layouts import Qos
+from cloth_sim_ros.session.channel_description import Qos
 from cloth_sim_ros.session.part import Message, SessionPart
 from cloth_sim_ros.session.recorder import Recorder, RecorderOptions, RecorderStatus
 from cloth_sim_ros.session.recover import recover
 from cloth_sim_ros.session.storage import AppendFile
-from cloth_sim_ros.session.writer import STATE_NAME, Snapshot, WriterOptions
+from cloth_sim_ros.session.writer import STATE_NAME, SessionSnapshot, WriterOptions
 from cloth_sim_ros.verify.main import describe, status_of
 from cloth_sim_ros.verify.run import Verdict, verify
 
@@ -48,13 +48,15 @@ def record_again(
     messages: Sequence[Message] = list(part.messages())
     recorder = Recorder(
         folder,
-        snapshot=Snapshot(scene_yaml=part.scene_yaml, state=part.state, metadata=part.metadata, files=part.files),
+        snapshot=SessionSnapshot(
+            scene_yaml=part.scene_yaml, state=part.state, metadata=part.metadata, files=part.files
+        ),
         log_time=part.attachments[STATE_NAME].log_time,
         options=RecorderOptions(writer=QUICK, **options),
         open_file=open_file,
     )
     path = recorder.wait_until_open()
-    for number, message in enumerate(messages):
+    for index, message in enumerate(messages):
         latched = message.topic == f"{NODE}/topology"
         recorder.record(
             message.topic,
@@ -64,7 +66,7 @@ def record_again(
             droppable=message.topic in DROPPABLE,
             qos=Qos(durability="transient_local", depth=1) if latched else None,
         )
-        after(number)
+        after(index)
     status = recorder.close()
     part.close()
     return path, status
@@ -90,7 +92,7 @@ def test_clouds_dropped_by_a_slow_disk_are_no_difference(session: Path, tmp_path
         tmp_path,
         open_file=Gated,
         queue_bytes=30_000,
-        after=lambda number: gate.set() if number == 100 else None,
+        after=lambda index: gate.set() if index == 100 else None,
     )
     verdict = verify([path])
     check(verdict)
@@ -127,11 +129,11 @@ def test_recovered_session_reruns_equally(session: Path, tmp_path: Path, share: 
 def test_copies_of_random_sessions_rerun_equally(tmp_path: Path, seed: int) -> None:
     paths = make_random_session(tmp_path, seed, frames=30)
     copies = []
-    for number, path in enumerate(paths):
+    for index, path in enumerate(paths):
         with contextlib.closing(SessionPart(path)) as part:
             finished = part.finished
         if finished:
-            copies.append(copy_by_tool(path, tmp_path / f"copy{number}.mcap", use_chunking=bool(number % 2)))
+            copies.append(copy_by_tool(path, tmp_path / f"copy{index}.mcap", use_chunking=bool(index % 2)))
     if copies:
         check(verify(copies))
 

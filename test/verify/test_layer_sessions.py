@@ -10,7 +10,7 @@ from support.garment import as_obj
 from support.self_scenes import folded
 from support.session_maker import SessionMaker
 
-from cloth_sim_ros.physics.remembered import ANCHORS
+from cloth_sim_ros.physics.controller_state import ANCHORS_KEY
 from cloth_sim_ros.physics.sheets.grid import grid_triangles
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.verify.run import verify
@@ -20,7 +20,7 @@ def test_session_with_layer_friction_reruns_to_same_bits(tmp_path: Path) -> None
     _, places, _ = folded(8, radius=0.012)
     mesh = tmp_path / "fold.obj"
     mesh.write_bytes(as_obj(places, grid_triangles(8, 8, "alternating")))
-    given = {
+    values = {
         "cloth.mesh": str(mesh),
         "cloth.anchors": [""],
         "cloth.position": [0.0, 0.0, 0.0],
@@ -39,11 +39,11 @@ def test_session_with_layer_friction_reruns_to_same_bits(tmp_path: Path) -> None
     }
     folder = tmp_path / "session"
     folder.mkdir()
-    maker = SessionMaker(folder, Scene.from_parameters(given))
+    maker = SessionMaker(folder, Scene.from_parameters(values))
     for _ in range(15):
         maker.add([])
     maker.finish()
-    assert (maker.simulation.state.memory[ANCHORS][-2:, 3] > 0.0).sum() > 5
+    assert (maker.simulation.state.memory[ANCHORS_KEY][-2:, 3] > 0.0).sum() > 5
     verdict = verify(sorted(folder.glob("*.mcap")))
     assert verdict.same, verdict.first_reason
     assert verdict.frames == 15

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from support.session_maker import SessionMaker
 
-from cloth_sim_ros.physics.remembered import ANCHORS
+from cloth_sim_ros.physics.controller_state import ANCHORS_KEY
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.info import Summarizer
@@ -42,7 +42,7 @@ FALLING: dict[str, Any] = {
 ROUGH: dict[str, Any] = {**FALLING, "ball.friction": [0.5, 0.4], "floor.friction": [0.3]}
 
 
-def made(folder: Path, *, scene: dict[str, Any] = FALLING, frames: int = 40, **options: Any) -> Path:
+def make_session(folder: Path, *, scene: dict[str, Any] = FALLING, frames: int = 40, **options: Any) -> Path:
     """Write a session with a moving ball and an added floor."""
     maker = SessionMaker(folder, Scene.from_parameters(scene))
     for k in range(frames):
@@ -60,7 +60,7 @@ def parts(folder: Path) -> list[Path]:
 
 
 def test_obstacle_session_reruns_to_same_bits_and_wrenches(tmp_path: Path) -> None:
-    paths = parts(made(tmp_path))
+    paths = parts(make_session(tmp_path))
     verdict = verify(paths)
     assert verdict.same, verdict.first_reason
     assert (verdict.frames, len(paths)) == (40, 2)
@@ -76,26 +76,26 @@ def test_altered_recording_is_found(tmp_path: Path, topic: str, words: str) -> N
             return data
         return None if topic.endswith("target") else data[:-8] + b"\x00" * 7 + b"\x40"
 
-    verdict = verify(parts(made(tmp_path, change=spoil)))
+    verdict = verify(parts(make_session(tmp_path, change=spoil)))
     assert not verdict.same
     assert re.search(words, verdict.first_reason)
 
 
 def test_events_are_described(tmp_path: Path) -> None:
-    with SessionReader(parts(made(tmp_path))) as reader:
+    with SessionReader(parts(make_session(tmp_path))) as reader:
         summarizer = Summarizer(reader.node)
         for message in reader.messages():
             summarizer.add(message)
     summary = summarizer.summary
     assert summary.events["move"] == 14
-    assert any("set_parameters" in line for line in summary.happenings)
+    assert any("set_parameters" in line for line in summary.notable_events)
 
 
 def test_the_certificate_covers_contact(tmp_path: Path) -> None:
     # Impact and moving ball; the independent integrator runs every frame.
-    verdict, certificate = certify(parts(made(tmp_path, frames=13)), every_sample=True)
+    verdict, certificate = certify(parts(make_session(tmp_path, frames=13)), every_sample=True)
     assert verdict.same
-    assert certificate.kept
+    assert certificate.is_satisfied
     assert len(certificate.samples) == 13
     assert max(sample.difference for sample in certificate.samples) < 1e-6
     errors = [frame.error for frame in certificate.frames]
@@ -105,11 +105,11 @@ def test_the_certificate_covers_contact(tmp_path: Path) -> None:
 
 
 def test_friction_session_reruns_to_same_bits_from_later_part(tmp_path: Path) -> None:
-    paths = parts(made(tmp_path, scene=ROUGH))
+    paths = parts(make_session(tmp_path, scene=ROUGH))
     with SessionReader(paths) as reader:
         first, later = (State.from_bytes(part.state) for part in reader.parts)
-    assert ANCHORS not in first.memory
-    assert (later.memory[ANCHORS][0, 3] > 0.0).any()
+    assert ANCHORS_KEY not in first.memory
+    assert (later.memory[ANCHORS_KEY][0, 3] > 0.0).any()
     for these, frames in ((paths, 40), (paths[1:], 20)):
         verdict = verify(these)
         assert verdict.same, verdict.first_reason
@@ -117,12 +117,12 @@ def test_friction_session_reruns_to_same_bits_from_later_part(tmp_path: Path) ->
 
 
 def test_lost_friction_anchors_of_snapshot_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    paths = parts(made(tmp_path, scene=ROUGH))
+    paths = parts(make_session(tmp_path, scene=ROUGH))
     read = State.from_bytes
 
     def forgetful(data: bytes) -> State:
         state = read(data)
-        state.memory.pop(ANCHORS, None)
+        state.memory.pop(ANCHORS_KEY, None)
         return state
 
     monkeypatch.setattr(State, "from_bytes", forgetful)
@@ -131,9 +131,9 @@ def test_lost_friction_anchors_of_snapshot_are_found(tmp_path: Path, monkeypatch
 
 def test_the_certificate_covers_friction(tmp_path: Path) -> None:
     # The ball rises, and a floor is inserted before it in the list of obstacles: every motion keeps its anchors.
-    verdict, certificate = certify(parts(made(tmp_path, scene=ROUGH, frames=23)))
+    verdict, certificate = certify(parts(make_session(tmp_path, scene=ROUGH, frames=23)))
     assert verdict.same
-    assert certificate.kept
+    assert certificate.is_satisfied
     assert len(certificate.frames) == 23
     # Sliding amplifies perturbations by orders of magnitude; the errors of single frames do not depend on it.
     alone = [frame.error_of_frame for frame in certificate.frames]

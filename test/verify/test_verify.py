@@ -254,9 +254,9 @@ def test_verify_reports_difference_and_continues(tmp_path: Path, capsys: pytest.
 
 
 def test_verify_refuses_files_that_are_no_session(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    other = tmp_path / "other.mcap"
-    other.write_bytes(b"no session")
-    assert main([str(other), str(tmp_path / "absent.mcap")]) == 2
+    foreign_file = tmp_path / "other.mcap"
+    foreign_file.write_bytes(b"no session")
+    assert main([str(foreign_file), str(tmp_path / "absent.mcap")]) == 2
     errors = capsys.readouterr().err
     assert "other.mcap is not an MCAP file" in errors
     assert "absent.mcap does not exist" in errors

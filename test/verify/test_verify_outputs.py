@@ -34,10 +34,10 @@ def test_session_is_refused_as_output(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     was = session.read_bytes()
-    other = tmp_path / "other.mcap"
-    other.write_bytes(was)
+    second_session = tmp_path / "other.mcap"
+    second_session.write_bytes(was)
     # The arguments of `--json sessions/*.mcap`, without an output name.
-    for out in (session, other):
+    for out in (session, second_session):
         said = _refusal([option, str(out), str(session)], capsys, monkeypatch)
         assert f"the output's own name right after {option}" in said
         assert out.read_bytes() == was

@@ -49,7 +49,7 @@ def moduli_of(mesh: Triangulation, *, relaxed: bool = True) -> Moduli:
     Without `relaxed` every particle moves with the strain, which is stiffer than the sheet.
     """
     flat = np.concatenate((mesh.positions, np.zeros((len(mesh.positions), 1))), axis=1)
-    sheet = MeshSheet(rest=flat, surface=Surface.from_triangles(mesh.triangles, particle_count=len(flat)))
+    sheet = MeshSheet(rest_positions=flat, surface=Surface.from_triangles(mesh.triangles, particle_count=len(flat)))
     springs = sheet.springs(stretch_modulus=1.0, k_d0=0.0, density=1.0)
     mine = mesh.inside(springs.pairs)
     pairs, root = springs.pairs[mine], np.sqrt(springs.stiffness[mine] / springs.rest_length[mine])[:, None]

@@ -12,7 +12,7 @@ import attrs
 import numpy as np
 from support.problems import irregular_sheet
 
-from cloth_sim_ros.physics.control.energy import own_energy
+from cloth_sim_ros.physics.control.energy import leapfrog_energy
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
@@ -168,7 +168,7 @@ class WatchedSimulation(Simulation):
     @property
     def work(self) -> float:
         """Work done on the cloth by grippers and recovering contacts [J], what grips store and lose included."""
-        return self._book.work + self._book.recovered if self._book is not None else 0.0
+        return self._accumulator.work + self._accumulator.recovery_work if self._accumulator is not None else 0.0
 
     def work_of_parameters(self, events: list[Event]) -> float:
         """Energy that a change of parameters is about to put in [J]: the same places, other springs."""
@@ -209,7 +209,7 @@ class EnergyAccount:
         run = self._simulation
         energy = own = run.energy()
         if step is not None:
-            own = own_energy(run.plan, run.time, run.state.x, run.state.v, step)
+            own = leapfrog_energy(run.plan, run.time, run.state.x, run.state.v, step)
         energy, own = energy - self._put_in, own - self._put_in
         kinetic = _kinetic(self._simulation)
         self._turned += abs(kinetic - self._kinetic) + abs(work)
@@ -255,7 +255,7 @@ def run_case(case: Case) -> Verdict:
 
 def _fixed(case: Case, built: Scene, start: State) -> dict[str, Any]:
     """A fixed step: part of the limit at the start."""
-    step = FIXED_SHARE * Leapfrog().step_limit(*built.plan().rates(start.x))
+    step = FIXED_SHARE * Leapfrog().step_limit(*built.plan().spectral_bounds(start.x))
     if DURATION / step <= _MOST_STEPS:
         return {"integrator": "leapfrog", "step": step}
     return {"integrator": "implicit", "step": 0.5 / case.rate}
@@ -263,7 +263,7 @@ def _fixed(case: Case, built: Scene, start: State) -> dict[str, Any]:
 
 def _springs(model: Model) -> list[PairSprings]:
     """The springs of a model between two particles."""
-    forces = [force.listed if isinstance(force, GridSprings) else force for force in model.forces]
+    forces = [force.pair_springs if isinstance(force, GridSprings) else force for force in model.forces]
     return [force for force in forces if isinstance(force, PairSprings)]
 
 

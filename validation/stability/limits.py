@@ -41,7 +41,7 @@ def limits() -> tuple[Table, list[str]]:
     failures = []
     for stretch, k_d0 in itertools.product(STRETCHES, DAMPINGS):
         plan, x = stretched_sheet(stretch, k_d0)
-        bound = Leapfrog().step_limit(*plan.rates(x))
+        bound = Leapfrog().step_limit(*plan.spectral_bounds(x))
         found = limit_found(plan, x, bound)
         table.rows.append([stretch, k_d0, bound, found, found / bound])
         if not 0.998 <= found / bound <= 1.0 + LARGEST_EXCESS:
@@ -96,9 +96,9 @@ def run_peer_case(case: PeerCase) -> tuple[str, float, float, str]:
     """
     sheet = RawSheet(resolution=16, stiffness=case.stiffness, k_d0=0.05)
     plan, state = sheet.plan(sheet.index[0, [0, -1]]), State(sheet.flat(hung=False))
-    fits = case.step <= 0.9 * Leapfrog().step_limit(*plan.rates(state.x))
+    fits = case.step <= 0.9 * Leapfrog().step_limit(*plan.spectral_bounds(state.x))
     integrator = Leapfrog(case.step) if fits else Implicit(case.step)
-    exact, reference = state.copy(), Extrapolated(columns=4)
+    exact, reference = state.copy(), Extrapolated(n_runs=4)
     worst, error = 1.0, 0.0
     try:
         for frame in range(120):

@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from support.problems import PERIOD, Problem
 from support.reference import RightSide
 
-from cloth_sim_ros.physics import cores
+from cloth_sim_ros.physics import thread_limit
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.forces.force import Array
 from validation.tolerance.jacobian import SparseJacobian
@@ -78,7 +78,7 @@ def _ours(name: str, tolerance: float, *, alone: bool) -> Solver:
     def solve(problem: Problem, limit: float) -> Run:
         plan, state = problem.build()
         integrator = make_integrator(name, tolerance=tolerance)
-        with cores.alone() if alone else nullcontext():
+        with thread_limit.single_threaded() if alone else nullcontext():
             evaluations, begin = 0, time.perf_counter()
             for frame in range(problem.frames):
                 evaluations += integrator.advance(plan, state, frame * PERIOD, PERIOD).evaluations
@@ -92,7 +92,7 @@ def _plain(share: float) -> Solver:
     def solve(problem: Problem, limit: float) -> Run:
         plan, state = problem.build()
         integrator = make_integrator("leapfrog")
-        step = share * integrator.step_limit(*plan.rates(state.x))
+        step = share * integrator.step_limit(*plan.spectral_bounds(state.x))
         fixed = make_integrator("leapfrog", step=step)
         evaluations, begin = 0, time.perf_counter()
         for frame in range(problem.frames):

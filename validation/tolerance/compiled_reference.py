@@ -178,7 +178,7 @@ class ReferenceSystem:
         pairs, lists = list[PairSprings](), dict[str, list[HingeSprings]](crossed=[], altitude=[])
         for force in model.forces:
             if isinstance(force, GridSprings | PairSprings):
-                pairs.append(force.listed if isinstance(force, GridSprings) else force)
+                pairs.append(force.pair_springs if isinstance(force, GridSprings) else force)
             elif isinstance(force, CrossedSprings | AltitudeSprings):
                 lists[force.kind].append(force)
             elif isinstance(force, Gravity | Wind):

@@ -41,7 +41,7 @@ def amplification(scene: Problem, *, seed: int) -> list[float]:
     kick[1:] *= 0.0 if scene.exact is not None else 1.0
     kick /= np.sqrt((kick * kick).sum(axis=0).max())
     kicked.x += KICK * kick * (plan.model.inverse_masses > 0.0)
-    integrators = [Extrapolated(columns=3), Extrapolated(columns=3)]
+    integrators = [Extrapolated(n_runs=3), Extrapolated(n_runs=3)]
     growth = []
     for frame in range(scene.frames):
         for integrator, (equations, state) in zip(integrators, runs, strict=True):

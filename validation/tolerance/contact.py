@@ -22,8 +22,8 @@ from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
-from cloth_sim_ros.verify.independent import dop853
-from cloth_sim_ros.verify.motion import Equations, FrameWatch, Motion, RunFrame
+from cloth_sim_ros.verify.independent_integrator import dop853
+from cloth_sim_ros.verify.reference_motion import Equations, FrameCapture, ReferenceMotion, SimulatedFrame
 from validation.tolerance.random_scenes import log_uniform, smooth_field
 from validation.tolerance.windows import Judgement, Window
 
@@ -143,7 +143,7 @@ class Run:
     """The engine's frames, and what it tells of them."""
 
     draw: ContactDraw
-    frames: list[RunFrame]
+    frames: list[SimulatedFrame]
     advances: list[Advance]
     seconds: list[float]
     trouble: str
@@ -151,16 +151,16 @@ class Run:
 
 def run_contact(draw: ContactDraw) -> Run:
     """Run a scene to its end."""
-    simulation, watch = Simulation(draw.scene, draw.state), FrameWatch()
+    simulation, watch = Simulation(draw.scene, draw.state), FrameCapture()
     run = Run(draw=draw, frames=[], advances=[], seconds=[], trouble="")
     for number in range(round(_SECONDS * draw.scene.rate)):
-        before, begin = simulation.state.share(), time.perf_counter()
+        before, begin = simulation.state.shallow_copy(), time.perf_counter()
         try:
             frame = simulation.advance()
         except (UnstableError, ValueError) as error:
             return attrs.evolve(run, trouble=f"frame {number}: {error}")
         seconds = time.perf_counter() - begin
-        seen = watch.after(simulation, draw.scene, before, frame)
+        seen = watch.capture(simulation, draw.scene, before, frame)
         if seen is None or frame.advance is None:
             raise RuntimeError(f"frame {number} let no time pass")
         run.frames.append(seen)
@@ -169,19 +169,21 @@ def run_contact(draw: ContactDraw) -> Run:
     return run
 
 
-def follow(frames: list[RunFrame], kick: tuple[Array, Array] | None, local: float) -> list[Array]:
+def follow(frames: list[SimulatedFrame], kick: tuple[Array, Array] | None, local: float) -> list[Array]:
     """Positions (3, n) at the end of each frame by DOP853, from the engine's state before the first, kicked or not.
 
     Raises:
         ArithmeticError: where it finds no step.
     """
-    motion, equations, found = Motion(frames[0].before), Equations(), list[Array]()
+    motion, equations, found = ReferenceMotion(frames[0].before), Equations(), list[Array]()
     if kick is not None:
-        motion.kick(*kick)
+        motion.perturb(*kick)
     for frame in frames:
-        motion.take_hold(frame)
+        motion.apply_grasps(frame)
         plan = equations.plan(frame, motion)
-        motion.now = dop853(plan, frame.t, frame.duration, motion.now, relative=local, absolute=local)
+        motion.state = dop853(
+            plan, frame.t, frame.duration, motion.state, relative_tolerance=local, absolute_tolerance=local
+        )
         found.append(motion.x)
     return found
 
@@ -245,8 +247,8 @@ def _window(run: Run, first: int, second: int, rng: np.random.Generator) -> Wind
         promised=tolerance * max(1.0, growth, later),
         reference_error=max(largest_distance(a, b) for a, b in zip(exact, check, strict=True)),
         flagged=sum(advance.flagged > 0 for advance in advances),
-        asleep=sum(advance.binds == "rest" for advance in advances),
-        binds=", ".join(sorted({advance.binds for advance in advances})),
+        asleep=sum(advance.limited_by == "rest" for advance in advances),
+        binds=", ".join(sorted({advance.limited_by for advance in advances})),
         reason=most.reason,
         evaluations=sum(advance.evaluations for advance in advances),
         reference_evaluations=0,
@@ -254,7 +256,7 @@ def _window(run: Run, first: int, second: int, rng: np.random.Generator) -> Wind
     )
 
 
-def _growth(frames: list[RunFrame], exact: list[Array], kick: Array, moving: bool) -> float:
+def _growth(frames: list[SimulatedFrame], exact: list[Array], kick: Array, moving: bool) -> float:
     """How much a kick of positions, or of velocities, grows at most."""
     still = np.zeros_like(kick)
     kicked = follow(frames, (still, kick) if moving else (kick, still), FINE)

@@ -25,7 +25,7 @@ class SparseJacobian:
         sheets = [force for force in model.forces if isinstance(force, GridSprings)]
         if len(sheets) != 1:
             raise ValueError("the sparse Jacobian is written for raw sheets only")
-        springs = sheets[0].listed
+        springs = sheets[0].pair_springs
         self._pairs, self._rest, self._damping = springs.pairs, springs.rest_length, springs.damping
         self._rigidity = springs.rigidity
         self._inverse = model.inverse_masses

@@ -11,7 +11,7 @@ import numpy as np
 from support.random_meshes import drawn_alike
 
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import normalised, product
+from cloth_sim_ros.physics.gripper_path import normalized, quaternion_product
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -128,6 +128,6 @@ class Player:
             speed = float(np.linalg.norm(vector))
             half = 0.5 * seconds * speed
             step = (*(math.sin(half) * vector / speed).tolist(), math.cos(half))
-            turned = normalised(product(step, self._orientations[hold.gripper].tolist()))
+            turned = normalized(quaternion_product(step, self._orientations[hold.gripper].tolist()))
             self._orientations[hold.gripper] = turned
         return self._target(hold.gripper, place)

@@ -113,7 +113,7 @@ def reference_cost(system: ReferenceSystem, frequency: float, duration: float, *
 def frequency_of(scene: Scene, x: Array) -> float:
     """Highest frequency of a scene at positions x (3, n), or its damping rate where that is higher [1/s]."""
     plan = scene.plan()
-    omega2, damping = plan.rates(x)
+    omega2, damping = plan.spectral_bounds(x)
     if scene.gripper_names:
         # Grips are in proportion to mass: one frequency for all.
         omega2 += scene.gripper.stiffness / float(plan.model.masses.max())

@@ -100,7 +100,7 @@ def _held(simulation: Simulation, before: Held | None) -> tuple[Held | None, NDA
         return None, np.zeros(0, dtype=bool)
     held = Held(
         paths=grips.paths.copy(),
-        grippers=grips.owners(),
+        grippers=grips.gripper_indices(),
         particles=grips.particles.copy(),
         numbers=np.stack([grips.stiffness, grips.damping], axis=1),
         offsets=np.repeat(grips.offsets[:, :, None], LANES, axis=2),
@@ -129,6 +129,6 @@ def _mismatch(simulation: Simulation, system: ReferenceSystem, held: Held | None
     system.hold(held, t)
     found = system.accelerations(x, v, since=since)
     # Differences of positions have roundings of positions, of which stiff springs make accelerations.
-    rounding = 4.0 * np.finfo(np.float64).eps * float(np.abs(x).max()) * simulation.plan.rates(x)[0]
+    rounding = 4.0 * np.finfo(np.float64).eps * float(np.abs(x).max()) * simulation.plan.spectral_bounds(x)[0]
     beyond = float(np.abs(found - expected).max()) - rounding
     return max(0.0, beyond) / max(float(np.abs(expected).max()), 1e-30)

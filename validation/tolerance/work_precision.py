@@ -13,7 +13,7 @@ from support.problems import MORE_PROBLEMS, PROBLEMS, Problem, problem
 from support.reference import Reference, reference
 from support.reference_runs import measure
 
-from cloth_sim_ros.physics import cores
+from cloth_sim_ros.physics import thread_limit
 from cloth_sim_ros.scene.scene import Scene
 from validation.report import Plot, Report, Table
 from validation.tolerance.baselines import Solver, TooSlow, library_solvers, our_solvers
@@ -90,7 +90,8 @@ def run(options: argparse.Namespace) -> Report:
     )
     report.notes += given_up
     report.notes.append(
-        f"ours, as shipped, may take {cores.available()} threads here: it makes runs that it combines at once; solvers "
+        f"ours, as shipped, may take {thread_limit.available_threads()} threads here: it makes runs that it combines "
+        f"at once; solvers "
         "of libraries have one, for each step waits for the one before"
     )
     for point in points:

@@ -8,28 +8,33 @@ import math
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
-from cloth_sim_ros.physics.control.fallback import within_reach
+from cloth_sim_ros.physics.control.fallback import is_implicit_feasible
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
+from cloth_sim_ros.physics.controller_state import (
+    IntegratorChoiceState,
+    MultirateState,
+    StabilityState,
+    reset_step_control,
+)
 from cloth_sim_ros.physics.integrators.base import (
     WORK_LIMIT,
     Advance,
     Integrator,
-    MissedError,
+    ToleranceMissedError,
     UnstableError,
-    refuse_boundless,
+    refuse_unbounded,
 )
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import Choice, Hinges, Stability, restart
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.integrators.implicit import Implicit
 
-_MISSED = "implicit steps missed the tolerance"
+_TOLERANCE_MISSED = "implicit steps missed the tolerance"
 #: Integrators by the name that a scene gives.
 INTEGRATORS = ("auto", "leapfrog", "extrapolated", "implicit", "symplectic_euler")
 
@@ -48,17 +53,17 @@ def make_integrator(
     Raises:
         ValueError: for an unknown name.
     """
-    held = None if step is not None else tolerance
+    active_tolerance = None if step is not None else tolerance
     if name == "auto":
-        return Leapfrog(step, work=work) if step is not None else Automatic(tolerance=held, work=work)
+        return Leapfrog(step, work=work) if step is not None else Automatic(tolerance=active_tolerance, work=work)
     if name == "leapfrog":
-        return Leapfrog(step, tolerance=held, work=work)
+        return Leapfrog(step, tolerance=active_tolerance, work=work)
     if name == "extrapolated":
-        return Extrapolated(step=step, tolerance=held, work=work)
+        return Extrapolated(step=step, tolerance=active_tolerance, work=work)
     if name == "implicit":
         from cloth_sim_ros.physics.integrators.implicit import Implicit
 
-        return Implicit(step, tolerance=held, work=work)
+        return Implicit(step, tolerance=active_tolerance, work=work)
     if name == "symplectic_euler":
         from cloth_sim_ros.physics.integrators.symplectic_euler import SymplecticEuler
 
@@ -95,91 +100,105 @@ class Automatic(Integrator):
     def step_limit(self, omega2: float, damping_rate: float) -> float:
         return math.inf
 
-    def advance(self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None) -> Advance:
-        memory = Choice.of(state)
-        self._choose(memory, plan, state, t, duration)
-        memory.wait -= 1.0
-        done, missed = None, ""
-        if memory.implicit:
-            start = state.share()
-            strict = not memory.vain and self._within_work(memory.explicit, duration)
+    def advance(
+        self, plan: Plan, state: State, t: float, duration: float, accumulator: WorkAccumulator | None = None
+    ) -> Advance:
+        memory = IntegratorChoiceState.load(state)
+        self._choose_integrator(memory, plan, state, t, duration)
+        memory.frames_until_comparison -= 1.0
+        result, failure = None, ""
+        if memory.is_implicit:
+            start = state.shallow_copy()
+            strict = not memory.explicit_also_failed and self._fits_work_limit(memory.explicit_cost, duration)
             try:
-                done = self._implicit.advance(plan, state, t, duration, book, strict=strict)
-                spent = done.evaluations
-                if done.flagged and strict:
-                    done, missed = None, _MISSED
+                result = self._implicit.advance(plan, state, t, duration, accumulator, is_strict=strict)
+                evaluations = result.evaluations
+                if result.flagged and strict:
+                    result, failure = None, _TOLERANCE_MISSED
             except UnstableError as error:
-                missed = _MISSED if isinstance(error, MissedError) else "implicit steps found no way through this fold"
-                spent = error.evaluations
-            if done is None:
+                failure = (
+                    _TOLERANCE_MISSED
+                    if isinstance(error, ToleranceMissedError)
+                    else "implicit steps found no way through this fold"
+                )
+                evaluations = error.evaluations
+            if result is None:
                 if plan.contact is not None:
                     # A fold stays stiff for some frames: the cost of the attempt decides when the next one pays.
-                    memory.cost = max(memory.cost, spent * _iteration(plan))
+                    memory.implicit_cost = max(memory.implicit_cost, evaluations * _iteration_cost(plan))
                 # Explicit steps have a solution at any small enough step size.
                 state.restore(start)
-                memory.implicit, memory.wait = 0.0, CONSTANTS.wait
-        if done is None:
-            done = self._explicit.advance(plan, state, t, duration, book)
-            if missed and done.flagged and within_reach(plan):
+                memory.is_implicit, memory.frames_until_comparison = 0.0, CONSTANTS.max_estimate_period
+        if result is None:
+            result = self._explicit.advance(plan, state, t, duration, accumulator)
+            if failure and result.flagged and is_implicit_feasible(plan):
                 # Both methods miss the tolerance: the cheaper one is used until the next comparison.
-                memory.implicit = memory.vain = 1.0
-        elif memory.implicit:
-            cost = done.evaluations * _iteration(plan)
+                memory.is_implicit = memory.explicit_also_failed = 1.0
+        elif memory.is_implicit:
+            cost = result.evaluations * _iteration_cost(plan)
             # The mean avoids a change because of one repeated frame.
-            memory.cost = 0.5 * (memory.cost + cost) if memory.cost else cost
+            memory.implicit_cost = 0.5 * (memory.implicit_cost + cost) if memory.implicit_cost else cost
         memory.store(state)
-        if missed:
-            why = f"{missed}, explicit ones may not hold real time"
-        elif memory.implicit:
-            why = "too stiff for explicit steps in real time"
+        if failure:
+            explanation = f"{failure}, explicit ones may not hold real time"
+        elif memory.is_implicit:
+            explanation = "too stiff for explicit steps in real time"
         else:
-            why = "explicit steps are cheaper" if memory.cost else "explicit steps are affordable"
+            explanation = "explicit steps are cheaper" if memory.implicit_cost else "explicit steps are affordable"
         # `_replace` is slower, and every frame runs this line.
-        return Advance(*done[:-1], reason=f"auto: {why}; {done.reason}")
+        return Advance(*result[:-1], reason=f"auto: {explanation}; {result.reason}")
 
-    def _within_work(self, cost: float, duration: float) -> bool:
+    def _fits_work_limit(self, cost: float, duration: float) -> bool:
         """True if a frame of a cost [ns] fits the work limit."""
         return self.work == 0.0 or cost <= self.work * duration * 1e9
 
-    def _choose(self, memory: Choice, plan: Plan, state: State, t: float, duration: float) -> None:
+    def _choose_integrator(
+        self, memory: IntegratorChoiceState, plan: Plan, state: State, t: float, duration: float
+    ) -> None:
         """Compare the costs of both methods periodically, and at once if the implicit method becomes expensive."""
-        if memory.wait > 0.0 and not (memory.implicit and memory.cost > CONSTANTS.trust * memory.explicit):
+        if memory.frames_until_comparison > 0.0 and not (
+            memory.is_implicit and memory.implicit_cost > CONSTANTS.estimate_trust_factor * memory.explicit_cost
+        ):
             return
-        memory.explicit, memory.vain = _explicit_frame(plan, state, t, duration), 0.0
-        if plan.contact is not None and not memory.implicit:
+        memory.explicit_cost, memory.explicit_also_failed = _explicit_frame_cost(plan, state, t, duration), 0.0
+        if plan.contact is not None and not memory.is_implicit:
             # The contact that made implicit steps expensive may have ended.
-            memory.cost *= 0.5
-        better = memory.explicit > CONSTANTS.aim * duration * 1e9 and within_reach(plan)
-        if better:
-            implicit = memory.cost or _first(plan)
-            better = implicit <= (CONSTANTS.trust if memory.implicit else 1.0) * memory.explicit
-        if better != bool(memory.implicit):
-            restart(state)
-        memory.implicit, memory.wait = float(better), CONSTANTS.wait
+            memory.implicit_cost *= 0.5
+        implicit_pays = (
+            memory.explicit_cost > CONSTANTS.error_target_fraction * duration * 1e9 and is_implicit_feasible(plan)
+        )
+        if implicit_pays:
+            implicit_cost = memory.implicit_cost or _first_implicit_frame_cost(plan)
+            implicit_pays = (
+                implicit_cost <= (CONSTANTS.estimate_trust_factor if memory.is_implicit else 1.0) * memory.explicit_cost
+            )
+        if implicit_pays != bool(memory.is_implicit):
+            reset_step_control(state)
+        memory.is_implicit, memory.frames_until_comparison = float(implicit_pays), CONSTANTS.max_estimate_period
 
 
-def _explicit_frame(plan: Plan, state: State, t: float, duration: float) -> float:
+def _explicit_frame_cost(plan: Plan, state: State, t: float, duration: float) -> float:
     """Return the estimated cost of a frame by explicit steps at the stability limit [ns].
 
     The estimate ignores accuracy: a motion that requires explicit steps below the stability limit is too fast for large
     implicit steps.
     """
-    known = Stability.of(state)
-    rates = (known.omega2, known.damping) if known.omega2 >= 0.0 else plan.rates(state.x)
-    refuse_boundless(*rates)
-    steps = max(1.0, duration / (CONSTANTS.safety * leapfrog_limit(*rates)))
-    cost = steps * plan.cost(int(Hinges.of(state).every)) * plan.model.particle_count
+    stability = StabilityState.load(state)
+    bounds = (stability.omega2, stability.damping) if stability.omega2 >= 0.0 else plan.spectral_bounds(state.x)
+    refuse_unbounded(*bounds)
+    steps = max(1.0, duration / (CONSTANTS.stability_safety * leapfrog_limit(*bounds)))
+    cost = steps * plan.multirate_step_cost(int(MultirateState.load(state).ratio)) * plan.model.particle_count
     return cost + steps * plan.contact_cost(t, duration, state)
 
 
-def _first(plan: Plan) -> float:
+def _first_implicit_frame_cost(plan: Plan) -> float:
     """Return the estimated cost of the first frame by the implicit method [ns]."""
-    from cloth_sim_ros.physics.integrators.implicit_run import EXPECTED_ITERATIONS
+    from cloth_sim_ros.physics.integrators.implicit_advance import EXPECTED_ITERATIONS
 
-    return EXPECTED_ITERATIONS * _iteration(plan)
+    return EXPECTED_ITERATIONS * _iteration_cost(plan)
 
 
-def _iteration(plan: Plan) -> float:
+def _iteration_cost(plan: Plan) -> float:
     """Return the estimated cost of one iteration of the implicit method [ns]; most scenes never need it."""
     from cloth_sim_ros.physics.integrators.stage_matrix import iteration_cost
 

@@ -17,14 +17,14 @@ import numpy as np
 
 from cloth_sim_ros.physics.arrays import weighted_dot
 from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.controller_state import EnergyState
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.integrators.columns import Columns
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import Energy
 from cloth_sim_ros.physics.state import State
 
 #: Relative rounding error of a sum of energies; rounding error of coordinates of a sheet at rest, in units of epsilon.
-_ROUNDING, _ROUNDINGS = 1e-12, 8.0
+_ROUNDING, _COORDINATE_ROUNDINGS = 1e-12, 8.0
 
 #: A time [s] and its state, with the friction anchors and jaws that contribute to the energy.
 Moment = tuple[float, State]
@@ -36,31 +36,34 @@ class EnergyRule:
     Args:
         plan: equations of motion.
         memory: state of the rule.
-        settled: refinement of the previous advance if this one tries longer steps, else 0.
+        last_refinement: refinement of the previous advance if this one tries longer steps, else 0.
     """
 
-    def __init__(self, plan: Plan, memory: Energy, settled: float = 0.0) -> None:
-        self._plan, self.memory, self._settled = plan, memory, settled
-        self._begins = memory.softest < 0.0
+    def __init__(self, plan: Plan, memory: EnergyState, last_refinement: float = 0.0) -> None:
+        self._plan, self.memory, self._last_refinement = plan, memory, last_refinement
+        self._is_first_run = memory.min_omega2 < 0.0
 
-    def looks(self, before: float, after: float, *, varied: bool, refine: float) -> bool:
+    def must_check(
+        self, omega2_before: float, omega2_after: float, *, has_several_step_sizes: bool, refinement: float
+    ) -> bool:
         """Return True if the energy of a run with unknown error must be checked.
 
         A single run needs the check only at the start, and after a change of stiffness.
 
         Args:
-            before: bound of the squared frequency at its start [1/s^2].
-            after: the same at its end.
-            varied: True for a combination of runs, or if other intervals of the advance have other step sizes.
-            refine: refinement of its steps.
+            omega2_before: bound of the squared frequency at its start [1/s^2].
+            omega2_after: the same at its end.
+            has_several_step_sizes: True for a combination of runs, or if other intervals of the advance have other
+                step sizes.
+            refinement: refinement of its steps.
         """
         memory = self.memory
-        least, most = min(before, after), max(before, after)
-        memory.softest = least if memory.softest < 0.0 else min(memory.softest, least)
-        stiffened = most > CONSTANTS.stiffened * memory.softest
-        return varied or self._starts(refine) or stiffened
+        lower, upper = min(omega2_before, omega2_after), max(omega2_before, omega2_after)
+        memory.min_omega2 = lower if memory.min_omega2 < 0.0 else min(memory.min_omega2, lower)
+        has_stiffened = upper > CONSTANTS.energy_check_stiffening * memory.min_omega2
+        return has_several_step_sizes or self._is_start(refinement) or has_stiffened
 
-    def exceeds(self, start: Moment, end: Moment, step: float, work: float, *, refine: float) -> bool:
+    def exceeds_gain(self, start: Moment, end: Moment, step: float, work: float, *, refinement: float) -> bool:
         """Add the energy that a run created to the drift; return True if it exceeds the limit.
 
         Args:
@@ -68,53 +71,60 @@ class EnergyRule:
             end: time and state at its end.
             step: step size [s].
             work: external work over the run [J].
-            refine: refinement of its steps.
+            refinement: refinement of its steps.
         """
         memory = self.memory
-        before = self._own(start, step)
-        rise = self._own(end, step) - before - work
-        moved = max(self._kinetic(start), self._kinetic(end)) + abs(work)
-        little = _ROUNDING * abs(before) + self._noise(end[1].x)
-        made, most = max(0.0, memory.made + rise), CONSTANTS.gain * moved + little
+        before = self._leapfrog_energy(start, step)
+        rise = self._leapfrog_energy(end, step) - before - work
+        turnover = max(self._kinetic_energy(start), self._kinetic_energy(end)) + abs(work)
+        rounding_energy = _ROUNDING * abs(before) + self._rounding_energy(end[1].x)
+        energy_drift, max_drift = (
+            max(0.0, memory.energy_drift + rise),
+            CONSTANTS.max_energy_gain * turnover + rounding_energy,
+        )
         if not np.isfinite(rise):
             return True
-        if self._starts(refine) and self._energy(end) - self._energy(start) - work > CONSTANTS.swing * moved + little:
+        if (
+            self._is_start(refinement)
+            and self._energy(end) - self._energy(start) - work
+            > CONSTANTS.max_energy_oscillation * turnover + rounding_energy
+        ):
             return True
-        if rise > 0.0 and made > most:
+        if rise > 0.0 and energy_drift > max_drift:
             return True
-        memory.made, self._begins, self._settled = made, False, 0.0
+        memory.energy_drift, self._is_first_run, self._last_refinement = energy_drift, False, 0.0
         return False
 
-    def _starts(self, refine: float) -> bool:
+    def _is_start(self, refinement: float) -> bool:
         """True for a first run, and for one with longer steps than the previous run."""
-        return self._begins or refine < self._settled
+        return self._is_first_run or refinement < self._last_refinement
 
-    def _noise(self, x: Array) -> float:
+    def _rounding_energy(self, x: Array) -> float:
         """Return the energy [J] that rounding of coordinates causes in a sheet at rest: m w^2 / 2 times its square."""
-        place = _ROUNDINGS * float(np.finfo(np.float64).eps) * max(float(x.max()), -float(x.min()))
-        omega2, _ = self._plan.rates(x)
-        return 0.5 * self._plan.model.mass * omega2 * place * place
+        displacement = _COORDINATE_ROUNDINGS * float(np.finfo(np.float64).eps) * max(float(x.max()), -float(x.min()))
+        omega2, _ = self._plan.spectral_bounds(x)
+        return 0.5 * self._plan.model.mass * omega2 * displacement * displacement
 
-    def _kinetic(self, moment: Moment) -> float:
+    def _kinetic_energy(self, moment: Moment) -> float:
         t, state = moment
         return self._plan.energies(t, state.x, state.v)[0]
 
-    def _own(self, moment: Moment, step: float) -> float:
+    def _leapfrog_energy(self, moment: Moment, step: float) -> float:
         t, state = moment
-        self._lay(state)
-        return own_energy(self._plan, t, state.x, state.v, step)
+        self._load_contact(state)
+        return leapfrog_energy(self._plan, t, state.x, state.v, step)
 
     def _energy(self, moment: Moment) -> float:
         t, state = moment
-        self._lay(state)
+        self._load_contact(state)
         return self._plan.energy(t, state.x, state.v)
 
-    def _lay(self, state: State) -> None:
+    def _load_contact(self, state: State) -> None:
         if self._plan.contact is not None:
-            self._plan.contact.take(state)
+            self._plan.contact.load_state(state)
 
 
-def own_energy(plan: Plan, t: float, x: Array, v: Array, step: float) -> float:
+def leapfrog_energy(plan: Plan, t: float, x: Array, v: Array, step: float) -> float:
     """Return the energy that the leapfrog conserves at a step size [J]; half steps forward and back give v'Kv.
 
     Args:
@@ -124,29 +134,37 @@ def own_energy(plan: Plan, t: float, x: Array, v: Array, step: float) -> float:
         v: velocities [m/s], shape (3, n).
         step: step size [s].
     """
-    still, ahead, back = np.zeros_like(v), np.empty_like(v), np.empty_like(v)
-    plan.accelerations(t, x + 0.5 * step * v, still, ahead)
-    plan.accelerations(t, x - 0.5 * step * v, still, back)
-    return plan.energy(t, x, v) + 0.125 * step * weighted_dot(plan.model.masses, v, ahead - back)
+    zeros, forward, backward = np.zeros_like(v), np.empty_like(v), np.empty_like(v)
+    plan.accelerations(t, x + 0.5 * step * v, zeros, forward)
+    plan.accelerations(t, x - 0.5 * step * v, zeros, backward)
+    return plan.energy(t, x, v) + 0.125 * step * weighted_dot(plan.model.masses, v, forward - backward)
 
 
-def put_in(plan: Plan, state: State, columns: Columns, t: float, count: int) -> tuple[float, int]:
+def external_work(plan: Plan, state: State, tableau: ExtrapolationTableau, t: float, n_runs: int) -> tuple[float, int]:
     """Return the external work over T_K [J], and the force evaluations of its computation.
 
     Args:
         plan: equations of motion.
         state: at the start.
-        columns: runs.
+        tableau: runs.
         t: time at the start [s].
-        count: K, the number of combined runs.
+        n_runs: K, the number of combined runs.
     """
-    x, v = columns.combine(count)
-    moved = plan.contact is not None and not plan.contact.force.steady()
-    if not (moved or plan.supply(t, state.x, state.v) or plan.supply(t, x, v)):
-        return columns.work(count), 0
+    x, v = tableau.combine(n_runs)
+    obstacles_move = plan.contact is not None and not plan.contact.force.steady()
+    if not (obstacles_move or plan.supply(t, state.x, state.v) or plan.supply(t, x, v)):
+        return tableau.work(n_runs), 0
     # Runs record the work of air and obstacles on demand alone.
-    narrow, every = columns.narrow, columns.every
-    noted = Columns(
-        plan, state, t, columns.duration, columns.counts, powers=True, touches=moved, narrow=narrow, every=every
+    single_precision, ratio = tableau.single_precision, tableau.ratio
+    recorded_tableau = ExtrapolationTableau(
+        plan,
+        state,
+        t,
+        tableau.duration,
+        tableau.counts,
+        record_power=True,
+        record_obstacles=obstacles_move,
+        single_precision=single_precision,
+        ratio=ratio,
     )
-    return noted.work(count), noted.evaluations
+    return recorded_tableau.work(n_runs), recorded_tableau.evaluations

@@ -17,19 +17,19 @@ import numpy as np
 
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.stability import StabilityRule
-from cloth_sim_ros.physics.integrators.columns import RATIOS, SUMS, amplification
-from cloth_sim_ros.physics.powers import in_order, power, root
-from cloth_sim_ros.physics.remembered import Error
+from cloth_sim_ros.physics.controller_state import ErrorState
+from cloth_sim_ros.physics.deterministic_math import ordered_sum, power, root
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, RATIOS, amplification
 from cloth_sim_ros.physics.state import State
 
 #: Rounding error of a run, in units of epsilon times the largest coordinate. A combination amplifies it.
-_ROUNDINGS = 4.0
+_COORDINATE_ROUNDINGS = 4.0
 #: The predicted error of a single run grows with this power of the velocity change, as x''' may.
-_LIVELIER = 3
+_ACTIVITY_EXPONENT = 3
 
 
 @attrs.define
-class Sums:
+class ErrorSums:
     """Sums of errors over the parts of a frame."""
 
     #: Errors of T_1, T_2, ... [m], as many as all parts have in common.
@@ -38,27 +38,27 @@ class Sums:
     error: float = 0.0
     predicted: float = 0.0
     #: Error of the combination of one run less, in frames without an estimate [m].
-    before: float = 0.0
+    lower_order_error: float = 0.0
     #: Largest change of a velocity over a part [m/s].
     activity: float = 0.0
     #: Number of parts.
-    parts: int = 0
+    n_parts: int = 0
 
-    def add(self, errors: Sequence[float], columns: int, predicted: float, activity: float) -> None:
+    def add_estimate(self, errors: Sequence[float], n_runs: int, predicted: float, activity: float) -> None:
         """Add the estimates of a part.
 
         Args:
             errors: of T_1, T_2, ... [m].
-            columns: number of combined runs.
+            n_runs: number of combined runs.
             predicted: predicted error [m].
             activity: largest velocity change over the part [m/s].
         """
-        known = self.errors or [0.0] * len(errors)
-        self.errors = [in_order(pair) for pair in zip(known, errors, strict=False)]
-        self.error += errors[columns - 1]
+        previous = self.errors or [0.0] * len(errors)
+        self.errors = [ordered_sum(pair) for pair in zip(previous, errors, strict=False)]
+        self.error += errors[n_runs - 1]
         self.predicted += predicted
         self.activity = max(self.activity, activity)
-        self.parts += 1
+        self.n_parts += 1
 
 
 class ErrorRule:
@@ -68,117 +68,141 @@ class ErrorRule:
         memory: state of the rule.
         stability: rule that bounds step sizes.
         budget: error budget of the interval [m].
-        most: maximum number of combined runs.
+        max_runs: maximum number of combined runs.
         state: at the start.
     """
 
-    def __init__(self, memory: Error, stability: StabilityRule, budget: float, most: int, state: State) -> None:
-        self.memory, self._stability, self.budget, self._most = memory, stability, budget, most
+    def __init__(
+        self, memory: ErrorState, stability: StabilityRule, budget: float, max_runs: int, state: State
+    ) -> None:
+        self.memory, self._stability, self.budget, self._max_runs = memory, stability, budget, max_runs
         self._x = state.x
 
-    def of_stretch(self, memory: Error, budget: float, state: State, stability: StabilityRule) -> ErrorRule:
+    def for_interval(self, memory: ErrorState, budget: float, state: State, stability: StabilityRule) -> ErrorRule:
         """Return the rule for a shorter interval."""
-        return ErrorRule(memory, stability, budget, self._most, state)
+        return ErrorRule(memory, stability, budget, self._max_runs, state)
 
     @cached_property
     def _rounding(self) -> float:
         """Rounding error of a run [m]; frames without an estimate do not need it."""
         coordinate = max(float(self._x.max()), -float(self._x.min()))
-        return _ROUNDINGS * float(np.finfo(np.float64).eps) * coordinate
+        return _COORDINATE_ROUNDINGS * float(np.finfo(np.float64).eps) * coordinate
 
-    def floor(self, columns: int) -> float:
+    def rounding_floor(self, n_runs: int) -> float:
         """Return the distance of T_(K+1) from T_K that rounding alone causes [m], K = n_runs."""
-        return self._rounding * amplification(columns + 1)
+        return self._rounding * amplification(n_runs + 1)
 
-    def predicted(self, columns: int, difference: float, activity: float) -> float:
+    def predict(self, n_runs: int, difference: float, activity: float) -> float:
         """Return the predicted error of a part [m].
 
         Args:
-            columns: K, the number of combined runs.
+            n_runs: K, the number of combined runs.
             difference: distance of T_K from T_(K-1) [m]; 0 for a single run.
             activity: largest velocity change over the part [m/s].
         """
         memory = self.memory
-        if columns > 1:
+        if n_runs > 1:
             # The larger the difference of combinations, the smaller the gain of the next one; at a force jump it is 0.
-            parted = max(1.0, difference / memory.difference) if memory.difference else float("inf")
-            return min(1.0, memory.margin * memory.ratio * parted) * difference
-        return predicted_of_one(memory, activity)
+            growth = max(1.0, difference / memory.difference) if memory.difference else float("inf")
+            return min(1.0, memory.safety_factor * memory.error_ratio * growth) * difference
+        return predict_single_run_error(memory, activity)
 
-    def choose(self, errors: Sequence[float], refine: float) -> tuple[int, float]:
+    def choose(self, errors: Sequence[float], refinement: float) -> tuple[int, float]:
         """Return the runs and the refinement that meet the budget with the fewest force evaluations.
 
         Args:
             errors: of T_1, T_2, ... at the present refinement [m]; that of T_K decreases as h^(K + 1).
-            refine: present refinement.
+            refinement: present refinement.
         """
-        best = (1, refine, float("inf"))
-        for columns, error in enumerate(errors[: self._most], start=1):
-            scale = root(max(error, self.floor(columns)) / (CONSTANTS.aim * self.budget), columns + 1)
-            wanted = max(self._stability.least(columns), refine * scale)
-            work = wanted * (SUMS[columns] + RATIOS[columns] / CONSTANTS.wait)
+        best = (1, refinement, float("inf"))
+        for n_runs, error in enumerate(errors[: self._max_runs], start=1):
+            scale = root(
+                max(error, self.rounding_floor(n_runs)) / (CONSTANTS.error_target_fraction * self.budget), n_runs + 1
+            )
+            required_refinement = max(self._stability.min_refinement(n_runs), refinement * scale)
+            work = required_refinement * (RATIO_SUMS[n_runs] + RATIOS[n_runs] / CONSTANTS.max_estimate_period)
             if work < best[2]:
-                best = (columns, wanted, work)
+                best = (n_runs, required_refinement, work)
         return best[0], best[1]
 
-    def judged(self, columns: int, refine: float, sums: Sums) -> None:
+    def record_estimate(self, n_runs: int, refinement: float, sums: ErrorSums) -> None:
         """Record the estimates of an accepted frame, and choose runs and refinement of the next one.
 
         Args:
-            columns: number of combined runs.
-            refine: their refinement.
+            n_runs: number of combined runs.
+            refinement: their refinement.
             sums: errors of its parts.
         """
         memory, errors, error = self.memory, sums.errors, sums.error
-        off = error / sums.predicted if sums.predicted > 0.0 else float("inf")
-        known = memory.activity > 0.0 and memory.columns == columns
-        wanted, finer = self.choose(errors, refine)
+        prediction_ratio = error / sums.predicted if sums.predicted > 0.0 else float("inf")
+        is_comparable = memory.activity > 0.0 and memory.n_runs == n_runs
+        next_runs, next_refinement = self.choose(errors, refinement)
         # Steps grow by a factor of two at most, because a motion that reverses is slow for a moment.
-        finer = max(min(finer, CONSTANTS.finer * refine), 0.5 * refine, 1.0)
-        scaled, far = refine / finer, error <= CONSTANTS.far * self.budget
-        memory.columns, memory.refine, memory.activity = float(wanted), finer, sums.activity
-        memory.error = max(errors[wanted - 1] * power(scaled, wanted + 1), self.floor(wanted))
-        if wanted > 1:
-            before, here = errors[wanted - 2], errors[wanted - 1]
-            memory.ratio = min(1.0, here / before * scaled) if before > self.floor(wanted - 1) else 1.0
-            memory.difference = max(before, self.floor(wanted - 1)) * power(scaled, wanted) / sums.parts
-        trusted = far or (known and off <= CONSTANTS.trust) or error <= self.floor(columns)
-        memory.margin = 1.0 if far else max(1.0, 0.5 * memory.margin, min(off, 1e3) if known else 1.0)
-        longest = 4.0 * CONSTANTS.wait if far and finer == 1.0 else CONSTANTS.wait
-        memory.interval = min(longest, 2.0 * memory.interval) if trusted else 1.0
-        memory.wait = memory.interval
+        next_refinement = max(min(next_refinement, CONSTANTS.max_refinement_factor * refinement), 0.5 * refinement, 1.0)
+        step_ratio, is_far_below = refinement / next_refinement, error <= CONSTANTS.low_error_fraction * self.budget
+        memory.n_runs, memory.refinement, memory.activity = float(next_runs), next_refinement, sums.activity
+        memory.error = max(errors[next_runs - 1] * power(step_ratio, next_runs + 1), self.rounding_floor(next_runs))
+        if next_runs > 1:
+            previous_error, next_error = errors[next_runs - 2], errors[next_runs - 1]
+            memory.error_ratio = (
+                min(1.0, next_error / previous_error * step_ratio)
+                if previous_error > self.rounding_floor(next_runs - 1)
+                else 1.0
+            )
+            memory.difference = (
+                max(previous_error, self.rounding_floor(next_runs - 1)) * power(step_ratio, next_runs) / sums.n_parts
+            )
+        is_trusted = (
+            is_far_below
+            or (is_comparable and prediction_ratio <= CONSTANTS.estimate_trust_factor)
+            or error <= self.rounding_floor(n_runs)
+        )
+        memory.safety_factor = (
+            1.0
+            if is_far_below
+            else max(1.0, 0.5 * memory.safety_factor, min(prediction_ratio, 1e3) if is_comparable else 1.0)
+        )
+        max_period = (
+            4.0 * CONSTANTS.max_estimate_period
+            if is_far_below and next_refinement == 1.0
+            else CONSTANTS.max_estimate_period
+        )
+        memory.estimate_period = min(max_period, 2.0 * memory.estimate_period) if is_trusted else 1.0
+        memory.frames_until_estimate = memory.estimate_period
 
-    def halved(self, columns: int, refine: float) -> None:
+    def record_halving(self, n_runs: int, refinement: float) -> None:
         """Record a frame that was divided into intervals; the next one starts with an estimate at their mean step."""
-        self.memory = Error(columns=float(columns), refine=refine, part=self.memory.part)
+        self.memory = ErrorState(n_runs=float(n_runs), refinement=refinement, duration=self.memory.duration)
 
-    def passed(self, columns: int, sums: Sums) -> None:
+    def record_prediction(self, n_runs: int, sums: ErrorSums) -> None:
         """Record a frame without an estimate; the next one gets an estimate if one run less may suffice."""
         memory = self.memory
-        less = columns > 1 and sums.before <= CONSTANTS.aim * self.budget
-        memory.wait = 0.0 if less else max(0.0, memory.wait - 1.0)
+        fewer_suffice = n_runs > 1 and sums.lower_order_error <= CONSTANTS.error_target_fraction * self.budget
+        memory.frames_until_estimate = 0.0 if fewer_suffice else max(0.0, memory.frames_until_estimate - 1.0)
 
-    def refined(self, refine: float) -> None:
+    def record_refinement(self, refinement: float) -> None:
         """Record a refinement that the energy rule required for a fixed step."""
         memory = self.memory
-        memory.refine = refine
-        memory.wait = memory.interval = min(CONSTANTS.wait, 2.0 * memory.interval)
+        memory.refinement = refinement
+        memory.frames_until_estimate = memory.estimate_period = min(
+            CONSTANTS.max_estimate_period, 2.0 * memory.estimate_period
+        )
 
 
-def predicted_of_one(memory: Error, activity: float) -> float:
+def predict_single_run_error(memory: ErrorState, activity: float) -> float:
     """Return the predicted error of a single run over a part [m].
 
     Args:
         memory: state of the error rule.
         activity: largest velocity change over the part [m/s].
     """
-    livelier = max(1.0, activity / memory.activity) if memory.activity else float("inf")
-    if livelier > CONSTANTS.trust:
+    activity_ratio = max(1.0, activity / memory.activity) if memory.activity else float("inf")
+    if activity_ratio > CONSTANTS.estimate_trust_factor:
         # The motion differs from the one with the last estimate, for example after an impact.
         return float("inf")
-    return memory.margin * memory.error * power(livelier, _LIVELIER)
+    return memory.safety_factor * memory.error * power(activity_ratio, _ACTIVITY_EXPONENT)
 
 
-def is_of(memory: Error, duration: float) -> bool:
+def is_for_duration(memory: ErrorState, duration: float) -> bool:
     """Return True if the state of the rule belongs to frames of a duration [s]."""
-    return abs(memory.part - duration) <= 1e-6 * duration
+    return abs(memory.duration - duration) <= 1e-6 * duration

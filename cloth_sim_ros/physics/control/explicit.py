@@ -6,38 +6,61 @@ from __future__ import annotations
 
 import math
 
-from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.control import calm
-from cloth_sim_ros.physics.control.choice import Choice, Options, asides, binds, reason
-from cloth_sim_ros.physics.control.effort import Effort
+from cloth_sim_ros.physics.control import fast_path
+from cloth_sim_ros.physics.control.advance_context import AdvanceContext
+from cloth_sim_ros.physics.control.contact_step_limit import ContactStepLimit
 from cloth_sim_ros.physics.control.energy import EnergyRule
-from cloth_sim_ros.physics.control.error import ErrorRule, is_of
-from cloth_sim_ros.physics.control.fallback import finish, part_cost, whole_work, within_reach, work_cap
-from cloth_sim_ros.physics.control.hinges import HingeRule
+from cloth_sim_ros.physics.control.error import ErrorRule, is_for_duration
+from cloth_sim_ros.physics.control.fallback import (
+    evaluation_budget,
+    finish_implicitly,
+    is_implicit_feasible,
+    part_call_work,
+    work_cap,
+)
+from cloth_sim_ros.physics.control.interval import Interval
+from cloth_sim_ros.physics.control.multirate import MultirateRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.stability import StabilityRule
-from cloth_sim_ros.physics.control.stretch import Stretch
-from cloth_sim_ros.physics.control.touch import TouchRule
+from cloth_sim_ros.physics.control.step_choice import (
+    ExplicitSettings,
+    StepChoice,
+    describe_choice,
+    describe_details,
+    limiting_factor,
+)
+from cloth_sim_ros.physics.controller_state import (
+    ContactState,
+    EnergyState,
+    ErrorState,
+    FallbackState,
+    MultirateState,
+    PrecisionState,
+    RoundingNoiseState,
+    StabilityState,
+)
 from cloth_sim_ros.physics.integrators.base import (
     Advance,
     NoRoomError,
     UnstableError,
-    refuse_boundless,
+    refuse_unbounded,
     refuse_unstable,
 )
-from cloth_sim_ros.physics.integrators.columns import SUMS, Ran
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, PrecomputedRun
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import Energy, Error, Fallback, Hinges, Noise, Precision, Stability, Touch
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
 
 
-def advance(options: Options, plan: Plan, state: State, t: float, duration: float, book: Book | None) -> Advance:
+def advance(
+    options: ExplicitSettings, plan: Plan, state: State, t: float, duration: float, accumulator: WorkAccumulator | None
+) -> Advance:
     """Advance a state by a duration: by the fast path, else by `ExplicitAdvance`."""
-    done = calm.attempt(options, plan, state, t, duration, book)
-    if isinstance(done, Advance):
-        return done
-    return ExplicitAdvance(options, plan, state, t, duration, book, done).run()
+    result = fast_path.try_advance(options, plan, state, t, duration, accumulator)
+    if isinstance(result, Advance):
+        return result
+    return ExplicitAdvance(options, plan, state, t, duration, accumulator, result).run()
 
 
 class ExplicitAdvance:
@@ -49,89 +72,99 @@ class ExplicitAdvance:
         state: advanced in place.
         t: time at the start [s].
         duration: time to advance [s].
-        book: work accumulator; None for none.
-        ran: run of a rejected fast path; None for none.
+        accumulator: work accumulator; None for none.
+        precomputed_run: run of a rejected fast path; None for none.
     """
 
     def __init__(
         self,
-        options: Options,
+        options: ExplicitSettings,
         plan: Plan,
         state: State,
         t: float,
         duration: float,
-        book: Book | None,
-        ran: Ran | None = None,
+        accumulator: WorkAccumulator | None,
+        precomputed_run: PrecomputedRun | None = None,
     ) -> None:
-        self._options, self._plan, self._state, self._book = options, plan, state, book
+        self._options, self._plan, self._state, self._accumulator = options, plan, state, accumulator
         self._t, self._duration = t, duration
-        self._known = Stability.key in state.memory
-        self._memory = memory = Stability.of(state)
+        self._has_history = StabilityState.key in state.memory
+        self._memory = memory = StabilityState.load(state)
         stability = StabilityRule(plan, memory, state, duration)
-        refuse_boundless(memory.omega2, memory.damping)
+        refuse_unbounded(memory.omega2, memory.damping)
         #: Longest stable step without contact [s].
-        self._bare = limit = options.step_limit(memory.omega2, memory.damping)
-        error, precision, noise = Error.of(state), Precision.of(state), Noise.of(state)
-        if not is_of(error, duration):
+        self._sheet_limit = limit = options.step_limit(memory.omega2, memory.damping)
+        error, precision, noise = ErrorState.load(state), PrecisionState.load(state), RoundingNoiseState.load(state)
+        if not is_for_duration(error, duration):
             # The recorded errors belong to frames of another length.
-            error = Error(columns=error.columns, refine=error.refine, part=duration)
-            precision, noise = Precision(), Noise()
-        columns, settled = options.columns, 0.0
+            error = ErrorState(n_runs=error.n_runs, refinement=error.refinement, duration=duration)
+            precision, noise = PrecisionState(), RoundingNoiseState()
+        n_runs, last_refinement = options.n_runs, 0.0
         if options.tolerance is not None:
-            columns = min(int(error.columns), columns)
-        elif error.wait <= 0.0:
+            n_runs = min(int(error.n_runs), n_runs)
+        elif error.frames_until_estimate <= 0.0:
             # Larger steps than the energy rule required are tried periodically.
-            settled, error.refine = error.refine, max(1.0, 0.5 * error.refine)
-        judge = options.tolerance is not None and error.wait <= 0.0
-        budget = math.inf if options.tolerance is None else CONSTANTS.share * duration * options.tolerance
+            last_refinement, error.refinement = error.refinement, max(1.0, 0.5 * error.refinement)
+        estimates_error = options.tolerance is not None and error.frames_until_estimate <= 0.0
+        budget = (
+            math.inf if options.tolerance is None else CONSTANTS.error_budget_fraction * duration * options.tolerance
+        )
         # A fixed step of a running simulation was stable at its start.
-        once = options.step if options.step is not None and self._known else 0.0
-        memory.longest = max(memory.longest, min(max(limit, once), duration))
-        self._fallen = Fallback.of(state).fallen
-        allowed = options.tolerance is not None and stability.damped
-        touch = TouchRule(options, plan, Touch() if plan.contact is None else Touch.of(state), memory)
-        met = touch.look_ahead(t, duration, state)
+        proven_step = options.step if options.step is not None and self._has_history else 0.0
+        memory.max_step = max(memory.max_step, min(max(limit, proven_step), duration))
+        self._fallback_count = FallbackState.load(state).fallback_count
+        allows_multirate = options.tolerance is not None and stability.is_damped
+        contact_limit = ContactStepLimit(
+            options, plan, ContactState() if plan.contact is None else ContactState.load(state), memory
+        )
+        contact_time = contact_limit.predict(t, duration, state)
         # Waves of contact may have any frequency, without damping.
-        hinges = HingeRule(plan, Hinges.of(state), allowed=allowed and not met > 0.0)
-        longest = min(CONSTANTS.safety * limit, duration)
-        if judge:
-            hinges.choose(state.x, longest, duration, columns)
+        multirate = MultirateRule(plan, MultirateState.load(state), allowed=allows_multirate and not contact_time > 0.0)
+        max_step = min(CONSTANTS.stability_safety * limit, duration)
+        if estimates_error:
+            multirate.choose(state.x, max_step, duration, n_runs)
         else:
-            hinges.keep(longest, duration)
+            multirate.keep(max_step, duration)
         # The recorded error is valid for the same multirate ratio only.
-        judge = judge or (options.tolerance is not None and hinges.every != hinges.memory.every)
-        self._effort = Effort(
+        estimates_error = estimates_error or (
+            options.tolerance is not None and multirate.ratio != multirate.memory.ratio
+        )
+        self._context = AdvanceContext(
             options=options,
             plan=plan,
             state=state,
-            book=book,
+            accumulator=accumulator,
             stability=memory,
-            energy=EnergyRule(plan, Energy.of(state), settled),
+            energy=EnergyRule(plan, EnergyState.load(state), last_refinement),
             precision=PrecisionRule(plan, precision, noise, duration, budget),
-            hinges=hinges,
-            touch=touch,
+            multirate=multirate,
+            contact_limit=contact_limit,
             duration=duration,
-            cap=math.inf,
-            part_cost=part_cost(plan, met),
-            touches=met > 0.0,
-            ran=ran,
+            max_evaluations=math.inf,
+            part_call_work=part_call_work(plan, contact_time),
+            may_touch=contact_time > 0.0,
+            precomputed_run=precomputed_run,
         )
-        rule = ErrorRule(error, stability, budget, options.columns, state)
+        rule = ErrorRule(error, stability, budget, options.n_runs, state)
         self._stability = stability
-        self._whole = Stretch(self._effort, t, duration, Choice(columns, error.refine, judge), rule, stability)
-        self._limit = self._whole.limit
+        self._interval = Interval(
+            self._context, t, duration, StepChoice(n_runs, error.refinement, estimates_error), rule, stability
+        )
+        self._limit = self._interval.limit
         #: Limit of force evaluations of the frame.
-        self._most = whole_work(plan, options.work, duration, met, hinges.every)
-        work, self._left_over = work_cap(plan, self._most, duration, memory.longest, self._fallen, met, self._limit)
-        self._allow(work)
+        self._max_evaluations = evaluation_budget(plan, options.work, duration, contact_time, multirate.ratio)
+        work, self._reserve = work_cap(
+            plan, self._max_evaluations, duration, memory.max_step, self._fallback_count, contact_time, self._limit
+        )
+        self._grant_work(work)
 
-    def _allow(self, work: float) -> None:
+    def _grant_work(self, work: float) -> None:
         """Grant the interval further work, in force evaluations."""
-        effort = self._effort
-        effort.cap = effort.evaluations + effort.calls + work
+        context = self._context
+        context.max_evaluations = context.evaluations + context.call_work + work
         if self._options.tolerance is not None:
             # An attempt with an error estimate must fit.
-            self._whole.most = work / SUMS[2]
+            self._interval.max_first_steps = work / RATIO_SUMS[2]
 
     def run(self) -> Advance:
         """Advance the state and return the result.
@@ -140,126 +173,132 @@ class ExplicitAdvance:
             UnstableError: if no step within the work limit is stable.
             StepLimitError: if a fixed step exceeds the limit at the start.
         """
-        options, state, effort, whole = self._options, self._state, self._effort, self._whole
-        if options.step is not None and options.step > self._limit and not self._known:
+        options, state, context, interval = self._options, self._state, self._context, self._interval
+        if options.step is not None and options.step > self._limit and not self._has_history:
             refuse_unstable(options.step, self._limit, options.name)
         # Even the longest stable steps may exceed the work limit of the frame.
-        effort.lost = self._duration / self._bare > effort.cap and effort.gives_way
-        fits = whole.affords(whole.choice.columns, whole.choice.refine)
+        context.abandoned = self._duration / self._sheet_limit > context.max_evaluations and context.has_fallback
+        fits = interval.fits_budget(interval.choice.n_runs, interval.choice.refinement)
         if options.tolerance is not None and not fits:
             # The previous choice exceeds the limit: the attempt has as many runs as fit, and steps that leave work for
             # a second attempt.
-            columns = whole.choice.columns
-            while columns > 1 and not whole.affords(columns, 1.0):
-                columns -= 1
-            most = effort.cap / whole.work(columns, 1.0) / CONSTANTS.finer
-            whole.choice = Choice(columns, max(1.0, min(whole.choice.refine, most)), True)
-        if whole.choice.judge and not effort.lost:
+            n_runs = interval.choice.n_runs
+            while n_runs > 1 and not interval.fits_budget(n_runs, 1.0):
+                n_runs -= 1
+            max_refinement = (
+                context.max_evaluations / interval.estimate_work(n_runs, 1.0) / CONSTANTS.max_refinement_factor
+            )
+            interval.choice = StepChoice(n_runs, max(1.0, min(interval.choice.refinement, max_refinement)), True)
+        if interval.choice.estimates_error and not context.abandoned:
             if fits:
-                effort.evaluations += effort.precision.measure(self._t, state, whole.longest, whole.choice)
-                whole.choice = effort.fitted(whole.choice, whole.work, 0.0)
-            effort.precision.look(state)
-        error = self._cover()
-        if error is None and effort.may_finish:
-            error = self._cover_anyhow()
+                context.evaluations += context.precision.measure(self._t, state, interval.max_step, interval.choice)
+                interval.choice = context.clamp(interval.choice, interval.estimate_work, 0.0)
+            context.precision.update_kinetic_energy(state)
+        error = self._integrate()
+        if error is None and context.has_explicit_fallback:
+            error = self._integrate_fallback()
         if error is None:
-            return self._finish()
-        whole = self._whole
-        if whole.pieces > 1:
-            whole.rule.halved(whole.choice.columns, self._mean_refinement())
-        for memory in (self._memory, whole.rule.memory, effort.precision.memory, effort.energy.memory):
+            return self._finish_implicitly()
+        interval = self._interval
+        if interval.n_pieces > 1:
+            interval.rule.record_halving(interval.choice.n_runs, self._mean_refinement())
+        for memory in (self._memory, interval.rule.memory, context.precision.memory, context.energy.memory):
             memory.store(state)
-        if self._plan.bends:
-            effort.hinges.memory.every = float(effort.hinges.every)
-            effort.hinges.memory.store(state)
-        if effort.precision.noise.power >= 0.0 or Noise.key in state.memory:
-            effort.precision.noise.store(state)
-        effort.touch.store(state, judged=whole.choice.judge or whole.pieces > 1)
-        if self._fallen or effort.finishing:
-            Fallback(min(64.0, self._fallen + 1.0) if effort.finishing else 0.0).store(state)
-        flagged = int(options.tolerance is not None and error > whole.rule.budget)
+        if self._plan.has_hinges:
+            context.multirate.memory.ratio = float(context.multirate.ratio)
+            context.multirate.memory.store(state)
+        if context.precision.noise.power >= 0.0 or RoundingNoiseState.key in state.memory:
+            context.precision.noise.store(state)
+        context.contact_limit.store(state, has_estimate=interval.choice.estimates_error or interval.n_pieces > 1)
+        if self._fallback_count or context.in_fallback:
+            FallbackState(min(64.0, self._fallback_count + 1.0) if context.in_fallback else 0.0).store(state)
+        flagged = int(options.tolerance is not None and error > interval.rule.budget)
         return Advance(
-            steps=whole.steps,
-            evaluations=effort.evaluations,
-            step=whole.finest,
+            steps=interval.steps,
+            evaluations=context.evaluations,
+            step=interval.min_step,
             limit=self._limit,
-            rejected=effort.rejected,
+            rejected=context.rejected,
             integrator=options.name,
-            binds="work" if effort.spent else binds(options, whole.choice, whole.first, whole.finest),
+            limited_by="work"
+            if context.exhausted
+            else limiting_factor(options, interval.choice, interval.first_run_steps, interval.min_step),
             error=error if options.tolerance is not None else None,
             flagged=flagged,
-            reason=self._reason(flagged),
+            reason=self._describe(flagged),
         )
 
-    def _cover(self) -> float | None:
+    def _integrate(self) -> float | None:
         """Integrate the interval.
 
         Returns:
             The error [m]; None if explicit steps are abandoned. The state is then that of the start.
         """
-        whole = self._whole
-        if self._book is not None:
-            self._book.restart()
+        interval = self._interval
+        if self._accumulator is not None:
+            self._accumulator.reset()
         try:
-            error = whole.cover()
+            error = interval.integrate()
         except NoRoomError:
             # Moving bodies left the cloth no space within the frame: no step is short enough.
-            self._state.go_back(whole.start)
-            if not within_reach(self._plan):
+            self._state.restore_motion(interval.start)
+            if not is_implicit_feasible(self._plan):
                 raise
             return None
         except UnstableError:
-            self._state.go_back(whole.start)
+            self._state.restore_motion(interval.start)
             raise
         if error is None:
-            self._state.go_back(whole.start)
+            self._state.restore_motion(interval.start)
         return error
 
-    def _cover_anyhow(self) -> float | None:
+    def _integrate_fallback(self) -> float | None:
         """Integrate by a single run of the longest stable steps, within the reserve; see `_integrate`."""
-        effort = self._effort
-        effort.finishing, effort.spent, effort.lost = True, True, False
-        self._whole = Stretch(effort, self._t, self._duration, Choice(1, 1.0, True), self._whole.rule, self._stability)
-        self._allow(self._left_over)
-        return self._cover()
+        context = self._context
+        context.in_fallback, context.exhausted, context.abandoned = True, True, False
+        self._interval = Interval(
+            context, self._t, self._duration, StepChoice(1, 1.0, True), self._interval.rule, self._stability
+        )
+        self._grant_work(self._reserve)
+        return self._integrate()
 
     def _mean_refinement(self) -> float:
         """Return the number of steps of the first runs relative to the number that stability requires."""
-        return max(1.0, self._whole.first * self._whole.longest / self._duration)
+        return max(1.0, self._interval.first_run_steps * self._interval.max_step / self._duration)
 
-    def _reason(self, flagged: int) -> str:
+    def _describe(self, flagged: int) -> str:
         """Return the choice in words."""
-        whole, effort = self._whole, self._effort
-        words = reason(self._options, whole.choice, whole.first, whole.finest)
-        if whole.pieces > 1:
-            words += f" in the finest of {whole.pieces} stretches"
-        words += asides(whole.every, effort.narrow)
-        if flagged and effort.spent:
-            words += f"; the tolerance was missed within the frame's work limit of {self._options.work:g}"
+        interval, context = self._interval, self._context
+        text = describe_choice(self._options, interval.choice, interval.first_run_steps, interval.min_step)
+        if interval.n_pieces > 1:
+            text += f" in the finest of {interval.n_pieces} stretches"
+        text += describe_details(interval.ratio, context.single_precision)
+        if flagged and context.exhausted:
+            text += f"; the tolerance was missed within the frame's work limit of {self._options.work:g}"
         elif flagged:
-            words += "; the tolerance is finer than rounding of the coordinates allows"
-        return words
+            text += "; the tolerance is finer than rounding of the coordinates allows"
+        return text
 
-    def _finish(self) -> Advance:
+    def _finish_implicitly(self) -> Advance:
         """Finish the frame by implicit steps."""
-        effort = self._effort
+        context = self._context
         # The key of the state must stay, see `reset_step_control`.
         self._memory.store(self._state)
-        if self._book is not None:
-            self._book.restart()
-        done = finish(
+        if self._accumulator is not None:
+            self._accumulator.reset()
+        result = finish_implicitly(
             self._plan,
             self._state,
             self._t,
             self._duration,
-            self._book,
+            self._accumulator,
             instead_of=self._options.name,
-            most=self._most - effort.evaluations - effort.calls,
+            max_evaluations=self._max_evaluations - context.evaluations - context.call_work,
         )
-        return done._replace(
-            evaluations=effort.evaluations + done.evaluations,
+        return result._replace(
+            evaluations=context.evaluations + result.evaluations,
             limit=self._limit,
-            rejected=effort.rejected,
-            binds="work",
-            error=done.error if self._options.tolerance is not None else None,
+            rejected=context.rejected,
+            limited_by="work",
+            error=result.error if self._options.tolerance is not None else None,
         )

@@ -4,9 +4,8 @@
 
 from __future__ import annotations
 
-from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.control import explicit
-from cloth_sim_ros.physics.control.stability import MOST_COLUMNS
+from cloth_sim_ros.physics.control.stability import MAX_COMBINED_RUNS
 from cloth_sim_ros.physics.integrators.base import (
     WORK_LIMIT,
     Advance,
@@ -16,10 +15,13 @@ from cloth_sim_ros.physics.integrators.base import (
     check_work,
 )
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.physics.old_names import with_old_arguments, with_old_names
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
 
 
+@with_old_names(columns="n_runs")
 class Extrapolated(Integrator):
     """Extrapolation of leapfrog runs: combines runs with several step counts so that leading errors cancel.
 
@@ -39,7 +41,7 @@ class Extrapolated(Integrator):
     Args:
         tolerance: of positions [m], see docs/time_stepping.md; None for a fixed number of runs and fixed steps.
         step: largest step of the first run without a tolerance [s]; None takes 0.96 of the stability limit.
-        columns: maximum number of runs, 1 to 4; without a tolerance, their number.
+        n_runs: maximum number of runs, 1 to 4; without a tolerance, their number.
         work: work limit of a frame, as a multiple of real time by the plan's estimated cost; 0 for no limit.
 
     Raises:
@@ -49,27 +51,30 @@ class Extrapolated(Integrator):
     name = "extrapolated"
     suits = "tight tolerances on sheets with damping; explicit, so for stiffness that the step limit allows"
 
+    @with_old_arguments(columns="n_runs")
     def __init__(
         self,
         *,
         tolerance: float | None = None,
         step: float | None = None,
-        columns: int = MOST_COLUMNS,
+        n_runs: int = MAX_COMBINED_RUNS,
         work: float = WORK_LIMIT,
     ) -> None:
-        if not 1 <= columns <= MOST_COLUMNS:
-            raise ValueError(f"columns is {columns}; it must be from 1 to {MOST_COLUMNS}")
+        if not 1 <= n_runs <= MAX_COMBINED_RUNS:
+            raise ValueError(f"columns is {n_runs}; it must be from 1 to {MAX_COMBINED_RUNS}")
         if tolerance is not None and step is not None:
             raise ValueError(
                 f"step {step} s and tolerance {tolerance} m are both set: a fixed step holds no tolerance; set one"
             )
         self.tolerance = check_tolerance(tolerance)
         self.step, self.work = check_step(step), check_work(work)
-        self.columns = columns
-        self.order = columns + 1
+        self.n_runs = n_runs
+        self.order = n_runs + 1
 
     def step_limit(self, omega2: float, damping_rate: float) -> float:
         return leapfrog_limit(omega2, damping_rate)
 
-    def advance(self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None) -> Advance:
-        return explicit.advance(self, plan, state, t, duration, book)
+    def advance(
+        self, plan: Plan, state: State, t: float, duration: float, accumulator: WorkAccumulator | None = None
+    ) -> Advance:
+        return explicit.advance(self, plan, state, t, duration, accumulator)

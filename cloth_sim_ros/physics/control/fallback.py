@@ -10,48 +10,48 @@ from __future__ import annotations
 
 import math
 
-from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.controller_state import FallbackState, reset_step_control
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
-from cloth_sim_ros.physics.integrators.columns import SUMS
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import Fallback, restart
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
 
 #: Force evaluations reserved to finish a frame: ten per step, at most half of the limit.
-FINISHED = 10.0 * CONSTANTS.last_steps
+FALLBACK_EVALUATIONS = 10.0 * CONSTANTS.implicit_finish_steps
 
 
-def within_reach(plan: Plan) -> bool:
+def is_implicit_feasible(plan: Plan) -> bool:
     """Return True if the sheet is small enough for the implicit method.
 
     A frame of a larger sheet would take half a minute and gigabytes of memory.
     """
-    return plan.model.particle_count <= CONSTANTS.implicit
+    return plan.model.particle_count <= CONSTANTS.implicit_max_particles
 
 
-def whole_work(plan: Plan, work: float, duration: float, met: float = 0.0, every: int = 1) -> float:
+def evaluation_budget(plan: Plan, work: float, duration: float, contact_time: float = 0.0, ratio: int = 1) -> float:
     """Return the force evaluations of an advance within a work limit; infinite without a limit.
 
     Args:
         plan: equations of motion.
         work: limit as a multiple of real time by the plan's estimated cost; 0 for none.
         duration: of the advance [s].
-        met: estimated time that contact adds to a force evaluation [ns].
-        every: multirate ratio.
+        contact_time: estimated time that contact adds to a force evaluation [ns].
+        ratio: multirate ratio.
     """
     if work == 0.0:
         return math.inf
-    return work * duration / (1e-9 * plan.cost(every) * plan.model.particle_count + 1e-9 * met)
+    return work * duration / (1e-9 * plan.multirate_step_cost(ratio) * plan.model.particle_count + 1e-9 * contact_time)
 
 
 def work_cap(
     plan: Plan,
-    whole: float,
+    budget: float,
     duration: float,
-    longest: float,
-    fallen: float,
-    met: float = 0.0,
+    max_step: float,
+    fallback_count: float,
+    contact_time: float = 0.0,
     limit: float = math.inf,
 ) -> tuple[float, float]:
     """Return the limit of force evaluations by explicit steps, and the reserve of the fallback; no clock is read.
@@ -62,37 +62,50 @@ def work_cap(
 
     Args:
         plan: equations of motion.
-        whole: force evaluations of the frame, see `evaluation_budget`.
+        budget: force evaluations of the frame, see `evaluation_budget`.
         duration: of the advance [s].
-        longest: longest stable step since the last restart, without contact [s].
-        fallen: consecutive frames with a fallback.
-        met: estimated time that contact adds to a force evaluation [ns].
+        max_step: longest stable step since the last restart, without contact [s].
+        fallback_count: consecutive frames with a fallback.
+        contact_time: estimated time that contact adds to a force evaluation [ns].
         limit: predicted step limit with contact [s].
     """
-    if whole == math.inf:
+    if budget == math.inf:
         return math.inf, math.inf
-    runs = CONSTANTS.work * duration / longest
-    most = math.ldexp(whole, -int(fallen))
-    if met:
-        single = CONSTANTS.trust * SUMS[2] * duration / (CONSTANTS.safety * limit) if limit else math.inf
-        kept = max(min(single, 0.5 * whole), runs)
-        return math.ldexp(max(whole - kept, kept), -int(fallen)), kept
+    min_cap = CONSTANTS.min_work_cap * duration / max_step
+    cap = math.ldexp(budget, -int(fallback_count))
+    if contact_time:
+        single_run_work = (
+            CONSTANTS.estimate_trust_factor * RATIO_SUMS[2] * duration / (CONSTANTS.stability_safety * limit)
+            if limit
+            else math.inf
+        )
+        reserve = max(min(single_run_work, 0.5 * budget), min_cap)
+        return math.ldexp(max(budget - reserve, reserve), -int(fallback_count)), reserve
     # Without implicit steps, explicit ones get all of the work.
-    return max(most - FINISHED, 0.5 * most) if within_reach(plan) else max(most, runs), FINISHED
+    return max(cap - FALLBACK_EVALUATIONS, 0.5 * cap) if is_implicit_feasible(plan) else max(
+        cap, min_cap
+    ), FALLBACK_EVALUATIONS
 
 
-def part_cost(plan: Plan, met: float = 0.0) -> float:
+def part_call_work(plan: Plan, contact_time: float = 0.0) -> float:
     """Return the cost of the engine calls of one part, in force evaluations: four calls for a run and its result.
 
     Args:
         plan: equations of motion.
-        met: estimated time that contact adds to a force evaluation [ns].
+        contact_time: estimated time that contact adds to a force evaluation [ns].
     """
-    return 4e3 * CONSTANTS.call / (plan.step_cost * plan.model.particle_count + met)
+    return 4e3 * CONSTANTS.engine_call_time / (plan.step_cost * plan.model.particle_count + contact_time)
 
 
-def finish(
-    plan: Plan, state: State, t: float, duration: float, book: Book | None, *, instead_of: str, most: float
+def finish_implicitly(
+    plan: Plan,
+    state: State,
+    t: float,
+    duration: float,
+    accumulator: WorkAccumulator | None,
+    *,
+    instead_of: str,
+    max_evaluations: float,
 ) -> Advance:
     """Advance by a few implicit steps; the result is flagged.
 
@@ -101,27 +114,30 @@ def finish(
         state: advanced in place.
         t: time at the start [s].
         duration: time to advance [s].
-        book: work accumulator; None for none.
+        accumulator: work accumulator; None for none.
         instead_of: name of the integrator whose steps were abandoned.
-        most: remaining force evaluations of the frame. Steps without a solution within them become descent steps; these
-            take at least 64 evaluations in all.
+        max_evaluations: remaining force evaluations of the frame. Steps without a solution within them become descent
+            steps; these take at least 64 evaluations in all.
 
     Raises:
         UnstableError: if the motion does not stay finite.
     """
     if plan.contact is not None:
         # The abandoned steps have moved the jaws.
-        plan.contact.take(state)
+        plan.contact.load_state(state)
     if not math.isfinite(plan.energy(t, state.x, state.v)):
         raise UnstableError(f"{instead_of}: not finite even by the smallest steps, from a motion without finite energy")
     from cloth_sim_ros.physics.integrators.implicit import Implicit
 
-    fallen = Fallback.of(state).fallen
-    done = Implicit(duration / CONSTANTS.last_steps).advance(plan, state, t, duration, book, most=most)
+    fallback_count = FallbackState.load(state).fallback_count
+    result = Implicit(duration / CONSTANTS.implicit_finish_steps).advance(
+        plan, state, t, duration, accumulator, max_evaluations=max_evaluations
+    )
     # The controller states no longer describe the motion.
-    restart(state)
-    Fallback(min(64.0, fallen + 1.0)).store(state)
-    why = f"{instead_of}: finer steps exceed the frame's work limit"
-    return done._replace(
-        flagged=max(1, done.flagged), reason=f"{why}: implicit, order 2, step {done.step:.3g} s for this frame"
+    reset_step_control(state)
+    FallbackState(min(64.0, fallback_count + 1.0)).store(state)
+    explanation = f"{instead_of}: finer steps exceed the frame's work limit"
+    return result._replace(
+        flagged=max(1, result.flagged),
+        reason=f"{explanation}: implicit, order 2, step {result.step:.3g} s for this frame",
     )

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.control import explicit
 from cloth_sim_ros.physics.integrators.base import (
     WORK_LIMIT,
@@ -15,10 +14,13 @@ from cloth_sim_ros.physics.integrators.base import (
     check_work,
 )
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.physics.old_names import with_old_names
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
 
 
+@with_old_names(columns="n_runs")
 class Leapfrog(Integrator):
     """Drift, kick, drift; velocity-dependent forces use a predicted midpoint velocity, so that the order stays 2.
 
@@ -43,7 +45,7 @@ class Leapfrog(Integrator):
     name = "leapfrog"
     order = 2
     suits = "loose tolerances, long undamped runs; explicit, damping well below critical"
-    columns = 1
+    n_runs = 1
 
     def __init__(self, step: float | None = None, *, tolerance: float | None = None, work: float = WORK_LIMIT) -> None:
         if tolerance is not None and step is not None:
@@ -55,5 +57,7 @@ class Leapfrog(Integrator):
     def step_limit(self, omega2: float, damping_rate: float) -> float:
         return leapfrog_limit(omega2, damping_rate)
 
-    def advance(self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None) -> Advance:
-        return explicit.advance(self, plan, state, t, duration, book)
+    def advance(
+        self, plan: Plan, state: State, t: float, duration: float, accumulator: WorkAccumulator | None = None
+    ) -> Advance:
+        return explicit.advance(self, plan, state, t, duration, accumulator)

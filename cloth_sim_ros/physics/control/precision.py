@@ -12,22 +12,22 @@ from __future__ import annotations
 import math
 
 from cloth_sim_ros.physics.arrays import largest_distance, weighted_dot
-from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.control.choice import Choice
-from cloth_sim_ros.physics.integrators.columns import amplification
+from cloth_sim_ros.physics.control.step_choice import StepChoice
+from cloth_sim_ros.physics.controller_state import PrecisionState, RoundingNoiseState
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import amplification
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import Noise, Precision
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
 
 #: Relative spacing of single precision; a run changes by at least some tenths of it, relative to the sheet.
 _SPACING = 2.0**-24
 #: Time over which energy input of rounding is compared with the kinetic energy [s]: that of the error bound.
-_SECOND = 1.0
+_COMPARISON_TIME = 1.0
 #: Number of frames in which the power is measured; the largest counts. A flat sheet of 65 x 65 over one metre has
 #: coordinates without rounding until it moves.
-_SAMPLES = 4.0
+_MAX_SAMPLES = 4.0
 
 
 class PrecisionRule:
@@ -41,15 +41,17 @@ class PrecisionRule:
         budget: error budget of the advance [m].
     """
 
-    def __init__(self, plan: Plan, memory: Precision, noise: Noise, duration: float, budget: float) -> None:
+    def __init__(
+        self, plan: Plan, memory: PrecisionState, noise: RoundingNoiseState, duration: float, budget: float
+    ) -> None:
         self._plan, self.memory, self.noise, self._duration = plan, memory, noise, duration
         #: Attempts that missed the budget. From the second on, rounding may be the cause; finer steps do not reduce it.
-        self.missed = 0
-        self._room = CONSTANTS.rounding * budget
+        self.n_misses = 0
+        self._rounding_budget = CONSTANTS.single_precision_budget_fraction * budget
         #: Allowed uncertainty of an error estimate [m]; it can still show that an error is far below the budget.
-        self._blur = CONSTANTS.trust * CONSTANTS.far * budget
+        self._estimate_uncertainty = CONSTANTS.estimate_trust_factor * CONSTANTS.low_error_fraction * budget
 
-    def measure(self, t: float, state: State, step: float, choice: Choice) -> int:
+    def measure(self, t: float, state: State, step: float, choice: StepChoice) -> int:
         """Measure the effect of single precision by a short pair of runs, if it is unknown and may fit.
 
         Args:
@@ -62,42 +64,59 @@ class PrecisionRule:
             Force evaluations of the measurement.
         """
         memory, noise, plan = self.memory, self.noise, self._plan
-        if noise.samples >= _SAMPLES or choice.columns > 1 or not plan.narrows(self._duration, state.x, state.v):
+        if (
+            noise.n_samples >= _MAX_SAMPLES
+            or choice.n_runs > 1
+            or not plan.supports_single_precision(self._duration, state.x, state.v)
+        ):
             return 0
         extent = float((state.x.max(axis=1) - state.x.min(axis=1)).max())
-        if _SPACING * extent > self._room:
+        if _SPACING * extent > self._rounding_budget:
             return 0
         # A fraction of the steps is representative: compensated summation of positions leaves a rounding error of the
         # last bit of the sheet's extent for any number of steps.
-        steps = max(1, int(steps_for(self._duration, step) // CONSTANTS.sample))
-        part = steps * step
-        ends, energies = [], []
-        for narrow in (False, True):
+        steps = max(1, int(steps_for(self._duration, step) // CONSTANTS.single_precision_sample_divisor))
+        sample_duration = steps * step
+        runs, energies = [], []
+        for single_precision in (False, True):
             if plan.contact is not None:
-                plan.contact.take(state)
-            (run,), _ = plan.runs(t, part, (state.x, state.v), [steps], narrow=narrow, powers=True, touches=True)
-            book = Book(plan.gripper_count, powers=True, obstacle_count=plan.obstacle_count)
-            book.add_runs((1.0,), (run,), part)
-            ends.append(run)
-            put_in = book.work + book.given + book.recovered
-            energies.append(plan.energy(t + part, run.x, run.v) + book.lost - put_in)
+                plan.contact.load_state(state)
+            (run,), _ = plan.runs(
+                t,
+                sample_duration,
+                (state.x, state.v),
+                [steps],
+                single_precision=single_precision,
+                record_power=True,
+                record_obstacles=True,
+            )
+            accumulator = WorkAccumulator(plan.gripper_count, record_power=True, obstacle_count=plan.obstacle_count)
+            accumulator.add_runs((1.0,), (run,), sample_duration)
+            runs.append(run)
+            supplied = accumulator.work + accumulator.wind_work + accumulator.recovery_work
+            energies.append(plan.energy(t + sample_duration, run.x, run.v) + accumulator.dissipation - supplied)
         # Over a few steps the energy changes by rounding may cancel; the kinetic energy of the difference does not.
-        away = ends[1].v - ends[0].v
-        made = max(abs(energies[1] - energies[0]), 0.5 * weighted_dot(plan.model.masses, away, away))
+        velocity_difference = runs[1].v - runs[0].v
+        energy_change = max(
+            abs(energies[1] - energies[0]),
+            0.5 * weighted_dot(plan.model.masses, velocity_difference, velocity_difference),
+        )
         if math.isfinite(energies[1] - energies[0]):
-            noise.samples += 1.0
+            noise.n_samples += 1.0
             if memory.rounding < 0.0:
-                memory.rounding = CONSTANTS.trust * largest_distance(ends[0].x, ends[1].x)
-            noise.power = max(noise.power, CONSTANTS.trust * made / part)
+                memory.rounding = CONSTANTS.estimate_trust_factor * largest_distance(runs[0].x, runs[1].x)
+            noise.power = max(noise.power, CONSTANTS.estimate_trust_factor * energy_change / sample_duration)
         return 2 * (steps + 1)
 
-    def look(self, state: State) -> None:
+    def update_kinetic_energy(self, state: State) -> None:
         """Update the kinetic energy for the comparison, in a frame with an error estimate."""
         noise = self.noise
         if noise.power >= 0.0:
-            noise.kinetic = max(0.5 * weighted_dot(self._plan.model.masses, state.v, state.v), 0.5 * noise.kinetic)
+            noise.kinetic_energy = max(
+                0.5 * weighted_dot(self._plan.model.masses, state.v, state.v), 0.5 * noise.kinetic_energy
+            )
 
-    def narrows(self, state: State, choice: Choice) -> bool:
+    def allows_single_precision(self, state: State, choice: StepChoice) -> bool:
         """Return True if runs of a choice may use single precision.
 
         The motion must be large against the amplified rounding error, so that a sheet can come to rest accurately.
@@ -106,21 +125,23 @@ class PrecisionRule:
             state: at the start.
             choice: runs and refinement.
         """
-        rounding = amplification(choice.columns) * self.memory.rounding
+        rounding = amplification(choice.n_runs) * self.memory.rounding
         # An error estimate needs one further run.
-        if self.missed > 1 or not (0.0 <= rounding <= self._room and self.tells(choice.columns + choice.judge)):
+        if self.n_misses > 1 or not (
+            0.0 <= rounding <= self._rounding_budget and self.resolves_error(choice.n_runs + choice.estimates_error)
+        ):
             return False
-        if not 0.0 <= self.noise.power * _SECOND <= CONSTANTS.gain * self.noise.kinetic:
+        if not 0.0 <= self.noise.power * _COMPARISON_TIME <= CONSTANTS.max_energy_gain * self.noise.kinetic_energy:
             return False
-        v, least = state.v, CONSTANTS.motion * rounding
+        v, min_motion = state.v, CONSTANTS.single_precision_min_motion * rounding
         # The last particle is checked first: it moves in most moving sheets.
-        if max(map(abs, v[:, -1].tolist())) * self._duration > least:
+        if max(map(abs, v[:, -1].tolist())) * self._duration > min_motion:
             return True
-        return float(v.max()) * self._duration > least or -float(v.min()) * self._duration > least
+        return float(v.max()) * self._duration > min_motion or -float(v.min()) * self._duration > min_motion
 
-    def tells(self, columns: int) -> bool:
+    def resolves_error(self, n_runs: int) -> bool:
         """Return True if a combination of single-precision runs still resolves the error.
 
         The combination is only an estimate. Rounding must be small against the budget, not against the error.
         """
-        return amplification(columns) * self.memory.rounding <= self._blur
+        return amplification(n_runs) * self.memory.rounding <= self._estimate_uncertainty

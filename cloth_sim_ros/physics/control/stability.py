@@ -13,23 +13,23 @@ from __future__ import annotations
 import math
 
 from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.controller_state import StabilityState
 from cloth_sim_ros.physics.forces.force import Force
-from cloth_sim_ros.physics.integrators.columns import RATIOS
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIOS
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.remembered import Stability
 from cloth_sim_ros.physics.state import State
 
 #: Maximum number of combined runs; one further run estimates their error.
-MOST_COLUMNS = len(RATIOS) - 1
+MAX_COMBINED_RUNS = len(RATIOS) - 1
 #: Maximum steps of an undamped part, and fractions of the leapfrog's limit for combinations of 1 to 4 runs. With four
 #: to six steps no undamped wave grows by more than 1e-5 per step (eigenvalues of the stability function). In frames of
 #: fewer steps waves may grow by up to 3e-3 per step with three runs; there the error estimate detects them.
-UNDAMPED_STEPS = 6
-UNDAMPED_SHARES = (1.0, 0.125, 0.75, 0.25)
+MAX_UNDAMPED_STEPS = 6
+UNDAMPED_LIMIT_FRACTIONS = (1.0, 0.125, 0.75, 0.25)
 
 
-def _damps(force: Force) -> bool:
+def _damps_waves(force: Force) -> bool:
     """Return True if a force damps all waves strongly; grips and contact act locally, and air damps weakly."""
     return force.damped and force.damps_waves
 
@@ -44,35 +44,35 @@ class StabilityRule:
         duration: of the advance [s].
     """
 
-    def __init__(self, plan: Plan, memory: Stability, state: State, duration: float) -> None:
+    def __init__(self, plan: Plan, memory: StabilityState, state: State, duration: float) -> None:
         self._plan, self.memory = plan, memory
         if memory.omega2 < 0.0:
-            memory.omega2, memory.damping = plan.rates(state.x)
+            memory.omega2, memory.damping = plan.spectral_bounds(state.x)
         #: Highest angular frequency at the start [1/s].
         self.omega = math.sqrt(memory.omega2)
         #: Refinement that the multirate ratio requires.
-        self.impulses = 1.0
-        self.damped = memory.omega2 == 0.0 or (
-            memory.damping * duration >= CONSTANTS.damped and any(map(_damps, plan.model.forces))
+        self.multirate_refinement = 1.0
+        self.is_damped = memory.omega2 == 0.0 or (
+            memory.damping * duration >= CONSTANTS.damped_wave_decay and any(map(_damps_waves, plan.model.forces))
         )
 
-    def least(self, columns: int) -> float:
+    def min_refinement(self, n_runs: int) -> float:
         """Return the minimum refinement of a combination relative to the stable step of one run."""
-        return 1.0 if self.damped else 1.0 / UNDAMPED_SHARES[columns - 1]
+        return 1.0 if self.is_damped else 1.0 / UNDAMPED_LIMIT_FRACTIONS[n_runs - 1]
 
-    def asks(self, columns: int) -> float:
+    def required_refinement(self, n_runs: int) -> float:
         """Return the minimum refinement, that of the multirate ratio included."""
-        return max(self.impulses, self.least(columns))
+        return max(self.multirate_refinement, self.min_refinement(n_runs))
 
-    def parts(self, columns: int, steps: int, duration: float) -> int:
+    def n_parts(self, n_runs: int, steps: int, duration: float) -> int:
         """Return the number of parts of a frame.
 
         Args:
-            columns: number of combined runs.
+            n_runs: number of combined runs.
             steps: steps of the first run.
             duration: of the frame [s].
         """
-        parts = steps_for(duration, CONSTANTS.part)
-        if columns == 1 or self.damped:
-            return parts
-        return max(parts, math.ceil(steps / UNDAMPED_STEPS))
+        n_parts = steps_for(duration, CONSTANTS.max_interval)
+        if n_runs == 1 or self.is_damped:
+            return n_parts
+        return max(n_parts, math.ceil(steps / MAX_UNDAMPED_STEPS))

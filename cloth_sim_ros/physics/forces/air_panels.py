@@ -15,9 +15,11 @@ from numpy.typing import ArrayLike
 
 from cloth_sim_ros.engine.binding import finite, indices
 from cloth_sim_ros.physics.forces.force import Array, EngineForce
-from cloth_sim_ros.physics.parts import Listed, Part
+from cloth_sim_ros.physics.old_names import with_old_names
+from cloth_sim_ros.physics.parts import ElementList, Part
 
 
+@with_old_names(blown="in_wind", common="coefficients")
 class AirPanels(EngineForce):
     """Linear drag of every panel relative to the air, shared evenly by its k corners.
 
@@ -57,18 +59,25 @@ class AirPanels(EngineForce):
         self.tangential = float(finite("tangential drag", tangential, (), least=0.0))
         self.wind: Array = finite("wind", wind, (3,), one_for_all=False)
 
-    def blown(self, wind: ArrayLike) -> AirPanels:
+    def in_wind(self, wind: ArrayLike) -> AirPanels:
         """Return the same panels in another wind [m/s], shape (3,)."""
-        other = copy.copy(self)
-        other.wind = finite("wind", wind, (3,), one_for_all=False)
-        return other
+        panels = copy.copy(self)
+        panels.wind = finite("wind", wind, (3,), one_for_all=False)
+        return panels
 
     @property
-    def common(self) -> Array:
+    def coefficients(self) -> Array:
         """c_n, c_t [N s/m^3] and the wind [m/s], shape (5,)."""
         return np.array([self.normal, self.tangential, *self.wind])
 
     def parts(self, particle_count: int) -> Sequence[Part]:
         panels = indices("panels", self.panels, self.panels.shape[1], particle_count)
         kind = "triangle" if panels.shape[1] == 3 else "quad"
-        return (Listed(kind=kind, particles=panels, numbers=np.empty((len(panels), 0)), common=self.common),)
+        return (
+            ElementList(
+                kind=kind,
+                particles=panels,
+                coefficients=np.empty((len(panels), 0)),
+                shared_coefficients=self.coefficients,
+            ),
+        )

@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from cloth_sim_ros.engine.binding import PATH_NUMBERS, SHAPES, finite, indices
 from cloth_sim_ros.physics.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.parts import Part, Surrounded
-from cloth_sim_ros.physics.pinch import Pads
+from cloth_sim_ros.physics.parallel_jaw import ParallelJaw
+from cloth_sim_ros.physics.parts import ContactPart, Part
 
 
-class OwnSurface:
+class ContactSurface:
     """A surface of the cloth that neither the cloth nor obstacles may pass through.
 
     Args:
@@ -39,19 +39,19 @@ class OwnSurface:
         thickness: float,
         friction: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        places = finite("positions of the surface", positions, np.shape(positions))
-        self.triangles = indices("triangles of the surface", triangles, 3, len(places))
+        points = finite("positions of the surface", positions, np.shape(positions))
+        self.triangles = indices("triangles of the surface", triangles, 3, len(points))
         if not len(self.triangles):
             raise ValueError("a surface without triangles can't touch itself; give its triangles")
-        ends = places[self.triangles[:, [1, 2, 0]]] - places[self.triangles]
-        square = ends[..., 0] * ends[..., 0] + ends[..., 1] * ends[..., 1] + ends[..., 2] * ends[..., 2]
-        self.particle_count = len(places)
+        edges = points[self.triangles[:, [1, 2, 0]]] - points[self.triangles]
+        square = edges[..., 0] * edges[..., 0] + edges[..., 1] * edges[..., 1] + edges[..., 2] * edges[..., 2]
+        self.particle_count = len(points)
         #: Shortest and longest edge at rest [m].
-        self.shortest, self.longest = math.sqrt(float(square.min())), math.sqrt(float(square.max()))
-        if thickness > 0.5 * self.shortest:
+        self.min_edge, self.max_edge = math.sqrt(float(square.min())), math.sqrt(float(square.max()))
+        if thickness > 0.5 * self.min_edge:
             raise ValueError(
-                f"contact thickness is {thickness:g} m, more than half the cloth's shortest edge, {self.shortest:.4g} "
-                f"m: neighbours would touch at rest; take {0.49 * self.shortest:.2g} m or less, or a coarser cloth"
+                f"contact thickness is {thickness:g} m, more than half the cloth's shortest edge, {self.min_edge:.4g} "
+                f"m: neighbours would touch at rest; take {0.49 * self.min_edge:.2g} m or less, or a coarser cloth"
             )
         #: Coefficients of static and kinetic friction between layers.
         self.friction = (float(friction[0]), float(friction[1]))
@@ -73,7 +73,7 @@ class Contact(EngineForce):
 
     Args:
         obstacles: the first obstacles, with different names.
-        pads: jaws of the grippers that pinch; they are absent until `set_jaw_commands` places them.
+        jaws: jaws of the grippers that pinch; they are absent until `set_jaw_commands` places them.
         thickness: d [m], above 0.
         damping: kappa [s/m], at least 0; at speeds above 1 / kappa much of a bounce is lost.
         frequency: angular frequency of the springs between sticking particles and their anchors [1/s], above 0. On a
@@ -97,9 +97,9 @@ class Contact(EngineForce):
         thickness: float,
         damping: float = 10.0,
         frequency: float = 2000.0,
-        pads: Sequence[Pads] = (),
-        surface: OwnSurface | None = None,
-        faces: OwnSurface | None = None,
+        jaws: Sequence[ParallelJaw] = (),
+        surface: ContactSurface | None = None,
+        faces: ContactSurface | None = None,
     ) -> None:
         self.thickness = float(finite("contact thickness", thickness, ()))
         if self.thickness <= 0.0:
@@ -109,18 +109,18 @@ class Contact(EngineForce):
         if self.frequency <= 0.0:
             raise ValueError(f"contact frequency is {frequency} 1/s; it must be above 0")
         #: Counters of new obstacles, new paths and new jaw commands; a plan uploads what changed.
-        self.changes = self.moves = self.commands = 0
+        self.obstacle_revision = self.path_revision = self.command_revision = 0
         #: Jaws of the grippers that pinch.
-        self.pads = tuple(pads)
+        self.jaws = tuple(jaws)
         #: For each of them: whether it is present, and whether it closes, shape (pinches, 2).
-        self.driven = np.zeros((len(self.pads), 2), dtype=bool)
+        self.jaw_commands = np.zeros((len(self.jaws), 2), dtype=bool)
         self.surface, self.faces = surface, faces
         #: Recovery of reduced thickness: its start [s], its duration [s] and the thickness at its end [m], shape
         #: `ContactBinding.thickness_shape`. The thickness is None if none grows.
         self.recovery: tuple[float, float, Array | None] = (0.0, 0.0, None)
-        self.surround(obstacles)
+        self.set_obstacles(obstacles)
 
-    def surround(self, obstacles: Sequence[Obstacle], paths: Array | None = None) -> None:
+    def set_obstacles(self, obstacles: Sequence[Obstacle], paths: Array | None = None) -> None:
         """Set the obstacles.
 
         Args:
@@ -137,21 +137,21 @@ class Contact(EngineForce):
                     f"obstacle '{obstacle.name}' is a {obstacle.shape}; the engine knows {', '.join(SHAPES)}"
                 )
         #: Obstacles and jaws, two for each gripper that pinches.
-        self.obstacles = (*obstacles, *(box for pads in self.pads for box in pads.boxes()))
+        self.obstacles = (*obstacles, *(box for jaw in self.jaws for box in jaw.boxes()))
         #: Whether any obstacle has friction.
-        self.rough = any(obstacle.friction[0] > 0.0 for obstacle in self.obstacles)
+        self.has_friction = any(obstacle.friction[0] > 0.0 for obstacle in self.obstacles)
         if paths is None:
             paths = np.zeros((len(self.obstacles), PATH_NUMBERS))
             paths[:, 16] = 1.0
         self.paths = paths
-        self.changes += 1
+        self.obstacle_revision += 1
 
-    def move(self, paths: Array) -> None:
+    def set_paths(self, paths: Array) -> None:
         """Set new paths, shape (m, PATH_NUMBERS), for the present obstacles and jaws."""
         self.paths = paths
-        self.moves += 1
+        self.path_revision += 1
 
-    def recover(self, t: float, duration: float = 0.0, thickness: Array | None = None) -> None:
+    def start_recovery(self, t: float, duration: float = 0.0, thickness: Array | None = None) -> None:
         """Start the recovery of a reduced contact thickness.
 
         Args:
@@ -161,31 +161,31 @@ class Contact(EngineForce):
         """
         self.recovery = (t, duration, thickness)
 
-    def drive(self, driven: NDArray[np.bool_]) -> None:
+    def set_jaw_commands(self, commands: NDArray[np.bool_]) -> None:
         """Set for each gripper that pinches whether it is present and whether it closes, shape (pinches, 2)."""
-        if not np.array_equal(driven, self.driven):
-            self.driven = driven.copy()
-            self.commands += 1
+        if not np.array_equal(commands, self.jaw_commands):
+            self.jaw_commands = commands.copy()
+            self.command_revision += 1
 
     @property
-    def solid_count(self) -> int:
+    def n_solids(self) -> int:
         """Number of obstacles without jaws."""
-        return len(self.obstacles) - 2 * len(self.pads)
+        return len(self.obstacles) - 2 * len(self.jaws)
 
     @property
-    def layered(self) -> bool:
+    def has_self_friction(self) -> bool:
         """True if layers of the cloth have friction."""
         return self.surface is not None and self.surface.friction[0] > 0.0
 
     @property
-    def anchored(self) -> bool:
+    def has_anchors(self) -> bool:
         """True if any friction exists; then states have anchors."""
-        return self.rough or self.layered
+        return self.has_friction or self.has_self_friction
 
     @property
-    def remembered(self) -> bool:
+    def has_memory(self) -> bool:
         """True if states have anchors or jaws."""
-        return bool(self.pads) or self.anchored
+        return bool(self.jaws) or self.has_anchors
 
     def parts(self, particle_count: int) -> Sequence[Part]:
         for surface in (self.surface, self.faces):
@@ -194,10 +194,10 @@ class Contact(EngineForce):
                     f"the cloth's surface in contact has {surface.particle_count} particles, the model "
                     f"{particle_count}; give the model's own"
                 )
-        return (Surrounded(contact=self),)
+        return (ContactPart(contact=self),)
 
     @property
-    def acts(self) -> bool:
+    def is_active(self) -> bool:
         """True if there is anything to touch."""
         return bool(self.obstacles) or self.surface is not None
 

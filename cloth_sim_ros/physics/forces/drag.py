@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from cloth_sim_ros.engine.binding import finite
 from cloth_sim_ros.physics.forces.force import EngineForce
-from cloth_sim_ros.physics.parts import Part, Uniform
+from cloth_sim_ros.physics.parts import Part, UniformForces
 
 
 class Drag(EngineForce):
@@ -29,4 +29,4 @@ class Drag(EngineForce):
         self.rate = float(finite("drag rate", rate, (), least=0.0))
 
     def parts(self, particle_count: int) -> Sequence[Part]:
-        return (Uniform(drag=self.rate),)
+        return (UniformForces(drag=self.rate),)

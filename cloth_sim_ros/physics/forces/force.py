@@ -87,8 +87,8 @@ class EngineForce(Force):
             ValueError: if the force does not fit the number of particles.
         """
 
-    def _ask(self, *_: object) -> NoReturn:
+    def _refuse(self, *_: object) -> NoReturn:
         raise TypeError(f"force '{self.name}' alone can't be evaluated; use the plan compile(Model(masses, [force]))")
 
-    _asked: Any = _ask
-    add_force = energy = dissipation = supply = add_stiffness = add_damping = add_jacobian_product = _asked
+    _refused: Any = _refuse
+    add_force = energy = dissipation = supply = add_stiffness = add_damping = add_jacobian_product = _refused

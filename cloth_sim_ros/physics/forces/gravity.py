@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from cloth_sim_ros.engine.binding import finite
 from cloth_sim_ros.physics.forces.force import Array, EngineForce
-from cloth_sim_ros.physics.parts import Part, Uniform
+from cloth_sim_ros.physics.parts import Part, UniformForces
 
 
 class Gravity(EngineForce):
@@ -30,4 +30,4 @@ class Gravity(EngineForce):
 
     def parts(self, particle_count: int) -> Sequence[Part]:
         x, y, z = self.acceleration.tolist()
-        return (Uniform(gravity=(x, y, z)),)
+        return (UniformForces(gravity=(x, y, z)),)

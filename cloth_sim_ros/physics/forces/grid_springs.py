@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from cloth_sim_ros.engine.binding import FAMILIES, finite
 from cloth_sim_ros.physics.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.parts import Gridded, GridFamily, Part
+from cloth_sim_ros.physics.old_names import with_old_names
+from cloth_sim_ros.physics.parts import GridFamily, Part, SpringGrid
 
 #: Ends of a family's springs relative to their owner's row and column: (row, column) of each end.
-ENDS = {
+FAMILY_ENDS = {
     "right": ((0, 0), (0, 1)),
     "down": ((0, 0), (1, 0)),
     "diagonal": ((0, 0), (1, 1)),
@@ -26,6 +27,7 @@ ENDS = {
 }
 
 
+@with_old_names(listed="pair_springs")
 class GridSprings(EngineForce):
     """Springs of a sheet with `rows` times `columns` particles, by direction; indices are row * columns + column.
 
@@ -56,8 +58,8 @@ class GridSprings(EngineForce):
                 raise ValueError(
                     f"rest length of '{family.name}' is {family.rest_length} m; it must be finite and above 0"
                 )
-            for what in ("stiffness", "damping", "border"):
-                finite(f"{what} of '{family.name}'", getattr(family, what), (), least=0.0)
+            for quantity in ("stiffness", "damping", "border"):
+                finite(f"{quantity} of '{family.name}'", getattr(family, quantity), (), least=0.0)
             if family.parity not in (None, 0, 1):
                 raise ValueError(f"parity of '{family.name}' is {family.parity}; it must be 0, 1 or None")
         self.rows, self.columns, self.name = int(rows), int(columns), name
@@ -69,38 +71,42 @@ class GridSprings(EngineForce):
             raise ValueError(
                 f"'{self.name}' is a sheet of {self.rows} x {self.columns} particles; the model has {particle_count}"
             )
-        return (Gridded(rows=self.rows, columns=self.columns, families=self.families),)
+        return (SpringGrid(rows=self.rows, columns=self.columns, families=self.families),)
 
     @cached_property
-    def listed(self) -> PairSprings:
+    def pair_springs(self) -> PairSprings:
         """List of the springs, built on first use."""
-        found = [self._of(family) for family in self.families]
-        pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *(pairs for pairs, _ in found)])
-        every = np.concatenate([np.empty((0, 3)), *(numbers for _, numbers in found)])
-        return PairSprings(pairs, every[:, 0], every[:, 1], every[:, 2], name=self.name)
+        family_springs = [self._family_springs(family) for family in self.families]
+        pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *(pairs for pairs, _ in family_springs)])
+        coefficients = np.concatenate(
+            [np.empty((0, 3)), *(family_coefficients for _, family_coefficients in family_springs)]
+        )
+        return PairSprings(pairs, coefficients[:, 0], coefficients[:, 1], coefficients[:, 2], name=self.name)
 
     @property
     def pairs(self) -> NDArray[np.int64]:
         """Particle indices of the springs' ends, shape (m, 2)."""
-        return self.listed.pairs
+        return self.pair_springs.pairs
 
-    def _of(self, family: GridFamily) -> tuple[NDArray[np.int64], Array]:
+    def _family_springs(self, family: GridFamily) -> tuple[NDArray[np.int64], Array]:
         """Return pairs of a family, (m, 2), and rest length [m], k_s [N] and k_d [N s/m] of each, (m, 3)."""
-        (row0, column0), (row1, column1) = ENDS[family.name]
+        (row0, column0), (row1, column1) = FAMILY_ENDS[family.name]
         down, across = max(row0, row1), max(column0, column1)
         rows, columns = np.arange(max(self.rows - down, 0)), np.arange(max(self.columns - across, 0))
-        row, column = (part.ravel() for part in np.meshgrid(rows, columns, indexing="ij"))
+        row, column = (index.ravel() for index in np.meshgrid(rows, columns, indexing="ij"))
         if family.parity is not None:
-            kept = (row + column) % 2 == family.parity
-            row, column = row[kept], column[kept]
+            has_parity = (row + column) % 2 == family.parity
+            row, column = row[has_parity], column[has_parity]
         pairs = np.stack(
             [(row + row0) * self.columns + column + column0, (row + row1) * self.columns + column + column1], axis=1
         )
-        edge = np.zeros(len(row), dtype=bool)
+        is_border = np.zeros(len(row), dtype=bool)
         if down == 0:
-            edge |= (row == 0) | (row == self.rows - 1)
+            is_border |= (row == 0) | (row == self.rows - 1)
         if across == 0:
-            edge |= (column == 0) | (column == self.columns - 1)
-        factor = np.where(edge, family.border, 1.0)
-        rest = np.full(len(row), family.rest_length)
-        return pairs.astype(np.int64), np.stack([rest, factor * family.stiffness, factor * family.damping], axis=1)
+            is_border |= (column == 0) | (column == self.columns - 1)
+        factor = np.where(is_border, family.border, 1.0)
+        rest_lengths = np.full(len(row), family.rest_length)
+        return pairs.astype(np.int64), np.stack(
+            [rest_lengths, factor * family.stiffness, factor * family.damping], axis=1
+        )

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
 from cloth_sim_ros.physics.forces.force import Array, EngineForce
+from cloth_sim_ros.physics.old_names import with_old_names
 from cloth_sim_ros.physics.parts import Part
 
 
+@with_old_names(go_back="restore", move="set_paths", noted="save", owners="gripper_indices")
 class Grips(EngineForce):
     """Zero-length springs between grasped particles and points fixed to moving grippers.
 
@@ -39,7 +41,7 @@ class Grips(EngineForce):
         paths = np.zeros((gripper_count, PATH_NUMBERS))
         paths[:, 16] = 1.0
         #: Counters of new grips and new paths; a plan uploads what changed.
-        self.changes = self.moves = 0
+        self.grip_revision = self.path_revision = 0
         self.hold(
             paths,
             np.zeros(gripper_count + 1, dtype=np.int64),
@@ -71,29 +73,29 @@ class Grips(EngineForce):
         self.paths, self.starts, self.particles, self.offsets = paths, starts, particles, offsets
         self.stiffness, self.damping = stiffness, damping
         #: The same arrays, validated for the engine: see `GripBinding`.
-        self.told: tuple[NDArray[Any], ...] | None = None
-        self.changes += 1
+        self.validated: tuple[NDArray[Any], ...] | None = None
+        self.grip_revision += 1
 
-    def move(self, paths: Array) -> None:
+    def set_paths(self, paths: Array) -> None:
         """Set new paths, shape (gripper_count, PATH_NUMBERS), for the present grips."""
         self.paths = paths
-        self.moves += 1
+        self.path_revision += 1
 
-    def noted(self) -> tuple[Any, ...]:
+    def save(self) -> tuple[Any, ...]:
         """Return the present grips and paths for `restore`."""
-        return self.paths, self.starts, self.particles, self.offsets, self.stiffness, self.damping, self.told
+        return self.paths, self.starts, self.particles, self.offsets, self.stiffness, self.damping, self.validated
 
-    def go_back(self, noted: tuple[Any, ...]) -> None:
+    def restore(self, saved: tuple[Any, ...]) -> None:
         """Restore grips and paths from `save`, also from the force of another model with the same masses."""
-        *held, told = noted
-        self.hold(*held)
-        self.told = told
+        *grips, validated = saved
+        self.hold(*grips)
+        self.validated = validated
 
     def parts(self, particle_count: int) -> Sequence[Part]:
         # Grips change from frame to frame: the plan uploads them in each frame.
         return ()
 
-    def owners(self) -> NDArray[np.int64]:
+    def gripper_indices(self) -> NDArray[np.int64]:
         """Return the gripper index of each grip, shape (m,).
 
         Raises:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.engine.binding import KINDS, check, doubles, finite, indices, library
 from cloth_sim_ros.physics.forces.force import Array, EngineForce
-from cloth_sim_ros.physics.parts import Listed, Part
+from cloth_sim_ros.physics.parts import ElementList, Part
 
 
 class HingeSprings(EngineForce):
@@ -66,8 +66,8 @@ class HingeSprings(EngineForce):
         hinges = indices(f"hinges of '{self.name}'", self.hinges, 4, particle_count)
         if not len(hinges):
             return ()
-        numbers = np.stack([self.rest_length, self.stiffness, self.damping], axis=1)
-        return (Listed(kind=self.kind, particles=hinges, numbers=numbers),)
+        coefficients = np.stack([self.rest_length, self.stiffness, self.damping], axis=1)
+        return (ElementList(kind=self.kind, particles=hinges, coefficients=coefficients),)
 
     def lengths(self, x: Array) -> Array:
         """Return the signed length h [m] of every hinge at positions x (3, n), NaN if undefined, shape (m,)."""
@@ -91,11 +91,11 @@ def gradient_squares(hinges: ArrayLike, x: Array, *, kind: str) -> Array:
 
 
 def _lengths(hinges: ArrayLike, x: Array, kind: str) -> tuple[Array, Array]:
-    places = np.ascontiguousarray(x, dtype=np.float64)
-    count = places.shape[1]
+    positions = np.ascontiguousarray(x, dtype=np.float64)
+    count = positions.shape[1]
     quads = indices("hinges", hinges, 4, count)
     lengths, squares = np.empty(len(quads)), np.empty((len(quads), 4))
-    address = doubles("x", places, (3, count))
+    address = doubles("x", positions, (3, count))
     check(
         library().cloth_hinge_lengths(
             KINDS[kind][0], len(quads), quads.ctypes.data, address, count, lengths.ctypes.data, squares.ctypes.data

@@ -42,11 +42,12 @@ class OppositeSprings(PairSprings):
         name: str = "opposite",
     ) -> None:
         pairs = indices(f"wings of '{name}'", wings, 2, np.iinfo(np.int64).max)
-        rest = finite(f"rest_length of '{name}'", rest_length, (len(pairs),))
-        wrong = np.flatnonzero(~(rest > 0.0))
+        rest_lengths = finite(f"rest_length of '{name}'", rest_length, (len(pairs),))
+        wrong = np.flatnonzero(~(rest_lengths > 0.0))
         if wrong.size:
             raise ValueError(
-                f"rest_length of bending spring {wrong[0]} (particles {pairs[wrong[0]].tolist()}) is {rest[wrong[0]]}; "
+                f"rest_length of bending spring {wrong[0]} (particles {pairs[wrong[0]].tolist()}) is "
+                f"{rest_lengths[wrong[0]]}; "
                 "it must be above 0: a pair folded shut at rest has no such spring"
             )
-        super().__init__(pairs, rest, stiffness, damping, name=name)
+        super().__init__(pairs, rest_lengths, stiffness, damping, name=name)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.engine.binding import finite, indices
 from cloth_sim_ros.physics.forces.force import Array, EngineForce
-from cloth_sim_ros.physics.parts import Listed, Part
+from cloth_sim_ros.physics.parts import ElementList, Part
 
 
 class PairSprings(EngineForce):
@@ -60,15 +60,15 @@ class PairSprings(EngineForce):
 
     def parts(self, particle_count: int) -> Sequence[Part]:
         pairs = indices(f"pairs of '{self.name}'", self.pairs, 2, particle_count)
-        joint = self.rest_length == 0.0
-        found: list[Part] = []
-        if not joint.all():
-            numbers = np.stack([self.stiffness, self.rigidity, self.damping], axis=1)[~joint]
-            found.append(Listed(kind="spring", particles=pairs[~joint], numbers=numbers))
-        if joint.any():
-            numbers = np.stack([self.stiffness, self.damping], axis=1)[joint]
-            found.append(Listed(kind="joint", particles=pairs[joint], numbers=numbers))
-        return found
+        is_joint = self.rest_length == 0.0
+        elements: list[Part] = []
+        if not is_joint.all():
+            coefficients = np.stack([self.stiffness, self.rigidity, self.damping], axis=1)[~is_joint]
+            elements.append(ElementList(kind="spring", particles=pairs[~is_joint], coefficients=coefficients))
+        if is_joint.any():
+            coefficients = np.stack([self.stiffness, self.damping], axis=1)[is_joint]
+            elements.append(ElementList(kind="joint", particles=pairs[is_joint], coefficients=coefficients))
+        return elements
 
 
 def lecture_damping(k_d0: ArrayLike, rigidity: ArrayLike, mass: ArrayLike) -> Array:

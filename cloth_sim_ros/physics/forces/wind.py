@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from cloth_sim_ros.engine.binding import finite
 from cloth_sim_ros.physics.forces.force import Array, EngineForce
-from cloth_sim_ros.physics.parts import Part, Uniform
+from cloth_sim_ros.physics.parts import Part, UniformForces
 
 
 class Wind(EngineForce):
@@ -32,11 +32,11 @@ class Wind(EngineForce):
 
     def __init__(self, velocity: ArrayLike, rate: float) -> None:
         self.velocity: Array = finite("wind", velocity, (3,), one_for_all=False)
-        pushed = float(finite("drag rate", rate, (), least=0.0))
+        drag_rate = float(finite("drag rate", rate, (), least=0.0))
         with np.errstate(over="ignore"):
             #: Acceleration of every particle [m/s^2], shape (3,).
-            self.acceleration: Array = finite("push of the wind", pushed * self.velocity, (3,))
+            self.acceleration: Array = finite("push of the wind", drag_rate * self.velocity, (3,))
 
     def parts(self, particle_count: int) -> Sequence[Part]:
         x, y, z = self.acceleration.tolist()
-        return (Uniform(wind=(x, y, z)),)
+        return (UniformForces(wind=(x, y, z)),)

@@ -17,82 +17,82 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine import band
-from cloth_sim_ros.physics.cores import available
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.physics.thread_limit import available_threads
 
 _Index = NDArray[np.int64]
 
 #: Minimum multiplications of a factorisation, and minimum matrix entries of a solution, for a second thread.
-_FACTOR_ASIDE, _SOLVE_ASIDE = 8_000_000, 2_000_000
+_PARALLEL_FACTOR_OPERATIONS, _PARALLEL_SOLVE_SIZE = 8_000_000, 2_000_000
 
 
 @cache
-def _helper() -> ThreadPoolExecutor:
+def _second_thread() -> ThreadPoolExecutor:
     """The second thread."""
     return ThreadPoolExecutor(1, thread_name_prefix="band")
 
 
-class _Here(Executor):
+class _InlineExecutor(Executor):
     """Executor that runs a task in the calling thread, for tasks shorter than waking a thread."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        done: Future[Any] = Future()
-        done.set_result(fn(*args, **kwargs))
-        return done
+        future: Future[Any] = Future()
+        future.set_result(fn(*args, **kwargs))
+        return future
 
 
-_HERE = _Here()
+_INLINE_EXECUTOR = _InlineExecutor()
 
 
-def _side(aside: bool) -> Executor:
+def _lower_executor(is_worth_a_thread: bool) -> Executor:
     """Return the executor of the lower part: the second thread if it pays and is available, else the caller's."""
-    return _helper() if aside and available() > 1 else _HERE
+    return _second_thread() if is_worth_a_thread and available_threads() > 1 else _INLINE_EXECUTOR
 
 
 class BandMatrix:
     """Band matrix of 3x3 blocks for particle pairs and single particles.
 
     Args:
-        places: block row of each particle, -1 for fixed ones, shape (n,).
+        block_rows: block row of each particle, -1 for fixed ones, shape (n,).
         width: block half bandwidth.
         pairs: particle pairs of each group of blocks, each of shape (m, 2); pairs outside the band are ignored.
     """
 
-    def __init__(self, places: _Index, width: int, pairs: list[_Index]) -> None:
-        self._places, self.width = places, width
-        self.count = int(places.max(initial=-1)) + 1
+    def __init__(self, block_rows: _Index, width: int, pairs: list[_Index]) -> None:
+        self._block_rows, self.width = block_rows, width
+        self.count = int(block_rows.max(initial=-1)) + 1
         # Two ends only if each is longer than the shared part.
         self._shared = width if self.count >= 4 * width else 0
         self._upper = (self.count - self._shared) // 2 if self._shared else self.count
         self._lower = self.count - self._shared - self._upper
-        numbers = 9 * self.count * (width + 1)
-        self._factors_aside = numbers * (width + 1) >= 2 * _FACTOR_ASIDE
-        self._solves_aside = numbers >= _SOLVE_ASIDE
+        n_numbers = 9 * self.count * (width + 1)
+        self._factors_in_parallel = n_numbers * (width + 1) >= 2 * _PARALLEL_FACTOR_OPERATIONS
+        self._solves_in_parallel = n_numbers >= _PARALLEL_SOLVE_SIZE
         self._pairs = pairs
-        self._made = False
+        self._is_prepared = False
 
-    def _make(self) -> None:
+    def _prepare(self) -> None:
         """Allocate the arrays of the factorisation; its cost is known before, from the size alone."""
-        last, places = self.count - 1, self._places
-        above = places < self._upper + self._shared
-        below = places >= self._upper
-        self._maps = (np.where(above, places, -1), np.where(below, last - places, -1))
-        self._chosen = [self._split(ends) for ends in self._pairs]
+        last, block_rows = self.count - 1, self._block_rows
+        is_upper = block_rows < self._upper + self._shared
+        is_lower = block_rows >= self._upper
+        self._maps = (np.where(is_upper, block_rows, -1), np.where(is_lower, last - block_rows, -1))
+        self._selected = [self._split(ends) for ends in self._pairs]
         # The upper part alone assembles the diagonal of the shared rows.
-        self._owned = (self._maps[0], np.where(self._maps[1] < self._lower, self._maps[1], -1))
-        upper, lower = (band.rows(own + self._shared, self.width) for own in (self._upper, self._lower))
+        self._diagonal_maps = (self._maps[0], np.where(self._maps[1] < self._lower, self._maps[1], -1))
+        upper, lower = (band.rows(n_part_rows + self._shared, self.width) for n_part_rows in (self._upper, self._lower))
         self._rows = upper, lower
-        self._middle = band.rows(self._shared, max(self._shared - 1, 0))
-        self._made = True
+        self._shared_rows = band.rows(self._shared, max(self._shared - 1, 0))
+        self._is_prepared = True
 
     def _split(self, pairs: _Index) -> tuple[_Index, _Index]:
         """Return the indices of the pairs of the upper and of the lower part."""
-        ends = self._places[pairs]
-        near = (np.abs(ends[:, 0] - ends[:, 1]) <= self.width) | (ends < 0).any(axis=1)
-        near &= (ends >= 0).any(axis=1)
-        lower = (ends >= self._upper + self._shared).any(axis=1)
-        return np.flatnonzero(near & ~lower), np.flatnonzero(near & lower)
+        ends = self._block_rows[pairs]
+        is_in_band = (np.abs(ends[:, 0] - ends[:, 1]) <= self.width) | (ends < 0).any(axis=1)
+        is_in_band &= (ends >= 0).any(axis=1)
+        is_lower = (ends >= self._upper + self._shared).any(axis=1)
+        return np.flatnonzero(is_in_band & ~is_lower), np.flatnonzero(is_in_band & is_lower)
 
     def update(self, blocks: list[Array], masses: Array, diagonal: Array) -> None:
         """Assemble and factorise.
@@ -105,52 +105,52 @@ class BandMatrix:
         Raises:
             UnstableError: if the matrix is not positive definite.
         """
-        if not self._made:
-            self._make()
+        if not self._is_prepared:
+            self._prepare()
         if self._shared:
-            lower = _side(self._factors_aside).submit(self._eliminate, 1, blocks, masses, diagonal)
-            good = self._eliminate(0, blocks, masses, diagonal)
-            good = lower.result() and good
-            band.join(*self._rows, self._upper, self._lower, self._middle)
-            good = good and band.factor(self._middle, self._shared)
+            lower = _lower_executor(self._factors_in_parallel).submit(self._eliminate, 1, blocks, masses, diagonal)
+            is_positive = self._eliminate(0, blocks, masses, diagonal)
+            is_positive = lower.result() and is_positive
+            band.join(*self._rows, self._upper, self._lower, self._shared_rows)
+            is_positive = is_positive and band.factor(self._shared_rows, self._shared)
         else:
-            good = self._eliminate(0, blocks, masses, diagonal)
-        if not good:
+            is_positive = self._eliminate(0, blocks, masses, diagonal)
+        if not is_positive:
             raise UnstableError("the matrix of an implicit step is not positive definite: the motion is not finite")
 
     def _eliminate(self, part: int, blocks: list[Array], masses: Array, diagonal: Array) -> bool:
         rows = self._rows[part]
         rows.fill(0.0)
-        for pairs, values, chosen in zip(self._pairs, blocks, self._chosen, strict=True):
-            band.assemble(rows, self._maps[part], pairs, values, chosen[part])
-        band.assemble_diagonal(rows, self._owned[part], masses, diagonal)
+        for pairs, values, selected in zip(self._pairs, blocks, self._selected, strict=True):
+            band.assemble(rows, self._maps[part], pairs, values, selected[part])
+        band.assemble_diagonal(rows, self._diagonal_maps[part], masses, diagonal)
         return band.factor(rows, (self._upper, self._lower)[part])
 
     def solve(self, right: Array) -> None:
         """Replace ``right`` (3, n) by the solution; zero for fixed particles."""
-        moving = self._places >= 0
+        is_free = self._block_rows >= 0
         y = np.zeros((self.count, 3))
-        y[self._places[moving]] = right[:, moving].T
-        cut = self._upper + self._shared
-        upper = y[:cut].copy()
+        y[self._block_rows[is_free]] = right[:, is_free].T
+        upper_end = self._upper + self._shared
+        upper = y[:upper_end].copy()
         if self._shared:
             lower = y[self._upper :][::-1].copy()
             lower[self._lower :] = 0.0
-            side = _side(self._solves_aside)
-            below = side.submit(band.forward, self._rows[1], self._lower, lower)
+            executor = _lower_executor(self._solves_in_parallel)
+            lower_task = executor.submit(band.forward, self._rows[1], self._lower, lower)
             band.forward(self._rows[0], self._upper, upper)
-            below.result()
+            lower_task.result()
             middle = upper[self._upper :] + lower[self._lower :][::-1]
-            band.forward(self._middle, self._shared, middle)
-            band.backward(self._middle, self._shared, middle)
+            band.forward(self._shared_rows, self._shared, middle)
+            band.backward(self._shared_rows, self._shared, middle)
             upper[self._upper :], lower[self._lower :] = middle, middle[::-1]
-            below = side.submit(band.backward, self._rows[1], self._lower, lower)
+            lower_task = executor.submit(band.backward, self._rows[1], self._lower, lower)
             band.backward(self._rows[0], self._upper, upper)
-            below.result()
+            lower_task.result()
             y[self._upper :] = lower[::-1]
         else:
             band.forward(self._rows[0], self._upper, upper)
             band.backward(self._rows[0], self._upper, upper)
-        y[:cut] = upper
+        y[:upper_end] = upper
         right[:] = 0.0
-        right[:, moving] = y[self._places[moving]].T
+        right[:, is_free] = y[self._block_rows[is_free]].T

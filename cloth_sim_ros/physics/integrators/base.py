@@ -8,9 +8,10 @@ import math
 from abc import ABC, abstractmethod
 from typing import NamedTuple
 
-from cloth_sim_ros.physics.book import Book
+from cloth_sim_ros.physics.old_names import with_old_names
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
 
 
 class UnstableError(RuntimeError):
@@ -20,19 +21,20 @@ class UnstableError(RuntimeError):
     evaluations = 0
 
 
-class MissedError(UnstableError):
+class ToleranceMissedError(UnstableError):
     """The tolerance can't be held, and the caller rejects a result that misses it."""
 
 
 #: Factors that may limit the step: `accuracy` (the tolerance), `stability` (the step limit), `frame` (one step covers
 #: the frame), `step` (the user's fixed step), `work` (the work limit of a frame), `rest` (the sheet sleeps: no step).
-BINDING = ("accuracy", "stability", "frame", "step", "work", "rest")
+LIMITING_FACTORS = ("accuracy", "stability", "frame", "step", "work", "rest")
 #: Default work limit of a frame, as a multiple of real time by the plan's estimated cost.
 WORK_LIMIT = 10.0
 #: Default tolerance of positions [m]; see the scene's `tolerance`.
 TOLERANCE = 1e-3
 
 
+@with_old_names(binds="limited_by")
 class Advance(NamedTuple):
     """Result of one advance: steps, force evaluations, error estimate and limiting factor."""
 
@@ -49,7 +51,7 @@ class Advance(NamedTuple):
     #: Name of the integrator that ran.
     integrator: str = ""
     #: Factor that limited the step, one of `LIMITING_FACTORS`.
-    binds: str = ""
+    limited_by: str = ""
     #: Estimated largest position error of a particle over the advance [m]; None without a tolerance.
     error: float | None = None
     #: Number of steps that were accepted although their error exceeds the error budget.
@@ -72,7 +74,9 @@ class Integrator(ABC):
         """Return the largest stable step [s] for a squared frequency [1/s^2] and a damping rate c/m [1/s]."""
 
     @abstractmethod
-    def advance(self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None) -> Advance:
+    def advance(
+        self, plan: Plan, state: State, t: float, duration: float, accumulator: WorkAccumulator | None = None
+    ) -> Advance:
         """Advance ``state`` from time t [s] by duration [s].
 
         The arrays of positions and velocities are replaced, not overwritten, so references to the old ones stay valid.
@@ -83,7 +87,7 @@ class Integrator(ABC):
             state: advanced in place.
             t: time at the start [s].
             duration: time to advance [s].
-            book: accumulates work and wrenches of the motion; None for none.
+            accumulator: accumulates work and wrenches of the motion; None for none.
 
         Raises:
             UnstableError: if the motion does not stay finite.
@@ -131,7 +135,7 @@ class NoRoomError(UnstableError, ValueError):
     """The cloth intersects itself or an obstacle, at the start or because moving bodies squeezed it."""
 
 
-def refuse_boundless(omega2: float, damping: float) -> None:
+def refuse_unbounded(omega2: float, damping: float) -> None:
     """Refuse a motion without a stable step.
 
     Args:

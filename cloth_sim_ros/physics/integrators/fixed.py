@@ -9,14 +9,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import Advance, Integrator, NoRoomError, UnstableError, refuse_unstable
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
 
 #: Maximum number of attempts of an advance, each with a smaller step.
-ATTEMPTS = 12
+MAX_ATTEMPTS = 12
 
 
 def steps_for(duration: float, step: float) -> int:
@@ -32,7 +32,7 @@ def advance_fixed(
     t: float,
     duration: float,
     step: float | None,
-    book: Book | None,
+    accumulator: WorkAccumulator | None,
 ) -> Advance:
     """Run an explicit method with equal steps.
 
@@ -46,20 +46,20 @@ def advance_fixed(
         t: time at the start [s].
         duration: time to advance [s].
         step: the user's largest step [s], or None.
-        book: work accumulator, reset before every attempt; None for none.
+        accumulator: work accumulator, reset before every attempt; None for none.
 
     Raises:
         ValueError: if the given step is above the limit.
         UnstableError: if the motion does not stay finite.
     """
 
-    def limit_at(now: float, ahead: float) -> float:
+    def limit_at(time: float, lookahead: float) -> float:
         """Step limit at a time [s], including contact predicted over a duration [s]."""
         if plan.contact is not None:
-            plan.contact.take(state)
-        omega2, damping = plan.rates(state.x)
+            plan.contact.load_state(state)
+        omega2, damping = plan.spectral_bounds(state.x)
         try:
-            contact = plan.ahead(now, ahead, state.x, state.v)
+            contact = plan.predict_contact(time, lookahead, state.x, state.v)
         except ValueError as error:
             raise NoRoomError(str(error)) from error
         return integrator.step_limit(omega2 + contact[0], damping + contact[1])
@@ -67,35 +67,37 @@ def advance_fixed(
     limit = limit_at(t, duration)
     if step is not None:
         refuse_unstable(step, limit, integrator.name)
-    h_most = CONSTANTS.safety * limit if step is None else step
-    start = state.share()
+    max_step = CONSTANTS.stability_safety * limit if step is None else step
+    start = state.shallow_copy()
     state.x, state.v = state.x.copy(), state.v.copy()
     evaluations = 0
     rejected = 0
     while True:
-        steps = steps_for(duration, h_most)
+        steps = steps_for(duration, max_step)
         h = duration / steps
-        if book is not None:
-            book.restart()
+        if accumulator is not None:
+            accumulator.reset()
         evaluations += run(h, steps)
-        finite = bool(np.isfinite(state.x).all() and np.isfinite(state.v).all())
-        if finite and (step is not None or h <= limit_at(t + duration, 0.0)):
+        is_finite = bool(np.isfinite(state.x).all() and np.isfinite(state.v).all())
+        if is_finite and (step is not None or h <= limit_at(t + duration, 0.0)):
             break
         if step is not None:
             raise UnstableError(
                 f"the motion became non-finite at a step of {h} s; its limit was {limit:.6g} s at the start"
             )
         state.restore(start)
-        h_most = 0.5 * h
+        max_step = 0.5 * h
         rejected += 1
-        if rejected == ATTEMPTS:
+        if rejected == MAX_ATTEMPTS:
             raise UnstableError(
                 f"no step down to {h:.3g} s kept the motion within its stability limit; reduce stiffness "
                 "or damping, or set integrator auto"
             )
-    binds = "step" if step is not None else ("frame" if steps == 1 else "stability")
-    why = (
-        f"fixed step of {h:.3g} s" if step is not None else f"{CONSTANTS.safety:g} of the stability limit {limit:.3g} s"
+    limited_by = "step" if step is not None else ("frame" if steps == 1 else "stability")
+    step_text = (
+        f"fixed step of {h:.3g} s"
+        if step is not None
+        else f"{CONSTANTS.stability_safety:g} of the stability limit {limit:.3g} s"
     )
     return Advance(
         steps=steps,
@@ -104,6 +106,6 @@ def advance_fixed(
         limit=limit,
         rejected=rejected,
         integrator=integrator.name,
-        binds=binds,
-        reason=f"{integrator.name}: {why}, no tolerance set",
+        limited_by=limited_by,
+        reason=f"{integrator.name}: {step_text}, no tolerance set",
     )

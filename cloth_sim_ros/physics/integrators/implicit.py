@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 
-from cloth_sim_ros.physics.book import Book
 from cloth_sim_ros.physics.integrators.base import (
     WORK_LIMIT,
     Advance,
@@ -17,6 +16,7 @@ from cloth_sim_ros.physics.integrators.base import (
 )
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
 
 
 class Implicit(Integrator):
@@ -66,10 +66,10 @@ class Implicit(Integrator):
         state: State,
         t: float,
         duration: float,
-        book: Book | None = None,
+        accumulator: WorkAccumulator | None = None,
         *,
-        strict: bool = False,
-        most: float = math.inf,
+        is_strict: bool = False,
+        max_evaluations: float = math.inf,
     ) -> Advance:
         """Advance a state, see `Integrator.advance`.
 
@@ -78,14 +78,16 @@ class Implicit(Integrator):
             state: advanced in place.
             t: time at the start [s].
             duration: time to advance [s].
-            book: accumulates work and wrenches of the motion; None for none.
-            strict: raise instead of taking a step that would be flagged.
-            most: limit of force evaluations for eight or more fixed steps. Newton's iteration stops there, and a
-                descent finishes the step; it always has a result, and the step is flagged.
+            accumulator: accumulates work and wrenches of the motion; None for none.
+            is_strict: raise instead of taking a step that would be flagged.
+            max_evaluations: limit of force evaluations for eight or more fixed steps. Newton's iteration stops there,
+                and a descent finishes the step; it always has a result, and the step is flagged.
 
         Raises:
             ToleranceMissedError: if strict, with contact, and no solution of a step is found.
         """
-        from cloth_sim_ros.physics.integrators.implicit_run import ImplicitAdvance
+        from cloth_sim_ros.physics.integrators.implicit_advance import ImplicitAdvance
 
-        return ImplicitAdvance(self, plan, state, t, duration, book, strict=strict, most=most).run()
+        return ImplicitAdvance(
+            self, plan, state, t, duration, accumulator, is_strict=is_strict, max_evaluations=max_evaluations
+        ).run()

@@ -16,12 +16,12 @@ from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.integrators.band_matrix import BandMatrix
 from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.parts import Listed
+from cloth_sim_ros.physics.parts import ElementList
 from cloth_sim_ros.physics.plan import compile
 
 #: Pairs do not widen the band if their stiffness is below this fraction of the largest one at both ends. Newton's
 #: iteration then converges by about this factor per step.
-_NEGLIGIBLE = 0.05
+_NEGLIGIBLE_FRACTION = 0.05
 
 
 class StageMatrix:
@@ -35,59 +35,57 @@ class StageMatrix:
     def __init__(self, model: Model) -> None:
         self._model = model
         count = model.particle_count
-        springs, others = _split(model)
+        springs, other_forces = _split_forces(model)
         #: Springs and joints as lists; all other forces.
         self._springs = compile(Model(model.masses, springs))
         # Anchored particles may lie inside obstacles, where forces are not finite.
-        self._others = compile(Model(model.masses, others, anchors=model.anchors))
-        parts = [part for force in springs for part in force.parts(count) or () if isinstance(part, Listed)]
+        self._other_forces = compile(Model(model.masses, other_forces, anchors=model.anchors))
+        parts = [part for force in springs for part in force.parts(count) or () if isinstance(part, ElementList)]
         self._pairs = [np.ascontiguousarray(part.particles) for part in parts]
-        moving = model.inverse_masses > 0.0
-        places, width = _order(self._band_pairs(parts), moving)
-        self._matrix = BandMatrix(places, width, self._pairs)
+        is_free = model.inverse_masses > 0.0
+        block_rows, width = _block_order(self._band_pairs(parts), is_free)
+        self._matrix = BandMatrix(block_rows, width, self._pairs)
 
     @property
     def size(self) -> tuple[int, int]:
         """Number of block rows, and blocks per row."""
         return self._matrix.count, self._matrix.width + 1
 
-    def _band_pairs(self, parts: list[Listed]) -> NDArray[np.int64]:
+    def _band_pairs(self, parts: list[ElementList]) -> NDArray[np.int64]:
         """Return the pairs that the band must contain: those that are not negligible at one of their ends."""
         # Stiffness k [N/m] of springs and joints at any position: the order does not depend on the state.
-        rigidities = [part.numbers[:, 1 if part.kind == "spring" else 0] for part in parts]
+        rigidities = [part.coefficients[:, 1 if part.kind == "spring" else 0] for part in parts]
         ends = np.concatenate([np.empty((0, 2), dtype=np.int64), *self._pairs])
         size = np.concatenate([np.empty(0), *rigidities])
         largest = np.zeros(self._model.particle_count)
-        for side in (0, 1):
-            np.maximum.at(largest, ends[:, side], size)
-        return ends[size >= _NEGLIGIBLE * largest[ends].min(axis=1)]
+        for end_index in (0, 1):
+            np.maximum.at(largest, ends[:, end_index], size)
+        return ends[size >= _NEGLIGIBLE_FRACTION * largest[ends].min(axis=1)]
 
-    def update(
-        self, t: float, x: Array, d: float, pinched: Array | None = None, thickness: Array | None = None
-    ) -> None:
+    def update(self, t: float, x: Array, d: float, jaws: Array | None = None, thickness: Array | None = None) -> None:
         """Factorise M + d^2 K + d D with stiffness K and damping D.
 
         Args:
             t: time [s].
             x: positions [m], shape (3, n).
             d: coefficient of the stage [s].
-            pinched: jaw states, see `ContactBinding.jaws_shape`; None without jaws.
+            jaws: jaw states, see `ContactBinding.jaws_shape`; None without jaws.
             thickness: contact thicknesses [m], see `ContactBinding.thickness_shape`; None if none is reduced.
 
         Raises:
             UnstableError: if an entry is not finite.
         """
         stiffness, damping = np.zeros((2, 6, self._model.particle_count))
-        if self._others.contact is not None:
-            self._others.contact.lay_pads(pinched)
-            self._others.contact.lay_thickness(thickness)
-        self._others.add_bounds(x, stiffness, damping, t)
+        if self._other_forces.contact is not None:
+            self._other_forces.contact.set_jaws(jaws)
+            self._other_forces.contact.set_thickness(thickness)
+        self._other_forces.add_bounds(x, stiffness, damping, t)
         self._matrix.update(self._blocks(x, d * d, d), self._model.masses, d * d * stiffness + d * damping)
 
     def _blocks(self, x: Array, stiffness: float, damping: float) -> list[Array]:
         return [
-            self._springs.pair_blocks(number, len(pairs), x, stiffness, damping)
-            for number, pairs in enumerate(self._pairs)
+            self._springs.pair_blocks(list_index, len(pairs), x, stiffness, damping)
+            for list_index, pairs in enumerate(self._pairs)
         ]
 
     def solve(self, right: Array) -> None:
@@ -109,34 +107,36 @@ def iteration_cost(model: Model) -> float:
     """Return the estimated cost of one iteration of the implicit method [ns]."""
     rows, width = stage_matrix(model).size
     # Symmetry halves the products of 3 x 3 blocks in the band.
-    return CONSTANTS.factor * 4.5 * rows * width * width + CONSTANTS.own * model.particle_count
+    return (
+        CONSTANTS.factorization_time * 4.5 * rows * width * width + CONSTANTS.python_force_time * model.particle_count
+    )
 
 
-def _split(model: Model) -> tuple[list[Force], list[Force]]:
+def _split_forces(model: Model) -> tuple[list[Force], list[Force]]:
     """Return springs and joints of a model, those of a grid as lists, and its other forces."""
     springs: list[Force] = []
-    others: list[Force] = []
+    other_forces: list[Force] = []
     for force in model.forces:
         if isinstance(force, GridSprings):
-            springs.append(force.listed)
+            springs.append(force.pair_springs)
         else:
-            (springs if isinstance(force, PairSprings) else others).append(force)
-    return springs, others
+            (springs if isinstance(force, PairSprings) else other_forces).append(force)
+    return springs, other_forces
 
 
-def _order(pairs: NDArray[np.int64], moving: NDArray[np.bool_]) -> tuple[NDArray[np.int64], int]:
+def _block_order(pairs: NDArray[np.int64], is_free: NDArray[np.bool_]) -> tuple[NDArray[np.int64], int]:
     """Return the block row of each particle, -1 for anchored ones, and the largest row distance of a pair."""
-    places = np.where(moving, np.cumsum(moving) - 1, -1).astype(np.int64)
-    ends = places[pairs]
+    block_rows = np.where(is_free, np.cumsum(is_free) - 1, -1).astype(np.int64)
+    ends = block_rows[pairs]
     ends = ends[(ends >= 0).all(axis=1)]
     if not len(ends):
-        return places, 0
+        return block_rows, 0
     width = int(np.abs(ends[:, 0] - ends[:, 1]).max())
-    count = int(moving.sum())
+    count = int(is_free.sum())
     order = band.cuthill_mckee(count, ends)
     rank = np.empty(count, dtype=np.int64)
     rank[order] = np.arange(count)
-    better = int(np.abs(rank[ends[:, 0]] - rank[ends[:, 1]]).max())
-    if better >= width:
-        return places, width
-    return np.where(places >= 0, rank[places], -1), better
+    ordered_width = int(np.abs(rank[ends[:, 0]] - rank[ends[:, 1]]).max())
+    if ordered_width >= width:
+        return block_rows, width
+    return np.where(block_rows >= 0, rank[block_rows], -1), ordered_width

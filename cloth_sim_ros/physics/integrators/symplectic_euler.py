@@ -8,11 +8,11 @@ import math
 
 import numpy as np
 
-from cloth_sim_ros.physics.book import Book, note
 from cloth_sim_ros.physics.integrators.base import Advance, Integrator, check_step
 from cloth_sim_ros.physics.integrators.fixed import advance_fixed
 from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator, accumulate
 
 
 class SymplecticEuler(Integrator):
@@ -41,20 +41,22 @@ class SymplecticEuler(Integrator):
         half = 0.5 * damping_rate
         return 2.0 / (half + math.sqrt(half * half + omega2))
 
-    def advance(self, plan: Plan, state: State, t: float, duration: float, book: Book | None = None) -> Advance:
+    def advance(
+        self, plan: Plan, state: State, t: float, duration: float, accumulator: WorkAccumulator | None = None
+    ) -> Advance:
         a = np.empty_like(state.x)
 
         def run(h: float, steps: int) -> int:
             for k in range(steps):
                 if plan.contact is not None:
-                    plan.contact.take(state)
+                    plan.contact.load_state(state)
                 plan.accelerations(t + k * h, state.x, state.v, a)
-                if book is not None:
-                    note(book, plan, t + k * h, state.x, state.v, h)
+                if accumulator is not None:
+                    accumulate(accumulator, plan, t + k * h, state.x, state.v, h)
                 state.v += h * a
                 state.x += h * state.v
                 if plan.contact is not None:
-                    plan.contact.follow(t + (k + 1) * h, h, state)
+                    plan.contact.update_after_step(t + (k + 1) * h, h, state)
             return steps
 
-        return advance_fixed(self, run, plan, state, t, duration, self.step, book)
+        return advance_fixed(self, run, plan, state, t, duration, self.step, accumulator)

@@ -42,7 +42,7 @@ from cloth_sim_ros.physics.forces.hinge_springs import HingeSprings, gradient_sq
 from cloth_sim_ros.physics.forces.opposite import OppositeSprings
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.sheets.hinge_shape import HingeShape
-from cloth_sim_ros.physics.sheets.surface import opposite_kept
+from cloth_sim_ros.physics.sheets.surface import needs_opposite_spring
 
 BendingModel = Literal["opposite", "crossed", "altitude"]
 
@@ -61,8 +61,8 @@ def mesh_hinge_constants(hinges: ArrayLike, positions: ArrayLike, *, bending_mod
         ValueError: for a modulus that is not finite and at least 0, or a triangle without area.
     """
     _check_modulus(bending_modulus)
-    shape = HingeShape.of(hinges, positions)
-    return 1.125 * bending_modulus * shape.edge / (0.5 * (shape.height0 + shape.height1))
+    hinge_shape = HingeShape.of(hinges, positions)
+    return 1.125 * bending_modulus * hinge_shape.edge / (0.5 * (hinge_shape.height0 + hinge_shape.height1))
 
 
 def grid_hinge_constants(
@@ -140,26 +140,26 @@ def bending_terms(
         raise ValueError(f"damping is {damping} without masses; critical damping depends on them, so give both")
     mass = np.ones(quads.max(initial=-1) + 1) if masses is None else np.asarray(masses, dtype=np.float64)
     distance = shape.wing_distance()
-    kept = opposite_kept(quads, existing) & (distance > 0.0)
+    has_spring = needs_opposite_spring(quads, existing) & (distance > 0.0)
     if model == "opposite":
         if hinge_constants is not None:
             refuse_bending_modulus(model)
         if spring_stiffness is None:
             raise ValueError("bending model 'opposite' needs spring_stiffness, k_s in N")
         k_s = np.array(np.broadcast_to(np.asarray(spring_stiffness, dtype=np.float64), distance.shape))
-        return [_opposite(quads, distance, k_s, kept, damping, mass)]
+        return [_opposite_springs(quads, distance, k_s, has_spring, damping, mass)]
     if spring_stiffness is not None or hinge_constants is None:
         raise ValueError(f"bending model '{model}' takes hinge_constants (k_θ in N m), not spring_stiffness")
-    stiffness, opposite = spring_constants(model, shape, hinge_constants, ratio=ratio)
-    blend = model == "altitude"
-    rest = shape.length("altitude" if blend else "crossed")
-    k_d = _hinge_damping(damping, stiffness, shape, quads, mass, blend)
-    second: HingeSprings = (
-        AltitudeSprings(quads, rest, stiffness, k_d)
-        if blend
-        else CrossedSprings(quads[:, :2], quads[:, 2:], rest, stiffness, k_d)
+    stiffness, opposite_stiffness = spring_constants(model, shape, hinge_constants, ratio=ratio)
+    is_altitude = model == "altitude"
+    rest_length = shape.length("altitude" if is_altitude else "crossed")
+    k_d = _hinge_damping(damping, stiffness, shape, quads, mass, is_altitude)
+    hinge_springs: HingeSprings = (
+        AltitudeSprings(quads, rest_length, stiffness, k_d)
+        if is_altitude
+        else CrossedSprings(quads[:, :2], quads[:, 2:], rest_length, stiffness, k_d)
     )
-    return [_opposite(quads, distance, opposite * distance, kept, damping, mass), second]
+    return [_opposite_springs(quads, distance, opposite_stiffness * distance, has_spring, damping, mass), hinge_springs]
 
 
 def spring_constants(
@@ -173,22 +173,22 @@ def spring_constants(
     constants = np.asarray(hinge_constants, dtype=np.float64)
     wrong = np.flatnonzero(~(np.isfinite(constants) & (constants >= 0.0)))
     if constants.shape != shape.edge.shape or wrong.size:
-        what = f"{constants[wrong[0]]} at hinge {wrong[0]}" if wrong.size else f"of shape {constants.shape}"
-        raise ValueError(f"hinge constants are {what}; give {shape.edge.shape[0]} finite numbers of at least 0 N m")
+        problem = f"{constants[wrong[0]]} at hinge {wrong[0]}" if wrong.size else f"of shape {constants.shape}"
+        raise ValueError(f"hinge constants are {problem}; give {shape.edge.shape[0]} finite numbers of at least 0 N m")
     if ratio is None:
         flat, angle, folded = RATIOS[model]
-        share = np.where(shape.cosine < sine_and_cosine(angle)[1], folded, flat)
+        ratios = np.where(shape.cosine < sine_and_cosine(angle)[1], folded, flat)
     elif not (math.isfinite(ratio) and ratio > 0.0):
         raise ValueError(f"ratio is {ratio}; it must be finite and above 0")
     else:
-        share = np.full_like(constants, ratio)
-    opposite_per_second = _squared(shape.half_range_ratio(model)) / share
-    slope = _squared(shape.length_slope(model)) + opposite_per_second * _squared(shape.wing_distance_slope())
+        ratios = np.full_like(constants, ratio)
+    opposite_per_second = _square(shape.half_range_ratio(model)) / ratios
+    slope = _square(shape.length_slope(model)) + opposite_per_second * _square(shape.wing_distance_slope())
     stiffness = constants / slope
     return stiffness, opposite_per_second * stiffness
 
 
-def _squared(a: Array) -> Array:
+def _square(a: Array) -> Array:
     return a * a
 
 
@@ -224,25 +224,33 @@ def refuse_bending_modulus(model: str) -> None:
     )
 
 
-def _opposite(
-    quads: np.ndarray, distance: Array, k_s: Array, kept: np.ndarray, damping: float, mass: Array
+def _opposite_springs(
+    quads: np.ndarray, distance: Array, k_s: Array, has_spring: np.ndarray, damping: float, mass: Array
 ) -> OppositeSprings:
     """Return S7 between the wings of the masked hinges; springs of one pair and rest length are merged."""
-    pairs, first, same = np.unique(np.sort(quads[kept][:, 2:], axis=1), axis=0, return_index=True, return_inverse=True)
-    rest = distance[kept][first]
-    same = same.ravel()
-    if np.abs(distance[kept] - rest[same]).max(initial=0.0) > 1e-9 * rest.max(initial=0.0):
-        pairs, rest, same = quads[kept][:, 2:], distance[kept], np.arange(np.count_nonzero(kept))
+    pairs, first_rows, pair_indices = np.unique(
+        np.sort(quads[has_spring][:, 2:], axis=1), axis=0, return_index=True, return_inverse=True
+    )
+    rest_lengths = distance[has_spring][first_rows]
+    pair_indices = pair_indices.ravel()
+    if np.abs(distance[has_spring] - rest_lengths[pair_indices]).max(initial=0.0) > 1e-9 * rest_lengths.max(
+        initial=0.0
+    ):
+        pairs, rest_lengths, pair_indices = (
+            quads[has_spring][:, 2:],
+            distance[has_spring],
+            np.arange(np.count_nonzero(has_spring)),
+        )
     stiffness = np.zeros(len(pairs))
-    np.add.at(stiffness, same, k_s[kept])
-    inverse = 1.0 / mass[pairs[:, 0]] + 1.0 / mass[pairs[:, 1]]
+    np.add.at(stiffness, pair_indices, k_s[has_spring])
+    inverse_masses = 1.0 / mass[pairs[:, 0]] + 1.0 / mass[pairs[:, 1]]
     # the lecture's m of two unequal ends is the reduced mass times two
-    k_d = damping * np.sqrt(2.0 / inverse * stiffness / rest)
-    return OppositeSprings(pairs, rest, stiffness, k_d)
+    k_d = damping * np.sqrt(2.0 / inverse_masses * stiffness / rest_lengths)
+    return OppositeSprings(pairs, rest_lengths, stiffness, k_d)
 
 
 def _hinge_damping(
-    damping: float, stiffness: Array, shape: HingeShape, quads: np.ndarray, mass: Array, blend: bool
+    damping: float, stiffness: Array, shape: HingeShape, quads: np.ndarray, mass: Array, is_altitude: bool
 ) -> Array:
     """k_d = k_d0 sqrt(m κ̂), m twice the reduced mass 1 / Σ |g_i|²/m_i of the length's gradient g at rest."""
     if not damping:
@@ -258,7 +266,7 @@ def _hinge_damping(
         ]
     )
     x = np.ascontiguousarray(points.transpose(0, 2, 1).reshape(3, -1))
-    kind = "altitude" if blend else "crossed"
+    kind = "altitude" if is_altitude else "crossed"
     first, second, third, fourth = (
         gradient_squares(np.arange(4 * len(quads)).reshape(-1, 4), x, kind=kind) / mass[quads]
     ).T

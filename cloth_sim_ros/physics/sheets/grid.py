@@ -69,13 +69,13 @@ class GridSheet:
         index = np.arange(self.rows * self.columns).reshape(self.rows, self.columns)
         rows = {"top": index[0], "bottom": index[-1]}
         columns = {"left": index[:, 0], "right": index[:, -1]}
-        places: dict[str, NDArray[np.int64]] = {**rows, **columns}
+        particles: dict[str, NDArray[np.int64]] = {**rows, **columns}
         for row, first in rows.items():
-            for side, column in (("left", 0), ("right", -1)):
-                places[f"{row}_{side}"] = first[[column]]
-        if name not in places:
-            raise ValueError(f"'{name}' is no edge or corner of a grid; there are {', '.join(places)}")
-        return places[name]
+            for end_name, column in (("left", 0), ("right", -1)):
+                particles[f"{row}_{end_name}"] = first[[column]]
+        if name not in particles:
+            raise ValueError(f"'{name}' is no edge or corner of a grid; there are {', '.join(particles)}")
+        return particles[name]
 
     def families(
         self, threads: Threads, *, k_d0: float, density: float, retardation: float = 0.0

@@ -78,21 +78,21 @@ class HingeShape:
             bad = int(np.argmax(edge == 0.0))
             raise ValueError(f"hinge {bad} {quads[bad].tolist()} has an edge without length; weld its particles")
         unit = along / edge[:, None]
-        feet, heights, sides = [], [], []
+        feet, heights, directions = [], [], []
         for wing in (2, 3):
-            to = x[quads[:, wing]] - start
-            foot = _dot(to, unit)
-            side = to - foot[:, None] * unit
-            height = np.sqrt(_dot(side, side))
+            arm = x[quads[:, wing]] - start
+            foot = _dot(arm, unit)
+            perpendicular = arm - foot[:, None] * unit
+            height = np.sqrt(_dot(perpendicular, perpendicular))
             flat = height <= 1e-9 * edge
             if np.any(flat):
                 bad = int(np.argmax(flat))
                 raise ValueError(f"hinge {bad} {quads[bad].tolist()} has a triangle without area; remove it")
             feet.append(foot)
             heights.append(height)
-            sides.append(side / height[:, None])
+            directions.append(perpendicular / height[:, None])
         # flat: the wings stand on opposite sides, sides[0] = -sides[1]
-        sine, cosine = _dot(unit, np.cross(sides[0], sides[1])), -_dot(sides[0], sides[1])
+        sine, cosine = _dot(unit, np.cross(directions[0], directions[1])), -_dot(directions[0], directions[1])
         length = np.sqrt(sine * sine + cosine * cosine)
         return cls(
             edge=edge,
@@ -107,8 +107,8 @@ class HingeShape:
     def at(self, angle: ArrayLike) -> HingeShape:
         """Return the same triangles folded by `angle` [rad], one number or shape (m,), between -π and π."""
         angles = np.broadcast_to(np.asarray(angle, np.float64), self.edge.shape).tolist()
-        known = {each: sine_and_cosine(each) for each in set(angles)}
-        sine, cosine = np.array([known[each] for each in angles]).reshape(-1, 2).T
+        sines_and_cosines = {fold: sine_and_cosine(fold) for fold in set(angles)}
+        sine, cosine = np.array([sines_and_cosines[fold] for fold in angles]).reshape(-1, 2).T
         return attrs.evolve(self, cosine=np.ascontiguousarray(cosine), sine=np.ascontiguousarray(sine))
 
     def wing_distance(self) -> Array:
@@ -118,8 +118,8 @@ class HingeShape:
     def wing_distance_slope(self) -> Array:
         """Return dL/dθ [m]."""
         distance = self.wing_distance()
-        turn = self.height0 * self.height1 * self.sine
-        return np.divide(-turn, distance, out=np.zeros_like(turn), where=distance > 0.0)
+        torque_arm = self.height0 * self.height1 * self.sine
+        return np.divide(-torque_arm, distance, out=np.zeros_like(torque_arm), where=distance > 0.0)
 
     def length(self, kind: Length) -> Array:
         """Return the signed length h [m] of S8 (`crossed`) or S9 (`altitude`)."""
@@ -144,37 +144,37 @@ class HingeShape:
         a, b, c = self._areas(kind)
         # h² = (6V)² (1 - t²) / (a + b t + c t²) is largest where b t² + 2 (a + c) t + b = 0, |t| < 1
         t = -b / (a + c + np.sqrt(np.maximum((a + c) ** 2 - b * b, 0.0)))
-        one = np.maximum(1.0 - t * t, 0.0)
-        square = a + b * t + c * t * t
-        highest = self._volume() * np.sqrt(one / square)
-        half = 0.5 * (np.sqrt(self._distance2(1.0)) - np.sqrt(self._distance2(-1.0)))
-        return highest / half
+        sine2 = np.maximum(1.0 - t * t, 0.0)
+        area2 = a + b * t + c * t * t
+        max_length = self._volume() * np.sqrt(sine2 / area2)
+        half_range = 0.5 * (np.sqrt(self._distance2(1.0)) - np.sqrt(self._distance2(-1.0)))
+        return max_length / half_range
 
     def _volume(self) -> Array:
         return self.edge * self.height0 * self.height1
 
     def _distance2(self, t: ArrayLike) -> Array:
-        across = (
+        height_part = (
             self.height0 * self.height0
             + self.height1 * self.height1
             + 2.0 * self.height0 * self.height1 * np.asarray(t)
         )
-        return np.maximum(across + (self.foot1 - self.foot0) ** 2, 0.0)
+        return np.maximum(height_part + (self.foot1 - self.foot0) ** 2, 0.0)
 
     def _areas(self, kind: Length) -> tuple[Array, Array, Array]:
         """Return the coefficients of M² = a + b t + c t² [m^4]."""
         a = self.edge * self.edge * (self.height0 * self.height0 + self.height1 * self.height1)
         product = self.height0 * self.height1
         if kind == "crossed":
-            least = PARALLEL * self.edge * self.edge
-            return a + least * least, 2.0 * self.edge * self.edge * product, np.zeros_like(a)
+            parallel_area = PARALLEL * self.edge * self.edge
+            return a + parallel_area * parallel_area, 2.0 * self.edge * self.edge * product, np.zeros_like(a)
         b = np.zeros_like(a)
         for end in (np.zeros_like(self.edge), self.edge):
-            one, two = self.foot0 - end, self.foot1 - end
+            offset0, offset1 = self.foot0 - end, self.foot1 - end
             a = (
                 a
-                + (one * one + self.height0 * self.height0) * (two * two + self.height1 * self.height1)
-                - (one * two) ** 2
+                + (offset0 * offset0 + self.height0 * self.height0) * (offset1 * offset1 + self.height1 * self.height1)
+                - (offset0 * offset1) ** 2
             )
-            b = b + 2.0 * product * one * two
+            b = b + 2.0 * product * offset0 * offset1
         return a, b, -2.0 * product * product

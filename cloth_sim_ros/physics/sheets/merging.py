@@ -16,29 +16,29 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.physics.deterministic_math import dot_products
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.powers import scalar_products
 
 #: Fraction of a mesh's extent below which two vertices are copies of one.
-MERGE_SHARE = 1e-7
+MERGE_FRACTION = 1e-7
 #: The same for coordinates in single precision, whose last digit may be larger: at most this fraction.
-SINGLE_PRECISION_SHARE = 1e-6
+SINGLE_PRECISION_FRACTION = 1e-6
 #: Largest number of different vertices in a cube of two limits that may be copies of one vertex.
-_CROWD = 64
+_MAX_CELL_VERTICES = 64
 #: Number of links that are collected before they are reduced to clusters.
-_PENDING = 1 << 22
+_MAX_PENDING_LINKS = 1 << 22
 #: A direction, (1, these two), along which few vertices of a mesh coincide, and a bound of its length.
-_DIRECTION, _STRETCH = (0.7548776662466927, 0.5698402909980532), 1.4
+_DIRECTION, _DIRECTION_LENGTH = (0.7548776662466927, 0.5698402909980532), 1.4
 #: Factors of a hash of a cell's three indices.
 _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
 
 
-def merge_limit(points: Array, *, single: bool = False) -> float:
+def merge_limit(points: Array, *, single_precision: bool = False) -> float:
     """Return the distance below which two vertices of a mesh are copies of one [m].
 
     Args:
         points: vertices [m], (n, 3).
-        single: true if the file has single precision: its last digit is the limit if that is larger.
+        single_precision: true if the file has single precision: its last digit is the limit if that is larger.
 
     Returns:
         1e-7 of the diagonal of the bounding box; 0, which merges nothing, if that is not finite.
@@ -49,11 +49,11 @@ def merge_limit(points: Array, *, single: bool = False) -> float:
     with np.errstate(over="ignore", invalid="ignore"):
         x, y, z = high - low
         extent = float(np.sqrt(x * x + y * y + z * z))
-        limit = MERGE_SHARE * extent
-        if single and np.isfinite(extent):
+        limit = MERGE_FRACTION * extent
+        if single_precision and np.isfinite(extent):
             # Each coordinate is off by one last digit: the distance is at most sqrt(3) of it.
-            last = float(np.spacing(np.float32(max(-low.min(), high.max()))))
-            limit = max(limit, min(2.0 * last, SINGLE_PRECISION_SHARE * extent))
+            last_digit = float(np.spacing(np.float32(max(-low.min(), high.max()))))
+            limit = max(limit, min(2.0 * last_digit, SINGLE_PRECISION_FRACTION * extent))
     return limit if np.isfinite(limit) else 0.0
 
 
@@ -67,26 +67,26 @@ def clusters(points: Array, limit: float) -> NDArray[np.int64]:
     lowest = np.arange(len(points))
     if not limit > 0.0 or len(points) < 2:
         return lowest
-    candidates = _candidates(points, limit)
+    candidates = _close_candidates(points, limit)
     if candidates.size:
-        lowest[candidates] = candidates[_linked(points[candidates], limit)]
-    wide = lowest[_square(points, points[lowest]) > 4.0 * limit * limit]
-    if wide.size:
-        apart = np.isin(lowest, wide)
-        lowest[apart] = np.flatnonzero(apart)
+        lowest[candidates] = candidates[_linked_lowest(points[candidates], limit)]
+    wide_clusters = lowest[_squared_distances(points, points[lowest]) > 4.0 * limit * limit]
+    if wide_clusters.size:
+        is_wide = np.isin(lowest, wide_clusters)
+        lowest[is_wide] = np.flatnonzero(is_wide)
     return lowest
 
 
-def _candidates(points: Array, limit: float) -> NDArray[np.int64]:
+def _close_candidates(points: Array, limit: float) -> NDArray[np.int64]:
     """Return vertices that may have another one closer than the limit, ascending: their projections are close."""
     x, y, z = (points - points.min(axis=0)).T
     along = x + _DIRECTION[0] * y + _DIRECTION[1] * z
     order = np.argsort(along, kind="stable")
-    close = np.diff(along[order]) < _STRETCH * limit
+    close = np.diff(along[order]) < _DIRECTION_LENGTH * limit
     return np.sort(order[np.concatenate((close, [False])) | np.concatenate(([False], close))])
 
 
-def _linked(points: Array, limit: float) -> NDArray[np.int64]:
+def _linked_lowest(points: Array, limit: float) -> NDArray[np.int64]:
     """Return the lowest vertex that each one is linked to, directly or through others, (n,)."""
     lowest = np.arange(len(points))
     # Cells of two limits, in eight grids shifted by one limit: two linked vertices share a cell in one of them.
@@ -95,35 +95,37 @@ def _linked(points: Array, limit: float) -> NDArray[np.int64]:
         cell = np.floor(scaled + 0.5 * np.array(shift)).astype(np.int64).astype(np.uint64)
         order, first = _shared_cells(np.bitwise_xor.reduce(cell * _MIX, axis=1))
         # Copies of one vertex are linked to the first in the cell; the others are compared pair by pair.
-        lowest = _lowest(lowest, _closer(points, order, order[first], limit))
-        alone = np.flatnonzero(lowest[order] != lowest[order[first]])
-        compared = np.isin(first, first[alone])
-        order, first = order[compared], first[compared]
+        lowest = _merge_links(lowest, _close_pairs(points, order, order[first], limit))
+        unlinked = np.flatnonzero(lowest[order] != lowest[order[first]])
+        is_compared = np.isin(first, first[unlinked])
+        order, first = order[is_compared], first[is_compared]
         links: list[NDArray[np.int64]] = []
-        pending = 0
-        for away in range(1, _CROWD):
-            same = first[away:] == first[:-away]
-            if not np.any(same):
+        n_pending = 0
+        for offset in range(1, _MAX_CELL_VERTICES):
+            is_same_cell = first[offset:] == first[:-offset]
+            if not np.any(is_same_cell):
                 break
-            firsts, seconds = order[:-away][same], order[away:][same]
-            apart = lowest[firsts] != lowest[seconds]
-            links.append(_closer(points, firsts[apart], seconds[apart], limit))
-            pending += len(links[-1])
-            if pending > _PENDING:
-                lowest = _lowest(lowest, *links)
-                links, pending = [], 0
+            firsts, seconds = order[:-offset][is_same_cell], order[offset:][is_same_cell]
+            is_apart = lowest[firsts] != lowest[seconds]
+            links.append(_close_pairs(points, firsts[is_apart], seconds[is_apart], limit))
+            n_pending += len(links[-1])
+            if n_pending > _MAX_PENDING_LINKS:
+                lowest = _merge_links(lowest, *links)
+                links, n_pending = [], 0
         if links:
-            lowest = _lowest(lowest, *links)
+            lowest = _merge_links(lowest, *links)
     return lowest
 
 
-def _closer(points: Array, firsts: NDArray[np.int64], seconds: NDArray[np.int64], limit: float) -> NDArray[np.int64]:
+def _close_pairs(
+    points: Array, firsts: NDArray[np.int64], seconds: NDArray[np.int64], limit: float
+) -> NDArray[np.int64]:
     """Return those pairs of vertices that are closer than the limit, (p, 2)."""
-    is_close = _square(points[firsts], points[seconds]) < limit * limit
+    is_close = _squared_distances(points[firsts], points[seconds]) < limit * limit
     return np.stack((firsts[is_close], seconds[is_close]), axis=1)
 
 
-def _lowest(lowest: NDArray[np.int64], *links: NDArray[np.int64]) -> NDArray[np.int64]:
+def _merge_links(lowest: NDArray[np.int64], *links: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the lowest vertex that each one is linked to, from those so far, (n,), and further links, (p, 2) each."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -145,12 +147,12 @@ def _shared_cells(key: NDArray[np.uint64]) -> tuple[NDArray[np.int64], NDArray[n
     key = key[order]
     begins = np.concatenate(([True], key[1:] != key[:-1]))
     sizes = np.diff(np.append(np.flatnonzero(begins), len(key)))
-    shared = (sizes > 1) & (sizes <= _CROWD)
-    kept = np.repeat(shared, sizes)
-    return order[kept], np.repeat(np.flatnonzero(begins[kept]), sizes[shared])
+    is_shared = (sizes > 1) & (sizes <= _MAX_CELL_VERTICES)
+    in_shared_cell = np.repeat(is_shared, sizes)
+    return order[in_shared_cell], np.repeat(np.flatnonzero(begins[in_shared_cell]), sizes[is_shared])
 
 
-def _square(firsts: Array, seconds: Array) -> Array:
+def _squared_distances(firsts: Array, seconds: Array) -> Array:
     """Return the squared distances between vertices (n, 3) and others [m^2], (n,)."""
-    away = firsts - seconds
-    return scalar_products(away, away)
+    offset = firsts - seconds
+    return dot_products(offset, offset)

@@ -23,7 +23,7 @@ class MeshSheet:
     """Rest shape and topology of a mesh."""
 
     #: Rest positions [m], shape (particle_count, 3), every particle in at least one triangle.
-    rest: Array
+    rest_positions: Array
     surface: Surface
     #: Sentences on merged vertices, and on repairs and doubts, from reading a file.
     notes: tuple[str, ...] = ()
@@ -31,7 +31,7 @@ class MeshSheet:
 
     def positions(self) -> Array:
         """Rest positions [m], shape (particle_count, 3)."""
-        return self.rest.copy()
+        return self.rest_positions.copy()
 
     def triangles(self) -> NDArray[np.int64]:
         """Triangles of the surface, shape (m, 3)."""
@@ -39,14 +39,14 @@ class MeshSheet:
 
     def areas(self) -> Array:
         """Area of each triangle at rest [m^2], shape (m,)."""
-        a, b, c = (self.rest[self.surface.triangles[:, i]] for i in range(3))
+        a, b, c = (self.rest_positions[self.surface.triangles[:, i]] for i in range(3))
         normal = np.cross(b - a, c - a)
         return np.asarray(0.5 * np.sqrt(normal[:, 0] ** 2 + normal[:, 1] ** 2 + normal[:, 2] ** 2), dtype=np.float64)
 
     def masses(self, density: float) -> Array:
         """Particle masses [kg] for a mass per area [kg/m^2]: a third of every triangle to each of its corners."""
         thirds = np.repeat(self.areas() / 3.0, 3)
-        shares = np.bincount(self.surface.triangles.ravel(), thirds, minlength=len(self.rest))
+        shares = np.bincount(self.surface.triangles.ravel(), thirds, minlength=len(self.rest_positions))
         return np.asarray(density * shares, dtype=np.float64)
 
     def springs(
@@ -68,8 +68,12 @@ class MeshSheet:
             name: the force's name in a model.
         """
         a, b = self.surface.edges.T
-        away = self.rest[b] - self.rest[a]
-        square = away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1] + away[:, 2] * away[:, 2]
+        edge_vectors = self.rest_positions[b] - self.rest_positions[a]
+        square = (
+            edge_vectors[:, 0] * edge_vectors[:, 0]
+            + edge_vectors[:, 1] * edge_vectors[:, 1]
+            + edge_vectors[:, 2] * edge_vectors[:, 2]
+        )
         areas = np.append(self.areas(), 0.0)  # edge_triangles has -1 for no triangle
         first, second = areas[self.surface.edge_triangles].T
         stiffness = stretch_modulus * (first + second) / square

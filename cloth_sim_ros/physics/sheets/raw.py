@@ -10,9 +10,9 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.physics.deterministic_math import row_sum
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings, lecture_damping
-from cloth_sim_ros.physics.powers import in_rows
 
 _KEYS = ("positions", "masses", "springs", "rest_lengths", "stiffness", "k_d", "k_d0", "velocities", "triangles")
 
@@ -55,17 +55,19 @@ class RawSprings:
         for name in ("positions", "masses", "springs", "stiffness"):
             if name not in tables:
                 raise ValueError(f"table '{name}' is missing")
-        positions = _table("positions", tables["positions"], np.float64, 3)
+        positions = _checked_table("positions", tables["positions"], np.float64, 3)
         count = len(positions)
-        velocities = _table("velocities", tables.get("velocities", np.zeros((count, 3))), np.float64, 3)
+        velocities = _checked_table("velocities", tables.get("velocities", np.zeros((count, 3))), np.float64, 3)
         if velocities.shape != positions.shape:
             raise ValueError(f"table 'velocities' has {len(velocities)} rows, 'positions' {count}; give one a particle")
-        masses = _numbers("masses", tables["masses"], count)
-        light = np.flatnonzero(~(np.isfinite(masses) & (masses > 0.0)))
-        if light.size:
-            raise ValueError(f"mass of particle {light[0]} is {masses[light[0]]} kg; it must be finite and above 0")
-        pairs = _table("springs", tables["springs"], np.int64, 2)
-        triangles = _table("triangles", tables.get("triangles", np.empty((0, 3), np.int64)), np.int64, 3)
+        masses = _per_row("masses", tables["masses"], count)
+        bad_masses = np.flatnonzero(~(np.isfinite(masses) & (masses > 0.0)))
+        if bad_masses.size:
+            raise ValueError(
+                f"mass of particle {bad_masses[0]} is {masses[bad_masses[0]]} kg; it must be finite and above 0"
+            )
+        pairs = _checked_table("springs", tables["springs"], np.int64, 2)
+        triangles = _checked_table("triangles", tables.get("triangles", np.empty((0, 3), np.int64)), np.int64, 3)
         for name, indices in (("springs", pairs), ("triangles", triangles)):
             wrong = np.argwhere((indices < 0) | (indices >= count))
             if wrong.size:
@@ -74,19 +76,23 @@ class RawSprings:
                     f"row {row} of table '{name}' names particle {indices[row, column]}; "
                     f"there are {count}, counted from 0"
                 )
-        away = positions[pairs[:, 1]] - positions[pairs[:, 0]]
-        rest = _numbers("rest_lengths", tables.get("rest_lengths", np.sqrt(in_rows((away * away).T))), len(pairs))
-        k_s = _numbers("stiffness", tables["stiffness"], len(pairs))
-        stiffness = k_s / np.where(rest > 0.0, rest, 1.0)
+        spring_vectors = positions[pairs[:, 1]] - positions[pairs[:, 0]]
+        rest_lengths = _per_row(
+            "rest_lengths",
+            tables.get("rest_lengths", np.sqrt(row_sum((spring_vectors * spring_vectors).T))),
+            len(pairs),
+        )
+        k_s = _per_row("stiffness", tables["stiffness"], len(pairs))
+        stiffness = k_s / np.where(rest_lengths > 0.0, rest_lengths, 1.0)
         if "k_d" in tables and "k_d0" in tables:
             raise ValueError("both tables 'k_d' and 'k_d0' are given; give one of them")
         if "k_d0" in tables:
             # The lecture's m of two unequal ends: the reduced mass times two.
-            mean = 2.0 / (1.0 / masses[pairs[:, 0]] + 1.0 / masses[pairs[:, 1]])
-            damping = lecture_damping(_numbers("k_d0", tables["k_d0"], len(pairs)), stiffness, mean)
+            effective_mass = 2.0 / (1.0 / masses[pairs[:, 0]] + 1.0 / masses[pairs[:, 1]])
+            damping = lecture_damping(_per_row("k_d0", tables["k_d0"], len(pairs)), stiffness, effective_mass)
         else:
-            damping = _numbers("k_d", tables.get("k_d", 0.0), len(pairs))
-        term = PairSprings(pairs, rest, k_s, damping)
+            damping = _per_row("k_d", tables.get("k_d", 0.0), len(pairs))
+        term = PairSprings(pairs, rest_lengths, k_s, damping)
         return cls(start=positions, velocities=velocities, mass=masses, term=term, surface_triangles=triangles)
 
     def positions(self) -> Array:
@@ -102,8 +108,8 @@ class RawSprings:
         return self.surface_triangles
 
 
-def _table(name: str, value: Any, dtype: type, columns: int) -> Any:
-    array = _reals(name, value)
+def _checked_table(name: str, value: Any, dtype: type, columns: int) -> Any:
+    array = _real_array(name, value)
     if array.size == 0:
         array = array.reshape(0, columns)
     if array.ndim != 2 or array.shape[1] != columns:
@@ -117,7 +123,7 @@ def _table(name: str, value: Any, dtype: type, columns: int) -> Any:
     return array.astype(dtype)
 
 
-def _reals(name: str, value: Any) -> Array:
+def _real_array(name: str, value: Any) -> Array:
     try:
         if np.asarray(value).dtype.kind == "c":
             # Conversion would drop the imaginary parts.
@@ -127,8 +133,8 @@ def _reals(name: str, value: Any) -> Array:
         raise ValueError(f"table '{name}' is no table of numbers: {error}") from error
 
 
-def _numbers(name: str, value: Any, count: int) -> Array:
-    array = _reals(name, value)
+def _per_row(name: str, value: Any, count: int) -> Array:
+    array = _real_array(name, value)
     if array.ndim and array.shape != (count,):
         raise ValueError(f"table '{name}' has {array.size} numbers; give one, or {count}")
     return np.array(np.broadcast_to(array, (count,)))

@@ -13,18 +13,18 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
+from cloth_sim_ros.physics.deterministic_math import dot_products, integer_sum
 from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.powers import scalar_products, whole_sum
 
 #: Fraction of the local edge length below which two positions of the border look joined.
-SEAM_SHARE = 0.01
+SEAM_FRACTION = 0.01
 #: Neighbours of a border vertex that are examined.
 _NEIGHBOURS = 8
 #: Largest number of border edges, and of pairs of an edge and a vertex, for the search of vertices on edges. A border
 #: has a few thousand edges; disconnected triangles have three each.
 _MAX_EDGES, _MAX_PAIRS = 10_000, 1 << 22
 #: Margin of a tree query's distance: the results are measured again, so rounding hides none.
-_WIDER = 1.0 + 1e-9
+_QUERY_MARGIN = 1.0 + 1e-9
 
 
 @attrs.frozen(kw_only=True)
@@ -71,25 +71,25 @@ def open_seam(points: Array, triangles: NDArray[np.int64], border: NDArray[np.in
     from scipy.spatial import cKDTree
 
     sides = points[border[:, 1]] - points[border[:, 0]]
-    lengths = np.sqrt(scalar_products(sides, sides))
-    vertices, places = np.unique(border, return_inverse=True)
-    ends = places.reshape(border.shape)
+    lengths = np.sqrt(dot_products(sides, sides))
+    vertices, vertex_rows = np.unique(border, return_inverse=True)
+    ends = vertex_rows.reshape(border.shape)
     shortest = np.full(len(vertices), np.inf)
     np.minimum.at(shortest, ends.ravel(), np.repeat(lengths, 2))
     corners = points[vertices]
     tree = cKDTree(corners)
-    most = _WIDER * SEAM_SHARE * lengths.max()
-    _, nearest = tree.query(corners, k=_NEIGHBOURS, distance_upper_bound=most)
+    max_distance = _QUERY_MARGIN * SEAM_FRACTION * lengths.max()
+    _, nearest = tree.query(corners, k=_NEIGHBOURS, distance_upper_bound=max_distance)
     # The tree returns the number of vertices if there is no further neighbour.
-    apart = corners[:, None] - np.append(corners, np.full((1, 3), np.inf), axis=0)[nearest]
-    away = np.sqrt(scalar_products(apart, apart))
-    reach = np.append(shortest, 0.0)
-    itself = nearest == np.arange(len(vertices))[:, None]
-    is_near = (away <= SEAM_SHARE * np.minimum(shortest[:, None], reach[nearest])) & ~itself
+    offsets = corners[:, None] - np.append(corners, np.full((1, 3), np.inf), axis=0)[nearest]
+    offset_lengths = np.sqrt(dot_products(offsets, offsets))
+    max_gaps = np.append(shortest, 0.0)
+    is_itself = nearest == np.arange(len(vertices))[:, None]
+    is_near = (offset_lengths <= SEAM_FRACTION * np.minimum(shortest[:, None], max_gaps[nearest])) & ~is_itself
     rows, columns = np.nonzero(is_near)
-    is_near[rows, columns] = ~_joined(triangles, vertices[rows], vertices[nearest[rows, columns]])
-    distances = np.where(is_near, away, np.inf).min(axis=1)
-    at_edges = _at_edges(points, triangles, border, vertices, tree, lengths)
+    is_near[rows, columns] = ~_are_joined(triangles, vertices[rows], vertices[nearest[rows, columns]])
+    distances = np.where(is_near, offset_lengths, np.inf).min(axis=1)
+    at_edges = _edge_distances(points, triangles, border, vertices, tree, lengths)
     distances = np.minimum(distances, at_edges)
     count = int(np.count_nonzero(np.isfinite(distances)))
     if not count:
@@ -98,7 +98,7 @@ def open_seam(points: Array, triangles: NDArray[np.int64], border: NDArray[np.in
     return OpenSeam(count=count, vertex=int(vertices[closest]), distance=float(distances[closest]))
 
 
-def _at_edges(
+def _edge_distances(
     points: Array,
     triangles: NDArray[np.int64],
     border: NDArray[np.int64],
@@ -108,16 +108,20 @@ def _at_edges(
 ) -> Array:
     """Return distances of border vertices from the middle part of near border edges of other triangles [m]."""
     distances = np.full(len(vertices), np.inf)
-    edges, which = near_edges(points, border, tree, lengths)
-    begin, side = points[border[edges, 0]], points[border[edges, 1]] - points[border[edges, 0]]
-    share = scalar_products(points[vertices[which]] - begin, side) / scalar_products(side, side)
-    foot = points[vertices[which]] - begin - share[:, None] * side
-    away = np.sqrt(scalar_products(foot, foot))
-    inside = (share > SEAM_SHARE) & (share < 1.0 - SEAM_SHARE) & (away <= SEAM_SHARE * lengths[edges])
+    edges, vertex_rows = near_edges(points, border, tree, lengths)
+    begin, edge_vectors = points[border[edges, 0]], points[border[edges, 1]] - points[border[edges, 0]]
+    fraction = dot_products(points[vertices[vertex_rows]] - begin, edge_vectors) / dot_products(
+        edge_vectors, edge_vectors
+    )
+    foot = points[vertices[vertex_rows]] - begin - fraction[:, None] * edge_vectors
+    edge_gaps = np.sqrt(dot_products(foot, foot))
+    inside = (
+        (fraction > SEAM_FRACTION) & (fraction < 1.0 - SEAM_FRACTION) & (edge_gaps <= SEAM_FRACTION * lengths[edges])
+    )
     # The third corner of a thin triangle lies near its own edge.
-    opposite = _opposite(triangles, border)
-    inside &= opposite[edges] != vertices[which]
-    np.minimum.at(distances, which[inside], away[inside])
+    opposite = _opposite_corners(triangles, border)
+    inside &= opposite[edges] != vertices[vertex_rows]
+    np.minimum.at(distances, vertex_rows[inside], edge_gaps[inside])
     return distances
 
 
@@ -135,30 +139,30 @@ def near_edges(
     Returns:
         Edges and vertices (rows of the tree), each (p,); empty if there are too many.
     """
-    none = np.zeros(0, dtype=np.int64)
+    empty = np.zeros(0, dtype=np.int64)
     if len(border) > _MAX_EDGES:
-        return none, none
+        return empty, empty
     middles = 0.5 * (points[border[:, 0]] + points[border[:, 1]])
     radii = 0.5 * lengths
-    counts = tree.query_ball_point(middles, _WIDER * radii, return_length=True)  # type: ignore[attr-defined]
-    if whole_sum(counts.tolist()) > _MAX_PAIRS:
-        return none, none
-    found = tree.query_ball_point(middles, _WIDER * radii, return_sorted=True)  # type: ignore[attr-defined]
-    which = np.array([vertex for row in found for vertex in row], dtype=np.int64)
+    counts = tree.query_ball_point(middles, _QUERY_MARGIN * radii, return_length=True)  # type: ignore[attr-defined]
+    if integer_sum(counts.tolist()) > _MAX_PAIRS:
+        return empty, empty
+    neighbors = tree.query_ball_point(middles, _QUERY_MARGIN * radii, return_sorted=True)  # type: ignore[attr-defined]
+    vertex_rows = np.array([vertex for row in neighbors for vertex in row], dtype=np.int64)
     edges = np.repeat(np.arange(len(border)), counts)
-    away = tree.data[which] - middles[edges]  # type: ignore[attr-defined]
-    within = scalar_products(away, away) <= radii[edges] * radii[edges]
-    return edges[within], which[within]
+    offsets = tree.data[vertex_rows] - middles[edges]  # type: ignore[attr-defined]
+    is_within = dot_products(offsets, offsets) <= radii[edges] * radii[edges]
+    return edges[is_within], vertex_rows[is_within]
 
 
-def _joined(triangles: NDArray[np.int64], first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _are_joined(triangles: NDArray[np.int64], first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return whether an edge joins each of some vertices (p,) with another (p,)."""
     count = int(triangles.max()) + 1
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     return np.isin(np.minimum(first, second) * count + np.maximum(first, second), edges[:, 0] * count + edges[:, 1])
 
 
-def _opposite(triangles: NDArray[np.int64], border: NDArray[np.int64]) -> NDArray[np.int64]:
+def _opposite_corners(triangles: NDArray[np.int64], border: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the third corner of the triangle at each directed border edge, (b,)."""
     count = int(triangles.max()) + 1
     tails, heads, thirds = (np.concatenate([triangles[:, (k + at) % 3] for k in range(3)]) for at in range(3))

@@ -81,23 +81,25 @@ class Surface:
                 f"edge ({a}, {b}) belongs to {uses[bad]} triangles, {owners[:6]}; "
                 "a surface has at most 2: split it there"
             )
-        start = np.cumsum(uses) - uses
-        one = order[start]
-        two = np.where(uses == 2, order[np.minimum(start + 1, max(order.size - 1, 0))], -1)
-        inner = two >= 0
-        clash = inner & (tail[one] == tail[two])
-        if np.any(clash):
-            bad = int(np.argmax(clash))
+        first_uses = np.cumsum(uses) - uses
+        half_edge0 = order[first_uses]
+        half_edge1 = np.where(uses == 2, order[np.minimum(first_uses + 1, max(order.size - 1, 0))], -1)
+        is_inner = half_edge1 >= 0
+        is_clash = is_inner & (tail[half_edge0] == tail[half_edge1])
+        if np.any(is_clash):
+            bad = int(np.argmax(is_clash))
             raise SurfaceError(
-                f"triangles {one[bad] // 3} and {two[bad] // 3} run the same way along their shared edge "
-                f"({tail[one[bad]]}, {head[one[bad]]}): turn one of them round"
+                f"triangles {half_edge0[bad] // 3} and {half_edge1[bad] // 3} run the same way along their shared edge "
+                f"({tail[half_edge0[bad]]}, {head[half_edge0[bad]]}): turn one of them round"
             )
         surface = cls(
             particle_count=count,
             triangles=faces,
-            edges=np.sort(np.stack((tail[one], head[one]), axis=1), axis=1).astype(np.int32),
-            edge_triangles=np.stack((one // 3, np.where(inner, two // 3, -1)), axis=1).astype(np.int32),
-            boundary_edges=np.stack((tail[one[~inner]], head[one[~inner]]), axis=1),
+            edges=np.sort(np.stack((tail[half_edge0], head[half_edge0]), axis=1), axis=1).astype(np.int32),
+            edge_triangles=np.stack((half_edge0 // 3, np.where(is_inner, half_edge1 // 3, -1)), axis=1).astype(
+                np.int32
+            ),
+            boundary_edges=np.stack((tail[half_edge0[~is_inner]], head[half_edge0[~is_inner]]), axis=1),
         )
         surface._check_fans()
         return surface
@@ -114,11 +116,14 @@ class Surface:
         """
         inner = self.hinge_edges
         low, high = self.edges[inner].T[:, :, None]
-        one, two = (self.triangles[side] for side in self.edge_triangles[inner].T)
-        wings = [np.sum(np.where((side != low) & (side != high), side, 0), axis=1) for side in (one, two)]
+        first_triangles, second_triangles = (self.triangles[triangles] for triangles in self.edge_triangles[inner].T)
+        wings = [
+            np.sum(np.where((triangles != low) & (triangles != high), triangles, 0), axis=1)
+            for triangles in (first_triangles, second_triangles)
+        ]
         # In the direction of the first triangle: it runs from low to high if high follows low.
-        along = np.any((one == low) & (np.roll(one, -1, axis=1) == high), axis=1)
-        first, second = np.where(along, low[:, 0], high[:, 0]), np.where(along, high[:, 0], low[:, 0])
+        runs_along = np.any((first_triangles == low) & (np.roll(first_triangles, -1, axis=1) == high), axis=1)
+        first, second = np.where(runs_along, low[:, 0], high[:, 0]), np.where(runs_along, high[:, 0], low[:, 0])
         return np.stack((first, second, *wings), axis=1)
 
     @property
@@ -128,15 +133,15 @@ class Surface:
 
     def boundary_loops(self) -> list[IndexArray]:
         """Return the particles of each closed boundary curve, in the triangles' direction, the lowest index first."""
-        following = {int(a): int(b) for a, b in self.boundary_edges}
+        next_particle = {int(a): int(b) for a, b in self.boundary_edges}
         loops: list[IndexArray] = []
-        for begin in sorted(following):
-            if begin not in following:
+        for start in sorted(next_particle):
+            if start not in next_particle:
                 continue
-            loop, at = [], begin
-            while at in following:
-                loop.append(at)
-                at = following.pop(at)
+            loop, particle = [], start
+            while particle in next_particle:
+                loop.append(particle)
+                particle = next_particle.pop(particle)
             loops.append(np.array(loop, dtype=np.int64))
         return loops
 
@@ -152,14 +157,14 @@ class Surface:
 
     def _check_fans(self) -> None:
         """Refuse particles at which two fans of triangles touch without sharing an edge."""
-        pinched = self._touching_fans()
-        if np.any(pinched):
+        is_split = self._split_particles()
+        if np.any(is_split):
             raise SurfaceError(
-                f"at particle {int(np.argmax(pinched))} two parts of the surface touch in a single point: "
+                f"at particle {int(np.argmax(is_split))} two parts of the surface touch in a single point: "
                 "give each part a particle of its own"
             )
 
-    def _touching_fans(self) -> NDArray[np.bool_]:
+    def _split_particles(self) -> NDArray[np.bool_]:
         """Return a mask of particles whose corners are not all connected through hinges, (particle_count,)."""
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
@@ -191,17 +196,17 @@ def opposite_pairs(hinges: ArrayLike, existing: ArrayLike | None = None) -> Inde
         existing: pairs of existing springs, (m, 2).
     """
     quads = np.asarray(hinges, dtype=np.int64).reshape(-1, 4)
-    return np.ascontiguousarray(quads[opposite_kept(quads, existing)][:, 2:])
+    return np.ascontiguousarray(quads[needs_opposite_spring(quads, existing)][:, 2:])
 
 
-def opposite_kept(hinges: ArrayLike, existing: ArrayLike | None = None) -> NDArray[np.bool_]:
+def needs_opposite_spring(hinges: ArrayLike, existing: ArrayLike | None = None) -> NDArray[np.bool_]:
     """Return a mask of hinges that need a bending spring: no existing spring (m, 2) joins their wings, (h,)."""
     wings = np.sort(np.asarray(hinges, dtype=np.int64).reshape(-1, 4)[:, 2:], axis=1)
     if existing is None:
         return np.ones(len(wings), dtype=np.bool_)
-    known = np.sort(np.asarray(existing, dtype=np.int64).reshape(-1, 2), axis=1)
-    span = int(max(wings.max(initial=0), known.max(initial=0))) + 1
-    return ~np.isin(wings[:, 0] * span + wings[:, 1], known[:, 0] * span + known[:, 1])
+    existing_pairs = np.sort(np.asarray(existing, dtype=np.int64).reshape(-1, 2), axis=1)
+    span = int(max(wings.max(initial=0), existing_pairs.max(initial=0))) + 1
+    return ~np.isin(wings[:, 0] * span + wings[:, 1], existing_pairs[:, 0] * span + existing_pairs[:, 1])
 
 
 def grid_triangles(rows: int, columns: int, layout: Layout) -> IndexArray:
@@ -272,19 +277,21 @@ def _cells(rows: int, columns: int, layout: Layout) -> tuple[IndexArray, ...]:
 
 def _checked_triangles(triangles: ArrayLike, particle_count: int | None) -> IndexArray:
     """Return `triangles` as an (m, 3) array of whole numbers in range that differ within each triangle."""
-    given = np.asarray(triangles)
-    if given.size == 0:
-        given = np.zeros((0, 3), dtype=np.int64)
-    if given.ndim != 2 or given.shape[1] != 3 or not np.issubdtype(given.dtype, np.integer):
-        raise SurfaceError(f"triangles are an (m, 3) array of whole numbers, not {given.shape} of {given.dtype}")
-    faces = np.ascontiguousarray(given, dtype=np.int64)
+    index_array = np.asarray(triangles)
+    if index_array.size == 0:
+        index_array = np.zeros((0, 3), dtype=np.int64)
+    if index_array.ndim != 2 or index_array.shape[1] != 3 or not np.issubdtype(index_array.dtype, np.integer):
+        raise SurfaceError(
+            f"triangles are an (m, 3) array of whole numbers, not {index_array.shape} of {index_array.dtype}"
+        )
+    faces = np.ascontiguousarray(index_array, dtype=np.int64)
     limit = np.iinfo(np.int32).max if particle_count is None else particle_count
-    outside = np.any((faces < 0) | (faces >= limit), axis=1)
-    if np.any(outside):
-        bad = int(np.argmax(outside))
+    is_outside = np.any((faces < 0) | (faces >= limit), axis=1)
+    if np.any(is_outside):
+        bad = int(np.argmax(is_outside))
         raise SurfaceError(f"triangle {bad} is {faces[bad].tolist()}: its particles must be from 0 to {limit - 1}")
-    repeated = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
-    if np.any(repeated):
-        bad = int(np.argmax(repeated))
+    is_repeated = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
+    if np.any(is_repeated):
+        bad = int(np.argmax(is_repeated))
         raise SurfaceError(f"triangle {bad} is {faces[bad].tolist()}: its three particles must be different")
     return faces

@@ -1,0 +1,164 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Contact step limit: stiffness of predicted and encountered contact."""
+
+from __future__ import annotations
+
+import math
+
+from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.control.step_choice import ExplicitSettings
+from cloth_sim_ros.physics.controller_state import JAWS_KEY, THICKNESS_KEY, ContactState, StabilityState
+from cloth_sim_ros.physics.integrators.base import NoRoomError
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau, max_rates
+from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.runs import RunSummary
+from cloth_sim_ros.physics.state import State
+
+
+class ContactStepLimit:
+    """Step limit of one advance with contact; without contact it is the limit of the sheet.
+
+    Args:
+        options: settings of the integrator.
+        plan: equations of motion.
+        memory: recorded contact energy.
+        stability: spectral bounds of the sheet.
+    """
+
+    def __init__(self, options: ExplicitSettings, plan: Plan, memory: ContactState, stability: StabilityState) -> None:
+        self._options, self._plan, self._memory, self._stability = options, plan, memory, stability
+        #: Largest contact energy per mass in the advance, in U^2/2, see `ContactState`.
+        self.contact_energy = 0.0
+        #: Prediction for the whole advance until its use: time, duration [s], squared frequency [1/s^2], damping [1/s].
+        self._prediction: tuple[float, float, float, float] | None = None
+
+    @property
+    def sheet_limit(self) -> float:
+        """Step limit of the sheet without contact, from its last spectral bounds [s]."""
+        return self._options.step_limit(self._stability.omega2, self._stability.damping)
+
+    def predict(self, t: float, duration: float, state: State) -> float:
+        """Predict contact for a whole advance; the prediction also serves the next `predicted_limit`.
+
+        Args:
+            t: time at the start [s].
+            duration: of the advance [s].
+            state: at the start.
+
+        Returns:
+            Estimated time that possible contacts add to a force evaluation [ns].
+
+        Raises:
+            NoRoomError: if no step is short enough.
+        """
+        if (contact := self._plan.contact) is None:
+            return 0.0
+        contact.set_jaws(state.memory.get(JAWS_KEY))
+        contact.set_thickness(state.memory.get(THICKNESS_KEY))
+        try:
+            omega2, damping, operations = contact.predict_contact(t, duration, state.x, state.v)
+        except ValueError as error:
+            raise NoRoomError(str(error)) from error
+        if not omega2 < math.inf:
+            raise NoRoomError("no step is short enough for contact: moving bodies have left the cloth no room")
+        self._prediction = t, duration, omega2, damping
+        return CONSTANTS.operation_time * operations
+
+    def predicted_limit(self, t: float, duration: float, state: State) -> float:
+        """Return the step limit with predicted contact [s], over a duration [s] from a state at time t [s]."""
+        stability, prediction = self._stability, self._prediction
+        if self._plan.contact is None:
+            return self.sheet_limit
+        if prediction is None or prediction[:2] != (t, duration):
+            self.predict(t, duration, state)
+            prediction = self._prediction
+        assert prediction is not None
+        # Later intervals of the same time and length may start from another state.
+        self._prediction = None
+        omega2, damping = prediction[2:]
+        return self._options.step_limit(stability.omega2 + omega2, stability.damping + damping)
+
+    def limit_at_energy(
+        self,
+        energy: float,
+        self_contact: tuple[float, float],
+        omega2: float | None = None,
+        damping: float | None = None,
+    ) -> float:
+        """Return the step limit with contact [s].
+
+        Args:
+            energy: energy per mass that contact with obstacles had to absorb, in U^2/2.
+            self_contact: squared frequency [1/s^2] and damping rate [1/s] of self-contact.
+            omega2: squared frequency of the sheet [1/s^2]; the last bound by default.
+            damping: damping rate of the sheet [1/s]; the last bound by default.
+        """
+        omega2 = self._stability.omega2 if omega2 is None else omega2
+        damping = self._stability.damping if damping is None else damping
+        if self._plan.contact is not None:
+            contact_omega2, contact_damping = self._plan.contact.bounds_at_energy(energy)
+            omega2, damping = omega2 + contact_omega2 + self_contact[0], damping + contact_damping + self_contact[1]
+        return self._options.step_limit(omega2, damping)
+
+    @staticmethod
+    def _encountered(tableau: ExtrapolationTableau, n_runs: int) -> tuple[float, tuple[float, float]]:
+        """Return energy per mass at obstacles and rates of self-contact that T_K encountered, K = n_runs."""
+        return max(tableau.encountered_energy(n_runs), tableau.summary(n_runs).contact_energy), tableau.self_contact(
+            n_runs
+        )
+
+    def has_contact(self, tableau: ExtrapolationTableau, n_runs: int) -> bool:
+        """Return True if T_K encountered contact, K = n_runs."""
+        if self._plan.contact is None:
+            return False
+        energy, self_contact = self._encountered(tableau, n_runs)
+        return bool(energy or self_contact[0])
+
+    def encountered_limit(self, tableau: ExtrapolationTableau, n_runs: int) -> float:
+        """Return the step limit of T_K [s], K = n_runs: contact in its runs, and the sheet at its end."""
+        summary = tableau.summary(n_runs)
+        if self._plan.contact is None:
+            return self._options.step_limit(summary.omega2, summary.damping)
+        energy, self_contact = self._encountered(tableau, n_runs)
+        return self.limit_at_energy(
+            energy, max_rates(self_contact, summary.self_contact), summary.omega2, summary.damping
+        )
+
+    def limit_of_run(self, encountered_energy: float, self_contact: tuple[float, float], summary: RunSummary) -> float:
+        """Return the step limit of a run [s]: contact that it encountered, see `Run.contact_summary`, and its end."""
+        return self.limit_at_energy(
+            max(encountered_energy, summary.contact_energy),
+            max_rates(self_contact, summary.self_contact),
+            summary.omega2,
+            summary.damping,
+        )
+
+    def should_halve(self, max_step: float, duration: float) -> bool:
+        """Return True if an interval should be halved before the first attempt, because an impact is short.
+
+        That is the case if contact makes steps much shorter than the sheet does, and the interval has many of them.
+
+        Args:
+            max_step: longest stable step with contact [s].
+            duration: of the interval [s].
+        """
+        if self._plan.contact is None or self._options.tolerance is None:
+            return False
+        sheet_max_step = min(CONSTANTS.stability_safety * self.sheet_limit, duration)
+        return (
+            sheet_max_step > CONSTANTS.estimate_trust_factor * max_step
+            and duration > CONSTANTS.contact_min_interval_steps * max_step
+        )
+
+    def exceeds_known_energy(self, contact_energy: float) -> bool:
+        """Return True if the contact energy clearly exceeds that of the last estimate, so its error is unknown."""
+        return contact_energy > CONSTANTS.estimate_trust_factor * self._memory.contact_energy
+
+    def store(self, state: State, *, has_estimate: bool) -> None:
+        """Store the contact energy of a frame; it changes only with an error estimate."""
+        if self._plan.contact is None:
+            return
+        if has_estimate:
+            self._memory.contact_energy = self.contact_energy
+        self._memory.store(state)

@@ -1,0 +1,281 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Controller state: the numbers that step control keeps in ``State.memory`` between advances."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cache
+from operator import attrgetter
+from typing import Any, ClassVar, Protocol, Self
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.physics.constants import CONSTANTS
+
+
+class HasMemory(Protocol):
+    """A state with named arrays."""
+
+    memory: dict[str, np.ndarray]
+
+
+class ControllerState:
+    """Numbers of one controller, stored as an array in ``State.memory`` under `key`."""
+
+    #: Key in ``State.memory``.
+    key: str
+    #: Field names, in the order of the array; attrs sets it.
+    __match_args__: ClassVar[tuple[str, ...]]
+
+    @classmethod
+    def load(cls, state: HasMemory) -> Self:
+        """Return the numbers of a state, or defaults if it has none."""
+        stored = state.memory.get(cls.key)
+        return cls() if stored is None or not stored.size else cls(*stored.tolist())
+
+    def store(self, state: HasMemory) -> None:
+        """Write the numbers into a state."""
+        state.memory[self.key] = np.array(_value_getter(self.__class__)(self))  # type: ignore[arg-type]
+
+    @classmethod
+    def check(cls, array: np.ndarray) -> None:
+        """Refuse an array that `store` cannot have written.
+
+        Raises:
+            ValueError: naming the number and its fault.
+        """
+        names = cls.__match_args__
+        if not array.size:
+            return
+        if array.dtype != np.float64 or array.shape != (len(names),):
+            raise ValueError(
+                f"memory '{cls.key}' is of type {array.dtype} and shape {array.shape}; it must be float64 and "
+                f"({len(names)},)"
+            )
+        for field, value in zip(attrs.fields(cls), array.tolist(), strict=True):  # type: ignore[arg-type]
+            if not math.isfinite(value) or value < field.metadata.get("least", -math.inf):
+                minimum = field.metadata.get("least", -math.inf)
+                bound = "finite" if minimum == -math.inf else f"finite and at least {minimum:g}"
+                raise ValueError(f"memory '{cls.key}': {field.name} is {value}; it must be {bound}")
+
+
+@cache
+def _value_getter(rule: Any) -> Callable[[Any], Any]:
+    """Return a function that reads all fields of a controller, in order."""
+    names = rule.__match_args__
+    if len(names) > 1:
+        return attrgetter(*names)
+    return lambda instance: (getattr(instance, names[0]),)
+
+
+def bounded_number(default: float, *, minimum: float = -math.inf) -> Any:
+    """Declare a field with its default and its minimum."""
+    return attrs.field(default=default, metadata={"least": minimum})
+
+
+@attrs.define
+class StabilityState(ControllerState):
+    """State of `StabilityRule`."""
+
+    key = "control.stability"
+
+    #: Bounds of squared frequency [1/s^2] and damping rate [1/s] at the end of the last advance; negative if unknown.
+    omega2: float = bounded_number(-1.0)
+    damping: float = bounded_number(-1.0)
+    #: Longest stable step since the last restart [s].
+    max_step: float = bounded_number(0.0, minimum=0.0)
+
+
+@attrs.define
+class MultirateState(ControllerState):
+    """State of `MultirateRule`; only scenes with hinges have it."""
+
+    key = "control.hinges"
+
+    #: Bounds of the hinges' squared frequency [1/s^2] and damping rate [1/s] at the end of the last advance, and of the
+    #: squared frequency across springs [1/s^2]; negative if unknown.
+    omega2: float = bounded_number(-1.0)
+    damping: float = bounded_number(-1.0)
+    transverse_omega2: float = bounded_number(-1.0)
+    #: Multirate ratio: steps per evaluation of hinges.
+    ratio: float = bounded_number(1.0, minimum=1.0)
+    #: Error estimates since runs were last combined.
+    estimates_since_combination: float = bounded_number(CONSTANTS.max_estimate_period, minimum=0.0)
+
+
+@attrs.define
+class ErrorState(ControllerState):
+    """State of `ErrorRule`."""
+
+    key = "control.error"
+
+    #: Number of runs that are combined.
+    n_runs: float = bounded_number(1.0, minimum=1.0)
+    #: Refinement: step counts relative to those that stability needs.
+    refinement: float = bounded_number(1.0, minimum=1.0)
+    #: Frames until a further run estimates the error again; 0 means now.
+    frames_until_estimate: float = bounded_number(0.0, minimum=0.0)
+    #: Estimate period: `frames_until_estimate` after the next estimate.
+    estimate_period: float = bounded_number(1.0, minimum=1.0)
+    #: Last error estimate of a frame, at least the rounding error [m].
+    error: float = bounded_number(0.0, minimum=0.0)
+    #: That error relative to the difference of the last two combinations, and this difference [m].
+    error_ratio: float = bounded_number(1.0, minimum=0.0)
+    difference: float = bounded_number(0.0, minimum=0.0)
+    #: Factor on predicted errors, from the ratio of recent estimates to their predictions.
+    safety_factor: float = bounded_number(1.0, minimum=1.0)
+    #: Largest velocity change over the part whose error was estimated [m/s].
+    activity: float = bounded_number(0.0, minimum=0.0)
+    #: Length of the frames [s]; a frame of another length needs a new estimate.
+    duration: float = bounded_number(0.0, minimum=0.0)
+
+
+@attrs.define
+class ContactState(ControllerState):
+    """State of `ContactStepLimit`; only scenes with contact have it."""
+
+    key = "control.contact"
+
+    #: Largest contact energy per mass in the last frame with an error estimate, in U^2/2.
+    contact_energy: float = bounded_number(0.0, minimum=0.0)
+
+
+@attrs.define
+class PrecisionState(ControllerState):
+    """Measured effect of single precision on positions."""
+
+    key = "control.precision"
+
+    #: Change of positions over a part [m] at the last measurement; negative if unknown.
+    rounding: float = bounded_number(-1.0)
+
+
+@attrs.define
+class RoundingNoiseState(ControllerState):
+    """Measured energy input of single-precision rounding; absent until it was measured."""
+
+    key = "control.noise"
+
+    #: Largest measured power [W]; negative if unknown.
+    power: float = bounded_number(-1.0)
+    #: Number of measurements.
+    n_samples: float = bounded_number(0.0, minimum=0.0)
+    #: Kinetic energy at the last error estimate, or half of the previous value if that is larger [J].
+    kinetic_energy: float = bounded_number(0.0, minimum=0.0)
+
+
+@attrs.define
+class EnergyState(ControllerState):
+    """State of `EnergyRule`."""
+
+    key = "control.energy"
+
+    #: Smallest bound of the squared frequency since the last restart [1/s^2]; negative at first.
+    min_omega2: float = bounded_number(-1.0)
+    #: Energy drift: energy that steps have created since then and not lost again [J].
+    energy_drift: float = bounded_number(0.0, minimum=0.0)
+
+
+@attrs.define
+class FallbackState(ControllerState):
+    """State of the fallback."""
+
+    key = "control.fallback"
+
+    #: Consecutive frames that fallback steps had to finish.
+    fallback_count: float = bounded_number(0.0, minimum=0.0)
+
+
+@attrs.define
+class ImplicitState(ControllerState):
+    """State of the implicit method."""
+
+    key = "control.implicit"
+
+    #: Step size [s]; 0 if unknown.
+    step: float = bounded_number(0.0, minimum=0.0)
+
+
+@attrs.define
+class IntegratorChoiceState(ControllerState):
+    """State of the choice between explicit and implicit steps."""
+
+    key = "control.choice"
+
+    #: 1 if the implicit method is in use, else 0.
+    is_implicit: float = bounded_number(0.0, minimum=0.0)
+    #: Cost of the last implicit frame [ns]; 0 if unknown.
+    implicit_cost: float = bounded_number(0.0, minimum=0.0)
+    #: Frames until the next comparison.
+    frames_until_comparison: float = bounded_number(0.0)
+    #: Cost of an explicit frame at the stability limit at the last comparison [ns].
+    explicit_cost: float = bounded_number(0.0, minimum=0.0)
+    #: 1 if explicit steps missed the tolerance too, else 0. Implicit steps that miss it are then accepted until the
+    #: next comparison.
+    explicit_also_failed: float = bounded_number(0.0, minimum=0.0)
+
+
+@attrs.define
+class SleepState(ControllerState):
+    """State of the sleep rule."""
+
+    key = "control.sleep"
+
+    #: Consecutive quiet frames.
+    quiet_frames: float = bounded_number(0.0, minimum=0.0)
+    #: Largest displacement of a particle in the last observed second [m].
+    max_displacement: float = bounded_number(0.0, minimum=0.0)
+    #: Time asleep since then [s]; the frame at which the sheet wakes without an event.
+    sleep_time: float = bounded_number(0.0, minimum=0.0)
+    wake_frame: float = bounded_number(0.0, minimum=0.0)
+    #: Upper bound of the drift that sleep has omitted since the last external change [m].
+    drift_used: float = bounded_number(0.0, minimum=0.0)
+
+
+#: Key of friction anchors, shape (obstacles, 4, particles); two rows more with friction between layers.
+ANCHORS_KEY = "contact.anchors"
+#: Number of these rows: one for each side of the cloth.
+LAYER_SIDES = 2
+#: Key of the jaw states of parallel grippers, shape (grippers, 2): half opening [m] and its rate [m/s].
+JAWS_KEY = "contact.pinched"
+#: Key of contact thicknesses [m], present while some are reduced, shape (obstacles + 1, particles + 1). Rows: each
+#: obstacle, jaws included; the last row is self-contact. Columns: each particle; the last one is obstacle edges.
+THICKNESS_KEY = "contact.thickness"
+#: Key of flags, shape (grippers,): True once the jaws are reported to be at rest.
+JAWS_AT_REST_KEY = "contact.settled"
+#: Keys of the arrays of sleep, shape (3, particle_count): positions [m] at the start of the observed second, and
+#: velocities [m/s] at which the sheet fell asleep.
+SLEEP_KEYS = (SLEEP_POSITIONS_KEY, SLEEP_VELOCITIES_KEY) = ("control.sleep_from", "control.sleep_velocity")
+#: Controller states that belong to step control.
+STEP_CONTROL_STATES: tuple[type[ControllerState], ...] = (
+    StabilityState,
+    MultirateState,
+    ErrorState,
+    ContactState,
+    PrecisionState,
+    RoundingNoiseState,
+    EnergyState,
+    FallbackState,
+    ImplicitState,
+    IntegratorChoiceState,
+)
+#: Keys of versions up to 0.1; their content is dropped.
+LEGACY_KEYS = ("stepper", "automatic", "sleep")
+
+
+def reset_step_control(state: HasMemory, *, entirely: bool = False) -> None:
+    """Reset step control after an event: the next advance estimates its error, and `auto` compares integrators again.
+
+    Args:
+        state: its controller states become empty arrays.
+        entirely: remove the arrays too. A fixed step above the limit is then refused, as at the start of a run;
+            otherwise it is made smaller.
+    """
+    for controller in STEP_CONTROL_STATES:
+        if entirely:
+            state.memory.pop(controller.key, None)
+        elif controller.key in state.memory:
+            state.memory[controller.key] = np.empty(0)

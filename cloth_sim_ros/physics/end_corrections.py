@@ -1,0 +1,89 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""End-point correction for the work of moving obstacles.
+
+A run sums powers at the middles of its steps, times h. For a smooth power p from a to b this sum misses h^2/24 (p'(b) -
+p'(a)) (Euler and Maclaurin). The slopes are those of the last half step and of the first one. Their inner ends are
+positions that the run has visited. The correction also covers contact that begins within the last half step, after the
+last middle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cloth_sim_ros.physics.controller_state import JAWS_KEY
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.runs import Run
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+
+
+def accumulate_runs(
+    accumulator: WorkAccumulator,
+    plan: Plan,
+    start: State,
+    t: float,
+    duration: float,
+    runs: Sequence[Run],
+    counts: Sequence[int],
+    weights: Sequence[float],
+) -> None:
+    """Accumulate a weighted combination of runs, with end-point corrections for moving obstacles.
+
+    Args:
+        accumulator: the accumulator.
+        plan: equations of motion.
+        start: state at the start.
+        t: time at the start [s].
+        duration: length of the interval [s].
+        runs: the runs of the combination.
+        counts: number of steps of each run.
+        weights: dimensionless weight of each run.
+    """
+    accumulator.add_runs(weights, runs, duration)
+    if not accumulator.obstacle_count or plan.contact is None or plan.contact.force.steady():
+        return
+    for weight, run, steps in zip(weights, runs, counts, strict=True):
+        accumulator.add_obstacle_work(weight * end_correction(plan, start, run, t, duration, steps))
+
+
+def end_correction(plan: Plan, start: State, run: Run, t: float, duration: float, steps: int) -> Array:
+    """Return the end-point correction of work and dissipation [J] of one run.
+
+    The columns are those of `ContactBinding.wrench_rates`. Wrenches need no correction, because they are means of the
+    impulses of the steps.
+
+    Args:
+        plan: equations of motion, with contact.
+        start: state at the start.
+        run: a run from that state.
+        t: time at the start [s].
+        duration: length of the run [s].
+        steps: number of its steps.
+    """
+    contact = plan.contact
+    assert contact is not None
+    h = duration / steps
+    contact.load_state(start)
+    begin = _rate_change(plan, t, start.x, start.v, start.memory.get(JAWS_KEY), 0.5 * h)
+    contact.set_anchors(run.anchors)
+    end = _rate_change(plan, t + duration, run.x, run.v, run.jaw_states, -0.5 * h)
+    correction: Array = (-h / 12.0) * (begin + end)
+    correction[:, :6] = 0.0
+    return correction
+
+
+def _rate_change(plan: Plan, t: float, x: Array, v: Array, jaws: Array | None, offset: float) -> Array:
+    """Return the change of the rates if the state moves on uniformly by a time `away` [s] from time t [s]."""
+    contact = plan.contact
+    assert contact is not None
+    contact.set_jaws(jaws)
+    rates = contact.wrench_rates(t, x, v)
+    if jaws is not None:
+        contact.set_jaws(np.stack([jaws[:, 0] + offset * jaws[:, 1], jaws[:, 1]], axis=1))
+    change: Array = contact.wrench_rates(t + offset, x + offset * v, v) - rates
+    return change

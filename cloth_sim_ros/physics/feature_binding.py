@@ -1,0 +1,110 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Engine binding of obstacle features against the cloth's surface.
+
+Features are points and edges of obstacles; they touch triangles and edges of the cloth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.engine.binding import address, check, doubles, library
+from cloth_sim_ros.physics.forces.contact import ContactSurface
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.obstacle_features import is_covered_by_particles, obstacle_features
+from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.plan_handle import PlanHandle
+from cloth_sim_ros.physics.uncopyable import Uncopyable
+
+
+class FeatureBinding(Uncopyable):
+    """Engine binding of the obstacle features of one plan.
+
+    Args:
+        plan_handle: handle of the engine's plan.
+        faces: surface of the cloth.
+        particle_count: number of particles of the model.
+    """
+
+    def __init__(self, plan_handle: PlanHandle, faces: ContactSurface, particle_count: int) -> None:
+        self._plan_handle, self._library, self._handle = plan_handle, library(), plan_handle.pointer
+        self._shape, self._max_edge = (3, particle_count), faces.max_edge
+        triangles = faces.triangles
+        check(self._library.cloth_plan_faces(self._handle, len(triangles), triangles.ctypes.data, faces.min_edge))
+
+    def upload(self, obstacles: Sequence[Obstacle], thickness: float) -> None:
+        """Upload the features of obstacles, except those that particles alone keep out."""
+        for k, obstacle in enumerate(obstacles):
+            feature_set = obstacle_features(obstacle, thickness)
+            if feature_set.radius > 0.0 and is_covered_by_particles(feature_set.radius, self._max_edge, thickness):
+                continue
+            points, edges = (
+                np.ascontiguousarray(feature_set.points),
+                np.ascontiguousarray(feature_set.edges, dtype=np.int64),
+            )
+            arrays = len(points), points.ctypes.data, len(edges), edges.ctypes.data
+            check(self._library.cloth_plan_features(self._handle, k, *arrays, feature_set.radius))
+
+    def is_out_of_reach(self, t: float, duration: float, x: Array, v: Array) -> bool:
+        """Return true if no feature gets near the cloth within a duration [s] from time t [s] on."""
+        out = np.empty(1, dtype=np.int64)
+        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
+        check(self._library.cloth_features_culled(self._handle, t, duration, *addresses))
+        return bool(out[0])
+
+    def ccd_hits(self, t: float, duration: float, start: Array, end: Array) -> bool:
+        """Return true if a feature passes through the cloth in a straight motion from time t over a duration [s]."""
+        out = np.empty(1, dtype=np.int64)
+        addresses = doubles("start", start, self._shape), doubles("end", end, self._shape), address(out)
+        check(self._library.cloth_ccd_features(self._handle, t, duration, *addresses))
+        return bool(out[0])
+
+    def ccd_jaw_hits(self, t: float, x: Array, half_openings: Array) -> NDArray[np.bool_]:
+        """Return for each pinch whether a jaw passes through the cloth while it moves to its present half opening.
+
+        Args:
+            t: time [s].
+            x: positions of the cloth [m], shape (3, n).
+            half_openings: half openings at the start of the motion [m], shape (pinches,).
+        """
+        out = np.empty(len(half_openings), dtype=np.int64)
+        addresses = doubles("x", x, self._shape), doubles("ways", half_openings, half_openings.shape), address(out)
+        check(self._library.cloth_ccd_jaws(self._handle, t, *addresses))
+        return out != 0
+
+    def find_penetration(self, t: float, x: Array) -> tuple[int, int, int]:
+        """Return the first obstacle that penetrates the cloth at time t [s], and two particles near the position; -1
+        for none.
+        """
+        out = np.empty(3, dtype=np.int64)
+        check(self._library.cloth_feature_intersection(self._handle, t, doubles("x", x, self._shape), address(out)))
+        obstacle, a, b = out.tolist()
+        return obstacle, a, b
+
+    def check_initial_penetration(self, t: float, x: Array, names: Sequence[str]) -> None:
+        """Refuse a cloth that an obstacle penetrates at time t [s].
+
+        Raises:
+            ValueError: for such a cloth, naming the obstacle, the particles and the position.
+        """
+        k, a, b = self.find_penetration(t, x)
+        if k < 0:
+            return
+        position = [round(0.5 * sum(pair), 6) for pair in zip(x[:, a].tolist(), x[:, b].tolist(), strict=True)]
+        raise ValueError(
+            f"obstacle '{names[k]}' comes through the cloth between particles {a} and {b}, near {position}; move the "
+            "cloth or the obstacle"
+        )
+
+
+def upload_meshes(handle: int, obstacles: Sequence[Obstacle]) -> None:
+    """Upload the meshes of those obstacles that have one."""
+    for k, obstacle in enumerate(obstacles):
+        vertices, triangles = obstacle.vertices, obstacle.triangles
+        if vertices is not None and triangles is not None:
+            arrays = len(vertices), vertices.ctypes.data, len(triangles), triangles.ctypes.data
+            check(library().cloth_plan_mesh(handle, k, *arrays))

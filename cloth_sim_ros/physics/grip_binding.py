@@ -1,0 +1,123 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Engine binding of grips: uploads grasped particles and paths, returns wrenches."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.engine.binding import (
+    BOOKED_NUMBERS,
+    NOT_FINITE,
+    PATH_NUMBERS,
+    address,
+    check,
+    doubles,
+    finite,
+    indices,
+    library,
+)
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.forces.grips import Grips
+from cloth_sim_ros.physics.parts import min_damping_time
+from cloth_sim_ros.physics.plan_handle import PlanHandle
+from cloth_sim_ros.physics.uncopyable import Uncopyable
+
+
+class GripBinding(Uncopyable):
+    """Engine binding of the grips of one plan.
+
+    Args:
+        plan_handle: handle of the engine's plan.
+        grips: the force.
+        particle_count: number of particles of the model.
+    """
+
+    def __init__(self, plan_handle: PlanHandle, grips: Grips, particle_count: int) -> None:
+        self._plan_handle, self.force = plan_handle, grips
+        self._library, self._handle = library(), plan_handle.pointer
+        self._shape = (3, particle_count)
+        self._grip_revision = self._path_revision = -1
+        #: Arrays of the grasped particles that the engine has.
+        self._uploaded: tuple[NDArray[Any], ...] | None = None
+        #: Number of grippers.
+        self.count = grips.gripper_count
+        self._paths_shape = (self.count, PATH_NUMBERS)
+
+    def sync(self) -> None:
+        """Upload grasped particles and paths if they changed."""
+        grips = self.force
+        if grips.grip_revision == self._grip_revision and grips.path_revision == self._path_revision:
+            return
+        if grips.grip_revision != self._grip_revision:
+            self._upload_grips()
+        paths = np.ascontiguousarray(grips.paths, dtype=np.float64)
+        if paths.shape != self._paths_shape:
+            raise ValueError(f"paths have shape {paths.shape}; they must be {self._paths_shape}")
+        status = self._library.cloth_plan_gripper_paths(self._handle, doubles("paths", paths, self._paths_shape))
+        if status == NOT_FINITE:
+            raise ValueError(f"paths of grippers are {paths.tolist()}; all numbers must be finite")
+        check(status)
+        self._grip_revision, self._path_revision = grips.grip_revision, grips.path_revision
+
+    def _upload_grips(self) -> None:
+        arrays = self.force.validated
+        if arrays is None:
+            arrays = self.force.validated = self._validated()
+        elif arrays is self._uploaded:
+            return
+        # A snapshot from another process may contain read-only arrays.
+        addresses = (address(array) if array.size and array.flags.writeable else array.ctypes.data for array in arrays)
+        check(self._library.cloth_plan_grips(self._handle, self.count, len(arrays[0]), *addresses))
+        self._uploaded = arrays
+
+    def _validated(self) -> tuple[NDArray[Any], ...]:
+        """Return validated copies for the engine: particles, gripper indices, offsets, stiffness, damping."""
+        grips = self.force
+        particles = indices("held particles", np.reshape(grips.particles, (-1, 1)), 1, self._shape[1])
+        count = len(particles)
+        gripper_indices = np.ascontiguousarray(grips.gripper_indices(), dtype=np.int64)
+        if len(gripper_indices) != count:
+            raise ValueError(
+                f"starts {grips.starts.tolist()} are of {len(gripper_indices)} grasped particles; there are {count}"
+            )
+        coefficients = (
+            finite("offsets of grips", grips.offsets, (count, 3)),
+            finite("stiffness of grips", grips.stiffness, (count,), least=0.0),
+            finite("damping of grips", grips.damping, (count,), least=0.0),
+        )
+        # Copies: later writes into the caller's arrays must not change them.
+        return tuple(array.copy() for array in (particles, gripper_indices, *coefficients))
+
+    def wrench_rates(self, t: float, x: Array, v: Array, weight: float = 1.0) -> Array:
+        """Return force, torque and power of each gripper on the cloth, and the power that its joints dissipate.
+
+        Args:
+            t: time [s].
+            x: positions [m], shape (3, n).
+            v: velocities [m/s], shape (3, n).
+            weight: factor on the result.
+
+        Returns:
+            Force [N] (3), torque [N m] (3), power [W], dissipated power [W], shape (grippers, BOOKED_NUMBERS).
+        """
+        self.sync()
+        out = np.zeros((self.count, BOOKED_NUMBERS))
+        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
+        check(self._library.cloth_grip_wrenches(self._handle, t, *addresses, weight, out.ctypes.data))
+        return out
+
+    def min_damping_time(self) -> float:
+        """Return the least c / k [s] of the grips; infinity if there are none."""
+        return min_damping_time(self.force.stiffness, self.force.damping)
+
+    def add_bounds(self, stiff: Array, damped: Array) -> None:
+        """Add stiffness [N/m] and damping [N s/m] of grips to blocks (6, n)."""
+        grips = self.force
+        # Several grippers may grasp one particle: plain indexing would not add up.
+        for axis in range(3):
+            np.add.at(stiff[axis], grips.particles, grips.stiffness)
+            np.add.at(damped[axis], grips.particles, grips.damping)

@@ -1,0 +1,62 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Motion of jaws in a step of the implicit method."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.physics.forces.contact import Contact
+from cloth_sim_ros.physics.forces.force import Array
+
+#: Bisections of the range of the jaw speed, down to its last bit.
+_BISECTIONS = 60
+
+
+def step_jaws(
+    force: Contact,
+    start: Array | None,
+    h: float,
+    *,
+    set_jaws: Callable[[Array], Any],
+    accelerations: Callable[[], Array],
+    find_hits: Callable[[Array], NDArray[np.bool_]] | None,
+) -> Array:
+    """Return the states of jaws after an implicit Euler step, given the cloth at its end.
+
+    The load of cloth and stops grows with the half opening's displacement. Therefore one jaw speed is consistent with
+    the speed before and the load. Bisection between the stops finds it.
+
+    Args:
+        force: contact, with its jaws.
+        start: half openings [m] and jaw speeds [m/s] at the start, shape (pinches, 2); None for open jaws.
+        h: length of the step [s].
+        set_jaws: sets the jaw states in the engine.
+        accelerations: returns the accelerations of the half openings [m/s^2] in the present states; not finite inside
+            the cloth.
+        find_hits: returns whether jaws pass through the cloth from given half openings [m] to the present ones; None if
+            only particles meet them.
+    """
+    if start is None:
+        start = np.array([jaw.initial_state for jaw in force.jaws])
+    half_opening, jaw_speed = start.T.copy()
+    opening = np.array([0.5 * jaw.opening for jaw in force.jaws])
+    low, high = (-0.75 * force.thickness - half_opening) / h, (opening + force.thickness - half_opening) / h
+    set_jaws(np.stack([half_opening, np.zeros_like(half_opening)], axis=1))
+    is_clear = np.isfinite(accelerations())
+    for _ in range(_BISECTIONS):
+        mid_speed = 0.5 * (low + high)
+        set_jaws(np.stack([half_opening + h * mid_speed, mid_speed], axis=1))
+        excess = mid_speed - jaw_speed - h * accelerations()
+        # If jaws were clear of the cloth at the start, the cloth keeps them on that side.
+        is_past = ~np.isfinite(excess) & is_clear
+        if find_hits is not None:
+            is_past |= find_hits(half_opening)
+        inward = np.where(is_past, mid_speed > 0.0, excess > 0.0)
+        low, high = np.where(inward, low, mid_speed), np.where(inward, mid_speed, high)
+    mid_speed = np.where(force.jaw_commands[:, 0], high, 0.0)
+    return np.stack([half_opening + h * mid_speed, mid_speed], axis=1)

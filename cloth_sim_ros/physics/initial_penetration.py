@@ -1,0 +1,121 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Initial penetration check: refuses starts inside obstacles or through the cloth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from cloth_sim_ros.engine.binding import address, check, doubles, library
+from cloth_sim_ros.physics.contact_thickness import MIN_GAP
+from cloth_sim_ros.physics.deterministic_math import row_sum
+from cloth_sim_ros.physics.forces.contact import ContactSurface
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.obstacle_mesh import nearest_points
+from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.plan_handle import PlanHandle
+
+#: Least gap of a starting cloth to itself, as a fraction of the thickness.
+MIN_START_GAP = MIN_GAP
+#: Number of particles with the stiffest contact that are searched for the nearest one.
+_MAX_CANDIDATES = 16
+_REMEDY = "start from another state, or set contact.self to false"
+
+
+def check_outside(t: float, obstacles: Sequence[Obstacle], gaps: Iterable[float]) -> None:
+    """Refuse a cloth that is inside an obstacle at time t [s].
+
+    Args:
+        t: time [s].
+        obstacles: the obstacles.
+        gaps: least gap to each obstacle [m]; negative inside.
+
+    Raises:
+        ValueError: for a gap that is not positive, naming the obstacle.
+    """
+    for obstacle, gap in zip(obstacles, gaps, strict=True):
+        if gap <= 0.0:
+            raise ValueError(
+                f"the cloth is {-gap:.4g} m deep inside obstacle '{obstacle.name}' at {t:.6g} s, and contact "
+                "has no force there; move the cloth or the obstacle"
+            )
+
+
+def find_self_intersection(plan_handle: PlanHandle, x: Array) -> list[int] | None:
+    """Return the first edge of the cloth that intersects one of its triangles; None if there is none.
+
+    An edge that shares a corner with the triangle does not count.
+
+    Args:
+        plan_handle: handle of the engine's plan, which has the surface.
+        x: particle positions [m], shape (3, n).
+
+    Returns:
+        The edge's two particles, then the triangle's three.
+    """
+    out = np.empty(5, dtype=np.int64)
+    check(library().cloth_self_intersection(plan_handle.pointer, doubles("x", x, x.shape), address(out)))
+    corners: list[int] = out.tolist()
+    return None if corners[0] < 0 else corners
+
+
+def check_initial_penetration(plan_handle: PlanHandle, surface: ContactSurface, thickness: float, x: Array) -> None:
+    """Refuse a cloth that intersects itself, or is closer to itself than the least gap.
+
+    Args:
+        plan_handle: handle of the engine's plan, which has the surface.
+        surface: surface of the cloth.
+        thickness: contact thickness [m].
+        x: particle positions [m], shape (3, n).
+
+    Raises:
+        ValueError: naming the first intersecting edge and triangle, or the nearest particle and triangle, with the
+            position.
+    """
+    intersection = find_self_intersection(plan_handle, x)
+    if intersection is not None:
+        a, b, *triangle = intersection
+        position = _rounded(0.5 * (x[:, a] + x[:, b]))
+        raise ValueError(
+            f"the cloth passes through itself at {position}: the edge from particle {a} to {b} goes through the "
+            f"triangle "
+            f"of particles {', '.join(map(str, triangle))}; {_REMEDY}"
+        )
+    gaps = np.empty(2)
+    check(library().cloth_self_gaps(plan_handle.pointer, doubles("x", x, x.shape), address(gaps)))
+    min_gap = float(gaps[1])
+    if min_gap < MIN_START_GAP * thickness:
+        raise ValueError(
+            f"the cloth is {min_gap:.3g} m from itself {_describe_nearest(plan_handle, surface, x)}; at the start it "
+            f"must be "
+            f"{MIN_START_GAP * thickness:.3g} m at least, {MIN_START_GAP:g} of contact.thickness: move its "
+            f"layers {thickness - min_gap:.3g} m apart, {_REMEDY}"
+        )
+
+
+def _describe_nearest(plan_handle: PlanHandle, surface: ContactSurface, x: Array) -> str:
+    """Describe the position of the least gap of the cloth to itself, as part of a sentence."""
+    stiff, damped = np.zeros((6, x.shape[1])), np.zeros((6, x.shape[1]))
+    addresses = doubles("x", x, x.shape), address(stiff), address(damped)
+    check(library().cloth_self_bounds(plan_handle.pointer, 0.0, *addresses))
+    # Contact is stiffest at the least gap. Its stiffness is NaN without a gap.
+    order = np.argsort(-np.nan_to_num(stiff[0] + stiff[1] + stiff[2], nan=np.inf), kind="stable")
+    triangles, points = surface.triangles, np.ascontiguousarray(x.T)
+    best = (math.inf, int(order[0]), 0)
+    for particle in order[:_MAX_CANDIDATES].tolist():
+        with np.errstate(invalid="ignore"):  # of a triangle without area
+            offset = points[particle] - nearest_points(points[particle][None], points[triangles])[0]
+        square = np.nan_to_num(row_sum((offset * offset).T), nan=np.inf)
+        square[(triangles == particle).any(axis=1)] = np.inf
+        nearest = int(np.argmin(square))
+        best = min(best, (float(square[nearest]), particle, nearest))
+    _, particle, nearest = best
+    corners = ", ".join(map(str, triangles[nearest].tolist()))
+    return f"near particle {particle} at {_rounded(points[particle])} and the triangle of particles {corners}"
+
+
+def _rounded(position: Array) -> list[float]:
+    return [round(coordinate, 6) for coordinate in position.tolist()]

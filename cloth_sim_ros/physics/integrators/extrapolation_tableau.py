@@ -1,0 +1,319 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Extrapolation tableau: leapfrog runs with several step counts, and their combinations.
+
+The predicted midpoint velocity makes the leapfrog's error a series in h^2, h^3, h^4, ... Without damping it is a series
+in h^2, h^4, ... (docs/time_stepping.md). K runs with step counts n_1 < ... < n_K are combined with weights w that
+solve ``sum w = 1`` and ``sum w n^-p = 0``, p = 2 to K. The combination T_K has order K + 1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from cloth_sim_ros.physics.arrays import combine, largest_distance
+from cloth_sim_ros.physics.deterministic_math import ordered_sum
+from cloth_sim_ros.physics.end_corrections import accumulate_runs
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.runs import Run, RunSummary
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+
+#: Step counts of the runs, relative to the first. Wider ratios cost more; closer ones amplify rounding and high modes:
+#: the sums of |w| for 1 to 5 runs are 1, 4.6, 17.7, 32 and 70.
+RATIOS = (1.0, 1.25, 1.5, 2.0, 2.5)
+#: Sums of the first 0, 1, 2, ... ratios.
+RATIO_SUMS = tuple(sum(RATIOS[:columns]) for columns in range(len(RATIOS) + 1))
+
+
+@lru_cache(maxsize=256)
+def step_counts(first: int, n_runs: int, ratio: int = 1) -> tuple[int, ...]:
+    """Return the step counts of the runs, strictly increasing multiples of the multirate ratio.
+
+    Args:
+        first: step count of the first run.
+        n_runs: number of runs.
+        ratio: multirate ratio.
+    """
+    counts = [first // ratio]
+    for step_ratio in RATIOS[1:n_runs]:
+        counts.append(max(counts[-1] + 1, math.ceil(counts[0] * step_ratio - 1e-9)))
+    return tuple(ratio * count for count in counts)
+
+
+@lru_cache(maxsize=16)
+def amplification(n_runs: int) -> float:
+    """Return the amplification of rounding by a combination of some runs: the sum of |w|."""
+    # Twenty is the smallest first count whose step counts have exactly the ratios.
+    return ordered_sum(abs(weight) for weight in weights(step_counts(20, n_runs)))
+
+
+@lru_cache(maxsize=1024)
+def weights(counts: tuple[int, ...]) -> tuple[float, ...]:
+    """Return the weights of T_K for K runs of step counts n: exact ratios of integers, rounded once.
+
+    Divided differences of 1, n, ..., n^(K - 2) vanish, and that of n^K is the sum of the n. Therefore the weights are
+    ``w_i = n_i^K / (sum of n * product of n_i - n_j over j != i)``.
+    """
+    size, count_sum = len(counts), sum(counts)
+    return tuple(n**size / (count_sum * math.prod(n - m for m in counts if m != n)) for n in counts)
+
+
+def max_rates(*rates: tuple[float, float]) -> tuple[float, float]:
+    """Return the largest squared frequency [1/s^2] and the largest damping rate [1/s] of some pairs."""
+    if rates.count(rates[0]) == len(rates):
+        return rates[0]
+    return max(omega2 for omega2, _ in rates), max(damping for _, damping in rates)
+
+
+class PrecomputedRun(NamedTuple):
+    """A single run that already exists, with its request."""
+
+    #: Positions at the start, time [s] and length [s].
+    x: Array
+    t: float
+    duration: float
+    #: Number of steps, True for single precision, and the multirate ratio.
+    steps: int
+    single_precision: bool
+    ratio: int
+    #: Return value of `Plan.runs` for it.
+    result: tuple[list[Run], tuple[Array, Array, RunSummary] | None]
+
+
+class ExtrapolationTableau:
+    """Leapfrog runs over one interval and their combinations T_K; runs are computed on demand.
+
+    Args:
+        plan: equations of motion.
+        start: state at the start; it is not changed.
+        t: time at the start [s].
+        duration: length of the interval [s].
+        counts: step counts of the available runs.
+        record_power: runs record the work of damping and wind.
+        record_obstacles: runs record the work of obstacles.
+        single_precision: runs use single precision.
+        omega: highest angular frequency [1/s], see `difference`.
+        contact_omega: the same with contact [1/s]: the inverse of the time over which a rebounding particle is
+            followed.
+        precomputed_run: an existing run, used if it equals the requested one.
+        ratio: multirate ratio.
+        expected_runs: expected number of runs, for prefetching; results do not depend on it.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        start: State,
+        t: float,
+        duration: float,
+        counts: Sequence[int],
+        *,
+        record_power: bool = False,
+        record_obstacles: bool = False,
+        single_precision: bool = False,
+        omega: float = math.inf,
+        contact_omega: float = math.inf,
+        precomputed_run: PrecomputedRun | None = None,
+        ratio: int = 1,
+        expected_runs: int = 0,
+    ) -> None:
+        self._plan, self._start, self._t, self.duration = plan, start, t, duration
+        self._record_power, self._record_obstacles = record_power, record_obstacles
+        self.counts = tuple(counts)
+        self.single_precision, self.ratio = single_precision, ratio
+        self._omega, self._contact_omega, self._precomputed_run = omega, contact_omega, precomputed_run
+        self._expected_runs = expected_runs
+        #: Force evaluations of the requested runs, and their number. Prefetched runs are not included.
+        self.evaluations, self._n_requested = 0, 0
+        self._runs: list[Run] = []
+        self._combined: dict[int, tuple[Array, Array]] = {}
+        self._summaries: dict[int, RunSummary] = {}
+        self._contact_summaries: dict[int, tuple[float, float, tuple[float, float]]] = {}
+
+    def combine(self, n_runs: int) -> tuple[Array, Array]:
+        """Return positions [m] and velocities [m/s] of T_K, K = n_runs, each of shape (3, n)."""
+        combination = self._combined.get(n_runs)
+        if combination is None:
+            self._make_runs(n_runs)
+            combination = self._combined.get(n_runs)
+        if combination is None:
+            run_weights, runs = weights(self.counts[:n_runs]), self._runs[:n_runs]
+            combination = combine([run.x for run in runs], run_weights), combine([run.v for run in runs], run_weights)
+            self._combined[n_runs] = combination
+        return combination
+
+    def summary(self, n_runs: int) -> RunSummary:
+        """Return the summary of T_K, K = n_runs: activity, spectral bounds and contact at its end."""
+        summary = self._summaries.get(n_runs)
+        if summary is None:
+            x, v = self.combine(n_runs)
+            summary = self._summaries.get(n_runs)
+        if summary is None:
+            activity = max(largest_distance(v, self._start.v), 0.0 * largest_distance(x, self._start.x))
+            if not math.isfinite(largest_distance(x, self._start.x)):
+                activity = math.inf
+            contact, contact_energy, self_contact = self._plan.contact, 0.0, (0.0, 0.0)
+            if contact is not None:
+                contact.set_jaws(self.jaws(n_runs))
+                end = self._t + self.duration
+                contact_energy = contact.predict_energy(end, 0.0, x, v)
+                self_contact = contact.predict_surface_contact(end, 0.0, x, v)
+                if not contact_energy < math.inf or contact.ccd_surface_hits(end, 0.0, self._runs[n_runs - 1].x, x):
+                    activity = math.inf
+            omega2, damping, *hinge_bounds = self._plan.detailed_spectral_bounds(x, hinges=self.ratio > 1)
+            summary = RunSummary(activity, omega2, damping, contact_energy, self_contact, hinge_bounds)
+            self._summaries[n_runs] = summary
+        return summary
+
+    def difference(self, n_runs: int) -> float:
+        """Return the distance of T_(K+1) from T_K, K = n_runs [m]: the error estimate of T_K.
+
+        It is the largest distance of a particle's positions, or of its velocities over the highest angular frequency.
+        The error of an oscillation may be in its velocity alone. After contact a particle keeps its velocity error;
+        then the velocities are divided by the lower frequency of contact.
+        """
+        (x, v), (y, w) = self.combine(n_runs + 1), self.combine(n_runs)
+        omega = self._contact_omega if self.contact_energy(n_runs + 1) else self._omega
+        jaw_difference = self._jaw_difference(n_runs)
+        return max(largest_distance(x, y), largest_distance(v, w) / omega, jaw_difference)
+
+    def jaws(self, n_runs: int) -> Array | None:
+        """Return the jaw states at the end of T_K, K = n_runs; None without parallel grippers."""
+        contact = self._plan.contact
+        if contact is None or not contact.force.jaws:
+            return None
+        self._make_runs(n_runs)
+        return contact.combine_jaws(self._runs[:n_runs], weights(self.counts[:n_runs]))
+
+    def _jaw_difference(self, n_runs: int) -> float:
+        """Return the difference of half openings [m], or of their rates over the frequency of contact."""
+        next_jaws, jaws = self.jaws(n_runs + 1), self.jaws(n_runs)
+        if next_jaws is None or jaws is None:
+            return 0.0
+        differences = np.abs(next_jaws - jaws)
+        return max(float(differences[:, 0].max()), float(differences[:, 1].max()) / self._contact_omega)
+
+    def encountered_energy(self, n_runs: int) -> float:
+        """Return the energy per mass, in U^2/2, that contact had to absorb in the runs of T_K.
+
+        For an approach that the runs did not complete, it is the energy that contact would have had to absorb.
+        """
+        return self._contact_summary(n_runs)[0]
+
+    def self_contact(self, n_runs: int) -> tuple[float, float]:
+        """Return squared frequency [1/s^2] and damping rate [1/s] of self-contact in the runs of T_K, K = n_runs."""
+        return self._contact_summary(n_runs)[2]
+
+    def contact_energy(self, n_runs: int) -> float:
+        """Return the largest contact energy per mass in the runs of T_K, K = n_runs, in U^2/2."""
+        contact = self._plan.contact
+        return 0.0 if contact is None else contact.contact_energy(self._contact_summary(n_runs)[1])
+
+    def _contact_summary(self, n_runs: int) -> tuple[float, float, tuple[float, float]]:
+        """Return the contact summary of the runs of T_K, see `Run.contact_summary`; cached."""
+        if self._plan.contact is None:
+            return 0.0, math.inf, (0.0, 0.0)
+        summary = self._contact_summaries.get(n_runs)
+        if summary is None:
+            self._make_runs(n_runs)
+            encountered_energies, gaps, self_contacts = zip(
+                *(run.contact_summary for run in self._runs[:n_runs]), strict=True
+            )
+            summary = self._contact_summaries[n_runs] = max(encountered_energies), min(gaps), max_rates(*self_contacts)
+        return summary
+
+    def commit(self, n_runs: int, state: State) -> None:
+        """Write the end of T_K, K = n_runs, into a state: positions, velocities, jaws and friction anchors."""
+        state.x, state.v = self.combine(n_runs)
+        contact = self._plan.contact
+        if contact is None:
+            return
+        self._make_runs(n_runs)
+        contact.commit(state, self._t + self.duration, self._runs[:n_runs], weights(self.counts[:n_runs]))
+
+    def work(self, n_runs: int) -> float:
+        """Return the external work [J] over T_K, K = n_runs.
+
+        It is the work of grippers, and, if recorded, of obstacles, moving air and growing contact thickness.
+        """
+        accumulator = WorkAccumulator(
+            self._plan.gripper_count, record_power=self._record_power, obstacle_count=self._plan.obstacle_count
+        )
+        self.accumulate(n_runs, accumulator)
+        return accumulator.work + accumulator.wind_work + accumulator.recovery_work
+
+    def accumulate(self, n_runs: int, accumulator: WorkAccumulator) -> None:
+        """Accumulate T_K, K = n_runs; integrals along the runs are extrapolated with the weights of the state."""
+        self._make_runs(n_runs)
+        runs, counts = self._runs[:n_runs], self.counts[:n_runs]
+        accumulate_runs(accumulator, self._plan, self._start, self._t, self.duration, runs, counts, weights(counts))
+
+    def _make_runs(self, n_runs: int) -> None:
+        """Compute the missing runs; if there is none yet, the engine combines them in the same call."""
+        if n_runs > self._n_requested:
+            self.evaluations += sum(self.counts[self._n_requested : n_runs]) + n_runs - self._n_requested
+            self._n_requested = n_runs
+        n_existing = len(self._runs)
+        if n_existing >= n_runs:
+            return
+        if self._plan.contact is not None:
+            self._plan.contact.load_state(self._start)
+        is_first_call = n_existing == 0
+        runs, result = (self._matching_result(self.counts[:n_runs]) if is_first_call else None) or self._request_runs(
+            n_existing, n_runs
+        )
+        self._runs.extend(runs)
+        if result is not None:
+            x, v, self._summaries[n_runs] = result
+            self._combined[n_runs] = x, v
+
+    def _request_runs(self, n_existing: int, n_runs: int) -> tuple[list[Run], tuple[Array, Array, RunSummary] | None]:
+        """Compute runs, and prefetch the runs that are expected next if a second thread is idle.
+
+        A prefetched run changes neither results nor counts before it is requested.
+        """
+        plan, steps = self._plan, self.counts[n_existing:n_runs]
+        n_expected = self._expected_runs
+        if n_existing and plan.threads_per_run(self.ratio) == 1:
+            # If the error is too large, the next two runs are often necessary for the next choice.
+            n_expected = n_runs + 1
+        prefetched_steps = self.counts[n_existing : max(n_runs, n_expected)]
+        concurrency = (
+            plan.concurrent_runs(len(prefetched_steps), sum(prefetched_steps), self.ratio)
+            if len(prefetched_steps) > 1
+            else 1
+        )
+        return plan.runs(
+            self._t,
+            self.duration,
+            (self._start.x, self._start.v),
+            prefetched_steps if concurrency > 1 else steps,
+            weights=weights(self.counts[:n_runs]) if n_existing == 0 else None,
+            single_precision=self.single_precision,
+            record_power=self._record_power,
+            record_obstacles=self._record_obstacles,
+            multirate=self.ratio,
+            concurrency=concurrency,
+        )
+
+    def _matching_result(
+        self, steps: tuple[int, ...]
+    ) -> tuple[list[Run], tuple[Array, Array, RunSummary] | None] | None:
+        """Return the result of the precomputed run if it equals the request, else None."""
+        precomputed_run = self._precomputed_run
+        if precomputed_run is None or steps != (precomputed_run.steps,) or precomputed_run.x is not self._start.x:
+            return None
+        request = self._t, self.duration, self.single_precision, self.ratio
+        return (
+            precomputed_run.result
+            if (precomputed_run.t, precomputed_run.duration, precomputed_run.single_precision, precomputed_run.ratio)
+            == request
+            else None
+        )

@@ -1,0 +1,433 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""One advance of the implicit method: Newton's iteration, step size control, descent steps."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.contact_thickness import relative_growth
+from cloth_sim_ros.physics.controller_state import JAWS_KEY, THICKNESS_KEY
+from cloth_sim_ros.physics.controller_state import ImplicitState as Memory
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.gripper_path import rigid_velocities
+from cloth_sim_ros.physics.integrators.base import Advance, ToleranceMissedError, UnstableError
+from cloth_sim_ros.physics.integrators.fixed import steps_for
+from cloth_sim_ros.physics.integrators.implicit_work import ImplicitStep, accumulate, external_work
+from cloth_sim_ros.physics.integrators.stage_matrix import iteration_cost, stage_matrix
+from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+
+#: The diagonal coefficient of Alexander's two-stage method: 1 - 1/sqrt(2).
+GAMMA = 1.0 - math.sqrt(0.5)
+#: Safety margin of the predicted next correction, because the prediction has the right order of magnitude only.
+_PREDICTION_MARGIN = 0.1
+#: Fraction of a step's error budget at which its iteration ends.
+_CONVERGENCE_FRACTION = 0.2
+#: Largest ratio of successive corrections from iteration `_SLOW_FROM` on.
+_SLOW_RATIO = 0.5
+#: Iterations with full corrections before the line search begins, and the smallest fraction that it tries.
+_FULL_STEP_ITERATIONS, _MIN_STEP_FRACTION = 4, 1e-3
+#: Maximum number of attempts of an advance.
+_MAX_ATTEMPTS = 12
+#: Maximum number of steps of an advance. Steps that fail at this number are neither repeated nor halved: they are 8 us
+#: long in a frame of 60 Hz, in which an obstacle at 120 m/s moves by a millimetre.
+_MAX_STEPS = 2048
+#: Size of the last correction without a tolerance [m].
+CONVERGED_DISTANCE = 1e-9
+#: Expected iterations of the first advance: two stages of five.
+EXPECTED_ITERATIONS = 10
+#: Largest relative growth of a contact thickness in a step. Beyond it corrections below the tolerance may correspond
+#: to an arbitrary contact energy.
+_MAX_THICKNESS_GROWTH = 0.1
+#: Maximum number of iterations of a stage; beyond it the step becomes smaller.
+MAX_ITERATIONS = 30
+#: From this iteration on, slow convergence ends a stage too. The matrix omits the negative stiffness of compressed
+#: springs, so the iteration may converge linearly or not at all.
+_SLOW_FROM = 6
+#: Iterations of a descent step: eight of them leave a few thousandths of the possible decrease.
+_DESCENT_ITERATIONS = 8
+#: Energy that a step may create, relative to the energy that it moves: the error of a good step has either sign.
+_MAX_ENERGY_GAIN = 1e-4
+#: Rounding of a sum of energies, relative to it.
+_ROUNDING = 1e-12
+
+
+class ImplicitSettings(Protocol):
+    """Settings of the implicit method, see `Implicit`."""
+
+    name: str
+    step: float | None
+    tolerance: float | None
+    work: float
+
+
+class ImplicitAdvance:
+    """One advance of a state by a duration."""
+
+    def __init__(
+        self,
+        integrator: ImplicitSettings,
+        plan: Plan,
+        state: State,
+        t: float,
+        duration: float,
+        accumulator: WorkAccumulator | None,
+        *,
+        is_strict: bool = False,
+        max_evaluations: float = math.inf,
+    ) -> None:
+        self._integrator, self._plan, self._state, self._accumulator = integrator, plan, state, accumulator
+        self._t, self._duration = t, duration
+        tolerance = integrator.tolerance
+        self._budget = math.inf if tolerance is None else CONSTANTS.error_budget_fraction * duration * tolerance
+        self._memory = Memory.load(state)
+        self._matrix = stage_matrix(plan.model)
+        self._evaluations, self._is_strict = 0, is_strict
+        #: Limit of force evaluations of an advance by safe steps, and the reserve for descents in its remaining steps.
+        self._max_evaluations, self._reserve = max_evaluations, 0
+        self._work_limit = math.inf
+        if integrator.work and integrator.step is None:
+            self._work_limit = integrator.work * duration * 1e9 / iteration_cost(plan.model)
+        #: Time offset of obstacles while a descent computes velocities [s].
+        self._obstacle_time_offset = 0.0
+        #: True once the work limit allows no finer steps.
+        self._exhausted = False
+
+    def run(self) -> Advance:
+        """Advance the state and return the result.
+
+        Raises:
+            UnstableError: if the motion does not stay finite.
+            ToleranceMissedError: if strict, with contact, and no solution of a step is found.
+        """
+        state, memory, integrator = self._state, self._memory, self._integrator
+        min_steps = 1 if integrator.step is None else steps_for(self._duration, integrator.step)
+        contact = self._plan.contact
+        if contact is not None and (end_thickness := contact.force.recovery[2]) is not None:
+            min_steps = max(
+                min_steps,
+                math.ceil(relative_growth(state.memory[THICKNESS_KEY], end_thickness) / _MAX_THICKNESS_GROWTH),
+            )
+        is_step_known = memory.step > 0.0 and self._max_evaluations == math.inf
+        steps = max(min_steps, steps_for(self._duration, memory.step)) if is_step_known else min_steps
+        start, rejected = state.shallow_copy(), 0
+        while True:
+            if self._accumulator is not None:
+                self._accumulator.reset()
+            # If no solution is found at this step size, smaller steps find none either, down to explicit step sizes.
+            self._uses_safe_steps = steps >= CONSTANTS.implicit_finish_steps
+            evaluations_before = self._evaluations
+            error = self._take_steps(steps)
+            if error is not None and (error <= self._budget or self._exhausted or self._n_unsolved):
+                break
+            factor = 2.0 if error is None else math.sqrt(error / (CONSTANTS.error_target_fraction * self._budget))
+            next_steps = max(steps + 1, math.ceil(steps * min(factor, 2.0 * CONSTANTS.max_refinement_factor)))
+            self._exhausted = (
+                self._evaluations + (self._evaluations - evaluations_before) / steps * next_steps > self._work_limit
+            )
+            if self._exhausted and error is not None:
+                break
+            state.restore(start)
+            rejected += 1
+            if rejected > _MAX_ATTEMPTS or (error is None and (self._halves_failed_steps or steps >= _MAX_STEPS)):
+                hint = "; do obstacles leave the cloth room?" if self._plan.contact is not None else ""
+                h = self._duration / (_MAX_STEPS if self._halves_failed_steps else steps)
+                raise self._with_evaluations(UnstableError(f"implicit: steps of {h:.3g} s did not stay finite{hint}"))
+            steps = max(steps, round(CONSTANTS.implicit_finish_steps)) if self._exhausted else next_steps
+        flagged = int(error > self._budget) + self._n_unsolved
+        memory.step = self._duration / self._next_step_count(steps, min_steps, error)
+        memory.store(state)
+        return Advance(
+            steps=self._n_steps,
+            evaluations=self._evaluations,
+            step=self._min_step,
+            limit=math.inf,
+            rejected=rejected,
+            integrator=integrator.name,
+            limited_by=self._limited_by(steps, min_steps),
+            error=error,
+            flagged=flagged,
+            reason=self._describe(self._min_step, steps),
+        )
+
+    def _with_evaluations(self, error: UnstableError) -> UnstableError:
+        error.evaluations = self._evaluations
+        return error
+
+    @property
+    def _halves_failed_steps(self) -> bool:
+        """True if a step without a result is repeated as two halves."""
+        return self._uses_safe_steps and self._plan.contact is not None
+
+    def _limited_by(self, steps: int, min_steps: int) -> str:
+        if self._integrator.step is not None:
+            return "step"
+        return "work" if self._exhausted else ("frame" if steps == min_steps else "accuracy")
+
+    def _next_step_count(self, steps: int, min_steps: int, error: float) -> int:
+        """Return the number of steps of the next advance: at least half of the present one."""
+        if self._integrator.tolerance is None:
+            return max(min_steps, steps // 2)
+        if self._n_unsolved:
+            return steps
+        required_steps = math.ceil(
+            steps * math.sqrt(max(error, 1e-30) / (CONSTANTS.error_target_fraction * self._budget))
+        )
+        # A violent frame does not increase the number of steps of the next one, which may be quiet.
+        return max(1, steps // 2, min(required_steps, steps) if self._exhausted else required_steps)
+
+    def _describe(self, h: float, steps: int) -> str:
+        tolerance = self._integrator.tolerance
+        if self._integrator.step is not None or tolerance is None:
+            return f"implicit: order 2, step {h:.3g} s, no tolerance"
+        if steps == 1:
+            return f"implicit: order 2, one step a frame; it holds the tolerance {tolerance:g} m"
+        return f"implicit: order 2, step {h:.3g} s set by the tolerance {tolerance:g} m"
+
+    def _take_steps(self, steps: int) -> float | None:
+        """Take equal steps; return the sum of their errors [m], or None if a step has no result."""
+        h = self._duration / steps
+        self._convergence_distance = (
+            _CONVERGENCE_FRACTION * self._budget / steps if math.isfinite(self._budget) else CONVERGED_DISTANCE
+        )
+        self._curvature, self._n_unsolved, self._n_steps, self._min_step = math.inf, 0, 0, h
+        state, error_sum, contact = self._state, 0.0, self._plan.contact
+        guess = np.empty_like(state.x)
+        if contact is not None:
+            contact.load_state(state)
+        self._plan.accelerations(self._t, state.x, state.v, guess)
+        for k in range(steps):
+            self._reserve = _DESCENT_ITERATIONS * (steps - k)
+            step_result = self._take_step(self._t + k * h, h, guess)
+            if step_result is None:
+                return None
+            error, guess = step_result
+            error_sum += error
+        return error_sum
+
+    def _take_step(self, t: float, h: float, guess: Array) -> tuple[float, Array] | None:
+        """Take a step; with contact, repeat it as two halves if it has no result.
+
+        Returns:
+            Its error [m] and its last acceleration [m/s^2]; None if even the smallest step has no result.
+        """
+        state, contact = self._state, self._plan.contact
+        if contact is not None:
+            contact.load_state(state)
+        step, n_unsolved = self._solve_step(t, h, guess), 0
+        if self._uses_safe_steps and (step is None or self._creates_energy(t, h, step)):
+            if self._is_strict and self._halves_failed_steps:
+                # Such a step would flag the frame, or be halved. Explicit steps replace it.
+                raise self._with_evaluations(
+                    ToleranceMissedError(f"implicit: a step of {h:.3g} s has no solution that can be found")
+                )
+            # A descent step is inaccurate, but stable.
+            n_unsolved = 1
+            step = self._descent_step(t, h, guess)
+        if step is None or not (np.isfinite(step.x).all() and np.isfinite(step.v).all()):
+            if not self._halves_failed_steps or h * _MAX_STEPS < 1.5 * self._duration:
+                return None
+            # If an obstacle moved too far for the cloth to evade, half its displacement may be small enough.
+            half_step = 0.5 * h
+            first = self._take_step(t, half_step, guess)
+            second = None if first is None else self._take_step(t + half_step, half_step, first[1])
+            return None if first is None or second is None else (first[0] + second[0], second[1])
+        if self._accumulator is not None:
+            accumulate(self._accumulator, self._plan, t, h, step)
+        state.x, state.v = step.x, step.v
+        if contact is not None:
+            contact.update_after_step(t + h, h, state)
+        self._n_unsolved += n_unsolved
+        self._n_steps, self._min_step = self._n_steps + 1, min(self._min_step, h)
+        return step.error, step.a
+
+    def _solve_step(self, t: float, h: float, guess: Array) -> ImplicitStep | None:
+        """Return one step of the Runge-Kutta method; None if a stage does not converge."""
+        x, v, d = self._state.x, self._state.v, GAMMA * h
+        first = self._solve_stage(t + d, x, v, d, guess)
+        if first is None:
+            return None
+        k1x, k1v = first
+        # The second stage starts from the end of the first one's slopes.
+        base_x, base_v = x + (h - d) * k1x, v + (h - d) * k1v
+        second = self._solve_stage(t + h, base_x, base_v, d, k1v)
+        if second is None:
+            return None
+        k2x, k2v = second
+        error = error_constant() * h * h / (1.0 - GAMMA) * _max_length(k1v - k2v)
+        end = base_x + d * k2x
+        if self._ccd_hits(t, h, end):
+            return None
+        stages = ((t + d, h - d, x + d * k1x, k1x), (t + h, d, end, k2x))
+        return ImplicitStep(end, base_v + d * k2v, k2v, error, stages)
+
+    def _descent_step(self, t: float, h: float, guess: Array) -> ImplicitStep | None:
+        """Return an implicit Euler step that decreases its objective and creates no energy.
+
+        Returns:
+            The step; None if an obstacle intersects the cloth for every result.
+        """
+        x, v = self._state.x, self._state.v
+        # Grippers are at their middle position: with the end position the cloth would gain more than their work.
+        u = self._descend_clear(t + 0.5 * h, x, v, h, guess)
+        end = x + h * u
+        if self._ccd_hits(t, h, end):
+            return None
+        error = 0.5 * h * _max_length(u - (v + h * guess))
+        # Simpson's rule along the straight path of the step: a gripper may reverse within it.
+        sixth = h / 6.0
+        stages = ((t, sixth, x, u), (t + 0.5 * h, 4.0 * sixth, x + 0.5 * h * u, u), (t + h, sixth, end, u))
+        step = ImplicitStep(end, u, (u - v) / h, error, stages, acts_at_end=self._plan.contact is not None)
+        gain, kinetic = self._energy_gain(t, h, step)
+        if gain > 0.0:
+            # The minimisation bounds the potential energy by the total energy before: a lower speed suffices.
+            speed_factor = math.sqrt(max(0.0, 1.0 - gain / kinetic)) if kinetic > 0.0 else 0.0
+            step = attrs.evolve(step, v=speed_factor * u, a=(speed_factor * u - v) / h)
+        return step
+
+    def _ccd_hits(self, t: float, h: float, end: Array) -> bool:
+        """True if a step causes an intersection, or ends too close for a later step to exclude one."""
+        contact = self._plan.contact
+        if contact is None:
+            return False
+        return contact.ccd_hits(t, h, self._state.x, end) or contact.ccd_hits(t + h, 0.0, end, end)
+
+    def _creates_energy(self, t: float, h: float, step: ImplicitStep) -> bool:
+        gain, kinetic = self._energy_gain(t, h, step)
+        return not gain <= _MAX_ENERGY_GAIN * (kinetic + abs(external_work(self._plan, t, h, step)))
+
+    def _energy_gain(self, t: float, h: float, step: ImplicitStep) -> tuple[float, float]:
+        """Return the energy that a step created, external work subtracted, and the kinetic energy at its end [J]."""
+        energy_before = self._plan.energy(t, self._state.x, self._state.v)
+        energy_after = self._plan.energy(t + h, step.x, step.v)
+        kinetic = self._plan.energies(t + h, step.x, step.v)[0]
+        return energy_after - energy_before - external_work(self._plan, t, h, step) - _ROUNDING * abs(
+            energy_before
+        ), kinetic
+
+    def _solve_stage(self, t: float, x: Array, v: Array, d: float, guess: Array) -> tuple[Array, Array] | None:
+        """Solve a = a(t, x + d u, u), u = v + d a; return u [m/s] and a [m/s^2], or None without convergence."""
+        is_free = self._plan.model.inverse_masses > 0.0
+        u = v + d * guess * is_free
+        previous_size = math.inf
+        for iteration in range(MAX_ITERATIONS):
+            if self._uses_safe_steps and self._evaluations + 1 + self._reserve > self._max_evaluations:
+                return None
+            correction = self._newton_correction(t, x, v, d, u)
+            if iteration >= _FULL_STEP_ITERATIONS:
+                correction *= self._line_search(t, x, v, d, u, correction)
+            u += correction
+            size = d * _max_length(correction)
+            if not math.isfinite(size) or (iteration >= _SLOW_FROM and size > _SLOW_RATIO * previous_size):
+                return None
+            if previous_size < math.inf:
+                self._curvature = max(
+                    0.5 * self._curvature if self._curvature < math.inf else 0.0, size / (previous_size * previous_size)
+                )
+            # Newton's iteration converges quadratically: the next correction is about curvature * size^2.
+            if (
+                size <= self._convergence_distance
+                or self._curvature * size * size <= _PREDICTION_MARGIN * self._convergence_distance
+            ):
+                return u, (u - v) / d
+            previous_size = size
+        return None
+
+    def _descend_clear(self, t: float, x: Array, v: Array, d: float, guess: Array) -> Array:
+        """Return velocities u [m/s] of a stage that decrease its objective, with obstacles at their end positions.
+
+        The cloth must be clear of obstacles there.
+        """
+        contact = self._plan.contact
+        if contact is None:
+            return self._descend(t, x, v, d, guess)
+        self._obstacle_time_offset = 0.5 * d
+        contact.offset_time(self._obstacle_time_offset)
+        try:
+            return self._descend(t, x, v, d, guess)
+        finally:
+            self._obstacle_time_offset = 0.0
+            contact.offset_time(0.0)
+
+    def _descend(self, t: float, x: Array, v: Array, d: float, guess: Array) -> Array:
+        """Return velocities that decrease the objective, from the best of several starts.
+
+        Starts are the extrapolated motion, the present velocities, rest, and motions with each moving obstacle, which
+        keep their distance from it.
+        """
+        is_free = self._plan.model.inverse_masses > 0.0
+        starts = [v + d * guess * is_free, v.copy(), np.zeros_like(v)]
+        if self._plan.contact is not None:
+            paths = self._plan.contact.force.paths
+            moving_paths = [row for row in paths if row[4:13].any() or row[17:26].any()]
+            starts += [rigid_velocities(row, t - 0.5 * d, d, x) * is_free for row in moving_paths]
+        objectives = [self._objective(t, x, v, d, start) for start in starts]
+        best = min(range(len(starts)), key=lambda i: objectives[i] if math.isfinite(objectives[i]) else math.inf)
+        u = starts[best]
+        for _ in range(_DESCENT_ITERATIONS):
+            correction = self._newton_correction(t, x, v, d, u)
+            fraction = self._line_search(t, x, v, d, u, correction)
+            if fraction <= _MIN_STEP_FRACTION:
+                break
+            u += fraction * correction
+        return u
+
+    def _newton_correction(self, t: float, x: Array, v: Array, d: float, u: Array) -> Array:
+        """Return Newton's correction of a stage's velocities [m/s], shape (3, n)."""
+        masses = self._plan.model.masses
+        positions, a = x + d * u, np.empty_like(x)
+        self._plan.accelerations(t, positions, u, a)
+        self._evaluations += 1
+        thickness = None
+        if self._plan.contact is not None:
+            thickness = self._plan.contact.thickness
+            if not np.isfinite(a).all():
+                # Inside an obstacle there is no correction.
+                return np.full_like(a, np.nan)
+        correction = masses * (v + d * a - u) * (self._plan.model.inverse_masses > 0.0)
+        self._matrix.update(t, positions, d, self._state.memory.get(JAWS_KEY), thickness)
+        self._matrix.solve(correction)
+        return correction
+
+    def _line_search(self, t: float, x: Array, v: Array, d: float, u: Array, correction: Array) -> float:
+        """Return the fraction of a correction to take: the largest power of 1/2 that decreases the stage's objective.
+
+        The objective is ``1/2 |u - v|^2_M + E(x + d u) + d/2 u'D u`` while the damping matrix D is nearly constant.
+        """
+        fraction, objective_before = 1.0, self._objective(t, x, v, d, u)
+        objective_before += _ROUNDING * abs(objective_before)
+        while (
+            fraction > _MIN_STEP_FRACTION
+            and not self._objective(t, x, v, d, u + fraction * correction) <= objective_before
+        ):
+            fraction *= 0.5
+        return fraction
+
+    def _objective(self, t: float, x: Array, v: Array, d: float, u: Array) -> float:
+        positions = x + d * u
+        if self._uses_safe_steps and self._ccd_hits(t - 0.5 * d - self._obstacle_time_offset, d, positions):
+            return math.inf
+        # The force of moving air is nearly constant and has no potential.
+        dissipation = 0.5 * self._plan.dissipation(t, positions, u) - self._plan.supply(t, positions, u)
+        return self._plan.energy(t, positions, u - v) + d * dissipation
+
+
+def _max_length(vectors: Array) -> float:
+    """Return the largest length of vectors (3, n); infinite if any is not finite."""
+    x, y, z = vectors
+    square = float((x * x + y * y + z * z).max())
+    return math.sqrt(square) if math.isfinite(square) else math.inf
+
+
+def error_constant() -> float:
+    """Return the coefficient of h^3 in the difference of the method's stability function from the exponential."""
+    # R(z) = (1 + (1 - 2 g) z) / (1 - g z)^2 = 1 + z + z^2 / 2 + (4 g^3 + 3 g^2 (1 - 2 g)) z^3 + ...
+    third_coefficient = GAMMA * GAMMA * (4.0 * GAMMA + 3.0 * (1.0 - 2.0 * GAMMA))
+    return abs(third_coefficient - 1.0 / 6.0)

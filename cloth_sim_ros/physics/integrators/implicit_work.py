@@ -1,0 +1,92 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""External work over a step of the implicit method: grippers, obstacles, air, contact recovery."""
+
+from __future__ import annotations
+
+import attrs
+
+from cloth_sim_ros.physics import work_accumulator as books
+from cloth_sim_ros.physics.deterministic_math import ordered_sum
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.gripper_path import step_displacement
+from cloth_sim_ros.physics.plan import Plan
+
+
+@attrs.frozen
+class ImplicitStep:
+    """One step: positions [m] and velocities [m/s] at its end, last acceleration [m/s^2], error estimate [m]."""
+
+    x: Array
+    v: Array
+    a: Array
+    error: float
+    #: Times [s], weights [s], positions and velocities of the points at which its forces act.
+    stages: tuple[tuple[float, float, Array, Array], ...]
+    #: True if the contact force of the last point acts during the whole step, while obstacles move and contacts grow.
+    acts_at_end: bool = False
+
+
+def obstacle_work_rates(plan: Plan, t: float, h: float, step: ImplicitStep) -> Array:
+    """Return impulse and work of obstacles over a step whose contact force is that at its end.
+
+    The impulse of the implicit Euler method is h f, and the work is f'w with the displacement w of the obstacle. The
+    contact energy is convex; it grows by at most f'(w - h u), and the kinetic energy by at most h f'u. Therefore the
+    step creates no energy for any w. Forces inside the step would belong to gaps that no step has resolved; they are
+    unbounded.
+
+    Args:
+        plan: equations of motion.
+        t: time at the start of the step [s].
+        h: its length [s].
+        step: the step.
+
+    Returns:
+        Rows as of `ContactBinding.wrench_rates`.
+    """
+    contact = plan.contact
+    assert contact is not None
+    end_time, _, x, v = step.stages[-1]
+    rows = contact.wrench_rates(end_time, x, v, h)
+    for row, path in zip(rows, contact.force.paths, strict=True):
+        if row.any():
+            row[6] = -ordered_sum(
+                [a * b / h for a, b in zip(row[:6].tolist(), step_displacement(path, t, h), strict=True)]
+            )
+    return rows
+
+
+def recovery_work(plan: Plan, h: float, step: ImplicitStep) -> float:
+    """Return the work of contacts that regain their thickness over such a step [J].
+
+    It is the power at the end of the step times its length. The contact energy d_i^2 b(g / d_i) is convex in gap and
+    thickness together, because 2 b b'' > b'^2. Therefore this is an upper bound of the added energy, see
+    `obstacle_work_rates`.
+    """
+    end_time, _, x, v = step.stages[-1]
+    return 0.0 if plan.contact is None else h * plan.contact.recovery_power(end_time, x, v)
+
+
+def external_work(plan: Plan, t: float, h: float, step: ImplicitStep) -> float:
+    """Return the work of grippers, obstacles, moving air and growing contacts over a step [J]; see `accumulate`."""
+    total = 0.0
+    for stage_time, weight, x, v in step.stages:
+        total += weight * plan.supply(stage_time, x, v)
+        if plan.gripper_count:
+            total = ordered_sum(plan.grip_wrench_rates(stage_time, x, v, weight)[:, 6].tolist(), total)
+        if plan.contact is not None and not step.acts_at_end:
+            total = ordered_sum(plan.contact.wrench_rates(stage_time, x, v, weight)[:, 6].tolist(), total)
+            total += weight * plan.contact.recovery_power(stage_time, x, v)
+    if not step.acts_at_end:
+        return total
+    return ordered_sum(obstacle_work_rates(plan, t, h, step)[:, 6].tolist(), total) + recovery_work(plan, h, step)
+
+
+def accumulate(accumulator: books.WorkAccumulator, plan: Plan, t: float, h: float, step: ImplicitStep) -> None:
+    """Accumulate a step of length h [s] that starts at time t [s]."""
+    for stage_time, weight, x, v in step.stages:
+        books.accumulate(accumulator, plan, stage_time, x, v, weight, record_obstacles=not step.acts_at_end)
+    if step.acts_at_end and accumulator.obstacle_count:
+        accumulator.add_obstacle_work(obstacle_work_rates(plan, t, h, step))
+    if step.acts_at_end and accumulator.record_power:
+        accumulator.add_recovery_work(recovery_work(plan, h, step))

@@ -1,0 +1,190 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Queries of a plan: spectral bounds, energies, powers and derivatives."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cloth_sim_ros.engine.binding import BOOKED_NUMBERS, address, check, doubles, writable
+from cloth_sim_ros.physics.deterministic_math import ordered_sum
+from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.grip_binding import GripBinding
+from cloth_sim_ros.physics.model import Model
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.physics.contact_binding import ContactBinding
+
+
+class PlanQueries:
+    """Queries of a plan at positions [m] and velocities [m/s], shape (3, particle_count), float64, C-contiguous."""
+
+    model: Model
+    contact: ContactBinding | None
+    _library: ctypes.CDLL
+    _handle: int
+    _shape: tuple[int, int]
+    _python_forces: list[Force]
+    _drag: float
+    _grip_binding: GripBinding | None
+    _pair_counts: list[int]
+    _min_damping_time: float
+
+    def _sync(self) -> None:
+        """Upload grips, obstacles and the paths of both if they changed."""
+        if self.contact is not None:
+            self.contact.sync()
+        if self._grip_binding is not None:
+            self._grip_binding.sync()
+
+    def spectral_bounds(self, x: Array) -> tuple[float, float]:
+        """Return bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate c/m [1/s] at
+        x.
+
+        Contact is not included: its bounds depend on the motion, see `predict_contact`.
+        """
+        omega2, damping, *_ = self.detailed_spectral_bounds(x)
+        return omega2, damping
+
+    def detailed_spectral_bounds(self, x: Array, *, hinges: bool = False) -> list[float]:
+        """Return the spectral bounds of the whole model and of hinges alone, five numbers.
+
+        Args:
+            x: positions [m], shape (3, n).
+            hinges: true to calculate the bounds of hinges, as in `RunSummary.hinge_bounds`; they are zeros otherwise.
+
+        Returns:
+            Squared frequency [1/s^2] and damping rate [1/s] of the whole; squared frequency and damping rate of hinges;
+            squared frequency across springs.
+        """
+        self._sync()
+        position_address, stiffness_address, damping_address = doubles("x", x, self._shape), None, None
+        if self._python_forces:
+            blocks = np.zeros((2, 6, self.model.particle_count))
+            for force in self._python_forces:
+                force.add_stiffness(x, blocks[0])
+                force.add_damping(x, blocks[1])
+            stiffness_address, damping_address = address(blocks[0]), address(blocks[1])
+        out = np.empty(5)
+        check(
+            self._library.cloth_spectral_bounds(
+                self._handle, position_address, stiffness_address, damping_address, hinges, address(out)
+            )
+        )
+        bounds: list[float] = out.tolist()
+        return bounds
+
+    def min_damping_time(self) -> float:
+        """Return the least c / k [s] of springs, joints and grips; 0 if one is undamped."""
+        return (
+            self._min_damping_time
+            if self._grip_binding is None
+            else min(self._min_damping_time, self._grip_binding.min_damping_time())
+        )
+
+    def energies(self, t: float, x: Array, v: Array | None) -> tuple[float, float]:
+        """Return kinetic and potential energy [J] at time t [s]; the kinetic energy is 0 without velocities."""
+        self._sync()
+        out = np.empty(2)
+        velocity_address = None if v is None else doubles("v", v, self._shape)
+        check(self._library.cloth_energy(self._handle, t, doubles("x", x, self._shape), velocity_address, address(out)))
+        return float(out[0]), ordered_sum((force.energy(t, x) for force in self._python_forces), float(out[1]))
+
+    def energy(self, t: float, x: Array, v: Array) -> float:
+        """Return kinetic plus potential energy [J] at time t [s]."""
+        kinetic, potential = self.energies(t, x, v)
+        return kinetic + potential
+
+    def powers(self, t: float, x: Array, v: Array) -> tuple[float, float]:
+        """Return the dissipated power and the power of moving air [W]; joints of grippers are not included."""
+        self._sync()
+        out = np.empty(2)
+        addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
+        check(self._library.cloth_powers(self._handle, t, *addresses, address(out)))
+        dissipated = ordered_sum((force.dissipation(t, x, v) for force in self._python_forces), float(out[0]))
+        return dissipated, ordered_sum((force.supply(t, x, v) for force in self._python_forces), float(out[1]))
+
+    def grip_wrench_rates(self, t: float, x: Array, v: Array, weight: float = 1.0) -> Array:
+        """Return force, torque and power of each gripper on the cloth, and the power that its joints dissipate.
+
+        Args:
+            t: time [s].
+            x: positions [m], shape (3, n).
+            v: velocities [m/s], shape (3, n).
+            weight: factor on the result.
+
+        Returns:
+            Force [N] (3), torque [N m] (3), power [W], dissipated power [W], shape (grippers, BOOKED_NUMBERS).
+        """
+        if self._grip_binding is None:
+            return np.zeros((0, BOOKED_NUMBERS))
+        return self._grip_binding.wrench_rates(t, x, v, weight)
+
+    def dissipation(self, t: float, x: Array, v: Array) -> float:
+        """Return the power that all damping dissipates [W], grips and contact included."""
+        dissipated = ordered_sum(self.grip_wrench_rates(t, x, v)[:, 7].tolist(), self.powers(t, x, v)[0])
+        return (
+            dissipated
+            if self.contact is None
+            else ordered_sum(self.contact.wrench_rates(t, x, v)[:, 7].tolist(), dissipated)
+        )
+
+    def supply(self, t: float, x: Array, v: Array) -> float:
+        """Return the power of moving air on the cloth [W]."""
+        return self.powers(t, x, v)[1]
+
+    def add_bounds(self, x: Array, stiff: Array, damped: Array, t: float = 0.0) -> None:
+        """Add blocks that bound stiffness [N/m] and damping [N s/m] at time t [s], each (6, n): u'Ku <= sum of u_i' B_i
+        u_i.
+        """
+        self._sync()
+        shape = (6, self.model.particle_count)
+        addresses = writable("stiff", stiff, shape), writable("damped", damped, shape)
+        check(self._library.cloth_bounds(self._handle, doubles("x", x, self._shape), *addresses))
+        damped[:3] += self._drag * self.model.masses
+        if self._grip_binding is not None:
+            self._grip_binding.add_bounds(stiff, damped)
+        if self.contact is not None:
+            self.contact.add_bounds(t, x, stiff, damped)
+        for force in self._python_forces:
+            force.add_stiffness(x, stiff)
+            force.add_damping(x, damped)
+
+    def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
+        """Add the derivative of the forces along (dx, dv), ``(df/dx) dx + (df/dv) dv`` [N], to ``out`` (3, n)."""
+        self._sync()
+        arrays = {"x": x, "v": v, "dx": dx, "dv": dv}
+        addresses = [doubles(name, array, self._shape) for name, array in arrays.items()]
+        addresses.append(writable("out", out, self._shape))
+        check(self._library.cloth_derivative_product(self._handle, t, *addresses))
+        for force in self._python_forces:
+            force.add_jacobian_product(t, x, v, dx, dv, out)
+
+    def pair_blocks(self, list_index: int, count: int, x: Array, stiffness: float, damping: float) -> Array:
+        """Return the blocks B (count, 6) of one of the plan's lists of springs or joints, see `StageMatrix`.
+
+        Args:
+            list_index: index of the list.
+            count: number of its elements.
+            x: positions [m], shape (3, n).
+            stiffness: factor on the stiffness.
+            damping: factor on the damping.
+
+        Raises:
+            ValueError: if the plan has no such list.
+        """
+        if not 0 <= list_index < len(self._pair_counts) or self._pair_counts[list_index] != count:
+            raise ValueError(
+                f"list {list_index} of {count} springs or joints; the plan has lists of {self._pair_counts}"
+            )
+        out = np.empty((count, 6))
+        position_address = doubles("x", x, self._shape)
+        check(
+            self._library.cloth_pair_blocks(
+                self._handle, list_index, position_address, stiffness, damping, out.ctypes.data
+            )
+        )
+        return out

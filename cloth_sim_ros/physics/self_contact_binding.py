@@ -1,0 +1,58 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Engine binding of self-contact and of friction between layers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloth_sim_ros.engine.binding import address, check, doubles, library
+from cloth_sim_ros.physics.controller_state import ANCHORS_KEY
+from cloth_sim_ros.physics.forces.contact import Contact
+from cloth_sim_ros.physics.forces.force import Array
+
+
+def upload_surface(handle: int, contact: Contact) -> None:
+    """Upload the surface of self-contact, if there is one, and the friction between its layers."""
+    surface = contact.surface
+    if surface is None:
+        return
+    triangles = surface.triangles
+    check(library().cloth_plan_self(handle, len(triangles), triangles.ctypes.data, surface.min_edge))
+    if contact.has_self_friction:
+        check(library().cloth_self_friction(handle, *surface.friction))
+
+
+def check_anchors(contact: Contact, anchors: Array) -> None:
+    """Refuse anchors between layers in triangles that the cloth does not have.
+
+    Args:
+        contact: the force.
+        anchors: anchors of obstacles, then of layers, shape `ContactBinding.anchors_shape`.
+
+    Raises:
+        ValueError: naming the side of the cloth and the triangle.
+    """
+    if contact.surface is None or not contact.has_self_friction:
+        return
+    count = len(contact.surface.triangles)
+    for side_index, rows in enumerate(anchors[len(contact.obstacles) :]):
+        triangle_indices = rows[0][rows[3] > 0.0]
+        bad = triangle_indices[
+            (triangle_indices < 0.0) | (triangle_indices >= count) | (triangle_indices != np.floor(triangle_indices))
+        ]
+        if len(bad):
+            raise ValueError(
+                f"memory '{ANCHORS_KEY}' has an anchor of side {side_index} of the cloth in triangle {bad[0]}; it "
+                f"must be a "
+                f"whole number from 0 to {count - 1}: the state is of another cloth"
+            )
+
+
+def friction_power(handle: int, t: float, x: Array, v: Array) -> float:
+    """Return the power that friction between layers dissipates at time t [W], with the present anchors."""
+    out = np.empty(1)
+    check(
+        library().cloth_self_friction_power(handle, t, doubles("x", x, x.shape), doubles("v", v, v.shape), address(out))
+    )
+    return float(out[0])

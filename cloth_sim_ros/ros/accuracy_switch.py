@@ -1,0 +1,64 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Switch of the accuracy monitor.
+
+The parameter `diagnostics.accuracy` starts and ends the monitor. While it is false, nothing is loaded or started.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.ros.accuracy_monitor import AccuracyMonitor
+
+_OFF = {"accuracy": "off"}
+
+
+class AccuracySwitch:
+    """Owns the accuracy monitor while `diagnostics.accuracy` is true.
+
+    Args:
+        simulation: the cloth.
+        log: receives the monitor's warnings.
+    """
+
+    def __init__(self, simulation: Simulation, log: ThrottledLog) -> None:
+        self._simulation, self._log = simulation, log
+        self._monitor: AccuracyMonitor | None = None
+
+    def update(self) -> None:
+        """Start or end the monitor by the parameter, and log the monitor's warnings."""
+        enabled, monitor = self._simulation.scene.diagnostics.accuracy, self._monitor
+        if enabled and monitor is None:
+            from cloth_sim_ros.ros.accuracy_monitor import AccuracyMonitor
+
+            self._monitor = AccuracyMonitor()
+        elif monitor is not None:
+            for warning in monitor.take_warnings():
+                self._log.warn("accuracy", warning)
+            if not enabled:
+                self.close()
+
+    def before_frame(self) -> None:
+        """Pass on the state at which the next frame begins."""
+        if self._monitor is not None:
+            self._monitor.before_frame(self._simulation)
+
+    def after_frame(self, frame: Frame) -> None:
+        """Pass on the frame that ended."""
+        if self._monitor is not None:
+            self._monitor.after_frame(self._simulation, frame)
+
+    def describe(self) -> dict[str, str]:
+        """Return the entries for diagnostics."""
+        return _OFF if self._monitor is None else self._monitor.describe(self._simulation.time)
+
+    def close(self) -> None:
+        """End the monitor if it runs."""
+        if self._monitor is not None:
+            self._monitor.close()
+            self._monitor = None

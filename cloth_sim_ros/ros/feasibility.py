@@ -1,0 +1,45 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Feasibility check of parameters for a live node.
+
+Parameters are refused if one frame would take minutes, so that the node stays responsive. The library itself has no
+such bound.
+"""
+
+from __future__ import annotations
+
+from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
+
+#: Largest number of particle steps in a frame: about a second of the slowest forces.
+MAX_WORK = 20_000_000
+#: Number of steps in a frame that is accepted for any number of particles.
+ALLOWED_STEPS = 1000
+#: Largest number of steps in a frame for any number of particles: each step has a fixed cost.
+MAX_STEPS = 100_000
+
+
+def check_feasibility(scene: Scene, simulation: Simulation) -> None:
+    """Refuse a scene whose frames would take too long.
+
+    Args:
+        scene: the scene to check.
+        simulation: the cloth that would use the scene.
+
+    Raises:
+        ParameterError: names the number of steps of a frame, and the remedy.
+    """
+    particles = simulation.state.particle_count
+    step, reason = scene.step, f"step is {scene.step} s"
+    if not step:
+        step = scene.build_integrator().step_limit(*simulation.spectral_bounds(scene))
+        reason = f"the stability limit of '{scene.integrator}' is {step:.3g} s"
+    # Longer frames may take more steps.
+    duration_factor = max(1.0, 2.0 * scene.period)
+    max_steps = int(duration_factor * min(MAX_STEPS, max(ALLOWED_STEPS, MAX_WORK // particles)))
+    if step < scene.period / max_steps:
+        raise ParameterError(
+            f"a frame would take {scene.period / step:.3g} steps ({reason}), at most {max_steps} are taken live: "
+            "lower stiffness or damping, raise the density, or choose integrator 'auto' with step 0.0"
+        )

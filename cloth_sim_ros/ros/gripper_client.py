@@ -1,0 +1,150 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Client of one gripper: sends its commands and receives its state."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import attrs
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
+
+from cloth_sim_ros.ros.messages import set_stamp
+from cloth_sim_ros.ros.outputs import LATCHED_QOS
+from cloth_sim_ros.simulation.gripper_script import GripperScript, TimedGrasp
+
+#: Longest wait for the result of a grasp, in the cloth's time [s]. It comes after the frame, or when pads have stopped.
+_ANSWER_TIMEOUT = 7.0
+#: Longest wait for the delivery of the last grasp.
+_DELIVERY_TIMEOUT = Duration(seconds=0.5)
+
+
+@attrs.frozen
+class GraspReport:
+    """Result of one closing of the gripper."""
+
+    #: Number of particles held; None if the node did not answer.
+    held: int | None
+    #: The node's message, or why there is none.
+    text: str
+
+
+class GripperClient:
+    """Plays a script to one gripper of a cloth's node.
+
+    All times are in the cloth's time [s].
+
+    Args:
+        node: the caller's node.
+        script: the script.
+        target: full name of the cloth's node, e.g. ``/cloth_sim``.
+    """
+
+    def __init__(self, node: Node, script: GripperScript, target: str) -> None:
+        self._node, self.script = node, script
+        prefix = f"{target}/{script.gripper}"
+        self._targets = node.create_publisher(PoseStamped, f"{prefix}/target", QoSProfile(depth=10))
+        # Reliable, like the node's subscription: a missing grasp would drop the cloth.
+        self._grasps = node.create_publisher(
+            Bool, f"{prefix}/grasp", QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+        )
+        # The state of the gripper: latched, and published again after each grasp.
+        node.create_subscription(DiagnosticStatus, f"{prefix}/state", self._on_state, LATCHED_QOS)
+        self._status: dict[str, str] | None = None
+        #: Deadline of the answer to the newest closing [s]; None if none is pending.
+        self._answer_deadline: float | None = None
+        #: Script time up to which the gripper stays at the position of its closing [s].
+        self._hold_until = math.inf
+        #: Grasps of the script that have not been sent.
+        self.pending: list[TimedGrasp] = list(script.grasps)
+        #: One report for each closing.
+        self.reports: list[GraspReport] = []
+        self.targets_sent = 0
+
+    def is_connected(self) -> bool:
+        """Return true if the node subscribes to the commands and has published the gripper's state."""
+        listens = self._targets.get_subscription_count() and self._grasps.get_subscription_count()
+        return bool(listens and self._status is not None)
+
+    def open(self) -> None:
+        """Ask the node to open the gripper.
+
+        This node has matched the node's subscriptions. Its middleware may need seconds longer to match these
+        publishers, and targets, sent as best effort, would not arrive until then. The grasp is reliable, and its
+        publisher was announced after that of targets. Therefore a node that answers the grasp has matched both. The
+        middleware's acknowledgement says less and, for a new publisher, comes three seconds later.
+        """
+        # The previous state belongs to an earlier grasp.
+        self._status = None
+        self._grasps.publish(Bool(data=False))
+
+    def is_open(self) -> bool:
+        """Return true if the node has reported an open gripper since `open` was called."""
+        return self._status_if(closed=False) is not None
+
+    def limit_time(self, elapsed: float, now: float) -> float:
+        """Return the script time that may be reached [s], at most `elapsed`, the time since the script's start [s].
+
+        Until the result of the last closing is known, the gripper stays at its position.
+        """
+        return elapsed if self._is_answered(now) else min(elapsed, self._hold_until)
+
+    def send_commands(self, elapsed: float, now: float) -> None:
+        """Send the target and the due grasps, at a time since the script's start [s]."""
+        self._send_target(min(elapsed, self.script.duration))
+        # The result of the last grasp must be known before the gripper opens again.
+        while self.pending and self.pending[0].time <= elapsed and self._is_answered(now):
+            grasp = self.pending.pop(0)
+            self._status = None
+            self._grasps.publish(Bool(data=grasp.closed))
+            if grasp.closed:
+                self._answer_deadline = now + _ANSWER_TIMEOUT
+                self._hold_until = max(elapsed, self.script.rest_end(grasp.time))
+
+    def has_played(self, elapsed: float, now: float) -> bool:
+        """Return true if the script has ended and the result of its last grasp is known."""
+        return elapsed > self.script.duration and not self.pending and self._is_answered(now)
+
+    def finish(self) -> None:
+        """Wait at most 0.5 s until the node has received the last grasp."""
+        self._grasps.wait_for_all_acked(_DELIVERY_TIMEOUT)
+
+    def _is_answered(self, now: float) -> bool:
+        """Return true if the result of the last closing is known, and append its report."""
+        if self._answer_deadline is None:
+            return True
+        status = self._status_if(closed=True)
+        if status is not None:
+            self.reports.append(GraspReport(int(status["held"]), status["words"]))
+        elif now > self._answer_deadline:
+            self.reports.append(GraspReport(None, f"it did not answer within {_ANSWER_TIMEOUT:g} s"))
+        else:
+            return False
+        self._answer_deadline = None
+        return True
+
+    def _on_state(self, status: Any) -> None:
+        values = {entry.key: entry.value for entry in status.values}
+        self._status = values | {"words": str(status.message)}
+
+    def _status_if(self, *, closed: bool) -> dict[str, str] | None:
+        """Return the state since it was last cleared if it is of a closed, or open, gripper; otherwise None."""
+        status = self._status
+        return status if status is not None and status.get("closed") == str(closed).lower() else None
+
+    def _send_target(self, elapsed: float) -> None:
+        position, orientation = self.script.pose(elapsed)
+        message = PoseStamped()
+        message.header.frame_id = self.script.frame_id
+        set_stamp(message.header.stamp, self._node.get_clock().now().nanoseconds)
+        p, q = message.pose.position, message.pose.orientation
+        p.x, p.y, p.z = position
+        q.x, q.y, q.z, q.w = orientation
+        self._targets.publish(message)
+        self.targets_sent += 1

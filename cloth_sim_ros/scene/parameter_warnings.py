@@ -1,0 +1,135 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Valid parameters without effect, because other parameters disable them."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Iterable
+
+from cloth_sim_ros.scene.scene import Scene
+
+#: Names, condition under which they have no effect, and the reason as the end of a sentence.
+_RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
+    (("cloth.merge", "cloth.scale"), lambda scene: not scene.cloth.mesh, "cloth.mesh is not set"),
+    (
+        ("cloth.size", "cloth.resolution", "cloth.shear_layout"),
+        lambda scene: bool(scene.cloth.mesh or scene.cloth.springs),
+        "cloth.mesh or cloth.springs is set",
+    ),
+    (
+        (
+            "material.density",
+            "material.stretch_modulus",
+            "material.shear_modulus",
+            "material.bending_modulus",
+            "material.damping",
+            "material.viscosity",
+            "bending.stiffness",
+            "bending.rest_angle",
+        ),
+        lambda scene: bool(scene.cloth.springs),
+        "cloth.springs has masses and stiffnesses of its own",
+    ),
+    (
+        ("material.shear_modulus",),
+        lambda scene: bool(scene.cloth.mesh),
+        "a mesh's shear modulus follows from its stretch modulus",
+    ),
+    (
+        ("bending.stiffness",),
+        lambda scene: scene.bending.model not in ("axial", "opposite"),
+        "only axial and opposite bending use it; crossed and altitude take material.bending_modulus",
+    ),
+    (
+        ("bending.rest_angle",),
+        lambda scene: scene.bending.model in ("none", "axial"),
+        "only opposite, crossed and altitude bending use it",
+    ),
+    (
+        ("material.bending_modulus",),
+        lambda scene: scene.bending.model == "none",
+        "bending.model is none",
+    ),
+    (
+        ("wind.velocity",),
+        lambda scene: not (scene.air.drag or scene.wind.normal_drag or scene.wind.tangential_drag),
+        "air.drag, wind.normal_drag and wind.tangential_drag are all 0",
+    ),
+    (
+        ("tolerance",),
+        lambda scene: scene.step > 0.0,
+        "step is set, and a fixed step holds no tolerance",
+    ),
+    (
+        (
+            "gripper.radius",
+            "gripper.stiffness",
+            "gripper.damping",
+            "gripper.timeout",
+            "gripper.frame",
+            "gripper.max_speed",
+        ),
+        lambda scene: not scene.gripper_names,
+        "there are no grippers",
+    ),
+    (
+        ("gripper.mode", "gripper.pad_size", "gripper.opening", "gripper.force", "gripper.speed", "gripper.friction"),
+        lambda scene: not scene.gripper_names,
+        "there are no grippers",
+    ),
+    (
+        ("gripper.pad_size", "gripper.opening", "gripper.force", "gripper.speed", "gripper.friction"),
+        lambda scene: not scene.pinching,
+        "no gripper pinches (gripper.mode)",
+    ),
+    (
+        ("gripper.radius", "gripper.stiffness", "gripper.damping"),
+        lambda scene: bool(scene.pinching) and scene.pinching == scene.gripper_names,
+        "no gripper attaches (gripper.mode)",
+    ),
+    (
+        ("contact.thickness", "contact.damping"),
+        lambda scene: not scene.obstacle_names and not scene.pinching and not scene.contact.self_,
+        "there are no obstacles, no gripper pinches, and contact.self is false",
+    ),
+    (("contact.friction",), lambda scene: not scene.contact.self_, "contact.self is false"),
+)
+
+
+def ineffective_parameters(scene: Scene, set_names: Iterable[str]) -> list[str]:
+    """Return a sentence for each set parameter that differs from its default and has no effect in a scene.
+
+    Args:
+        scene: the scene built with these parameters.
+        set_names: full names of the set parameters.
+    """
+    defaults = {entry.name: entry.default for entry in scene.entries}
+    values = scene.parameters()
+    sentences: dict[str, str] = {}
+    chosen = {name for name in set_names if values[name] != defaults[name]}
+    for names, applies, reason in _RULES:
+        if applies(scene):
+            for name in names:
+                if name in chosen:
+                    sentences.setdefault(name, f"{name} is set and has no effect: {reason}")
+    return [*sentences.values(), *_ineffective_obstacle_parameters(scene, chosen)]
+
+
+def _ineffective_obstacle_parameters(scene: Scene, chosen: set[str]) -> list[str]:
+    """Return the sentences for parameters of single obstacles."""
+    sentences = []
+    for name, obstacle in scene.described.items():
+        if name not in scene.obstacle_names:
+            close = difflib.get_close_matches(name, [*scene.obstacle_names, *scene.groups()], n=1)
+            sentences.append(
+                f"{name}.shape is set and has no effect: obstacles does not name '{name}'; it may be added while the "
+                "cloth runs" + (f". Did you mean '{close[0]}'?" if close else "")
+            )
+        elif f"{name}.size" in chosen and obstacle.shape in ("plane", "mesh"):
+            sentences.append(f"{name}.size is set and has no effect: a {obstacle.shape} has no size")
+        elif f"{name}.mesh" in chosen and obstacle.shape != "mesh":
+            sentences.append(f"{name}.mesh is set and has no effect: {name}.shape is {obstacle.shape}; set it to mesh")
+        elif f"{name}.scale" in chosen and obstacle.shape != "mesh":
+            sentences.append(f"{name}.scale is set and has no effect: a {obstacle.shape} has no mesh")
+    return sentences

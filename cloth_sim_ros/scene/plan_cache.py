@@ -1,0 +1,92 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Cache of the plan of a scene that changes while it runs.
+
+Parts that a change does not concern are not rebuilt.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import attrs
+
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.scene.build import build_plan, uniform_forces
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.physics.plan import Plan
+    from cloth_sim_ros.scene.scene import Scene
+
+
+class PlanCache:
+    """The plan of the scene in force.
+
+    The plan is reused as long as springs, hinges, panels, masses and anchors stay. Gravity, drag and wind, which act on
+    all particles alike, are updated in place.
+
+    Args:
+        scene: initial scene in force.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        #: Plan of the scene in force.
+        self.plan = build_plan(scene)
+        # Scene of the last query, and its plan.
+        self._candidate: tuple[Scene, Plan] | None = None
+
+    def change(self, scene: Scene) -> Plan:
+        """Put another scene in force and return its plan."""
+        before, self._scene = self._scene, scene
+        if not same_elements(before, scene):
+            candidate, self._candidate = self._candidate, None
+            self.plan = candidate[1] if candidate is not None and candidate[0] == scene else build_plan(scene)
+        elif _uniform(before) != _uniform(scene):
+            self._update_uniform(before, scene)
+        return self.plan
+
+    def _update_uniform(self, before: Scene, scene: Scene) -> None:
+        """Update gravity, drag and wind of the plan."""
+        uniform, replaced = uniform_forces(scene), {force.name for force in uniform_forces(before)}
+        remaining, air = [force for force in self.plan.model.forces if force.name not in replaced], None
+        if scene.wind.normal_drag or scene.wind.tangential_drag:
+            from cloth_sim_ros.physics.forces.air_panels import AirPanels
+
+            panels = next(force for force in remaining if isinstance(force, AirPanels))
+            updated = panels.in_wind(scene.wind.velocity)
+            remaining, air = [updated if force is panels else force for force in remaining], updated.coefficients
+        self.plan.change_uniform([*remaining, *uniform], uniform, air_coefficients=air)
+
+    def spectral_bounds(self, scene: Scene, x: Array) -> tuple[float, float]:
+        """Return bounds of squared frequency [1/s^2] and damping rate [1/s] for another scene.
+
+        Args:
+            scene: the other scene.
+            x: positions [m], (3, n).
+        """
+        if same_elements(self._scene, scene):
+            omega2, damping = self.plan.spectral_bounds(x)
+            return omega2, damping + scene.air.drag - self._scene.air.drag
+        # A queried change usually follows.
+        self._candidate = scene, build_plan(scene)
+        return self._candidate[1].spectral_bounds(x)
+
+
+def same_elements(before: Scene, scene: Scene) -> bool:
+    """Return True if two scenes have the same springs, hinges, panels, masses, anchors, grippers and obstacles."""
+    return _elements(before) == _elements(scene)
+
+
+def _elements(scene: Scene) -> tuple[Any, ...]:
+    panels = scene.wind.normal_drag, scene.wind.tangential_drag
+    obstacles = [(name, attrs.evolve(scene.described[name], frame="")) for name in scene.obstacle_names]
+    gripper = scene.gripper
+    pads = gripper.pad_size, gripper.opening, gripper.force, gripper.speed, gripper.friction
+    pinching = (scene.pinching, pads) if scene.pinching else None
+    contact = (obstacles, scene.contact, pinching) if obstacles or pinching or scene.contact.self_ else None
+    return scene.cloth, scene.material, scene.bending, scene.grippers, panels, contact
+
+
+def _uniform(scene: Scene) -> tuple[Any, ...]:
+    return scene.gravity, scene.air, scene.wind.velocity

@@ -1,0 +1,67 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Command runner; signals during the import of the command end it at once."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
+
+#: Exit status of a command that a signal ended.
+INTERRUPTED = 130
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@contextmanager
+def exit_on_signal(command: str) -> Iterator[None]:
+    """Let SIGINT, SIGTERM and SIGHUP end the process at once, with one line and status 130.
+
+    For imports: nothing needs cleaning up yet, and an exception during an import would print a traceback or look like a
+    missing library. Call from the main thread. Ignored signals stay ignored.
+
+    Args:
+        command: name of the command, for the message.
+    """
+
+    def exit_at_once(_signal_number: int, _frame: FrameType | None) -> None:
+        # Not by print: the signal may interrupt another print.
+        os.write(2, f"{command}: interrupted\n".encode())
+        os._exit(INTERRUPTED)
+
+    signal_numbers = [
+        signal_number for signal_number in _SIGNALS if signal.getsignal(signal_number) not in (signal.SIG_IGN, None)
+    ]
+    previous_handlers = [
+        (signal_number, signal.signal(signal_number, exit_at_once)) for signal_number in signal_numbers
+    ]
+    try:
+        yield
+    finally:
+        for signal_number, handler in previous_handlers:
+            signal.signal(signal_number, handler)
+
+
+def run_command(command: str, module: str, arguments: Sequence[str] | None) -> int:
+    """Import the module of a command and run its `main`.
+
+    Args:
+        command: name of the command.
+        module: full name of the module.
+        arguments: of the command line; by default those of this process.
+
+    Returns:
+        The command's exit status; 130 if it was interrupted.
+    """
+    with exit_on_signal(command):
+        main = importlib.import_module(module).main
+    try:
+        status: int = main(arguments)
+    except KeyboardInterrupt:
+        print(f"{command}: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    return status

@@ -1,0 +1,216 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Grippers, obstacles and pads of a scene, and their paths.
+
+Modules of unused kinds are not imported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cloth_sim_ros.physics.controller_state import ANCHORS_KEY, JAWS_KEY, LAYER_SIDES, THICKNESS_KEY
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.grippers import Grippers
+from cloth_sim_ros.simulation.kinematic_bodies import constant_paths
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.physics.forces.contact import Contact
+    from cloth_sim_ros.physics.obstacles import Obstacle
+    from cloth_sim_ros.physics.plan import Plan
+    from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+    from cloth_sim_ros.simulation.obstacles import Obstacles
+    from cloth_sim_ros.simulation.parallel_grippers import ParallelGrippers
+
+
+def build_grippers(scene: Scene, state: State) -> Grippers:
+    """Return the grippers of a scene with a state's poses and grips.
+
+    Raises:
+        ValueError: for a state with another number of grippers.
+    """
+    grippers = Grippers(scene.gripper_names, state)
+    n_poses = len(state.memory["gripper.pose"])
+    if n_poses != len(grippers.names):
+        raise ValueError(
+            f"the state has {n_poses} grippers, the scene {len(grippers.names)} ({', '.join(grippers.names) or 'none'})"
+        )
+    return grippers
+
+
+def build_obstacles(scene: Scene, state: State) -> Obstacles | None:
+    """Return the obstacles of a scene with a state's poses; None without obstacles.
+
+    Raises:
+        ValueError: for a state with another number of obstacles.
+    """
+    if not scene.obstacle_names:
+        return None
+    from cloth_sim_ros.simulation.obstacles import Obstacles
+
+    obstacles = Obstacles(scene.solids, scene.described, state)
+    n_poses = len(state.memory["obstacle.pose"])
+    if n_poses != len(obstacles.names):
+        raise ValueError(
+            f"the state has {n_poses} obstacles, the scene {len(obstacles.names)} ({', '.join(obstacles.names)})"
+        )
+    return obstacles
+
+
+def build_parallel_grippers(plan: Plan, grippers: Grippers, state: State) -> ParallelGrippers | None:
+    """Return the pinching grippers of a plan and a state; None without any.
+
+    Raises:
+        ValueError: for a state with another number of pinching grippers.
+    """
+    pads = () if plan.contact is None else plan.contact.force.jaws
+    if not pads:
+        if JAWS_KEY in state.memory:
+            raise ValueError(
+                f"the state has {len(state.memory[JAWS_KEY])} grippers that pinch, the scene none: set gripper.mode to "
+                "pinch, or start from another state"
+            )
+        return None
+    from cloth_sim_ros.simulation.parallel_grippers import ParallelGrippers
+
+    return ParallelGrippers(pads, grippers, state)
+
+
+def plan_paths(
+    plan: Plan,
+    scene: Scene,
+    obstacles: Obstacles | None,
+    pinching: ParallelGrippers | None,
+    grippers: Grippers,
+    t: float,
+) -> float:
+    """Upload the paths of grippers, obstacles and pads over the frame that starts at time t [s].
+
+    Returns:
+        Largest change of displacement from the frame before to this one, along an axis [m], of a body that can act on
+        the cloth.
+    """
+    period, gripper, change = scene.period, scene.gripper, 0.0
+    if plan.grips is not None:
+        speeds = [scene.of_gripper(name, "max_speed") for name in grippers.names]
+        change = grippers.plan_frame(plan.grips, plan.model, t, period, gripper.stiffness, gripper.damping, speeds)
+    if plan.contact is None:
+        return change
+    force, paths, obstacle_change = plan.contact.force, list[Array](), 0.0
+    if obstacles is not None:
+        rows, obstacle_change = obstacles.plan_frame(t, period)
+        paths.append(rows)
+    if pinching is not None:
+        paths.append(pinching.rows(grippers.paths))
+        force.set_jaw_commands(pinching.drive_flags())
+    if paths:
+        force.set_paths(np.concatenate(paths))
+    return max(change, obstacle_change)
+
+
+def set_constant_paths(
+    force: Contact, obstacles: Obstacles | None, pinching: ParallelGrippers | None, grippers: Grippers, t: float
+) -> None:
+    """Upload the poses of obstacles and pads at time t [s] as constant paths, until a frame moves them."""
+    force.start_recovery(t)
+    paths = [] if obstacles is None else [obstacles.standing(t)]
+    if pinching is not None:
+        paths.append(pinching.rows(constant_paths(t, grippers.poses())))
+        force.set_jaw_commands(pinching.drive_flags())
+    if paths:
+        force.set_paths(np.concatenate(paths))
+
+
+def stop_bodies(obstacles: Obstacles | None, grippers: Grippers) -> tuple[str, ...]:
+    """Stop obstacles and pinching grippers at their present poses until their next targets, because they crush the
+    cloth.
+
+    Return the names of the bodies that moved.
+    """
+    return (*([] if obstacles is None else obstacles.hold_position()), *grippers.hold_position())
+
+
+def frame_wrenches(
+    accumulator: WorkAccumulator | None, plan: Plan, grippers: Grippers, pinching: ParallelGrippers | None
+) -> tuple[Array, Array]:
+    """Return the wrenches of the cloth on grippers and on obstacles in a frame; zeros without an accumulator."""
+    wrenches = accumulator.wrenches if accumulator else np.zeros((len(grippers.names), 6))
+    obstacle_wrenches = accumulator.obstacle_wrenches if accumulator else np.zeros((plan.obstacle_count, 6))
+    return wrenches, obstacle_wrenches if pinching is None else pinching.move_pad_wrenches(obstacle_wrenches, wrenches)
+
+
+def solids_and_poses(obstacles: Obstacles | None, pinching: ParallelGrippers | None) -> tuple[list[Obstacle], Array]:
+    """Return the bodies in contact, obstacles and then pads of placed grippers, and their poses.
+
+    Returns:
+        Bodies, and poses: position [m] and quaternion x, y, z, w, shape (count, 7).
+    """
+    solids = [] if obstacles is None else list(obstacles.solids)
+    poses = np.zeros((0, 7)) if obstacles is None else obstacles.poses()
+    if pinching is not None:
+        placed_pads = pinching.placed_pads()
+        solids += [pinching.boxes[k] for k in placed_pads]
+        poses = np.concatenate([poses, pinching.poses()[placed_pads]])
+    return solids, poses
+
+
+def change_obstacles(before: Scene, scene: Scene, states: Iterable[State]) -> None:
+    """Replace obstacles, friction anchors and contact thickness in states by those of another scene."""
+    for state in states:
+        if before.obstacles != scene.obstacles:
+            from cloth_sim_ros.simulation.obstacles import replace_obstacles
+
+            replace_obstacles(state, before.obstacle_names, scene.obstacle_names, scene.described)
+        if ANCHORS_KEY in state.memory:
+            memory = dict(state.memory)
+            anchors = carry_over_anchors(memory.pop(ANCHORS_KEY), before, scene)
+            state.memory = memory if anchors is None else {**memory, ANCHORS_KEY: anchors}
+        if THICKNESS_KEY in state.memory:
+            memory = dict(state.memory)
+            thickness = carry_over_thickness(memory.pop(THICKNESS_KEY), before, scene)
+            state.memory = memory if thickness is None else {**memory, THICKNESS_KEY: thickness}
+
+
+def carry_over_thickness(thickness: Array, before: Scene, scene: Scene) -> Array | None:
+    """Return the contact thickness after a change of scene, or None if every contact has the full one.
+
+    New obstacles have the full thickness.
+    """
+    if scene.contact.thickness != before.contact.thickness:
+        return None
+    pads = [f"{name}.{jaw}" for name in scene.pinching for jaw in ("left", "right")]
+    names = [*before.obstacle_names, *pads, ""]
+    rows = [thickness[names.index(name)] if name in names else None for name in (*scene.obstacle_names, *pads, "")]
+    full_thickness = np.full(thickness.shape[1], scene.contact.thickness)
+    carried_over = np.array([full_thickness if row is None else row for row in rows])
+    return carried_over if (carried_over < full_thickness).any() else None
+
+
+def carry_over_anchors(anchors: Array, before: Scene, scene: Scene) -> Array | None:
+    """Return the friction anchors after a change of scene, or None if no body has friction.
+
+    Remaining obstacles keep their anchors, and new ones have none. If friction returns later, anchors start empty.
+    """
+    pads = [f"{name}.{jaw}" for name in scene.pinching for jaw in ("left", "right")]
+    has_friction = any(solid.friction[0] > 0.0 for solid in scene.solids) or (pads and scene.gripper.friction[0] > 0.0)
+    has_layer_friction = scene.contact.self_ and scene.contact.friction[0] > 0.0
+    if not (has_friction or has_layer_friction):
+        return None
+    # The set of pinching grippers never changes.
+    old_names, new_names = [*before.obstacle_names, *pads], [*scene.obstacle_names, *pads]
+    carried_over = np.zeros((len(new_names), *anchors.shape[1:]))
+    for k, name in enumerate(new_names):
+        if name in old_names:
+            carried_over[k] = anchors[old_names.index(name)]
+    if not has_layer_friction:
+        return carried_over
+    # Anchors of layers follow those of obstacles.
+    layer_anchors = anchors[len(old_names) :]
+    return np.concatenate(
+        [carried_over, layer_anchors if len(layer_anchors) else np.zeros((LAYER_SIDES, *anchors.shape[1:]))]
+    )

@@ -1,0 +1,83 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Initial state of a simulation, anchored velocities, and the grasp command."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.physics.controller_state import reset_step_control
+from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.sheets.raw import RawSprings
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.scene.topology_id import difference
+from cloth_sim_ros.simulation.events import Grasp
+from cloth_sim_ros.simulation.grippers import GraspResult, Grippers
+from cloth_sim_ros.simulation.sleep import wake
+
+if TYPE_CHECKING:
+    from cloth_sim_ros.simulation.parallel_grippers import ParallelGrippers
+
+
+def stop_particles(state: State, particles: NDArray[np.int64]) -> None:
+    """Set the velocity of particles to zero."""
+    if state.v[:, particles].any():
+        state.v = state.v.copy()
+        state.v[:, particles] = 0.0
+
+
+def stop_anchored(scene: Scene, state: State) -> None:
+    """Set the velocity of a scene's anchored particles to zero, because a state may come from other anchors.
+
+    Without a force an anchored particle would keep its velocity. Anchors of raw springs keep the velocity of their
+    file.
+    """
+    if not isinstance(scene.sheet, RawSprings):
+        stop_particles(state, np.array(scene.anchored_particles(), dtype=np.int64))
+
+
+def starting_states(scene: Scene, state: State | None) -> tuple[State, State]:
+    """Return the state that a reset restores and a copy of the state to start from. Without `state` both are equal.
+
+    Raises:
+        ValueError: for a state of another cloth.
+    """
+    initial = scene.starting_state()
+    mismatch = difference(state, initial.cloth) if state is not None and initial.cloth is not None else ""
+    if mismatch:
+        raise ValueError(f"the state {mismatch}: a state only continues the cloth that it was saved from")
+    # The state may have been saved asleep under other parameters.
+    wake(initial)
+    stop_anchored(scene, initial)
+    start = initial.copy() if state is None else state.copy()
+    if not initial.v.any():
+        # The initial state is usually at rest. A broadcast zero then replaces the whole array.
+        initial.v = np.broadcast_to(0.0, initial.v.shape)
+    start.cloth = initial.cloth
+    start.memory.setdefault("paused", np.zeros(1, dtype=bool))
+    return initial, start
+
+
+def apply_grasp(
+    event: Grasp, state: State, scene: Scene, model: Model, grippers: Grippers, pinching: ParallelGrippers | None
+) -> GraspResult:
+    """Close or open a gripper. If its grasped particles change, the cloth wakes."""
+    index = grippers.names.index(event.gripper)
+    grasped_before = grippers.grasped_particles(index).size
+    is_pinching = pinching is not None and event.gripper in pinching.names
+    if is_pinching and event.closed:
+        result = grippers.pinch(event.gripper)
+    elif event.closed:
+        result = grippers.close(event.gripper, model, scene.gripper.radius)
+    else:
+        result = grippers.open(event.gripper)
+    reset_step_control(state)
+    if result.pending and pinching is not None:
+        pinching.await_rest(event.gripper)
+    if result.grasped_count != grasped_before or is_pinching:
+        wake(state)
+    return result

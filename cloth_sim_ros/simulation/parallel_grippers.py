@@ -1,0 +1,141 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pinching grippers of a simulation: state of their pads and their grasps."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.physics.controller_state import JAWS_AT_REST_KEY, JAWS_KEY
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.gripper_path import rotation_matrix
+from cloth_sim_ros.physics.parallel_jaw import ParallelJaw
+from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.simulation.grippers import GraspResult, Grippers
+from cloth_sim_ros.simulation.kinematic_bodies import writable
+from cloth_sim_ros.simulation.obstacles import gaps
+
+#: Pads are at rest if their speed and residual force are below this fraction of the drive's speed and force.
+_REST_FRACTION = 1e-3
+
+
+class ParallelGrippers:
+    """Pads of the pinching grippers of one simulation. Everything that changes is in ``state.memory``.
+
+    Args:
+        pads: pads of each pinching gripper; their order is that of every array.
+        grippers: every gripper of the simulation.
+        state: keeps the pads; missing entries are added, with open pads.
+    """
+
+    def __init__(self, pads: tuple[ParallelJaw, ...], grippers: Grippers, state: State) -> None:
+        self.pads, self._state = pads, state
+        self.names = [jaw.gripper for jaw in pads]
+        self._indices = [grippers.names.index(name) for name in self.names]
+        grippers.pad_reaches = {index: jaw.bounding_radius for index, jaw in zip(self._indices, pads, strict=True)}
+        #: The pads as obstacles, two for each gripper.
+        self.boxes = [box for jaw in pads for box in jaw.boxes()]
+        state.memory.setdefault(JAWS_KEY, np.array([jaw.initial_state for jaw in pads]))
+        state.memory.setdefault(JAWS_AT_REST_KEY, np.ones(len(pads), dtype=bool))
+        if len(state.memory[JAWS_KEY]) != len(pads):
+            raise ValueError(
+                f"the state has {len(state.memory[JAWS_KEY])} grippers that pinch, the scene {len(pads)} "
+                f"({', '.join(self.names)})"
+            )
+
+    def poses(self) -> Array:
+        """Return the poses of all pads: position [m] and quaternion x, y, z, w, shape (pads, 7)."""
+        memory, poses = self._state.memory, list[Array]()
+        for jaw, index, (half_opening, _) in zip(self.pads, self._indices, memory[JAWS_KEY].tolist(), strict=True):
+            poses += _pad_poses(jaw, memory["gripper.pose"][index], half_opening)
+        return np.array(poses)
+
+    def placed_pads(self) -> list[int]:
+        """Return the indices of the pads whose gripper is placed."""
+        placed = self._state.memory["gripper.placed"]
+        return [2 * k + pad for k, index in enumerate(self._indices) if placed[index] for pad in range(2)]
+
+    def rows(self, paths: Array) -> Array:
+        """Return the gripper path of each pad, from the paths of all grippers."""
+        return np.repeat(paths[self._indices], 2, axis=0)
+
+    def drive_flags(self) -> NDArray[np.bool_]:
+        """Return for each pinching gripper if it is placed and if it closes, shape (pinching grippers, 2)."""
+        memory = self._state.memory
+        return np.stack([memory[name][self._indices] for name in ("gripper.placed", "gripper.closed")], axis=1)
+
+    def move_pad_wrenches(self, obstacle_wrenches: Array, gripper_wrenches: Array) -> Array:
+        """Add the wrenches on pads, the last rows, to those of their grippers; return the wrenches on obstacles."""
+        n_obstacles = len(obstacle_wrenches) - len(self.boxes)
+        for k, index in enumerate(self._indices):
+            gripper_wrenches[index] += (
+                obstacle_wrenches[n_obstacles + 2 * k] + obstacle_wrenches[n_obstacles + 2 * k + 1]
+            )
+        return obstacle_wrenches[:n_obstacles]
+
+    def await_rest(self, name: str) -> None:
+        """Request a report when the pads of a gripper come to rest."""
+        writable(self._state, JAWS_AT_REST_KEY)[self.names.index(name)] = False
+
+    def grasped_count(self, plan: Plan, t: float, name: str) -> int:
+        """Return the number of particles between a gripper's pads: the smaller contact count of both pads."""
+        contact, k = plan.contact, self.names.index(name)
+        if contact is None or not self.drive_flags()[k].all():
+            return 0
+        counts = contact.contact_gaps_of(self._state, t)[contact.force.n_solids + 2 * k :][:2, 0]
+        return int(counts.min())
+
+    def report_rested(self, plan: Plan, t: float) -> list[GraspResult]:
+        """Return results of the grippers whose closed pads came to rest in the frame that ended at time t [s]."""
+        is_rested = self._state.memory[JAWS_AT_REST_KEY]
+        if is_rested.all() or plan.contact is None:
+            return []
+        results, is_driven = [], self.drive_flags()
+        plan.contact.load_state(self._state)
+        accelerations = plan.contact.jaw_accelerations(t, self._state.x, self._state.v).tolist()
+        for k, (jaw, (_, jaw_speed)) in enumerate(zip(self.pads, self._state.memory[JAWS_KEY].tolist(), strict=True)):
+            if is_rested[k] or not is_driven[k].all():
+                continue
+            if (
+                abs(jaw_speed) > _REST_FRACTION * jaw.speed
+                or abs(accelerations[k]) * jaw.inertia > _REST_FRACTION * 2.0 * jaw.force
+            ):
+                continue
+            writable(self._state, JAWS_AT_REST_KEY)[k] = True
+            n_grasped = self.grasped_count(plan, t, jaw.gripper)
+            reason = "" if n_grasped else "its pads closed with no particle between them"
+            results.append(GraspResult(jaw.gripper, True, n_grasped, reason))
+        return results
+
+
+def check_first_pose(jaw: ParallelJaw, pose: Array, state: State) -> Array:
+    """Return the poses of a gripper's open pads at its first pose. Refuse a pose with particles inside a pad.
+
+    Returns:
+        Position [m] and quaternion x, y, z, w, shape (2, 7).
+
+    Raises:
+        ValueError: naming the pad and the deepest particle.
+    """
+    pad_poses = _pad_poses(jaw, pose, jaw.initial_state[0])
+    for box, pad_pose in zip(jaw.boxes(), pad_poses, strict=True):
+        gap = gaps(box, pad_pose, state.x, max_distance=0.0)
+        particle = int(np.argmin(gap))
+        if gap[particle] <= 0.0:
+            position = [round(c, 6) for c in state.x[:, particle].tolist()]
+            raise ValueError(
+                f"{box.name} would be in the cloth: particle {particle} at {position} is {-gap[particle]:.4g} m deep "
+                f"in "
+                "it; begin where the open gripper is clear of the cloth"
+            )
+    return np.array(pad_poses)
+
+
+def _pad_poses(jaw: ParallelJaw, pose: Array, half_opening: float) -> list[Array]:
+    """Return the poses of both pads of a gripper at a pose; `half_opening`: half the distance between the pads' faces
+    [m].
+    """
+    axis, offset = rotation_matrix(pose[3:])[:, 1], half_opening + 0.5 * jaw.size[1]
+    return [np.concatenate([pose[:3] + sign * offset * axis, pose[3:]]) for sign in (1.0, -1.0)]

@@ -1,0 +1,51 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Small changes of uniform forces that need no new error estimate.
+
+Gusts change the wind many times a second.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.scene.scene import Scene
+
+#: Change of velocity from one frame to the next [m/s] above which a motion counts as a jump.
+MAX_VELOCITY_CHANGE = 0.5
+_UNIFORM_PARAMETERS = frozenset(("gravity", "air.drag", "wind.velocity", "material.damping"))
+#: Largest changes that keep the step limit within a quarter, so that it is not computed again: drag rate times period
+#: [1], and damping k_d0 of springs [1].
+_MAX_DRAG_CHANGE, _MAX_DAMPING_CHANGE = 0.04, 0.01
+
+
+def is_small_change(names: Collection[str], before: Scene, scene: Scene, v: Array) -> bool:
+    """Return True if a change of parameters adds so little acceleration that the motion stays smooth.
+
+    Args:
+        names: names of the changed parameters.
+        before: the scene in force.
+        scene: the new scene.
+        v: velocities [m/s], shape (3, n).
+    """
+    if not _UNIFORM_PARAMETERS.issuperset(names) or scene.step:
+        return False
+    drag_change = abs(scene.air.drag - before.air.drag)
+    damping_change = abs(scene.material.damping - before.material.damping)
+    if drag_change * scene.period > _MAX_DRAG_CHANGE or damping_change > _MAX_DAMPING_CHANGE:
+        return False
+    # Acceleration of panels per wind speed [1/s]: drag over mass, both by area.
+    panel_drag_rate = (scene.wind.normal_drag + scene.wind.tangential_drag) / scene.material.density
+    speeds = np.abs(v).max(axis=1).tolist() if drag_change else (0.0, 0.0, 0.0)
+    components = zip(scene.gravity, before.gravity, scene.wind.velocity, before.wind.velocity, speeds, strict=True)
+    return all(
+        abs(new - old)
+        + abs(scene.air.drag * wind - before.air.drag * old_wind)
+        + panel_drag_rate * abs(wind - old_wind)
+        + drag_change * speed
+        <= MAX_VELOCITY_CHANGE / scene.period
+        for new, old, wind, old_wind, speed in components
+    )

@@ -1,0 +1,252 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Completeness of a session: sequence numbers, log times, the end record's counts.
+
+The recorder numbers the messages of each topic from 0, including those that it dropped because of a slow disk. Clouds,
+wrenches and transforms may be dropped; the end record of each file counts them.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+from cloth_sim_ros.session.part import Message, SessionPart
+from cloth_sim_ros.session.plurals import pluralize
+from cloth_sim_ros.verify.verdict import Findings, FramePosition
+
+#: Maximum step back of a log time that the recorder corrects [ns].
+_MAX_REORDERING = 1_000_000_000
+_SEQUENCE_MASK = 0xFFFFFFFF
+#: Limit of the digits of a count.
+_MAX_COUNT_DIGITS = 20
+
+
+@dataclass(slots=True)
+class _TopicState:
+    """State of one topic."""
+
+    kind: str
+    droppable: bool
+    count: int = 0
+    last: Message | None = None
+    unnumbered: bool = False
+    """True if all of several sequence numbers so far are 0."""
+    n_missing: int = 0
+    """Number of frames without their message since the last message."""
+    missing_from: FramePosition | None = None
+    """Position of the first of them."""
+
+
+class CompletenessCheck:
+    """Checks the messages of a session from its first file to its last.
+
+    Args:
+        findings: collects missing messages and differences.
+    """
+
+    def __init__(self, findings: Findings) -> None:
+        self._findings = findings
+        self._topics: dict[str, _TopicState] = {}
+        self._part: SessionPart | None = None
+        self._open_time = 0
+        self._log_time: int | None = None
+        self._counts = Counter[bool]()
+        self._dropped = 0
+        self._may_be_incomplete = False
+        """True if a file is damaged, or lacks an end record with the count of dropped messages."""
+        self._gaps: list[tuple[FramePosition, str, int]] = []
+        """Missing messages of droppable topics: position of the first frame, topic, count."""
+
+    def begin(self, part: SessionPart, open_time: int) -> None:
+        """Begin a file that was opened at a log time [ns]."""
+        self._part, self._open_time = part, open_time
+        self._counts = Counter()
+        if part.index:
+            self._log_time = open_time
+
+    def declare(self, topic: str, kind: str, *, droppable: bool) -> None:
+        """Declare a topic of the node: the kind of its messages, and True if they may be dropped."""
+        self._topics.setdefault(topic, _TopicState(kind, droppable))
+
+    def is_seen(self, topic: str) -> bool:
+        """Return True if a message of the topic was read."""
+        return topic in self._topics and self._topics[topic].count > 0
+
+    def last(self, topic: str) -> Message | None:
+        """Return the last message of a topic; None before the first."""
+        return self._topics[topic].last if topic in self._topics else None
+
+    def is_repeated(self, message: Message) -> bool:
+        """Return True if a message repeats the last one of its topic, as at the beginning of a split file."""
+        last = self.last(message.topic)
+        return last is not None and (last.data, last.publish_time, last.sequence) == (
+            message.data,
+            message.publish_time,
+            message.sequence,
+        )
+
+    def add(self, message: Message, *, is_from_node: bool, is_opening: bool = False) -> None:
+        """Add a message.
+
+        Args:
+            message: the message.
+            is_from_node: True for a message of the node, or one that it receives and records.
+            is_opening: True if it may repeat the last message of a latched topic at the beginning of a file.
+        """
+        self._counts[is_from_node] += 1
+        topic = self._topics.setdefault(message.topic, _TopicState("other message", droppable=False))
+        if is_from_node:
+            is_reopening = is_opening and self._part is not None and self._part.index > 0
+            is_repeated = is_reopening and self.is_repeated(message)
+            self._check_log_time(message, is_repeated or (is_reopening and topic.last is None), topic.kind)
+            if not is_repeated:
+                self._check_sequence(message, topic)
+        topic.count += 1
+        topic.last = message
+
+    def add_missing(self, topic: str) -> None:
+        """Count a missing message of the last frame on a topic."""
+        entry = self._topics[topic]
+        entry.n_missing += 1
+        if entry.missing_from is None:
+            entry.missing_from = self._findings.position
+
+    def finish(self, *, whole: bool) -> None:
+        """End a file and compare its end record. `whole`: True if the file was read to its end."""
+        part = self._part
+        assert part is not None
+        notes = part.end_notes
+        self._dropped += _parse_count(notes.get("dropped", "")) or 0
+        self._may_be_incomplete |= bool(part.damage) or not notes or notes.get("reason") == "recovered"
+        announced = _parse_count(notes.get("messages", ""))
+        if not notes and part.at_end:
+            self._findings.missing(f"{part.path.name}: its end record, which tells how many messages it held")
+        elif notes and announced is None:
+            self._findings.missing(f"{part.path.name}: the number of its messages in the end record")
+        if notes.get("reason") == "recovered":
+            self._findings.missing(f"{part.path.name}: recovered, {notes.get('missing') or 'nothing was lost'}")
+        if not whole or part.damage or announced is None or not part.at_end:
+            return
+        n_messages = self._counts[True]
+        if announced not in (n_messages, n_messages + self._counts[False]):
+            self._findings.difference(
+                "message count",
+                f"the end record of {part.path.name}: it counts {pluralize(announced, 'message')}, {n_messages} are "
+                f"there",
+            )
+
+    def end(self) -> None:
+        """End the session: the missing messages must equal the dropped ones."""
+        for name, topic in self._topics.items():
+            if topic.unnumbered:
+                self._findings.not_compared(name, "without sequence numbers, so that missing ones do not show")
+            if topic.n_missing and topic.count:
+                self._close_gap(name, topic, None)
+        n_missing = sum(count for _, _, count in self._gaps)
+        if n_missing <= self._dropped:
+            return
+        position, name, _ = min(self._gaps)
+        if self._may_be_incomplete:
+            self._findings.missing(f"{pluralize(n_missing, 'message')} of {self._gap_topics()}, dropped or lost")
+        else:
+            self._findings.difference(
+                self._topics[name].kind,
+                f"{pluralize(n_missing, 'message')} of {self._gap_topics()} that are missing, where the end record "
+                f"tells of "
+                f"{self._dropped} dropped",
+                position=position,
+                count=n_missing - self._dropped,
+            )
+
+    def absent(self, topic: str) -> bool:
+        """Return True if frames lack messages of a topic and the session has none."""
+        entry = self._topics[topic]
+        return not entry.count and entry.n_missing > 0
+
+    def forgive_last_frame(self, position: FramePosition) -> list[str]:
+        """Forgive missing messages of the last frame in a file that ended within it; return their topics."""
+        topics = []
+        for name, topic in self._topics.items():
+            if topic.n_missing == 1 and topic.missing_from == position:
+                topic.n_missing, topic.missing_from = 0, None
+                topics.append(name)
+        return topics
+
+    def _gap_topics(self) -> str:
+        return ", ".join(sorted({name for _, name, _ in self._gaps}))
+
+    def _check_sequence(self, message: Message, topic: _TopicState) -> None:
+        if topic.last is None:
+            # A later file may be verified alone.
+            is_first_part = self._part is not None and not self._part.index
+            self._close_gap(message.topic, topic, message.sequence if is_first_part else None)
+            return
+        previous, sequence = topic.last.sequence, message.sequence
+        if sequence == previous == 0 and (topic.unnumbered or topic.count == 1):
+            topic.unnumbered = True
+            self._close_gap(message.topic, topic, None)
+            return
+        increment = (sequence - previous) & _SEQUENCE_MASK
+        if not 0 < increment < _SEQUENCE_MASK >> 1:
+            problem = "twice" if not increment else f"behind number {previous}"
+            self._findings.difference(topic.kind, f"number {sequence} of {message.topic} is there {problem}")
+            return
+        if topic.unnumbered:
+            topic.unnumbered = False
+            self._findings.difference(topic.kind, f"number 0 of {message.topic} is there twice")
+        self._close_gap(message.topic, topic, increment - 1)
+
+    def _close_gap(self, name: str, topic: _TopicState, gap: int | None) -> None:
+        """Compare a gap of sequence numbers (None if unknown) with the number of frames without a message."""
+        n_missing, position = topic.n_missing, topic.missing_from or self._findings.position
+        topic.n_missing, topic.missing_from = 0, None
+        gap_size = n_missing if gap is None else gap
+        if not gap_size and not n_missing:
+            return
+        if topic.droppable and gap_size == n_missing:
+            self._gaps.append((position, name, gap_size))
+        elif self._is_damaged():
+            self._findings.missing(f"{pluralize(max(gap_size, n_missing), 'message')} of {name}")
+        else:
+            self._findings.difference(
+                topic.kind,
+                f"{pluralize(max(gap_size, n_missing), 'message')} of {name} that "
+                f"{'is' if max(gap_size, n_missing) == 1 else 'are'} "
+                "missing",
+                position=position,
+                count=max(gap_size, n_missing),
+            )
+
+    def _is_damaged(self) -> bool:
+        part = self._part
+        return part is not None and (bool(part.damage) or part.end_notes.get("reason") == "recovered")
+
+    def _check_log_time(self, message: Message, is_repeated: bool, kind: str) -> None:
+        """Check a log time: the publish time, raised to the previous log time if it is shortly before that."""
+        previous, self._log_time = self._log_time, message.log_time
+        if is_repeated:
+            expected = self._open_time
+        elif previous is not None and 0 < previous - message.publish_time < _MAX_REORDERING:
+            expected = previous
+        else:
+            expected = message.publish_time
+        is_late = 0 < message.log_time - message.publish_time < _MAX_REORDERING
+        if message.log_time in (expected, message.publish_time) or (is_late and self._may_have_dropped()):
+            return
+        self._findings.difference(
+            kind,
+            f"the log time of a message of {message.topic}: {message.log_time} ns is recorded, {expected} expected",
+        )
+
+    def _may_have_dropped(self) -> bool:
+        """Return True if a dropped message may have raised later log times."""
+        part = self._part
+        return self._is_damaged() or (
+            part is not None and (not part.end_notes or part.end_notes.get("dropped", "0") != "0" or self._dropped > 0)
+        )
+
+
+def _parse_count(text: str) -> int | None:
+    """Return a count of an end record; None if the text is not a count."""
+    return int(text) if text.isascii() and text.isdecimal() and len(text) < _MAX_COUNT_DIGITS else None

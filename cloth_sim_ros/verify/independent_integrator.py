@@ -1,0 +1,75 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Independent integrator: scipy's DOP853, an explicit Runge-Kutta method of order 8."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.verify.reference_integrator import MotionState
+from cloth_sim_ros.verify.reference_motion import Equations, ReferenceMotion, SimulatedFrame
+
+#: Relative tolerance, and absolute tolerance [m, m/s].
+RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-13, 1e-13
+
+
+def frame_by_dop853(equations: Equations, frame: SimulatedFrame, state: State) -> Array:
+    """Return the positions (3, n) [m] at a frame's end from a state at its beginning."""
+    motion = ReferenceMotion(state)
+    motion.apply_grasps(frame)
+    return dop853(equations.plan(frame, motion), frame.t, frame.duration, motion.state).x
+
+
+def dop853(
+    plan: Plan,
+    t: float,
+    duration: float,
+    start: MotionState,
+    *,
+    relative_tolerance: float = RELATIVE_TOLERANCE,
+    absolute_tolerance: float = ABSOLUTE_TOLERANCE,
+) -> MotionState:
+    """Integrate from time t [s] over a duration [s].
+
+    Friction anchors are updated after each step. The jaws are integrated together with the particles.
+
+    Raises:
+        ArithmeticError: if no step is small enough.
+    """
+    from scipy.integrate import DOP853
+
+    shape, n_coordinates, contact = start.x.shape, start.x.size, plan.contact
+    anchors = contact.set_anchors(start.anchors) if contact is not None else None
+    initial_jaws = contact.set_jaws(start.jaws) if contact is not None else None
+    jaws = np.empty((0, 2)) if initial_jaws is None else initial_jaws
+
+    def derivative(time: float, y: Array) -> Array:
+        out = np.empty_like(y)
+        out[:n_coordinates] = y[n_coordinates : 2 * n_coordinates]
+        x, v = y[:n_coordinates].reshape(shape), y[n_coordinates : 2 * n_coordinates].reshape(shape)
+        if contact is not None and len(jaws):
+            jaw_state = y[2 * n_coordinates :].reshape(jaws.shape)
+            contact.set_jaws(jaw_state.copy())
+            out[2 * n_coordinates :] = np.stack(
+                [jaw_state[:, 1], contact.jaw_accelerations(time, x, v)], axis=1
+            ).ravel()
+        plan.accelerations(time, x, v, out[n_coordinates : 2 * n_coordinates].reshape(shape))
+        return out
+
+    y = np.concatenate([start.x.ravel(), start.v.ravel(), jaws.ravel()])
+    solver = DOP853(derivative, t, y, t + duration, rtol=relative_tolerance, atol=absolute_tolerance)
+    while solver.status == "running":
+        failure = solver.step()
+        if contact is not None and anchors is not None:
+            x, v = solver.y[: 2 * n_coordinates].copy().reshape(2, *shape)
+            if len(jaws):
+                contact.set_jaws(solver.y[2 * n_coordinates :].reshape(jaws.shape).copy())
+            anchors = contact.set_anchors(contact.combine_anchors(solver.t, x, v, anchors[None], [1.0]))
+    if solver.status == "failed":
+        raise ArithmeticError(f"DOP853 gave up at {solver.t} s: {failure}")
+    x, v = solver.y[: 2 * n_coordinates].copy().reshape(2, *shape)
+    end_jaws = solver.y[2 * n_coordinates :].reshape(jaws.shape).copy() if len(jaws) else None
+    return MotionState(x, v, anchors, end_jaws)

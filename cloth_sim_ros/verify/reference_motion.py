@@ -1,0 +1,205 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Frames of a simulation, and reference motions under the same commands."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.physics.controller_state import ANCHORS_KEY, JAWS_KEY
+from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.gripper_path import rotation_matrix
+from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.bodies import carry_over_anchors, change_obstacles
+from cloth_sim_ros.simulation.events import Reset
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
+from cloth_sim_ros.verify.reference_integrator import MotionState
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class FrameGrasps:
+    """Grips during a frame; arrays as in `physics.forces.grips.Grips`."""
+
+    paths: Array
+    starts: NDArray[np.int64]
+    particles: NDArray[np.int64]
+    stiffness: Array
+    damping: Array
+    #: Grippers that closed at its beginning, or before it while paused.
+    newly_closed: frozenset[int]
+
+
+@attrs.frozen(eq=False, kw_only=True)
+class SimulatedFrame:
+    """A frame of the simulation with its commands and states."""
+
+    index: int
+    #: Time at its start, and its length [s].
+    t: float
+    duration: float
+    scene: Scene
+    #: State before it, with the obstacles of its scene; state after it.
+    before: State
+    after: State
+    #: True if the cloth was reset at its beginning.
+    reset: bool
+    #: None if the scene has no grippers.
+    grasping: FrameGrasps | None
+    #: Paths of the obstacles and pads, see `Contact`; None if there are none.
+    body_paths: Array | None
+    #: Placed and closing flags of each pinching gripper, see `Contact`; None if there are none.
+    driven_jaws: NDArray[np.bool_] | None
+    #: Thickness of contacts at its start, see `ContactBinding.thickness_shape`; None if all have the full one.
+    thickness: Array | None
+    #: Thickness of contacts at its end; None if unchanged.
+    thickness_at_end: Array | None
+    #: Effective tolerance [m]; None if none is set.
+    tolerance: float | None
+    #: True if the simulation flagged the frame: its error may exceed its share of the tolerance.
+    flagged: bool
+    #: Smallest step of the simulation [s]; infinite if the cloth slept.
+    step: float
+
+
+class FrameCapture:
+    """Captures the frames of a simulation for reference motions."""
+
+    def __init__(self) -> None:
+        self._new: frozenset[int] = frozenset()
+        self._reset = False
+
+    def capture(
+        self, simulation: Simulation, scene_before: Scene, state_before: State, frame: Frame
+    ) -> SimulatedFrame | None:
+        """Return the last frame of the simulation, given scene and state before it; None if no time passed."""
+        names, memory = simulation.grippers.names, simulation.state.memory
+        if any(isinstance(event, Reset) for event in frame.events):
+            self._reset, self._new = True, frozenset()
+        else:
+            closed = {names.index(result.gripper) for result in frame.grasps if result.closed and not result.reason}
+            self._new |= closed
+        if not frame.moved:
+            return None
+        new, reset = self._new, self._reset
+        self._new, self._reset = frozenset(), False
+        advance, grips, scene = frame.advance, simulation.plan.grips, simulation.scene
+        contact, start = simulation.plan.contact, state_before.shallow_copy()
+        change_obstacles(scene_before, scene, [start])
+        grasping = None
+        if grips is not None:
+            grasping = FrameGrasps(
+                paths=grips.paths.copy(),
+                starts=memory["grip.starts"],
+                particles=memory["grip.particles"],
+                stiffness=grips.stiffness,
+                damping=grips.damping,
+                newly_closed=new,
+            )
+        return SimulatedFrame(
+            index=frame.index,
+            t=state_before.frame * scene.period,
+            duration=scene.period,
+            scene=scene,
+            before=start,
+            after=simulation.state.shallow_copy(),
+            reset=reset,
+            grasping=grasping,
+            body_paths=None if contact is None else contact.force.paths.copy(),
+            driven_jaws=None if contact is None else contact.force.jaw_commands.copy(),
+            thickness=None if contact is None else contact.thickness,
+            thickness_at_end=None if contact is None else contact.target_thickness,
+            tolerance=frame.tolerance,
+            flagged=bool(advance and advance.flagged),
+            step=advance.step if advance and advance.steps else float("inf"),
+        )
+
+
+class Equations:
+    """Separate plan for the scene of the current frame."""
+
+    def __init__(self) -> None:
+        self._scene: Scene | None = None
+        self._plan: Plan | None = None
+
+    def plan(self, frame: SimulatedFrame, motion: ReferenceMotion) -> Plan:
+        """Return the plan for a frame, with the grips of one motion."""
+        if self._plan is None or self._scene is not frame.scene:
+            self._scene, self._plan = frame.scene, frame.scene.plan()
+        grasps, grips = frame.grasping, self._plan.grips
+        if grasps is not None and grips is not None:
+            grips.hold(grasps.paths, grasps.starts, grasps.particles, motion.offsets, grasps.stiffness, grasps.damping)
+        if frame.body_paths is not None and self._plan.contact is not None:
+            self._plan.contact.force.set_paths(frame.body_paths)
+            if frame.driven_jaws is not None:
+                self._plan.contact.force.set_jaw_commands(frame.driven_jaws)
+            self._plan.contact.force.start_recovery(frame.t, frame.duration, frame.thickness_at_end)
+            self._plan.contact.sync()
+            self._plan.contact.set_thickness(frame.thickness)
+        return self._plan
+
+
+class ReferenceMotion:
+    """Motion under the simulation's commands, from a given state.
+
+    The simulation decides the particles that a gripper grasps. The grip points follow from their positions in this
+    motion.
+
+    Args:
+        state: initial state; not modified.
+    """
+
+    def __init__(self, state: State) -> None:
+        self.state = MotionState(state.x, state.v, state.memory.get(ANCHORS_KEY), state.memory.get(JAWS_KEY))
+        self._scene: Scene | None = None
+        count = len(state.memory.get("gripper.pose", ()))
+        starts = state.memory.get("grip.starts", np.zeros(count + 1, dtype=np.int64))
+        offsets = state.memory.get("grip.offsets", np.empty((0, 3)))
+        self._offsets = [offsets[starts[g] : starts[g + 1]] for g in range(count)]
+
+    @property
+    def x(self) -> Array:
+        """Positions [m], shape (3, n)."""
+        return self.state.x
+
+    @property
+    def offsets(self) -> Array:
+        """Grip points in their grippers' frames [m], shape (m, 3)."""
+        return np.ascontiguousarray(np.concatenate([np.empty((0, 3)), *self._offsets]))
+
+    def apply_grasps(self, frame: SimulatedFrame) -> None:
+        """Grasp and release like the simulation at the frame's beginning; keep the anchors of its obstacles."""
+        if self.state.anchors is not None and self._scene is not None and self._scene is not frame.scene:
+            self.state = self.state._replace(anchors=carry_over_anchors(self.state.anchors, self._scene, frame.scene))
+        self._scene = frame.scene
+        grasps = frame.grasping
+        if grasps is not None:
+            self._offsets = [self._grip_points(grasps, g) for g in range(len(grasps.paths))]
+
+    def perturb(self, x: Array, v: Array) -> None:
+        """Add a perturbation to positions [m] and velocities [m/s], shape (3, n) each."""
+        self.state = self.state._replace(x=self.state.x + x, v=self.state.v + v)
+
+    def _grip_points(self, grasps: FrameGrasps, gripper: int) -> Array:
+        particles = grasps.particles[grasps.starts[gripper] : grasps.starts[gripper + 1]]
+        if gripper not in grasps.newly_closed and particles.size:
+            return self._offsets[gripper]
+        path = grasps.paths[gripper]
+        offsets = self.x[:, particles] - path[1:4, None]
+        return np.asarray((rotation_matrix(path[13:17]).T @ offsets).T)
+
+
+def starting_state(frame: SimulatedFrame) -> State:
+    """Return the state at a frame's beginning: the previous one, or the initial one after a reset."""
+    return frame.scene.starting_state() if frame.reset else frame.before
+
+
+def apply_grasps(motions: Iterable[ReferenceMotion], frame: SimulatedFrame) -> None:
+    """Grasp and release in several motions like the simulation."""
+    for motion in motions:
+        motion.apply_grasps(frame)

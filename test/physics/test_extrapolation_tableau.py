@@ -1,0 +1,150 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Extrapolation tableau: weights, and equal bits for any order of computation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau, step_counts, weights
+from cloth_sim_ros.physics.sheets.surface import grid_triangles
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Simulation
+
+N_SIDE = 18
+SCENES = {
+    "grid": {"cloth.resolution": [N_SIDE, N_SIDE]},
+    "mesh": {"cloth.mesh": "sheet.obj", "cloth.anchors": ["0", "17"], "bending.model": "none"},
+}
+every_scene = pytest.mark.parametrize("values", SCENES.values(), ids=SCENES.keys())
+
+
+def sheet_file():
+    line = np.linspace(-0.5, 0.5, N_SIDE)
+    points = [f"v {x} {y} 0" for y in line for x in line]
+    faces = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in grid_triangles(N_SIDE, N_SIDE, "alternating")]
+    return "\n".join([*points, *faces]).encode()
+
+
+def started(values):
+    scene = Scene.from_parameters(values, files={"sheet.obj": sheet_file()})
+    simulation = Simulation(scene)
+    rng = np.random.default_rng(2)
+    free = simulation.model.inverse_masses > 0
+    simulation.state.x[:, free] += 5e-3 * rng.standard_normal((3, int(free.sum())))
+    simulation.state.v[:, free] += 0.3 * rng.standard_normal((3, int(free.sum())))
+    return simulation
+
+
+def tableau(simulation, **options) -> ExtrapolationTableau:
+    return ExtrapolationTableau(simulation.plan, simulation.state, 0.0, 1 / 60, step_counts(60, 4), **options)
+
+
+@pytest.mark.parametrize("first", [1, 2, 7, 40, 1001])
+@pytest.mark.parametrize("n_runs", [1, 2, 3, 4, 5])
+def test_weights_preserve_constants_and_cancel_step_powers(first, n_runs):
+    counts = step_counts(first, n_runs)
+    assert len(set(counts)) == n_runs and sorted(counts) == list(counts)
+    run_weights = weights(counts)
+    size = sum(abs(weight) for weight in run_weights)
+    assert sum(run_weights) == pytest.approx(1.0, abs=1e-15 * size)
+    for power in range(2, n_runs + 1):
+        terms = [weight * (first / count) ** power for weight, count in zip(run_weights, counts, strict=True)]
+        assert sum(terms) == pytest.approx(0.0, abs=1e-15 * size)
+
+
+@every_scene
+def test_runs_on_demand_equal_runs_in_one_call(values):
+    simulation = started(values)
+    together, on_demand = tableau(simulation), tableau(simulation)
+    combination = together.combine(4)
+    for n_runs in (1, 2, 3, 4):
+        on_demand.combine(n_runs)
+    assert np.array_equal(combination, on_demand.combine(4))
+    assert together.summary(4) == on_demand.summary(4)
+    assert together.summary(2) == on_demand.summary(2)
+    assert [together.difference(k) for k in (1, 2, 3)] == [on_demand.difference(k) for k in (1, 2, 3)]
+    assert together.evaluations == on_demand.evaluations == sum(step_counts(60, 4)) + 4
+
+
+@every_scene
+@pytest.mark.parametrize("expected_runs", [0, 2, 3, 9])
+def test_prefetched_runs_change_no_result(values, expected_runs, monkeypatch):
+    simulation = started(values)
+    by_turns = tableau(simulation)
+    monkeypatch.setattr(simulation.plan, "concurrent_runs", lambda *_: 2)
+    at_once = tableau(simulation, expected_runs=expected_runs)
+    for runs in (1, 2, 4):
+        assert np.array_equal(at_once.combine(runs), by_turns.combine(runs))
+        assert at_once.summary(runs) == by_turns.summary(runs)
+        # A prefetched run is counted only after its request.
+        assert at_once.evaluations == by_turns.evaluations == sum(step_counts(60, 4)[:runs]) + runs
+    assert at_once.difference(1) == by_turns.difference(1)
+
+
+@every_scene
+def test_motion_is_equal_on_one_and_two_threads(values, monkeypatch):
+    motions = []
+    for threads in (1, 2):
+        monkeypatch.setattr("cloth_sim_ros.physics.plan.available_threads", lambda threads=threads: threads)
+        concurrencies = []
+        simulation = started({**values, "tolerance": 1e-5})
+        one_or_two = simulation.plan.concurrent_runs
+
+        def seen(*run, concurrencies=concurrencies, one_or_two=one_or_two):
+            concurrencies.append(one_or_two(*run))
+            return concurrencies[-1]
+
+        monkeypatch.setattr(simulation.plan, "concurrent_runs", seen)
+        frames = [simulation.advance().advance for _ in range(8)]
+        assert set(concurrencies) == {threads}
+        motions.append((simulation.state.digest(), frames))
+    assert any(frame.rejected for frame in motions[0][1])
+    assert motions[0] == motions[1]
+
+
+@every_scene
+def test_runs_leave_the_start_state_unchanged(values):
+    simulation = started(values)
+    state_before = simulation.state.x.copy(), simulation.state.v.copy()
+    tableau(simulation).combine(3)
+    assert np.array_equal(simulation.state.x, state_before[0])
+    assert np.array_equal(simulation.state.v, state_before[1])
+
+
+@every_scene
+def test_summary_equals_direct_computation(values):
+    simulation = started(values)
+    runs = tableau(simulation)
+    summary, (x, v) = runs.summary(2), runs.combine(2)
+    assert summary.is_finite
+    assert summary.activity == pytest.approx(np.linalg.norm(v - simulation.state.v, axis=0).max(), rel=1e-14)
+    assert (summary.omega2, summary.damping) == simulation.plan.spectral_bounds(x)
+    assert runs.difference(1) == pytest.approx(np.linalg.norm(x - runs.combine(1)[0], axis=0).max(), rel=1e-12)
+
+
+@every_scene
+def test_velocity_error_counts_over_the_angular_frequency(values):
+    simulation = started(values)
+    runs = tableau(simulation, omega=1e-3)
+    away = np.linalg.norm(runs.combine(2)[1] - runs.combine(1)[1], axis=0).max()
+    assert runs.difference(1) == pytest.approx(1e3 * away, rel=1e-12)
+
+
+@every_scene
+@pytest.mark.parametrize("n_runs", [1, 3])
+def test_summary_reports_motion_that_is_not_finite(values, n_runs):
+    simulation = started(values)
+    simulation.state.v[1, 20] = 1e200
+    assert not tableau(simulation).summary(n_runs).is_finite
+
+
+@every_scene
+def test_single_precision_changes_runs_by_rounding(values):
+    simulation = started(values)
+    single, double = tableau(simulation, single_precision=True), tableau(simulation)
+    away = np.abs(single.combine(1)[0] - double.combine(1)[0]).max()
+    assert 0.0 < away < 1e-5
+    # The error is that of the steps; rounding is multiplied by the weight of the second run.
+    assert single.difference(1) == pytest.approx(double.difference(1), abs=4.0 * weights(step_counts(60, 2))[1] * away)
