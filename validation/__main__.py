@@ -9,14 +9,20 @@ from collections.abc import Sequence
 
 from validation.command import run_command
 
-#: Names: the module of each command, and a line about it.
+#: Module and one-line description of each command, by name.
 COMMANDS = {
-    "tolerance": ("validation.tolerance.bound", "the tolerance's error bound on random scenes, by a reference in C"),
-    "tolerance-sweep": ("validation.tolerance.sweep", "achieved error against the tolerance asked for, scene by scene"),
-    "work-precision": ("validation.tolerance.work_precision", "wall time against error, beside solvers of libraries"),
-    "conditioning": ("validation.tolerance.conditioning", "growth of a perturbation of a nanometre, scene by scene"),
-    "constants": ("validation.tolerance.constants", "effect of half and double of each tuned number of step control"),
-    "stability": ("validation.stability.scan", "stress cases by the thousand; step limits found and predicted"),
+    "tolerance": (
+        "validation.tolerance.bound",
+        "the tolerance's error bound on random scenes, against a reference in C",
+    ),
+    "tolerance-sweep": ("validation.tolerance.sweep", "achieved error against the requested tolerance, scene by scene"),
+    "work-precision": ("validation.tolerance.work_precision", "wall time against error, compared with library solvers"),
+    "conditioning": (
+        "validation.tolerance.conditioning",
+        "amplification of a perturbation of a nanometre, scene by scene",
+    ),
+    "constants": ("validation.tolerance.constants", "effect of halving and doubling each constant of step control"),
+    "stability": ("validation.stability.scan", "thousands of stress cases; measured and predicted step limits"),
     "mesh-moduli": ("validation.moduli.mesh", "moduli of sheets on irregular triangles, over random meshes"),
 }
 

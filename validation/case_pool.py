@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Many independent cases in worker processes, each with a limit of wall time after which its process is ended."""
+"""Pool of worker processes for independent cases with a wall time limit."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ _CONTEXT = multiprocessing.get_context("spawn")
 
 @attrs.frozen
 class Done(Generic[C, R]):
-    """What became of a case."""
+    """Result of one case, or the reason why it has none."""
 
     case: C
-    #: None where the case did not come to an end.
+    #: None if the case did not finish.
     result: R | None
     #: Wall time [s].
     seconds: float
-    #: Why it did not come to an end; empty if it did.
+    #: Reason why it did not finish; empty if it did.
     trouble: str = ""
 
 
 class _Worker(Generic[C, R]):
-    """One process, and the case that it is at."""
+    """One process and its current case."""
 
     def __init__(self, run: Callable[[C], R]) -> None:
         self.connection, theirs = _CONTEXT.Pipe()
@@ -41,7 +41,7 @@ class _Worker(Generic[C, R]):
         self.process.start()
         theirs.close()
         self.case: C | None = None
-        #: When its case ends at the latest; None while the process starts, which is not timed.
+        #: Time at which its case is aborted; None while the process starts, which is not timed.
         self.deadline: float | None = None
         self.started = 0.0
 
@@ -57,11 +57,11 @@ class _Worker(Generic[C, R]):
 
 
 def run_cases(run: Callable[[C], R], cases: Sequence[C], *, workers: int, limit: float) -> Iterator[Done[C, R]]:
-    """Yield what became of each case, in the order in which they end.
+    """Yield the result of each case, in the order in which they end.
 
     Args:
-        run: runs one case; must be importable by name, as the cases and results must be picklable.
-        cases: what to run.
+        run: runs one case; must be importable by name. Cases and results must be picklable.
+        cases: the cases to run.
         workers: number of processes.
         limit: wall time of one case [s].
     """
@@ -106,15 +106,15 @@ def run_missing(
     file: Path | None,
     read: Callable[[dict[str, Any]], Done[C, R]],
 ) -> Iterator[Done[C, R]]:
-    """Yield what became of each case: what a file has of it, else as `run_cases`, kept in the file as it comes.
+    """Yield the result of each case: from a file, or else from `run_cases`, which is then appended to the file.
 
     Args:
         run: as for `run_cases`.
         cases: as for `run_cases`; none twice.
         workers: number of processes.
         limit: wall time of one case [s].
-        file: a line of JSON a case; None keeps nothing. A last line that was cut off counts for nothing.
-        read: makes of a line what was written.
+        file: one line of JSON per case; None stores nothing. A truncated last line is ignored.
+        read: converts a line back to a result.
     """
     known: dict[C, Done[C, R]] = {}
     for line in file.read_text().splitlines() if file is not None and file.exists() else []:
@@ -134,31 +134,31 @@ def run_missing(
 
 
 def shown(dones: Iterator[Done[C, R]], total: int, unit: str) -> Any:
-    """Yield what became of each case, beside a progress bar."""
+    """Yield the result of each case and draw a progress bar."""
     from tqdm import tqdm
 
     return tqdm(dones, total=total, unit=unit, smoothing=0.02, mininterval=1.0)
 
 
 def _plain(number: Any) -> Any:
-    """A number of numpy as Python's own."""
+    """Convert a numpy scalar to a Python number."""
     return number.item()
 
 
 def _receive(worker: _Worker[C, R]) -> Done[C, R] | None:
-    """What a process has to say; None that it is ready."""
+    """Receive a result from a process; None means that the process is ready."""
     case, seconds = worker.case, time.monotonic() - worker.started
     try:
         result = worker.connection.recv()
     except EOFError:
         if case is None:
-            raise RuntimeError("a process ended before its first case: what it printed says why") from None
+            raise RuntimeError("a worker process ended before its first case; its output states the cause") from None
         return Done(case, None, seconds, "its process ended")
     return None if case is None else Done(case, result, seconds)
 
 
 def _serve(connection: Connection, run: Callable[[C], R]) -> None:
-    """Body of a process."""
+    """Run cases in a worker process until its connection closes."""
     connection.send(None)
     while True:
         try:

@@ -23,10 +23,11 @@ def run_command(
 
     Args:
         package: name of the package that is run with `python -m`.
-        description: a sentence about it.
-        commands: by name: a module and a line about it. A module has `add_arguments(parser)` and `run(options)`, which
-            returns a `report.Report`; or `main(arguments)`, which prints by itself and returns the exit status.
-        arguments: of the command line; those of this process if left out.
+        description: one sentence about the package.
+        commands: module and one-line description of each command, by name. A module has `add_arguments(parser)` and
+            `run(options)`, which returns a `report.Report`. Or it has `main(arguments)`, which prints its own output
+            and returns the exit status.
+        arguments: command line; None takes that of this process.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     parser = argparse.ArgumentParser(
@@ -66,9 +67,9 @@ def run_command(
 
 
 def child(module: str, *arguments: str) -> dict[str, Any]:
-    """Return command and environment of a process that runs a module of this repository, for `subprocess`.
+    """Return arguments of `subprocess` that run a module of this repository.
 
-    Nothing is imported from its working folder, therefore the top of the repository is on its path.
+    The process imports nothing from its working folder, therefore the root of the repository is on its path.
     """
     environment = child_environment()
     paths = [str(Path(__file__).resolve().parents[1]), environment.get("PYTHONPATH", "")]

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a measurement found: tables, plots and where it was made, as text, JSON, CSV, PNG and Markdown."""
+"""Report of a measurement: tables, plots, notes, failures and environment.
+
+It is written as text, JSON, CSV, PNG and Markdown.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,7 @@ class Table:
     rows: list[list[Any]] = attrs.field(factory=list)
 
     def lines(self) -> list[str]:
-        """The table as Markdown, which reads well as text too."""
+        """Return the table as lines of Markdown."""
         cells = [[_cell(value) for value in row] for row in self.rows]
         widths = [max([len(name), *(len(row[i]) for row in cells)]) for i, name in enumerate(self.columns)]
         pad = [[text.ljust(width) for text, width in zip(row, widths, strict=True)] for row in [self.columns, *cells]]
@@ -36,7 +39,7 @@ class Table:
 
 @attrs.define
 class Plot:
-    """Lines of points; logarithmic axes."""
+    """Curves of points on logarithmic axes."""
 
     name: str
     x: str
@@ -46,19 +49,19 @@ class Plot:
 
 @attrs.define
 class Report:
-    """One run of one subcommand."""
+    """Results of one command."""
 
     title: str
     command: str
     tables: list[Table] = attrs.field(factory=list)
     plots: list[Plot] = attrs.field(factory=list)
     notes: list[str] = attrs.field(factory=list)
-    #: What was demanded and not met; any makes the exit status 1.
+    #: Requirements that were not met; any makes the exit status 1.
     failures: list[str] = attrs.field(factory=list)
     environment: dict[str, str] = attrs.field(factory=lambda: environment())
 
     def text(self) -> str:
-        """For the terminal and for documentation."""
+        """Return the report as Markdown, for the terminal and for documentation."""
         lines = [f"## {self.title}", "", f"`{self.command}`", ""]
         for table in self.tables:
             lines += [f"### {table.name}", "", *table.lines(), ""]
@@ -75,7 +78,7 @@ class Report:
         plot_folder: Path | None = None,
         markdown: Path | None = None,
     ) -> None:
-        """Write the files that are asked for."""
+        """Write the report to each file or folder that is given."""
         if json_file is not None:
             json_file.write_text(json.dumps(attrs.asdict(self), indent=1, default=float) + "\n")
         if csv_folder is not None:
@@ -92,13 +95,13 @@ class Report:
 
 
 def say(text: str) -> None:
-    """Write a line about the progress of a command to standard error."""
+    """Write a line of progress to standard error."""
     sys.stderr.write(f"{text}\n")
     sys.stderr.flush()
 
 
 def environment() -> dict[str, str]:
-    """Machine, versions and commit."""
+    """Return the machine, the versions of libraries and the commit."""
     found = {"machine": _processor(), "cores": str(len(os.sched_getaffinity(0))), "python": platform.python_version()}
     for name in ("numpy", "numba", "scipy", "scikit-sundae"):
         try:

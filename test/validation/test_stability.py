@@ -16,7 +16,7 @@ from cloth_sim_ros.physics.integrators.implicit import Implicit
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
-from validation import __main__ as bench
+from validation import __main__ as validation_command
 from validation.case_pool import run_cases
 from validation.stability.cases import Case, contact_cases, every_case, random_cases, run_case
 from validation.stability.limits import LARGEST_EXCESS, limit_found, stretched_sheet
@@ -24,13 +24,13 @@ from validation.stability.scan import LARGEST_GAIN
 
 
 @pytest.mark.parametrize("case", contact_cases(1, 5), ids=lambda case: case.attack)
-def test_attacks_by_contact_stay_finite_and_make_no_energy(case: Case) -> None:
+def test_contact_stress_cases_stay_finite_and_gain_no_energy(case: Case) -> None:
     verdict = run_case(case)
     assert verdict.finite, verdict.trouble
     assert verdict.gain <= LARGEST_GAIN
 
 
-def test_the_scan_is_as_large_as_it_should_be() -> None:
+def test_scan_has_at_least_2000_distinct_cases() -> None:
     cases = every_case()
     assert len(set(cases)) == len(cases) >= 2000
 
@@ -69,7 +69,7 @@ def test_the_scan_is_as_large_as_it_should_be() -> None:
     ],
     ids=lambda value: f"{value.sheet} {value.attack}" if isinstance(value, Case) else value,
 )
-def test_what_is_attacked_stays_finite_and_makes_no_energy(case: Case, integrator: str) -> None:
+def test_stress_cases_stay_finite_and_gain_no_energy(case: Case, integrator: str) -> None:
     verdict = run_case(case)
     assert verdict.finite, verdict.trouble
     assert verdict.gain <= LARGEST_GAIN
@@ -77,14 +77,14 @@ def test_what_is_attacked_stays_finite_and_makes_no_energy(case: Case, integrato
 
 
 @pytest.mark.parametrize(("stretch", "k_d0"), [(1.0, 0.0), (2.0, 0.2), (3.0, 1.0)])
-def test_the_limit_found_about_a_stretched_state_is_hardly_beyond_its_bound(stretch: float, k_d0: float) -> None:
+def test_measured_step_limit_stays_close_to_its_bound(stretch: float, k_d0: float) -> None:
     plan, x = stretched_sheet(stretch, k_d0, resolution=8)
     bound = Leapfrog().step_limit(*plan.spectral_bounds(x))
     # Found by bisection to 0.2 %.
     assert 0.998 * bound <= limit_found(plan, x, bound) <= (1.0 + LARGEST_EXCESS) * bound
 
 
-def test_an_implicit_step_without_a_solution_comes_to_rest_where_forces_balance() -> None:
+def test_unsolvable_implicit_step_settles_at_equilibrium() -> None:
     """Coincident particles of a sheet too stiff for its steps: it must neither freeze there nor gain energy."""
     plan, x = stretched_sheet(1.0, 0.5, resolution=8)
     state = State(x.T.copy())
@@ -96,7 +96,7 @@ def test_an_implicit_step_without_a_solution_comes_to_rest_where_forces_balance(
     assert np.isfinite(state.x).all()
 
 
-def test_wind_that_sets_a_sheet_going_makes_no_step_smaller() -> None:
+def test_wind_acceleration_causes_no_smaller_steps() -> None:
     """Step control must not take the energy that wind brings in for the growth of unstable steps."""
     values = {"cloth.resolution": [12, 12], "wind.velocity": [0.0, 8.0, 0.0], "integrator": "leapfrog", "step": 2e-4}
     simulation = Simulation(Scene.from_parameters(values))
@@ -114,14 +114,14 @@ def _square(case: int) -> int:
     return case * case
 
 
-def test_a_case_that_takes_too_long_or_ends_its_process_is_told_and_the_others_go_on() -> None:
+def test_case_pool_reports_timeouts_and_dead_processes() -> None:
     dones = {done.case: done for done in run_cases(_square, [1, 2, 3, 4, 5], workers=2, limit=1.0)}
     assert {case: done.result for case, done in dones.items()} == {1: 1, 2: 4, 3: None, 4: None, 5: 25}
     assert dones[3].trouble == "its process ended"
     assert dones[4].trouble == "took longer than 1 s"
 
 
-def test_random_cases_follow_from_their_seed_and_lie_within_the_scan() -> None:
+def test_random_cases_are_reproducible_and_within_the_scan() -> None:
     cases = random_cases(5, 200)
     assert cases == random_cases(5, 200) != random_cases(6, 200)
     assert {case.attack for case in cases} == {case.attack for case in every_case()}
@@ -130,9 +130,9 @@ def test_random_cases_follow_from_their_seed_and_lie_within_the_scan() -> None:
     assert all(30.0 <= case.rate <= 240.0 for case in cases)
 
 
-def test_a_scan_that_was_broken_off_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_interrupted_scan_resumes_from_its_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Every verdict is in the file: nothing runs again, what the file says is told."""
-    kept = tmp_path / "verdicts.jsonl"
+    kept = tmp_path / "results.jsonl"
     first, second = every_case()[:2]
     lines = []
     for case, gain in ((first, 0.0), (second, 0.5)):
@@ -141,7 +141,7 @@ def test_a_scan_that_was_broken_off_goes_on_where_it_was(tmp_path: Path, capsys:
         lines.append(json.dumps({"case": entry, "result": result, "seconds": 1.0, "trouble": ""}))
     kept.write_text("\n".join([*lines, '{"cut off']))
     every = len(every_case())
-    status = bench.main(["stability", "--parts", "scan", "--resume", str(kept), "--only", "2"])
+    status = validation_command.main(["stability", "--parts", "scan", "--resume", str(kept), "--only", "2"])
     told = capsys.readouterr().out
     assert status == 1
     assert f"2 cases of {every}" in told

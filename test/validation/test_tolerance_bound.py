@@ -20,7 +20,7 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation.__main__ import main
 from validation.case_pool import Done, run_missing
-from validation.tolerance import bound as promise
+from validation.tolerance import bound
 from validation.tolerance.compiled_reference import (
     KICK,
     LANES,
@@ -44,7 +44,7 @@ REGIMES = {regime.name: regime for regime in every_regime()}
 @pytest.mark.parametrize(
     "name", ["grid, wind and air", "hinges", "grid, altitude, undamped", "grid, opposite", "mesh, air", "springs"]
 )
-def test_its_accelerations_are_those_of_the_laws_in_numpy(name):
+def test_reference_accelerations_match_numpy_laws(name):
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": [7, 6], **SCENES[name]}, files=FILES))
     stir(simulation)
     model, x, v = simulation.model, simulation.state.x, simulation.state.v
@@ -57,7 +57,7 @@ def test_its_accelerations_are_those_of_the_laws_in_numpy(name):
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.2, 3.0])
-def test_its_grippers_move_and_turn_as_those_of_the_laws(turn):
+def test_reference_gripper_motion_matches_numpy_laws(turn):
     rng = np.random.default_rng(5)
     paths = np.zeros((2, 26))
     paths[:, 0] = 1.0
@@ -84,7 +84,7 @@ def test_its_grippers_move_and_turn_as_those_of_the_laws(turn):
     assert system.accelerations(x, v, since=0.5) == pytest.approx(expected, abs=1e-12 * np.abs(expected).max())
 
 
-def test_a_throw_in_air_and_the_growth_of_its_kicks():
+def test_reference_matches_projectile_with_drag():
     drag, gravity = 0.7, np.array([0.0, 0.0, -9.81])
     system = ReferenceSystem(Model([1.0], [Drag(drag), Gravity(gravity)]))
     v = np.array([[1.0], [2.0], [3.0]])
@@ -105,7 +105,7 @@ def test_a_throw_in_air_and_the_growth_of_its_kicks():
 @pytest.mark.parametrize(
     "name", ["spring, critically damped", "chain of 7, taut, undamped", "chain of 7, joints, damped"]
 )
-def test_it_meets_a_matrix_exponential(name):
+def test_reference_matches_matrix_exponential(name):
     scene = drawn(REGIMES[name], 1e-3)
     simulation = Simulation(scene.scene, scene.state)
     model, x, v = simulation.model, simulation.state.x, simulation.state.v
@@ -115,7 +115,7 @@ def test_it_meets_a_matrix_exponential(name):
         assert np.abs(integration.positions - place).max() < 1e-11
 
 
-def test_a_particle_that_a_gripper_pulls_along():
+def test_reference_matches_particle_pulled_by_gripper():
     paths = np.zeros((1, 26))
     paths[0, 4], paths[0, 16] = 0.3, 1.0
     one, mass, stiffness = np.array([0]), 0.5, 8.0
@@ -130,14 +130,14 @@ def test_a_particle_that_a_gripper_pulls_along():
     assert integration.positions[0, 0] == pytest.approx(0.3 * (1.0 - np.sin(rate) / rate), abs=1e-12)
 
 
-def test_it_gives_up_where_it_needs_too_many_steps():
+def test_reference_stops_at_its_evaluation_limit():
     model = Model([1.0, 1.0], [PairSprings([[0, 1]], 1.0, 1e6)], anchors=[0])
     y = trajectories(np.array([[0.0, 1.1], [0.0, 0.0], [0.0, 0.0]]), np.zeros((3, 2)))
     with pytest.raises(ReferenceError, match="more than 100 evaluations"):
         Integration(ReferenceSystem(model), y, tolerance=1e-9, most=100).advance(1.0)
 
 
-def test_a_draw_follows_from_its_number_alone():
+def test_random_scene_follows_from_seed_and_index():
     first, again, other = draw(3, 5), draw(3, 5), draw(3, 6)
     assert first.scene == again.scene
     assert first.words == again.words
@@ -147,7 +147,7 @@ def test_a_draw_follows_from_its_number_alone():
     assert first.words != other.words
 
 
-def test_draws_are_of_every_kind_and_some_beyond_the_cap():
+def test_random_scenes_cover_all_kinds_and_exceed_the_cap():
     draws = [draw(1, index) for index in range(40)]
     words = " ".join(each.words for each in draws)
     for kind in ("grid", "disc", "hole", "irregular", "spring", "chain", "crossed", "altitude", "axial", "opposite"):
@@ -161,7 +161,7 @@ def _swinging(tolerance: float) -> Regime:
     return Regime("swinging", tables, ("0",), linear=False, gravity=(0.0, 0.0, -9.81), duration=1.0)
 
 
-def test_a_promise_that_is_kept_and_one_that_is_broken():
+def test_window_satisfies_and_violates_the_error_bound():
     run = record(drawn(_swinging(1e-4), 1e-4))
     assert run.mismatch < 1e-13
     window = judge_window(run, 0, 60, seed=0)[0]
@@ -178,7 +178,7 @@ def test_a_promise_that_is_kept_and_one_that_is_broken():
     assert broken.ratio > 1.0
 
 
-def test_kicks_are_of_their_size_and_leave_anchors_alone():
+def test_perturbations_have_unit_size_and_spare_anchors():
     run = record(attrs.evolve(drawn(_swinging(1e-4), 1e-4), frames=1))
     for second in (False, True):
         found = kicks(run, 1, second=second)
@@ -189,7 +189,7 @@ def test_kicks_are_of_their_size_and_leave_anchors_alone():
         assert size.max() <= 1.0 + 1e-12
 
 
-def test_new_grips_begin_where_each_trajectory_has_come_to():
+def test_new_grips_start_at_each_trajectory():
     rng = np.random.default_rng(2)
     paths = np.zeros((1, 26))
     paths[0, 1:4], paths[0, 13:17] = (1.0, 2.0, 3.0), (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
@@ -219,8 +219,8 @@ def held_scene():
     return next(k for k in range(100) if draw(2, k).cost < 3e7 and draw(2, k).script.holds)
 
 
-def test_scenes_are_judged_and_told(held_scene, tmp_path):
-    file = tmp_path / "promise.json"
+def test_command_reports_evaluated_scenes(held_scene, tmp_path):
+    file = tmp_path / "evaluation.json"
     status = main(["tolerance", "--seed", "2", "--only", str(held_scene), "--windows", "2", "--json", str(file)])
     written = json.loads(file.read_text())
     assert status == (1 if written["failures"] else 0)
@@ -230,28 +230,28 @@ def test_scenes_are_judged_and_told(held_scene, tmp_path):
     assert all(row[reference] < 0.02 * row[4] for row in windows["rows"])
 
 
-def test_scenes_that_were_judged_are_kept_and_told_again(held_scene, tmp_path, monkeypatch):
-    kept = tmp_path / "judged.jsonl"
+def test_evaluated_scenes_are_read_from_the_file(held_scene, tmp_path, monkeypatch):
+    kept = tmp_path / "evaluated.jsonl"
     judgement = judge(2, held_scene, 1)
     case = (2, held_scene, 1)
-    done = list(run_missing(judge, [], workers=1, limit=60.0, file=kept, read=promise._read))
+    done = list(run_missing(judge, [], workers=1, limit=60.0, file=kept, read=bound._read))
     assert not done
     assert not kept.exists()
     monkeypatch.setattr("validation.case_pool.run_cases", lambda *_, **__: [Done(case, judgement, 1.0)])
-    limits = {"workers": 1, "limit": 60.0, "file": kept, "read": promise._read}
-    first = list(run_missing(promise._judge, [case], **limits))
+    limits = {"workers": 1, "limit": 60.0, "file": kept, "read": bound._read}
+    first = list(run_missing(bound._judge, [case], **limits))
     monkeypatch.setattr("validation.case_pool.run_cases", lambda *_, **__: pytest.fail("it runs again"))
-    assert list(run_missing(promise._judge, [case], **limits)) == first == [Done(case, judgement, 1.0)]
+    assert list(run_missing(bound._judge, [case], **limits)) == first == [Done(case, judgement, 1.0)]
 
 
-def test_forces_that_differ_are_told_as_such(held_scene, monkeypatch):
+def test_differing_forces_are_reported(held_scene, monkeypatch):
     monkeypatch.setattr("validation.tolerance.recording._mismatch", lambda *_: 1e-9)
     judgement = judge(2, held_scene, 1)
     assert judgement.verdict == "FORCES DIFFER"
     assert not judgement.windows
 
 
-def test_a_free_spring_that_drifts_and_turns_keeps_the_promise():
+def test_free_rotating_spring_satisfies_the_error_bound():
     # It errs in one direction all the while, and estimates are too low by up to four times.
     judgement = judge(1, 96, 2)
     assert judgement.verdict == "kept"
@@ -259,13 +259,13 @@ def test_a_free_spring_that_drifts_and_turns_keeps_the_promise():
     assert max(window.error / window.promised for window in judgement.windows) < 1.0
 
 
-def test_a_linear_regime_is_judged_by_its_exact_solution():
+def test_linear_regime_is_compared_with_exact_solution():
     outcome = judge_regime((REGIMES["spring, undamped"], 1e-3))
     assert outcome.reference < 1e-6
     assert 0.0 < outcome.ratio < 1.0
 
 
-def test_a_violent_scene_is_counted():
+def test_violent_scene_stays_finite_without_energy_gain():
     found = run_violent((1, 5))
     assert found.finite
     assert not found.trouble
@@ -273,14 +273,14 @@ def test_a_violent_scene_is_counted():
     assert found.gain < 0.01
 
 
-def test_no_frame_of_a_violent_scene_exceeds_its_work():
+def test_violent_scene_frames_stay_within_work_limit():
     # Its 49th frame is halved 20 times around a blow; what was left over for what came after took 1.2 times the limit.
     found = run_violent((1, 146))
     assert found.flagged > 0
     assert 0.5 < found.of_cap <= 1.0
 
 
-def test_a_frame_beyond_its_cap_keeps_to_explicit_steps_that_fit_it() -> None:
+def test_work_limited_frame_keeps_explicit_steps() -> None:
     """An undamped chain at a tolerance beyond its cap: a frame was given up for implicit steps, centimetres off, as
     whole numbers of steps took a little more than was left.
     """

@@ -8,7 +8,7 @@ import attrs
 import pytest
 
 from validation.__main__ import main
-from validation.tolerance import contact as promise_contact
+from validation.tolerance import contact
 from validation.tolerance.contact import FRICTIONS, KINDS, draw_contact, judge_contact, run_contact
 
 #: A table and a sheet folded on itself, without friction.
@@ -18,35 +18,35 @@ CASES = (0, 3)
 @pytest.fixture(autouse=True)
 def short(monkeypatch):
     """A fifth of a second in place of two, at a tolerance that is tight."""
-    monkeypatch.setattr(promise_contact, "_SECONDS", 0.2)
-    drawn = promise_contact.draw_contact
+    monkeypatch.setattr(contact, "_SECONDS", 0.2)
+    drawn = contact.draw_contact
 
     def shorter(seed, index):
         found = drawn(seed, index)
         return attrs.evolve(found, scene=found.scene.changed({"tolerance": 1e-5}))
 
-    monkeypatch.setattr(promise_contact, "draw_contact", shorter)
-    monkeypatch.setattr(promise_contact, "_WINDOW", 0.2)
+    monkeypatch.setattr(contact, "draw_contact", shorter)
+    monkeypatch.setattr(contact, "_WINDOW", 0.2)
 
 
 @pytest.mark.parametrize("index", CASES)
-def test_where_cloth_touches_the_promise_is_kept(index):
+def test_contact_scene_satisfies_the_error_bound(index):
     judgement = judge_contact(1, index, 1)
     assert judgement.verdict == "kept"
     assert judgement.worst(flagged=False).error > 0.0
 
 
-def test_frames_that_are_off_by_more_than_the_promise_are_called_broken(monkeypatch):
+def test_wrong_frame_violates_the_error_bound(monkeypatch):
     def off(draw):
         run = run_contact(draw)
         run.frames[-1].after.x[2] += 0.01
         return run
 
-    monkeypatch.setattr(promise_contact, "run_contact", off)
+    monkeypatch.setattr(contact, "run_contact", off)
     assert judge_contact(1, 0, 1).verdict == "BROKEN"
 
 
-def test_scenes_are_of_every_kind_and_touch():
+def test_contact_scenes_cover_every_kind_and_touch():
     for index in range(len(KINDS) * len(FRICTIONS)):
         draw = draw_contact(1, index)
         assert draw.words.startswith(KINDS[index % len(KINDS)])
@@ -57,10 +57,10 @@ def test_scenes_are_of_every_kind_and_touch():
         assert 0.0 < nearest < draw.scene.contact.thickness
 
 
-def test_the_command_tells_what_it_judged(tmp_path, monkeypatch):
+def test_command_reports_evaluated_contact_scenes(tmp_path, monkeypatch):
     # Processes of the pool would not know of the shorter second.
     monkeypatch.setattr("validation.tolerance.bound.run_missing", _alone)
-    file = tmp_path / "found.json"
+    file = tmp_path / "output.json"
     assert main(["tolerance", "--contact", "--count", "1", "--windows", "1", "--json", str(file)]) == 0
     told = json.loads(file.read_text())
     assert told["tables"][0]["rows"][0][1] == "kept"

@@ -12,8 +12,7 @@ import pytest
 from support.problems import Problem, problem
 
 from validation.__main__ import main
-from validation.tolerance import baselines as rivals
-from validation.tolerance import work_precision
+from validation.tolerance import baselines, work_precision
 from validation.tolerance.baselines import Run, Solver, TooSlow
 
 
@@ -35,7 +34,7 @@ def fake(name: str, kind: str, *, error: float, seconds: float, held_up: bool = 
     return Solver(name, "as it is", kind, solve)
 
 
-def test_the_fastest_that_is_accurate_enough_counts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_comparison_uses_fastest_accurate_solver(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     ours = [fake("fine", "beside", error=0.0, seconds=1e-9), fake("rough", "ours", error=1e-4, seconds=0.001)]
     ours += [fake("good", "ours", error=9e-6, seconds=0.01), fake("better", "ours", error=9e-8, seconds=0.05)]
     ours += [fake("one thread", "alone", error=9e-6, seconds=0.02), fake("the same", "alone", error=9e-8, seconds=0.1)]
@@ -61,12 +60,12 @@ def test_the_fastest_that_is_accurate_enough_counts(monkeypatch: pytest.MonkeyPa
     assert any("1e-10" in note for note in report["notes"])
 
 
-def test_ours_and_a_library_solve_the_same_equations() -> None:
+def test_product_and_library_solve_the_same_equations() -> None:
     scene = problem("chain")
     assert scene.exact is not None
     exact = scene.exact(scene.duration)
-    ours = next(solver for solver in rivals.our_solvers((1e-7,)) if solver.kind == "ours")
-    theirs = next(solver for solver in rivals.library_solvers(slow=False) if solver.setting.endswith("1e-08"))
+    ours = next(solver for solver in baselines.our_solvers((1e-7,)) if solver.kind == "ours")
+    theirs = next(solver for solver in baselines.library_solvers(slow=False) if solver.setting.endswith("1e-08"))
     for solver in (ours, theirs):
         done = solver.solve(scene, 60.0)
         assert abs(done.positions - exact).max() < 1e-7

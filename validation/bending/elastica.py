@@ -1,9 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A strip of cloth clamped level at one end bends under its weight: the heavy elastica, and bending springs.
+"""Heavy elastica and a clamped strip of bending springs under the same load.
 
-With the load b = w L³/D (w weight per area, D bending modulus) and σ = s/L from the clamp, the slope φ below the
-level obeys φ'' = -b (1 - σ) cos φ, φ(0) = 0, φ'(1) = 0 (Bickley, Phil. Mag. 17, 1934).
+The strip is clamped level at one end and bends under its weight. The load is b = w L³/D (w weight per area, D bending
+modulus), the arc length from the clamp σ = s/L. The slope φ below the level obeys φ'' = -b (1 - σ) cos φ, φ(0) = 0,
+φ'(1) = 0 (Bickley, Phil. Mag. 17, 1934).
 """
 
 from __future__ import annotations
@@ -93,14 +94,14 @@ def hanging_strip(
 ) -> Strip:
     """Find the equilibrium, under the load of `exact`, of a strip of length 1 m and modulus 1 N m.
 
-    The first two columns are clamped. The hinges at a column stand for the curvature of half a cell on either side,
-    so the continuum's clamp lies half a cell before column 1. The tip carries half a column's mass, the border rows
-    half a row's.
+    The first two columns are clamped. The hinges at a column represent the curvature of half a cell on either side.
+    Therefore the continuum's clamp lies half a cell before column 1. The tip carries half a column's mass, the border
+    rows half a row's.
 
     Args:
         model: bending model.
-        exact: the elastica, whose load is taken, and whose shape is where the search begins.
-        columns: particles along the strip, the clamped two among them.
+        exact: the elastica; its load is applied and its shape is the initial guess.
+        columns: particles along the strip, including the two clamped ones.
         rows: particles across.
         stretch: stiffness of the edge and shear springs [N/m] in units of D/L².
 
@@ -133,10 +134,10 @@ def hanging_strip(
 
 
 def _equilibrium(model: Model, start: Array, column: NDArray[np.int64], clamped: int) -> Array:
-    """Positions (n, 3) at rest under a weight of 1 m/s^2, by Newton's method from `start`, shifted until energy falls.
+    """Find the equilibrium (n, 3) [m] under a gravity of 1 m/s^2 by Newton's method from `start`.
 
-    Particles of the first `clamped` columns stay. Forces reach two columns far, so that pushing every fifth at once
-    tells the Hessian's entries apart.
+    The Hessian is shifted until a step lowers the energy. Particles of the first `clamped` columns stay. Forces reach
+    two columns far, therefore one product with every fifth column perturbed gives separate entries of the Hessian.
     """
     from scipy.sparse import csc_array, identity
     from scipy.sparse.linalg import splu

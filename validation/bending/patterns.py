@@ -1,10 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What plate a pattern of hinges is: its bending tensor, from the linear theory of a periodic patch.
+"""Bending tensor of a periodic pattern of hinges, by linear theory.
 
-Small deflections z fold hinge i by θ_i = M/(e h0 h1) Σ w_k z_k, with S8's weights w. Of a quadratic surface with
-curvatures (κ_xx, κ_yy, 2 κ_xy) plus any periodic deflection, the least energy ½ Σ k_θ θ² per area is ½ κ'Cκ: C is the
-tensor that the sheet shows on lengths far above its triangles.
+Small deflections z fold hinge i by θ_i = M/(e h0 h1) Σ w_k z_k, with S8's weights w. The deflection is a quadratic
+surface with curvatures κ = (κ_xx, κ_yy, 2 κ_xy) plus any periodic deflection. The minimum of the energy ½ Σ k_θ θ² per
+area is ½ κ'Cκ. C is the sheet's bending tensor on lengths far above its triangles.
 """
 
 from __future__ import annotations
@@ -29,27 +29,27 @@ class Patch:
     constants: Array
     """k_θ [N m] for the modulus 1 N m, (m,)."""
     same: NDArray[np.int64]
-    """Number of the particle within the period that each is a copy of, (n,)."""
+    """Index of the particle within the period that each is a copy of, (n,)."""
     area: float
     """Area of the period [m²]."""
 
 
 @attrs.frozen(kw_only=True)
 class Plate:
-    """Moduli of a plate, in units of the modulus asked for."""
+    """Moduli of a plate, in units of the nominal modulus."""
 
     along_x: float
     """Moment over curvature of a strip along x with free edges."""
     along_y: float
-    """The same along y."""
+    """Moment over curvature of a strip along y with free edges."""
     cylindrical: float
     """Moment over curvature along x with no curvature across."""
     poisson: float
     """Poisson's ratio of bending, C12/C11."""
     twist: float
-    """Rate of twist over curvature of the free strip along x, κ_xy/κ_xx; 0 where a bent strip stays straight."""
+    """Rate of twist over curvature of the free strip along x, κ_xy/κ_xx; 0 if a bent strip does not twist."""
     isotropy: float
-    """2 C33/(C11 - C12): 1 for a plate that bends alike in all directions."""
+    """2 C33/(C11 - C12): 1 for an isotropic plate."""
 
 
 def plate_of(patch: Patch) -> Plate:
@@ -81,7 +81,7 @@ def plate_of(patch: Patch) -> Plate:
 
 
 def grid_patch(layout: Layout | None = None, *, spacing: tuple[float, float] = (1.0, 1.0)) -> Patch:
-    """Return two by two cells of a grid: of one layout's surface, or, for None, with the hinges of `grid_hinges`."""
+    """Return two by two cells of a grid: of one layout's surface, or for None with the hinges of `grid_hinges`."""
     size = 7
     row, column = np.divmod(np.arange(size * size), size)
     positions = np.stack((column * spacing[0], row * spacing[1]), axis=1)
@@ -110,21 +110,21 @@ class Triangulation:
     triangles: NDArray[np.int64]
     """Triangles, anticlockwise, (m, 3)."""
     same: NDArray[np.int64]
-    """Number of the particle within the period that each is a copy of, (n,)."""
+    """Index of the particle within the period that each is a copy of, (n,)."""
     period: Array
     """Width and height of the period [m], (2,)."""
 
     def inside(self, ends: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Whether each edge, given by its two particles (m, 2), belongs to the period: each of them exactly once."""
+        """Return (m,) true for edges, given by their particles (m, 2), in the period; each edge counts exactly once."""
         middle = self.positions[ends].mean(axis=1) + 1e-6
         return np.asarray(((middle >= 0.0) & (middle < self.period)).all(axis=1))
 
 
 def triangulation(jitter: float, *, size: int = 12, seed: int = 0, square: bool = False) -> Triangulation:
-    """Return `size` x `size` particles of regular triangles of side 1 m, each moved by up to `jitter`, joined anew.
+    """Return the Delaunay triangulation of `size` x `size` particles, each moved by up to `jitter` [m].
 
-    The triangles are Delaunay's. A jitter of 1 or more has no memory of the regular places. With `square` the particles
-    are those of squares.
+    The particles start at the corners of regular triangles of side 1 m, or of squares with `square`. A jitter of 1 or
+    more leaves no trace of the regular lattice.
     """
     from scipy.spatial import Delaunay
 

@@ -1,10 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Does a pair of triangles find its rest shape again? The experiment behind the map of docs/bending.md.
+"""Recovery of the rest shape by pairs of triangles: experiment of docs/bending.md.
 
-Many tetrahedra that do not touch each other: the two triangles' edges (S1), the bending spring (S7) and the second
-spring (S8 or S9), from a start, with damping, until they rest. Recovered is what has the six lengths and the signed
-length of the rest shape; its mirror image has not.
+Many independent tetrahedra move with damping from their start positions until they rest. Each has the edges of two
+triangles (S1), the bending spring (S7) and the second spring (S8 or S9). A tetrahedron has recovered if its six lengths
+and its signed length are those of the rest shape. The signed length of the mirror image differs.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from cloth_sim_ros.physics.sheets.hinge_shape import HingeShape
 #: The five edges of the triangles, then the bending spring.
 EDGES = np.array([[0, 1], [0, 2], [1, 2], [0, 3], [1, 3], [2, 3]])
 
-#: Steps between looks at whether they rest.
+#: Steps between checks for rest.
 LOOK = 50
 
 #: Rest triangles: edge, heights and feet of the two wings [m].
@@ -48,15 +48,15 @@ STARTS: tuple[Start, ...] = ("random", "inverted", "flat", "folded", "collinear"
 
 @attrs.frozen(kw_only=True)
 class Recovery:
-    """What came of a batch of starts."""
+    """Statistics of a batch of starts."""
 
     starts: int
     missed: int
-    """Starts that came to rest elsewhere, or not at all."""
+    """Number of starts that rest in another shape, or that do not come to rest."""
     longest: int
-    """Steps that the slowest of them took."""
+    """Steps until the slowest of them is at rest."""
     latest_energy_rise: float
-    """Largest rise of the total energy from one look to the next in the last tenth of any motion, over k7 L²."""
+    """Largest rise of the total energy between two checks in the last tenth of any motion, over k7 L²."""
 
 
 def starts(kind: Start, rest: Array, count: int, rng: np.random.Generator) -> Array:
@@ -104,7 +104,9 @@ def recover(
     damping: float = 0.7,
     limit: int = 60_000,
 ) -> Recovery:
-    """Let starts x (count, 4, 3) come to rest and count those that miss the shape `rest` (4, 3); x is changed in place.
+    """Integrate starts x (count, 4, 3) until rest, and count those that miss the rest shape (4, 3).
+
+    `x` is changed in place.
 
     Args:
         x: start positions [m].
@@ -113,7 +115,7 @@ def recover(
         ratio: stiffness ratio ρ; None is the recommended one.
         edge_stiffness: stiffness of the triangles' edges, in units of S7's.
         damping: dimensionless k_d0 of every spring.
-        limit: number of steps after which a motion counts as missed.
+        limit: maximal number of steps; a motion that takes longer counts as missed.
     """
     shape = HingeShape.of([[0, 1, 2, 3]], rest)
     second, opposite = (float(k[0]) for k in spring_constants(model, shape, [1.0], ratio=ratio))
@@ -122,7 +124,7 @@ def recover(
     stiffness = np.array([edge_stiffness] * 5 + [1.0])  # unit masses; S7 has 1 N/m
     k_d = damping * np.sqrt(stiffness)
     h0 = float(shape.length(model)[0])
-    # an explicit step of a quarter of the shortest period's stable one: particles hang on up to four stiff springs
+    # a quarter of the stability limit: a particle has up to four stiff springs
     step = 0.25 / math.sqrt(edge_stiffness + ratio_second + 1.0)
     steps, rise = _come_to_rest(
         x,
@@ -143,7 +145,7 @@ def recover(
 
 
 class _Tetrahedra:
-    """Many tetrahedra of unit masses that do not touch each other, in one model."""
+    """Independent tetrahedra of unit masses in one model."""
 
     def __init__(
         self,
@@ -170,7 +172,7 @@ class _Tetrahedra:
         self.plan = compile(Model(np.ones(4 * count), [edges, hinges]))
 
     def energies(self, x: Array, v: Array) -> Array:
-        """Kinetic plus potential energy of each [J]; the hinge's counts where its length is defined."""
+        """Return kinetic plus potential energy of each (m,) [J]; a hinge of undefined length counts 0."""
         p = x.T.reshape(-1, 4, 3)
         stretch = np.linalg.norm(p[:, EDGES[:, 1]] - p[:, EDGES[:, 0]], axis=2) - self.lengths
         h = signed_lengths(self.quads, x, kind=self.kind)
@@ -180,7 +182,7 @@ class _Tetrahedra:
 
 
 def _kinetic_energies(v: Array) -> Array:
-    """Of each tetrahedron of unit masses [J]."""
+    """Return the kinetic energy of each tetrahedron of unit masses (m,) [J]."""
     energy: Array = 0.5 * (v * v).sum(axis=0).reshape(-1, 4).sum(axis=1)
     return energy
 
@@ -194,9 +196,10 @@ def _componentwise(x: Array) -> Array:
 
 
 def _come_to_rest(starts: Array, many: _Tetrahedra, step: float, limit: int) -> tuple[NDArray[np.int64], Array]:
-    """Let all move until they rest, by the leapfrog; returns the steps of each and its latest rise of energy [J].
+    """Integrate all by the leapfrog until they rest; return the steps of each and its late rise of energy [J].
 
-    They are looked at every `LOOK` steps: at rest is what was so at four looks in a row.
+    A check for rest follows every `STEPS_PER_CHECK` steps. A tetrahedron rests if four successive checks find it at
+    rest.
     """
     x, count = _componentwise(starts), len(starts)
     v, forces = np.zeros_like(x), np.zeros_like(x)

@@ -1,3 +1,3 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Moduli of sheets against those asked for."""
+"""Moduli of sheets against their nominal values."""

@@ -1,11 +1,11 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far the moduli of a sheet on irregular triangles lie from those asked for: the distribution over random meshes.
+"""Distribution of the moduli of sheets over random irregular meshes.
 
-The linear theory of a periodic patch. A spring of stiffness k, length L and direction d under the strain ε stretches by
-e = L d'εd + d'(u_b - u_a), u being any periodic displacement. The least energy ½ Σ k e² per area is ½ ε'Cε: C is the
-sheet's modulus tensor on lengths far above its triangles. With u = 0 instead (every particle moves with the strain) the
-energy is larger: that bound is printed beside it.
+Linear theory of a periodic patch: a spring has stiffness k, length L and direction d. Under the strain ε it stretches
+by e = L d'εd + d'(u_b - u_a), u being any periodic displacement. The minimum of the energy ½ Σ k e² per area is
+½ ε'Cε. C is the sheet's modulus tensor on lengths far above its triangles. With u = 0 every particle moves with the
+strain and the energy is larger. The report contains that upper bound as the affine mean.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from cloth_sim_ros.physics.sheets.surface import Surface
 from validation.bending.patterns import Triangulation, triangulation
 from validation.report import Report, Table
 
-#: Meshes: from which lattice, and how far its vertices are moved, in sides; 1 has no memory of the lattice.
+#: Meshes: (square lattice, largest displacement of a vertex in sides); 1 leaves no trace of the lattice.
 MESHES = (
     *((False, jitter) for jitter in (0.1, 0.2, 0.3, 0.4)),
     *((True, jitter) for jitter in (0.1, 0.2, 0.3)),
@@ -31,14 +31,14 @@ MESHES = (
 
 @attrs.frozen(kw_only=True)
 class Moduli:
-    """Moduli of a sheet, divided by what was asked for."""
+    """Moduli of a sheet, divided by the nominal ones."""
 
     along_x: float
     """Young's modulus along x."""
     along_y: float
     """Young's modulus along y."""
     shear: float
-    """Shear modulus, over 3/8 of the Young's modulus asked for."""
+    """Shear modulus, over 3/8 of the nominal Young's modulus."""
     poisson: float
     """Poisson's ratio along x, over 1/3."""
 
@@ -65,7 +65,7 @@ def moduli_of(mesh: Triangulation, *, relaxed: bool = True) -> Moduli:
         for end, sign in ((1, 1.0), (0, -1.0)):
             np.add.at(free, (spring, 2 * ends[:, end]), sign * x)
             np.add.at(free, (spring, 2 * ends[:, end] + 1), sign * y)
-        # Particle 0 stays: a displacement of all particles alike stretches nothing.
+        # Particle 0 is fixed: a uniform displacement stretches no spring.
         pulls = (root * free)[:, 2:]
         least = least - pulls @ np.linalg.solve(pulls.T @ pulls, pulls.T @ least)
     compliance = np.linalg.inv(least.T @ least / float(mesh.period.prod()))
@@ -84,7 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Measure each kind of mesh."""
+    """Measure the moduli of each kind of mesh."""
     if options.patterns < 2:
         raise ValueError(f"--patterns is {options.patterns}; a distribution takes 2 or more")
     columns = ["vertices of", "moved by", "modulus", "mean", "standard deviation", "5 %", "95 %", "affine mean"]

@@ -1,3 +1,3 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Stress cases by the thousand, and step limits found beside those predicted."""
+"""Stability scan of stress cases, and measured step limits against predicted ones."""

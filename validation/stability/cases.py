@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The cases of the stability scan: what is attacked, and what becomes of one case."""
+"""Cases of the stability scan and their results."""
 
 from __future__ import annotations
 
@@ -33,22 +33,22 @@ STIFFNESSES = (1.0, 10.0, 1e2, 1e3, 1e4, 1e5, 1e6)
 RATES = (30.0, 60.0, 120.0, 240.0)
 DAMPINGS = (0.0, 0.1, 0.5, 1.0, 3.0)
 STEPPINGS = ("auto", "fixed")
-#: Sheets besides the grid with axial bending, and what of the scan they get.
+#: Sheets besides the grid with axial bending, and their part of the scan.
 MORE_SHEETS = ("mesh", "opposite", "crossed", "altitude")
 SHEETS = ("grid", *MORE_SHEETS)
 MORE_STIFFNESSES, MORE_RATES, MORE_DAMPINGS = (1.0, 1e2, 1e4), (60.0,), (0.0, 0.5)
 _EVERY = {**ATTACKS, **CONTACT_ATTACKS}
 #: Target of the position error [m].
 TOLERANCE = 1e-3
-#: Fixed explicit steps are this part of the limit at the start.
+#: Fixed explicit steps are this fraction of the stability limit at the start.
 FIXED_SHARE = 0.5
-#: A fixed explicit step that would need more steps is replaced by the implicit method at half a frame.
+#: If a fixed explicit step needs more steps, the implicit method at half a frame replaces it.
 _MOST_STEPS = 200_000
 
 
 @attrs.frozen
 class Case:
-    """One combination."""
+    """One combination of sheet, stress case, material and stepping."""
 
     sheet: str
     attack: str
@@ -63,33 +63,33 @@ class Case:
 
 @attrs.frozen
 class Verdict:
-    """What became of it."""
+    """Stability and energy gain of one case."""
 
     #: Names of the integrators that ran.
     integrators: tuple[str, ...]
     finite: bool
     #: Largest strain of a spring at the end of any frame.
     strain: float
-    #: Largest rise of the energy, less what grippers put in, above what it was at the end of an earlier frame, relative
+    #: Largest rise of the energy, less the grippers' work, above its value at the end of any earlier frame, relative
     #: to the energy turned over.
     gain: float
-    #: Steps whose error was accepted although it was above the tolerance's share.
+    #: Steps that were accepted with an error above the error budget.
     flagged: int = 0
-    #: Attempts thrown away.
+    #: Rejected attempts.
     rejected: int = 0
-    #: Why it was given up; empty if it was not.
+    #: Reason why it was aborted; empty if it was not.
     trouble: str = ""
 
 
 def every_case() -> list[Case]:
-    """The scan."""
+    """Return all cases of the scan."""
     grids = itertools.product(("grid",), ATTACKS, STIFFNESSES, DAMPINGS, RATES, STEPPINGS)
     more = itertools.product(MORE_SHEETS, ATTACKS, MORE_STIFFNESSES, MORE_DAMPINGS, MORE_RATES, STEPPINGS)
     return [Case(*combination) for combination in (*grids, *more)]
 
 
 def random_cases(seed: int, count: int) -> list[Case]:
-    """So many cases from the whole range of the scan, between its points too."""
+    """Draw `count` cases from the whole range of the scan, also between its points."""
     rng = np.random.default_rng(seed)
     cases = []
     for _ in range(count):
@@ -106,7 +106,7 @@ def random_cases(seed: int, count: int) -> list[Case]:
 
 
 def contact_cases(seed: int, count: int) -> list[Case]:
-    """So many cases of attacks by contact, of sheets as soft and as stiff as explicit steps take."""
+    """Draw `count` contact stress cases of sheets within the stiffness range of explicit steps."""
     rng = np.random.default_rng(seed)
     cases = []
     for k in range(count):
@@ -118,7 +118,7 @@ def contact_cases(seed: int, count: int) -> list[Case]:
 
 
 def scene(case: Case) -> Scene:
-    """A sheet of 1 m x 1 m and 0.2 kg hung by its upper edge, stepped as `auto` chooses."""
+    """Return a sheet of 1 m x 1 m and 0.2 kg, hung by its upper edge, with the integrator `auto`."""
     values: dict[str, Any] = {
         "rate": case.rate,
         "material.damping": case.damping,
@@ -143,7 +143,7 @@ def scene(case: Case) -> Scene:
 def _moduli(case: Case) -> dict[str, float]:
     values = {"material.stretch_modulus": 1000.0 * case.stiffness, "material.shear_modulus": 100.0 * case.stiffness}
     if case.sheet == "mesh":
-        del values["material.shear_modulus"]  # a mesh's follows from its triangles
+        del values["material.shear_modulus"]  # that of a mesh follows from its triangles
     if case.sheet in ("crossed", "altitude"):
         values["material.bending_modulus"] = 1e-4 * case.stiffness
     else:
@@ -153,7 +153,7 @@ def _moduli(case: Case) -> dict[str, float]:
 
 @cache
 def _mesh() -> tuple[bytes, list[str]]:
-    """An irregular mesh as a file's content, and the particles of its upper edge."""
+    """Return an irregular mesh as the content of an OBJ file, and the particles of its upper edge."""
     sheet = irregular_sheet()
     rest = sheet.positions()
     lines = [f"v {x} {y} {z}" for x, y, z in rest.tolist()]
@@ -163,15 +163,15 @@ def _mesh() -> tuple[bytes, list[str]]:
 
 
 class WatchedSimulation(Simulation):
-    """A simulation that tells the grippers' work over its last frame."""
+    """Simulation that reports the grippers' work over its last frame."""
 
     @property
     def work(self) -> float:
-        """Work done on the cloth by grippers and recovering contacts [J], what grips store and lose included."""
+        """Work of grippers and recovering contacts on the cloth [J], including what grips store and dissipate."""
         return self._accumulator.work + self._accumulator.recovery_work if self._accumulator is not None else 0.0
 
     def work_of_parameters(self, events: list[Event]) -> float:
-        """Energy that a change of parameters is about to put in [J]: the same places, other springs."""
+        """Return the energy that a change of parameters will add [J]: same positions, other springs."""
         values = {
             name: value for event in events if isinstance(event, SetParameters) for name, value in event.values.items()
         }
@@ -182,7 +182,7 @@ class WatchedSimulation(Simulation):
 
 
 class EnergyAccount:
-    """Follows the energy of a run, and how much of it came from nowhere."""
+    """Energy account of a run and its spurious energy gain."""
 
     def __init__(self, simulation: WatchedSimulation) -> None:
         self._simulation = simulation
@@ -190,19 +190,19 @@ class EnergyAccount:
         self._start = simulation.energy()
         self._least = self._least_own = self._start
         self._put_in = 0.0
-        # Motion below the tolerance is not resolved: gains count relative to the weight's work over it, or to more.
+        # Motion below the tolerance is not resolved: the scale of gains is at least the weight's work over it.
         self._turned = 9.81 * simulation.model.mass * TOLERANCE
-        #: See `Verdict.gain`.
+        #: See `StabilityResult.gain`.
         self.gain = 0.0
 
     def close(self, work: float, step: float | None) -> None:
-        """Book a frame.
+        """Account for a frame.
 
-        With a fixed step the leapfrog conserves the modified energy E - h^2/8 v'Kv, and E itself swings about it. When
-        the step changes, E stays and the modified energy jumps. So an energy gain is real only if it shows in both.
+        With a fixed step the leapfrog conserves the modified energy E - h^2/8 v'Kv, and E itself oscillates about it.
+        When the step changes, E stays and the modified energy jumps. An energy gain is real only if both show it.
 
         Args:
-            work: energy put in over the frame [J].
+            work: external work over the frame [J].
             step: length of fixed leapfrog steps [s]; None for any other stepping.
         """
         self._put_in += work
@@ -254,7 +254,7 @@ def run_case(case: Case) -> Verdict:
 
 
 def _fixed(case: Case, built: Scene, start: State) -> dict[str, Any]:
-    """A fixed step: part of the limit at the start."""
+    """Return parameters of a fixed step: a fraction of the stability limit at the start."""
     step = FIXED_SHARE * Leapfrog().step_limit(*built.plan().spectral_bounds(start.x))
     if DURATION / step <= _MOST_STEPS:
         return {"integrator": "leapfrog", "step": step}
@@ -262,7 +262,7 @@ def _fixed(case: Case, built: Scene, start: State) -> dict[str, Any]:
 
 
 def _springs(model: Model) -> list[PairSprings]:
-    """The springs of a model between two particles."""
+    """Return the springs of a model between two particles."""
     forces = [force.pair_springs if isinstance(force, GridSprings) else force for force in model.forces]
     return [force for force in forces if isinstance(force, PairSprings)]
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Step limits found beside those predicted, and the sixteen cases that other engines were put to."""
+"""Measured step limits against predicted ones, and sixteen peer cases."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from cloth_sim_ros.physics.plan import Plan
 from cloth_sim_ros.physics.state import State
 from validation.report import Table
 
-#: How far the limits found may be beyond the bounds; below them they may not be.
+#: Largest relative excess of a measured limit over its bound; a limit below its bound is a failure.
 LARGEST_EXCESS = 0.25
 STRETCHES, DAMPINGS = (1.0, 1.2, 1.5, 2.0, 3.0), (0.0, 0.2, 1.0)
-#: Steps over which a kick must not grow, and the kick [m].
+#: Steps over which a perturbation must not grow, and the perturbation [m].
 _STEPS, _KICK = 1500, 1e-9
-#: A sheet that is stretched so many times is whole no longer.
+#: Largest stretch of a sheet that counts as intact.
 WHOLE = 1.5
-#: Until when a pointwise error means something on scene A [s]: then a kick has grown about 200 times.
+#: Time up to which a pointwise error is meaningful on scene A [s]: a perturbation has grown about 200 times by then.
 HORIZON = 0.5
 
 
 def limits() -> tuple[Table, list[str]]:
-    """Limits of fixed steps about stretched states, and which of them are not as bounded."""
+    """Return measured limits of fixed steps at stretched states, and those that violate their bounds."""
     table = Table(
         "Step limit of the leapfrog about stretched states",
         ["stretch", "k_d0", "bound s", "found s", "found / bound"],
@@ -50,7 +50,7 @@ def limits() -> tuple[Table, list[str]]:
 
 
 def stretched_sheet(stretch: float, k_d0: float, resolution: int = 12) -> tuple[Plan, Array]:
-    """A sheet with its border pinned, every spring stretched so many times; its equations and its places."""
+    """Return the plan and positions (3, n) [m] of a sheet with pinned border and every spring stretched."""
     sheet = RawSheet(resolution=resolution, k_d0=k_d0, rest=1.0 / stretch, gravity=(0.0, 0.0, 0.0))
     index = sheet.index
     border = np.unique(np.concatenate([index[0], index[-1], index[:, 0], index[:, -1]]))
@@ -58,7 +58,7 @@ def stretched_sheet(stretch: float, k_d0: float, resolution: int = 12) -> tuple[
 
 
 def limit_found(plan: Plan, x: Array, bound: float) -> float:
-    """Largest step [s] at which a kick does not grow, by bisection."""
+    """Find the largest step [s] at which a perturbation does not grow, by bisection."""
     low, high = 0.5 * bound, 2.0 * bound
     kick = _KICK * np.random.default_rng(1).normal(size=x.shape) * (plan.model.inverse_masses > 0.0)
     while high / low > 1.002:
@@ -77,7 +77,7 @@ def limit_found(plan: Plan, x: Array, bound: float) -> float:
 
 @attrs.frozen
 class PeerCase:
-    """Scene A, 16 x 16, 2 s, at a factor of the moduli and a fixed step [s]."""
+    """Scene A (16 x 16, 2 s) at a factor of the moduli and a fixed step [s]."""
 
     stiffness: float
     step: float
@@ -89,10 +89,10 @@ PEER_CASES = [
 
 
 def run_peer_case(case: PeerCase) -> tuple[str, float, float, str]:
-    """Run one; return the integrator, the largest stretch, the error [m] at `HORIZON`, and what went wrong.
+    """Run one case; return the integrator, the largest stretch, the error [m] at `HORIZON`, and any failure.
 
-    The step is the leapfrog's where that is stable with it, else the implicit method's. The error is the largest
-    distance of a particle from where the order 5 of the extrapolated leapfrog at its stability limit brings it.
+    The leapfrog takes the step if it is stable, otherwise the implicit method. The error is the largest distance of a
+    particle from its reference position. The reference is the extrapolated leapfrog (4 runs) at its stability limit.
     """
     sheet = RawSheet(resolution=16, stiffness=case.stiffness, k_d0=0.05)
     plan, state = sheet.plan(sheet.index[0, [0, -1]]), State(sheet.flat(hung=False))
@@ -113,7 +113,7 @@ def run_peer_case(case: PeerCase) -> tuple[str, float, float, str]:
 
 
 def stretch_of(pairs: np.ndarray, rest_length: Array, x: Array) -> float:
-    """Largest length of springs relative to their rest length; joints, of no length, do not count."""
+    """Return the largest length of springs relative to their rest length; joints (rest length 0) do not count."""
     away = x[:, pairs[:, 1]] - x[:, pairs[:, 0]]
     length = np.sqrt(np.sum(away * away, axis=0))
     return float(np.max(length[rest_length > 0.0] / rest_length[rest_length > 0.0], initial=0.0))

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The stability scan: thousands of attacks; step limits found beside those predicted; what peers were put to."""
+"""Command `stability`: scan of stress cases, measured step limits and peer cases."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from validation.report import Report, Table
 from validation.stability.cases import Case, Verdict, contact_cases, every_case, random_cases, run_case
 from validation.stability.limits import PEER_CASES, PeerCase, limits, run_peer_case
 
-#: Energy that a case may gain over what was put in, relative to the energy turned over.
+#: Largest energy gain of a case beyond the external work, relative to the energy turned over.
 LARGEST_GAIN = 0.01
 PARTS = ("scan", "limits", "peers")
-#: Slowest cases that are told.
+#: Number of slowest cases in the report.
 _SLOWEST = 10
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="what to run (all)")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="parts to run (all)")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="run every N-th case of the scan only")
-    parser.add_argument("--random", type=int, default=0, metavar="N", help="so many random cases in place of it")
-    parser.add_argument("--contact", type=int, default=0, metavar="N", help="so many random attacks by contact instead")
-    parser.add_argument("--seed", type=int, default=1, help="of random cases (1)")
+    parser.add_argument("--random", type=int, default=0, metavar="N", help="run N random cases instead of the scan")
+    parser.add_argument("--contact", type=int, default=0, metavar="N", help="run N random contact stress cases instead")
+    parser.add_argument("--seed", type=int, default=1, help="seed of random cases (1)")
     parser.add_argument("--only", type=int, metavar="N", help="run the first N of these cases only")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument(
-        "--limit", type=float, default=60.0, metavar="SECONDS", help="a case of the scan that takes longer has failed"
+        "--limit", type=float, default=60.0, metavar="SECONDS", help="wall time limit of a case of the scan"
     )
     parser.add_argument(
-        "--resume", type=Path, metavar="FILE", help="keep every verdict there as it comes, and run only those missing"
+        "--resume", type=Path, metavar="FILE", help="append each result to this file, and run only cases without one"
     )
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Run what was asked for."""
+    """Run the selected parts."""
     report = Report("Stability", "python -m validation stability")
     if "scan" in options.parts:
         every = random_cases(options.seed, options.random) if options.random else every_case()

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Starts and events that try to make a cloth blow up."""
+"""Stress cases: initial positions and events that provoke instability."""
 
 from __future__ import annotations
 
@@ -13,42 +13,42 @@ import numpy as np
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.simulation.events import Event, Grasp, SetParameters, Target
 
-#: Speed at which a gripper is yanked away [m/s].
+#: Speed of a gripper that is yanked away [m/s].
 YANK = 10.0
-#: Radius within which the gripper holds particles [m], and within which it does in `zero-length springs`.
+#: Radius of the gripper [m], and its radius in `zero-length springs`.
 RADIUS, WIDE_RADIUS = 0.15, 0.4
-#: What the moduli are divided by for a while where `parameters change`.
+#: Divisor of the moduli during the soft phase of `parameters change`.
 SOFTENED = 10.0
 _GRIPPER = "gripper"
 
 
 @attrs.frozen
 class Moment:
-    """The frame that an event may precede."""
+    """Frame before which an event may happen."""
 
     #: Time at its start, and its length [s].
     t: float
     period: float
-    #: Where the free corner of the sheet was at rest [m].
+    #: Rest position of the free corner of the sheet (3,) [m].
     corner: Array
     #: Moduli of the case [N/m] by parameter.
     moduli: dict[str, float]
 
     def is_first_after(self, moment: float) -> bool:
-        """Whether this is the first frame that starts at a time [s] or later."""
+        """Return true for the first frame that starts at a time [s] or later."""
         return moment <= self.t + 1e-9 * self.period < moment + self.period
 
 
 @attrs.frozen
 class Attack:
-    """How a case starts, and what happens to it."""
+    """Initial positions and events of a case."""
 
-    #: Positions (n, 3) to start from, of the rest positions and a random generator.
+    #: Returns initial positions (n, 3) for rest positions (n, 3) and a random generator.
     start: Callable[[Array, np.random.Generator], Array]
-    #: Events before a frame.
+    #: Returns the events before a frame.
     events: Callable[[Moment], list[Event]]
     radius: float = RADIUS
-    #: Parameters that its scene has besides.
+    #: Additional parameters of its scene.
     values: dict[str, Any] = attrs.field(factory=dict)
 
 
@@ -65,7 +65,7 @@ def _crumpled(rest: Array, random: np.random.Generator) -> Array:
 
 
 def _middle(rest: Array) -> np.ndarray:
-    """Particles by their distance from the middle of the sheet."""
+    """Return particles sorted by their distance from the centre of the sheet."""
     away = rest - rest.mean(axis=0)
     return np.argsort(np.sum(away * away, axis=1), kind="stable")
 
@@ -77,7 +77,7 @@ def _coincident(rest: Array, random: np.random.Generator) -> Array:
 
 
 def _to_a_point(rest: Array, random: np.random.Generator) -> Array:
-    """All of the lower half in one place."""
+    """Move the lower half to one point."""
     changed = rest.copy()
     lower = rest[:, 2] < rest[:, 2].mean()
     changed[lower] = rest[lower].mean(axis=0)
@@ -92,7 +92,7 @@ def _inverted(rest: Array, random: np.random.Generator) -> Array:
 
 
 def _folded(rest: Array, random: np.random.Generator) -> Array:
-    """The lower half folded up by nearly 180 degrees, onto the upper one."""
+    """Fold the lower half up by nearly 180 degrees, onto the upper one."""
     changed = rest.copy()
     fold = rest[:, 2].mean()
     lower = rest[:, 2] < fold
@@ -135,7 +135,7 @@ def _yank(moment: Moment) -> list[Event]:
 
 
 def _jumps(moment: Moment) -> list[Event]:
-    """A held patch is thrown through its own springs' zero, back and forth, and turned."""
+    """Move a grasped patch back and forth through the zero length of its springs, and turn it."""
     if moment.is_first_after(0.0):
         return _close(moment)
     for k, moment_of_jump in enumerate((0.1, 0.2, 0.3, 0.4)):
@@ -147,7 +147,7 @@ def _jumps(moment: Moment) -> list[Event]:
 
 
 def _parameters(moment: Moment) -> list[Event]:
-    """The moduli fall in mid-run, and grow again."""
+    """Reduce the moduli during the run, and restore them."""
     if moment.is_first_after(0.1):
         return [SetParameters({name: value / SOFTENED for name, value in moment.moduli.items()})]
     return [SetParameters(dict(moment.moduli))] if moment.is_first_after(0.3) else []

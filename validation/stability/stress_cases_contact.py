@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Attacks by contact: what is driven through a cloth, pinches, crushes, or starts too near."""
+"""Contact stress cases: fast obstacles, pinching, crushing and small initial gaps."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
 from validation.stability.stress_cases import YANK, Attack, Moment
 
-#: Thickness of contact in these attacks [m]: the cloth's cells are 0.14 m wide.
+#: Contact thickness in these cases [m]: the cells of the cloth are 0.14 m wide.
 THICKNESS = 0.01
-#: Of that, the gap with which a cloth starts that is nearly on an obstacle, or on itself, and to which plates crush it.
+#: Gaps relative to the thickness: of the start at an obstacle, of the folded start, and of the crushing plates.
 NEARLY_ON, FOLDED, CRUSHED = 0.021, 0.3, 0.3
 _COMMON: dict[str, Any] = {"cloth.resolution": [8, 8], "contact.thickness": THICKNESS, "gripper.max_speed": 0.0}
 _PLATE: dict[str, Any] = {"shape": "box", "size": [1.2, 0.1, 1.2], "friction": [0.5, 0.4]}
 
 
 def _plate(name: str, y: float) -> dict[str, Any]:
-    """Parameters of a plate parallel to the sheet, its middle at y [m]."""
+    """Return the parameters of a plate parallel to the sheet, its centre at y [m]."""
     return {**{f"{name}.{key}": value for key, value in _PLATE.items()}, f"{name}.position": [0.0, y, 1.0]}
 
 
@@ -30,7 +30,7 @@ def _as_it_is(rest: Array, random: np.random.Generator) -> Array:
 
 
 def _folded(rest: Array, random: np.random.Generator) -> Array:
-    """The lower half mirrored onto the upper one, and shifted by half a cell along the rows, at a small gap."""
+    """Mirror the lower half onto the upper one at a small gap."""
     changed = rest.copy()
     fold = rest[:, 2].mean()
     lower = rest[:, 2] < fold
@@ -44,7 +44,7 @@ def _through(moment: Moment) -> list[Event]:
 
 
 def _pinched(moment: Moment) -> list[Event]:
-    """Pads close on the free corner, and are yanked away."""
+    """Close the jaws on the free corner, and yank them away."""
     if moment.is_first_after(0.0):
         return [Target("gripper", moment.corner), Grasp("gripper", True)]
     if 0.2 <= moment.t < 0.3:

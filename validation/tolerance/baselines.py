@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The solvers of libraries on our own right-hand side, and ours as shipped, behind one call."""
+"""Common interface to library solvers and the product's integrators."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from validation.tolerance.jacobian import SparseJacobian
 
 
 class TooSlow(RuntimeError):
-    """A solver that did not end within its time."""
+    """The solver exceeded its time limit."""
 
 
 @attrs.frozen
 class Run:
-    """One solution: the end, the time that it took, and its work."""
+    """One solution: final positions (3, n) [m], wall time [s] and force evaluations."""
 
     positions: Array
     seconds: float
@@ -41,15 +41,15 @@ class Solver:
 
     name: str
     setting: str
-    #: ours, alone (the same by one thread), library, or beside: shown, but in no comparison.
+    #: `ours` (the product), `alone` (the product on one thread), `library`, or `beside` (in no comparison).
     kind: str
     solve: Callable[[Problem, float], Run]
-    #: What was asked for [m]; infinite for a fixed step.
+    #: Requested tolerance [m]; infinite for a fixed step.
     tolerance: float = math.inf
 
 
 def library_solvers(*, slow: bool) -> list[Solver]:
-    """Every library solver at several tolerances; ``slow`` adds those that take minutes."""
+    """Return every library solver at several tolerances; `slow` adds those that take minutes."""
     solvers = []
     for method, tolerances in (
         ("RK45", (1e-2, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)),
@@ -69,7 +69,7 @@ def library_solvers(*, slow: bool) -> list[Solver]:
 
 
 def our_solvers(tolerances: tuple[float, ...]) -> list[Solver]:
-    """`auto` at several tolerances, as shipped and by one thread, and plain leapfrogs of fixed steps beside it."""
+    """Return `auto` at several tolerances, with all threads and with one, and leapfrogs of fixed steps."""
     solvers = [_ours("auto", tolerance, alone=alone) for alone in (False, True) for tolerance in tolerances]
     return [*solvers, *(_plain(share) for share in (0.9, 0.45, 0.225))]
 
@@ -141,7 +141,7 @@ def _cvode(method: str, linear: str | None, tolerance: float) -> Solver:
 
 
 class _Limited:
-    """A right-hand side that gives up after a time."""
+    """Right-hand side that raises `SolverTimeoutError` after a time limit [s]."""
 
     def __init__(self, inner: RightSide, limit: float) -> None:
         self.inner = inner

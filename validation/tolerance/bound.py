@@ -1,11 +1,12 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the promise of the tolerance holds where nobody looked: random scenes through the public door, judged.
+"""Command `tolerance`: the tolerance's error bound on random scenes.
 
-Over every window of one second, started from the engine's own full state, positions stay within tolerance x max(1, g)
-of the exact solution under the same commands, g being how much a kick grows in that window. What is exact is told by
-`compiled_reference`. A kick is of size 1e-9 m or 1e-9 m/s: of each particle in a direction of its own, or smooth over
-the cloth; three of positions and three of velocities for each window, and g the largest growth.
+A window of one second starts from the engine's full state. Within it, positions stay within tolerance x max(1, g) of
+the exact solution under the same commands. g is the amplification of a perturbation in that window.
+`compiled_reference` calculates the exact solution. A perturbation has a size of 1e-9 m or 1e-9 m/s. Its direction is
+random for each particle, or smooth over the cloth. Each window has three perturbations of positions and three of velocities; g is the largest
+amplification.
 """
 
 from __future__ import annotations
@@ -21,11 +22,12 @@ from validation.report import Report, Table
 from validation.tolerance.random_scenes import CAP, draw
 from validation.tolerance.windows import CALM, Judgement, Window, judge
 
-#: Part of the windows with growth below `CALM` that may be flagged, and what a flagged one may miss the promise by.
+#: Largest fraction of flagged windows among those with amplification below `CALM_AMPLIFICATION`, and largest ratio of
+#: error to error bound of a flagged window.
 MOST_FLAGGED, MOST_MISSED = 0.002, 2.0
-#: Windows are listed from this part of what is promised on.
+#: Smallest ratio of error to error bound of a listed window.
 _LISTED = 0.5
-#: Draws in a row beyond the cap from which something is wrong with it.
+#: Largest number of consecutive draws beyond the cap.
 _PATIENCE = 1000
 
 _Case = tuple[int, int, int]
@@ -34,29 +36,37 @@ _Case = tuple[int, int, int]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     what = parser.add_mutually_exclusive_group()
-    what.add_argument("--regimes", action="store_true", help="judge springs, chains and pendulums of fixed regimes")
-    what.add_argument("--violent", action="store_true", help="scenes whose grippers leap each frame: do they stay sane")
-    what.add_argument("--contact", action="store_true", help="sheets that come down on obstacles and on themselves")
-    what.add_argument("--only", type=int, metavar="INDEX", help="judge this scene of the seed alone, window by window")
-    parser.add_argument("--seed", type=int, default=1, help="of the scenes (1)")
+    what.add_argument("--regimes", action="store_true", help="evaluate springs, chains and pendulums of fixed regimes")
+    what.add_argument("--violent", action="store_true", help="evaluate scenes whose grippers jump with each frame")
+    what.add_argument("--contact", action="store_true", help="evaluate sheets that fall on obstacles and on themselves")
+    what.add_argument(
+        "--only", type=int, metavar="INDEX", help="evaluate this scene of the seed only, window by window"
+    )
+    parser.add_argument("--seed", type=int, default=1, help="seed of the scenes (1)")
     parser.add_argument(
-        "--count", type=int, default=40, help="scenes that are judged (40); draws beyond the cap add to it"
+        "--count", type=int, default=40, help="number of evaluated scenes (40), not counting draws beyond the cap"
     )
     parser.add_argument(
-        "--windows", type=int, default=4, help="windows of one second a scene, beside the whole run (4)"
-    )
-    parser.add_argument("--cap", type=float, default=CAP, metavar="WORK", help=f"see CAP in random_scenes ({CAP:g})")
-    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes (one a core)")
-    parser.add_argument(
-        "--resume", type=Path, metavar="FILE", help="keep what is found there as it comes, and run only what is missing"
+        "--windows", type=int, default=4, help="windows of one second per scene, besides the whole run (4)"
     )
     parser.add_argument(
-        "--limit", type=float, default=1800.0, metavar="SECONDS", help="a scene that takes longer is ended, and broken"
+        "--cap", type=float, default=CAP, metavar="WORK", help=f"largest estimated cost of a scene ({CAP:g})"
+    )
+    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes (one per core)")
+    parser.add_argument(
+        "--resume", type=Path, metavar="FILE", help="append each result to this file, and run only scenes without one"
+    )
+    parser.add_argument(
+        "--limit",
+        type=float,
+        default=1800.0,
+        metavar="SECONDS",
+        help="wall time limit of a scene; a scene that takes longer fails",
     )
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Judge what was asked for."""
+    """Evaluate the selected scenes."""
     if options.count < 1 or options.windows < 1 or options.jobs < 1:
         raise ValueError("--count, --windows and --jobs must be at least 1")
     if options.regimes:
@@ -76,11 +86,13 @@ def run(options: argparse.Namespace) -> Report:
 
 def _one(options: argparse.Namespace) -> Report:
     judgement = judge(options.seed, options.only, options.windows)
-    report = Report("Promise", f"python -m validation tolerance --seed {options.seed} --only {options.only}")
+    report = Report("Error bound", f"python -m validation tolerance --seed {options.seed} --only {options.only}")
     report.tables.append(_scenes([judgement]))
     table = _windows("Windows", [judgement], least=0.0)
     report.tables.append(table)
-    report.notes += [f"flagged or dearest frame of the window at {w.first}: {w.reason}" for w in judgement.windows]
+    report.notes += [
+        f"flagged or most expensive frame of the window at {w.first}: {w.reason}" for w in judgement.windows
+    ]
     report.notes += judgement.unknown
     _count([judgement], report)
     return report
@@ -89,14 +101,14 @@ def _one(options: argparse.Namespace) -> Report:
 def _contact(options: argparse.Namespace) -> Report:
     command = f"python -m validation tolerance --contact --seed {options.seed} --count {options.count}"
     cases = [(options.seed, index, options.windows) for index in range(options.count)]
-    report = Report("Promise where cloth touches", command)
+    report = Report("Error bound with contact", command)
     _judge_all(_judge_contact, cases, options, report)
     return report
 
 
 def _many(options: argparse.Namespace) -> Report:
     cases, beyond = drawn(options)
-    report = Report("Promise", f"python -m validation tolerance --seed {options.seed} --count {options.count}")
+    report = Report("Error bound", f"python -m validation tolerance --seed {options.seed} --count {options.count}")
     report.notes.append(f"{len(beyond)} draws beyond the cap: {_listed(beyond)}")
     _judge_all(_judge, cases, options, report)
     return report
@@ -112,13 +124,13 @@ def _judge_all(
             continue
         judged.append(done.result)
     judged.sort(key=lambda judgement: judgement.index)
-    report.tables += [_scenes(judged), _windows(f"Windows from {_LISTED} of the promise on", judged, least=_LISTED)]
-    report.notes.append(f"{len(judged)} scenes judged")
+    report.tables += [_scenes(judged), _windows(f"Windows above {_LISTED} of the error bound", judged, least=_LISTED)]
+    report.notes.append(f"{len(judged)} scenes evaluated")
     _count(judged, report)
 
 
 def drawn(options: argparse.Namespace) -> tuple[list[_Case], list[int]]:
-    """The scenes that are judged, and the draws beyond the cap."""
+    """Return the cases to evaluate, and the indices of draws beyond the cap."""
     cases, beyond, index, since = list[_Case](), list[int](), 0, 0
     while len(cases) < options.count:
         if draw(options.seed, index).cost <= options.cap:
@@ -128,13 +140,13 @@ def drawn(options: argparse.Namespace) -> tuple[list[_Case], list[int]]:
             beyond.append(index)
             since += 1
             if since == _PATIENCE:
-                raise ValueError(f"{since} draws in a row are beyond --cap {options.cap:g}; raise it")
+                raise ValueError(f"{since} consecutive draws are beyond --cap {options.cap:g}; raise --cap")
         index += 1
     return cases, beyond
 
 
 def progress(cases: list[_Case], options: argparse.Namespace, judged_by: Callable[[_Case], Judgement]) -> Any:
-    """Yield what became of each scene as it ends; say so, and what is left."""
+    """Yield the result of each scene as it ends, and print it beside a progress bar."""
     from tqdm import tqdm
 
     limits = {"workers": options.jobs, "limit": options.limit}
@@ -262,7 +274,7 @@ def _window_row(judgement: Judgement, window: Window) -> list[Any]:
 
 
 def _count(judged: list[Judgement], report: Report) -> None:
-    """What the scenes come to, and what of that breaks the promise."""
+    """Add a summary of the scenes and the violations of the error bound to the report."""
     every = [window for judgement in judged for window in judgement.windows]
     known = [window for window in every if window.known]
     unflagged = [window for window in known if not window.flagged]
@@ -277,9 +289,9 @@ def _count(judged: list[Judgement], report: Report) -> None:
     frames = sum(judgement.frames for judgement in judged)
     flags = sum(judgement.flagged_frames for judgement in judged)
     report.notes += [
-        f"{len(known)} windows judged, {lost} that the reference can't follow",
-        f"unflagged: {len(unflagged)}, of which {len(broken)} above the promise, the worst {worst_unflagged:.3g} times",
-        f"by kicks at the start of windows alone: {sum(ratio > 1.0 for ratio in from_start)} of these above it, "
+        f"{len(known)} windows evaluated, {lost} that the reference can't follow",
+        f"unflagged: {len(unflagged)}, of which {len(broken)} violate the bound, the worst {worst_unflagged:.3g} times",
+        f"with perturbations at window starts only: {sum(ratio > 1.0 for ratio in from_start)} of these above it, "
         f"the worst {max(from_start, default=0.0):.3g} times",
         f"flagged: {len(known) - len(unflagged)}; among the {len(calm)} windows with g below {CALM:g}: {len(flagged)}",
         f"worst of all {worst:.3g} times; above {MOST_MISSED:g} times: {len(missed)}, "
@@ -287,14 +299,14 @@ def _count(judged: list[Judgement], report: Report) -> None:
         f"{flags} of {frames} frames flagged ({flags / max(1, frames):.2%})",
     ]
     if broken:
-        report.failures.append(f"{len(broken)} unflagged windows are above the promise")
+        report.failures.append(f"{len(broken)} unflagged windows violate the error bound")
     if missed:
-        report.failures.append(f"{len(missed)} windows are above {MOST_MISSED:g} times the promise")
+        report.failures.append(f"{len(missed)} windows are above {MOST_MISSED:g} times the error bound")
     if calm and len(flagged) > MOST_FLAGGED * len(calm):
         report.failures.append(f"{len(flagged) / len(calm):.2%} of windows with g below {CALM:g} are flagged")
     whole = [j.index for j in judged if j.verdict == "BROKEN, whole"]
     for what, found in (
-        ("above the promise over the whole run", whole),
+        ("that violate the error bound over the whole run", whole),
         ("with forces that differ from the reference's", [j.index for j in judged if j.verdict == "FORCES DIFFER"]),
         ("that stopped", [j.index for j in judged if j.trouble]),
     ):

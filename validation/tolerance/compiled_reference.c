@@ -3,8 +3,8 @@
  *
  * Equations of motion by the formulas of docs/springs.md and docs/bending.md, with none of the engine's code, and the
  * method of Dormand and Prince of order 8 (Hairer, Norsett, Wanner I, II.5) to solve them. LANES trajectories of one
- * system run side by side in the same steps: the first is the solution, the others are that solution kicked. Positions and
- * velocities of a particle lie as [3][LANES]. */
+ * system advance in the same steps: the first is the solution, the others are perturbed. Positions and velocities of a
+ * particle are stored as [3][LANES]. */
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
@@ -15,7 +15,7 @@ typedef struct {
     Lanes x, y, z;
 } Vec;
 
-/* The same in compiled_reference.py. */
+/* Struct `_System` of compiled_reference.py. */
 typedef struct {
     int64_t particles;
     const double *inverse_mass;
@@ -40,7 +40,7 @@ typedef struct {
     const double *held_numbers; /* k, k_d */
     const double *held_offsets; /* [held][3][LANES], in the gripper's frame */
     const double *paths;        /* 26 numbers a gripper */
-    double shift[8];            /* time at the start of the stretch less the start of a gripper's path [s] */
+    double shift[8];            /* start of the interval less the start of a gripper's path [s] */
 } System;
 
 static inline Vec load(const double *p, int64_t i) {
@@ -62,7 +62,7 @@ static inline Lanes root(Lanes a) {
     for (int l = 0; l < LANES; ++l) a[l] = sqrt(a[l]);
     return a;
 }
-/* 1 / a where a is above a limit, 0 where it is not. */
+/* 1 / a if a is above a limit, else 0. */
 static inline Lanes inverse_above(Lanes a, Lanes limit) {
     const Mask above = a > limit;
     return (Lanes)((Mask)(1.0 / a) & above);
@@ -71,12 +71,12 @@ static inline Lanes inverse_above(Lanes a, Lanes limit) {
 static void springs(const System *s, const double *x, const double *v, double *f) {
     for (int64_t k = 0; k < s->springs; ++k) {
         const int64_t i = s->spring_ends[2 * k], j = s->spring_ends[2 * k + 1];
-        const double *number = s->spring_numbers + 3 * k;
+        const double *constants = s->spring_numbers + 3 * k;
         const Vec away = minus(load(x, j), load(x, i)), rate = minus(load(v, j), load(v, i));
         const Lanes length = root(dot(away, away));
         const Lanes inverse = inverse_above(length, (Lanes){0});
         const Vec along = times(inverse, away);
-        const Vec pull = times(number[0] * (length - number[1]) + number[2] * dot(rate, along), along);
+        const Vec pull = times(constants[0] * (length - constants[1]) + constants[2] * dot(rate, along), along);
         add(f, i, pull);
         add(f, j, times((Lanes){0} - 1.0, pull));
     }
@@ -90,10 +90,10 @@ static void springs(const System *s, const double *x, const double *v, double *f
 }
 
 /* Energy k (h - h0)^2 / 2, damping -k_d (grad h . v) grad h. */
-static inline void hinge(const int64_t *at, const double *number, Lanes h, const Vec *gradient, const double *v, double *f) {
+static inline void hinge(const int64_t *at, const double *constants, Lanes h, const Vec *gradient, const double *v, double *f) {
     Lanes rate = {0};
     for (int c = 0; c < 4; ++c) rate += dot(gradient[c], load(v, at[c]));
-    const Lanes tension = number[1] * (number[0] - h) - number[2] * rate;
+    const Lanes tension = constants[1] * (constants[0] - h) - constants[2] * rate;
     for (int c = 0; c < 4; ++c) add(f, at[c], times(tension, gradient[c]));
 }
 
@@ -170,18 +170,18 @@ static void panels(const System *s, const double *x, const double *v, double *f)
 }
 
 static void turn(const double *axis, double first, double second, const double *in, double *out) {
-    const double side[3] = {axis[1] * in[2] - axis[2] * in[1], axis[2] * in[0] - axis[0] * in[2],
+    const double cross_product[3] = {axis[1] * in[2] - axis[2] * in[1], axis[2] * in[0] - axis[0] * in[2],
                             axis[0] * in[1] - axis[1] * in[0]};
-    const double again[3] = {axis[1] * side[2] - axis[2] * side[1], axis[2] * side[0] - axis[0] * side[2],
-                             axis[0] * side[1] - axis[1] * side[0]};
-    for (int c = 0; c < 3; ++c) out[c] = in[c] + first * side[c] + second * again[c];
+    const double double_cross[3] = {axis[1] * cross_product[2] - axis[2] * cross_product[1], axis[2] * cross_product[0] - axis[0] * cross_product[2],
+                             axis[0] * cross_product[1] - axis[1] * cross_product[0]};
+    for (int c = 0; c < 3; ++c) out[c] = in[c] + first * cross_product[c] + second * double_cross[c];
 }
 
-/* Place and velocity of a gripper, its rotation matrix by columns, and its angular velocity, at a time on its path. */
-static void pose(const double *path, double t, double *place, double *speed, double rotation[3][3], double *spin) {
+/* Position and velocity of a gripper, its rotation matrix by columns, and its angular velocity, at a time on its path. */
+static void pose(const double *path, double t, double *position, double *speed, double rotation[3][3], double *spin) {
     double r[3], rate[3];
     for (int c = 0; c < 3; ++c) {
-        place[c] = path[1 + c] + path[4 + c] * t + path[7 + c] * t * t + path[10 + c] * t * t * t;
+        position[c] = path[1 + c] + path[4 + c] * t + path[7 + c] * t * t + path[10 + c] * t * t * t;
         speed[c] = path[4 + c] + 2.0 * path[7 + c] * t + 3.0 * path[10 + c] * t * t;
         r[c] = path[17 + c] * t + path[20 + c] * t * t + path[23 + c] * t * t * t;
         rate[c] = path[17 + c] + 2.0 * path[20 + c] * t + 3.0 * path[23 + c] * t * t;
@@ -207,17 +207,17 @@ static void pose(const double *path, double t, double *place, double *speed, dou
 
 static void grips(const System *s, double t, const double *x, const double *v, double *f) {
     int64_t gripper = -1;
-    double place[3], speed[3], rotation[3][3], spin[3];
+    double position[3], speed[3], rotation[3][3], spin[3];
     for (int64_t k = 0; k < s->held; ++k) {
         if (s->held_grippers[k] != gripper) {
             gripper = s->held_grippers[k];
-            pose(s->paths + 26 * gripper, t + s->shift[gripper], place, speed, rotation, spin);
+            pose(s->paths + 26 * gripper, t + s->shift[gripper], position, speed, rotation, spin);
         }
         const int64_t i = s->held_particles[k];
         const Vec offset = load(s->held_offsets, k);
         Lanes arm[3];
         for (int c = 0; c < 3; ++c) arm[c] = rotation[0][c] * offset.x + rotation[1][c] * offset.y + rotation[2][c] * offset.z;
-        const Vec point = {place[0] + arm[0], place[1] + arm[1], place[2] + arm[2]};
+        const Vec point = {position[0] + arm[0], position[1] + arm[1], position[2] + arm[2]};
         const Vec motion = {speed[0] + (spin[1] * arm[2] - spin[2] * arm[1]), speed[1] + (spin[2] * arm[0] - spin[0] * arm[2]),
                             speed[2] + (spin[0] * arm[1] - spin[1] * arm[0])};
         const Lanes stiff = (Lanes){0} + s->held_numbers[2 * k], damp = (Lanes){0} + s->held_numbers[2 * k + 1];
@@ -226,7 +226,7 @@ static void grips(const System *s, double t, const double *x, const double *v, d
     }
 }
 
-/* Accelerations [m/s^2] at a time [s] after the start of the stretch. */
+/* Accelerations [m/s^2] at a time [s] after the start of the interval. */
 void accelerations(const System *s, double t, const double *x, const double *v, double *a) {
     const int64_t n = s->particles;
     memset(a, 0, (size_t)n * 3 * LANES * sizeof(double));
@@ -243,40 +243,40 @@ void accelerations(const System *s, double t, const double *x, const double *v, 
     }
 }
 
-/* Coefficients of the method: rows A of stages 1 to 11, B, then the two error estimates' 12; C. A slope's first half is the
- * stage's velocity, itself a sum of accelerations: so positions need accelerations alone, with the weights that products
- * with A give. */
+/* Coefficients of the method: rows A of stages 1 to 11, B, then the two error estimates' 12; C. The first half of a slope is
+ * the velocity of the stage, itself a sum of accelerations. Therefore positions need accelerations only, with the weights
+ * of products with A. */
 typedef struct {
     double a[12][12], b[12], c[12], third[12], fifth[12];
     double a_place[12][12], b_place[12], third_place[12], fifth_place[12];
 } Method;
 
-/* Error control of one stretch. */
+/* Error control of one interval. */
 typedef struct {
     double tolerance;       /* of the solution's local error, positions [m] and velocities [m/s] alike */
-    double kick;            /* size of the kicks [m], [m/s] */
-    double share;           /* local error of a kicked trajectory's deviation, relative to the deviation */
-    double step;            /* to begin with, and to go on with [s] */
-    double deviations[2];   /* largest deviations in position and velocity, remembered for a while */
+    double kick;            /* size of the perturbations [m], [m/s] */
+    double share;           /* local error of a perturbed trajectory's deviation, relative to the deviation */
+    double step;            /* first step, then the next step [s] */
+    double deviations[2];   /* largest deviations in position and velocity, with a slow decay */
     int64_t evaluations, rejected;
-    int64_t most; /* evaluations of one stretch, beyond which it is given up */
+    int64_t most; /* largest number of evaluations in one interval */
 } Control;
 
-/* Positions and velocities that lie a part `c` of h behind y, by accelerations k weighted for either, into out. */
-static void combine(int64_t half, int count, double h, double c, const double *places, const double *speeds,
+/* Writes positions and velocities at the fraction `c` of a step h after y, from weighted accelerations k, to out. */
+static void combine(int64_t half, int count, double h, double c, const double *position_weights, const double *velocity_weights,
                     double *const *k, const double *y, double *out) {
-    double place[12], speed[12];
+    double position_factors[12], velocity_factors[12];
     const double *from[12];
     int terms = 0;
     for (int i = 0; i < count; ++i)
-        if (places[i] != 0.0 || speeds[i] != 0.0)
-            place[terms] = h * h * places[i], speed[terms] = h * speeds[i], from[terms++] = k[i];
+        if (position_weights[i] != 0.0 || velocity_weights[i] != 0.0)
+            position_factors[terms] = h * h * position_weights[i], velocity_factors[terms] = h * velocity_weights[i], from[terms++] = k[i];
     for (int64_t e = 0; e < half; e += LANES) {
         Lanes x = {0}, v = {0};
         for (int i = 0; i < terms; ++i) {
             const Lanes acceleration = *(const Lanes *)(from[i] + e);
-            x += place[i] * acceleration;
-            v += speed[i] * acceleration;
+            x += position_factors[i] * acceleration;
+            v += velocity_factors[i] * acceleration;
         }
         const Lanes moving = *(const Lanes *)(y + half + e);
         *(Lanes *)(out + e) = *(const Lanes *)(y + e) + (c * h * moving + x);
@@ -288,15 +288,15 @@ static inline Lanes larger(Lanes a, Lanes b) {
     const Mask first = a > b;
     return (Lanes)(((Mask)a & first) | ((Mask)b & ~first));
 }
-/* Sizes: of the first lane as it is, of the others' deviations from it. */
+/* Magnitudes of the first lane and of the others' deviations from it. */
 static inline Lanes sizes(Lanes a) {
-    const double own = a[0];
-    a -= own;
-    a[0] = own;
+    const double first_lane = a[0];
+    a -= first_lane;
+    a[0] = first_lane;
     return larger(a, (Lanes){0} - a);
 }
 
-/* The scaled error of a step of which the accelerations are k and the result is y. */
+/* Scaled error of a step with the accelerations k and the result y. */
 static double error_of(const Method *m, Control *control, int64_t half, double h, double *const *k, const double *y) {
     Lanes away[2] = {{0}}, top3[2] = {{0}}, top5[2] = {{0}}, bad = {0};
     for (int64_t e = 0; e < half; e += LANES) {
@@ -317,7 +317,7 @@ static double error_of(const Method *m, Control *control, int64_t half, double h
     if (!(bad[0] == 0.0)) return INFINITY;
     double third = 0.0, fifth = 0.0;
     for (int part = 0; part < 2; ++part) {
-        /* Errors of positions are one more h. */
+        /* Errors of positions have one more factor h. */
         const double unit = part ? 1.0 : h;
         double deviation = control->kick;
         for (int l = 1; l < LANES; ++l) deviation = fmax(deviation, away[part][l]);
@@ -332,7 +332,7 @@ static double error_of(const Method *m, Control *control, int64_t half, double h
     return h * fifth * fifth / sqrt(fifth * fifth + 0.01 * third * third);
 }
 
-/* Advance y by a duration [s]; work has room for 7 y. 0; 1 where no step is small enough, 2 beyond `most`. */
+/* Advance y by a duration [s]; work has room for 7 y. Returns 0, 1 if no step is small enough, 2 beyond `most`. */
 int advance(const System *s, const Method *m, Control *control, double duration, double *y, double *work) {
     const int64_t half = s->particles * 3 * LANES;
     double *k[12], *next = work + 12 * half;

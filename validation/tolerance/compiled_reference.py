@@ -1,11 +1,11 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a promise is judged by: a model's equations in C, with none of the engine's code, and an integrator of order 8.
+"""Reference solution: a model's equations of motion and an integrator of order 8 in C.
 
-`compiled_reference.c` holds both; the compiler of the machine builds it when it is first needed. From the model come
-lists alone: which particles a spring joins, its numbers, masses. `LANES` trajectories of one system run side by side in
-the same steps: the solution, and that solution kicked, so that their deviations grow as the equations let them and not
-as the steps differ.
+`compiled_reference.c` contains both and none of the engine's code. The machine's C compiler builds it at first use. The
+model supplies lists only: particles and coefficients of springs, and masses. `LANES` trajectories of one system advance
+in the same steps: the solution and perturbed copies of it. Therefore their deviations grow by the equations, not by
+differences of steps.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.forces.wind import Wind
 from cloth_sim_ros.physics.model import Model
 
-#: Trajectories side by side: the solution, and so many less one that are kicked.
+#: Trajectories side by side: the solution and `LANES` - 1 perturbed ones.
 LANES = 4
-#: Size of a kick: of positions [m], or of velocities [m/s].
+#: Size of a perturbation: of positions [m], or of velocities [m/s].
 KICK = 1e-9
-#: Local error of a kicked trajectory's deviation, relative to the deviation.
+#: Local error of a perturbed trajectory's deviation, relative to the deviation.
 SHARE = 1e-4
 FLAGS = ("-O3", "-march=native", "-std=gnu11", "-fPIC", "-fno-math-errno", f"-DLANES={LANES}")
 
@@ -51,7 +51,7 @@ _NUMBER = ctypes.c_double
 
 
 class _System(ctypes.Structure):
-    """The same in compiled_reference.c."""
+    """Struct `System` of compiled_reference.c."""
 
     _fields_ = (
         ("particles", _COUNT),
@@ -115,9 +115,9 @@ class _Control(ctypes.Structure):
 
 @attrs.frozen(eq=False, kw_only=True)
 class Held:
-    """What grippers hold over one frame, and the paths on which they go."""
+    """Particles that grippers hold over one frame, and the grippers' paths."""
 
-    #: Of each gripper, shape (gripper_count, PATH_NUMBERS), see `Grips`.
+    #: Path of each gripper, shape (gripper_count, PATH_NUMBERS), see `Grips`.
     paths: Array
     #: Gripper of each grip, shape (m,).
     grippers: NDArray[np.int64]
@@ -130,14 +130,14 @@ class Held:
 
 
 class ReferenceError(RuntimeError):
-    """The reference can't go on: it finds no step, or needs too many."""
+    """The reference fails: no step is small enough, or it needs too many evaluations."""
 
 
 @cache
 def _library() -> ctypes.CDLL:
     compiler = find_compiler()
     if compiler is None:
-        raise ValueError("the reference is compiled at run time, and there is no C compiler: set $CC, or install gcc")
+        raise ValueError("no C compiler found: the reference is compiled at run time; set $CC or install gcc")
     library = compiled(_SOURCE, FLAGS, compiler=compiler)
     library.accelerations.argtypes = [_POINTER, _NUMBER, _POINTER, _POINTER, _POINTER]
     library.accelerations.restype = None
@@ -163,10 +163,10 @@ class ReferenceSystem:
     """The equations of motion of a model.
 
     Args:
-        model: lists of springs, hinges, panels and masses are taken from it, no force.
+        model: supplies lists of springs, hinges, panels and masses, but no force values.
 
     Raises:
-        ValueError: for a force that it does not know, or without a C compiler.
+        ValueError: for an unknown force, or without a C compiler.
     """
 
     def __init__(self, model: Model) -> None:
@@ -195,7 +195,7 @@ class ReferenceSystem:
             self._set_hinges(lists[kind], prefix, total)
 
     def _keep(self, array: Any, dtype: type) -> int:
-        """The address of a copy that lives as long as the system."""
+        """Store a copy of an array as long as the system lives; return its address."""
         mine: NDArray[Any] = np.array(array, dtype=dtype, order="C")
         self._kept.append(mine)
         return int(mine.ctypes.data)
@@ -233,19 +233,19 @@ class ReferenceSystem:
 
     @property
     def elements(self) -> float:
-        """Cost of one evaluation in those of a spring, four trajectories each."""
+        """Cost of one evaluation relative to that of one spring."""
         c = self._c
         return float(c.springs + c.joints + 4 * c.crossed + 6 * c.altitudes + 3 * c.panels + 4 * c.particles)
 
     def hold(self, held: Held | None, t: float) -> None:
-        """Set what grippers hold from a time t [s] on, from which times are counted now."""
+        """Set the grasped particles from time t [s] on, which becomes the time origin."""
         system = self._c
         if held is None or not len(held.particles):
             system.held = 0
             return
         if len(held.paths) > _MOST_GRIPPERS or held.paths.shape[1] != PATH_NUMBERS:
             raise ValueError(f"paths have shape {held.paths.shape}; there are {_MOST_GRIPPERS} grippers at most")
-        # The addresses of one frame are the next one's garbage.
+        # The arrays must live as long as the system has their addresses.
         self._held = [
             np.ascontiguousarray(held.particles, dtype=np.int64),
             np.ascontiguousarray(held.grippers, dtype=np.int64),
@@ -258,7 +258,7 @@ class ReferenceSystem:
         system.shift[: len(held.paths)] = (t - held.paths[:, 0]).tolist()
 
     def accelerations(self, x: Array, v: Array, *, since: float = 0.0) -> Array:
-        """Accelerations [m/s^2] (3, n) at positions and velocities (3, n), a time [s] after the start of the frame."""
+        """Return accelerations (3, n) [m/s^2] at x and v (3, n), a time `since` [s] after the frame's start."""
         n = self.model.particle_count
         y = trajectories(x, v)
         out = np.empty((n, 3, LANES))
@@ -268,7 +268,7 @@ class ReferenceSystem:
 
 
 def trajectories(x: Array, v: Array) -> Array:
-    """LANES copies of positions and velocities (3, n), shape (2, n, 3, LANES)."""
+    """Return `LANES` copies of positions and velocities (3, n), shape (2, n, 3, LANES)."""
     y = np.stack([x.T, v.T])
     return np.ascontiguousarray(np.repeat(y[..., None], LANES, axis=-1))
 
@@ -278,9 +278,9 @@ class Integration:
 
     Args:
         system: the equations.
-        y: where they start, (2, n, 3, LANES); it is advanced in place.
+        y: initial positions and velocities, (2, n, 3, LANES); advanced in place.
         tolerance: local error of the solution [m], [m/s].
-        most: evaluations in one call of `advance`, beyond which it gives up.
+        max_evaluations: largest number of evaluations in one call of `advance`.
     """
 
     def __init__(self, system: ReferenceSystem, y: Array, *, tolerance: float, most: int = 1 << 40) -> None:
@@ -294,10 +294,10 @@ class Integration:
         return int(self._control.evaluations)
 
     def advance(self, duration: float) -> None:
-        """Let a time [s] pass, under what the system holds.
+        """Advance by a duration [s] with the system's grasped particles.
 
         Raises:
-            ReferenceError: if no step is small enough, or it takes too many.
+            ReferenceFailureError: if no step is small enough, or it needs too many evaluations.
         """
         addresses = ctypes.addressof(self.system._c), ctypes.addressof(_method()), ctypes.addressof(self._control)
         library = self.system._library
@@ -312,6 +312,6 @@ class Integration:
         return np.ascontiguousarray(self.y[0, :, :, 0].T)
 
     def deviations(self) -> Array:
-        """Largest distance of a particle of each kicked trajectory from its place in the solution [m], (LANES - 1,)."""
+        """Return the largest particle distance of each perturbed trajectory from the solution (LANES - 1,) [m]."""
         away = self.y[0, :, :, 1:] - self.y[0, :, :, :1]
         return np.asarray(np.sqrt(np.sum(away * away, axis=1).max(axis=0)))

@@ -1,6 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far a small kick grows: where a pointwise error means something."""
+"""Command `conditioning`: amplification of a small perturbation in each scene.
+
+A pointwise error is meaningful in scenes with a small amplification only.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +16,9 @@ from cloth_sim_ros.physics.arrays import largest_distance
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from validation.report import Report, Table
 
-#: Largest kick of a particle's position [m].
+#: Largest perturbation of a particle's position [m].
 KICK = 1e-9
-#: Amplification from which a pointwise error says little.
+#: Amplification above which a pointwise error is not meaningful.
 CHAOTIC = 1e3
 
 
@@ -29,15 +32,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[*PROBLEMS, "corners16"],
         help=f"of {', '.join([*PROBLEMS, *MORE_PROBLEMS])}",
     )
-    parser.add_argument("--kicks", type=int, default=2, help="different random kicks, the worst of which counts")
+    parser.add_argument("--kicks", type=int, default=2, help="number of random perturbations; the worst counts")
 
 
 def amplification(scene: Problem, *, seed: int) -> list[float]:
-    """Return the growth of a random kick of `KICK` at the end of each frame."""
+    """Return the amplification of a random perturbation at the end of each frame."""
     runs = [scene.build(), scene.build()]
     plan, kicked = runs[1]
     kick = np.random.default_rng(seed).normal(size=kicked.x.shape)
-    # A closed-form scene is a line: it is kicked along itself.
+    # A closed-form scene is a line: the perturbation is along it.
     kick[1:] *= 0.0 if scene.exact is not None else 1.0
     kick /= np.sqrt((kick * kick).sum(axis=0).max())
     kicked.x += KICK * kick * (plan.model.inverse_masses > 0.0)
@@ -51,9 +54,10 @@ def amplification(scene: Problem, *, seed: int) -> list[float]:
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Measure the scenes that were asked for."""
+    """Measure the selected scenes."""
     table = Table(
-        "Amplification of a kick of 1e-9 m", ["scene", "horizon s", "at half", "at the horizon", "largest", "pointwise"]
+        "Amplification of a perturbation of 1e-9 m",
+        ["scene", "horizon s", "at half", "at the horizon", "largest", "pointwise"],
     )
     for name in options.scenes:
         scene = problem(name)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The table of tuned numbers, and what half and double of each does to error and work."""
+"""Command `constants`: effect of halving and doubling each tuned constant."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation.report import Report, Table
 
-#: Scenes whose errors are known, with their tolerances [m], and the integrator.
+#: Scenes with a reference, their tolerances [m], and the integrator.
 HELD = (
     ("chain", (1e-3, 1e-5, 1e-7), "auto"),
     ("drumhead", (1e-2, 1e-4, 1e-6), "auto"),
@@ -35,9 +35,9 @@ HELD = (
     ("mesh", (1e-2, 1e-4, 1e-6), "auto"),
     ("chain", (1e-3,), "implicit"),
 )
-#: Scenes through the simulation's door that bring in what those don't: single precision, the automatic choice of
-#: implicit steps, frames that reach their work limit, an impact. Frames, few enough that a change of rounding does not
-#: grow to the tolerance; and by how much the target jumps in each [m].
+#: Scenes of `Simulation` for features that the others lack: single precision, the automatic choice of implicit steps,
+#: frames at their work limit, an impact. Each has parameters, a number of frames, and the jump of the target in each
+#: frame [m]. The frames are so few that a change of rounding does not grow to the tolerance.
 DRIVEN: dict[str, tuple[dict[str, Any], int, float]] = {
     "carried30": ({"tolerance": 1e-3, "cloth.resolution": [30, 30]}, 20, 0.005),
     "stiff": (
@@ -72,23 +72,22 @@ DRIVEN: dict[str, tuple[dict[str, Any], int, float]] = {
         0.0,
     ),
 }
-#: Numbers that a change of direction or size makes no sense of: parts of a limit can't be doubled beyond it.
+#: Upper limits of constants: a fraction can't be doubled beyond the whole.
 _MOST = {"safety": 1.0, "share": 1.0, "aim": 1.0, "far": 0.5}
 
 
 @attrs.frozen
 class Effect:
-    """What the scenes gave by one set of constants."""
+    """Error and work of all scenes with one set of constants."""
 
     #: Largest error over its tolerance.
     error: float
     #: Force evaluations of each scene.
     evaluations: tuple[int, ...]
     flagged: int
-    #: Largest gain of energy from nowhere, relative to what there was, of a sheet that nothing holds or drives.
+    #: Largest relative energy gain of a free sheet.
     gain: float
-    #: Frames of a sheet that comes to rest that had to be computed, and how far sleep left it from where it would be
-    #: [m], over its tolerance.
+    #: Computed frames of a sheet that comes to rest, and the position error from sleep over its tolerance.
     awake: int
     left_out: float
 
@@ -96,11 +95,13 @@ class Effect:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     names = [field.name for field in attrs.fields(Constants)]
-    parser.add_argument("--only", nargs="+", choices=names, metavar="NAME", default=names, help="of the table (all)")
+    parser.add_argument(
+        "--only", nargs="+", choices=names, metavar="NAME", default=names, help="constants to vary (all)"
+    )
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Measure the table."""
+    """Measure the effect of each selected constant."""
     from tqdm import tqdm
 
     columns = ["name", "value", "meaning"]
@@ -119,13 +120,13 @@ def run(options: argparse.Namespace) -> Report:
                 row += _cells(scenes.effect(), usual)
         table.rows.append(row)
     report.notes += [
-        f"By the table as it is: error {usual.error:.3g} of the tolerance at most, {sum(usual.evaluations)} "
+        f"With the default constants: error {usual.error:.3g} of the tolerance at most, {sum(usual.evaluations)} "
         f"evaluations, {usual.flagged} flagged frames, energy gain {usual.gain:.2g}, {usual.awake} frames until a "
-        f"sheet sleeps for good, {usual.left_out:.2g} of the tolerance left out by sleep",
-        "error: largest over the tolerance, of all scenes; work: force evaluations, relative to the table as it is, in "
-        "the scene in which they change most",
+        f"sheet sleeps for good, {usual.left_out:.2g} of the tolerance as error from sleep",
+        "error: largest error over the tolerance of all scenes; work: force evaluations relative to the default "
+        "constants, in the scene with the largest change",
         f"scenes: {', '.join(name for name, _, _ in HELD)}, {', '.join(DRIVEN)}, an undamped sheet with an inverted "
-        "cell, a sheet that comes to rest; what sets threads or time alone (own, call) changes none of the columns",
+        "cell, a sheet that comes to rest; constants for threads or time only (own, call) change none of the columns",
     ]
     return report
 
@@ -147,7 +148,7 @@ def _set_to(name: str, value: float) -> Iterator[None]:
 
 
 class Scenes:
-    """What is run again and again; references are calculated once."""
+    """Scenes that run with each set of constants; their references are calculated once."""
 
     def __init__(self) -> None:
         self._known: dict[str, Reference] = {}
@@ -156,7 +157,7 @@ class Scenes:
                 self._known[name] = reference(problem(name))
 
     def effect(self) -> Effect:
-        """Run everything by the constants in force."""
+        """Run all scenes with the current constants."""
         error, evaluations, flagged = 0.0, [], 0
         for name, tolerances, integrator in HELD:
             for tolerance in tolerances:
@@ -167,7 +168,7 @@ class Scenes:
         for name in DRIVEN:
             positions, spent, missed = _driven(name)
             off = np.linalg.norm(positions - _known(name), axis=-1).max() / DRIVEN[name][0]["tolerance"]
-            # Frames that were ended by force have no share of the tolerance to keep.
+            # Frames that exceed their work limit need not meet the tolerance.
             error = max(error, float(off) if not missed else 0.0)
             evaluations.append(spent)
             flagged += missed
@@ -176,7 +177,7 @@ class Scenes:
 
 
 def _driven(name: str, **changes: Any) -> tuple[NDArray[np.float64], int, int]:
-    """Positions after each frame, evaluations and flagged frames of one of the scenes that a gripper drives."""
+    """Run a scene that a gripper drives; return positions after each frame, evaluations and flagged frames."""
     values, frames, jump = DRIVEN[name]
     simulation = Simulation(
         Scene.from_parameters({**values, "gripper.max_speed": 0.0, "wind.normal_drag": 0.0, **changes})
@@ -196,12 +197,12 @@ def _driven(name: str, **changes: Any) -> tuple[NDArray[np.float64], int, int]:
 
 @cache
 def _known(name: str) -> NDArray[np.float64]:
-    """The positions at a thousandth of the tolerance."""
+    """Return the positions (frames, n, 3) [m] at a thousandth of the tolerance."""
     return _driven(name, tolerance=1e-3 * DRIVEN[name][0]["tolerance"], work_limit=0.0)[0]
 
 
 def _pushed_to_a_point() -> float:
-    """Energy that fixed steps make of an undamped sheet with an inverted cell, relative to what there was."""
+    """Return the relative energy gain of an undamped sheet with an inverted cell at fixed steps."""
     sheet = RawSheet(resolution=8, k_d0=0.0, gravity=(0.0, 0.0, 0.0))
     plan, state = sheet.plan([]), State(sheet.flat(hung=True))
     state.x[:, [27, 36]] = state.x[:, [36, 27]]
@@ -214,7 +215,7 @@ def _pushed_to_a_point() -> float:
 
 
 def _rest() -> tuple[int, float]:
-    """Frames that were computed of a sheet that comes to rest, and what sleep left out over the tolerance."""
+    """Return the computed frames of a sheet that comes to rest, and its error from sleep over the tolerance."""
     values = {"cloth.resolution": [5, 6], "wind.normal_drag": 0.0, "air.drag": 5.0, "tolerance": 1e-3, "rate": 30.0}
     values |= {"material.stretch_modulus": 100.0, "material.shear_modulus": 20.0}
     sleeping = Simulation(Scene.from_parameters(values))

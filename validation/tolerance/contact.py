@@ -1,10 +1,11 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The promise where cloth touches: sheets that come down on a table, a sphere, a box's edge, and on themselves.
+"""Error bound in contact: sheets that fall on obstacles and on themselves.
 
-Speeds are moderate, up to that of a fall of a few centimetres. Surfaces are without friction, or hold what touches
-them. What is exact is told by DOP853 on the same equations, each trajectory by steps of its own, anchors of friction
-dragged after each; tests hold the engine's forces against laws written down anew.
+The obstacles are a table, a sphere and the edge of a box. Speeds are moderate: those of a fall of a few centimetres.
+Surfaces have no friction, or enough friction to prevent sliding. DOP853 on the same equations gives the reference
+solution. Each trajectory has its own steps, and friction anchors are updated after each. Tests compare the engine's
+forces with independent implementations of the laws.
 """
 
 from __future__ import annotations
@@ -28,13 +29,13 @@ from validation.tolerance.random_scenes import log_uniform, smooth_field
 from validation.tolerance.windows import Judgement, Window
 
 KINDS = ("table", "sphere", "edge", "itself")
-#: Coefficients of friction: none, and what holds wherever a sheet lies.
+#: Coefficients of friction: none, and one that prevents sliding everywhere.
 FRICTIONS = (0.0, 4.0)
-#: Size of a kick [m, m/s]: far above what two runs of the reference differ by, far below the thickness.
+#: Size of a perturbation [m, m/s]: far above the difference of two reference runs, far below the thickness.
 KICK = 1e-7
-#: Local error of the reference, relative to the coordinates, and of the run that it is checked against.
+#: Local error relative to the coordinates: of the reference, and of the run that checks it.
 FINE, ROUGH = 1e-11, 1e-10
-#: Parts of a window at whose borders kicks are made too, where those at its start do not explain its error.
+#: Parts of a window. Perturbations also start at their borders if those at the window's start do not explain its error.
 _PARTS = 4
 #: Simulated time of a scene, and of a window [s].
 _SECONDS, _WINDOW = 2.0, 1.0
@@ -42,7 +43,7 @@ _SECONDS, _WINDOW = 2.0, 1.0
 
 @attrs.frozen(eq=False, kw_only=True)
 class ContactDraw:
-    """One random scene."""
+    """Random contact scene."""
 
     scene: Scene
     state: State
@@ -50,7 +51,7 @@ class ContactDraw:
 
 
 def draw_contact(seed: int, index: int) -> ContactDraw:
-    """The scene of a number: its kind and friction in turn, all else by chance."""
+    """Draw the scene of an index: kind and friction cycle with the index, everything else is random."""
     rng = np.random.default_rng([seed, index, 14])
     kind = KINDS[index % len(KINDS)]
     friction = FRICTIONS[index // len(KINDS) % len(FRICTIONS)]
@@ -97,19 +98,19 @@ def draw_contact(seed: int, index: int) -> ContactDraw:
 
 
 def _anchored(kind: str, friction: float) -> str:
-    """What is fixed, so that no sheet slides off what has no friction: nothing of how it falls then would be known."""
+    """Return the anchored edge; it prevents a sheet from sliding off an obstacle without friction."""
     if friction or kind not in ("sphere", "edge"):
         return ""
     return "right" if kind == "edge" else "top"
 
 
 def _obstacle(kind: str, height: float, width: float, rng: np.random.Generator) -> dict[str, Any]:
-    """What the sheet comes down on, its highest point at a height of zero."""
+    """Return the parameters of the obstacle; its highest point has the height 0."""
     if kind == "sphere":
         radius = float(rng.uniform(0.3, 0.8)) * min(height, width)
         return {"thing.shape": "sphere", "thing.size": [radius], "thing.position": [0.0, 0.0, -radius]}
     if kind == "edge":
-        # Some of the sheet lies, some hangs over.
+        # Part of the sheet lies on the box, part hangs over its edge.
         lies = float(rng.uniform(0.55, 0.75)) * width
         return {
             "thing.shape": "box",
@@ -120,7 +121,7 @@ def _obstacle(kind: str, height: float, width: float, rng: np.random.Generator) 
 
 
 def _tilted(places: Array, rng: np.random.Generator) -> Array:
-    """The sheet turned by up to two degrees about axes that lie, its lowest particle where it was."""
+    """Tilt the sheet by up to two degrees about horizontal axes; the height of its lowest particle stays."""
     slopes = np.tan(np.radians(rng.uniform(-2.0, 2.0, size=2)))
     lifted = places.copy()
     lifted[:, 2] += places[:, :2] @ slopes
@@ -129,7 +130,7 @@ def _tilted(places: Array, rng: np.random.Generator) -> Array:
 
 
 def _folded(places: Array, radius: float) -> Array:
-    """The sheet with its right half folded back over the left one."""
+    """Fold the right half of the sheet back over the left one."""
     folded, along = places.copy(), places[:, 0]
     first = -0.5 * math.pi * radius
     angle = np.clip((along - first) / radius, 0.0, math.pi)
@@ -140,7 +141,7 @@ def _folded(places: Array, radius: float) -> Array:
 
 @attrs.frozen(eq=False, kw_only=True)
 class Run:
-    """The engine's frames, and what it tells of them."""
+    """Frames of the engine and their step statistics."""
 
     draw: ContactDraw
     frames: list[SimulatedFrame]
@@ -170,10 +171,12 @@ def run_contact(draw: ContactDraw) -> Run:
 
 
 def follow(frames: list[SimulatedFrame], kick: tuple[Array, Array] | None, local: float) -> list[Array]:
-    """Positions (3, n) at the end of each frame by DOP853, from the engine's state before the first, kicked or not.
+    """Return positions (3, n) [m] at the end of each frame by DOP853.
+
+    It starts from the engine's state before the first frame, with an optional perturbation.
 
     Raises:
-        ArithmeticError: where it finds no step.
+        ArithmeticError: if no step is small enough.
     """
     motion, equations, found = ReferenceMotion(frames[0].before), Equations(), list[Array]()
     if kick is not None:
@@ -189,7 +192,7 @@ def follow(frames: list[SimulatedFrame], kick: tuple[Array, Array] | None, local
 
 
 def judge_contact(seed: int, index: int, windows: int) -> Judgement:
-    """Draw a scene, run it, and judge so many of its windows of one second."""
+    """Draw a scene, run it, and evaluate a number of its windows of one second."""
     draw = draw_contact(seed, index)
     run = run_contact(draw)
     second, count = round(_WINDOW * draw.scene.rate), len(run.frames)
@@ -257,7 +260,7 @@ def _window(run: Run, first: int, second: int, rng: np.random.Generator) -> Wind
 
 
 def _growth(frames: list[SimulatedFrame], exact: list[Array], kick: Array, moving: bool) -> float:
-    """How much a kick of positions, or of velocities, grows at most."""
+    """Return the largest amplification of a perturbation of positions or of velocities."""
     still = np.zeros_like(kick)
     kicked = follow(frames, (still, kick) if moving else (kick, still), FINE)
     return max(largest_distance(a, b) for a, b in zip(kicked, exact, strict=True)) / KICK

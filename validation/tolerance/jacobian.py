@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The exact sparse Jacobian of a raw sheet's first-order system, for the implicit solvers of libraries."""
+"""Sparse Jacobian of a raw sheet's first-order system, for implicit library solvers."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from cloth_sim_ros.physics.model import Model
 
 
 class SparseJacobian:
-    """d(dx/dt, dv/dt)/d(x, v) as a sparse matrix, y = (x, v) component-major.
+    """Exact d(dx/dt, dv/dt)/d(x, v) as a sparse matrix, y = (x, v) component-major.
 
     Raises:
-        ValueError: if the model has other springs than a raw sheet's.
+        ValueError: if the model has springs other than those of a raw sheet.
     """
 
     def __init__(self, model: Model) -> None:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What grippers do to a random scene: they grasp, carry, turn, jump, hold still and release."""
+"""Random gripper scripts: grasp, carry, turn, jump, hold still and release."""
 
 from __future__ import annotations
 
@@ -17,34 +17,34 @@ from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 
 ACTIONS = ("carry", "turn", "jump", "hold", "swing")
-#: Frames before a grasp in which an open gripper follows the particle that it is to hold.
+#: Number of frames before a grasp in which the open gripper follows its particle.
 APPROACH = 3
 
 
 @attrs.frozen(kw_only=True, eq=False)
 class Hold:
-    """From a grasp of one particle to its release, and what is done between."""
+    """Interval from the grasp of one particle to its release, and the actions in it."""
 
     gripper: str
     particle: int
-    #: Frames before which it grasps and releases.
+    #: Frames before which the gripper grasps and releases.
     grasp: int
     release: int
-    #: Frame at which each action begins, what it is, and its direction with the distance [m] or the angle [rad].
+    #: First frame, name and vector of each action; the vector's length is a distance [m] or an angle [rad].
     actions: tuple[tuple[int, str, Array], ...]
-    #: A target comes with every so many frames.
+    #: Number of frames between targets.
     stride: int
 
 
 @attrs.frozen(kw_only=True, eq=False)
 class Script:
-    """All holds of a scene."""
+    """Grasp intervals of a scene."""
 
     holds: tuple[Hold, ...]
 
     @classmethod
     def random(cls, rng: np.random.Generator, scene: Scene, frames: int, *, pace: float = 1.0) -> Script:
-        """Draw what the grippers of a scene do in so many frames, at full pace or more slowly."""
+        """Draw a script for a number of frames; `pace` scales the speeds."""
         rest = scene.initial_positions()
         size = float(np.ptp(rest, axis=0).max()) or 1.0
         rate = scene.rate
@@ -78,18 +78,18 @@ class Script:
 
     @property
     def words(self) -> str:
-        """What happens, in a few words."""
+        """Short description."""
         grippers = {hold.gripper for hold in self.holds}
         return f"{len(grippers)} grippers, {len(self.holds)} holds" if grippers else "nothing held"
 
     def moments(self) -> list[int]:
-        """Frames before which something begins, in order."""
+        """Return the frames before which an action begins, sorted."""
         found = {frame for hold in self.holds for frame in (hold.grasp, hold.release, *(a[0] for a in hold.actions))}
         return sorted(found)
 
 
 class Player:
-    """Plays a script on a simulation: where a gripper goes follows from the cloth at the moment of the grasp."""
+    """Player of a script on a simulation; a gripper's path starts at the particle's position at the grasp."""
 
     def __init__(self, script: Script, simulation: Simulation) -> None:
         self._script, self._simulation = script, simulation
@@ -97,7 +97,7 @@ class Player:
         self._places: dict[str, Array] = {}
 
     def events(self, frame: int) -> list[Event]:
-        """What happens before a frame, frames counted from 0."""
+        """Return the events before a frame, counted from 0."""
         events: list[Event] = []
         for hold in self._script.holds:
             if hold.grasp - APPROACH <= frame <= hold.grasp:

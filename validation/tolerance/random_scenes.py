@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Random scenes that a promise is judged on: what is drawn from a seed, and what judging a scene costs."""
+"""Random scenes for the error bound, and the estimated cost of their evaluation."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from cloth_sim_ros.scene.scene import Scene
 from validation.tolerance.compiled_reference import ReferenceSystem
 from validation.tolerance.random_grips import Script
 
-#: Particles of a sheet along a side, stretch moduli [N/m], densities [kg/m^2], tolerances [m], frames a second.
+#: Particles of a sheet along a side, stretch moduli [N/m], densities [kg/m^2], tolerances [m], frames per second [1/s].
 SIDES, MODULI, DENSITIES = (5, 60), (50.0, 1e5), (0.02, 2.0)
 TOLERANCES, RATES = (1e-8, 1e-2), (30, 240)
 #: Simulated time of a scene [s].
 DURATIONS = (2.0, 4.0)
-#: Largest scene that is judged, in evaluations of one spring by the reference: a minute or so of one core.
+#: Largest cost of a scene in spring evaluations by the reference: about a minute of one core.
 CAP = 5e9
-#: Steps of the reference in a period of the highest frequency, by which its cost is estimated.
+#: Steps of the reference per radian of the highest frequency, for the cost estimate.
 _STEPS_A_RADIAN = 0.8
 _STAGES = 12
 _ANCHORS = (
@@ -39,41 +39,41 @@ _ANCHORS = (
     ["bottom_right", "top_left"],
     [""],
 )
-#: How many of them hold a sheet that hangs.
+#: Number of those that hold a hanging sheet.
 _HANGING = 4
-#: Part of the scenes that are calm: they hang by what holds them above, damped, and are handled slowly. In the others
-#: a kick grows beyond all bounds within the second as a rule, and a window says little.
+#: Fraction of calm scenes: damped sheets that hang from their upper edge, with slow grippers. In most other scenes a
+#: perturbation grows without bound within a second, and a window is not meaningful.
 _CALM = 0.6
-#: How much slower grippers are there.
+#: Pace of grippers in calm scenes.
 _SLOWLY = 0.15
 
 
 @attrs.frozen(kw_only=True, eq=False)
 class Draw:
-    """One scene, how it starts, and what is done to it."""
+    """Random scene with its initial state and gripper script."""
 
     seed: int
     index: int
     scene: Scene
     state: State
     script: Script
-    #: Frames that it runs.
+    #: Number of frames.
     frames: int
-    #: What was drawn, in a few words.
+    #: Short description.
     words: str
-    #: What judging it costs, see `CAP`.
+    #: Estimated cost of its evaluation, see `MAX_COST`.
     cost: float
-    #: Highest frequency of the start, or its damping rate where that is higher [1/s].
+    #: Highest frequency of the start, or its damping rate if that is higher [1/s].
     frequency: float
 
     @property
     def frames_a_second(self) -> int:
-        """Frames of a window of one second."""
+        """Number of frames in a window of one second."""
         return round(self.scene.rate)
 
 
 def draw(seed: int, index: int) -> Draw:
-    """Return the scene of that number among those of a seed."""
+    """Draw the scene of an index for a seed."""
     rng = np.random.default_rng([seed, index])
     while True:
         calm = bool(rng.random() < _CALM)
@@ -105,17 +105,17 @@ def draw(seed: int, index: int) -> Draw:
 
 
 def reference_cost(system: ReferenceSystem, frequency: float, duration: float, *, windows: int = 4) -> float:
-    """Estimated evaluations of one spring by the reference: the whole run and the windows, each twice."""
+    """Estimate the spring evaluations by the reference: the whole run and the windows, each twice."""
     seconds = 2.0 * (duration + windows - 1)
     return seconds * _STAGES * _STEPS_A_RADIAN * frequency * system.elements
 
 
 def frequency_of(scene: Scene, x: Array) -> float:
-    """Highest frequency of a scene at positions x (3, n), or its damping rate where that is higher [1/s]."""
+    """Return the highest frequency of a scene at positions x (3, n), or its damping rate if that is higher [1/s]."""
     plan = scene.plan()
     omega2, damping = plan.spectral_bounds(x)
     if scene.gripper_names:
-        # Grips are in proportion to mass: one frequency for all.
+        # Grip stiffness is proportional to mass: all grips have one frequency.
         omega2 += scene.gripper.stiffness / float(plan.model.masses.max())
     return max(math.sqrt(omega2), damping, 2.0 * scene.rate)
 
@@ -157,7 +157,7 @@ def _values(rng: np.random.Generator, calm: bool) -> tuple[dict[str, Any], dict[
 
 
 def _sheet(rng: np.random.Generator, kind: str, calm: bool) -> tuple[dict[str, Any], dict[str, bytes], list[str]]:
-    """A grid or a mesh of some material."""
+    """Draw a grid or a mesh of a random material."""
     stretch, density = log_uniform(rng, *MODULI), log_uniform(rng, *DENSITIES)
     damping = 0.0 if rng.random() < (0.1 if calm else 0.25) else float(rng.uniform(0.0, 1.0))
     shear = 0.0 if rng.random() < 0.05 else stretch * log_uniform(rng, 0.01, 0.3)
@@ -215,7 +215,7 @@ def _sheet(rng: np.random.Generator, kind: str, calm: bool) -> tuple[dict[str, A
 
 
 def _springs(rng: np.random.Generator, calm: bool) -> tuple[bytes, dict[str, Any], list[str]]:
-    """A single spring, or a chain of mixed ones."""
+    """Draw a single spring, or a chain of different springs."""
     count = 2 if rng.random() < 0.4 else int(rng.integers(3, 102))
     rest = rng.uniform(0.02, 0.2, count - 1) if count > 2 else rng.uniform(0.1, 1.0, 1)
     if rng.random() < 0.2:
@@ -239,7 +239,7 @@ def _springs(rng: np.random.Generator, calm: bool) -> tuple[bytes, dict[str, Any
     anchors = [[""], ["0"], ["0", str(count - 1)] if count > 2 else ["0"]][int(rng.integers(3))]
     velocities = (0.05 if calm else 0.3) * rng.normal(size=positions.shape)
     if rng.random() < 0.7:
-        # The others move as they began to.
+        # In the other scenes anchors keep their initial velocity.
         velocities[[int(name) for name in anchors if name]] = 0.0
     tables = {
         "positions": drawn_alike(positions).tolist(),
@@ -263,14 +263,14 @@ def _gravity(rng: np.random.Generator) -> list[float]:
 
 
 def _hanging(rng: np.random.Generator) -> list[float]:
-    """The sheet upright, turned about the vertical: the default orientation after a yaw."""
+    """Draw the orientation of an upright sheet: the default one after a random yaw."""
     half, root = rng.uniform(0.0, math.pi), math.sqrt(0.5)
     sine, cosine = drawn_alike([root * math.sin(half), root * math.cos(half)]).tolist()
     return [cosine, sine, sine, cosine]
 
 
 def _start(rng: np.random.Generator, scene: Scene, share: float) -> State:
-    """At rest, or bent and moving smoothly."""
+    """Draw a start at rest, or one with a smooth deformation and velocity."""
     state = scene.starting_state()
     if rng.random() < 0.5:
         return state
@@ -283,7 +283,7 @@ def _start(rng: np.random.Generator, scene: Scene, share: float) -> State:
 
 
 def smooth_field(rng: np.random.Generator, rest: Array) -> Array:
-    """A smooth random field of vectors over positions (n, 3), the longest of length 1."""
+    """Draw a smooth vector field (n, 3) over positions (n, 3); the longest vector has length 1."""
     size = float(np.ptp(rest, axis=0).max()) or 1.0
     field = np.tile(rng.normal(size=3), (len(rest), 1))
     for _ in range(4):
@@ -293,5 +293,5 @@ def smooth_field(rng: np.random.Generator, rest: Array) -> Array:
 
 
 def log_uniform(rng: np.random.Generator, least: float, most: float) -> float:
-    """A number whose logarithm is uniform, to nine digits: the last bits of exp differ from machine to machine."""
+    """Draw a log-uniform number, rounded to nine digits because the last bits of exp differ between machines."""
     return float(f"{np.exp(rng.uniform(math.log(least), math.log(most))):.9g}")

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A run of the engine through the public door, kept frame by frame for whoever judges it."""
+"""Recorded run of the engine through its public interface, frame by frame."""
 
 from __future__ import annotations
 
@@ -17,36 +17,36 @@ from validation.tolerance.compiled_reference import LANES, Held, ReferenceSystem
 from validation.tolerance.random_grips import Player
 from validation.tolerance.random_scenes import Draw
 
-#: Largest difference of the reference's accelerations and the plan's, relative to the largest acceleration.
+#: Largest difference between accelerations of the reference and of the plan, relative to the largest acceleration.
 SAME_FORCES = 1e-12
 
 
 @attrs.frozen(kw_only=True, eq=False)
 class FrameRecord:
-    """What one frame was computed under, and what the engine tells of it."""
+    """Inputs of one frame and its step statistics."""
 
-    #: What grippers hold, the engine's points for each trajectory; None where they hold nothing.
+    #: Grasped particles with the engine's points for each trajectory; None if nothing is grasped.
     held: Held | None
-    #: Grips that are new in this frame, shape (m,): their points follow from where the particles are.
+    #: True for grips that are new in this frame, shape (m,); their points follow from the particles' positions.
     fresh: NDArray[np.bool_]
     advance: Advance
-    #: Wall time of it [s].
+    #: Wall time [s].
     seconds: float
 
 
 @attrs.frozen(kw_only=True, eq=False)
 class Recording:
-    """A run: states at the frames' boundaries, and the frames between them."""
+    """Run with its states at the boundaries of frames."""
 
     draw: Draw
     system: ReferenceSystem
-    #: (3, n) each, one more than frames.
+    #: (3, n) each [m], [m/s]; one more than frames.
     positions: list[Array]
     velocities: list[Array]
     frames: list[FrameRecord]
-    #: Largest difference of accelerations found, see `SAME_FORCES`.
+    #: Largest difference of accelerations, see `MAX_FORCE_MISMATCH`.
     mismatch: float
-    #: Why it ended early; empty if it did not.
+    #: Reason why it ended early; empty if it did not.
     trouble: str
 
     @property
@@ -94,7 +94,7 @@ def record(draw: Draw) -> Recording:
 
 
 def _held(simulation: Simulation, before: Held | None) -> tuple[Held | None, NDArray[np.bool_]]:
-    """What is held in the frame that ended, and which grips are new."""
+    """Return the grasped particles of the last frame, and which grips are new."""
     grips = simulation.plan.grips
     if grips is None or not grips.particles.size:
         return None, np.zeros(0, dtype=bool)
@@ -116,7 +116,7 @@ def _held(simulation: Simulation, before: Held | None) -> tuple[Held | None, NDA
 
 
 def _mismatch(simulation: Simulation, system: ReferenceSystem, held: Held | None, t: float) -> float:
-    """Difference of accelerations in a shaken state, relative to the largest; roundings are taken off."""
+    """Return the relative difference of accelerations in a perturbed state, less the rounding error."""
     rng = np.random.default_rng(7)
     state = simulation.state
     size = float(np.ptp(state.x, axis=1).max())
@@ -128,7 +128,7 @@ def _mismatch(simulation: Simulation, system: ReferenceSystem, held: Held | None
     simulation.plan.accelerations(t + since, x, v, expected)
     system.hold(held, t)
     found = system.accelerations(x, v, since=since)
-    # Differences of positions have roundings of positions, of which stiff springs make accelerations.
+    # Stiff springs convert the rounding of positions to accelerations.
     rounding = 4.0 * np.finfo(np.float64).eps * float(np.abs(x).max()) * simulation.plan.spectral_bounds(x)[0]
     beyond = float(np.abs(found - expected).max()) - rounding
     return max(0.0, beyond) / max(float(np.abs(expected).max()), 1e-30)

@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The promise in fixed regimes: single springs, chains of mixed springs, pendulums for a minute.
+"""Error bound in fixed regimes: single springs, chains and pendulums.
 
-What is linear is judged by a matrix exponential: springs that stay taut on a line, and joints. The rest is judged by
-the reference of the random scenes, growth of kicks everywhere.
+A matrix exponential gives the exact solution of linear systems: springs that stay taut on a line, and joints. The other
+systems are compared with the reference of the random scenes. The amplification of perturbations enters everywhere.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ PENDULUM_TOLERANCES = (1e-3, 1e-5, 1e-7)
 #: Simulated time of springs and chains, and of pendulums [s].
 DURATION, MINUTE = 2.0, 60.0
 RATE = 60.0
-#: Errors below are rounding's [m].
+#: Largest error that counts as rounding [m].
 FLOOR = 1e-12
 _SIZES = (7, 33, 101)
 
 
 @attrs.frozen
 class Regime:
-    """One system: its springs file, and whether it is linear."""
+    """One system of springs."""
 
     name: str
     tables: dict[str, Any]
@@ -50,7 +50,7 @@ class Regime:
 
 
 def every_regime() -> list[Regime]:
-    """Springs in three regimes of damping and none, and chains."""
+    """Return springs without damping and in three regimes of damping, and chains."""
     found = [
         _spring("undamped", 0.0),
         _spring("under-damped", 0.3),
@@ -64,7 +64,7 @@ def every_regime() -> list[Regime]:
 
 
 def pendulums() -> list[Regime]:
-    """Undamped, for a minute."""
+    """Return undamped pendulums, which run for a minute."""
     return [
         _pendulum("pendulum of 0.5 m", [0.5], [0.2], 2000.0, angle=1.0),
         _pendulum("pendulum of 4 m", [4.0], [0.5], 5000.0, angle=0.5),
@@ -81,14 +81,14 @@ def _spring(name: str, damping: float) -> Regime:
         "springs": [[0, 1]],
         "rest_lengths": 0.5,
         "stiffness": 500.0,
-        # The lecture's mass of a spring with one end fixed is that of the other.
+        # The mass of a spring with one fixed end is that of the other end, as in the lecture.
         "k_d": damping * (0.1 * 1000.0) ** 0.5,
     }
     return Regime(f"spring, {name}", tables, ("0",), linear=True)
 
 
 def _mixed(count: int) -> tuple[np.random.Generator, Array, Array, Array]:
-    """Random numbers of one chain: masses [kg], stiffness [N/m], rest lengths [m]."""
+    """Draw one chain: masses [kg], stiffness [N/m], rest lengths [m]."""
     rng = np.random.default_rng(count)
     masses = 0.01 * 10.0 ** rng.uniform(0.0, 1.0, count)
     return rng, masses, 100.0 * 30.0 ** rng.uniform(0.0, 1.0, count - 1), rng.uniform(0.02, 0.06, count - 1)
@@ -112,20 +112,20 @@ def _chain(
 
 
 def _taut(count: int, damping: float) -> Regime:
-    """On a line, stretched by a half between its ends, with a velocity along the line."""
+    """Return a chain on a line, stretched by a half between its ends, with velocities along the line."""
     rng, masses, stiffness, rest = _mixed(count)
     # In equilibrium every spring has the same tension.
     tension = 0.5 * rest.sum() / (1.0 / stiffness).sum()
     places = np.zeros((count, 3))
     places[1:, 0] = np.cumsum(rest + tension / stiffness)
     speeds = np.zeros((count, 3))
-    # As much as leaves every spring taut.
+    # Small enough that every spring stays taut.
     speeds[1:-1, 0] = 0.1 * rest.min() * np.sqrt(stiffness.min() / masses.max()) * rng.uniform(-1.0, 1.0, count - 2)
     return _chain("taut", places, speeds, masses, rest, stiffness * rest, damping, linear=True)
 
 
 def _joints(count: int, damping: float) -> Regime:
-    """Springs of no rest length, in space."""
+    """Return a chain of springs of zero rest length in space."""
     rng, masses, stiffness, rest = _mixed(count)
     places = np.zeros((count, 3))
     places[1:, 0] = np.cumsum(rest)
@@ -136,7 +136,7 @@ def _joints(count: int, damping: float) -> Regime:
 
 
 def _slack(count: int, damping: float) -> Regime:
-    """Hung between two points at three quarters of its length, in a zigzag."""
+    """Return a zigzag chain between two points at a distance of three quarters of its length."""
     _, masses, stiffness, rest = _mixed(count)
     places = np.zeros((count, 3))
     places[1:, 0] = 0.75 * np.cumsum(rest)
@@ -162,7 +162,7 @@ def _pendulum(name: str, lengths: list[float], masses: list[float], stiffness: f
 
 
 def drawn(regime: Regime, tolerance: float) -> Draw:
-    """A regime as a scene that nobody touches."""
+    """Return a regime as a scene without grippers."""
     values = {
         "rate": RATE,
         "tolerance": tolerance,
@@ -191,27 +191,30 @@ def drawn(regime: Regime, tolerance: float) -> Draw:
 
 
 def exact(model: Model, x: Array, v: Array, period: float, frames: int) -> list[Array]:
-    """Positions (3, n) at the end of each frame of a linear system without gravity, by a matrix exponential."""
+    """Return positions (3, n) [m] at the end of each frame of a linear system, by a matrix exponential.
+
+    The system has no gravity.
+    """
     from scipy.linalg import expm
 
     count = model.particle_count
     springs = model.forces[0]
     if len(model.forces) != 1 or not isinstance(springs, PairSprings):
-        raise ValueError("only springs alone are linear")
+        raise ValueError("the model has other forces than springs; the exact solution needs a linear model")
     difference = np.zeros((len(springs.pairs), count))
     difference[np.arange(len(springs.pairs)), springs.pairs[:, 0]] = -1.0
     difference[np.arange(len(springs.pairs)), springs.pairs[:, 1]] = 1.0
     stiff = difference.T @ (springs.rigidity[:, None] * difference)
     damped = difference.T @ (springs.damping[:, None] * difference)
     away = difference @ x.T
-    # On a line, d - l0 d / |d|; of a joint d.
+    # Stretch of a spring on a line: d - l0 d / |d|; of a joint: d.
     length = np.sqrt(np.sum(away * away, axis=1))
     stretch = away * (1.0 - springs.rest_length / np.where(length > 0.0, length, 1.0))[:, None]
     push = -difference.T @ (springs.rigidity[:, None] * stretch)
     inverse = model.inverse_masses[:, None]
     free = np.flatnonzero(model.inverse_masses > 0.0)
     many = len(free)
-    # (deviation from the start, velocity, one for each axis): the axes don't know each other.
+    # State: deviation from the start, velocity, and 1; one column for each axis, because the axes are independent.
     matrix = np.zeros((2 * many + 3, 2 * many + 3))
     matrix[:many, many : 2 * many] = np.eye(many)
     matrix[many : 2 * many, :many] = -(inverse * stiff)[np.ix_(free, free)]
@@ -233,18 +236,18 @@ def exact(model: Model, x: Array, v: Array, period: float, frames: int) -> list[
 class Outcome:
     """One regime at one tolerance."""
 
-    #: Worst error of its windows relative to what is promised; of a pendulum, of all times.
+    #: Largest ratio of error to error bound of its windows; of a pendulum, at all times.
     ratio: float
-    #: Error over the first second [m], and growth of a kick in it; of a pendulum, over all of its time.
+    #: Error over the first second [m], and amplification in it; of a pendulum, over the whole run.
     error: float
     growth: float
     flagged: int
-    #: The reference's own error, or the matrix exponential's difference from it [m].
+    #: Error of the reference, or its difference from the matrix exponential [m].
     reference: float
 
 
 def judge_regime(case: tuple[Regime, float]) -> Outcome:
-    """Judge one regime at one tolerance."""
+    """Evaluate one regime at one tolerance."""
     regime, tolerance = case
     run = record(drawn(regime, tolerance))
     flagged = sum(frame.advance.flagged > 0 for frame in run.frames)
@@ -268,7 +271,7 @@ def judge_regime(case: tuple[Regime, float]) -> Outcome:
 
 
 def _minute(run: Recording, tolerance: float, flagged: int) -> Outcome:
-    """At every time: at most seconds x tolerance x growth."""
+    """Evaluate a pendulum; the bound at time t is max(1, t) x tolerance x amplification."""
     runs = [
         follow(run, 0, len(run.frames), kicks(run, 0, second=k == 1), local) for k, local in enumerate((1e-12, 1e-13))
     ]
@@ -283,10 +286,10 @@ def _minute(run: Recording, tolerance: float, flagged: int) -> Outcome:
 
 
 def regimes(options: argparse.Namespace) -> Report:
-    """Judge all of them."""
+    """Evaluate all regimes."""
     from tqdm import tqdm
 
-    report = Report("Promise in fixed regimes", "python -m validation tolerance --regimes")
+    report = Report("Error bound in fixed regimes", "python -m validation tolerance --regimes")
     cases = [(regime, tolerance) for regime in every_regime() for tolerance in TOLERANCES]
     cases += [(regime, tolerance) for regime in pendulums() for tolerance in PENDULUM_TOLERANCES]
     found: dict[tuple[str, float], Outcome] = {}
@@ -297,14 +300,14 @@ def regimes(options: argparse.Namespace) -> Report:
             report.failures.append(f"{regime.name} at {tolerance:.0e} m: {done.trouble}")
         else:
             found[regime.name, tolerance] = outcome = done.result
-            says = f"{outcome.ratio:.3g} of the promise, g {outcome.growth:.3g}, {outcome.flagged} frames flagged"
+            says = f"{outcome.ratio:.3g} of the error bound, g {outcome.growth:.3g}, {outcome.flagged} frames flagged"
             tqdm.write(f"{regime.name} at {tolerance:.0e} m: error {outcome.error:.2g} m, {says}")
     names = [regime.name for regime in every_regime()]
     report.tables += [
         _table(
             "Error / (tolerance x max(1, g)) over windows of a second, * with flagged frames", names, found, "ratio"
         ),
-        _table("Error over the first second [m], ! where it does not fall with the tolerance", names, found, "error"),
+        _table("Error over the first second [m], ! if it does not fall with the tolerance", names, found, "error"),
     ]
     minutes = Table("Undamped for a minute", ["what", "tolerance m", "error m", "g", "ratio", "flagged", "reference m"])
     for regime in pendulums():
@@ -317,20 +320,20 @@ def regimes(options: argparse.Namespace) -> Report:
     broken = [(what, outcome) for what, outcome in found.items() if outcome.ratio > 1.0]
     risen = [(name, tolerance) for name in names for tolerance in TOLERANCES if not _falls(name, tolerance, found)]
     report.notes += [
-        f"{len(broken)} of {len(found)} above the promise, {sum(not outcome.flagged for _, outcome in broken)} of them "
-        "without a flagged frame",
+        f"{len(broken)} of {len(found)} violate the error bound, "
+        f"{sum(not outcome.flagged for _, outcome in broken)} of them without a flagged frame",
         f"{len(risen)} whose error is above both that of the next looser tolerance and a tenth of their own",
         f"largest error of the reference {max((outcome.reference for outcome in found.values()), default=0.0):.2g} m",
     ]
     if broken:
-        report.failures.append(f"{len(broken)} regimes are above the promise")
+        report.failures.append(f"{len(broken)} regimes violate the error bound")
     if risen:
         report.failures.append(f"in {len(risen)} regimes the error does not fall with the tolerance")
     return report
 
 
 def _falls(name: str, tolerance: float, found: dict[tuple[str, float], Outcome]) -> bool:
-    """Whether an error is at most that of the next looser tolerance, or a tenth of the tolerance, or rounding's."""
+    """Return true if the error is below one of: that of the next looser tolerance, tolerance / 10, rounding."""
     this, looser = found.get((name, tolerance)), found.get((name, 10.0 ** (round(np.log10(tolerance)) + 1)))
     return not this or not looser or this.error <= max(looser.error, 0.1 * tolerance, FLOOR)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Achieved error against the tolerance that was asked for, over the well-conditioned scenes."""
+"""Command `tolerance-sweep`: achieved error against the requested tolerance."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cloth_sim_ros.scene.scene import Scene
 from validation.report import Plot, Report, Table
 
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
-#: Where accuracy sets the step, the achieved error is at least this share of the tolerance.
+#: Smallest achieved error relative to the tolerance if accuracy limits the step.
 LEAST_SHARE = 0.01
 #: Largest residual of the energy balance, relative to the energy turned over, at the default tolerance.
 LARGEST_RESIDUAL = 1e-3
@@ -28,16 +28,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scenes", nargs="+", choices=known, metavar="SCENE", default=list(PROBLEMS))
     parser.add_argument("--tolerances", nargs="+", type=float, default=list(TOLERANCES), metavar="METRES")
     parser.add_argument("--integrator", choices=INTEGRATORS, default="auto")
-    parser.add_argument("--energy", action="store_true", help="close the energy balance of each run too (slower)")
+    parser.add_argument("--energy", action="store_true", help="also close the energy balance of each run (slower)")
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Measure, and hold what was found against what is promised."""
+    """Measure the errors and compare them with the tolerances."""
     columns = ["scene", "tolerance m", "achieved m", "achieved / tolerance", "estimate / tolerance", "binds"]
     columns += ["integrator", "evaluations", "rejected", "flagged"] + (["energy residual"] if options.energy else [])
     table = Table("Achieved error", columns)
     slopes = Table(
-        "Slope of achieved error over tolerance where accuracy sets the step", ["scene", "tolerances", "slope"]
+        "Slope of achieved error over tolerance if accuracy limits the step", ["scene", "tolerances", "slope"]
     )
     report = Report("Tolerance held", "python -m validation tolerance-sweep", tables=[table, slopes])
     lines: dict[str, list[tuple[float, float]]] = {}
@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> Report:
                 accurate.append((tolerance, out.error))
                 if share < LEAST_SHARE:
                     report.failures.append(
-                        f"{name} at {tolerance:g} m: accuracy binds, yet only {share:.2g} of it is used"
+                        f"{name} at {tolerance:g} m: accuracy limits the step; error only {share:.2g} of it"
                     )
             if options.energy and tolerance <= Scene().tolerance and not out.residual <= LARGEST_RESIDUAL:
                 report.failures.append(f"{name} at {tolerance:g} m: energy residual {out.residual:.2g}")

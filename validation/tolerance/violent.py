@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Violent scenes: grippers whose targets leap by up to a third of the sheet with every frame while they hold it.
+"""Violent scenes: gripper targets jump by up to a third of the sheet.
 
-Nothing here is judged by a reference. Asked is that all stays finite, that no energy comes from nowhere while nobody
-acts, and what the frames cost.
+The targets jump with every frame while the grippers hold the sheet. There is no reference. Each scene must stay finite
+and gain no energy while no gripper acts; the cost of frames is measured.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ from validation.tolerance.random_scenes import DENSITIES, log_uniform
 
 SIDES, MODULI = (2, 33), (30.0, 1e5)
 TOLERANCES, RATES = (1e-5, 1e-2), (30, 120)
-#: Simulated time [s]: held and thrown about, and left alone.
+#: Simulated time [s]: with grasped particles, and free.
 HELD, ALONE = 0.6, 0.6
-#: Energy that may be gained while nobody acts, relative to what was turned over.
+#: Largest energy gain while no gripper acts, relative to the energy turned over.
 LARGEST_GAIN = 0.01
-#: Part of the frames that may be flagged.
+#: Largest fraction of flagged frames.
 MOST_FLAGGED = 0.05
 _DEAREST = 10
 
 
 @attrs.frozen(kw_only=True)
 class Violence:
-    """What became of one scene."""
+    """Result of one violent scene."""
 
     index: int
     words: str
     finite: bool
-    #: See `LARGEST_GAIN`.
+    #: See `MAX_FREE_ENERGY_GAIN`.
     gain: float
     frames: int
     flagged: int
-    #: Of the frame with the most evaluations; its estimated cost relative to the cap of a frame's work.
+    #: Largest number of evaluations in a frame, and their estimated cost relative to the work limit.
     evaluations: int
     of_cap: float
     #: Wall time of the longest frame [s].
@@ -59,7 +59,7 @@ class Violence:
 
 
 def violent_scene(seed: int, index: int) -> tuple[Scene, np.random.Generator, str]:
-    """A sheet in still air, the generator that goes on with what is done to it, and what it is."""
+    """Return a sheet in still air, the generator for its events, and a short description."""
     rng = np.random.default_rng([seed, index, 2])
     while True:
         model = str(rng.choice(["none", "axial", "opposite", "crossed", "altitude"]))
@@ -92,7 +92,7 @@ def violent_scene(seed: int, index: int) -> tuple[Scene, np.random.Generator, st
         try:
             scene = Scene.from_parameters(values)
         except ParameterError:
-            # Not every material can be woven into every grid.
+            # Some materials are not possible on some grids.
             continue
         words = f"{rows} x {columns}, {stretch:.2g} N/m, k_d0 {damping:.2g}, {model}, {scene.rate:g} Hz"
         return scene, rng, f"{words}, tolerance {scene.tolerance:.1e} m"
@@ -141,7 +141,7 @@ def run_violent(case: tuple[int, int]) -> Violence:
 
 
 def _events(simulation: Simulation, rng: np.random.Generator, frame: int, held: int) -> list[Event]:
-    """Before a frame: everybody grasps, throws about what it holds, lets go."""
+    """Return the events before a frame: all grippers grasp, jump, and release."""
     names = simulation.scene.gripper_names
     if frame == 0:
         places = [simulation.state.x[:, rng.integers(simulation.state.particle_count)] for _ in names]
@@ -162,23 +162,23 @@ def _events(simulation: Simulation, rng: np.random.Generator, frame: int, held: 
 
 
 class _Account:
-    """Follows energy while nobody acts."""
+    """Energy account of the free phase."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
         self._least: float | None = None
         self._kinetic = self._turned = 0.0
-        #: Largest rise above what it was at the end of an earlier frame, relative to what was turned over.
+        #: Largest rise above the energy at the end of any earlier frame, relative to the energy turned over.
         self.gain = 0.0
 
     def look(self, *, alone: bool) -> None:
-        """Take note of a frame's end; whether nobody acted during that frame."""
+        """Account for a frame; `is_free`: no gripper acted during it."""
         energy = self._simulation.energy()
         v = self._simulation.state.v
         kinetic = 0.5 * float(np.sum(self._simulation.model.masses * v * v))
         if alone and self._least is not None:
             self._turned += abs(kinetic - self._kinetic)
-            # A sheet at rest turns nothing over.
+            # A sheet at rest turns over no energy.
             scale = max(self._turned, self._least_scale())
             self.gain = max(self.gain, (energy - self._least) / scale)
             self._least = min(self._least, energy)
@@ -187,12 +187,12 @@ class _Account:
         self._kinetic = kinetic
 
     def _least_scale(self) -> float:
-        """What lifting the sheet by the tolerance takes [J]."""
+        """Return the work that lifts the sheet by the tolerance [J]."""
         return 9.81 * self._simulation.model.mass * self._simulation.scene.tolerance
 
 
 def violent(options: argparse.Namespace) -> Report:
-    """Run as many as were asked for."""
+    """Run the violent scenes of a seed."""
     from tqdm import tqdm
 
     report = Report(
@@ -221,8 +221,8 @@ def violent(options: argparse.Namespace) -> Report:
         "trouble",
     ]
     chosen = {
-        "Dearest frames": sorted(found, key=lambda each: -each.seconds)[:_DEAREST],
-        "Most energy from nowhere": sorted(found, key=lambda each: -each.gain)[:_DEAREST],
+        "Most expensive frames": sorted(found, key=lambda each: -each.seconds)[:_DEAREST],
+        "Largest energy gain": sorted(found, key=lambda each: -each.gain)[:_DEAREST],
         "Most flagged frames": sorted(found, key=lambda each: -each.flagged / max(1, each.frames))[:_DEAREST],
     }
     for name, some in chosen.items():
@@ -236,7 +236,7 @@ def violent(options: argparse.Namespace) -> Report:
         f"{max((each.evaluations for each in found), default=0)}, at most "
         f"{max((each.of_cap for each in found), default=0.0):.3g} of the cap; frames above a second in "
         f"{sum(each.seconds > 1.0 for each in found)} scenes",
-        f"largest gain of energy {max((each.gain for each in found), default=0.0):.3g} of what was turned over",
+        f"largest gain of energy {max((each.gain for each in found), default=0.0):.3g} of the energy turned over",
     ]
     for what, some in (
         ("not finite, or stopped", [each for each in found if not each.finite or each.trouble]),

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a recorded run keeps the promise: windows of one second and the whole, against the reference, with kicks."""
+"""Evaluation of a recorded run: errors of windows and the whole run against the reference."""
 
 from __future__ import annotations
 
@@ -14,69 +14,69 @@ from validation.tolerance.compiled_reference import KICK, LANES, Held, Integrati
 from validation.tolerance.random_scenes import draw, smooth_field
 from validation.tolerance.recording import SAME_FORCES, Recording, record
 
-#: The reference's local error relative to the tolerance, and how much finer its second run is.
+#: Local error of the reference relative to the tolerance, and the factor of its second, finer run.
 REFERENCE, FINER = 1e-3, 0.1
-#: What the two runs may differ by, relative to what is promised; else both are made finer.
+#: Largest difference of the two runs relative to the error bound; above it both become finer.
 REFERENCE_ERROR = 0.02
-#: Least local error that is asked for [m]: not far below it rounding is all that there is.
+#: Smallest local error [m]: not far below it rounding dominates.
 LEAST_LOCAL = 1e-13
-#: Growth from which the whole run is followed no further: a kick says nothing any more.
+#: Largest amplification of the whole run: beyond it a perturbation is not meaningful.
 HORIZON = 1e6
-#: Parts of a window at whose borders particles are kicked too, where kicks at its start do not explain its error.
+#: Parts of a window. Perturbations also start at their borders if those at the window's start do not explain its error.
 _PARTS = 8
-#: Growth of a kick up to which flagged windows count.
+#: Amplification below which flagged windows count.
 CALM = 1e3
-#: Steps of the reference in a frame beyond which its equations are taken to be singular there: so many, and so many in
-#: the time of a radian of the highest frequency at the start.
+#: Largest number of steps of the reference in a frame: a constant, and a number per radian of the highest frequency at
+#: the start. Beyond it the equations count as singular. Last: stages of a step.
 _MOST_STEPS, _STIFFER, _STAGES = 300, 10, 12
 
 
 @attrs.frozen(kw_only=True)
 class Window:
-    """One stretch of time, judged."""
+    """One evaluated interval of time."""
 
-    #: Its first frame, and how many there are.
+    #: First frame, and number of frames.
     first: int
     frames: int
-    #: Largest distance of a particle from where it should be [m], at the end of any of its frames.
+    #: Largest distance of a particle from the reference at the end of any frame [m].
     error: float
-    #: Growth of a kick at its start.
+    #: Amplification of a perturbation at its start.
     growth: float
-    #: What is promised [m].
+    #: Error bound [m].
     promised: float
-    #: What two runs of the reference differ by [m].
+    #: Difference of two runs of the reference [m].
     reference_error: float
-    #: Frames of it that are flagged, and that were slept through.
+    #: Number of flagged frames, and of frames asleep.
     flagged: int
     asleep: int
-    #: What bound the steps of its frames, and why, of the frame with the most evaluations.
+    #: Step limits of its frames, and the reason of the frame with the most evaluations.
     binds: str
     reason: str
     #: Evaluations of the engine, and of the reference.
     evaluations: int
     reference_evaluations: int
-    #: Growth of kicks made later in it, which may shrink when they are made at its start; 0 where nobody looked.
+    #: Amplification of perturbations that start later in it; 0 if it was not measured.
     later: float = 0.0
 
     @property
     def from_start(self) -> float:
-        """Error relative to what would be promised if kicks grew as those at its start do."""
+        """Ratio of error to the error bound by perturbations at the start only."""
         return self.ratio * max(1.0, self.growth, self.later) / max(1.0, self.growth)
 
     @property
     def ratio(self) -> float:
-        """Error relative to what is promised."""
+        """Ratio of error to error bound."""
         return self.error / self.promised
 
     @property
     def known(self) -> bool:
-        """Whether the reference is good enough to judge it."""
+        """True if the reference is accurate enough for an evaluation."""
         return self.reference_error <= 0.2 * self.promised
 
 
 @attrs.frozen(kw_only=True)
 class Judgement:
-    """What became of one scene."""
+    """Evaluation of one scene."""
 
     seed: int
     index: int
@@ -88,7 +88,7 @@ class Judgement:
     period: float
     cost: float
     windows: tuple[Window, ...]
-    #: From the start up to where kicks have grown beyond `HORIZON`; None where the engine did not get there.
+    #: From the start until the amplification exceeds `MAX_AMPLIFICATION`; None if the engine stopped before.
     whole: Window | None
     flagged_frames: int
     evaluations: int
@@ -96,17 +96,17 @@ class Judgement:
     longest_frame: float
     mismatch: float
     trouble: str
-    #: Windows that the reference can't follow, and why.
+    #: Windows that the reference can't follow, and the reasons.
     unknown: tuple[str, ...]
 
     def worst(self, *, flagged: bool) -> Window | None:
-        """The window with the largest error among those with, or without, flagged frames."""
+        """Return the window with the largest error ratio among those with, or without, flagged frames."""
         chosen = [window for window in self.windows if window.known and bool(window.flagged) == flagged]
         return max(chosen, key=lambda window: window.ratio, default=None)
 
     @property
     def verdict(self) -> str:
-        """In a word or two."""
+        """Verdict in one or two words."""
         if self.trouble:
             return "STOPPED"
         if not self.mismatch <= SAME_FORCES:
@@ -122,7 +122,7 @@ class Judgement:
 
 
 def judge(seed: int, index: int, windows: int) -> Judgement:
-    """Draw a scene, run it, and judge so many of its windows."""
+    """Draw a scene, run it, and evaluate a number of its windows."""
     drawn = draw(seed, index)
     run = record(drawn)
     second = drawn.frames_a_second
@@ -159,7 +159,7 @@ def judge(seed: int, index: int, windows: int) -> Judgement:
 
 
 def starts(run: Recording, count: int) -> list[int]:
-    """First frames of the windows that are judged beside that at the start: after events, and anywhere."""
+    """Return the first frames of random windows: one half at events, one half anywhere."""
     last = len(run.frames) - run.draw.frames_a_second
     rng = np.random.default_rng([run.draw.seed, run.draw.index, 1])
     moments = [frame for frame in run.draw.script.moments() if 0 < frame <= last]
@@ -171,12 +171,12 @@ def starts(run: Recording, count: int) -> list[int]:
 
 
 def kicks(run: Recording, seed: int, *, second: bool) -> Array:
-    """Kicks of the trajectories behind the first, of size 1 in positions or velocities, shape (2, n, 3, LANES - 1)."""
+    """Return perturbations of size 1 in positions or velocities, shape (2, n, 3, LANES - 1)."""
     rng = np.random.default_rng([seed, int(second)])
     model, rest = run.system.model, run.positions[0].T
     found = np.zeros((2, model.particle_count, 3, LANES - 1))
     for lane in range(LANES - 1):
-        # Each particle by itself: the shortest waves; or smoothly: the longest.
+        # Independent particles perturb the shortest waves, a smooth field perturbs the longest.
         field = rng.normal(size=rest.shape) if lane == 0 else smooth_field(rng, rest)
         if lane == 0:
             field /= np.linalg.norm(field, axis=1)[:, None]
@@ -186,7 +186,7 @@ def kicks(run: Recording, seed: int, *, second: bool) -> Array:
 
 
 def judge_window(run: Recording, first: int, frames: int, *, seed: int) -> tuple[Window, Window | None]:
-    """The window of one second from a frame on; for longer stretches all of it too."""
+    """Evaluate the window of one second from a frame on; also the whole interval if it is longer."""
     tolerance = run.draw.scene.tolerance
     second = run.draw.frames_a_second
     least = LEAST_LOCAL / FINER
@@ -209,7 +209,7 @@ def judge_window(run: Recording, first: int, frames: int, *, seed: int) -> tuple
 
 
 def _growth_from(run: Recording, first: int, frames: int, part: int, seed: int, local: float) -> float:
-    """Growth of kicks that are made at the end of so many parts of a window, up to any later frame of it."""
+    """Return the largest amplification of perturbations that start after a number of parts of a window."""
     passed = part * frames // _PARTS
     if not 0 < passed < frames:
         return 0.0
@@ -221,18 +221,20 @@ def _growth_from(run: Recording, first: int, frames: int, part: int, seed: int, 
 class Followed:
     """One run of the reference."""
 
-    #: At the end of each frame, (3, n).
+    #: Positions at the end of each frame, (3, n) [m].
     positions: list[Array]
-    #: Growth of each kick at the end of each frame.
+    #: Amplification of each perturbation at the end of each frame, (LANES - 1,).
     growths: list[Array]
     evaluations: int
 
 
 def follow(run: Recording, first: int, frames: int, kick: Array, local: float) -> Followed:
-    """Run the reference from the engine's state at a frame on, to the horizon at most, with a local error [m].
+    """Run the reference from the engine's state at a frame with a local error [m].
+
+    It stops early if the amplification exceeds `MAX_AMPLIFICATION`.
 
     Raises:
-        ReferenceError: where its equations are singular.
+        ReferenceFailureError: if the equations are singular.
     """
     y = trajectories(run.positions[first], run.velocities[first])
     y[..., 1:] += KICK * kick
@@ -253,7 +255,7 @@ def follow(run: Recording, first: int, frames: int, kick: Array, local: float) -
 
 
 def own_points(held: Held | None, fresh: np.ndarray, known: dict[tuple[int, int], Array], y: Array) -> Held | None:
-    """What grippers hold, new grips at the places that the trajectories themselves have come to."""
+    """Return the grasped particles; new grips start at each trajectory's own position."""
     if held is None:
         known.clear()
         return None
@@ -274,7 +276,7 @@ def own_points(held: Held | None, fresh: np.ndarray, known: dict[tuple[int, int]
 
 
 def window_of(run: Recording, first: int, frames: int, rough: Followed, fine: Followed, tolerance: float) -> Window:
-    """Judge a stretch by two runs of the reference, `tolerance` being what is promised of a kick that does not grow."""
+    """Evaluate an interval by two runs of the reference; `tolerance`: error bound without amplification [m]."""
     growth = max(float(np.max(each.growths[:frames])) for each in (rough, fine))
     pairs = zip(rough.positions[:frames], fine.positions[:frames], strict=True)
     reference_error = max(largest_distance(a, b) for a, b in pairs)

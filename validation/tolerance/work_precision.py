@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Wall time against error on one scene: ours as shipped, the solvers of libraries on the same forces."""
+"""Command `work-precision`: wall time against error of product and library solvers."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from validation.report import Plot, Report, Table
 from validation.tolerance.baselines import Solver, TooSlow, library_solvers, our_solvers
 from validation.tolerance.sweep import LARGEST_RESIDUAL
 
-#: At these errors [m] the best library solver takes at least so many times our time.
+#: Required speedup over the best library solver, by error [m].
 PROMISES = {1e-5: 10.0, 1e-7: 5.0, 1e-10: 2.5}
-#: Three a decade, as for the libraries' solvers that come nearest: else the distance to the next one is compared.
+#: Three per decade, as dense as those of the best library solvers, so that grid spacing does not bias the comparison.
 TOLERANCES = (1e-2, *(digit * 10.0**power for power in range(-4, -12, -1) for digit in (10, 5, 2)))
 
 
@@ -31,11 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scene", choices=known, metavar="SCENE", default="curtain16", help=f"one of {', '.join(known)}"
     )
-    parser.add_argument("--repeats", type=int, default=5, help="timed runs of each; the median counts")
+    parser.add_argument("--repeats", type=int, default=5, help="timed runs of each solver; the median counts")
     parser.add_argument("--slow", action="store_true", help="also solvers that take minutes")
-    parser.add_argument(
-        "--limit", type=float, default=60.0, metavar="SECONDS", help="give a library solver up after this"
-    )
+    parser.add_argument("--limit", type=float, default=60.0, metavar="SECONDS", help="time limit of a library solver")
 
 
 @attrs.frozen
@@ -68,11 +66,11 @@ def run(options: argparse.Namespace) -> Report:
         except TooSlow:
             given_up.append(f"{solver.name} {solver.setting}: not done after {options.limit:g} s")
     times: dict[Solver, list[float]] = {solver: [] for solver in first}
-    # Round by round: what else the machine does then weighs on all alike.
+    # Solvers alternate, so that other load on the machine affects all of them.
     for repeat in range(options.repeats):
         for solver, run_before in first.items():
             if repeat == 0 or run_before.seconds < 5.0:
-                # It was fast enough once: what holds it up now is the machine.
+                # No time limit: the first run of this solver was within it.
                 times[solver].append(solver.solve(scene, math.inf).seconds)
     points = [
         Point(
@@ -90,9 +88,8 @@ def run(options: argparse.Namespace) -> Report:
     )
     report.notes += given_up
     report.notes.append(
-        f"ours, as shipped, may take {thread_limit.available_threads()} threads here: it makes runs that it combines "
-        f"at once; solvers "
-        "of libraries have one, for each step waits for the one before"
+        f"the product may use {thread_limit.available_threads()} threads here: it computes runs of the extrapolation "
+        "concurrently; library solvers use one thread, because each of their steps needs the previous one"
     )
     for point in points:
         open_by, asked = point.residual, point.solver.tolerance
@@ -107,7 +104,7 @@ def run(options: argparse.Namespace) -> Report:
 
 
 def _residual(solver: Solver, scene: Problem, known: Reference) -> float | None:
-    """How far the energy balance of one of our runs is open, in a run of its own that is not timed."""
+    """Return the residual of the product's energy balance from an untimed run; None for other solvers."""
     if solver.kind != "ours":
         return None
     return measure(scene, known, "auto", solver.tolerance, energy=True).residual
@@ -134,14 +131,16 @@ def _comparison(points: list[Point], report: Report, scene: str) -> Table:
         alone = _least(points, "alone", error)
         theirs = _least(points, "library", error)
         if ours is None or alone is None or theirs is None:
-            report.notes.append(f"no comparison at {error:g} m: nobody, or only one side, reached it")
+            report.notes.append(f"no comparison at {error:g} m: product or library did not reach it")
             continue
         times = theirs.median / ours.median
         names = [f"{point.solver.name} {point.solver.setting}" for point in (ours, theirs)]
         table.rows.append([error, ours.median, names[0], alone.median, theirs.median, names[1], times])
         table.rows[-1].append(theirs.median / alone.median)
         if scene in ("curtain16", "curtain32") and times < promise:
-            report.failures.append(f"{times:.2g} times less than the best library at {error:g} m; promised {promise:g}")
+            report.failures.append(
+                f"speedup over the best library at {error:g} m is {times:.2g}; required: {promise:g}"
+            )
     return table
 
 
