@@ -63,7 +63,7 @@ class Start:
 
     simulation: Simulation
     events: Sequence[Event] = ()
-    #: Positions from which a rise counts; those at the event where left out.
+    #: Positions from which a rise counts; None takes those at the event.
     resting: Array | None = None
 
 
@@ -199,7 +199,7 @@ def added(support: str, gap: float, tolerance: float) -> Start:
 
 
 def changed(support: str, gap: float, tolerance: float) -> Start:
-    """What a sheet lies on changes its shape or size, while it is not in obstacles."""
+    """Change the shape or size of the support while it is not in `obstacles`."""
     small = support not in ("plane", "box, its size")
     lying = simulation(sheet_on("box", BORNE * THICKNESS, tolerance, **(_WEIGHTLESS if small else {})))
     lying.advance()
@@ -217,7 +217,7 @@ def changed(support: str, gap: float, tolerance: float) -> Start:
 
 
 def released(support: str, depth: float, tolerance: float) -> Start:
-    """A gripper opens that pressed a corner by a depth [m] for a quarter of a second; on a sphere, the middle."""
+    """Open a gripper that pressed a corner (on a sphere: the centre) by a depth [m] for a quarter of a second."""
     more = {"gripper.radius": 0.01, "grippers": ["gripper"]}
     if support == "cloth":
         values, mesh = stacked(BORNE * THICKNESS, tolerance, **more)
@@ -248,6 +248,6 @@ def watch(begun: Start, seconds: float = 1.0) -> Watched:
     assert after is not None
     left, turned = after.residual, after.turned_over
     if before is not None and begun.resting is not None:
-        # A change of parameters begins the sums anew, a gripper that opens does not.
+        # A change of parameters resets the sums, a gripper that opens does not.
         left, turned = left - before.residual, turned - before.turned_over
     return Watched(speed, rise, abs(left) / turned if turned else 0.0)

@@ -38,19 +38,19 @@ class Variant:
     """One scene with a feature absent, idle or active."""
 
     feature: str
-    #: `absent`, `idle` (there, and nothing for it to do) or `active`, with more words where there are several.
+    #: `absent`, `idle` (present without effect) or `active`, with further words if there are several.
     presence: str
     values: dict[str, Any]
     #: A gripper closes on the sheet's last corner.
     holds: bool = False
-    #: Events of every frame, by the frame's number since the beginning and the corner's place.
+    #: Every frame has events, from the frame's index and the corner's position.
     turns: bool = False
     #: The sheet sleeps.
     asleep: bool = False
 
     @property
     def name(self) -> str:
-        """What it is called among candidates."""
+        """Name among candidates."""
         return f"{self.feature}: {self.presence}"
 
 

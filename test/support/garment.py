@@ -104,7 +104,7 @@ def parameters(*, bending: str, tolerance: float) -> dict[str, Any]:
 
 
 def target(name: str, t: float) -> Floats:
-    """Where a gripper is at time t [s]: at its shoulder first, then swinging across the shirt and up and down."""
+    """Return a gripper's position (3,) [m] at time t [s]: from its shoulder it swings across the shirt and vertically."""
     across, up = SHOULDERS[name]
     phase = 2.0 * math.pi * _FREQUENCY * t
     away = np.array([0.0, math.sin(phase), 0.3 * math.sin(2.0 * phase)])
@@ -142,7 +142,7 @@ def _heights(corners: Floats) -> Floats:
 
 
 def _inside(points: Floats) -> NDArray[np.bool_]:
-    """Whether points (m, 2) lie inside the outline: a line to the right of them crosses it an odd number of times."""
+    """Return (m,) true for points (m, 2) inside the outline: a ray to the right crosses it an odd number of times."""
     inside = np.zeros(len(points), dtype=np.bool_)
     corners = outline()
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):

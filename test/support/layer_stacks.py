@@ -100,7 +100,7 @@ class Stack:
 
 
 def way(motion: Stack) -> float:
-    """Mean place of what is free along the slope [m]."""
+    """Return the mean position of free particles along the slope [m]."""
     return float(motion.state.x[0, motion.plan.model.inverse_masses > 0.0].mean())
 
 
@@ -118,7 +118,7 @@ def anchors(motion: Stack) -> Array:
 
 
 def slides(motion: Stack) -> bool:
-    """Whether a stack slides."""
+    """Return true if a stack slides."""
     advance(motion, 12)
     return advance(motion, 18) > SLIPPED
 
@@ -137,7 +137,7 @@ def balanced(motion: Stack, frames: int) -> tuple[EnergyBalance, float, float]:
 
 
 def friction_off(count: int, below: int, mu: float) -> float:
-    """By which part friction in motion is off mu N, on a slope ten degrees above the angle of friction at rest."""
+    """Return the relative error of kinetic friction, on a slope ten degrees above the angle of static friction."""
     degrees = math.degrees(math.atan(mu)) + 10.0
     motion = stack(count, below, degrees, (mu, 0.8 * mu))
     places = []

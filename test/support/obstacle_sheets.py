@@ -136,7 +136,7 @@ class Capstan:
         self._contact.set_paths(path)
 
     def tensions(self, x: Array, v: Array) -> tuple[float, float]:
-        """What pulls on the two ends [N], at positions and velocities (3, n)."""
+        """Return the tensions of the two ends [N] at positions and velocities (3, n)."""
         f = np.zeros_like(x)
         self._springs.add_force(0.0, x, v, f)
         ends = f.reshape(3, self.rows, self._columns).sum(axis=1)[:, [0, -1]]

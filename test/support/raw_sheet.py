@@ -77,7 +77,7 @@ class RawSheet:
         return GridSprings(self.resolution, self.resolution, self.families(), name=SHEET)
 
     def springs(self) -> list[PairSprings]:
-        """The same springs listed, one force a direction."""
+        """Return the springs as lists, one force per direction."""
         index, forces = self.index, []
         for family in self.families():
             (r0, c0), (r1, c1) = _SHIFTS[family.name]
@@ -96,7 +96,7 @@ class RawSheet:
         return Model(masses, [*springs, Gravity(self.gravity), *air, *extra], anchors=anchors)
 
     def plan(self, anchors: Iterable[int], extra: Iterable[Force] = (), *, listed: bool = False) -> Plan:
-        """Its equations of motion."""
+        """Compile its equations of motion."""
         return compile(self.model(anchors, extra, listed=listed))
 
     def flat(self, *, hung: bool) -> Array:

@@ -16,11 +16,11 @@ def test_moduli_of_a_regular_periodic_patch_are_those_asked_for(relaxed):
 
 
 def test_irregular_triangles_deviate_by_what_the_docs_say():
-    """0.3 of a side: Young's modulus 0.898, shear modulus 0.887 of those asked for, in the mean (docs/springs.md)."""
+    """0.3 of a side: mean Young's modulus 0.898, mean shear modulus 0.887 of the nominal ones (docs/springs.md)."""
     meshes = [triangulation(0.3, seed=seed) for seed in range(12)]
     found = [moduli_of(mesh) for mesh in meshes]
     # Three standard errors of a dozen meshes whose standard deviation is 0.02.
     assert np.mean([one.along_x for one in found]) == pytest.approx(0.898, abs=0.02)
     assert np.mean([one.shear for one in found]) == pytest.approx(0.887, abs=0.02)
-    # A vertex that is held to the strain can only make the sheet stiffer.
+    # A constraint of the vertices to the strain can only make the sheet stiffer.
     assert all(one.along_x < moduli_of(mesh, relaxed=False).along_x for one, mesh in zip(found, meshes, strict=True))

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A few cases of the stability scan, limits about stretched states, and the processes that the scan runs in."""
+"""Stability scan: single cases, step limits at stretched states, and the case pool."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ def test_scan_has_at_least_2000_distinct_cases() -> None:
 @pytest.mark.parametrize(
     ("case", "integrator"),
     [
-        # Energy from springs pushed to a point, at a fixed step.
+        # Energy gain of springs pushed to a point, at a fixed step.
         (Case("grid", "inverted cell", 1.0, 0.0, 30.0, "fixed"), "leapfrog"),
         (Case("grid", "stretched x 3", 100.0, 0.0, 60.0, "fixed"), "leapfrog"),
         # Combined runs that amplify undamped waves.
         (Case("grid", "release", 100.0, 0.0, 240.0, "auto"), "extrapolated"),
-        # Stages without a solution within reach.
+        # Stages without a solution nearby.
         (Case("grid", "coincident", 1e6, 0.5, 60.0, "auto"), "implicit"),
         (Case("grid", "yanked at 10 m/s", 1e6, 3.0, 30.0, "auto"), "implicit"),
         (Case("grid", "parameters change", 1.0, 0.5, 60.0, "fixed"), "leapfrog"),
         (Case("mesh", "crumpled", 1.0, 0.5, 60.0, "auto"), "extrapolated"),
         # Steps that change in mid-run, and with them the leapfrog's own energy.
         (Case("opposite", "inverted cell", 1.0, 0.0, 60.0, "fixed"), "leapfrog"),
-        # A start that a fixed cap of work can follow only in part.
+        # A start that a work limit can resolve only in part.
         (Case("grid", "stretched x 3", 1e4, 0.5, 30.0, "auto"), "extrapolated"),
         # Folded shut, where S8 is stiffest.
         (Case("crossed", "parameters change", 1.0, 0.5, 60.0, "auto"), "extrapolated"),
@@ -58,13 +58,13 @@ def test_scan_has_at_least_2000_distinct_cases() -> None:
         (Case("crossed", "half in one point", 100.0, 0.5, 60.0, "fixed"), "leapfrog"),
         # The same while a gripper does work.
         (Case("crossed", "zero-length springs", 100.0, 0.5, 60.0, "auto"), "extrapolated"),
-        # A motion that is beyond the fixed step already when its parameters change.
+        # A motion beyond the stability limit of the fixed step before its parameters change.
         (Case("crossed", "parameters change", 1.0, 0.5, 60.0, "fixed"), "leapfrog"),
-        # All waves at once and in step: their swing must not be locked in by a change of the step.
+        # All waves in phase: a change of the step must not make their energy oscillation permanent.
         (Case("grid", "stretched x 3", 1.0, 0.0, 30.0, "fixed"), "leapfrog"),
-        # Nor by longer steps that are tried after shorter ones.
+        # The same with longer steps after shorter ones.
         (Case("altitude", "crumpled", 1e4, 0.0, 60.0, "fixed"), "leapfrog"),
-        # Nor by stretches of one frame, each with a step of its own, that the work does not suffice for.
+        # The same with intervals of one frame, each with its own step, beyond the work limit.
         (Case("crossed", "inverted cell", 100.0, 0.0, 60.0, "auto"), "extrapolated"),
     ],
     ids=lambda value: f"{value.sheet} {value.attack}" if isinstance(value, Case) else value,
@@ -80,12 +80,12 @@ def test_stress_cases_stay_finite_and_gain_no_energy(case: Case, integrator: str
 def test_measured_step_limit_stays_close_to_its_bound(stretch: float, k_d0: float) -> None:
     plan, x = stretched_sheet(stretch, k_d0, resolution=8)
     bound = Leapfrog().step_limit(*plan.spectral_bounds(x))
-    # Found by bisection to 0.2 %.
+    # The bisection is accurate to 0.2 %.
     assert 0.998 * bound <= limit_found(plan, x, bound) <= (1.0 + LARGEST_EXCESS) * bound
 
 
 def test_unsolvable_implicit_step_settles_at_equilibrium() -> None:
-    """Coincident particles of a sheet too stiff for its steps: it must neither freeze there nor gain energy."""
+    """Coincident particles of a sheet too stiff for its steps must neither freeze nor gain energy."""
     plan, x = stretched_sheet(1.0, 0.5, resolution=8)
     state = State(x.T.copy())
     state.x = state.x.copy()
@@ -97,7 +97,7 @@ def test_unsolvable_implicit_step_settles_at_equilibrium() -> None:
 
 
 def test_wind_acceleration_causes_no_smaller_steps() -> None:
-    """Step control must not take the energy that wind brings in for the growth of unstable steps."""
+    """Step control must not mistake energy from wind for an instability."""
     values = {"cloth.resolution": [12, 12], "wind.velocity": [0.0, 8.0, 0.0], "integrator": "leapfrog", "step": 2e-4}
     simulation = Simulation(Scene.from_parameters(values))
     for _ in range(3):
@@ -131,7 +131,7 @@ def test_random_cases_are_reproducible_and_within_the_scan() -> None:
 
 
 def test_interrupted_scan_resumes_from_its_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Every verdict is in the file: nothing runs again, what the file says is told."""
+    """All results are in the file: the report contains them, and no case runs again."""
     kept = tmp_path / "results.jsonl"
     first, second = every_case()[:2]
     lines = []

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`python -m validation tolerance`: its reference against other formulas and exact solutions, draws, verdicts."""
+"""Command `tolerance`: its reference, random scenes and evaluations."""
 
 import json
 
@@ -48,7 +48,7 @@ def test_reference_accelerations_match_numpy_laws(name):
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": [7, 6], **SCENES[name]}, files=FILES))
     stir(simulation)
     model, x, v = simulation.model, simulation.state.x, simulation.state.v
-    # No three particles on a line: the laws divide by the area between them.
+    # No three particles are collinear: the laws divide by the area between them.
     x = x + 0.003 * np.random.default_rng(1).normal(size=x.shape)
     expected = laws.total(model, 0.0, x, v).force * model.inverse_masses
     found = ReferenceSystem(model).accelerations(x, v)
@@ -97,8 +97,8 @@ def test_reference_matches_projectile_with_drag():
     slowed = (1.0 - np.exp(-2.0 * drag)) / drag
     expected = v[:, 0] * slowed + gravity * (2.0 - slowed) / drag
     assert integration.positions[:, 0] == pytest.approx(expected, abs=1e-12)
-    # A kick of position keeps its size. A kick of velocity moves the particle away as a throw in air does. The third
-    # trajectory is not kicked. Positions are rounded to 1e-7 of a kick.
+    # A perturbation of position keeps its size. A perturbation of velocity grows like a throw with drag. The third
+    # trajectory is not perturbed. Positions are rounded to 1e-7 of a perturbation.
     assert integration.deviations() / KICK == pytest.approx([1.0, slowed, 0.0], abs=1e-5)
 
 
@@ -156,7 +156,7 @@ def test_random_scenes_cover_all_kinds_and_exceed_the_cap():
 
 
 def _swinging(tolerance: float) -> Regime:
-    """A weight that swings, and that a reference is needed for."""
+    """Return a swinging weight, which has no closed-form solution."""
     tables = {"positions": [[0, 0, 0], [0.4, 0, 0]], "masses": 0.1, "springs": [[0, 1]], "stiffness": 20.0}
     return Regime("swinging", tables, ("0",), linear=False, gravity=(0.0, 0.0, -9.81), duration=1.0)
 
@@ -168,11 +168,11 @@ def test_window_satisfies_and_violates_the_error_bound():
     assert window.known
     assert window.ratio < 1.0
     assert 1.0 < window.growth < 10.0
-    # The same run, off by three times the promised error in each coordinate in the middle.
+    # The same run with an error of three times the bound in each coordinate in the middle.
     run.positions[30] = run.positions[30] + 3.0 * window.promised
     broken = judge_window(run, 0, 60, seed=0)[0]
     assert broken.from_start == pytest.approx(3.0 * 3.0**0.5, abs=1.0)
-    # Kicks made later in the window grow somewhat more here, but not enough to explain the error.
+    # Perturbations that start later in the window grow more here, but not enough to explain the error.
     assert broken.growth < broken.later < 3.0 * broken.growth
     assert broken.ratio == pytest.approx(broken.from_start * broken.growth / broken.later)
     assert broken.ratio > 1.0
@@ -184,7 +184,7 @@ def test_perturbations_have_unit_size_and_spare_anchors():
         found = kicks(run, 1, second=second)
         size = np.sqrt(np.sum(found * found, axis=2))
         assert size[:, 0].max() == 0.0
-        # Each trajectory has one of positions or one of velocities.
+        # Each trajectory has a perturbation of positions or one of velocities.
         assert np.count_nonzero(size[:, 1], axis=0).tolist() == [1] * (LANES - 1)
         assert size.max() <= 1.0 + 1e-12
 
@@ -201,10 +201,10 @@ def test_new_grips_start_at_each_trajectory():
         offsets=rng.normal(size=(1, 3, LANES)),
     )
     y, known = rng.normal(size=(2, 3, 3, LANES)), {}
-    # The engine's points, as long as the grip is older than the window.
+    # The engine's points if the grip is older than the window.
     assert own_points(held, np.array([False]), known, y).offsets.tolist() == held.offsets.tolist()
     away = y[0, 1] - np.array([[1.0], [2.0], [3.0]])
-    # Seen from a gripper that is turned by a right angle about z.
+    # In the frame of a gripper that is turned by a right angle about z.
     expected = np.stack([away[1], -away[0], away[2]])
     assert own_points(held, np.array([True]), known, y).offsets[0] == pytest.approx(expected, abs=1e-14)
     later = own_points(held, np.array([False]), known, rng.normal(size=y.shape))
@@ -215,7 +215,7 @@ def test_new_grips_start_at_each_trajectory():
 
 @pytest.fixture(scope="module")
 def held_scene():
-    """Number of a cheap draw in which something is held."""
+    """Return the index of a cheap random scene with grasped particles."""
     return next(k for k in range(100) if draw(2, k).cost < 3e7 and draw(2, k).script.holds)
 
 
@@ -252,7 +252,7 @@ def test_differing_forces_are_reported(held_scene, monkeypatch):
 
 
 def test_free_rotating_spring_satisfies_the_error_bound():
-    # It errs in one direction all the while, and estimates are too low by up to four times.
+    # Its errors have one sign, and estimates are too low by a factor of up to four.
     judgement = judge(1, 96, 2)
     assert judgement.verdict == "kept"
     assert not judgement.flagged_frames
@@ -274,15 +274,17 @@ def test_violent_scene_stays_finite_without_energy_gain():
 
 
 def test_violent_scene_frames_stay_within_work_limit():
-    # Its 49th frame is halved 20 times around a blow; what was left over for what came after took 1.2 times the limit.
+    # Its 49th frame is halved 20 times around a jump; a former version took 1.2 times the limit.
     found = run_violent((1, 146))
     assert found.flagged > 0
     assert 0.5 < found.of_cap <= 1.0
 
 
 def test_work_limited_frame_keeps_explicit_steps() -> None:
-    """An undamped chain at a tolerance beyond its cap: a frame was given up for implicit steps, centimetres off, as
-    whole numbers of steps took a little more than was left.
+    """Undamped chain at a tolerance beyond its work limit.
+
+    A former version switched to implicit steps with errors of centimetres: the rounded number of steps exceeded the
+    remaining work.
     """
     chain = attrs.evolve(REGIMES["chain of 33, joints, undamped"], duration=0.2)
     run = record(drawn(chain, 1e-10))

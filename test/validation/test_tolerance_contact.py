@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`python -m validation tolerance --contact`: scenes in which cloth touches, judged by DOP853."""
+"""Command `tolerance --contact`: contact scenes compared with DOP853."""
 
 import json
 
@@ -17,7 +17,7 @@ CASES = (0, 3)
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch):
-    """A fifth of a second in place of two, at a tolerance that is tight."""
+    """Shorten scenes to a fifth of a second, at a tight tolerance."""
     monkeypatch.setattr(contact, "_SECONDS", 0.2)
     drawn = contact.draw_contact
 
@@ -58,7 +58,7 @@ def test_contact_scenes_cover_every_kind_and_touch():
 
 
 def test_command_reports_evaluated_contact_scenes(tmp_path, monkeypatch):
-    # Processes of the pool would not know of the shorter second.
+    # Worker processes would not have the shorter window.
     monkeypatch.setattr("validation.tolerance.bound.run_missing", _alone)
     file = tmp_path / "output.json"
     assert main(["tolerance", "--contact", "--count", "1", "--windows", "1", "--json", str(file)]) == 0

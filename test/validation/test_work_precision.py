@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`python -m validation work-precision`: who is compared with whom, and what becomes of the slow."""
+"""Command `work-precision`: compared solvers, and solvers beyond the time limit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from validation.tolerance.baselines import Run, Solver, TooSlow
 
 
 def fake(name: str, kind: str, *, error: float, seconds: float, held_up: bool = False) -> Solver:
-    """A solver that ends so far off the chain's exact place, after a time that it says; later runs may be held up."""
+    """Return a solver with a given error on the chain and a given time; `held_up`: later runs exceed any time limit."""
     runs = []
 
     def solve(scene: Problem, limit: float) -> Run:
