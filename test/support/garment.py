@@ -104,7 +104,7 @@ def parameters(*, bending: str, tolerance: float) -> dict[str, Any]:
 
 
 def target(name: str, t: float) -> Floats:
-    """Return a gripper's position (3,) [m] at time t [s]: from its shoulder it swings across the shirt and vertically."""
+    """Return a gripper's position (3,) [m] at time t [s]: it swings from the shoulder across and vertically."""
     across, up = SHOULDERS[name]
     phase = 2.0 * math.pi * _FREQUENCY * t
     away = np.array([0.0, math.sin(phase), 0.3 * math.sin(2.0 * phase)])

@@ -110,7 +110,7 @@ def recover(
 
     Args:
         x: start positions [m].
-        rest: rest positions [m].
+        rest_positions: rest positions [m].
         model: `altitude` for S9, `crossed` for S8, each with S7.
         ratio: stiffness ratio ρ; None is the recommended one.
         edge_stiffness: stiffness of the triangles' edges, in units of S7's.

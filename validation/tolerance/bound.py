@@ -295,7 +295,8 @@ def _count(judged: list[Judgement], report: Report) -> None:
         f"the worst {max(from_start, default=0.0):.3g} times",
         f"flagged: {len(known) - len(unflagged)}; among the {len(calm)} windows with g below {CALM:g}: {len(flagged)}",
         f"worst of all {worst:.3g} times; above {MOST_MISSED:g} times: {len(missed)}, "
-        f"with g below {CALM:g}: {sum(window.growth < CALM for window in missed)}",
+        f"with g below {CALM:g}: "
+        f"{sum(window.growth < CALM for window in missed)}",
         f"{flags} of {frames} frames flagged ({flags / max(1, frames):.2%})",
     ]
     if broken:

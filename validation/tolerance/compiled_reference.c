@@ -90,7 +90,8 @@ static void springs(const System *s, const double *x, const double *v, double *f
 }
 
 /* Energy k (h - h0)^2 / 2, damping -k_d (grad h . v) grad h. */
-static inline void hinge(const int64_t *at, const double *constants, Lanes h, const Vec *gradient, const double *v, double *f) {
+static inline void hinge(const int64_t *at, const double *constants, Lanes h, const Vec *gradient, const double *v,
+                         double *f) {
     Lanes rate = {0};
     for (int c = 0; c < 4; ++c) rate += dot(gradient[c], load(v, at[c]));
     const Lanes tension = constants[1] * (constants[0] - h) - constants[2] * rate;
@@ -172,7 +173,8 @@ static void panels(const System *s, const double *x, const double *v, double *f)
 static void turn(const double *axis, double first, double second, const double *in, double *out) {
     const double cross_product[3] = {axis[1] * in[2] - axis[2] * in[1], axis[2] * in[0] - axis[0] * in[2],
                             axis[0] * in[1] - axis[1] * in[0]};
-    const double double_cross[3] = {axis[1] * cross_product[2] - axis[2] * cross_product[1], axis[2] * cross_product[0] - axis[0] * cross_product[2],
+    const double double_cross[3] = {axis[1] * cross_product[2] - axis[2] * cross_product[1],
+                                    axis[2] * cross_product[0] - axis[0] * cross_product[2],
                              axis[0] * cross_product[1] - axis[1] * cross_product[0]};
     for (int c = 0; c < 3; ++c) out[c] = in[c] + first * cross_product[c] + second * double_cross[c];
 }
@@ -263,14 +265,15 @@ typedef struct {
 } Control;
 
 /* Writes positions and velocities at the fraction `c` of a step h after y, from weighted accelerations k, to out. */
-static void combine(int64_t half, int count, double h, double c, const double *position_weights, const double *velocity_weights,
-                    double *const *k, const double *y, double *out) {
+static void combine(int64_t half, int count, double h, double c, const double *position_weights,
+                    const double *velocity_weights, double *const *k, const double *y, double *out) {
     double position_factors[12], velocity_factors[12];
     const double *from[12];
     int terms = 0;
     for (int i = 0; i < count; ++i)
         if (position_weights[i] != 0.0 || velocity_weights[i] != 0.0)
-            position_factors[terms] = h * h * position_weights[i], velocity_factors[terms] = h * velocity_weights[i], from[terms++] = k[i];
+            position_factors[terms] = h * h * position_weights[i],
+            velocity_factors[terms] = h * velocity_weights[i], from[terms++] = k[i];
     for (int64_t e = 0; e < half; e += LANES) {
         Lanes x = {0}, v = {0};
         for (int i = 0; i < terms; ++i) {
