@@ -121,7 +121,7 @@ def theirs(peer: ContactPeer, contest: Contest, seconds: float, *, environment: 
     return Recording(
         frames=frames,
         pads=pads,
-        simulated=said["taken"] / peer.steps * PERIOD,
+        simulated=said["n_steps"] / peer.steps * PERIOD,
         wall=said["wall"],
         finite=said["finite"],
         versions=said["versions"],

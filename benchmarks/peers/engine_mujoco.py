@@ -60,7 +60,7 @@ _PAD = """<body pos="{place}"><joint type="slide" axis="0 1 0" damping="{damping
     <geom type="box" size="{size}" mass="{mass!r}"/></body>"""
 
 
-class Engine:
+class MujocoEngine:
     """See `runner`; one variant."""
 
     distributions = ("mujoco",)
@@ -115,7 +115,7 @@ class Engine:
         return [f"warned {name} {count} times" for name, count in given]
 
 
-class ContactEngine(Engine):
+class MujocoContactEngine(MujocoEngine):
     """Scenes with contact; variants elastic, a membrane, and edges, whose lengths are constraints."""
 
     def __init__(self, sheet: dict[str, Any], step: float, variant: str) -> None:
@@ -205,3 +205,8 @@ def _solids(sheet: dict[str, Any]) -> str:
 
 def _numbers(values: Any) -> str:
     return " ".join(repr(value) for value in np.asarray(values).tolist())
+
+
+#: Name by which `runner` loads the class.
+Engine = MujocoEngine
+ContactEngine = MujocoContactEngine

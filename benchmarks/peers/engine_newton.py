@@ -16,7 +16,7 @@ _ITERATIONS, _RENEWED = 10, 10
 _STIFFNESS, _DAMPING, _HINGE, _HINGE_DAMPING, _FURTHER = 1e3, 1e-1, 1e-3, 1e-2, 0.75
 
 
-class Engine:
+class NewtonEngine:
     """See `runner`; variants semi_implicit, xpbd and vbd."""
 
     distributions = ("newton", "warp-lang")
@@ -87,7 +87,7 @@ class Engine:
         return []
 
 
-class ContactEngine(Engine):
+class NewtonContactEngine(NewtonEngine):
     """Scenes with contact by VBD: a membrane of triangles, contact by penalties; one variant."""
 
     def __init__(self, sheet: dict[str, Any], step: float, variant: str) -> None:
@@ -205,3 +205,8 @@ class ContactEngine(Engine):
     def pads(self) -> Any:
         """Where they are [m]."""
         return self._pads
+
+
+#: Name by which `runner` loads the class.
+Engine = NewtonEngine
+ContactEngine = NewtonContactEngine

@@ -18,7 +18,7 @@ _STOP = 0.2
 _PAD_MASS, _PAD_DAMPING, _CARRIER = 0.05, 10.0, 100.0
 
 
-class Engine:
+class PyBulletEngine:
     """See `runner`; one variant. It has no drag of the air."""
 
     distributions = ("pybullet",)
@@ -70,7 +70,7 @@ class Engine:
         return []
 
 
-class ContactEngine(Engine):
+class PyBulletContactEngine(PyBulletEngine):
     """Scenes with contact; one variant."""
 
     def __init__(self, sheet: dict[str, Any], step: float, variant: str) -> None:
@@ -179,3 +179,8 @@ class ContactEngine(Engine):
     def remarks(self) -> list[str]:
         """How stiff its springs are."""
         return [f"has springs of {self._stiffness:.3g} N/m, the stiffest that its step bears"]
+
+
+#: Name by which `runner` loads the class.
+Engine = PyBulletEngine
+ContactEngine = PyBulletContactEngine

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 
-class Engine:
+class PyPbdEngine:
     """See `runner`; one variant."""
 
     distributions = ("pyPBD",)
@@ -50,3 +50,7 @@ class Engine:
     def remarks(self) -> list[str]:
         """Nothing to add."""
         return []
+
+
+#: Name by which `runner` loads the class.
+Engine = PyPbdEngine

@@ -65,7 +65,7 @@ class Attempt:
     #: Largest stretch of an edge at a frame, and at the end.
     stretch: float
     #: Steps taken in all.
-    taken: int
+    n_steps: int
     #: Wall time of the steps alone [s].
     wall: float
     versions: dict[str, str]
@@ -79,7 +79,7 @@ class Attempt:
     @property
     def simulated(self) -> float:
         """Simulated time [s]."""
-        return self.taken / self.steps * PERIOD
+        return self.n_steps / self.steps * PERIOD
 
 
 def sheet_tables(problem: Problem) -> dict[str, Any]:

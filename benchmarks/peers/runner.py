@@ -68,7 +68,7 @@ def measure(engine: Any, sheet: dict[str, Any], job: dict[str, Any]) -> dict[str
         # A position that is no number makes the stretch none, which is not whole either.
         whole = stretch <= job["whole"]
         largest = max(largest, stretch) if np.isfinite(stretch) else float("inf")
-    return {"whole": whole, "stretch": largest, "taken": taken, "wall": wall, "remarks": engine.remarks()}
+    return {"whole": whole, "stretch": largest, "n_steps": taken, "wall": wall, "remarks": engine.remarks()}
 
 
 def advance_frame(engine: Any, steps: int, seconds: float) -> tuple[int, float]:
@@ -107,7 +107,7 @@ def record(engine: Any, sheet: dict[str, Any], job: dict[str, Any]) -> dict[str,
         if wall >= job["seconds"]:
             break
     np.savez(job["record"], frames=np.array(frames), pads=np.array(pads))
-    return {"taken": taken, "wall": wall, "finite": finite, "remarks": engine.remarks()}
+    return {"n_steps": taken, "wall": wall, "finite": finite, "remarks": engine.remarks()}
 
 
 def main() -> None:

@@ -13,9 +13,9 @@ from validation.command import child
 from validation.report import Plot, Report, Table
 
 #: A particle's step in the largest sheet takes at most so many times that of a sheet of about 10^4.
-TIME_PROMISE = 2.0
+MAX_TIME_RATIO = 2.0
 #: Memory is at most so many times the state, one set of forces and the scene's own tables.
-MEMORY_PROMISE = 2.0
+MAX_MEMORY_RATIO = 2.0
 #: Particles a side: 10^3 to 10^6.
 SIZES = (32, 64, 100, 180, 320, 560, 1000)
 _LARGE = 100_000
@@ -58,9 +58,9 @@ def run(options: argparse.Namespace) -> Report:
             sizes = [one[f"{what}_bytes"] for what in ("build_peak", "peak", "state", "force", "table")]
             share = sizes[1] / sum(sizes[2:])
             memory.rows.append([kind, one["particles"], *(size / _MEGA for size in sizes), share])
-            if one["particles"] >= _LARGE and ratio > TIME_PROMISE:
+            if one["particles"] >= _LARGE and ratio > MAX_TIME_RATIO:
                 report.failures.append(f"{kind} of {one['particles']}: {ratio:.2f} times the time of 10^4")
-            if one["particles"] >= _LARGE and share > MEMORY_PROMISE:
+            if one["particles"] >= _LARGE and share > MAX_MEMORY_RATIO:
                 report.failures.append(
                     f"{kind} of {one['particles']}: {share:.2f} times the memory of what it must hold"
                 )

@@ -22,11 +22,11 @@ from benchmarks.speed.plans import PlanTime, bending_time, force_times, grip_tim
 from validation.report import Plot, Report, Table
 
 #: A whole step takes at most so many times what the C kernel takes for the forces alone.
-KERNEL_PROMISE = 1.0
+MAX_KERNEL_RATIO = 1.0
 #: Simulated seconds per wall second that scene C reaches at least, by N, with an error of at most a millimetre.
-CURTAIN_PROMISES = {32: 25.0, 64: 8.0, 128: 1.5}
+MIN_CURTAIN_SPEEDS = {32: 25.0, 64: 8.0, 128: 1.5}
 #: Two threads are at least so many times as fast as one, from so many particles a side.
-THREAD_PROMISE, THREADS_FROM = 1.7, 96
+MIN_THREAD_GAIN, THREADS_FROM = 1.7, 96
 #: Tolerances that scene C is run with: the loosest that holds the millimetre counts. The first is the default.
 TOLERANCES = (1e-3, 1e-4)
 #: Grids for bending models and for grippers, particles a side.
@@ -87,9 +87,9 @@ def _kernels(options: argparse.Namespace, report: Report) -> None:
             for name, value in (("C forces", row.c), ("whole step", row.step)):
                 if value is not None:
                     lines.setdefault(f"{name}, {row.precision}", []).append((float(resolution), value))
-            if row.ratio is not None and row.ratio > KERNEL_PROMISE:
+            if row.ratio is not None and row.ratio > MAX_KERNEL_RATIO:
                 report.failures.append(
-                    f"a step at N = {resolution}, {row.precision}: {row.ratio:.2f} times C; promised {KERNEL_PROMISE:g}"
+                    f"a step at N = {resolution}, {row.precision}: {row.ratio:.2f} times C; target {MAX_KERNEL_RATIO:g}"
                 )
     report.tables.append(table)
     report.plots.append(Plot("Time per spring", "particles a side", "ns per spring", lines))
@@ -127,13 +127,13 @@ def _curtains(options: argparse.Namespace, report: Report) -> None:
             lines.setdefault(f"tolerance {row[1]:g}, cores: {row[2]}", []).append((float(resolution), speed.factor))
         report.notes.append(f"curtain N = {resolution}: the reference's own error is {known.error:.1g} m")
         best = speed_curtain.loosest_accurate(speeds)
-        promise = CURTAIN_PROMISES.get(resolution, 0.0)
+        min_speed = MIN_CURTAIN_SPEEDS.get(resolution, 0.0)
         if best is None:
             report.failures.append(f"curtain N = {resolution}: no tolerance held {speed_curtain.ACCURATE:g} m")
             continue
         report.notes.append(f"curtain N = {resolution} at tolerance {best.tolerance:g} m: {best.reason}")
-        if best.factor < promise:
-            report.failures.append(f"curtain N = {resolution}: {best.factor:.3g} x real time; promised {promise:g}")
+        if best.factor < min_speed:
+            report.failures.append(f"curtain N = {resolution}: {best.factor:.3g} x real time; target {min_speed:g}")
     report.tables.append(table)
     report.plots.append(Plot("Scene C", "particles a side", "simulated s per wall s", lines))
 
@@ -151,7 +151,7 @@ def _stiff(options: argparse.Namespace, report: Report) -> None:
             if speed.name != "as shipped":
                 continue
             if speed.factor < 1.0:
-                report.failures.append(f"stiff sheet, N = {resolution}: {speed.factor:.3g} x real time; promised 1")
+                report.failures.append(f"stiff sheet, N = {resolution}: {speed.factor:.3g} x real time; target 1")
             if speed.error > speed_stiff.TOLERANCE:
                 report.failures.append(f"stiff sheet, N = {resolution}: error {speed.error:.2g} m")
         report.notes.append(f"stiff sheet, N = {resolution}: the reference's own error is {known.error:.1g} m")
@@ -173,9 +173,9 @@ def _threads(options: argparse.Namespace, report: Report) -> None:
             where = f"two threads at N = {resolution}, {row.precision}"
             if not row.same:
                 report.failures.append(f"{where}: other bits than one thread")
-            if resolution >= THREADS_FROM and row.gain < THREAD_PROMISE:
+            if resolution >= THREADS_FROM and row.gain < MIN_THREAD_GAIN:
                 report.failures.append(
-                    f"{where}: {row.gain:.2f} times one; promised {THREAD_PROMISE:g} (apart {row.most:.2f})"
+                    f"{where}: {row.gain:.2f} times one; target {MIN_THREAD_GAIN:g} (apart {row.most:.2f})"
                 )
     report.tables.append(table)
     report.notes.append(

@@ -13,29 +13,29 @@ pytest.importorskip("gymnasium")
 SMALL = ["batch", "--envs", "4", "--resolution", "8", "--rollouts", "3", "--rollout-resolution", "6", "--seconds", "0"]
 
 
-def test_it_prints_each_table_and_ends_well(capsys, monkeypatch):
-    for name, value in (("THROUGHPUT_PROMISE", 0.0), ("THREAD_PROMISE", 0.0), ("MEMORY_PROMISE", 1e9)):
+def test_batch_command_prints_each_table(capsys, monkeypatch):
+    for name, value in (("MIN_THROUGHPUT", 0.0), ("MIN_THREAD_GAIN", 0.0), ("MAX_MEMORY_RATIO", 1e9)):
         monkeypatch.setattr(batch, name, value)
-    monkeypatch.setattr(batch, "ROLLOUT_PROMISE", 1e9)
+    monkeypatch.setattr(batch, "MAX_ROLLOUT_TIME", 1e9)
     assert main([*SMALL, "--steps", "400", "--only", *batch.PARTS]) == 0
     printed = capsys.readouterr().out
     for title in ("A vector environment", "on two threads", "Memory", "Rollouts", "Random steps"):
         assert title in printed
 
 
-def test_what_is_not_met_is_told(capsys, monkeypatch):
-    monkeypatch.setattr(batch, "ROLLOUT_PROMISE", 0.0)
+def test_batch_command_reports_missed_targets(capsys, monkeypatch):
+    monkeypatch.setattr(batch, "MAX_ROLLOUT_TIME", 0.0)
     assert main([*SMALL, "--only", "rollouts"]) == 1
     assert "NOT MET: rollouts took" in capsys.readouterr().out
 
 
-def test_too_few_cloths_are_refused(capsys):
+def test_batch_command_refuses_a_single_cloth(capsys):
     with pytest.raises(SystemExit):
         main([*SMALL, "--envs", "1"])
     assert "--envs is 1; it must be at least 2" in capsys.readouterr().err
 
 
-def test_carried_cloths_are_never_asleep_and_held():
+def test_carried_cloths_are_awake_and_grasped():
     with batch_cloths.Carried(3, 6) as carried:
         for snapshot in carried.cloths.snapshots:
             assert snapshot.state.v.any()

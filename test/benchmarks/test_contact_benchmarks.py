@@ -23,7 +23,7 @@ from cloth_sim_ros.simulation.events import Grasp
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 
-def test_a_strip_over_a_turning_drum_pulls_by_the_exponential_of_friction_and_angle():
+def test_capstan_tension_ratio_is_exponential():
     strip = Capstan(0.5, 0.5 * math.pi, columns=60)
     steps = Scene.from_parameters({**SHEET, "tolerance": 1e-4}).build_integrator()
     state, pulls = State(strip.start), np.zeros(2)
@@ -35,19 +35,19 @@ def test_a_strip_over_a_turning_drum_pulls_by_the_exponential_of_friction_and_an
     assert pulls.max() / pulls.min() == pytest.approx(math.exp(0.25 * math.pi), rel=0.03)
 
 
-def test_it_prints_a_table_and_ends_well(capsys):
+def test_contact_command_prints_a_table(capsys):
     assert main(["contact", "--parts", "drift", "--drift", "0.5"]) == 0
     assert "### Drift" in capsys.readouterr().out
 
 
-def test_what_is_not_met_is_told(capsys, monkeypatch):
+def test_contact_command_reports_missed_targets(capsys, monkeypatch):
     # A sheet that lies on a slope that is too steep for it.
     monkeypatch.setattr(contact, "NEAR", -5.0)
     assert main(["contact", "--parts", "drift", "--drift", "0.5"]) == 1
     assert "NOT MET" in capsys.readouterr().out
 
 
-def test_a_pinch_holds_from_its_weight_on_and_what_is_not_met_is_told(capsys, monkeypatch):
+def test_pinch_holds_the_weight_and_reports_missed_targets(capsys, monkeypatch):
     assert main(["contact", "--parts", "pinch", "--drift", "0.5"]) == 0
     monkeypatch.setattr(contact_pinch, "OFF", -0.01)  # What is to slide is held, and the other way round.
     monkeypatch.setattr(contact_pinch, "GIVES", 0.0)
@@ -57,7 +57,7 @@ def test_a_pinch_holds_from_its_weight_on_and_what_is_not_met_is_told(capsys, mo
     assert "NOT MET: carried up, grid 4: gives by" in told
 
 
-def test_starts_stay_slow_and_limits_are_reported(capsys, monkeypatch):
+def test_recovery_is_slow_and_reports_missed_targets(capsys, monkeypatch):
     monkeypatch.setattr(contact_starts, "GAPS", (0.3,))
     monkeypatch.setattr(contact_starts, "PRESSES", (1e-3,))
     monkeypatch.setattr(starts, "RATE", 60)
@@ -74,7 +74,7 @@ def test_starts_stay_slow_and_limits_are_reported(capsys, monkeypatch):
     assert "NOT MET: start, plane: the energy balance leaves" in told
 
 
-def test_the_fold_is_that_of_the_configuration():
+def test_fold_poses_match_the_configuration():
     for side, sign in (("left", -1.0), ("right", 1.0)):
         steps = ros_yaml.load((CONFIG / f"fold_{side}.yaml").read_text(encoding="utf-8"))["steps"]
         poses = {step["time"]: tuple(step["position"]) for step in steps}
@@ -85,7 +85,7 @@ def test_the_fold_is_that_of_the_configuration():
         assert closes == [(contact_self.CLOSES, True), (contact_self.OPENS, False)]
 
 
-def test_grippers_of_the_fold_close_on_the_towel():
+def test_fold_grippers_close_and_open():
     told = [event for events in contact_self.events(300) for event in events]
     assert [event.closed for event in told if isinstance(event, Grasp)] == [True, True, False, False]
     assert contact_self.place(0.0) == (-0.22, 0.1, 0.0)
@@ -93,7 +93,7 @@ def test_grippers_of_the_fold_close_on_the_towel():
     assert contact_self.place(9.0) == (0.23, 0.12, -180.0)
 
 
-def test_what_the_cloths_contact_with_itself_costs_is_told(capsys, monkeypatch):
+def test_self_contact_cost_is_reported(capsys, monkeypatch):
     monkeypatch.setattr(contact_self, "THICKNESSES", {12: 4e-3})
     monkeypatch.setattr(contact_self, "HUNG", (6,))
     # What it costs depends on the machine.
@@ -103,7 +103,7 @@ def test_what_the_cloths_contact_with_itself_costs_is_told(capsys, monkeypatch):
     assert "6 x 6" in out
 
 
-def test_the_worst_second_of_a_fold():
+def test_fold_record_finds_the_worst_second():
     seconds = [0.01] * 100 + [0.05] * 60 + [0.02] * 40
     folded = contact_self.Folded(seconds, [1] * 200, [0] * 200, 900)
     assert folded.worst == 100

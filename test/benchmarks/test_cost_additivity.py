@@ -24,7 +24,7 @@ def cost(both: float) -> Cost:
 
 
 @pytest.mark.parametrize(("both", "holds"), [(2.6, True), (2.68, False)])
-def test_together_costs_what_each_costs_alone_and_a_little(both: float, holds: bool) -> None:
+def test_pair_cost_above_the_bound_fails(both: float, holds: bool) -> None:
     report = Report("", "", environment={})
     adds.add("grid", cost(both), report)
     # 1.1 (0.5 + 1.0) + 0.02 = 1.67
@@ -35,7 +35,7 @@ def test_together_costs_what_each_costs_alone_and_a_little(both: float, holds: b
     assert bool(report.failures) is not holds
 
 
-def test_no_cloth_bends_in_two_ways() -> None:
+def test_pairs_have_one_bending_model() -> None:
     pairs = adds.pairs(adds.FEATURES)
     assert len(pairs) == len(set(pairs)) == 18
     assert ("opposite", "crossed") not in pairs
@@ -43,7 +43,7 @@ def test_no_cloth_bends_in_two_ways() -> None:
 
 
 @pytest.mark.parametrize("sheet", adds.SHEETS)
-def test_pairs_are_measured(sheet: str, tmp_path: Path) -> None:
+def test_cost_additivity_reports_all_pairs(sheet: str, tmp_path: Path) -> None:
     file = tmp_path / "out.json"
     options = [
         "--sheets",
@@ -67,7 +67,7 @@ def test_pairs_are_measured(sheet: str, tmp_path: Path) -> None:
     ]
 
 
-def test_features_are_what_they_say() -> None:
+def test_scene_has_the_requested_features() -> None:
     names = frozenset(["altitude", "air", "gripper", "numpy", "energy"])
     scene = adds.scene("mesh", 8, names, step=1e-4)
     assert {"altitude", "air", "grips", "floor"} <= {force.name for force in scene.plan().model.forces}
@@ -77,7 +77,7 @@ def test_features_are_what_they_say() -> None:
     )
 
 
-def test_a_user_s_floor_is_the_gradient_of_its_energy() -> None:
+def test_floor_force_is_the_energy_gradient() -> None:
     floor = adds.Floor(0.7, 3.0)
     x = np.array([[0.0, 0.0], [0.0, 0.0], [0.5, 0.9]])
     f = np.zeros_like(x)

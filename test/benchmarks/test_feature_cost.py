@@ -14,7 +14,7 @@ from cloth_sim_ros.simulation.simulation import Simulation
 
 
 @pytest.mark.parametrize("values", [BARE, FORCES], ids=["bare", "forces"])
-def test_the_loop_made_by_hand_moves_as_the_simulation_to_the_last_bit(values):
+def test_hand_written_loop_matches_the_simulation_bits(values):
     with cores(one=True):
         scene = Scene.from_parameters({**values, "cloth.resolution": [9, 12]})
         simulation, loop = Simulation(scene, swinging(scene)), HandMadeLoop(scene)
@@ -26,7 +26,7 @@ def test_the_loop_made_by_hand_moves_as_the_simulation_to_the_last_bit(values):
         assert np.array_equal(simulation.state.v, loop.v)
 
 
-def test_both_commands_are_there_and_say_what_they_do(capsys):
+def test_commands_print_their_help(capsys):
     for name in ("feature-cost", "scale"):
         assert name in COMMANDS
         with pytest.raises(SystemExit) as stop:

@@ -98,7 +98,7 @@ def attempt(peer: Peer, sheet: Path, environment: Path, steps: int, **options: A
     )
 
 
-def test_the_sheet_that_peers_get_is_ours() -> None:
+def test_sheet_tables_match_the_product_sheet() -> None:
     tables = peer_jobs.sheet_tables(curtain(16))
     assert tables["masses"].sum() == pytest.approx(0.2)
     assert tables["gravity"].tolist() == [0.0, 0.0, -9.81]
@@ -118,7 +118,7 @@ def test_the_sheet_that_peers_get_is_ours() -> None:
     assert tables["edge_lengths"] == pytest.approx(1.0 / 15.0)
 
 
-def test_stretch_is_that_of_the_longest_edge() -> None:
+def test_largest_stretch_is_of_the_longest_edge() -> None:
     edges, rest = np.array([[0, 1], [1, 2]]), np.array([1.0, 0.5])
     places = np.array([[0.0, 0.0, 0.0], [1.1, 0.0, 0.0], [1.1, 0.6, 0.0]])
     assert peer_run.largest_stretch(places, edges, rest) == pytest.approx(1.2)
@@ -126,25 +126,25 @@ def test_stretch_is_that_of_the_longest_edge() -> None:
     assert np.isnan(peer_run.largest_stretch(places, edges, rest))
 
 
-def test_a_run_tells_whether_the_sheet_stayed_whole(stand_in: Peer, sheet: Path, environment: Path) -> None:
+def test_attempt_reports_whether_the_sheet_is_whole(stand_in: Peer, sheet: Path, environment: Path) -> None:
     whole = attempt(stand_in, sheet, environment, 20)
-    assert (whole.whole, whole.taken, whole.stretch) == (True, 60, pytest.approx(1.0))
+    assert (whole.whole, whole.n_steps, whole.stretch) == (True, 60, pytest.approx(1.0))
     assert whole.remarks == ["was watched"]
     assert whole.versions == {"numpy": np.__version__}
     assert whole.factor == pytest.approx(3.0 / 60.0 / whole.wall)
     # 1.02^8 is 1.17: at the third frame 1.61, too much.
     torn = attempt(stand_in, sheet, environment, 8, frames=10)
-    assert (torn.whole, torn.taken, torn.stretch) == (False, 24, pytest.approx(1.02**24))
+    assert (torn.whole, torn.n_steps, torn.stretch) == (False, 24, pytest.approx(1.02**24))
     lost = attempt(attrs.evolve(stand_in, variant="nan"), sheet, environment, 20)
-    assert (lost.whole, lost.taken) == (False, 20)
+    assert (lost.whole, lost.n_steps) == (False, 20)
 
 
-def test_a_slow_engine_is_ended_and_says_how_far_it_came(stand_in: Peer, sheet: Path, environment: Path) -> None:
+def test_slow_engine_stops_at_the_time_limit(stand_in: Peer, sheet: Path, environment: Path) -> None:
     slow = attempt(attrs.evolve(stand_in, variant="slow"), sheet, environment, 20, frames=1000, seconds=0.05)
     assert slow.whole
     # Within the first frame already.
-    assert slow.taken < 20
-    assert slow.simulated == pytest.approx(slow.taken / 20 / 60)
+    assert slow.n_steps < 20
+    assert slow.simulated == pytest.approx(slow.n_steps / 20 / 60)
     assert slow.wall >= 0.05
 
 
@@ -156,37 +156,37 @@ def test_a_slow_engine_is_ended_and_says_how_far_it_came(stand_in: Peer, sheet: 
         ("turned", "the engine's sheet starts 1 m off"),
     ],
 )
-def test_an_engine_that_fails_says_why(variant: str, said: str, stand_in: Peer, sheet: Path, environment: Path) -> None:
+def test_failed_engine_reports_the_reason(variant: str, said: str, stand_in: Peer, sheet: Path, environment: Path) -> None:
     with pytest.raises(PeerFailed, match=said):
         attempt(attrs.evolve(stand_in, variant=variant), sheet, environment, 20)
 
 
-def try_steps(bears: int) -> tuple[list[int], Attempt | None]:
+def search_longest_step(bears: int) -> tuple[list[int], Attempt | None]:
     """Search for the longest step of an engine whose sheet stays whole with so many steps a frame or more."""
     tried: list[int] = []
 
     def run(steps: int) -> Attempt:
         tried.append(steps)
-        return Attempt(steps=steps, whole=steps >= bears, stretch=1.0, taken=1, wall=1.0, versions={}, remarks=[])
+        return Attempt(steps=steps, whole=steps >= bears, stretch=1.0, n_steps=1, wall=1.0, versions={}, remarks=[])
 
     return tried, peer_jobs.longest_step(run, 16)
 
 
 @pytest.mark.parametrize("bears", [1, 2, 3, 15, 16, 17, 40, 64, 100, 1000])
-def test_the_longest_step_is_found_to_a_fifth(bears: int) -> None:
-    tried, found = try_steps(bears)
+def test_longest_step_is_within_a_fifth(bears: int) -> None:
+    tried, found = search_longest_step(bears)
     assert found is not None
     assert bears <= found.steps <= max(1.2 * bears, bears + 1)
     assert len(tried) == len(set(tried)) <= 10
 
 
-def test_a_sheet_that_no_step_keeps_whole_is_given_up() -> None:
-    tried, found = try_steps(10**9)
+def test_longest_step_is_none_if_every_step_tears() -> None:
+    tried, found = search_longest_step(10**9)
     assert found is None
     assert max(tried) <= 4096
 
 
-def test_every_peer_has_its_script_and_exact_versions() -> None:
+def test_peers_have_scripts_and_exact_versions() -> None:
     for peer in PEERS:
         assert Path(peers.__file__).with_name(peer.script).exists()
         assert peer.package in REQUIREMENTS
@@ -194,7 +194,7 @@ def test_every_peer_has_its_script_and_exact_versions() -> None:
     assert all("==" in one for wanted in REQUIREMENTS.values() for one in wanted)
 
 
-def test_a_peer_script_loads_nothing_of_this_package(environment: Path) -> None:
+def test_peer_scripts_do_not_import_the_package(environment: Path) -> None:
     folder = Path(peers.__file__).parent
     for name in {"runner.py", *(peer.script for peer in PEERS)}:
         script = (
@@ -206,7 +206,7 @@ def test_a_peer_script_loads_nothing_of_this_package(environment: Path) -> None:
         assert done.stdout == "[]\n", name
 
 
-def test_variables_that_lead_back_are_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_clean_variables_drop_paths_of_this_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LD_LIBRARY_PATH", "/opt/ros/lib")
     monkeypatch.setenv("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "1")
     monkeypatch.setenv("LANG", "C")
@@ -215,7 +215,7 @@ def test_variables_that_lead_back_are_dropped(monkeypatch: pytest.MonkeyPatch) -
     assert (variables["LANG"], variables["OMP_NUM_THREADS"]) == ("C", "1")
 
 
-def test_a_folder_with_something_else_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_foreign_folder_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(SystemExit):
         main(["peers", "--environment", str(tmp_path)])
@@ -223,7 +223,7 @@ def test_a_folder_with_something_else_is_left_alone(tmp_path: Path, capsys: pyte
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
-def test_a_broken_environment_says_what_to_do(tmp_path: Path) -> None:
+def test_broken_environment_error_names_the_remedy(tmp_path: Path) -> None:
     (tmp_path / "peers" / "bin").mkdir(parents=True)
     (tmp_path / "peers" / "bin" / "python").write_text("not a program")
     with pytest.raises(EnvironmentUnusable, match=r"does not run: .*; remove the folder"):
@@ -245,7 +245,7 @@ def cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(name, raising=False)
 
 
-def test_without_a_network_ours_runs_and_every_peer_is_named_as_absent(
+def test_peers_are_absent_without_a_network(
     real_environment: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
     cut_off(monkeypatch)
@@ -267,7 +267,7 @@ def test_without_a_network_ours_runs_and_every_peer_is_named_as_absent(
     assert "installing pyPBD" not in said
 
 
-def test_a_peer_without_a_wheel_is_absent_and_what_is_there_is_not_asked_for(
+def test_peer_without_a_wheel_is_absent(
     real_environment: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PIP_NO_INDEX", "1")
@@ -282,7 +282,7 @@ def test_a_peer_without_a_wheel_is_absent_and_what_is_there_is_not_asked_for(
     assert len(said) == 1
 
 
-def test_the_report_compares_with_the_fastest_peer(
+def test_report_compares_with_the_fastest_peer(
     stand_in: Peer,
     environment: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -293,7 +293,7 @@ def test_the_report_compares_with_the_fastest_peer(
     dead = attrs.evolve(stand_in, name="Dead", variant="dies")
     monkeypatch.setattr(peers, "PEERS", (slow, stand_in, dead))
     monkeypatch.setattr(peer_environment, "prepare", lambda *_: {})
-    monkeypatch.setattr(peers, "PROMISED_AT", (16,))
+    monkeypatch.setattr(peers, "RATED_RESOLUTIONS", (16,))
     file = tmp_path / "peers.json"
     options = ["--resolutions", "16", "--duration", "0.1", "--repeats", "2", "--peers", "newton", "--json", str(file)]
     assert main(["peers", "--environment", str(environment), *options]) == 1
@@ -310,7 +310,7 @@ def test_the_report_compares_with_the_fastest_peer(
     assert "Stand-in: is no cloth at all" in written["notes"]
     assert "N = 16: Slow was watched" in written["notes"]
     (failure,) = written["failures"]
-    assert failure.endswith("times as fast as Stand-in; promised 15")
+    assert failure.endswith("times as fast as Stand-in; target 15")
     assert "Stand-in, 8 steps a frame: torn" in capsys.readouterr().err
 
 
@@ -321,8 +321,8 @@ def test_numbers_must_be_above_zero(option: str, capsys: pytest.CaptureFixture) 
     assert f"{option} is 0" in capsys.readouterr().err
 
 
-def test_what_counts_as_torn_can_be_set(stand_in: Peer, sheet: Path, environment: Path) -> None:
+def test_torn_threshold_is_configurable(stand_in: Peer, sheet: Path, environment: Path) -> None:
     strict = attempt(stand_in, sheet, environment, 8, frames=10, whole=1.2)
-    assert (strict.whole, strict.taken) == (False, 16)
+    assert (strict.whole, strict.n_steps) == (False, 16)
     with pytest.raises(SystemExit):
         main(["peers", "--stretch", "1.0"])

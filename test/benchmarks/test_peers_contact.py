@@ -114,7 +114,7 @@ def made_up(contest: Contest, frames: np.ndarray) -> Recording:
     return Recording(frames=frames, pads=pads, simulated=(len(frames) - 1) * PERIOD, wall=1.0)
 
 
-def test_between_its_corners_a_triangle_may_be_deeper_in_a_ball() -> None:
+def test_ball_depth_includes_triangle_interiors() -> None:
     # Corners 3 mm outside a ball of 0.1 m, the triangle's middle 0.1 m from the centre less 4 mm.
     height, around = 0.096, math.sqrt(0.103**2 - 0.096**2)
     angles = 2.0 * np.pi * np.arange(3) / 3.0
@@ -129,7 +129,7 @@ def test_between_its_corners_a_triangle_may_be_deeper_in_a_ball() -> None:
     assert contact_measures.depth_in_ball(flat[None], both, 0.1) == pytest.approx(0.01)
 
 
-def test_a_particle_in_a_solid_is_as_deep_as_it_is_in_its_worst_frame() -> None:
+def test_depth_is_of_the_worst_frame() -> None:
     table = Obstacle(name="table", shape="plane")
     frames = np.zeros((3, 2, 3))
     frames[:, :, 2] = [[0.1, 0.2], [-0.003, 0.2], [0.1, -0.001]]
@@ -140,7 +140,7 @@ def test_a_particle_in_a_solid_is_as_deep_as_it_is_in_its_worst_frame() -> None:
     assert contact_measures.depth(frames, table, places) == pytest.approx(0.001)
 
 
-def test_frames_in_which_a_sheet_goes_through_itself_are_found() -> None:
+def test_crossings_list_self_intersecting_frames() -> None:
     plane = np.stack(np.meshgrid(np.arange(6), np.arange(6), indexing="ij"), axis=-1).reshape(-1, 2) * 0.02
     flat = np.column_stack([plane, np.zeros(36)])
     triangles = grid_triangles(6, 6, "both")
@@ -154,7 +154,7 @@ def test_frames_in_which_a_sheet_goes_through_itself_are_found() -> None:
     assert contact_measures.crossings(np.array([flat, folded, through, folded]), triangles, flat) == [2]
 
 
-def test_creep_on_a_ball_is_that_of_the_fastest_particle_on_it() -> None:
+def test_ball_creep_is_of_the_fastest_particle() -> None:
     first = np.array([[0.0, 0.0, 0.102], [0.102, 0.0, 0.0], [0.0, 0.0, 0.12], [0.0, 0.102, 0.0]])
     last = first + np.array([[1e-6, 0.0, 0.0], [0.0, 3e-6, 0.0], [1e-3, 0.0, 0.0], [0.0, 0.01, 0.0]])
     # Of the last two one never was on it, and one left it.
@@ -163,7 +163,7 @@ def test_creep_on_a_ball_is_that_of_the_fastest_particle_on_it() -> None:
     assert math.isnan(contact_measures.creep_on_ball(np.array([first, last])[:, 2:3], 0.5, 0.1, 0.003))
 
 
-def test_a_pinch_is_judged_by_what_is_between_the_pads() -> None:
+def test_pinch_result_uses_the_clamped_particles() -> None:
     contest = peer_scenes.pinch(RESOLUTION)
     start, pad, places = contest.start, contest.pads[0], contest.pad_places
     between = contact_measures.between_pads(start, pad, places)
@@ -190,7 +190,7 @@ def test_a_pinch_is_judged_by_what_is_between_the_pads() -> None:
     assert peers_contact.judge(contest, "made up", made_up(contest, into)).depth == pytest.approx(6e-4)
 
 
-def test_only_what_ours_promises_and_breaks_is_a_failure() -> None:
+def test_product_failures_are_violated_guarantees() -> None:
     contest = peer_scenes.fold(RESOLUTION)
     report = Report("", "")
     frames = np.repeat(contest.start[None], 181, axis=0)
@@ -219,7 +219,7 @@ def test_only_what_ours_promises_and_breaks_is_a_failure() -> None:
     assert len(report.failures) == 5
 
 
-def test_an_edge_is_carried_over_to_the_other() -> None:
+def test_edge_path_leads_to_the_opposite_edge() -> None:
     way = peer_scenes.carried()
     # Taken hold of in the first frame.
     assert len(way) == 122
@@ -232,7 +232,7 @@ def test_an_edge_is_carried_over_to_the_other() -> None:
 
 
 @pytest.mark.parametrize("name", peer_scenes.CONTESTS)
-def test_what_peers_are_told_is_ours(name: str) -> None:
+def test_scene_tables_match_the_product_scene(name: str) -> None:
     contest = peer_scenes.CONTESTS[name](RESOLUTION)
     tables = contest.tables()
     masses = {"drape": 0.2 * 0.5**2, "fold": 0.2 * 0.3**2, "pinch": 0.2 * 0.18 * 0.09}
@@ -247,7 +247,7 @@ def test_what_peers_are_told_is_ours(name: str) -> None:
     assert tables["retardation"] == pytest.approx(np.median(springs.damping / springs.rigidity), rel=0.06)
 
 
-def test_ours_carries_the_edge_and_lets_it_go() -> None:
+def test_product_carries_and_releases_the_edge() -> None:
     contest = peer_scenes.fold(RESOLUTION)
     way = contest.path[:20] if contest.hold else contest.path
     contest = attrs.evolve(contest, path=way, duration=24 * PERIOD)
@@ -264,7 +264,7 @@ def test_ours_carries_the_edge_and_lets_it_go() -> None:
     assert (result.crossed, result.inside) == (0, 0.0)
 
 
-def test_ours_falls_on_the_ball_and_hangs_between_pads() -> None:
+def test_product_runs_the_drape_and_the_pinch() -> None:
     drape = short("drape", 25)
     fallen = peer_contact.ours(drape, 60.0)
     result = peers_contact.judge(drape, "ours", fallen)
@@ -280,12 +280,12 @@ def test_ours_falls_on_the_ball_and_hangs_between_pads() -> None:
     assert held.frames[-1, :, 2].max() > -2e-3
 
 
-def test_ours_is_ended_where_time_is_up() -> None:
+def test_product_run_stops_at_the_time_limit() -> None:
     recording = peer_contact.ours(short("drape", 1000), 1e-9)
     assert (len(recording.frames), recording.simulated) == (2, pytest.approx(PERIOD))
 
 
-def test_ours_never_sleeps() -> None:
+def test_product_run_never_sleeps() -> None:
     contest = short("pinch", 150)
     contest = attrs.evolve(contest, scene=contest.scene.changed({"air.drag": 50.0}))
     recording = peer_contact.ours(contest, 60.0)
@@ -293,7 +293,7 @@ def test_ours_never_sleeps() -> None:
     assert (np.diff(recording.frames, axis=0) != 0.0).any(axis=(1, 2)).all()
 
 
-def test_another_engine_is_recorded_frame_by_frame(stand_in: ContactPeer, environment: Path) -> None:
+def test_peer_is_recorded_frame_by_frame(stand_in: ContactPeer, environment: Path) -> None:
     contest = attrs.evolve(peer_scenes.fold(RESOLUTION), duration=4 * PERIOD)
     contest = attrs.evolve(contest, path=contest.path[60:63])
     recording = peer_contact.theirs(stand_in, contest, 60.0, environment=environment)
@@ -308,7 +308,7 @@ def test_another_engine_is_recorded_frame_by_frame(stand_in: ContactPeer, enviro
     assert recording.versions == {"numpy": np.__version__}
 
 
-def test_another_engine_is_ended_where_time_is_up_or_places_are_none(stand_in: ContactPeer, environment: Path) -> None:
+def test_peer_stops_at_time_limit_or_nan_positions(stand_in: ContactPeer, environment: Path) -> None:
     contest = short("drape", 100)
     slow = peer_contact.theirs(attrs.evolve(stand_in, variant="slow"), contest, 0.12, environment=environment)
     # Three of the four steps of the first frame.
@@ -331,7 +331,7 @@ def shortened(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(peers_contact, "CONTESTS", cuts)
 
 
-def test_the_report_has_every_engine_whatever_became_of_it(
+def test_report_lists_failed_and_absent_engines(
     stand_in: ContactPeer, environment: Path, shortened: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     broken = attrs.evolve(stand_in, name="Broken", variant="raises")
@@ -382,7 +382,7 @@ def test_numbers_out_of_range_are_refused(options: list[str], said: str, capsys:
     assert said in capsys.readouterr().err
 
 
-def test_every_peer_has_its_script_which_loads_nothing_of_this_package(environment: Path) -> None:
+def test_contact_peer_scripts_do_not_import_the_package(environment: Path) -> None:
     folder = Path(peers_contact.__file__).parent
     assert {peer.package for peer in CONTACT_PEERS} == {*peers_contact.PACKAGES}
     for name in {peer.script for peer in CONTACT_PEERS}:

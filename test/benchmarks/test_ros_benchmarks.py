@@ -27,7 +27,7 @@ def ask(name, *arguments):
     return json.loads(done.stdout)
 
 
-def test_outputs_are_built_for_those_alone_who_want_them():
+def test_outputs_are_built_only_for_receivers():
     # The measurement refuses to report if a cloud was built for nobody.
     told = ask("ros-outputs", "--resolution", "8", "--frames", "3")
     assert told["particles"] == 64
@@ -35,7 +35,7 @@ def test_outputs_are_built_for_those_alone_who_want_them():
     assert told["presences"]["nobody"]["to_nobody"] == 1.0
 
 
-def test_start_is_measured_from_the_process_to_the_first_cloud():
+def test_start_time_ends_at_the_first_cloud():
     told = ask("ros-start", "--starts", "1", "--ros", "-p", "cloth.resolution:=[5, 5]")
     assert len(told["warm_s"]) == 1
     assert 0.0 < told["warm_processor_median_s"] < told["warm_s"][0] * 4.0
@@ -44,7 +44,7 @@ def test_start_is_measured_from_the_process_to_the_first_cloud():
     assert min(told["answers_after_s"]) >= 0.0
 
 
-def test_what_the_node_adds_to_a_frame_is_measured():
+def test_idle_node_reports_its_added_frame_time():
     told = ask("ros-node", "idle", "--seconds", "0.5", "--settle", "0.2", "--resolution", "5")
     for how in ("at rest", "swinging"):
         found = told[how]
@@ -54,7 +54,7 @@ def test_what_the_node_adds_to_a_frame_is_measured():
     assert told["met"] == all(told[how]["added_ms_a_frame"] <= told["goal_ms"] for how in ("at rest", "swinging"))
 
 
-def test_late_frames_are_counted_with_and_without_parameters_that_are_set(ros_domain):
+def test_late_frames_are_counted_with_parameter_changes(ros_domain):
     told = ask("ros-node", "sets", "--seconds", "0.5", "--rounds", "1", "--resolution", "5")
     # A thousand a minute, fewer where the machine is slow; all of them taken.
     assert 1 <= told["set"] <= 12
@@ -62,7 +62,7 @@ def test_late_frames_are_counted_with_and_without_parameters_that_are_set(ros_do
     assert [len(told["late_frames"][how]) for how in ("with", "without")] == [1, 1]
 
 
-def test_a_cloth_that_is_carried_swung_and_let_go_is_measured(ros_domain):
+def test_live_cycle_reports_late_frames(ros_domain):
     told = ask("ros-live", "--seconds", "0.1", "--pace", "0.1")
     assert told["cycles"] == 1
     assert told["frames"] > 0
@@ -77,7 +77,7 @@ def stream(**values):
     return Stream(**told | {"stamps": due, "arrivals": due + 0.01} | values)
 
 
-def test_a_lost_cloud_and_a_due_time_without_one_are_told():
+def test_stream_counts_lost_and_missing_clouds():
     assert stream().met
     assert stream().summary()["received_hz"] == pytest.approx(10.0)
     lost = stream(received=9)
@@ -91,14 +91,14 @@ def test_a_lost_cloud_and_a_due_time_without_one_are_told():
 
 
 @pytest.mark.parametrize("moving", [False, True], ids=["at rest", "moving"])
-def test_clouds_are_counted_at_both_ends(moving):
+def test_stream_counts_sent_and_received_clouds(moving):
     (told,) = ask("ros-stream", "--resolutions", "5", "--seconds", "0.5", "--rate", "30", *["--moving"] * moving)
     assert (told["points"], told["asleep"]) == (25, not moving)
     assert 0 < told["sent"] == told["received"]
     assert told["met"] == (told["left_out"] == 0)
 
 
-def test_latencies_are_found(ros_domain: int) -> None:
+def test_latencies_are_measured(ros_domain: int) -> None:
     """Whatever they are on a busy machine: the measurement itself."""
     rclpy.init(args=[])
     try:

@@ -10,7 +10,7 @@ from benchmarks.__main__ import main
 
 
 @pytest.mark.parametrize("kind", ["grid", "mesh"])
-def test_a_small_run_tells_time_and_memory(kind, tmp_path):
+def test_scale_reports_time_and_memory(kind, tmp_path):
     file = tmp_path / "scale.json"
     main(["scale", "--kinds", kind, "--sizes", "16", "24", "--seconds", "0.05", "--rounds", "1", "--json", str(file)])
     time, memory = json.loads(file.read_text())["tables"]

@@ -23,7 +23,7 @@ from cloth_sim_ros.session.mcap_builder import MAGIC
 
 
 @pytest.mark.parametrize("option", ["--json", "--markdown"])
-def test_a_session_is_not_written_over(
+def test_report_does_not_overwrite_a_session(
     option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     session = tmp_path / "kept.mcap"
@@ -47,7 +47,7 @@ def turns_on_fake_clock(spent: dict[str, list[float]]) -> speed_turns.Turns:
     return speed_turns.take_turns(candidates, seconds=0.0, clock=lambda: now[0])
 
 
-def test_turns_count_medians_and_ratios_of_rounds_without_the_first() -> None:
+def test_interleaved_times_exclude_the_first_round() -> None:
     # The machine is three times as slow in two of the five rounds that count: the ratio does not see it.
     turns = turns_on_fake_clock({"a": [100.0, 1.0, 3.0, 3.0, 1.0, 1.0], "b": [100.0, 2.0, 6.0, 6.0, 2.0, 2.0]})
     assert turns.seconds["a"] == pytest.approx([1.0, 3.0, 3.0, 1.0, 1.0])
@@ -55,13 +55,13 @@ def test_turns_count_medians_and_ratios_of_rounds_without_the_first() -> None:
     assert turns.ratio("b", "a") == pytest.approx(2.0)
 
 
-def test_the_ratio_is_the_median_over_rounds_not_that_of_medians() -> None:
+def test_ratio_is_the_median_over_rounds() -> None:
     turns = speed_turns.Turns({"a": [1.0, 10.0, 2.0], "b": [1.0, 5.0, 4.0]})
     assert turns.median("a") / turns.median("b") == 0.5
     assert turns.ratio("a", "b") == 1.0
 
 
-def test_without_a_compiler_our_engine_is_timed_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_engine_is_timed_without_a_compiler(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(speed, "find_compiler", lambda: None)
     file = tmp_path / "speed.json"
     assert main(["speed", "--only", "kernels", "--kernels", "8", "--seconds", "0", "--json", str(file)]) == 0
@@ -71,7 +71,7 @@ def test_without_a_compiler_our_engine_is_timed_alone(monkeypatch: pytest.Monkey
     assert any("no C compiler" in note for note in written["notes"])
 
 
-def test_plans_are_timed_against_what_they_are_estimated_at(tmp_path: Path) -> None:
+def test_plan_times_are_compared_with_estimates(tmp_path: Path) -> None:
     file = tmp_path / "speed.json"
     assert main(["speed", "--only", "plans", "--meshes", "100", "--seconds", "0", "--json", str(file)]) == 0
     rows = json.loads(file.read_text())["tables"][0]["rows"]
@@ -80,7 +80,7 @@ def test_plans_are_timed_against_what_they_are_estimated_at(tmp_path: Path) -> N
     assert [row[4] for row in rows] == pytest.approx([row[2] / row[3] for row in rows])
 
 
-def test_two_threads_move_the_sheet_to_the_same_bits() -> None:
+def test_two_threads_give_the_same_bits() -> None:
     row = speed_kernels.thread_gain(12, np.float32, seconds=0.0)
     assert row.same
     assert row.gain > 0.0
@@ -90,7 +90,7 @@ def test_two_threads_move_the_sheet_to_the_same_bits() -> None:
     assert PERIOD / speed_kernels.thread_gain(16, np.float64, seconds=0.0).steps < limit
 
 
-def test_other_bits_and_a_small_gain_are_failures(
+def test_different_bits_and_a_small_gain_fail(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     row = speed_kernels.ThreadGain(
@@ -101,10 +101,10 @@ def test_other_bits_and_a_small_gain_are_failures(
     assert main(["speed", "--only", "threads", "--threads", "96"]) == 1
     printed = capsys.readouterr().out
     assert "NOT MET: two threads at N = 96, float64: other bits than one thread" in printed
-    assert "NOT MET: two threads at N = 96, float64: 1.60 times one; promised 1.7 (apart 1.90)" in printed
+    assert "NOT MET: two threads at N = 96, float64: 1.60 times one; target 1.7 (apart 1.90)" in printed
 
 
-def test_the_curtain_runs_as_shipped_and_its_error_is_that_against_the_reference() -> None:
+def test_curtain_error_is_against_the_reference() -> None:
     scene = speed_curtain.scored(curtain, 16)
     known = speed_curtain.trusted(scene)
     assert known.error < 1e-10
@@ -118,7 +118,7 @@ def test_the_curtain_runs_as_shipped_and_its_error_is_that_against_the_reference
     assert known.deviation(scene.frames, moved) == pytest.approx(0.25, rel=1e-3)
 
 
-def test_a_sheet_without_a_time_at_which_errors_mean_something_is_refused(capsys: pytest.CaptureFixture) -> None:
+def test_curtain_refuses_unscored_resolutions(capsys: pytest.CaptureFixture) -> None:
     with pytest.raises(SystemExit):
         main(["speed", "--only", "curtain", "--curtains", "48"])
     assert "16, 32, 64, 128 particles a side" in capsys.readouterr().err
@@ -130,7 +130,7 @@ def curtain_speed(tolerance: float, error: float, factor: float, *, one_core: bo
     )
 
 
-def test_the_loosest_tolerance_that_holds_a_millimetre_counts(
+def test_loosest_accurate_tolerance_counts(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     speeds = [
@@ -145,10 +145,10 @@ def test_the_loosest_tolerance_that_holds_a_millimetre_counts(
     monkeypatch.setattr(speed_curtain, "trusted", lambda _: speed_curtain.Reference(np.ones(1), np.ones(1), 1e-12))
     monkeypatch.setattr(speed_curtain, "curtain_speeds", lambda *_, **__: speeds)
     assert main(["speed", "--only", "curtain", "--curtains", "32"]) == 1
-    assert "NOT MET: curtain N = 32: 20 x real time; promised 25" in capsys.readouterr().out
+    assert "NOT MET: curtain N = 32: 20 x real time; target 25" in capsys.readouterr().out
 
 
-def test_one_core_is_one_core_and_all_come_back() -> None:
+def test_cores_restores_the_affinity() -> None:
     before = os.sched_getaffinity(0)
     with speed_curtain.cores(one=True):
         assert len(os.sched_getaffinity(0)) == 1
@@ -157,7 +157,7 @@ def test_one_core_is_one_core_and_all_come_back() -> None:
         assert os.sched_getaffinity(0) == before
 
 
-def test_a_stiff_sheet_is_timed_frame_by_frame(tmp_path: Path) -> None:
+def test_stiff_sheet_is_timed_per_frame(tmp_path: Path) -> None:
     file = tmp_path / "speed.json"
     assert main(["speed", "--only", "stiff", "--stiff", "6", "--seconds", "0", "--json", str(file)]) == 0
     rows = json.loads(file.read_text())["tables"][0]["rows"]
@@ -166,7 +166,7 @@ def test_a_stiff_sheet_is_timed_frame_by_frame(tmp_path: Path) -> None:
     assert all(0.0 < row[4] <= row[5] and 0.0 <= row[6] <= 1.0 and row[7] <= speed_stiff.TOLERANCE for row in rows)
 
 
-def test_real_time_and_late_frames_are_told_of_all_runs() -> None:
+def test_stiff_speed_counts_late_frames_of_all_runs() -> None:
     frames = np.array([[0.5, 0.5, 2.0], [0.25, 0.25, 0.25], [0.5, 0.5, 0.5]]) * PERIOD
     speed = speed_stiff.StiffSpeed(name="as shipped", integrators=("implicit",), frames=frames, error=0.0)
     assert speed.factor == pytest.approx(2.0)
