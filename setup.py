@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How cloth_sim_ros installs, with pip or with colcon."""
+"""Installation of cloth_sim_ros with pip or colcon."""
 
 import os
 import runpy

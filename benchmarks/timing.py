@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Candidates timed in turns, so that what else the machine does falls on all alike."""
+"""Interleaved timing: candidates run in turns, so that background load affects all alike."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from collections.abc import Callable, Mapping
 
 import attrs
 
-#: Turns that each candidate gets at least: a median of fewer says little.
+#: Minimum rounds of each candidate, for a meaningful median.
 FEWEST_TURNS = 5
 
 
 @attrs.frozen
 class Turns:
-    """Times of candidates that took turns: one a round each [s]."""
+    """Interleaved run times: one per candidate and round [s]."""
 
     seconds: dict[str, list[float]]
 
@@ -25,7 +25,7 @@ class Turns:
         return statistics.median(self.seconds[name])
 
     def ratio(self, name: str, other: str) -> float:
-        """How many times as long as `other` a candidate takes: the median over the rounds, each a fair comparison."""
+        """Return the median over the rounds of the time of `name` over that of `baseline`."""
         pairs = zip(self.seconds[name], self.seconds[other], strict=True)
         return statistics.median(mine / theirs for mine, theirs in pairs)
 
@@ -33,15 +33,15 @@ class Turns:
 def take_turns(
     candidates: Mapping[str, Callable[[], None]], *, seconds: float, clock: Callable[[], float] = time.perf_counter
 ) -> Turns:
-    """Time candidates round by round for about so many seconds, and `FEWEST_TURNS` rounds at least.
+    """Time candidates round by round for about `seconds`, and at least `MIN_ROUNDS` rounds.
 
-    A round before these, in which they warm up, is not counted.
+    A warm-up round before these is not counted.
 
     Args:
-        candidates: what is timed, by name.
-        seconds: wall time of it all.
-        clock: what tells a turn's time [s]: the wall clock, or for work on one thread `time.thread_time`, which stands
-            still while others have the core.
+        candidates: functions to time, by name.
+        seconds: wall time of all rounds [s].
+        clock: clock of a turn [s]: the wall clock, or `time.thread_time` for work on one thread. The latter excludes
+            the time of other processes on the core.
     """
     for candidate in candidates.values():
         candidate()

@@ -1,10 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Makes docs/benchmarks.md from what `python -m benchmarks` and `python -m validation` print, a section per command.
+"""Builds docs/benchmarks.md from the output of benchmarks and validation, a section per command.
 
-scripts/benchmarks_page.py        all of them, one after the other: an hour or two on an idle machine
-scripts/benchmarks_page.py speed  this one alone; the other sections stay as they are
-scripts/benchmarks_page.py --resume FOLDER tolerance keeps verdicts there as they come, and runs those missing
+scripts/benchmarks_page.py        All sections, one to two hours on an idle machine.
+scripts/benchmarks_page.py speed  This section only.
+scripts/benchmarks_page.py --resume FOLDER tolerance  Keeps verdicts there and runs missing ones.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "benchmarks.md"
 PICTURES = ROOT / "docs" / "images"
-#: Arguments of `cloth_bench` for each section, in the order of the page.
+#: Command of each section, in the order of the page.
 SECTIONS = {
     "conditioning": "validation conditioning",
     "tolerance-sweep": "validation tolerance-sweep --energy",

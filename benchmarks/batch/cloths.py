@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cloths that `python -m benchmarks batch` steps: environments, two processes of them, rollouts, random steps."""
+"""Cloths of the batch benchmark: environments, process pairs, rollouts, random steps."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from cloth_sim_ros.simulation.simulation import Simulation
 
 #: The gripper's circle: radius [m] and angular frequency [rad/s]; a speed of 0.3 m/s.
 RADIUS, FREQUENCY = 0.1, 3.0
-#: Frames before anything is timed, so that what came of the grasp is past.
+#: Frames before the timing, in which the motion from the grasp decays.
 WARM = 30
 
 
 def hung(resolution: int, **values: Any) -> Scene:
-    """A square metre hung by its upper edge, as `config/cloth_sim.yaml` has it, at a tolerance of a millimetre."""
+    """Return a 1 m x 1 m sheet hung by its upper edge, as in `config/cloth_sim.yaml`; tolerance 1 mm."""
     still = {"tolerance": 1e-3, "wind.normal_drag": 0.0}
     return Scene.from_parameters({"cloth.resolution": [resolution, resolution], **still, **values})
 
 
 def take_corner(simulation: Simulation) -> None:
-    """Let the gripper hold the last corner."""
+    """Close the gripper on the last corner."""
     corner = simulation.positions[-1]
     simulation.advance([Target("gripper", corner), Grasp("gripper", True)])
 
 
 class Carried:
-    """An environment of cloths whose last corner a gripper carries on a circle, each with a phase of its own.
+    """Vector environment whose grippers carry the last corners on circles with different phases.
 
     Args:
         count: number of cloths.
@@ -58,10 +58,10 @@ class Carried:
             self.step()
 
     def step(self) -> None:
-        """Move all by one frame."""
+        """Advance all cloths by one frame."""
         self._frame += 1
         t = self._frame * self.period
-        # From the corner on to the circle within half a second.
+        # The radius ramps up within half a second.
         angle, size = FREQUENCY * t + self._phases, RADIUS * min(1.0, 2.0 * t)
         actions = np.ones((len(angle), 1, 4), dtype=np.float32)
         actions[:, 0, :3] = self._corner
@@ -70,13 +70,13 @@ class Carried:
         self.cloths.step(actions)
 
     def timed(self) -> tuple[float, float]:
-        """Move all by one frame; return wall time and processor time of all threads [s]."""
+        """Advance all cloths by one frame; return wall time and processor time of all threads [s]."""
         wall, core = time.perf_counter(), time.process_time()
         self.step()
         return time.perf_counter() - wall, time.process_time() - core
 
     def evaluations(self, frames: int = 20) -> float:
-        """Force evaluations in a frame of the first cloth, on average over some that it would go on for."""
+        """Return the mean number of force evaluations per frame of the first cloth, over its next frames."""
         simulation = Simulation(self.cloths.scene)
         simulation.restore(self.cloths.snapshots[0])
         done = 0
@@ -88,7 +88,7 @@ class Carried:
         return done / frames
 
     def digests(self) -> list[str]:
-        """Of all cloths' states."""
+        """Return the digests of all cloths' states."""
         return [snapshot.state.digest() for snapshot in self.cloths.snapshots]
 
     def __enter__(self) -> Self:
@@ -99,10 +99,10 @@ class Carried:
 
 
 class Apart:
-    """Two processes, each with an environment of its own on one thread; a step lets both step once, at a time.
+    """Two processes, each with its own single-threaded environment, stepped concurrently.
 
     Args:
-        count: number of cloths of each.
+        count: cloths per process.
         resolution: particles a side.
     """
 
@@ -120,7 +120,7 @@ class Apart:
             pipe.recv()
 
     def step(self) -> None:
-        """Let both step once; return when both have."""
+        """Step both environments once and wait for both."""
         for pipe in self._pipes:
             pipe.send(True)
         for pipe in self._pipes:
@@ -144,12 +144,12 @@ def _steps(pipe: Any, count: int, resolution: int) -> None:
 
 
 class Futures:
-    """Rollouts of a second of a cloth whose corner a gripper moves.
+    """Rollouts of 1 s of a cloth whose corner a gripper moves.
 
     Args:
-        count: futures.
+        count: number of rollouts.
         resolution: particles a side.
-        own: whether the cloth is in contact with itself.
+        self_contact: whether self-contact is on.
     """
 
     def __init__(self, count: int, resolution: int, own: bool) -> None:
@@ -161,33 +161,33 @@ class Futures:
         t = np.arange(1, self.frames + 1) * simulation.scene.period
         ways = np.random.default_rng(0).uniform(-0.2, 0.2, (count, 3))
         self._actions = np.ones((count, self.frames, 1, 4))
-        # A way there, smooth at both ends.
+        # A smooth path: the speed is zero at both ends.
         self._actions[:, :, 0, :3] = place + ways[:, None] * (t * t * (3.0 - 2.0 * t))[None, :, None]
 
     def in_threads(self) -> None:
-        """Roll all out, on all cores."""
+        """Run all rollouts in threads on all cores."""
         rollouts(self._snapshot, self._actions)
 
     def in_processes(self) -> None:
-        """The same by a process for each core."""
+        """Run all rollouts with one process per core."""
         rollouts(self._snapshot, self._actions, processes=len(os.sched_getaffinity(0)))
 
 
 def resident() -> float:
-    """Memory of this process that is there and its own [bytes]."""
+    """Return the private resident memory of this process [bytes]."""
     gc.collect()
     with open("/proc/self/smaps_rollup", encoding="ascii") as file:
         return sum(1024.0 * float(line.split()[1]) for line in file if line.startswith("Private_"))
 
 
 def memory(count: int, resolution: int) -> tuple[float, float]:
-    """Return the bytes of a cloth's state, and what each further cloth of an environment takes.
+    """Return the size of a cloth's state and the memory per further cloth of an environment [bytes].
 
     Args:
         count: number of cloths.
         resolution: particles a side.
     """
-    # In processes of their own: one gives little back to the system, and takes it again for the next cloths.
+    # In separate processes: a process returns little memory to the system and reuses it for the next cloths.
     (state, less), (_, more) = (_in_a_process(cloths, resolution) for cloths in (count, 3 * count))
     return state, (more - less) / (2 * count)
 
@@ -198,7 +198,7 @@ def _in_a_process(count: int, resolution: int) -> tuple[float, float]:
 
 
 def _taken(count: int, resolution: int) -> tuple[float, float]:
-    """Bytes of a cloth's state, and of a process with so many."""
+    """Return the size of a cloth's state and of a process with `count` cloths [bytes]."""
     with Carried(count, resolution) as some:
         state = sum(array.nbytes for array in some.cloths.snapshots[0].state.arrays().values())
         return float(state), resident()
@@ -217,7 +217,7 @@ class Soak:
 
 
 def soak(steps: int, count: int) -> Soak:
-    """Let cloths of 6 x 6 particles take random steps; episodes are of 50, a quarter of them of another cloth."""
+    """Run random steps of cloths of 6 x 6 particles; episodes last 50 steps, a quarter of them with another density."""
     from cloth_sim_ros.batch.vector_env import ClothVectorEnv
 
     def other(random: np.random.Generator, _: Scene) -> dict[str, float] | None:

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a study costs besides its simulations: Dask a task, sessions, clouds; and what a million runs take by it."""
+"""Overhead of studies: Dask per task, sessions, clouds, and the sizing of a million runs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from validation.report import Report, Table
 
 #: Runs of the sizing on paper, and the length of each [s].
 _MILLION, _LENGTH = 1_000_000, 10.0
-#: Hours in which they shall be done.
+#: Available time for them [h].
 _HOURS = 24.0
 
 
@@ -41,13 +41,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Measure, and size a cluster by it."""
+    """Measure a study and size a cluster from the result."""
     study = _study(options)
     report = Report("Studies", f"python -m benchmarks studies --resolution {options.resolution} --runs {options.runs}")
     with local_scheduler(options.workers, lambda _text: None) as address:
         task = _task_cost(address, options.tasks)
         rows: list[list[Any]] = [["simulations alone, in processes", *_plain(study, options.workers), 0.0]]
-        _through_cloth_batch(address, attrs.evolve(study, runs=options.workers))  # Workers import what they need.
+        _through_cloth_batch(
+            address, attrs.evolve(study, runs=options.workers)
+        )  # Warm-up: workers import their modules.
         for clouds in (False, True):
             what = f"cloth_batch {'with' if clouds else 'without'} clouds"
             rows.append([what, *_through_cloth_batch(address, attrs.evolve(study, clouds=clouds))])
@@ -74,7 +76,7 @@ def run(options: argparse.Namespace) -> Report:
 
 
 def _study(options: argparse.Namespace) -> Study:
-    """A corner that is grasped at once and never stands still."""
+    """Return a study in which a gripper grasps a corner at once and never stops."""
     content = {
         "scene": "cloth_sim.yaml",
         "parameters": {
@@ -89,7 +91,7 @@ def _study(options: argparse.Namespace) -> Study:
     }
     study = study_file.from_dict(content, folder=Path())
     (script,) = study.scripts
-    # Without the approach: from the grasp on the cloth moves.
+    # The approach is cut off: the cloth moves from the grasp on.
     grasp = script.grasps[0].time
     begun = [attrs.evolve(w, time=w.time - grasp) for w in script.waypoints if w.time >= grasp]
     grasps = (attrs.evolve(script.grasps[0], time=0.0),)
@@ -97,7 +99,7 @@ def _study(options: argparse.Namespace) -> Study:
 
 
 def _task_cost(address: SchedulerAddress, tasks: int) -> tuple[float, float]:
-    """Wall time of an empty task, many at once, and core time of this process, which is scheduler and client [s]."""
+    """Return wall time and core time per empty task [s]. This process is scheduler and client."""
     client = connect(address, wait=30.0)
     try:
         client.gather(client.map(abs, range(100), pure=False))
@@ -109,7 +111,7 @@ def _task_cost(address: SchedulerAddress, tasks: int) -> tuple[float, float]:
 
 
 def _plain(study: Study, workers: int) -> tuple[float, float]:
-    """Wall time and core time of the same runs as plain simulations, in processes that share nothing [s]."""
+    """Return wall time and core time [s] of the same runs as plain simulations in independent processes."""
     samples = sample(study.factors, runs=study.runs, seed=study.seed, sampling=study.sampling)
     name = study.factors[0].name
     with multiprocessing.get_context("spawn").Pool(workers) as pool:
@@ -122,7 +124,7 @@ def _plain(study: Study, workers: int) -> tuple[float, float]:
 
 
 def _simulate(study: Study, run: int, named: dict[str, Any]) -> float:
-    """Run a simulation; its core time [s]."""
+    """Run a simulation; return its core time [s]."""
     begun = time.process_time()
     motion = CommandedSimulation.create(study, run, named)
     for _ in range(motion.n_frames):
@@ -131,7 +133,7 @@ def _simulate(study: Study, run: int, named: dict[str, Any]) -> float:
 
 
 def _through_cloth_batch(address: SchedulerAddress, study: Study) -> tuple[float, float, float]:
-    """Wall time and core time [s] and bytes of the study's sessions, on a cluster that stands ready."""
+    """Return wall time [s], core time [s] and bytes of the study's sessions on a running cluster."""
     samples = sample(study.factors, runs=study.runs, seed=study.seed, sampling=study.sampling)
     rows: dict[int, dict[str, Any]] = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -145,7 +147,7 @@ def _through_cloth_batch(address: SchedulerAddress, study: Study) -> tuple[float
 
 
 def _sizing(options: argparse.Namespace, rows: list[list[Any]], task: float) -> Table:
-    """What a million runs take, from what was measured."""
+    """Extrapolate the measured cost to a million runs."""
     table = Table(
         f"a million runs of {_LENGTH:g} s, on paper",
         ["clouds", "core hours", f"cores for {_HOURS:g} h", "bytes", "tasks a second then", "scheduler busy %"],

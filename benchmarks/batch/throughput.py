@@ -1,8 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Many cloths in one process: how much faster than real time they are in all, what a second thread brings, what a cloth
-takes of memory, how long rollouts take, and whether a long run of random steps loses any.
-"""
+"""Many cloths in one process: speed, threads, memory, rollouts, random steps."""
 
 from __future__ import annotations
 
@@ -17,15 +15,15 @@ from benchmarks.batch import cloths as batch_cloths
 from benchmarks.timing import take_turns
 from validation.report import Report, Table
 
-#: Simulated seconds of all cloths per wall second, on two cores.
+#: Smallest total of simulated seconds per wall second, on two cores.
 MIN_THROUGHPUT = 32.0
-#: Two threads are so many times as fast as one, or as two processes that share nothing, less the share.
+#: Smallest gain of two threads over one, or relative margin below the gain of two independent processes.
 MIN_THREAD_GAIN, APART_SHARE = 1.9, 0.03
-#: Memory of a cloth, by its state's.
+#: Largest ratio of a cloth's memory to its state.
 MAX_MEMORY_RATIO = 4.0
-#: Wall time of the rollouts on two cores [s].
+#: Largest wall time of the rollouts on two cores [s].
 MAX_ROLLOUT_TIME = 1.0
-#: Growth of memory over the soak, once it is warm, that counts as none [MB].
+#: Largest growth of memory over the soak after warm-up [MB].
 LEAK = 8.0
 PARTS = ("throughput", "threads", "memory", "rollouts", "soak")
 
@@ -39,14 +37,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--envs", type=int, default=64, metavar="N", help="cloths of an environment")
     parser.add_argument("--resolution", type=int, default=30, metavar="N", help="particles a side of a cloth")
-    parser.add_argument("--rollouts", type=int, default=64, metavar="K", help="futures that are rolled out")
-    parser.add_argument("--rollout-resolution", type=int, default=20, metavar="N", help="particles a side of theirs")
+    parser.add_argument("--rollouts", type=int, default=64, metavar="K", help="number of rollouts")
+    parser.add_argument("--rollout-resolution", type=int, default=20, metavar="N", help="particles a side in rollouts")
     parser.add_argument("--steps", type=int, default=100_000, help="of the soak, over all cloths")
     parser.add_argument("--seconds", type=float, default=20.0, help="of timing for each table")
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Measure what was asked for."""
+    """Measure the selected parts."""
     for name in ("envs", "resolution", "rollouts", "rollout_resolution", "steps"):
         if getattr(options, name) < 2:
             raise ValueError(f"--{name.replace('_', '-')} is {getattr(options, name)}; it must be at least 2")
@@ -119,7 +117,7 @@ def _threads(options: argparse.Namespace, report: Report) -> None:
     most = 2.0 * turns.ratio("one", "apart")
     table.rows.append([count, 1e3 * turns.median("one"), 1e3 * turns.median("two"), gain, most])
     report.tables.append(table)
-    report.notes.append("two processes: by how much more two that share nothing get done than one of them alone")
+    report.notes.append("two processes: gain in throughput of two independent processes over one")
     if gain < min(MIN_THREAD_GAIN, (1.0 - APART_SHARE) * most):
         report.failures.append(f"two threads: {gain:.2f} times one; target {MIN_THREAD_GAIN:g} (apart {most:.2f})")
 
@@ -140,7 +138,7 @@ def _rollouts(options: argparse.Namespace, report: Report) -> None:
     ways = {}
     for own in (False, True):
         futures = batch_cloths.Futures(options.rollouts, options.rollout_resolution, own)
-        futures.in_processes()  # They start, and import what they need.
+        futures.in_processes()  # Warm-up: processes start and import.
         ways[own, "threads"], ways[own, "processes"] = futures.in_threads, futures.in_processes
     turns = take_turns({f"{own} {by}": way for (own, by), way in ways.items()}, seconds=options.seconds)
     for own, by in ways:
@@ -155,7 +153,7 @@ def _rollouts(options: argparse.Namespace, report: Report) -> None:
 
 def _soak(options: argparse.Namespace, report: Report) -> None:
     columns = ["steps", "cloths", "episodes", "MB when warm", "MB at the end", "growth MB"]
-    table = Table("Random steps, episodes that begin anew, some cloths made anew", columns)
+    table = Table("Random steps, with new episodes and some new cloths", columns)
     done = batch_cloths.soak(options.steps, options.envs)
     table.rows.append([*attrs.astuple(done), done.last - done.warm])
     report.tables.append(table)

@@ -13,12 +13,12 @@ from support.obstacle_sheets import FRAME
 
 from validation.report import Report, Table
 
-#: By which part the angle at which a stack slides may be off that of friction.
+#: Largest relative error of the angle at which a stack slides.
 OFF = 0.02
 
 
 def layers(report: Report, options: argparse.Namespace) -> None:
-    """Stacks just below and above the angle of friction, stacks that lie for long, and stacks that slide."""
+    """Measure stacks just below and above the friction angle, resting stacks and sliding stacks."""
     table = Table(
         "Layers",
         ["mu", "particles, above and below", "slides at 0.98 mu N", "at 1.02 mu N", "friction off %"],
@@ -40,7 +40,7 @@ def layers(report: Report, options: argparse.Namespace) -> None:
 
 
 def _rest(report: Report, options: argparse.Namespace) -> None:
-    """A stack that lies a tenth of a degree below the angle of friction."""
+    """Measure the drift of a stack 0.1 degrees below the friction angle."""
     motion = stack(10, 13, math.degrees(math.atan(0.5)) - 0.1, (0.5,))
     advance(motion, 60)
     start, kept = motion.state.x.copy(), anchors(motion)
@@ -55,7 +55,7 @@ def _rest(report: Report, options: argparse.Namespace) -> None:
 
 
 def _energy(report: Report) -> None:
-    """A stack that slides: what friction takes, and what the balance leaves over."""
+    """Measure friction work and energy residual of a sliding stack."""
     balance, worst, least = balanced(stack(10, 13, 40.0, (0.5, 0.4)), 18)
     table = Table(
         "Energy of a stack that slides", ["lost J", "by friction J", "least in a frame J", "residual / turned over"]

@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Contact with obstacles against theory: slopes, weight, a strip over a drum, impacts, drift, and what it costs; and
-what the cloth's contact with itself costs.
+"""Contact with obstacles against theory, and the cost of contact.
 
-Sheets of 0.3 m of the default material, contact.thickness 2 mm, without air. Nothing sleeps.
+Measured are slopes, borne weight, a strip over a drum, impacts, drift, and the cost of self-contact. Sheets are
+0.3 m wide, of the default material, with contact.thickness 2 mm, without air. Sleep is off.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ PARTS = (
     "hanging",
 )
 G = 9.81
-#: Angles off that of friction at which a sheet must stick or slip, and at which its acceleration is measured [degrees].
+#: Offsets from the friction angle at which a sheet must stick or slip, and at which its acceleration is measured [deg].
 NEAR, BEYOND = 0.1, 5.0
-#: A sheet that moves by this much in a second slips [m].
+#: Displacement within one second that counts as slip [m].
 SLIPPED = 1e-3
 
 
@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Measure what was asked for."""
+    """Run the selected parts."""
     report = Report("Contact", "python -m benchmarks contact")
     for part in options.parts:
         say(f"{part} ...")
@@ -73,7 +73,7 @@ def _must(report: Report, holds: bool, what: str) -> None:
 
 
 def slopes(report: Report, options: argparse.Namespace) -> None:
-    """Sheets a tenth of a degree below and above the angle of friction, and five degrees above it."""
+    """Measure sheets 0.1 degrees below and above the friction angle, and 5 degrees above it."""
     table = Table(
         "Slopes", ["mu_s", "mu_k", "sheet", "below: way um", "anchors moved", "above: way mm", "g off at +5 deg %"]
     )
@@ -94,11 +94,11 @@ def slopes(report: Report, options: argparse.Namespace) -> None:
                 _must(report, slid > SLIPPED, f"mu {mu}, {name}: sticks above the angle of friction")
                 _must(report, abs(off) < 0.01, f"mu {mu}, {name}: accelerates {100.0 * off:.2g} % off")
     report.tables.append(table)
-    report.notes.append("mu_k is that of the last column; below and above are with mu_s for both.")
+    report.notes.append("mu_k applies to the last column only; the others use mu_s for both coefficients.")
 
 
 def _held(kind: str, count: int, degrees: float, mu: float) -> tuple[float, int]:
-    """Way [m] in the second after it has settled, and how many anchors moved by a bit in it."""
+    """Return the displacement [m] within 1 s after settling, and the number of anchors that changed in it."""
     motion = slope(kind, count, degrees, (mu, mu))
     for _ in range(60):
         motion.advance()
@@ -110,7 +110,7 @@ def _held(kind: str, count: int, degrees: float, mu: float) -> tuple[float, int]
 
 
 def _acceleration(kind: str, count: int, degrees: float, mu: float) -> float:
-    """By which part the acceleration of a sliding sheet is off theory."""
+    """Return the relative error of a sliding sheet's acceleration."""
     motion, places = slope(kind, count, degrees, (mu, 0.8 * mu)), []
     for _ in range(45):
         motion.advance()
@@ -121,7 +121,7 @@ def _acceleration(kind: str, count: int, degrees: float, mu: float) -> float:
 
 
 def drift(report: Report, options: argparse.Namespace) -> None:
-    """A sheet that lies on a slope a tenth of a degree below the angle of friction."""
+    """Measure the drift of a sheet on a slope 0.1 degrees below the friction angle."""
     steep = math.degrees(math.atan(0.5)) - NEAR
     motion = slope("grid", 8, steep, (0.5, 0.5))
     for _ in range(60):
@@ -142,7 +142,7 @@ def drift(report: Report, options: argparse.Namespace) -> None:
 
 
 def weight(report: Report, options: argparse.Namespace) -> None:
-    """What a table, a ball and a drum bear of a sheet at rest."""
+    """Compare the force on a plane, a box and a sphere with the weight of a resting sheet."""
     table = Table("Weight borne", ["on", "sheet", "off %", "fastest particle m/s"])
     for name, shape in _SUPPORTS.items():
         for kind in ("grid", "mesh"):
@@ -152,7 +152,7 @@ def weight(report: Report, options: argparse.Namespace) -> None:
             for _ in range(480):
                 motion.advance()
             mass = motion.plan.model.mass
-            # What is still accelerated downward is not borne.
+            # A remaining downward acceleration reduces the borne weight.
             up = float(motion.borne()[:, 2].sum()) + mass * G
             fastest = float(np.abs(motion.state.v).max())
             off = up / (mass * G)
@@ -179,11 +179,11 @@ _SUPPORTS: dict[str, dict[str, Any]] = {
 
 
 def capstan(report: Report, options: argparse.Namespace) -> None:
-    """Tensions at the ends of a strip over a drum that turns under it."""
+    """Compare the tensions at the ends of a strip over a turning drum with the capstan equation."""
     table = Table("Capstan", ["mu", "angle deg", "mu theta", "ratio", "exp(mu theta)", "off %"])
     for mu, degrees in ((0.25, 90.0), (0.5, 90.0), (0.5, 180.0), (0.64, 180.0)):
         strip = Capstan(mu, math.radians(degrees))
-        # The motion's own steps, by the library.
+        # The integrator of the product.
         steps = Scene.from_parameters({**SHEET, "tolerance": 1e-4}).build_integrator()
         state = State(strip.start)
         pulls = np.zeros(2)
@@ -197,11 +197,11 @@ def capstan(report: Report, options: argparse.Namespace) -> None:
         table.rows.append([mu, degrees, mu * math.radians(degrees), ratio, wanted, 100.0 * off])
         _must(report, abs(off) < 0.03, f"mu {mu} over {degrees:g} degrees: tensions {100.0 * off:.2g} % off")
     report.tables.append(table)
-    report.notes.append("Capstan: means over 1.5 s, from 1 s on; the drum slides at 0.2 m/s under the strip.")
+    report.notes.append("Capstan: means over 1.5 s, from 1 s on; the drum surface slides at 0.2 m/s under the strip.")
 
 
 def impacts(report: Report, options: argparse.Namespace) -> None:
-    """Sheets that fall flat, and edge on, onto a plane."""
+    """Drop sheets flat and edge on onto a plane."""
     table = Table(
         "Impacts", ["speed m/s", "sheet falls", "deepest gap / thickness", "finest step us", "evaluations", "flagged"]
     )
@@ -224,7 +224,7 @@ def impacts(report: Report, options: argparse.Namespace) -> None:
             for _ in range(30):
                 start = motion.state.x.copy(), motion.state.v.copy()
                 done = motion.advance()
-                # The same frame once more in one run, which tells the least gap that it met.
+                # The frame is repeated in a single run that records the smallest gap.
                 steps = [math.ceil(FRAME / done.step)]
                 (again,), _ = motion.plan.runs(
                     motion.frames * FRAME - FRAME, FRAME, start, steps, record_obstacles=True
@@ -235,19 +235,17 @@ def impacts(report: Report, options: argparse.Namespace) -> None:
             table.rows.append([speed, name, deepest / THICKNESS, 1e6 * finest, evaluations, flagged])
             _must(report, deepest > 0.0, f"{speed:g} m/s, {name}: through the floor")
     report.tables.append(table)
-    report.notes.append(
-        "Impacts: 30 frames after a start 10 mm above; a frame is flagged where its work limit was reached."
-    )
+    report.notes.append("Impacts: 30 frames after a start 10 mm above; a frame that reaches its work limit is flagged.")
 
 
 def order(report: Report, options: argparse.Namespace) -> None:
-    """A sheet that slides over a ball, at tolerances, against itself at a tenth of the least, and how a kick grows."""
+    """Compare a sheet sliding over a ball with its own solution at a tenth of the smallest tolerance."""
     values, _ = sheet("grid", 8)
     place = [0.04, 0.0, 0.11]
     values |= {**_SUPPORTS["sphere"], "obstacles": ["it"], "it.friction": [0.4, 0.3], "cloth.position": place}
     table = Table(
         "Sliding over a ball for a third of a second",
-        ["tolerance m", "largest error m", "of the promise", "evaluations"],
+        ["tolerance m", "largest error m", "of the error bound", "evaluations"],
     )
 
     def end(tolerance: float, kick: float = 0.0) -> tuple[Any, int, int]:
@@ -265,11 +263,11 @@ def order(report: Report, options: argparse.Namespace) -> None:
         table.rows.append([tolerance, error, error / (tolerance * growth), evaluations])
         _must(report, flagged > 0 or error <= tolerance * growth, f"{tolerance:g} m: {error:.2g} m off, unflagged")
     report.tables.append(table)
-    report.notes.append(f"Sliding: a kick of 10 um grew {growth:.3g} times.")
+    report.notes.append(f"Sliding: a perturbation of 10 um was amplified {growth:.3g} times.")
 
 
 def cost(report: Report, options: argparse.Namespace) -> None:
-    """Frames of a sheet that lies on a table against those of one that floats freely; and an obstacle out of reach."""
+    """Compare the frame time of a sheet on a table with a free one, and of a distant obstacle with none."""
     table = Table("Cost", ["what", "sheet", "against", "times", "at most"])
     flat = {"cloth.orientation": [0.0, 0.0, 0.0, 1.0], "tolerance": 1e-3}
     for count in (30, 64):
@@ -294,14 +292,14 @@ def cost(report: Report, options: argparse.Namespace) -> None:
 
 
 def _compared(one: Motion, other: Motion, seconds: float) -> float:
-    """How many times as long as the other's frames one's take, in turns, once both have settled."""
+    """Return the ratio of the frame times after both motions have settled."""
     for motion in (one, other):
         for _ in range(60):
             motion.advance()
 
     def turn(motion: Motion) -> Callable[[], None]:
         def frames() -> None:
-            # As many frames as it takes to have judged once.
+            # Enough frames for one error estimate.
             for _ in range(80):
                 motion.advance()
 

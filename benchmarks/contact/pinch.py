@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What two pads hold by friction, against theory: from which force on, how still, and how far it gives when carried.
+"""Friction between two pads against theory: holding force, creep, and excursion while carried.
 
 A sheet of 0.18 x 0.09 m and 0.2 kg/m^2 hangs by its upper part between two pads; thickness 2 mm, tolerance 1e-5 m.
 """
@@ -29,24 +29,24 @@ from validation.report import Report, Table
 
 G = 9.81
 HEIGHT, WIDTH = 0.18, 0.09
-#: Height of the part that is between the pads [m].
+#: Height of the clamped part [m].
 BETWEEN = 0.045
-#: Frames after which the sheet bears all of its weight and has come to rest, and frames in which it must then stay.
+#: Frames until the full weight acts and the sheet is at rest, and frames in which it must then stay.
 SETTLED, WATCHED = 70, 60
-#: Part by which the force may be off at which the sheet begins to hold; excursion in spacings; creep and rest [m].
+#: Relative error of the holding force; excursion [spacings]; creep and residual displacement [m].
 OFF, GIVES, CREEPS = 0.01, 0.01, 1e-6
-#: Carried at most at so many [m/s], with so many [m/s^2].
+#: Largest speed [m/s] and acceleration [m/s^2] while carried.
 SPEED, RISE = 1.0, 2.0
 
 
 class Pinched:
-    """A sheet between pads that have closed on it, its weight upon them.
+    """Sheet that hangs between closed pads.
 
     Args:
         kind: grid or mesh.
         columns: particles across; a grid is twice as high.
-        mu: coefficient, at rest and in motion.
-        share: force of a pad over the least that holds, m g / (2 mu).
+        mu: coefficient of static and of kinetic friction.
+        share: force of a pad over the smallest holding force, m g / (2 mu).
     """
 
     def __init__(self, kind: str, columns: int, mu: float, share: float) -> None:
@@ -78,14 +78,14 @@ class Pinched:
         self.spacing = WIDTH / (columns - 1)
         self.move(np.zeros(3), np.zeros(3), np.zeros(3))
         self.contact.set_jaw_commands(np.array([[True, True]]))
-        # Its weight comes on it within half a second, through thick air, so that it does not fall into the pads.
+        # Gravity ramps up within half a second, with strong drag, so that the sheet does not fall into the pads.
         for k in range(SETTLED):
             self._uniform(G * min(1.0, max(0.0, (k - 10) / 30)), 5.0)
             self.advance()
         self._uniform(G, 0.2)
 
     def thicken(self) -> None:
-        """Let the air about it be thick."""
+        """Raise the drag, which damps the swing."""
         self._uniform(G, 5.0)
 
     def _uniform(self, gravity: float, drag: float) -> None:
@@ -93,26 +93,26 @@ class Pinched:
         self.plan.change_uniform([*self._kept, *uniform], uniform)
 
     def move(self, place: Any, speed: Any, rise: Any) -> None:
-        """Let both pads be at a place [m] now, with a speed [m/s] and an acceleration [m/s^2] for the next frame."""
+        """Set position [m], speed [m/s] and acceleration [m/s^2] of both pads, each (3,), for the next frame."""
         path = np.zeros((2, 26))
         path[:, 0], path[:, 16] = self._frames * FRAME, 1.0
         path[:, 1:4], path[:, 4:7], path[:, 7:10] = place, speed, 0.5 * np.asarray(rise)
         self.contact.set_paths(path)
 
     def advance(self, frames: int = 1) -> None:
-        """Let frames pass."""
+        """Advance by some frames."""
         for _ in range(frames):
             self._steps.advance(self.plan, self.state, self._frames * FRAME, FRAME)
             self._frames += 1
 
     @property
     def anchors(self) -> Any:
-        """Friction's."""
+        """Copy of the friction anchors."""
         return self.state.memory[ANCHORS_KEY].copy()
 
 
 def _sheet(kind: str, columns: int) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """Parameters and files of the sheet, which begins in a plane of constant z."""
+    """Return parameters and files of the sheet, which starts in a plane of constant z."""
     values = {
         **SHEET,
         "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
@@ -128,7 +128,7 @@ def _sheet(kind: str, columns: int) -> tuple[dict[str, Any], dict[str, bytes]]:
 
 
 def pinch(report: Report, options: argparse.Namespace) -> None:
-    """Sheets just below and above the force that holds them, one that is held long, and carried ones."""
+    """Measure sheets just below and above the holding force, a long hold, and carried sheets."""
     _holds(report)
     _creeps(report, options.drift)
     _carried(report)
@@ -194,7 +194,7 @@ def _carried(report: Report) -> None:
 
 
 def _carry(it: Pinched, axis: int) -> tuple[float, float, int]:
-    """Carry it by a metre and wait; largest excursion in spacings, what is left of it [m], anchors that moved."""
+    """Carry the sheet by 1 m and wait; return largest excursion [spacings], residual [m], number of moved anchors."""
     it.advance(WATCHED)
     start, kept = it.state.x[:, it.between], it.anchors
     along, place, speed, most = np.eye(3)[axis], 0.0, 0.0, 0.0
@@ -206,7 +206,7 @@ def _carry(it: Pinched, axis: int) -> tuple[float, float, int]:
         place, speed = place + speed * FRAME + 0.5 * rise * FRAME**2, speed + rise * FRAME
         away = np.abs(it.state.x[:, it.between] - place * along[:, None] - start).max()
         most = max(most, float(away))
-    # Where it hangs, swings die away within minutes in thin air.
+    # Without the higher drag the swing decays within minutes.
     it.thicken()
     it.advance(240)
     away = np.abs(it.state.x[:, it.between] - place * along[:, None] - start).max()

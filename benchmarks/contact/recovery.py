@@ -34,7 +34,7 @@ GAPS, PRESSES = (0.02, 0.05, 0.1, 0.3, 0.5, 0.7, 0.9, 0.95), (1e-3, 3e-3, 1e-2, 
 _Make = Callable[[str, float, float], Start]
 _OBSTACLES = ("plane", "box", "sphere", "mesh")
 PRESSED_ON = (*_OBSTACLES, "cloth")
-#: How each event is made, and on what.
+#: Function of each event, and the supports it is run on.
 SITUATIONS: dict[str, tuple[_Make, Sequence[str]]] = {
     "start": (start, (*_OBSTACLES, "cloth", "fold")),
     "thickness raised": (thickened, (*_OBSTACLES, "cloth")),
@@ -45,12 +45,12 @@ SITUATIONS: dict[str, tuple[_Make, Sequence[str]]] = {
 
 
 def starts(report: Report, options: argparse.Namespace) -> None:
-    """Tables of all situations: fastest particle by the gap, and by the depth of a press."""
+    """Tabulate the fastest particle of all situations by gap and by press depth."""
     columns = ["highest rise mm", "energy left over"]
     table = Table("Fastest particle m/s, by the gap that an event leaves", ["event", "on", *map(str, GAPS), *columns])
     for name, (make, supports) in SITUATIONS.items():
         for support in supports:
-            # At the least gap a start must not be refused for rounding.
+            # The margin keeps a start at the smallest gap from being refused by rounding.
             _add(report, table, name, support, make, [max(gap, 0.02 + 1e-6) * THICKNESS for gap in GAPS])
     report.tables.append(table)
     pressed = Table(

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the cloth's contact with itself costs: the towel that config/fold.yaml folds, and a sheet that hangs."""
+"""Cost of self-contact: the towel of config/fold.yaml, and a hanging sheet."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation.report import Report, Table
 
-#: The scene that is folded.
+#: Scene of the fold.
 FOLD_FILE = Path(__file__).resolve().parents[2] / "config" / "fold.yaml"
-#: Poses of grippers over time [s], of config/fold_left.yaml and fold_right.yaml: y and z [m], each on its side, and the
-#: angle about x [degrees].
+#: Poses of grippers over time [s], of config/fold_left.yaml and fold_right.yaml: y and z [m], and the angle about x
+#: [degrees]; x is the offset to either side [m].
 ASIDE = 0.19
 POSES = (
     (0.0, -0.22, 0.1, 0.0),
@@ -40,17 +40,17 @@ POSES = (
     (6.5, 0.23, 0.12, -180.0),
 )
 CLOSES, OPENS = 1.0, 4.8
-#: Thickness by resolution [m]: that of config/fold.yaml, and what half a spacing of 64 x 64 allows.
+#: Thickness by resolution [m]: that of config/fold.yaml, and half a spacing of 64 x 64.
 THICKNESSES = {30: 4e-3, 64: 3e-3}
-#: Resolutions of sheets that hang.
+#: Resolutions of the hanging sheets.
 HUNG = (30, 64)
-#: Frames that the worst second has.
+#: Frames per second of simulated time.
 SECOND = round(1.0 / FRAME)
 
 
 @attrs.frozen
 class Folded:
-    """A fold, frame by frame."""
+    """Cost of a fold, frame by frame."""
 
     #: Processor time [s], force evaluations, and contacts at its end.
     seconds: list[float]
@@ -60,18 +60,18 @@ class Folded:
 
     @property
     def worst(self) -> int:
-        """Number of the frame that the second begins with which took longest."""
+        """Index of the first frame of the slowest second."""
         sums = [sum(self.seconds[k : k + SECOND]) for k in range(max(1, len(self.seconds) - SECOND + 1))]
         return int(np.argmax(sums))
 
     def speed(self, first: int = 0, frames: int | None = None) -> float:
-        """How many times real time some frames are made at."""
+        """Return the real-time factor of a range of frames."""
         part = self.seconds[first:] if frames is None else self.seconds[first : first + frames]
         return len(part) * FRAME / sum(part)
 
 
 def place(time_: float) -> tuple[float, float, float]:
-    """Where grippers are at a time [s]: y and z [m], angle [degrees]; at rest in each pose, least jerk between."""
+    """Return y [m], z [m] and angle [degrees] at a time [s], by minimum-jerk motion between the poses."""
     for (start, *here), (end, *there) in itertools.pairwise(POSES):
         if time_ < end:
             u = (time_ - start) / (end - start)
@@ -82,13 +82,13 @@ def place(time_: float) -> tuple[float, float, float]:
 
 
 def turned(angle: float) -> tuple[float, float, float, float]:
-    """Return the quaternion x, y, z, w of a turn about x [degrees]."""
+    """Return the quaternion (x, y, z, w) of a rotation about x by an angle [degrees]."""
     half = math.radians(0.5 * angle)
     return math.sin(half), 0.0, 0.0, math.cos(half)
 
 
 def events(frames: int) -> Iterator[list[Event]]:
-    """What grippers are told before each frame."""
+    """Yield the commands to the grippers before each frame."""
     closed = False
     for k in range(1, frames + 1):
         t = k * FRAME
@@ -103,7 +103,7 @@ def events(frames: int) -> Iterator[list[Event]]:
 
 
 def fold(count: int, thickness: float, frames: int) -> Folded:
-    """Fold a towel of count x count particles, for so many frames."""
+    """Fold a towel of count x count particles for some frames."""
     values = {
         **parameter_file.read(FOLD_FILE, node="cloth_sim", strict=True),
         "wind.normal_drag": 0.0,
@@ -124,7 +124,7 @@ def fold(count: int, thickness: float, frames: int) -> Folded:
 
 
 def folds(report: Report, options: argparse.Namespace) -> None:
-    """Folds of two resolutions: what the processor works, and in the second in which it works most."""
+    """Measure the processor time of folds of two resolutions, overall and in the slowest second."""
     columns = ["sheet", "thickness mm", "times real time", "in the worst second", "contacts in it a particle"]
     table = Table("Folding a towel", [*columns, "contacts at the end", "evaluations a frame", "in the worst second's"])
     frames = max(1, round(options.fold / FRAME))
@@ -141,7 +141,7 @@ def folds(report: Report, options: argparse.Namespace) -> None:
 
 
 def hanging(report: Report, options: argparse.Namespace) -> None:
-    """A sheet that hangs still, with contact with itself and without."""
+    """Measure a hanging sheet at rest with and without self-contact."""
     table = Table("A sheet that hangs", ["sheet", "with contact.self: times", "at most"])
     for count in HUNG:
         values = {
@@ -159,7 +159,7 @@ def hanging(report: Report, options: argparse.Namespace) -> None:
                 motion.advance()
 
         def turn(motion: Motion) -> None:
-            # As many frames as it takes to have judged once.
+            # Enough frames for one error estimate.
             for _ in range(80):
                 motion.advance()
 

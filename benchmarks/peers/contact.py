@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Other engines on the same scenes with contact: how fast, how deep cloth gets into things, how it creeps."""
+"""Other engines on the same contact scenes: speed, penetration, creep."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from benchmarks.speed.curtain import cores
 from validation.report import Report, Table, say
 
 OURS = "cloth_sim_ros"
-#: Packages with a peer that knows contact.
+#: Packages with a peer that supports contact.
 PACKAGES = {peer.package: REQUIREMENTS[peer.package] for peer in CONTACT_PEERS}
-#: Time at the end over which the drape's creep is taken [s], and within how many thicknesses a particle is in contact.
+#: Final time over which the drape's creep is measured [s], and range of contact [thicknesses].
 LAST, NEAR = 0.5, 1.5
-#: Time after which the pinched sheet has settled, and least time over which its creep is taken [s].
+#: Settling time of the pinched sheet, and shortest time over which its creep is measured [s].
 SETTLED, WATCHED = 2.0, 0.5
-#: What ours may creep in the pinch [m/s].
+#: Largest creep of the product in the pinch [m/s].
 CREEPS = 1e-6
-#: Fewer particles a side leave nothing between the pads.
+#: With fewer particles a side no particle lies between the pads.
 _LEAST = 8
 
 
@@ -44,27 +44,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 @attrs.frozen(kw_only=True)
 class Result:
-    """One engine on one scene."""
+    """Result of one engine on one scene."""
 
     scene: str
     engine: str
-    #: Simulated seconds per wall second, and how much was simulated [s].
+    #: Simulated seconds per wall second, and simulated time [s].
     factor: float
     simulated: float
-    #: How deep in an obstacle a point of the cloth was at most, on a ball, and a particle [m].
+    #: Largest penetration of any point of the cloth (measured on a ball), and of a particle [m].
     depth: float
     inside: float
     #: Longest edge over its length at rest.
     stretch: float
-    #: Frames in which the cloth goes through itself; None where it may.
+    #: Frames with self-intersection; None if self-contact is off.
     crossed: int | None = None
-    #: [m/s]; nan where it is not known.
+    #: Creep [m/s]; nan if unknown.
     creep: float = math.nan
-    #: What became of it, where that is not the end of the scene.
+    #: Reason of an early end, else empty.
     outcome: str = ""
 
     def row(self) -> list[Any]:
-        """For the table."""
+        """Return the row of the table."""
         crossed = "-" if self.crossed is None else self.crossed
         creep = "-" if math.isnan(self.creep) else 1e6 * self.creep
         start = [self.scene, self.engine, self.factor, 1e3 * self.depth, creep, crossed]
@@ -72,7 +72,7 @@ class Result:
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Run what was asked for."""
+    """Run the selected scenes and engines."""
     if not options.seconds > 0.0:
         raise ValueError(f"--seconds is {options.seconds:g}; it must be above 0")
     if options.resolution < _LEAST:
@@ -112,7 +112,7 @@ def run(options: argparse.Namespace) -> Report:
 
 
 def judge(contest: Contest, engine: str, recording: Recording) -> Result:
-    """Measure what an engine made of a scene."""
+    """Evaluate an engine's recording of a scene."""
     frames, pads = recording.frames, recording.pads
     inside = [
         contact_measures.depth(frames, solid, place)
@@ -174,40 +174,45 @@ def _nothing(contest: Contest, peer: ContactPeer, why: str) -> list[Any]:
 
 
 def _promised(own: Result, report: Report) -> None:
-    """Tell where ours does not do what it promises."""
+    """Report guarantees that the product violates."""
     if own.inside > 0.0:
-        report.failures.append(f"{own.scene}: a particle of ours is {1e3 * own.inside:.3g} mm inside an obstacle")
+        report.failures.append(
+            f"{own.scene}: a particle of the product is {1e3 * own.inside:.3g} mm inside an obstacle"
+        )
     if own.crossed:
-        report.failures.append(f"{own.scene}: ours goes through itself in {own.crossed} frames")
+        report.failures.append(f"{own.scene}: the product intersects itself in {own.crossed} frames")
     if own.outcome.startswith("dropped"):
-        report.failures.append(f"{own.scene}: ours is {own.outcome}")
+        report.failures.append(f"{own.scene}: the product is {own.outcome}")
     if own.scene == "pinch" and abs(own.creep) >= CREEPS:
-        report.failures.append(f"{own.scene}: ours creeps by {1e6 * own.creep:.3g} um/s; at most {1e6 * CREEPS:g}")
+        report.failures.append(
+            f"{own.scene}: the product creeps by {1e6 * own.creep:.3g} um/s; at most {1e6 * CREEPS:g}"
+        )
 
 
 def _explain(options: argparse.Namespace, contests: list[Contest], peers: list[ContactPeer], report: Report) -> None:
     material = contests[0].scene.material
     report.notes += [
         f"all: {material.density:g} kg/m2, {1e3 * THICKNESS:g} mm thick, friction {FRICTION:g} at rest and in motion, "
-        f"the same particles and triangles, frames of 1/{1.0 / PERIOD:.0f} s, one thread; of the wall time that of "
-        f"steps counts alone; a run ends after {options.seconds:g} s of it, and its figures are of what was seen",
+        f"the same particles and triangles, frames of 1/{1.0 / PERIOD:.0f} s, one thread; only the wall time of steps "
+        f"counts; a run ends after {options.seconds:g} s of it, and its figures cover the time until then",
         f"{OURS}: {material.stretch_modulus:g} N/m along the threads, {material.shear_modulus:g} N/m in shear, damping "
         f"{material.damping:g}, axial bending, drag {DRAG:g} 1/s, tolerance {TOLERANCE:g} m, sleep off: it is woken "
-        "before each frame; its thickness is the way from an obstacle to the middle of the sheet, and between layers",
+        "before each frame; its thickness is the distance from an obstacle to the middle of the sheet, and between layers",
     ]
     told = {
         "drape": (
             f"drape: a sheet of 0.5 m falls by 10 mm on a ball of {RADIUS:g} m; deepest is any point of a triangle in "
-            f"it; creep is the longest way of a particle within {NEAR:g} thicknesses of it over the last {LAST:g} s"
+            f"it; creep is the largest mean speed of a particle within {NEAR:g} thicknesses "
+            f"of it over the last {LAST:g} s"
         ),
         "fold": (
-            "fold: one edge of a sheet of 0.3 m that lies on a table is carried in half a circle over to the other, "
-            "which is anchored, and let go after 2 s; deepest is a particle in the table; crossed are frames in which "
-            "an edge goes through a triangle"
+            "fold: one edge of a sheet of 0.3 m on a table is carried in half a circle to the anchored other edge and "
+            "released after 2 s; deepest is a particle in the table; crossed are frames in which an edge intersects a "
+            "triangle"
         ),
         "pinch": (
             "pinch: a sheet of 0.18 x 0.09 m, half as many particles across, hangs from two pads that press with 4 N "
-            f"each, 40 mm wide, over its upper quarter; creep is how fast what is between them sinks from "
+            f"each, 40 mm wide, over its upper quarter; creep is the mean sinking speed of the clamped part from "
             f"{SETTLED:g} s on; deepest is a particle in a pad"
         ),
     }

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is measured of cloth in contact, of any engine's: how deep it gets, whether it crosses itself, how it creeps."""
+"""Measures of cloth in contact: penetration, stretch, self-intersection, creep."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cloth_sim_ros.physics.plan_handle import PlanHandle
 
 
 def depth_in_ball(frames: Array, triangles: NDArray[np.int64], radius: float) -> float:
-    """Return by how much any point of any triangle is inside a ball about the origin at most [m]; 0 where none is.
+    """Return the largest depth of any triangle point in a ball about the origin [m]; 0 without penetration.
 
     Args:
         frames: positions [m], (frames, n, 3).
@@ -27,7 +27,7 @@ def depth_in_ball(frames: Array, triangles: NDArray[np.int64], radius: float) ->
     """
     nearest = radius
     for x in frames:
-        # A triangle without area has no normal; its sides count.
+        # A triangle without area has no normal; its edges are used.
         with np.errstate(invalid="ignore", divide="ignore"):
             points = nearest_points(np.zeros((1, 3)), x[triangles])[0]
         nearest = min(nearest, float(np.sqrt(np.nanmin((points * points).sum(axis=1)))))
@@ -35,12 +35,12 @@ def depth_in_ball(frames: Array, triangles: NDArray[np.int64], radius: float) ->
 
 
 def depth(frames: Array, solid: Obstacle, places: Array) -> float:
-    """Return by how much any particle is inside an obstacle at most [m]; 0 where none is.
+    """Return the largest depth of any particle in an obstacle [m]; 0 without penetration.
 
     Args:
         frames: positions [m], (frames, n, 3).
-        solid: the obstacle, not turned.
-        places: of it in each frame, or in all of them [m], (frames, 3) or (3,).
+        solid: the obstacle, without rotation.
+        places: its position in each frame, or in all frames [m], (frames, 3) or (3,).
     """
     away = frames - np.broadcast_to(places, (len(frames), 3))[:, None, :]
     gaps, _ = solid.distance(away.reshape(-1, 3))
@@ -48,7 +48,7 @@ def depth(frames: Array, solid: Obstacle, places: Array) -> float:
 
 
 def stretch(frames: Array, triangles: NDArray[np.int64]) -> float:
-    """Return the longest length of an edge over that in the first frame.
+    """Return the largest ratio of an edge length to that in the first frame.
 
     Args:
         frames: positions [m], (frames, n, 3).
@@ -60,15 +60,15 @@ def stretch(frames: Array, triangles: NDArray[np.int64]) -> float:
 
 
 def crossings(frames: Array, triangles: NDArray[np.int64], rest: Array) -> list[int]:
-    """Return the numbers of the frames in which an edge of the cloth goes through a triangle of it.
+    """Return the indices of frames in which an edge of the cloth intersects one of its triangles.
 
     Args:
         frames: positions [m], (frames, n, 3).
         triangles: (t, 3).
-        rest: positions at rest [m], (n, 3).
+        rest_positions: positions at rest [m], (n, 3).
     """
     owner = PlanHandle(Model(np.ones(len(rest)), []))
-    # How near it may come to itself plays no part.
+    # The thickness does not matter for intersection.
     surface = ContactSurface(triangles, rest, thickness=1e-9)
     self_contact_binding.upload_surface(owner.pointer, Contact(thickness=1e-9, surface=surface))
     return [
@@ -79,13 +79,13 @@ def crossings(frames: Array, triangles: NDArray[np.int64], rest: Array) -> list[
 
 
 def creep_on_ball(frames: Array, seconds: float, radius: float, near: float) -> float:
-    """Return how fast the particle moves that moves furthest of those on a ball [m/s]; nan where none is on it.
+    """Return the mean speed of the fastest particle on a ball [m/s]; nan if none is on it.
 
     Args:
-        frames: positions over the time that counts [m], (frames, n, 3).
-        seconds: how long that is [s].
+        frames: positions over the measured time [m], (frames, n, 3).
+        seconds: length of that time [s].
         radius: of the ball about the origin [m].
-        near: a particle within this distance of the ball at the begin and at the end is on it [m].
+        contact_range: a particle within this distance of the ball at both ends of the time is on it [m].
     """
     first, last = frames[0], frames[-1]
     touching = np.ones(frames.shape[1], dtype=bool)
@@ -97,23 +97,23 @@ def creep_on_ball(frames: Array, seconds: float, radius: float, near: float) -> 
 
 
 def sinking(frames: Array, seconds: float, between: NDArray[np.bool_]) -> float:
-    """Return the mean speed with which particles go down [m/s].
+    """Return the mean downward speed of some particles [m/s].
 
     Args:
-        frames: positions over the time that counts [m], (frames, n, 3).
-        seconds: how long that is [s].
-        between: which particles, (n,).
+        frames: positions over the measured time [m], (frames, n, 3).
+        seconds: length of that time [s].
+        between: mask of these particles, (n,).
     """
     return float((frames[0] - frames[-1])[between, 2].mean()) / seconds
 
 
 def between_pads(start: Array, solid: Obstacle, places: Array) -> NDArray[np.bool_]:
-    """Return which particles have a pad on either side.
+    """Return the mask of particles between the pads, (n,).
 
     Args:
         start: positions [m], (n, 3).
-        solid: a pad, across whose faces is y.
-        places: of both pads [m], (2, 3).
+        solid: a pad; y is normal to its faces.
+        places: positions of both pads [m], (2, 3).
     """
     x, _, z = (0.5 * length for length in solid.size)
     away = np.abs(start - places.mean(axis=0))
@@ -122,12 +122,12 @@ def between_pads(start: Array, solid: Obstacle, places: Array) -> NDArray[np.boo
 
 
 def dropped(frames: Array, solid: Obstacle, pads: Array) -> int | None:
-    """Return the number of the first frame in which all of the cloth is below the pads; None where there is none.
+    """Return the index of the first frame with all of the cloth below the pads; None if there is none.
 
     Args:
         frames: positions [m], (frames, n, 3).
         solid: a pad.
-        pads: places of both [m], (frames, 2, 3).
+        pads: positions of both [m], (frames, 2, 3).
     """
     below = frames[:, :, 2].max(axis=1) < pads[:, :, 2].min(axis=1) - 0.5 * solid.size[2]
     return int(np.argmax(below)) if below.any() else None

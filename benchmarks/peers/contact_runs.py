@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs a scene with contact through our simulator or through another engine, and keeps where everything was."""
+"""Recorded runs of contact scenes by the product and by other engines."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ from cloth_sim_ros.simulation.sleep import wake
 
 @attrs.frozen(kw_only=True)
 class ContactPeer(Solver):
-    """A solver of another engine, with the step of its examples."""
+    """Solver of another engine for contact, with the step of its examples."""
 
     #: Steps in a frame of 1/60 s.
     steps: int
-    #: What is different in one scene alone, by its name.
+    #: Differences in one scene, by its name.
     apart: dict[str, str] = attrs.field(factory=dict)
 
 
 @attrs.frozen(eq=False, kw_only=True)
 class Recording:
-    """Where everything was at the start and at the end of every frame."""
+    """Positions at the start and at the end of every frame."""
 
     #: Particles [m], (frames + 1, n, 3).
     frames: Array
     #: Centres of the pads [m], (frames + 1, pads, 3).
     pads: Array
-    #: What was simulated [s], an unfinished frame included, and the wall time of the steps alone [s].
+    #: Simulated time [s], including an unfinished frame, and wall time of the steps [s].
     simulated: float
     wall: float
-    #: Whether all positions were numbers to the end.
+    #: Whether all positions stayed finite.
     finite: bool = True
     versions: dict[str, str] = attrs.field(factory=dict)
     remarks: list[str] = attrs.field(factory=list)
@@ -59,11 +59,11 @@ class Recording:
 
 
 def ours(contest: Contest, seconds: float) -> Recording:
-    """Run a scene as it is shipped, but for sleep: the cloth is woken before each frame.
+    """Run a scene by the product as shipped, without sleep: the cloth is woken before each frame.
 
     Args:
-        contest: which.
-        seconds: wall time of the frames after which it ends early.
+        contact_scene: the scene.
+        seconds: limit of the wall time of the frames [s].
     """
     simulation = Simulation(contest.scene)
     frames, pads, wall = [simulation.positions], [contest.pad_places], 0.0
@@ -83,7 +83,7 @@ def ours(contest: Contest, seconds: float) -> Recording:
 
 
 def _events(contest: Contest, frame: int) -> list[Event]:
-    """What grippers are told before a frame."""
+    """Return the commands to the grippers before a frame."""
     names = contest.scene.gripper_names
     if contest.pads:
         place = contest.pad_places.mean(axis=0)
@@ -98,17 +98,17 @@ def _events(contest: Contest, frame: int) -> list[Event]:
 
 
 def theirs(peer: ContactPeer, contest: Contest, seconds: float, *, environment: Path, threads: int = 1) -> Recording:
-    """Run a scene through another engine, in a process of its own environment.
+    """Run a scene by another engine, in a process of the peers' environment.
 
     Args:
-        peer: which.
-        contest: the scene.
-        seconds: wall time of the steps after which it ends early.
+        peer: the engine.
+        contact_scene: the scene.
+        seconds: limit of the wall time of the steps [s].
         environment: where the engines are installed.
-        threads: that an engine which uses several may have.
+        threads: limit for engines with several threads.
 
     Raises:
-        PeerFailed: if it gives no result.
+        PeerFailed: if the engine gives no result.
     """
     with tempfile.TemporaryDirectory() as place:
         sheet, record = Path(place, "sheet.npz"), Path(place, "record.npz")

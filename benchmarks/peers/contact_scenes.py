@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes with contact that other engines run too: a sheet falls on a ball, is folded on a table, hangs between pads."""
+"""Contact scenes for all engines: drape over a ball, fold, pinch."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from cloth_sim_ros.physics.obstacles import Obstacle
 from cloth_sim_ros.scene.scene import Scene
 
 THICKNESS, FRICTION, GRAVITY, TOLERANCE = 2e-3, 0.5, 9.81, 1e-3
-#: Of the air [1/s]: thick enough for sheets to come to rest.
+#: Drag of the air [1/s]; strong enough for sheets to come to rest.
 DRAG = 2.0
-#: Ball of the drape, and how far above it the sheet starts [m].
+#: Radius of the ball of the drape, and initial height of the sheet above it [m].
 RADIUS, ABOVE = 0.1, 0.01
-#: Size of the folded sheet [m]; how long its edge is carried [s]; by how much short of the other edge it lands [m].
+#: Size of the folded sheet [m]; time for which its edge is carried [s]; distance from the other edge at the end [m].
 TOWEL, CARRIED, SHORT = 0.3, 2.0, 3e-3
-#: Pads along their own axes [m], y across their faces; the way from their lower edge to the sheet's upper one; their
+#: Size of a pad along its axes [m], y normal to the faces; distance from its lower edge to the sheet's upper edge [m];
 #: force [N].
 PAD, BETWEEN, FORCE = (0.04, 0.01, 0.05), 0.045, 4.0
-#: Half the way between the pads' faces at the start, in thicknesses.
+#: Half the initial distance between the pads' faces [thicknesses].
 APART = 1.2
-#: All our scenes: the default material, with the numbers that peers are given said again, in thick air.
+#: Parameters of all scenes: the default material, with explicit values of those that peers receive, and strong drag.
 _COMMON: dict[str, Any] = {
     "rate": 1.0 / PERIOD,
     "cloth.anchors": [""],
@@ -45,54 +45,54 @@ _COMMON: dict[str, Any] = {
 
 @attrs.frozen(eq=False, kw_only=True)
 class Contest:
-    """One scene, for all engines."""
+    """Contact scene for all engines."""
 
     name: str
-    #: Ours.
+    #: Scene of the product.
     scene: Scene
     duration: float
-    #: What stands still, at the places below (m, 3) [m].
+    #: Static obstacles, at the positions below (m, 3) [m].
     solids: tuple[Obstacle, ...] = ()
     places: Array = attrs.field(factory=lambda: np.zeros((0, 3)))
-    #: Pads, a box each, and where their centres start, (2, 3) [m].
+    #: Pads, a box each, and initial positions of their centres, (2, 3) [m].
     pads: tuple[Obstacle, ...] = ()
     pad_places: Array = attrs.field(factory=lambda: np.zeros((0, 3)))
-    #: Particles that are held, and where they are at the start and at the end of each frame in which they are,
-    #: (frames + 1, held, 3) [m].
+    #: Held particles, and their positions at the start and the end of each frame of the hold [m],
+    #: (frames + 1, held, 3).
     held: NDArray[np.int64] = attrs.field(factory=lambda: np.zeros(0, dtype=np.int64))
     path: Array = attrs.field(factory=lambda: np.zeros((1, 0, 3)))
-    #: Whether the cloth is kept out of itself.
+    #: Whether self-contact is on.
     own: bool = False
 
     @property
     def frames(self) -> int:
-        """How many there are in all."""
+        """Number of frames."""
         return round(self.duration / PERIOD)
 
     @property
     def hold(self) -> int:
-        """Frames in which particles are held."""
+        """Number of frames in which particles are held."""
         return len(self.path) - 1
 
     @property
     def triangles(self) -> NDArray[np.int64]:
-        """Of the sheet, (t, 3)."""
+        """Triangles of the sheet, (t, 3)."""
         found: NDArray[np.int64] = self.scene.sheet.triangles()
         return found
 
     @property
     def start(self) -> Array:
-        """Where particles start [m], (n, 3)."""
+        """Initial positions [m], (n, 3)."""
         return self.scene.starting_state().positions
 
     def tables(self) -> dict[str, Any]:
-        """Return what a peer is told, as plain tables.
+        """Return the scene as plain tables for a peer.
 
-        `kind`; of the sheet `positions` (n, 3) [m], `masses` [kg], `anchored` (n,), `triangles`, `thickness` [m],
-        `friction`, `modulus` [N/m] along the threads, `retardation` [s], the damping over the stiffness of its
-        springs; `gravity` [m/s^2]; `drag` of the air [1/s]; `own`, whether it is kept out of itself; `held`, `path`;
-        of a ball `radius` [m] about the origin; of pads `pad_size`, `pad_places` [m] and `force` [N]. A table's top is
-        at z = 0.
+        `kind` is the name of the scene. The sheet has `positions` (n, 3) [m], `masses` [kg], `anchored` (n,),
+        `triangles`, `thickness` [m], `friction` and `modulus` [N/m] along the threads. Its `retardation` [s] is the
+        damping over the stiffness of its springs. `own` tells if self-contact is on; `held` and `path` describe held
+        particles. The world has `gravity` [m/s^2] and `drag` of the air [1/s]. A ball has `radius` [m] about the
+        origin; pads have `pad_size` [m], `pad_places` [m] and `force` [N]. A table's top is at z = 0.
         """
         cloth, material, model = self.scene.cloth, self.scene.material, self.scene.model()
         spacing = cloth.size[0] / (cloth.resolution[0] - 1)
@@ -120,7 +120,7 @@ class Contest:
 
 
 def drape(resolution: int) -> Contest:
-    """A square sheet of 0.5 m falls on a ball that stands still."""
+    """Return the drape: a square sheet of 0.5 m falls on a static ball."""
     rough = [FRICTION, FRICTION]
     values = {
         "cloth.size": [0.5, 0.5],
@@ -137,9 +137,9 @@ def drape(resolution: int) -> Contest:
 
 
 def fold(resolution: int) -> Contest:
-    """A square sheet lies on a table; one edge is carried in half a circle over to the other, and let go.
+    """Return the fold: one edge of a sheet on a table is carried to the other edge and released.
 
-    The other edge is anchored: without, how the sheet slides on the table would decide where it is folded.
+    The other edge is anchored, because otherwise sliding on the table would decide the line of the fold.
     """
     rough = [FRICTION, FRICTION]
     spacing = TOWEL / (resolution - 1)
@@ -154,12 +154,12 @@ def fold(resolution: int) -> Contest:
         "obstacles": ["table"],
         "table.shape": "plane",
         "table.friction": rough,
-        # Each holds one particle of the edge.
+        # Each gripper holds one particle of the edge.
         "grippers": names,
         "gripper.radius": 0.4 * spacing,
     }
     scene = Scene.from_parameters({**_COMMON, **values})
-    # Of a grid the first row is the upper edge.
+    # The first row of a grid is the upper edge.
     held = np.arange(resolution)
     start = scene.starting_state().positions[held]
     return Contest(
@@ -175,10 +175,10 @@ def fold(resolution: int) -> Contest:
 
 
 def carried() -> Array:
-    """Where an edge is carried, from where it was [m], frame by frame, (frames + 1, 3): half a circle towards -y.
+    """Return the displacement of a carried edge by frame [m], (frames + 1, 3): half a circle towards -y.
 
-    The first frame is that in which it is taken hold of. From rest to rest, with the least jerk. It lands one and a
-    half thicknesses above what lies below.
+    The edge is grasped in the first frame. It moves from rest to rest with minimum jerk and ends 1.5 thicknesses above
+    the lower layer.
     """
     count = round(CARRIED / PERIOD)
     u = np.concatenate([[0.0], np.linspace(0.0, 1.0, count + 1)])
@@ -189,7 +189,7 @@ def carried() -> Array:
 
 
 def pinch(resolution: int) -> Contest:
-    """A sheet hangs between two pads that press on the upper quarter of it. Its cells are square, or nearly so."""
+    """Return the pinch: a sheet of nearly square cells hangs between two pads that press on its upper quarter."""
     values = {
         "cloth.size": [0.18, 0.09],
         "cloth.resolution": [resolution, max(3, round(0.5 * resolution))],

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""MuJoCo's flex: an elastic membrane, or edges whose lengths are constraints, instead of springs."""
+"""Engine MuJoCo flex: an elastic membrane, or edges of constrained length."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-#: Thickness that turns the sheet's modulus [N/m] into Young's [Pa]; so thin that bending hardly resists.
+#: Thickness that converts the sheet's modulus [N/m] to Young's [Pa]; small, for a low bending stiffness [m].
 _THICKNESS = 1e-3
-#: What moves each pad beside its force: mass [kg] and damping [N s/m].
+#: Mass [kg] and damping [N s/m] of each pad.
 _PAD_MASS, _PAD_DAMPING = 0.05, 10.0
 
 _MODEL = """
@@ -83,9 +83,9 @@ class MujocoEngine:
             mass=float(sheet["masses"].sum()),
             young=float(along / _THICKNESS),
             thickness=_THICKNESS,
-            # Stress in proportion to the strain's rate: the time that the springs' damping over their stiffness is.
+            # Stress proportional to the strain rate, with the springs' damping over their stiffness as time constant.
             damping=float(sheet["damping"][0] / along),
-            # Its grid counts y upwards; our rows lead down.
+            # Its rows go up along y, those of the sheet go down.
             pins=_numbers(np.stack([column, self._rows - 1 - row], axis=1).ravel()),
         )
         self._model = mujoco.MjModel.from_xml_string(text)
@@ -94,12 +94,12 @@ class MujocoEngine:
         mujoco.mj_forward(self._model, self._data)
 
     def advance(self, steps: int) -> None:
-        """Take so many steps."""
+        """Take some steps."""
         for _ in range(steps):
             self._mujoco.mj_step(self._model, self._data)
 
     def positions(self) -> Any:
-        """Positions [m]."""
+        """Positions [m], (n, 3)."""
         grid = self._vertices().reshape(self._columns, self._rows, 3)
         return np.ascontiguousarray(grid[:, ::-1].transpose(1, 0, 2)).reshape(-1, 3)
 
@@ -109,7 +109,7 @@ class MujocoEngine:
         return self._data.flexvert_xpos
 
     def remarks(self) -> list[str]:
-        """What it warned of."""
+        """Return its warnings."""
         kinds = self._mujoco.mjtWarning
         given = [(kinds(i).name, int(one.number)) for i, one in enumerate(self._data.warning) if one.number]
         return [f"warned {name} {count} times" for name, count in given]
@@ -144,7 +144,7 @@ class MujocoContactEngine(MujocoEngine):
             ),
         )
         model = mujoco.MjModel.from_xml_string(text)
-        # Ours: less at the border.
+        # Masses of the product: smaller at the border.
         bodies, free = model.flex_vertbodyid, ~sheet["anchored"]
         model.body_mass[bodies[free]] = sheet["masses"][free]
         for body, mass in zip(bodies[free].tolist(), sheet["masses"][free].tolist(), strict=True):
@@ -158,21 +158,21 @@ class MujocoContactEngine(MujocoEngine):
         self._pads = np.zeros((0, 3))
         if sheet["kind"] == "pinch":
             self._pads = sheet["pad_places"]
-            # Their joints come first.
+            # The first joints are those of the pads.
             self._data.qfrc_applied[:2] = -np.sign(self._pads[:, 1]) * float(sheet["force"])
         mujoco.mj_forward(model, self._data)
 
     def lead(self, begin: Any, end: Any, steps: int) -> None:
-        """Let held particles move in the steps that follow: all alike."""
+        """Move held particles by a common displacement in the next steps."""
         away = np.array([(place - self._start).mean(axis=0) for place in (begin, end)])
         self._way = iter([away[0] + (k + 1) / steps * (away[1] - away[0]) for k in range(steps)])
 
     def let_go(self) -> None:
-        """Let them move by themselves."""
+        """Release the held particles."""
         self._data.eq_active[self._connects] = 0
 
     def advance(self, steps: int) -> None:
-        """Take so many steps."""
+        """Take some steps."""
         for _ in range(steps):
             here = next(self._way, None)
             if here is not None:
@@ -180,11 +180,11 @@ class MujocoContactEngine(MujocoEngine):
             super().advance(1)
 
     def positions(self) -> Any:
-        """Positions [m]."""
+        """Positions [m], (n, 3)."""
         return self._vertices().copy()
 
     def pads(self) -> Any:
-        """Where they are [m]."""
+        """Positions of the pads [m], (pads, 3)."""
         places = self._pads.copy()
         if len(places):
             places[:, 1] += self._data.qpos[:2]

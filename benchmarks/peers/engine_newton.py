@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Newton on Warp, on the processor: the sheet's own springs, in single precision; it has no drag of the air."""
+"""Engine Newton (Warp) on the CPU: the sheet's springs in single precision, without air drag."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-#: Of the iterative solvers in a step, and steps after which the tree of the cloth is built anew, as in its examples.
+#: Solver iterations per step, and steps between rebuilds of the bounding volume tree, as in its examples.
 _ITERATIONS, _RENEWED = 10, 10
-#: Stiffness [N/m] and damping [N s/m] of contact, hinges [N, N s], and how much further contact with itself looks, in
-#: margins: as in its example of a cloth that is twisted, whose sheet weighs as much per area.
+#: Stiffness [N/m] and damping [N s/m] of contact, hinges [N, N s], and range of self-contact beyond
+#: the margin [margins], as in its example of a twisted cloth, whose areal density is the same.
 _STIFFNESS, _DAMPING, _HINGE, _HINGE_DAMPING, _FURTHER = 1e3, 1e-1, 1e-3, 1e-2, 0.75
 
 
@@ -36,14 +36,14 @@ class NewtonEngine:
         for (near, far), stiffness, damping in springs:
             builder.add_spring(near, far, stiffness, damping, 0.0)
         if variant == "vbd":
-            # Particles of one colour are moved at once, so no spring may join two: three by three has room for all six
-            # directions. Newton colours triangles by itself, springs not.
+            # Particles of one colour are moved at once, so no spring may join two of them. Blocks of 3 x 3 colours
+            # suffice for all six spring directions. Newton colours triangles itself, but not springs.
             rows, columns = np.divmod(np.arange(len(positions)), int(sheet["columns"]))
             colour = rows % 3 * 3 + columns % 3
             builder.set_coloring([np.flatnonzero(colour == which) for which in range(9)])
         with warp.ScopedDevice("cpu"):
             model = builder.finalize()
-            # Particles would else be balls that push each other away.
+            # Otherwise particles act as balls that repel each other.
             model.particle_grid, model.particle_max_radius = None, 0.0
             solvers = {
                 "semi_implicit": lambda: newton.solvers.SolverSemiImplicit(model, enable_tri_contact=False),
@@ -61,8 +61,8 @@ class NewtonEngine:
         self._turn = 0
 
     def _record(self, model: Any, once: Callable[[Any, Any], None]) -> None:
-        """Record a step from either state to the other: without Python in between a small sheet is 3 times as fast."""
-        # This compiles; the states that follow are those of the start.
+        """Record a step from either state to the other; a small sheet is 3 times faster without Python in between."""
+        # The first step compiles; the states that follow are the initial ones.
         first, second = model.state(), model.state()
         once(first, second)
         self._states = model.state(), model.state()
@@ -73,13 +73,13 @@ class NewtonEngine:
             self._graphs.append(capture.graph)
 
     def advance(self, steps: int) -> None:
-        """Take so many steps."""
+        """Take some steps."""
         for _ in range(steps):
             self._warp.capture_launch(self._graphs[self._turn])
             self._turn ^= 1
 
     def positions(self) -> Any:
-        """Positions [m]."""
+        """Positions [m], (n, 3)."""
         return self._states[self._turn].particle_q.numpy().astype(np.float64)
 
     def remarks(self) -> list[str]:
@@ -110,8 +110,8 @@ class NewtonContactEngine(NewtonEngine):
             vertices=[warp.vec3(*place) for place in sheet["positions"].tolist()],
             indices=sheet["triangles"].ravel().tolist(),
             density=1.0,
-            # Lame's constants of a membrane of the modulus along our threads that does not narrow. Its damping is by
-            # the rate of the metric, twice that of the strain, so a quarter of a viscosity.
+            # Lame's constants of a membrane of the modulus along the threads, with zero Poisson ratio. Its damping
+            # acts on the rate of the metric, twice that of the strain, hence a quarter of the viscosity.
             tri_ke=0.5 * float(sheet["modulus"]),
             tri_ka=0.0,
             tri_kd=0.25 * float(sheet["modulus"] * sheet["retardation"]),
@@ -119,7 +119,7 @@ class NewtonContactEngine(NewtonEngine):
             edge_kd=_HINGE_DAMPING,
             particle_radius=thickness,
         )
-        # Ours, which differ from thirds of triangles at the border.
+        # Masses of the product, which differ from thirds of triangles at the border.
         builder.particle_mass[:] = sheet["masses"].tolist()
         builder.color(include_bending=True)
         with warp.ScopedDevice("cpu"):
@@ -147,7 +147,7 @@ class NewtonContactEngine(NewtonEngine):
         self._solver, self._own = solver, bool(sheet["own"])
         self._turn = self._taken = 0
         self._way: Any = iter(())
-        # On the processor these are the engine's own memory.
+        # On the CPU these arrays share the engine's memory.
         self._places = [state.particle_q.numpy() for state in self._states]
         self._speeds = [state.particle_qd.numpy() for state in self._states]
         self._forces = [state.particle_f.numpy() for state in self._states]
@@ -155,7 +155,7 @@ class NewtonContactEngine(NewtonEngine):
 
     @staticmethod
     def _surround(builder: Any, sheet: dict[str, Any], solid: Any, warp: Any) -> np.ndarray:
-        """Add what the cloth touches; return where pads are."""
+        """Add obstacles; return the positions of the pads [m], (pads, 3)."""
         if sheet["kind"] == "drape":
             builder.add_shape_sphere(-1, radius=float(sheet["radius"]), cfg=solid)
         elif sheet["kind"] == "fold":
@@ -164,7 +164,7 @@ class NewtonContactEngine(NewtonEngine):
             half = 0.5 * sheet["pad_size"]
             away = np.abs(sheet["positions"] - sheet["pad_places"].mean(axis=0))
             between = int(((away[:, 0] <= half[0]) & (away[:, 2] <= half[2])).sum())
-            # So deep in a pad that penalties press with its force.
+            # Depth at which the penalties equal the force of a pad.
             deep = float(sheet["force"]) / (_STIFFNESS * between)
             places = sheet["pad_places"].copy()
             places[:, 1] = np.sign(places[:, 1]) * (float(sheet["thickness"]) - deep + half[1])
@@ -177,15 +177,15 @@ class NewtonContactEngine(NewtonEngine):
         return np.zeros((0, 3))
 
     def lead(self, begin: Any, end: Any, steps: int) -> None:
-        """Let held particles move in the steps that follow."""
+        """Move held particles in the next steps."""
         self._way = iter([begin + (k + 1) / steps * (end - begin) for k in range(steps)])
 
     def let_go(self) -> None:
-        """Let them move by themselves, from rest."""
+        """Release the held particles from rest."""
         self._flags[self._held] |= self._active
 
     def advance(self, steps: int) -> None:
-        """Take so many steps."""
+        """Take some steps."""
         for _ in range(steps):
             if self._own and self._taken % _RENEWED == 0:
                 self._solver.rebuild_bvh(self._states[self._turn])
@@ -199,11 +199,11 @@ class NewtonContactEngine(NewtonEngine):
             self._taken += 1
 
     def positions(self) -> Any:
-        """Positions [m]."""
+        """Positions [m], (n, 3)."""
         return self._places[self._turn].astype(np.float64)
 
     def pads(self) -> Any:
-        """Where they are [m]."""
+        """Positions of the pads [m], (pads, 3)."""
         return self._pads
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""PyBullet's deformable cloth: springs of one stiffness along a triangulation's edges, and across them for bending."""
+"""Engine PyBullet: springs of one stiffness on the edges of a triangulation, and bending springs."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-#: Its explicit springs have at most this share of the mass over the step squared for their stiffness.
+#: Largest stiffness of its explicit springs, as a share of mass over squared step.
 _BEARABLE = 0.2
-#: Half the way between the pads' faces at which they stop, in thicknesses: nothing else keeps them apart.
+#: Half the distance between the pads' faces at which joint limits stop them [thicknesses].
 _STOP = 0.2
-#: What moves each pad beside its force: mass [kg] and damping [N s/m]; what carries an edge has this mass [kg].
+#: Mass [kg] and damping [N s/m] of each pad; mass of the body that carries an edge [kg].
 _PAD_MASS, _PAD_DAMPING, _CARRIER = 0.05, 10.0, 100.0
 
 
@@ -56,12 +56,12 @@ class PyBulletEngine:
             self._bullet.createSoftBodyAnchor(self._body, particle, -1, -1)
 
     def advance(self, steps: int) -> None:
-        """Take so many steps."""
+        """Take some steps."""
         for _ in range(steps):
             self._bullet.stepSimulation()
 
     def positions(self) -> Any:
-        """Positions [m]."""
+        """Positions [m], (n, 3)."""
         _, places = self._bullet.getMeshData(self._body, -1, flags=self._bullet.MESH_DATA_SIMULATION_MESH)
         return np.array(places)
 
@@ -81,7 +81,7 @@ class PyBulletContactEngine(PyBulletEngine):
         self._pads = np.zeros((0, 3))
         self._surround(sheet)
         mass = float(sheet["masses"].sum()) / len(sheet["masses"])
-        #: Of springs [N/m].
+        #: Stiffness of the springs [N/m].
         self._stiffness = min(float(sheet["modulus"]), _BEARABLE * mass / step**2)
         self._load(
             sheet,
@@ -90,7 +90,7 @@ class PyBulletContactEngine(PyBulletEngine):
             springBendingStiffness=0.01 * self._stiffness,
             useSelfCollision=int(sheet["own"]),
             useFaceContact=1,
-            # Another body's friction is a factor; theirs is 1.
+            # The friction of the other body is a factor; it is 1 here.
             frictionCoeff=float(sheet["friction"]),
             collisionMargin=float(sheet["thickness"]),
         )
@@ -101,7 +101,7 @@ class PyBulletContactEngine(PyBulletEngine):
             self._carry(sheet)
 
     def _surround(self, sheet: dict[str, Any]) -> None:
-        """Make what the cloth touches."""
+        """Add obstacles."""
         bullet = self._bullet
         if sheet["kind"] == "pinch":
             half = (0.5 * sheet["pad_size"]).tolist()
@@ -132,13 +132,13 @@ class PyBulletContactEngine(PyBulletEngine):
             shape = bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=float(sheet["radius"]))
             solid = bullet.createMultiBody(0.0, shape)
         else:
-            # A box rather than a plane, of which its distances are to the middle of a cell.
+            # A box, because distances to a plane are to the middle of a cell.
             shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=[0.5, 0.5, 0.1])
             solid = bullet.createMultiBody(0.0, shape, basePosition=[0.0, 0.0, -0.1])
         bullet.changeDynamics(solid, -1, lateralFriction=1.0)
 
     def _carry(self, sheet: dict[str, Any]) -> None:
-        """Tie held particles to a heavy body that touches nothing."""
+        """Tie held particles to a heavy body without contact."""
         places = sheet["positions"][sheet["held"]]
         self._start = places.mean(axis=0)
         self._carrier = self._bullet.createMultiBody(_CARRIER, basePosition=self._start.tolist())
@@ -147,17 +147,17 @@ class PyBulletContactEngine(PyBulletEngine):
             self._anchors.append(self._bullet.createSoftBodyAnchor(self._body, particle, self._carrier, -1, offset))
 
     def lead(self, begin: Any, end: Any, steps: int) -> None:
-        """Let held particles move in the steps that follow: all alike."""
+        """Move held particles by a common displacement in the next steps."""
         first, last = begin.mean(axis=0), end.mean(axis=0)
         self._way = iter([first + (k + 1) / steps * (last - first) for k in range(steps)])
 
     def let_go(self) -> None:
-        """Let them move by themselves."""
+        """Release the held particles."""
         for anchor in self._anchors:
             self._bullet.removeConstraint(anchor)
 
     def advance(self, steps: int) -> None:
-        """Take so many steps."""
+        """Take some steps."""
         bullet = self._bullet
         for _ in range(steps):
             here = next(self._way, None)
@@ -171,13 +171,13 @@ class PyBulletContactEngine(PyBulletEngine):
             bullet.stepSimulation()
 
     def pads(self) -> Any:
-        """Where they are [m]."""
+        """Positions of the pads [m], (pads, 3)."""
         if self._joints is None:
             return np.zeros((0, 3))
         return np.array([self._bullet.getLinkState(self._joints, link)[0] for link in range(2)])
 
     def remarks(self) -> list[str]:
-        """How stiff its springs are."""
+        """Return the stiffness of its springs."""
         return [f"has springs of {self._stiffness:.3g} N/m, the stiffest that its step bears"]
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""pyPBD: the sheet's springs as compliant distance constraints (XPBD), one sweep a step; neither damping nor drag."""
+"""Engine pyPBD: springs as compliant distance constraints (XPBD), without damping and drag."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class PyPbdEngine:
         self._model = simulation.getModel()
         self._particles = self._model.getParticles()
         masses = np.where(sheet["anchored"], 0.0, sheet["masses"])
-        # Its gravity is 9.81 m/s^2 along -y and can't be turned from Python: the sheet is turned instead, z to y.
+        # Its gravity is fixed to 9.81 m/s^2 along -y: the sheet is rotated instead, z to y.
         if sheet["gravity"].tolist() != [0.0, 0.0, -9.81]:
             raise ValueError(f"gravity is {sheet['gravity'].tolist()}; this engine has (0, 0, -9.81) m/s^2")
         for particle, (place, mass) in enumerate(zip(sheet["positions"], masses.tolist(), strict=True)):
@@ -30,7 +30,7 @@ class PyPbdEngine:
             self._particles.setMass(particle, mass)
         for (near, far), stiffness in zip(sheet["pairs"].tolist(), sheet["stiffness"].tolist(), strict=True):
             self._model.addDistanceConstraint_XPBD(near, far, stiffness)
-        # Colours the constraints, so that it is not done within the first step.
+        # Colours the constraints before the first step.
         self._model.initConstraintGroups()
         self._stepper = simulation.getTimeStep()
         self._stepper.setValueUInt(pypbd.TimeStepController.NUM_SUB_STEPS, 1)
@@ -38,12 +38,12 @@ class PyPbdEngine:
         pypbd.TimeManager.getCurrent().setTimeStepSize(step)
 
     def advance(self, steps: int) -> None:
-        """Take so many steps."""
+        """Take some steps."""
         for _ in range(steps):
             self._stepper.step(self._model)
 
     def positions(self) -> Any:
-        """Positions [m]."""
+        """Positions [m], (n, 3)."""
         turned = np.array(self._particles.getVertices()).reshape(-1, 3)
         return np.stack([turned[:, 0], -turned[:, 2], turned[:, 1]], axis=1)
 

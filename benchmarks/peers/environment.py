@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""An environment of their own for other engines, made on demand: what they bring stays out of this one."""
+"""Separate Python environment for other engines, created on demand."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-#: Variables that lead another Python back to this environment, or to a sourced ROS: libraries, modules, and the guard
-#: by which the ROS wheels know that they have set the libraries' path already.
+#: Variables that point another Python to this environment or to a sourced ROS: library and module paths, and the guard
+#: with which the ROS wheels mark a library path that is already set.
 _LEADING_BACK = ("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH", "PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
-#: What pip says when it gets no answer; it goes on to say that there is no such version, which misleads.
+#: Messages of pip without a network. Its final message, that there is no such version, misleads.
 NO_NETWORK = (
     "NewConnectionError",
     "Name or service not known",
@@ -32,17 +32,17 @@ _UNREACHABLE = "it is not installed, and the package index is out of reach"
 
 
 class EnvironmentUnusable(ValueError):
-    """The environment can't be made or used; the message says why and what to do."""
+    """Environment that cannot be created or used; the message names cause and remedy."""
 
 
 def default_folder() -> Path:
-    """Where the environment is unless another place is named."""
+    """Return the default folder of the environment."""
     cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(cache) / "cloth_sim_ros" / "peers"
 
 
 def add_arguments(parser: argparse.ArgumentParser, packages: Collection[str], seconds: float) -> None:
-    """Declare the options that all comparisons with other engines have."""
+    """Declare the options of all comparisons with other engines."""
     parser.add_argument("--peers", nargs="*", choices=packages, default=[*packages], help="which engines besides ours")
     parser.add_argument(
         "--seconds", type=float, default=seconds, metavar="S", help="wall seconds after which a run ends early"
@@ -57,29 +57,29 @@ def add_arguments(parser: argparse.ArgumentParser, packages: Collection[str], se
 
 
 def clean_variables(**more: str) -> dict[str, str]:
-    """This process's environment variables without those that lead back to it."""
+    """Return this process's environment variables without those that point back to its environment."""
     kept = {name: value for name, value in os.environ.items() if name not in _LEADING_BACK}
     return kept | more
 
 
 def python_of(folder: Path) -> Path:
-    """The environment's Python."""
+    """Return the path of the environment's Python."""
     return folder / "bin" / "python"
 
 
 def prepare(folder: Path, requirements: Mapping[str, tuple[str, ...]], say: Callable[[str], None]) -> dict[str, str]:
-    """Make the environment where it is missing, and install what is missing in it.
+    """Create the environment if it is missing, and install missing packages.
 
     Args:
-        folder: the environment; empty or missing, or one that this made.
-        requirements: of each peer, exact versions as pip takes them.
-        say: is told what takes time.
+        folder: the environment; empty, missing, or created here before.
+        requirements: exact versions for pip, by peer.
+        on_message: receives messages about slow steps.
 
     Returns:
-        Of each peer that could not be installed, the reason.
+        The reason, by peer that could not be installed.
 
     Raises:
-        EnvironmentUnusable: if the folder holds something else, or no environment can be made there.
+        EnvironmentUnusable: if the folder holds other files, or no environment can be created there.
     """
     absent: dict[str, str] = {}
     try:
@@ -95,7 +95,7 @@ def prepare(folder: Path, requirements: Mapping[str, tuple[str, ...]], say: Call
             if not missing:
                 continue
             if _UNREACHABLE in absent.values():
-                # It would be asked in vain, for half a minute each.
+                # Each further attempt would time out after half a minute.
                 absent[peer] = _UNREACHABLE
                 continue
             say(f"installing {', '.join(wanted)} into {folder}, once ...")
@@ -107,7 +107,7 @@ def prepare(folder: Path, requirements: Mapping[str, tuple[str, ...]], say: Call
 
 @contextmanager
 def alone(folder: Path, say: Callable[[str], None]) -> Iterator[None]:
-    """Two at a time wait for each other."""
+    """Hold the lock of an environment, so that processes take turns."""
     with folder.with_name(folder.name + ".lock").open("w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -131,7 +131,7 @@ def _make(folder: Path, say: Callable[[str], None]) -> None:
 
 
 def _installed(folder: Path) -> dict[str, str]:
-    """Versions of what the environment holds, by lower-case name."""
+    """Return the versions of installed packages, by lower-case name."""
     script = (
         "import importlib.metadata as m, json; "
         "print(json.dumps({d.metadata['Name'].lower(): d.version for d in m.distributions()}))"
@@ -148,13 +148,15 @@ def _installed(folder: Path) -> dict[str, str]:
     except OSError as error:
         reason = str(error)
     if reason:
-        raise EnvironmentUnusable(f"the Python in {folder} does not run: {reason}; remove the folder, it is made anew")
+        raise EnvironmentUnusable(
+            f"the Python in {folder} does not run: {reason}; remove the folder; the next run creates it again"
+        )
     found: dict[str, str] = json.loads(done.stdout)
     return found
 
 
 def _install(folder: Path, wanted: tuple[str, ...]) -> str:
-    """Install exact versions, wheels alone; return why it failed, or an empty text."""
+    """Install exact versions from wheels; return the cause of a failure, or an empty text."""
     command = [str(python_of(folder)), "-I", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     command += ["--no-input", "--retries", "1", "--only-binary", ":all:", *wanted]
     done = subprocess.run(command, env=clean_variables(), capture_output=True, text=True, check=False)
@@ -170,6 +172,6 @@ def _install(folder: Path, wanted: tuple[str, ...]) -> str:
 
 
 def last_line(text: str) -> str:
-    """The last line of what a program said."""
+    """Return the last line of a program's output."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     return lines[-1] if lines else "no word of why"

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Other engines on our sheet: the sheet as plain tables, one run as a process, and the longest step that it bears."""
+"""Jobs for other engines: sheet tables, one run per process, longest stable step."""
 
 from __future__ import annotations
 
@@ -22,51 +22,51 @@ from cloth_sim_ros.physics.forces.drag import Drag
 from cloth_sim_ros.physics.forces.gravity import Gravity
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 
-#: Beyond the time limit of its frames a process may take so long to start, compile and build its sheet [s].
+#: Time for start, compilation and set-up, on top of the time limit of the frames [s].
 _STARTING = 600.0
-#: Steps in a frame beyond which no longer step is looked for.
+#: Upper bound of steps per frame in the search.
 _MOST_STEPS = 4096
-#: Between the longest step that kept the sheet whole and the shortest that did not, so many are tried.
+#: Bisections between the longest step that kept the sheet whole and the shortest that did not.
 _REFINEMENTS = 2
 
 
 class PeerFailed(RuntimeError):
-    """An engine that gave no result; the message says what it said."""
+    """Engine without a result; the message quotes its output."""
 
 
 @attrs.frozen
 class Solver:
-    """One solver of another engine, and the script that runs it."""
+    """Solver of another engine, and the script that runs it."""
 
     name: str
-    #: Which entry of the requirements it needs.
+    #: Entry of the requirements that it needs.
     package: str
     script: str
     variant: str
-    #: How its model differs from ours.
+    #: Difference of its model from the product's.
     differs: str
 
 
 @attrs.frozen
 class Peer(Solver):
-    """A solver whose longest step is looked for."""
+    """Solver of the throughput comparison, with a search for the longest step."""
 
-    #: Steps in a frame to begin the search with, for N particles a side.
+    #: First steps per frame of the search, by particles a side.
     first_steps: Callable[[int], int]
 
 
 @attrs.frozen(kw_only=True)
 class Attempt:
-    """One run of an engine."""
+    """Result of one run of an engine."""
 
-    #: Steps in a frame of 1/60 s.
+    #: Steps per frame of 1/60 s.
     steps: int
     whole: bool
     #: Largest stretch of an edge at a frame, and at the end.
     stretch: float
-    #: Steps taken in all.
+    #: Number of steps.
     n_steps: int
-    #: Wall time of the steps alone [s].
+    #: Wall time of the steps [s].
     wall: float
     versions: dict[str, str]
     remarks: list[str]
@@ -85,9 +85,10 @@ class Attempt:
 def sheet_tables(problem: Problem) -> dict[str, Any]:
     """Return a raw sheet as plain tables.
 
-    `positions` (n, 3) [m], `masses` (n,) [kg], `anchored` (n,), `rows`, `columns`, `gravity` (3,) [m/s^2], `drag`
-    [1/s]; of the springs `pairs` (m, 2), `rest_lengths` [m], `stiffness` [N/m], `damping` [N s/m]; of those along the
-    threads, by which stretch is judged, `edges` and `edge_lengths`; `triangles` (t, 3), a checkerboard.
+    The sheet has `positions` (n, 3) [m], `masses` (n,) [kg], `anchored` (n,), `rows` and `columns`. Springs have
+    `pairs` (m, 2), `rest_lengths` [m], `stiffness` [N/m] and `damping` [N s/m]. Stretch is measured by those along the
+    threads: `edges` (e, 2) and `edge_lengths` (e,) [m]. `triangles` (t, 3) form a checkerboard. `gravity` (3,) is in
+    m/s^2, `drag` in 1/s.
     """
     plan, state = problem.build()
     model = plan.model
@@ -142,37 +143,37 @@ def attempt(
     whole: float,
     threads: int = 1,
 ) -> Attempt:
-    """Run an engine with so many steps in a frame, in a process of its environment.
+    """Run an engine with fixed steps per frame, in a process of the peers' environment.
 
     Args:
-        peer: which.
+        peer: the engine.
         sheet: the tables of `sheet_tables`, as npz.
-        steps: in a frame of 1/60 s.
+        steps: steps per frame of 1/60 s.
         environment: where the engines are installed.
-        frames: to simulate at most.
-        seconds: wall time of the steps after which it ends early.
-        whole: a sheet with an edge longer than so many times its rest length is torn, and the run ends.
-        threads: that an engine which uses several may have.
+        frames: maximum number of frames.
+        seconds: limit of the wall time of the steps [s].
+        whole: stretch of an edge above which the sheet is torn and the run ends.
+        threads: limit for engines with several threads.
 
     Raises:
-        PeerFailed: if it gives no result.
+        PeerFailed: if the engine gives no result.
     """
     job = {"sheet": str(sheet.absolute()), "steps": steps, "frames": frames, "seconds": seconds, "whole": whole}
     return Attempt(steps=steps, **answer(peer, job, folder=sheet.parent, environment=environment, threads=threads))
 
 
 def answer(solver: Solver, job: dict[str, Any], *, folder: Path, environment: Path, threads: int = 1) -> dict[str, Any]:
-    """Run a job of `runner` in a process of the environment, and return what it says.
+    """Run a job of `runner` in a process of the environment, and return its answer.
 
     Args:
-        solver: which.
-        job: all of it but the solver and the length of a frame.
-        folder: where it runs: some engines leave a log there.
+        solver: the engine.
+        job: the job without the solver and the length of a frame.
+        folder: working folder; some engines leave a log there.
         environment: where the engines are installed.
-        threads: that an engine which uses several may have.
+        threads: limit for engines with several threads.
 
     Raises:
-        PeerFailed: if it gives no result.
+        PeerFailed: if the engine gives no result.
     """
     job = {**job, "script": solver.script, "variant": solver.variant, "frame": PERIOD}
     variables = peer_environment.clean_variables(

@@ -1,21 +1,22 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs one other engine on a given sheet: a script for the peers' own Python, without anything of this package.
+"""Runner of one other engine, in the peers' own Python.
 
-`python -I runner.py` reads a job from its input as JSON and writes what came of it to its output as one line of
-JSON. The job: `script`, the file beside this one whose `Engine` runs the sheet; `sheet`, an npz file (see
-`jobs.sheet_tables`); `variant`, which solver of the engine; `steps`, steps in a frame; `frame` [s]; `frames`;
-`seconds`, wall time after which it ends early; `whole`, the stretch above which the sheet counts as torn.
+The script imports nothing of this package. `python -I runner.py` reads a job as JSON from its input and writes the
+result as one line of JSON to its output.
 
-A job with `record` is a scene with contact (see `contact_scenes`), for the file's `ContactEngine`: no stretch is
-judged, and the positions at every frame, with those of the pads, go to the npz file of that name. `hold` then is the
-number of frames in which particles are held.
+A job names the `script`, a file beside this one whose `Engine` runs the sheet, and the `variant`, a solver of it.
+`sheet` is an npz file (see `jobs.sheet_tables`). There are `frames` of length `frame` [s] with `steps` each. `seconds`
+limits the wall time. A sheet with a stretch above `whole` counts as torn.
 
-An `Engine(sheet, step, variant)` is made with nothing left to compile. It has `advance(steps)`, `positions()` [m] of
-shape (particle_count, 3), `distributions`, the names of the packages that it runs on, and `remarks()`.
-For scenes with contact it also has `pads()`, places [m] of the pads' centres, shape (2, 3), or (0, 3) where the scene
-has none; `lead(begin, end, steps)`, which lets held particles move from places [m] to others in the steps that follow;
-and `let_go()`.
+A job with `record` is a scene with contact (see `contact_scenes`) for the file's `ContactEngine`. The runner then
+writes the positions of particles and pads at every frame to the npz file `record` and does not check the stretch.
+`hold` is the number of frames in which particles are held.
+
+The constructor `Engine(sheet, step, variant)` compiles everything. An engine has `advance(steps)`, `positions()` [m]
+of shape (particle_count, 3), `remarks()`, and `distributions`, the names of its packages. A `ContactEngine` also has
+`pads()`, the centres of the pads [m], shape (2, 3), or (0, 3) without pads. Its `lead(begin, end, steps)` moves held
+particles between positions [m] in the next steps, and `let_go()` releases them.
 """
 
 from __future__ import annotations
@@ -31,25 +32,25 @@ from typing import Any
 
 import numpy as np
 
-#: The clock is read about so often within a frame.
+#: Readings of the clock per frame.
 _SLICES = 16
-#: Furthest that a particle may start from where it should [m]: engines in single precision round.
+#: Largest error of an initial position [m]; engines in single precision round.
 _SAME_PLACE = 1e-5
 
 
 def largest_stretch(positions: Any, edges: Any, rest_lengths: Any) -> float:
-    """Largest length of an edge over its rest length; nan where a position is none."""
+    """Return the largest ratio of an edge to its rest length; nan if a position is nan."""
     away = positions[edges[:, 1]] - positions[edges[:, 0]]
-    # A sheet that has blown up overflows; that is seen in the result.
+    # A diverged sheet overflows, which shows in the result.
     with np.errstate(all="ignore"):
         return float((np.sqrt((away * away).sum(axis=1)) / rest_lengths).max())
 
 
 def check_start(engine: Any, sheet: dict[str, Any]) -> None:
-    """Refuse an engine whose particles are not where, or not in the order in which, they were given.
+    """Check that the engine has the given particles in the given order.
 
     Raises:
-        ValueError: saying how far off they are.
+        ValueError: if they are off; the message names the distance.
     """
     off = float(np.abs(engine.positions() - sheet["positions"]).max())
     if not off <= _SAME_PLACE:
@@ -57,7 +58,7 @@ def check_start(engine: Any, sheet: dict[str, Any]) -> None:
 
 
 def measure(engine: Any, sheet: dict[str, Any], job: dict[str, Any]) -> dict[str, Any]:
-    """Advance until the end, the time limit, or a frame at which the sheet is torn; return what was seen."""
+    """Advance until the end, the time limit, or a torn sheet; return the result."""
     check_start(engine, sheet)
     wall, largest, taken, whole = 0.0, 0.0, 0, True
     last = job["frames"] * job["steps"]
@@ -65,17 +66,17 @@ def measure(engine: Any, sheet: dict[str, Any], job: dict[str, Any]) -> dict[str
         done, spent = advance_frame(engine, job["steps"], job["seconds"] - wall)
         taken, wall = taken + done, wall + spent
         stretch = largest_stretch(engine.positions(), sheet["edges"], sheet["edge_lengths"])
-        # A position that is no number makes the stretch none, which is not whole either.
+        # A nan position makes the stretch nan, which does not count as whole.
         whole = stretch <= job["whole"]
         largest = max(largest, stretch) if np.isfinite(stretch) else float("inf")
     return {"whole": whole, "stretch": largest, "n_steps": taken, "wall": wall, "remarks": engine.remarks()}
 
 
 def advance_frame(engine: Any, steps: int, seconds: float) -> tuple[int, float]:
-    """Take the steps of a frame, or as many as the time allows; return how many, and the wall time that they took."""
+    """Take the steps of a frame within a time limit [s]; return their number and wall time [s]."""
     taken, wall = 0, 0.0
     while taken < steps and wall < seconds:
-        # A frame of a slow engine may take minutes: the clock is read within it too.
+        # A frame of a slow engine may take minutes, so the clock is also read within it.
         few = min(-(-steps // _SLICES), steps - taken)
         begin = time.perf_counter()
         engine.advance(few)
@@ -85,7 +86,7 @@ def advance_frame(engine: Any, steps: int, seconds: float) -> tuple[int, float]:
 
 
 def record(engine: Any, sheet: dict[str, Any], job: dict[str, Any]) -> dict[str, Any]:
-    """Advance until the end, the time limit, or a position that is no number; write what was at every whole frame."""
+    """Advance until the end, the time limit, or a nan position; write the positions of every whole frame."""
     check_start(engine, sheet)
     frames, pads, wall, taken = [engine.positions()], [engine.pads()], 0.0, 0
     finite = True
@@ -112,7 +113,7 @@ def record(engine: Any, sheet: dict[str, Any], job: dict[str, Any]) -> dict[str,
 
 def main() -> None:
     """Run the job."""
-    # Engines write to standard output whatever they like: that goes to the error output, and ours stays clean.
+    # Standard output of the engine is redirected to standard error, so that the result stays clean.
     output = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     job = json.load(sys.stdin)
@@ -125,7 +126,7 @@ def main() -> None:
     result["versions"] = {name: importlib.metadata.version(name) for name in engine.distributions}
     output.write(json.dumps(result) + "\n")
     output.flush()
-    # Some engines crash when the interpreter takes them apart; all is said by now.
+    # Some engines crash while the interpreter shuts down; the result is written by now.
     os._exit(0)
 
 

@@ -1,20 +1,20 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The engines that ours is compared with: what they need installed, and how their models differ."""
+"""Other engines of the comparison: requirements and model differences."""
 
 from __future__ import annotations
 
 from benchmarks.peers.contact_runs import ContactPeer
 from benchmarks.peers.jobs import Peer
 
-#: Of each package, what is installed.
+#: Requirements for pip, by package.
 REQUIREMENTS = {
     "newton": ("newton==1.8.0", "warp-lang==1.19.0"),
     "mujoco": ("mujoco==4.0.0",),
     "pybullet": ("pybullet==3.2.7",),
     "pyPBD": ("pyPBD==2.2.2",),
 }
-_NEWTON = "our springs with their damping, in single precision; no drag of the air"
+_NEWTON = "the product's springs with their damping, in single precision; no air drag"
 PEERS = (
     Peer(
         name="Newton semi-implicit",
@@ -45,7 +45,10 @@ PEERS = (
         package="mujoco",
         script="engine_mujoco.py",
         variant="discrete",
-        differs="an isotropic elastic membrane of the modulus along our threads, damped alike, our drag; implicit",
+        differs=(
+            "an isotropic elastic membrane of the product's modulus along the threads, with the product's damping and "
+            "drag; implicit"
+        ),
         first_steps=lambda n: 1,
     ),
     Peer(
@@ -61,11 +64,14 @@ PEERS = (
         package="pyPBD",
         script="engine_pypbd.py",
         variant="xpbd",
-        differs="our stiffnesses as compliant constraints, one sweep a step; neither damping nor drag",
+        differs="the product's stiffnesses as compliant constraints, one sweep a step; neither damping nor drag",
         first_steps=lambda n: max(n // 8, 1),
     ),
 )
-_MEMBRANE = "an isotropic elastic membrane of the modulus along our threads, which does not narrow, damped as ours is"
+_MEMBRANE = (
+    "an isotropic elastic membrane of the product's modulus along the threads, with zero Poisson ratio and the "
+    "product's damping"
+)
 _MUJOCO = (
     "steps of 1/480 s, CG, elliptic cones; solref 0.01 and solimp 0.95, 0.99 of the sheet, solref 0.003 of solids, as "
     "in its examples; our drag"

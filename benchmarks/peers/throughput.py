@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Other engines on the same sheet in the same run: how fast each is while its sheet stays whole, and ours beside."""
+"""Throughput of other engines on the same sheet, at their longest stable steps."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from benchmarks.peers.solvers import PEERS, REQUIREMENTS
 from benchmarks.speed import curtain as speed_curtain
 from validation.report import Plot, Report, Table, say
 
-#: Ours are at least so many times as fast as the fastest peer, at these N of scene C.
+#: Smallest speed ratio of the product to the fastest peer, and the N of scene C for which it applies.
 MIN_PEER_RATIO, RATED_RESOLUTIONS = 15.0, (64, 128)
-#: Ours run at the loosest of these tolerances that holds a millimetre.
+#: The product runs at the loosest of these tolerances with an error of at most 1 mm [m].
 TOLERANCES = (1e-3, 1e-4)
 SCENES = {"curtain": curtain, "corners": corner_drop}
-#: A round at the longest step may take this share of the time that a run in search of it may.
+#: Time limit of a round, as a share of that of a run of the search.
 _ROUND = 0.25
 
 
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 @attrs.define
 class Entry:
-    """One engine on one sheet."""
+    """Runs of one engine on one sheet."""
 
     name: str
     #: Simulated seconds per wall second of each round.
@@ -55,40 +55,40 @@ class Entry:
 
     @property
     def factor(self) -> float:
-        """Median of the rounds."""
+        """Median factor of the rounds."""
         return statistics.median(self.factors)
 
 
 @attrs.define
 class Field:
-    """All engines on one sheet."""
+    """Runs of all engines on one sheet."""
 
     resolution: int
     tolerance: float
-    #: Largest error of a particle of ours [m], and the time at which it is taken [s].
+    #: Largest position error of the product [m], and the time at which it is measured [s].
     error: float
     scored: float
     reference_error: float
     ours: Entry
     one_core: Entry
     peers: list[Entry] = attrs.field(factory=list)
-    #: What a peer that gave no result said, or that its sheet was never whole.
+    #: Failures of peers: the output of those without a result, and sheets that were never whole.
     failed: list[str] = attrs.field(factory=list)
 
     @property
     def fastest(self) -> Entry | None:
-        """The fastest peer; None where none gave a result."""
+        """Fastest peer; None if none gave a result."""
         return max(self.peers, key=lambda entry: entry.factor, default=None)
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Measure what was asked for."""
+    """Measure the selected sheets and engines."""
     for name in ("duration", "seconds", "repeats", "peer_threads"):
         if not getattr(options, name) > 0:
             option = name.replace("_", "-")
             raise ValueError(f"--{option} is {getattr(options, name)}; it must be above 0")
     for resolution in options.resolutions:
-        # Before minutes are spent on anything.
+        # Checked before any expensive run.
         speed_curtain.scored(SCENES[options.scene], resolution)
     if not options.stretch > 1.0:
         raise ValueError(f"--stretch is {options.stretch:g}; it must be above 1, the length at rest")
@@ -108,7 +108,7 @@ def run(options: argparse.Namespace) -> Report:
 
 
 def measure(options: argparse.Namespace, folder: Path, resolution: int, peers: list[Peer]) -> Field:
-    """Run all engines on one sheet: the search for each one's longest step, then rounds in which all take turns."""
+    """Search the longest step of each engine on one sheet, then time all engines in turns."""
     scene = SCENES[options.scene]
     say(f"N = {resolution}: reference")
     field = _score(speed_curtain.scored(scene, resolution), resolution)
@@ -154,7 +154,7 @@ def measure(options: argparse.Namespace, folder: Path, resolution: int, peers: l
 
 
 def _score(problem: Problem, resolution: int) -> Field:
-    """Choose our tolerance by the error that it brings."""
+    """Choose the loosest accurate tolerance of the product."""
     known = speed_curtain.trusted(problem)
     for tolerance in TOLERANCES:
         error = known.deviation(problem.frames, speed_curtain.run(problem, tolerance=tolerance).positions)
@@ -172,7 +172,7 @@ def _score(problem: Problem, resolution: int) -> Field:
 
 
 def _told(peer: Peer, resolution: int, attempt: Callable[[Peer, int], Attempt]) -> Callable[[int], Attempt]:
-    """The same, telling how it went."""
+    """Wrap `attempt` for one peer; log each result."""
 
     def tell(steps: int) -> Attempt:
         done = attempt(peer, steps)
@@ -195,7 +195,7 @@ def _throughput(fields: list[Field]) -> Table:
 
 def _comparison(fields: list[Field]) -> Table:
     columns = ["N", "tolerance m", "error m", "at s", "fastest peer", "as fast as it", "on one core"]
-    table = Table("Ours against the fastest peer", columns)
+    table = Table("Product against the fastest peer", columns)
     for field in fields:
         start = [field.resolution, field.tolerance, field.error, field.scored]
         best = field.fastest
@@ -232,20 +232,22 @@ def _explain(options: argparse.Namespace, peers: list[Peer], fields: list[Field]
     report.environment |= versions
     report.notes.append(
         f"a peer's step is the longest, to about a fifth, at which its sheet stays whole for {options.duration:g} s: "
-        f"no edge longer than {options.stretch:g} times its rest length at any frame; no peer says what its error is"
+        f"no edge longer than {options.stretch:g} times its rest length at any frame; peers do not report their error"
     )
     threads = "one thread" if options.peer_threads == 1 else f"up to {options.peer_threads} threads"
-    report.notes.append(f"peers have {threads} each; medians of {options.repeats} rounds in which all take turns")
+    report.notes.append(f"peers have {threads} each; medians of {options.repeats} interleaved rounds")
     report.notes += [f"{peer.name}: {peer.differs}" for peer in peers]
     for field in fields:
         where = f"N = {field.resolution}"
-        report.notes.append(f"{where}: the error's reference is within {field.reference_error:.1g} m of the truth")
+        report.notes.append(
+            f"{where}: the error's reference is within {field.reference_error:.1g} m of the exact solution"
+        )
         for entry in field.peers:
             found = entry.attempts[0]
             if found.simulated < options.duration - PERIOD:
                 report.notes.append(
-                    f"{where}: {entry.name} was ended after {options.seconds:g} s of work: its sheet was seen whole "
-                    f"for {found.simulated:.2f} s alone, and may tear later"
+                    f"{where}: {entry.name} reached the limit of {options.seconds:g} s: its sheet was whole for "
+                    f"{found.simulated:.2f} s and may tear later"
                 )
             report.notes += [f"{where}: {entry.name} {remark}" for remark in found.remarks]
         report.notes += [f"FAILED: {text}" for text in field.failed]
@@ -255,7 +257,9 @@ def _judge(fields: list[Field], report: Report) -> None:
     for field in fields:
         where = f"N = {field.resolution}"
         if field.error > speed_curtain.ACCURATE:
-            report.failures.append(f"{where}: ours is {field.error:.2g} m off; at most {speed_curtain.ACCURATE:g} m")
+            report.failures.append(
+                f"{where}: the product is {field.error:.2g} m off; at most {speed_curtain.ACCURATE:g} m"
+            )
         best = field.fastest
         if best and field.resolution in RATED_RESOLUTIONS and field.ours.factor < MIN_PEER_RATIO * best.factor:
             times = field.ours.factor / best.factor

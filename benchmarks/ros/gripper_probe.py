@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A robot's side of a node: a stream of targets to its gripper, its clouds and its diagnostics."""
+"""Test client of a node: gripper targets, clouds, diagnostics."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import SetBool
 
-#: Where the lower corner of the default cloth hangs [m].
+#: Position of the lower corner of the default cloth [m].
 CORNER = np.array([0.5, 0.0, 0.5])
-#: Longest wait for the node to begin, for an answer, or for a cloud [s].
+#: Longest wait for the start of the node, an answer, or a cloud [s].
 PATIENCE = 120.0
 
 
 class GripperProbe:
-    """Publishes targets as they are due, and serves what arrives.
+    """Publishes targets when they are due, and processes arriving messages.
 
     Args:
-        name: of its own node.
+        name: name of its node.
         alive: raises RuntimeError if the measured node has ended.
     """
 
@@ -43,41 +43,41 @@ class GripperProbe:
         self._next = time.monotonic()
 
     def place(self, now: float) -> np.ndarray:
-        """Place [m] of the target at a time [s]."""
+        """Return the position of the target [m], (3,), at a time [s]."""
         raise NotImplementedError
 
     def pause(self) -> float:
-        """Time until the next target [s]."""
+        """Return the time until the next target [s]."""
         raise NotImplementedError
 
     def sent(self, place: tuple[float, ...]) -> None:
-        """Called right before a target is published."""
+        """Called before a target is published."""
 
     def see(self, cloud: PointCloud2) -> None:
         """Called with each cloud."""
         raise NotImplementedError
 
     def hear(self, values: dict[str, str]) -> None:
-        """Called with each report of the cloth's diagnostics."""
+        """Called with each diagnostics message of the cloth."""
         raise NotImplementedError
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Destroy the node."""
         self._executor.shutdown()
         self._node.destroy_node()
 
     def spin_until(self, condition: Callable[[], Any], *, limit: float = PATIENCE) -> None:
-        """Serve what arrives and publish targets until a condition holds.
+        """Process messages and publish targets until a condition holds.
 
         Raises:
-            RuntimeError: if it does not hold after a time [s], or the measured node has ended.
+            RuntimeError: if it does not hold within `limit` [s], or the measured node has ended.
         """
         end = time.monotonic() + limit
         while not condition():
             now = time.monotonic()
             self._alive()
             if now > end:
-                raise RuntimeError(f"waited {limit:g} s in vain")
+                raise RuntimeError(f"the condition did not hold within {limit:g} s")
             if now >= self._next:
                 self._next = now + self.pause()
                 self._publish(now)

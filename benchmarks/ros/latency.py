@@ -1,14 +1,13 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Latency of a live cloth: from a target's publication to the arrival of the first cloud that reflects it.
+"""Latency of a live cloth, from a target to the first cloud that reflects it.
 
-`python -m benchmarks ros-latency` starts a node of its own with its recorder on, holds a corner of the
-cloth, leads it around by a stream of targets as a robot would, and listens to the clouds. Which frame took which target
-is then read from the recorded session: the cloud of that frame is the first one that reflects the target, and those
-before it that it made obsolete.
+`python -m benchmarks ros-latency` starts a recording node and grasps a corner of the cloth. It then leads the corner
+by a stream of targets, as a robot would, and receives the clouds. The recorded session tells which frame used which
+target. The cloud of that frame is the first one that reflects the target and earlier, superseded ones.
 
-A target takes effect with the frame that is due next, and shows in the cloud at that frame's end. So the least latency
-is between nothing and a frame, evenly, on top of what computing and sending a frame take.
+A target takes effect with the next frame and shows in the cloud at that frame's end. The smallest latency is therefore
+uniform between zero and a frame, plus the time to compute and send a frame.
 """
 
 from __future__ import annotations
@@ -32,15 +31,15 @@ from std_srvs.srv import SetBool
 from benchmarks.ros.gripper_probe import CORNER, PATIENCE, GripperProbe
 from benchmarks.ros.node_process import node_process, ros_context
 
-#: Radius [m] and speed [m/s] of the circle that the corner is led on.
+#: Radius [m] and speed [m/s] of the corner's circle.
 _RADIUS, _SPEED = 0.1, 0.2
-#: Targets that are sent before those that count [s].
+#: Time before the counted targets [s].
 _FIRST = 1.0
 
 
 @attrs.frozen(kw_only=True)
 class Latencies:
-    """What was measured."""
+    """Measured latencies."""
 
     particles: int
     rate: float
@@ -51,12 +50,12 @@ class Latencies:
 
     @property
     def met(self) -> bool:
-        """Whether the median is below one frame and 2 ms, and 99 of 100 below two frames."""
+        """True if the median is below a frame plus 2 ms and the 99th percentile below two frames."""
         frame = 1.0 / self.rate
         return bool(np.median(self.seconds) < frame + 0.002 and np.percentile(self.seconds, 99.0) < 2.0 * frame)
 
     def summary(self) -> dict[str, Any]:
-        """Plain values for a table."""
+        """Return plain values for a table."""
         low, median, high, highest = (
             float(1e3 * value) for value in np.percentile(self.seconds, [1.0, 50.0, 99.0, 100.0])
         )
@@ -75,11 +74,11 @@ class Latencies:
 
 
 class Prober(GripperProbe):
-    """Publishes targets and listens to the clouds.
+    """Probe that publishes targets and receives the clouds.
 
     Args:
-        stream: targets a second, at random moments.
-        alive: raises RuntimeError where the node has ended.
+        stream: targets per second, at random times.
+        alive: raises RuntimeError if the node has ended.
     """
 
     def __init__(self, *, stream: float, alive: Callable[[], None]) -> None:
@@ -87,7 +86,7 @@ class Prober(GripperProbe):
         self._between = 1.0 / stream
         self._random = np.random.default_rng(1)
         self._begun: float | None = None
-        #: When each target was published [s], by its place, in order; and when each cloud arrived, by its stamp [ns].
+        #: Publication times of targets [s] by position, in order; arrival times of clouds [s] by stamp [ns].
         self.published: dict[tuple[float, ...], float] = {}
         self.arrived: dict[int, float] = {}
         self.particles = 0
@@ -97,7 +96,7 @@ class Prober(GripperProbe):
         """Bring the gripper to the corner and close it.
 
         Raises:
-            RuntimeError: if the node does not answer, or it holds nothing.
+            RuntimeError: if the node does not answer, or the gripper holds nothing.
         """
         self.spin_until(self._close.service_is_ready)
         self.spin_until(self._targets.get_subscription_count)
@@ -109,8 +108,8 @@ class Prober(GripperProbe):
             raise RuntimeError(f"the gripper holds nothing: {answer.result().message}")
 
     def lead(self, seconds: float) -> None:
-        """Lead the corner around for some time [s], and a little longer for the last targets to be seen."""
-        # No garbage collection of this process between a cloud's arrival and its time.
+        """Lead the corner for some time [s], and until the last targets show."""
+        # Garbage collection must not delay the arrival times.
         gc.collect()
         gc.freeze()
         self._begun = time.monotonic()
@@ -120,7 +119,7 @@ class Prober(GripperProbe):
         self.spin_until(lambda: len(self.arrived) > seen + 10)
 
     def latencies(self, folder: Path) -> np.ndarray:
-        """Return them [s], of the targets that were recorded in the session in a folder."""
+        """Return the latencies [s], (targets,), of the targets recorded in the session of a folder."""
         from cloth_sim_ros.session.reader import SessionReader
 
         (path,) = folder.glob("*.mcap")
@@ -168,11 +167,11 @@ class Prober(GripperProbe):
 def running_node(
     *, resolution: tuple[int, int], rate: float, folder: Path, further: Sequence[str]
 ) -> Iterator[Callable[[], None]]:
-    """A node in a process of its own, recording; gives what raises RuntimeError where it has ended."""
+    """Run a recording node in its own process; yield a check that raises RuntimeError if it has ended."""
     parameters = [
         f"cloth.resolution:=[{resolution[0]}, {resolution[1]}]",
         f"rate:={rate}",
-        # The corner alone, a little below where it began: it moves as one with the gripper.
+        # The grip holds only the corner, which moves rigidly with the gripper.
         f"gripper.radius:={0.7 / max(resolution)}",
         "record.enabled:=true",
         f"record.folder:={folder}",
@@ -192,13 +191,13 @@ def running_node(
 def measure(
     *, resolution: tuple[int, int], rate: float, stream: float, seconds: float, further: Sequence[str] = ()
 ) -> Latencies:
-    """Measure with a node of its own.
+    """Measure the latencies of a new node.
 
     Args:
         resolution: rows and columns of the cloth.
         rate: frames a second.
         stream: targets a second.
-        seconds: how long targets are counted [s].
+        seconds: duration of the counted targets [s].
         further: parameters of the node, ``name:=value``.
 
     Raises:
@@ -218,12 +217,12 @@ def measure(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the measurement and print it; exit status 0 where the goals are met, else 1."""
+    """Run the measurement and print it; return exit status 0 if the goals are met, else 1."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks ros-latency", description=__doc__)
     parser.add_argument("--resolution", type=int, nargs=2, default=(64, 64), metavar=("ROWS", "COLUMNS"))
     parser.add_argument("--rate", type=float, default=60.0, help="frames a second")
     parser.add_argument("--stream", type=float, default=100.0, help="targets a second")
-    parser.add_argument("--seconds", type=float, default=20.0, help="how long targets are counted")
+    parser.add_argument("--seconds", type=float, default=20.0, help="duration of the counted targets [s]")
     parser.add_argument("--json", type=Path, help="write the figures there")
     parser.add_argument("parameters", nargs="*", metavar="name:=value", help="further parameters of the node")
     options = parser.parse_args(arguments)

@@ -1,12 +1,11 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a live cloth keeps its rate whatever a robot does with it: carried, swung, let go, and flat again.
+"""Late frames of a live cloth that is carried, swung, released and reset.
 
-`python -m benchmarks ros-live` starts the default cloth in a node of its own, recorded, with a subscriber,
-and goes through the same cycle again and again, five minutes long: a gripper takes its lower corner and carries it
-round; the upper edge is let go and the sheet swings from that corner alone; the gripper lets go and the sheet falls;
-it is reset, hangs flat, and rests. Late frames are the node's own count; due times without a cloud and times between
-arrivals are the subscriber's.
+`python -m benchmarks ros-live` starts a recording node of the default cloth with a subscriber and repeats a cycle for
+five minutes. A gripper grasps the lower corner and carries it in a circle. The upper edge is released and the sheet
+swings from that corner. The gripper opens and the sheet falls. The cloth is reset and rests flat. The node counts late
+frames; the subscriber counts due times without a cloud and the times between arrivals.
 """
 
 from __future__ import annotations
@@ -34,13 +33,13 @@ from benchmarks.ros.node_process import ros_context
 
 #: Time between two targets [s].
 _BETWEEN = 0.01
-#: A frame that takes longer is counted [ms]; the first minute is told apart [s].
+#: Longer frames are counted [ms]; length of the separate first part [s].
 _LONG, _FIRST = 50.0, 60.0
 
 
 @attrs.frozen(kw_only=True)
 class Cycle:
-    """How long each part takes [s]."""
+    """Durations of the parts of a cycle [s]."""
 
     carried: float = 6.0
     swung: float = 8.0
@@ -48,39 +47,39 @@ class Cycle:
     flat: float = 5.0
 
     def scaled(self, factor: float) -> Cycle:
-        """The same in another time."""
+        """Return the cycle with all durations scaled."""
         return Cycle(**{name: factor * seconds for name, seconds in attrs.asdict(self).items()})
 
 
 class Robot(GripperProbe):
-    """Does with a cloth what a robot does, listens to its clouds, and follows its diagnostics.
+    """Probe that manipulates the cloth like a robot and records clouds and diagnostics.
 
     Args:
-        alive: raises RuntimeError where the node has ended.
+        alive: raises RuntimeError if the node has ended.
     """
 
     def __init__(self, alive: Callable[[], None]) -> None:
         super().__init__("live_probe", alive)
         self._reset = self._node.create_client(Trigger, "/cloth_sim/reset")
         self._set = self._node.create_client(SetParameters, "/cloth_sim/set_parameters")
-        #: Stamps of clouds, and when they arrived [s].
+        #: Stamps and arrival times of clouds [s].
         self.stamps: list[float] = []
         self.arrivals: list[float] = []
-        #: When each report of the node's arrived [s], and what it said.
+        #: Arrival time [s] and values of each diagnostics message.
         self.reports: list[tuple[float, dict[str, str]]] = []
-        #: When each part of a cycle began [s], and its name.
+        #: Start time [s] and name of each part of a cycle.
         self.parts: list[tuple[float, str]] = []
-        #: Where the gripper is to be, by time.
+        #: Target position of the gripper [m] by time [s].
         self._path: Callable[[float], np.ndarray] = lambda _: CORNER
 
     def begin(self) -> None:
-        """Wait until the node is there and has said how many frames were late so far."""
+        """Wait for the node and its first count of late frames."""
         for client in (self._close, self._reset, self._set):
             self.spin_until(client.service_is_ready)
         self.spin_until(lambda: len(self.reports) > 1 and self.arrivals)
 
     def go_through(self, cycle: Cycle) -> None:
-        """One cycle."""
+        """Run one cycle."""
         self._begin("carried")
         self._lead(lambda _: CORNER, 0.25)
         self._ask(self._close, SetBool.Request(data=True))
@@ -93,7 +92,7 @@ class Robot(GripperProbe):
         self._begin("swung")
         self._anchor([""])
 
-        # Half a metre to and fro, a little up and down, each beginning at rest.
+        # Half a metre to and fro, a little up and down, starting from rest.
         def swung(t: float) -> np.ndarray:
             away = 0.25 * min(1.0, t / (0.25 * cycle.swung)) * np.sin(2.0 * np.pi * t / 1.6)
             return CORNER + np.array([-0.6 * away, away, 0.1 * (1.0 - np.cos(2.0 * np.pi * t / 3.2))])
@@ -146,7 +145,7 @@ class Robot(GripperProbe):
 
 
 def summary(robot: Robot, *, rate: float, cycles: int) -> dict[str, Any]:
-    """What was found."""
+    """Return the figures of the run."""
     stamps, arrivals = np.array(robot.stamps), np.array(robot.arrivals)
     first, last = robot.reports[0][1], robot.reports[-1][1]
     begun = robot.reports[0][0]
@@ -154,7 +153,7 @@ def summary(robot: Robot, *, rate: float, cycles: int) -> dict[str, Any]:
     between = np.diff(arrivals)
     late = int(last["late_frames"]) - int(first["late_frames"])
     by_part = dict.fromkeys((name for _, name in robot.parts), 0)
-    # A report tells of the second before it: of the part in which most of that lies.
+    # A report covers the second before it; it counts for the part with the larger share of it.
     for (_, before), (when, report) in itertools.pairwise(robot.reports):
         part = max((begun for begun in robot.parts if begun[0] <= when - 0.5), default=robot.parts[0])[1]
         by_part[part] += int(report["late_frames"]) - int(before["late_frames"])
@@ -179,10 +178,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print the figures as JSON.
 
     Returns:
-        Exit status: 0 where no frame was late, else 1.
+        Exit status: 0 if no frame was late, else 1.
     """
     parser = argparse.ArgumentParser(prog="python -m benchmarks ros-live", description=__doc__)
-    parser.add_argument("--seconds", type=float, default=300.0, help="how long cycles are begun (default: 300)")
+    parser.add_argument("--seconds", type=float, default=300.0, help="time in which cycles start (default: 300)")
     parser.add_argument("--pace", type=float, default=1.0, help="length of a cycle, in 20 s (default: 1)")
     parser.add_argument("parameters", nargs="*", metavar="name:=value", help="further parameters of the node")
     options = parser.parse_args(arguments)
@@ -192,7 +191,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with (
         ros_context(),
         tempfile.TemporaryDirectory() as place,
-        # The corner alone: 2 cm of a sheet whose particles lie 3.4 cm apart.
+        # The grip holds only the corner: 2 cm of a sheet with a spacing of 3.4 cm.
         running_node(
             resolution=(30, 30),
             rate=rate,

@@ -1,13 +1,13 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a live node costs beside its simulation, and what parameters cost that are set while it runs.
+"""Cost of a live node beside its simulation, and of parameter changes at run time.
 
-`python -m benchmarks ros-node idle` starts a cloth that nobody watches and nothing records, once hung and
-at rest and once swinging, and reads the processor time of its process. What the node adds to a frame is that time less
-what the same frames take of a simulation alone, in this process.
+`python -m benchmarks ros-node idle` starts a cloth without subscriber and recorder, once at rest and once swinging. It
+reads the processor time of the process. The added time per frame is that time minus the time of the same frames of a
+bare simulation in this process.
 
-`python -m benchmarks ros-node sets` sets gravity, drag, wind and damping of a live cloth a thousand times a
-minute, in stretches that alternate with others of the same length in which nothing is set, and counts late frames.
+`python -m benchmarks ros-node sets` changes gravity, drag, wind and damping of a live cloth a thousand times a minute.
+Intervals with and without changes alternate; late frames are counted in both.
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ from benchmarks.ros.node_process import node_process, processor_time, ros_contex
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
-#: What the node may add to a frame [ms].
+#: Largest added time per frame [ms].
 GOAL = 0.3
-#: A hung cloth is at rest from the start, and asleep after a second.
+#: Without gravity a hung cloth is at rest from the start, and asleep after a second.
 AT_REST = {"gravity": [0.0, 0.0, 0.0]}
-#: Time for a start, and for an answer [s].
+#: Longest wait for a start or an answer [s].
 _PATIENCE = 60.0
-#: Questions that wait for an answer at a time.
+#: Largest number of pending requests.
 _MOST_WAITING = 8
-#: Sets a minute.
+#: Parameter changes per minute.
 RATE = 1000.0
 
 
 @contextlib.contextmanager
 def cloth(name: str, values: dict[str, Any]) -> Iterator[int]:
-    """Run a node in a process of its own, and return its process id once it is running.
+    """Run a node in its own process; yield its process id once it is running.
 
     Raises:
-        RuntimeError: if it ends before.
+        RuntimeError: if it ends before that.
     """
     parameters = [f"{key}:={json.dumps(value)}" for key, value in values.items()]
     with node_process(["-r", f"__node:={name}"], parameters) as process:
@@ -62,7 +62,7 @@ def cloth(name: str, values: dict[str, Any]) -> Iterator[int]:
 
 
 def measure_idle(values: dict[str, Any], seconds: float, settle: float) -> dict[str, float]:
-    """Return milliseconds a frame of a node that nobody watches, of its simulation alone, and the share of a core."""
+    """Return ms per frame of an idle node and of a bare simulation, and the share of a core."""
     scene = Scene.from_parameters(values)
     with cloth(f"idle_{os.getpid()}", values) as pid:
         time.sleep(settle)
@@ -82,8 +82,9 @@ def measure_idle(values: dict[str, Any], seconds: float, settle: float) -> dict[
 
 
 def simulation_alone(scene: Scene, seconds: float, settle: float, *, paced: bool) -> float:
-    """Return the processor time of a frame in this process [s], one right after the other or each when it is due: a
-    frame that was waited for finds the processor's caches cold.
+    """Return the processor time of a frame in this process [s].
+
+    Frames run back to back, or each at its due time (`paced`), in which case it finds cold processor caches.
     """
     simulation, frames = Simulation(scene), round(seconds * scene.rate)
     for _ in range(round(settle * scene.rate)):
@@ -113,13 +114,13 @@ class Setter:
         self.refused = 0
 
     def stretch(self, seconds: float, rate: float) -> tuple[int, int]:
-        """Set so often a second for a while; return how many were set, and the late frames of that time."""
+        """Change parameters at a rate [1/s] for some time [s]; return the number of changes and of late frames."""
         self._next_report()
         late, sent = int(self._status["late_frames"]), 0
         begun = time.monotonic()
         waiting: list[Any] = []
         while (elapsed := time.monotonic() - begun) < seconds:
-            # A service keeps ten questions; where the machine has been elsewhere more would be lost.
+            # A service queues ten requests; more would be lost on a busy machine.
             while sent < elapsed * rate and len(waiting) < _MOST_WAITING:
                 waiting.append(self._client.call_async(SetParameters.Request(parameters=[_change(sent)])))
                 sent += 1
@@ -132,7 +133,7 @@ class Setter:
         return sent, int(self._status["late_frames"]) - late
 
     def _count(self, waiting: list[Any]) -> list[Any]:
-        """Count what was refused; those that are not answered yet."""
+        """Count refused changes; return the pending requests."""
         done = [future.result() for future in waiting if future.done()]
         self.refused += sum(not result.successful for answer in done for result in answer.results)
         return [future for future in waiting if not future.done()]
@@ -142,7 +143,7 @@ class Setter:
         self._wait(self._client.service_is_ready)
 
     def close(self) -> None:
-        """Let go of the node that asked."""
+        """Destroy the requesting node."""
         self._executor.shutdown()
         self._node.destroy_node()
 
@@ -162,7 +163,7 @@ class Setter:
 
 
 def _change(number: int) -> Parameter:
-    """The number-th change: a small one of each kind in turn."""
+    """Return the change of an index: small changes of each kind in turn."""
     turn, size = number % 4, 0.01 * (number % 7)
     if turn == 0:
         return _parameter("gravity", [0.0, 0.0, -9.81 + size])
@@ -180,7 +181,7 @@ def _parameter(name: str, value: Any) -> Parameter:
 
 
 def measure_sets(values: dict[str, Any], seconds: float, rounds: int) -> dict[str, Any]:
-    """Return late frames of stretches in which parameters are set, and of as many in which none is."""
+    """Return late frames of intervals with parameter changes, and of as many without."""
     name = f"sets_{os.getpid()}"
     late: dict[str, list[int]] = {"with": [], "without": []}
     sent = 0
@@ -199,16 +200,16 @@ def measure_sets(values: dict[str, Any], seconds: float, rounds: int) -> dict[st
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print what was measured as JSON.
+    """Print the figures as JSON.
 
     Returns:
-        Exit status: 0, or 1 where the node adds more than is promised, or a set was refused.
+        Exit status: 1 if the node adds more than `GOAL` or a change was refused, else 0.
     """
     parser = argparse.ArgumentParser(prog="python -m benchmarks ros-node", description=__doc__)
     parser.add_argument("what", choices=("idle", "sets"))
-    parser.add_argument("--seconds", type=float, default=20.0, help="of each stretch (default: %(default)s)")
+    parser.add_argument("--seconds", type=float, default=20.0, help="of each interval (default: %(default)s)")
     parser.add_argument("--settle", type=float, default=4.0, help="of idle: time before (default: %(default)s)")
-    parser.add_argument("--rounds", type=int, default=3, help="of sets: pairs of stretches (default: %(default)s)")
+    parser.add_argument("--rounds", type=int, default=3, help="of sets: pairs of intervals (default: %(default)s)")
     parser.add_argument(
         "--resolution", type=int, default=0, help="particles a side (default: 30 for idle, 64 for sets)"
     )

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A node in a process of its own, and its processor time."""
+"""Node in its own process, and its processor time."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from cloth_sim_ros.session.child_process import child_environment, module_comman
 def node_process(
     arguments: Sequence[str], parameters: Sequence[str] = (), *, log: Path | None = None, patience: float = 10.0
 ) -> Iterator[subprocess.Popen[str]]:
-    """Run a node, interrupted at the end, and killed if it has not ended after a time.
+    """Run a node; at the end interrupt it, and kill it after a timeout.
 
     Args:
         arguments: for ROS, e.g. ``-r __node:=name``.
         parameters: ``name:=value``.
-        log: file for what it says; its standard error is a pipe if left out, and its standard output goes nowhere.
+        log: file for its output. Without it standard error is a pipe and standard output is discarded.
         patience: longest wait for its end [s].
     """
     command = module_command("cloth_sim_ros.ros.main", "--ros-args", *arguments)
@@ -52,7 +52,7 @@ def node_process(
 
 @contextlib.contextmanager
 def ros_context() -> Iterator[None]:
-    """ROS in a graph of its own: nobody else's targets, nobody else's clouds."""
+    """Run ROS on this host only, so that other machines do not interfere."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     rclpy.init(args=[])
     try:
@@ -62,7 +62,7 @@ def ros_context() -> Iterator[None]:
 
 
 def processor_time(pid: int) -> float:
-    """Processor time that a process has taken so far [s]."""
-    # Behind the name in brackets, which may hold anything: user and system time are the 12th and 13th.
+    """Return the processor time of a process so far [s]."""
+    # After the name in brackets, which may contain any character: user and system time are fields 12 and 13.
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

@@ -1,10 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a subscriber and a recorder add to a frame, and that nothing is built for nobody.
+"""Cost of a frame with and without subscriber and recorder.
 
-`python -m benchmarks ros-outputs` moves the same cloth four times, frame by frame in turns: with nobody
-there, with a subscriber in another process, with a recorder, with both. A frame is what a node does when it is due:
-its steps, its record, its messages.
+`python -m benchmarks ros-outputs` runs the same cloth four times in turns, frame by frame. It has no receiver, a
+subscriber in another process, a recorder, or both. A frame consists of steps, record and messages. Without
+receiver no message may be built.
 """
 
 from __future__ import annotations
@@ -33,24 +33,23 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation.command import child
 
-#: Pause after each frame [s]: what is left of a period in which nothing is due, for the recorder's thread and for
-#: whoever listens.
+#: Pause after each frame [s], as the rest of a period, for the recorder thread and the subscriber.
 _PAUSE = 0.005
-#: Frames that are not counted.
+#: Warm-up frames.
 _FIRST = 10
 _PATIENCE = 60.0
 PRESENCES = {"nobody": (False, False), "subscriber": (True, False), "recorder": (False, True), "both": (True, True)}
-#: Both together add at most this part to a frame of 16 thousand particles.
+#: Largest share that both together add to a frame of 16 thousand particles.
 GOAL = 0.10
 
 
 class Candidate:
-    """One cloth with its outputs.
+    """Cloth with its outputs.
 
     Args:
-        name: of its node.
+        name: name of its node.
         scene: configuration.
-        heard: whether a subscriber in another process listens.
+        subscribed: whether a subscriber runs in another process.
         recorded: whether it is recorded.
     """
 
@@ -62,7 +61,7 @@ class Candidate:
         self._listener: subprocess.Popen[bytes] | None = None
         topic = f"{self._node.get_fully_qualified_name()}/points"
         if heard:
-            # Not this process's own output: who reads that waits until nobody can write there any more.
+            # The subscriber must not inherit standard output: a reader would wait until all writers have closed it.
             self._listener = subprocess.Popen(
                 **child("benchmarks.ros.outputs", "--listen", topic),
                 stdout=subprocess.DEVNULL,
@@ -78,7 +77,7 @@ class Candidate:
             self._recording.wait_until_open()
 
     def frame(self) -> float:
-        """Do what a node does for a frame; return how long it took [s]."""
+        """Run one frame as a node does; return its wall time [s]."""
         stamp = self._now()
         begun = time.perf_counter()
         self._recording.before_frame(stamp)
@@ -89,13 +88,13 @@ class Candidate:
 
     @property
     def published(self) -> int:
-        """Clouds that were built and published."""
+        """Number of published clouds."""
         return self._outputs.published
 
     def close(self) -> None:
-        """Let go of everything."""
+        """Stop the subscriber, the recording and the node."""
         if self._listener is not None:
-            # It has nothing to put in order, and rclpy may hang between a signal and the end.
+            # It has nothing to clean up, and rclpy may hang after a signal.
             self._listener.kill()
             self._listener.wait()
         self._recording.end(reason="measured", timeout=10.0)
@@ -107,7 +106,7 @@ class Candidate:
 
 @contextlib.contextmanager
 def candidates(resolution: int) -> Iterator[dict[str, Candidate]]:
-    """The four of them; recordings go to a folder that is removed."""
+    """Yield the four cloths; recordings go to a temporary folder."""
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
         made = {}
         for name, (heard, recorded) in PRESENCES.items():
@@ -119,10 +118,10 @@ def candidates(resolution: int) -> Iterator[dict[str, Candidate]]:
 
 
 def measure(resolution: int, frames: int) -> dict[str, list[float]]:
-    """Return the frame times [s] of the four, in turns.
+    """Return the frame times [s] of the four cloths, in turns.
 
     Raises:
-        RuntimeError: if a cloud was built for nobody, or none for somebody.
+        RuntimeError: if a cloud was built without receiver, or missing with one.
     """
     with candidates(resolution) as made:
         times: dict[str, list[float]] = {name: [] for name in made}
@@ -152,7 +151,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print the times as JSON.
 
     Returns:
-        Exit status: 0, or 1 where both together add more than is promised.
+        Exit status: 1 if both together add more than `GOAL`, else 0.
     """
     parser = argparse.ArgumentParser(prog="python -m benchmarks ros-outputs", description=__doc__)
     parser.add_argument("--resolution", type=int, default=128, help="particles a side (default: 128, 16 thousand)")

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What recording costs, measured on the clouds of a session.
+"""Cost of recording, measured on the clouds of a session.
 
 python -m benchmarks recording session.mcap
 """
@@ -26,15 +26,15 @@ from cloth_sim_ros.session.recorder import Recorder, RecorderOptions
 from cloth_sim_ros.session.writer import SessionSnapshot, SessionWriter, WriterOptions
 
 _MEMORY = 256 << 20
-"""How much of the session is loaded, to be written again and again [bytes]."""
+"""Size of the part of the session that is loaded and written repeatedly [bytes]."""
 _SNAPSHOT = SessionSnapshot(scene_yaml="/**: {}\n", state=b"-", metadata={"node": "/measure"})
 
 
 class _Timing(NamedTuple):
     late: list[float]
-    """How late each frame began [s]."""
+    """Lateness of each frame start [s]."""
     cost: list[float]
-    """What handing over a frame took the caller [s]."""
+    """Time of the caller to hand over a frame [s]."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -43,8 +43,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("session", type=Path)
     parser.add_argument("--folder", type=Path, help="where to write; by default a temporary folder")
     parser.add_argument("--rate", type=float, default=60.0, help="frames a second")
-    parser.add_argument("--seconds", type=float, default=5.0, help="length of each stretch of the second table")
-    parser.add_argument("--rounds", type=int, default=3, help="stretches for each setting, taken in turn")
+    parser.add_argument("--seconds", type=float, default=5.0, help="length of each run of the second table")
+    parser.add_argument("--rounds", type=int, default=3, help="runs of each setting, in turns")
     options = parser.parse_args(arguments)
     try:
         messages = _load(options.session)
@@ -72,7 +72,7 @@ def _load(path: Path) -> list[Message]:
 
 
 def _frames(messages: Sequence[Message]) -> list[list[Message]]:
-    """The messages, each frame's together."""
+    """Group the messages by frame."""
     frames: list[list[Message]] = []
     for message in messages:
         if message.topic.endswith("/frame") or not frames:
@@ -126,7 +126,7 @@ def _measure_timer(messages: Sequence[Message], folder: Path, rate: float, secon
     settings: tuple[Compression | None, ...] = (None, "none", "lz4", "zstd")
     timings: dict[Compression | None, _Timing] = {setting: _Timing([], []) for setting in settings}
     dropped = dict.fromkeys(settings, 0)
-    # In turn, so that whatever else the machine does falls on all of them.
+    # In turns, so that background load affects all settings alike.
     for _ in range(rounds):
         for setting in settings:
             recorder = None
@@ -160,7 +160,7 @@ def _run_timer(
         time.sleep(max(due - time.perf_counter(), 0.0))
         began = time.perf_counter()
         frame = frames[number % len(frames)]
-        # Bytes that nobody has touched lately, as a serializer makes them.
+        # Fresh bytes, as from a serializer, are not in the caches.
         fresh = [bytes(memoryview(message.data)) for message in frame]
         handed = time.perf_counter()
         if recorder is not None:

@@ -1,11 +1,11 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Start of a live cloth: from the start of its process to the first cloud at a subscriber that waits for it.
+"""Start-up time of a live cloth, from process start to the first received cloud.
 
-`python -m benchmarks ros-start` starts `cloth_sim` so often, each time in a namespace of its own. The first
-start, which reads the libraries from the disk, is told apart: the others find them in memory. Beside the wall time
-stands the processor time that the process had taken by then: where the machine is busy, the wall time is above it.
-`answers_after_s` is the time from the node's name in the graph to its answer to a question for a parameter.
+`python -m benchmarks ros-start` starts `cloth_sim` several times, each time in a new namespace. The first start reads
+the libraries from disk and is reported separately; the others find them in memory. The processor time of the process
+is reported beside the wall time, which exceeds it on a busy machine. `answers_after_s` is the time from the node's name
+in the graph to its answer to a parameter request.
 """
 
 from __future__ import annotations
@@ -31,32 +31,32 @@ from benchmarks.ros.node_process import node_process, processor_time, ros_contex
 
 #: Longest wait for a first cloud [s].
 _PATIENCE = 60.0
-#: A question without an answer is asked again after so long [s].
+#: Time after which an unanswered request is repeated [s].
 _AGAIN = 1.0
-#: What is asked of a start whose libraries are in memory [s].
+#: Largest start-up time with the libraries in memory [s].
 GOAL = 2.0
 
 
 @attrs.frozen(kw_only=True)
 class Start:
-    """One start."""
+    """Times of one start."""
 
-    #: From the start of the process to the first cloud, by the wall, and the process's processor time by then [s].
+    #: Wall time and processor time of the process from its start to the first cloud [s].
     wall: float
     busy: float
-    #: From the name in the graph to the first answer [s].
+    #: Time from the name in the graph to the first answer [s].
     answers_after: float
 
 
 def measure_start(index: int, arguments: Sequence[str] = ()) -> Start:
-    """Start a cloth, wait for its first cloud and its first answer, stop it; return how long that took.
+    """Start a cloth, wait for its first cloud and first answer, and stop it; return the times.
 
     Args:
-        index: tells its namespace.
+        index: number in its namespace.
         arguments: further ROS arguments, e.g. ``-p cloth.resolution:=[64,64]``.
 
     Raises:
-        RuntimeError: if it ends, or sends nothing.
+        RuntimeError: if it ends, or sends no cloud or answer.
     """
     namespace = f"start_{os.getpid()}_{index}"
     node = Node("start_probe", namespace=namespace)
@@ -80,7 +80,7 @@ def measure_start(index: int, arguments: Sequence[str] = ()) -> Start:
             if seen is None and ("cloth_sim", f"/{namespace}") in node.get_node_names_and_namespaces():
                 seen = time.monotonic()
             now = time.monotonic()
-            # An answer that is sent before the node has met who asked is lost: then it is asked again.
+            # An answer sent before the node has discovered this client is lost, so the request is repeated.
             if answered is None and now > again and question.service_is_ready():
                 asked.append(question.call_async(GetParameters.Request(names=["rate"])))
                 again = now + _AGAIN
@@ -95,7 +95,7 @@ def measure_start(index: int, arguments: Sequence[str] = ()) -> Start:
         busy = processor_time(process.pid)
     executor.shutdown()
     node.destroy_node()
-    # What answers is in the graph, even where its name is told of later than its services.
+    # A node that answers is in the graph, even if its name is announced after its services.
     seen = answered if seen is None else min(seen, answered)
     return Start(wall=arrivals[0] - begun, busy=busy, answers_after=answered - seen)
 
@@ -104,7 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print the times as JSON.
 
     Returns:
-        Exit status: 0, or 1 where the median of the warm starts is above the goal.
+        Exit status: 1 if the median of the warm starts is above the goal, else 0.
     """
     parser = argparse.ArgumentParser(prog="python -m benchmarks ros-start", description=__doc__)
     parser.add_argument("--starts", type=int, default=5, help="starts with the libraries in memory (default: 5)")

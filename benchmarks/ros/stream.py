@@ -1,12 +1,12 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a rate is held with large clouds, and whether a reliable subscriber gets every one of them.
+"""Rate and completeness of large clouds at a reliable subscriber.
 
-`python -m benchmarks ros-stream` lets a node publish clouds of 16 and of 65 thousand points by wall time,
-and a subscriber in another process write down the stamp and the arrival of each. The cloth lies at rest without weight
-and sleeps, so that what is measured is the way of a cloud and not the motion; `--moving` lets a soft one fall, which at
-the larger size takes longer than a frame. Before the first cloud that counts and after the last one no frame is due
-until the subscriber has got all that are under way: so what was sent and what was received are counted exactly.
+`python -m benchmarks ros-stream` runs a node that publishes clouds of 16 and of 65 thousand points at wall time. A
+subscriber in another process records stamp and arrival of each. The cloth sleeps without gravity, so that transport is
+measured, not motion. With `--moving` a soft cloth falls, whose frames at the larger size exceed the period. Frames
+pause before the first counted cloud and after the last, until no cloud is in transit. Sent and received clouds are
+therefore counted exactly.
 """
 
 from __future__ import annotations
@@ -38,54 +38,54 @@ from benchmarks.ros.node_process import ros_context
 from cloth_sim_ros.ros.node import ClothNode
 from validation.command import child
 
-#: A cloth that takes few steps a frame [N/m], and one that falls asleep, too.
+#: A cloth with few steps per frame, and one that also falls asleep.
 _MOVING = {"material.stretch_modulus": 10.0, "material.shear_modulus": 1.0, "bending.model": "none"}
 _RESTING = {**_MOVING, "gravity": [0.0, 0.0, 0.0]}
-#: Time by wall that does not count, after frames that were due while none were taken [s].
+#: Uncounted wall time after the pause of frames [s].
 _FIRST = 1.0
-#: Longest wait for the subscriber, and for clouds under way [s].
+#: Longest wait for the subscriber, and for clouds in transit [s].
 _PATIENCE = 60.0
 _UNDER_WAY = 5.0
-#: No cloud for so long: none is under way [s].
+#: Time without a cloud after which none is in transit [s].
 _QUIET = 0.5
 #: Stamp [ns] and arrival by the monotonic clock [ns].
 _LINE = struct.Struct("<qq")
-#: Of a cloud's bytes: seconds and nanoseconds of its stamp, behind the encapsulation.
+#: Seconds and nanoseconds of the stamp in a serialized cloud, after the encapsulation header.
 _STAMP = struct.Struct("<iI")
 _STAMP_AT = 4
 
 
 @attrs.frozen(kw_only=True)
 class Stream:
-    """What was measured."""
+    """Counts and times of a stream of clouds."""
 
     points: int
     rate: float
-    #: Whether the cloth slept in the end.
+    #: Whether the cloth slept at the end.
     asleep: bool
     #: Clouds sent and received.
     sent: int
     received: int
-    #: Of the clouds between whose due times the rate was looked at, stamps and arrivals [s].
+    #: Stamps and arrival times of the clouds of the measured interval [s], (clouds,).
     stamps: np.ndarray
     arrivals: np.ndarray
-    #: Frames that were late by the node's own count, and the share of the time that frames took.
+    #: Late frames by the node's count, and share of the time spent in frames.
     late: int
     load: float
 
     @property
     def left_out(self) -> int:
-        """Due times between the first and the last stamp of which no cloud came."""
+        """Number of due times between first and last stamp without a cloud."""
         periods = np.rint(np.diff(self.stamps) * self.rate)
         return int((periods - 1.0).clip(0.0).sum())
 
     @property
     def met(self) -> bool:
-        """Whether there was a cloud for each due time, and each cloud came."""
+        """True if each due time had a cloud and each cloud arrived."""
         return self.received == self.sent > 0 and self.left_out == 0
 
     def summary(self) -> dict[str, Any]:
-        """Plain values for a table."""
+        """Return plain values for a table."""
         spacing = 1e3 * np.diff(self.arrivals)
         low, median, high, highest = np.percentile(spacing, [1.0, 50.0, 99.0, 100.0])
         return {
@@ -109,8 +109,8 @@ class Stream:
 
 @contextlib.contextmanager
 def subscriber(topic: str, file: Path) -> Iterator[None]:
-    """A reliable subscriber in a process of its own, which writes to a file what it receives."""
-    # Not this process's own output: who reads that waits until nobody can write there any more.
+    """Run a reliable subscriber in its own process, which records clouds to a file."""
+    # The subscriber must not inherit standard output: a reader would wait until all writers have closed it.
     process = subprocess.Popen(
         **child("benchmarks.ros.stream", "--listen", topic, str(file)),
         stdout=subprocess.DEVNULL,
@@ -119,13 +119,13 @@ def subscriber(topic: str, file: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        # It has nothing to put in order, and rclpy may hang between a signal and the end.
+        # It has nothing to clean up, and rclpy may hang after a signal.
         process.kill()
         process.wait()
 
 
 def measure(resolution: int, *, seconds: float, rate: float, moving: bool = False) -> Stream:
-    """Let a node of so many particles a side run for some time [s] at a rate [Hz], its cloth at rest or moving.
+    """Run a node with `resolution` particles a side for some time [s] at a rate [Hz].
 
     Raises:
         RuntimeError: if no subscriber comes, or a cloth that should sleep does not.
@@ -158,7 +158,7 @@ def _stream(
         return file.stat().st_size // _LINE.size
 
     def spin_to_next(moment: float) -> None:
-        """Spin until a cloud has been published after a moment: where the machine stands still, the gap shows."""
+        """Spin until the first cloud published after a time [s], so that a stall of the machine shows as a gap."""
         spin(lambda: time.monotonic() >= moment)
         count, end = cloth.published, time.monotonic() + _PATIENCE
         spin(lambda: cloth.published > count or time.monotonic() > end)
@@ -176,7 +176,7 @@ def _stream(
         raise RuntimeError(f"the cloth did not fall asleep in {_PATIENCE:g} s")
     _wait_until_quiet(received)
     sent, got = cloth.published, received()
-    # Frames that were due meanwhile are no fault: spacing and lateness are looked at a little later.
+    # Frames due during the pause are not counted: the measured interval begins later.
     spin_to_next(time.monotonic() + _FIRST)
     late, busy, begun = cloth.tally.late, cloth.tally.busy, time.monotonic()
     spin_to_next(begun + seconds)
@@ -195,7 +195,7 @@ def _stream(
         asleep=cloth.simulation.asleep,
         sent=sent,
         received=len(lines),
-        # Their differences count: nanoseconds since 1970 have more digits than a float.
+        # Only differences are needed; nanoseconds since 1970 exceed the precision of a float.
         stamps=(counted[:, 0] - lines[0, 0]) * 1e-9,
         arrivals=counted[:, 1] * 1e-9,
         late=late,
@@ -204,13 +204,13 @@ def _stream(
 
 
 def _wait_until_quiet(received: Callable[[], int], *, enough: int | None = None) -> None:
-    """Wait until no more clouds come; where it is known how many should, for those or as long as they may take."""
+    """Wait until no more clouds arrive, and for `enough` clouds or the timeout if given."""
     end = time.monotonic() + _UNDER_WAY
     count, since = received(), time.monotonic()
     while time.monotonic() < end:
         if received() != count:
             count, since = received(), time.monotonic()
-        # One cloud more than was sent would be seen, too.
+        # An extra cloud would also be counted.
         quiet = time.monotonic() - since > _QUIET
         if quiet and (enough is None or count >= enough):
             return
@@ -218,7 +218,7 @@ def _wait_until_quiet(received: Callable[[], int], *, enough: int | None = None)
 
 
 def listen(topic: str, file: Path) -> None:
-    """Write down stamp and arrival of each cloud until a signal comes."""
+    """Record stamp and arrival of each cloud until a signal arrives."""
     rclpy.init(args=[])
     node = Node(f"listener_{os.getpid()}")
     with file.open("ab", buffering=0) as stream:
@@ -239,7 +239,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print the figures as JSON.
 
     Returns:
-        Exit status: 0, or 1 where a cloud was lost or left out.
+        Exit status: 1 if a cloud was lost or left out, else 0.
     """
     parser = argparse.ArgumentParser(prog="python -m benchmarks ros-stream", description=__doc__)
     sides = "particles a side (default: 128 256, 16 and 65 thousand)"

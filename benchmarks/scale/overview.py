@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""From a thousand particles to a million: time per particle and step, and memory."""
+"""Time per particle and step, and memory, from 10^3 to 10^6 particles."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from typing import Any
 from validation.command import child
 from validation.report import Plot, Report, Table
 
-#: A particle's step in the largest sheet takes at most so many times that of a sheet of about 10^4.
+#: Largest ratio of the time per particle and step to that of a sheet of about 10^4 particles.
 MAX_TIME_RATIO = 2.0
-#: Memory is at most so many times the state, one set of forces and the scene's own tables.
+#: Largest ratio of memory to the sum of state, one set of forces and the scene's tables.
 MAX_MEMORY_RATIO = 2.0
 #: Particles a side: 10^3 to 10^6.
 SIZES = (32, 64, 100, 180, 320, 560, 1000)
@@ -27,12 +27,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS, help="of sheets")
     parser.add_argument("--sizes", type=int, nargs="+", default=[*SIZES], metavar="N", help="particles a side")
-    parser.add_argument("--seconds", type=float, default=3.0, help="of timing for each sheet")
+    parser.add_argument("--seconds", type=float, default=3.0, help="timing of each sheet [s]")
     parser.add_argument("--rounds", type=int, default=2, help="processes for each sheet; the fastest counts")
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Measure all sheets, each in processes of its own.
+    """Measure all sheets, each in separate processes.
 
     Raises:
         ValueError: if there are no rounds.
@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> Report:
         points = [(float(one["particles"]), float(one["least_ns"])) for one in found]
         report.plots.append(Plot(f"Time, {kind}", "particles", "ns a particle and step", {kind: points}))
     report.tables += [times, memory]
-    report.notes.append("each sheet in processes of its own, sizes in turn; of several the shortest median frame")
+    report.notes.append("each sheet in separate processes, sizes in turns; shortest median frame of several")
     report.notes.append("memory beyond that of a process that has run a sheet of 3136 particles of the same kind")
     return report
 

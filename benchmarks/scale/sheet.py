@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One sheet in a process of its own: how long its steps take, and how much memory it needs.
+"""Step time and memory of one sheet, in its own process.
 
-`python -m benchmarks.scale.sheet grid 1000` prints JSON. A process of its own, because memory that was asked
-for once is seldom given back.
+`python -m benchmarks.scale.sheet grid 1000` prints JSON. Each sheet has its own process, because a process seldom
+returns memory to the system.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from cloth_sim_ros.physics.sheets.surface import grid_triangles
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
-#: Steps of a frame: so many that what a frame does once does not count much, at any size.
+#: Steps per frame: enough to make the cost per frame negligible at any size.
 STEPS = 40
 _KINDS = ("grid", "mesh")
-#: Particles a side of a sheet that loads the code which larger ones run.
+#: Particles a side of a warm-up sheet that loads the code of larger ones.
 _WARM = 56
 _MESH = "sheet.ply"
 
 
 def main() -> int:
-    """Run one sheet and print what was measured as JSON."""
+    """Run one sheet and print the figures as JSON."""
     parser = argparse.ArgumentParser(prog="sheet.py", description=__doc__)
     parser.add_argument("kind", choices=_KINDS)
     parser.add_argument("resolution", type=int, help="particles a side")
     parser.add_argument("--seconds", type=float, default=3.0, help="of timing")
     options = parser.parse_args()
-    # A small sheet of the same kind first, large enough for all threads: what the code itself needs is no sheet's.
+    # A warm-up sheet, large enough for all threads, excludes the memory of the code from the measurement.
     _frames(_scene(options.kind, _WARM), frames=3)
     gc.collect()
     _forget_peak()
@@ -59,9 +59,8 @@ def main() -> int:
 
 
 def _scene(kind: str, resolution: int) -> Scene:
-    # The scene's own stability limit would ask for a thousand steps a frame of the largest sheets: the rate is set so
-    # that each takes `STEPS`.
-    # The integrator is the one that `auto` takes for them, with the default tolerance.
+    # At a fixed rate the largest sheets would need a thousand steps per frame. The rate is set so that each sheet needs
+    # `STEPS`. The integrator is the one that `auto` chooses for them at the default tolerance.
     values: dict[str, Any] = {
         "cloth.resolution": [resolution, resolution],
         "integrator": "extrapolated",
@@ -80,7 +79,7 @@ def _scene(kind: str, resolution: int) -> Scene:
 
 
 def _ply(resolution: int) -> bytes:
-    """A square sheet's triangles in an order in which neighbours lie far apart, as a mesher may leave them."""
+    """Return a square sheet as PLY, with vertices and triangles in random order."""
     random = np.random.default_rng(1)
     line = np.linspace(-0.5, 0.5, resolution)
     points = np.zeros((resolution, resolution, 3), dtype="<f4")
@@ -107,7 +106,7 @@ def _frames(scene: Scene, *, frames: int) -> None:
 
 
 def _measure(simulation: Simulation, *, seconds: float) -> dict[str, Any]:
-    """Time of a frame: wall and processor time, and how many steps it takes."""
+    """Return frame times [s], steps per frame, and times per particle and step [ns]."""
     simulation.advance()
     walls: list[float] = []
     steps: list[int] = []
@@ -131,10 +130,10 @@ def _measure(simulation: Simulation, *, seconds: float) -> dict[str, Any]:
 
 
 def _needed(simulation: Simulation) -> dict[str, int]:
-    """Bytes of the state, of one set of forces, and of the scene's own tables.
+    """Return the bytes of the state, of one set of forces, and of the scene's tables.
 
-    The tables: masses and their inverses, the state that a reset returns to, and of a mesh its file, its vertices and
-    triangles and its springs' pairs, rest lengths, stiffness and damping. A grid has no lists.
+    The tables are masses, their inverses, and the initial state. A mesh adds its file, vertices, triangles, and the
+    pairs, rest lengths, stiffness and damping of its springs. A grid has no lists.
     """
     state = sum(array.nbytes for array in simulation.state.arrays().values())
     model, scene = simulation.model, simulation.scene
@@ -148,13 +147,13 @@ def _needed(simulation: Simulation) -> dict[str, int]:
 
 
 def _forget_peak() -> None:
-    """Let the peak begin anew with the memory that there is; where the system can't, it goes on."""
+    """Reset the peak to the current memory, if the system supports it."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
 
 
 def _peak() -> int:
-    """Most memory that the process has had since then [B]."""
+    """Return the peak memory of the process since the reset [bytes]."""
     status = Path("/proc/self/status")
     if status.exists():
         for line in status.read_text().splitlines():

@@ -1,9 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether costs add up: a cloth with two features at once against the same with each of them alone, and with none.
+"""Additivity of costs: two features together against each of them alone.
 
-(AB - base) is at most 1.1 times (A - base) + (B - base), and 2 % of base. Steps are fixed, the same for all: what is
-compared is the work, and not what step control makes of it.
+The bound is (AB - base) <= 1.1 ((A - base) + (B - base)) + 0.02 base. All cloths take the same fixed steps, so that
+step control does not affect the comparison.
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation.report import Report, Table, say
 
-#: The scene that features are added to.
+#: Scene to which features are added.
 DEFAULT_CLOTH = Path(__file__).resolve().parents[2] / "config" / "cloth_sim.yaml"
-#: AB - base is at most so many times the sum, and this share of base.
+#: Bound of AB - base: factor of the sum, plus share of base.
 TIMES, SHARE = 1.1, 0.02
 SHEETS = ("grid", "mesh")
-#: Only one of these bends a cloth.
+#: Bending models, of which a cloth has at most one.
 BENDINGS = ("opposite", "crossed", "altitude")
 FEATURES = (*BENDINGS, "air", "gripper", "numpy", "energy")
-#: Share of the stability limit that the fixed step takes, of the stiffest cloth among those compared.
+#: Fixed step as a share of the smallest stability limit of the compared cloths.
 _STEP_SHARE = 0.8
-#: Frames of one turn, and those before it in which the gripper takes hold.
+#: Frames of one turn, and warm-up frames in which the gripper grasps.
 _FRAMES, _WARM = 8, 3
-#: How fast the gripper turns [rad/s] and moves [m/s].
+#: Angular speed [rad/s] and speed [m/s] of the gripper.
 _TURN, _SPEED = 1.0, 0.2
 
 
 class Floor(Force):
-    """A user's own force in numpy: a soft floor that pushes particles below it up."""
+    """User-defined force in numpy: a soft floor that pushes particles up."""
 
     name = "floor"
 
@@ -69,10 +69,10 @@ class Floor(Force):
 
 
 class FlooredScene(Scene):
-    """A scene with a soft floor."""
+    """Scene with a soft floor."""
 
     def plan(self) -> Plan:
-        """The scene's own equations and the floor's."""
+        """Return the plan of the scene's forces and the floor."""
         model = self.model()
         return compile(Model(model.masses, [*model.forces, Floor(0.7, 0.01)], anchors=model.anchors))
 
@@ -107,16 +107,16 @@ def run(options: argparse.Namespace) -> Report:
 
 @attrs.frozen
 class Cost:
-    """Time of frames by features, relative to base of the same round."""
+    """Frame times by features, relative to base of the same round."""
 
-    #: Of base [s], and steps in a frame.
+    #: Frame time of base [s], and steps per frame.
     base: float
     steps: int
     times: Mapping[frozenset[str], float]
 
 
 def pairs(features: tuple[str, ...]) -> list[tuple[str, str]]:
-    """All pairs that one cloth can have."""
+    """Return all pairs of features that one cloth can have."""
     return [(a, b) for a, b in itertools.combinations(features, 2) if not (a in BENDINGS and b in BENDINGS)]
 
 
@@ -142,7 +142,7 @@ def add(sheet: str, cost: Cost, report: Report) -> None:
 
 
 def measured(sheet: str, options: argparse.Namespace) -> Cost:
-    """Time frames of a kind of cloth with no feature, each alone, and each pair."""
+    """Time frames of a kind of cloth without features, with each one, and with each pair."""
     wanted = [frozenset[str](), *(frozenset([name]) for name in options.features)]
     wanted += [frozenset(pair) for pair in pairs(tuple(options.features))]
     limit = min(_limit(scene(sheet, options.resolution, names)) for names in wanted)
@@ -167,9 +167,9 @@ def _to_base(turns: Turns, number: int) -> float:
 
 
 def scene(sheet: str, resolution: int, features: frozenset[str], *, step: float = 0.0) -> Scene:
-    """The default cloth, as a grid or as an irregular mesh, without bending and gripper, with features added."""
+    """Return the default cloth as grid or irregular mesh, without bending and gripper, with features added."""
     values = parameter_file.read(DEFAULT_CLOTH, node="cloth_sim", strict=True)
-    # Without air across the sheet, which is a feature.
+    # Drag normal to the sheet is a feature.
     values |= {"wind.normal_drag": 0.0, "integrator": "leapfrog", "step": step, "grippers": [""]}
     files: dict[str, bytes] = {}
     if sheet == "grid":
@@ -194,7 +194,7 @@ def scene(sheet: str, resolution: int, features: frozenset[str], *, step: float 
 
 
 def turn(wanted: Scene) -> Callable[[], None]:
-    """Return what runs some frames of a scene, from the same state each time."""
+    """Return a function that runs some frames of a scene from a fixed state."""
     simulation = Simulation(wanted)
     corner = lower_corner(simulation)
 
@@ -226,13 +226,13 @@ def turn(wanted: Scene) -> Callable[[], None]:
 
 
 def lower_corner(simulation: Simulation) -> Array:
-    """Where the particle at the lower right of a hung sheet is, whatever its number [m]."""
+    """Return the position of the lower right particle of a hung sheet [m], (3,)."""
     positions = simulation.positions
     return np.asarray(positions[np.argmax(positions[:, 0] - positions[:, 2])])
 
 
 def _limit(wanted: Scene) -> float:
-    """Longest stable step of a scene's cloth as it starts, held by its gripper [s]."""
+    """Return the longest stable step of a scene's initial, grasped cloth [s]."""
     simulation = Simulation(attrs.evolve(wanted, step=0.0))
     if wanted.gripper_names:
         simulation.advance([Target("gripper", lower_corner(simulation)), Grasp("gripper", True)])

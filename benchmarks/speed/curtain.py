@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How fast the sheets that other engines are given run here as shipped, and how far off they end."""
+"""Speed and error of the product on the curtain and corner scenes."""
 
 from __future__ import annotations
 
@@ -18,33 +18,33 @@ from benchmarks.timing import take_turns
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.forces.force import Array
 
-#: Frames of `PERIOD` after which a scene's error is taken: 0.5 s, and 0.3 s at N = 128, where a kick grows faster.
+#: Frames of `PERIOD` until the error measurement: 0.5 s, and 0.3 s at N = 128, where perturbations grow faster.
 SCORED_FRAMES = {16: 30, 32: 30, 64: 30, 128: 18}
 #: Largest error that counts as accurate [m].
 ACCURATE = 1e-3
-#: Tolerances of the reference and of its check. Stability sets the step of an explicit method here: they end far below.
+#: Tolerances of the reference and of its check. Stability limits the step here, so errors end far below them.
 _TOLERANCE, _CHECK = 1e-10, 1e-9
 
 
 @attrs.frozen(eq=False)
 class Run:
-    """One run of a scene as shipped."""
+    """Run of a scene as shipped."""
 
-    #: Wall time of the frames alone, without making the sheet [s].
+    #: Wall time of the frames, without set-up [s].
     seconds: float
-    #: Where the particles end [m], shape (3, n).
+    #: Final positions [m], shape (3, n).
     positions: Array
     #: Force evaluations of all frames.
     evaluations: int
-    #: What the integrator says of its last frame.
+    #: Reason of the integrator's last choice.
     reason: str
 
 
 def scored(scene: Callable[[int], Problem], resolution: int) -> Problem:
-    """`curtain` (scene C) or `corner_drop` (scene A) up to the time at which its error is taken.
+    """Return `curtain` (scene C) or `corner_drop` (scene A) up to the time of the error measurement.
 
     Raises:
-        ValueError: for a resolution at which none of them was found well conditioned.
+        ValueError: for a resolution without a well-conditioned time.
     """
     if resolution not in SCORED_FRAMES:
         known = ", ".join(str(known) for known in SCORED_FRAMES)
@@ -53,12 +53,12 @@ def scored(scene: Callable[[int], Problem], resolution: int) -> Problem:
 
 
 def trusted(problem: Problem) -> Reference:
-    """Compute the reference of a large sheet: a minute at N = 128."""
+    """Compute the reference solution; it takes a minute at N = 128."""
     return reference(problem, tolerance=_TOLERANCE, check=_CHECK)
 
 
 def run(problem: Problem, *, tolerance: float) -> Run:
-    """Move a scene frame by frame, as a simulation does, with the integrator and the step chosen for it."""
+    """Run a scene frame by frame with automatic integrator and step, as a simulation does."""
     plan, state = problem.build()
     integrator = make_integrator("auto", tolerance=tolerance)
     evaluations, reason, begin = 0, "", time.perf_counter()
@@ -70,7 +70,7 @@ def run(problem: Problem, *, tolerance: float) -> Run:
 
 @contextlib.contextmanager
 def cores(*, one: bool) -> Iterator[None]:
-    """Let this thread, and those that it starts, run on one core alone; a plan made within has one thread."""
+    """Restrict this thread and its children to one core; a plan compiled within has one thread."""
     allowed = os.sched_getaffinity(0)
     if one:
         os.sched_setaffinity(0, {max(allowed)})
@@ -88,9 +88,9 @@ class CurtainSpeed:
     one_core: bool
     #: Simulated seconds per wall second of each run.
     factors: list[float]
-    #: Force evaluations in a frame, on average.
+    #: Mean force evaluations per frame.
     evaluations: float
-    #: Largest distance of a particle from its place in the reference at the end [m].
+    #: Largest final position error against the reference [m].
     error: float
     reason: str
 
@@ -103,7 +103,7 @@ class CurtainSpeed:
 def curtain_speeds(
     problem: Problem, known: Reference, *, tolerances: tuple[float, ...], seconds: float
 ) -> list[CurtainSpeed]:
-    """Run a scene in turns at each tolerance, on all cores and on one, for about so many seconds."""
+    """Run a scene in turns at each tolerance, on all cores and on one, for about `seconds`."""
     kinds = [(tolerance, one) for tolerance in tolerances for one in (False, True)]
     runs: dict[str, list[Run]] = {str(kind): [] for kind in kinds}
 
@@ -117,7 +117,7 @@ def curtain_speeds(
     take_turns({str(kind): candidate(*kind) for kind in kinds}, seconds=seconds)
     speeds = []
     for tolerance, one in kinds:
-        # The first warmed up.
+        # The first run is a warm-up.
         counted = runs[str((tolerance, one))][1:]
         speeds.append(
             CurtainSpeed(
@@ -133,6 +133,6 @@ def curtain_speeds(
 
 
 def loosest_accurate(speeds: list[CurtainSpeed]) -> CurtainSpeed | None:
-    """Of those on all cores, the one with the largest tolerance whose error is at most `ACCURATE`; None without."""
+    """Return the run on all cores with the largest tolerance and an error of at most `ACCURATE`, or None."""
     good = [speed for speed in speeds if not speed.one_core and speed.error <= ACCURATE]
     return max(good, key=lambda speed: speed.tolerance) if good else None

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a feature costs where it is not used: against a loop made by hand, feature by feature, and by counts."""
+"""Cost of unused features: against a hand-written loop, by feature, by counts."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from cloth_sim_ros.simulation.simulation import Simulation
 from validation.command import child
 from validation.report import Report, Table
 
-#: A frame takes at most so many times that of the loop made by hand.
+#: Largest ratio of a frame to one of the hand-written loop.
 MAX_HAND_WRITTEN_RATIO = 1.02
-#: A frame that is slept through takes at most this part of one that moves.
+#: Largest ratio of a sleeping frame to a moving one.
 MAX_SLEEP_RATIO = 0.03
 PARTS = ("hand", "features", "counts", "outputs", "start")
-#: Scenes of which the modules are looked at.
+#: Scenes whose loaded modules are listed.
 _SCENES: dict[str, dict[str, Any]] = {
     "default": {},
     "crossed bending": {"bending.model": "crossed", "material.bending_modulus": 1e-5},
@@ -49,8 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Measure what was asked for."""
-    report = Report("What is not used costs nothing", "python -m benchmarks feature-cost")
+    """Measure the selected parts."""
+    report = Report("Cost of features", "python -m benchmarks feature-cost")
     parts: dict[str, Callable[[argparse.Namespace, Report], None]] = {
         "hand": _hand,
         "features": _features,
@@ -62,14 +62,14 @@ def run(options: argparse.Namespace) -> Report:
         if part in options.only:
             parts[part](options, report)
     report.notes.append(
-        "candidates take turns on one core, by their processor time; ratios are medians over the rounds"
+        "candidates are interleaved on one core and timed by processor time; ratios are medians over the rounds"
     )
     return report
 
 
 def _hand(options: argparse.Namespace, report: Report) -> None:
     columns = ["N", "scene", "frame ms", "to the loop by hand", "that loop to itself", "to its steps alone", "more us"]
-    table = Table("A simulation's frame against a loop made by hand of the engine's calls that it needs", columns)
+    table = Table("A simulation's frame against a hand-written loop of the necessary engine calls", columns)
     scenes = {"springs alone": BARE, "springs, damping, drag, gravity": FORCES}
     for resolution in options.sizes:
         makers: dict[str, Callable[[], Callable[[], Any]]] = {}
@@ -104,16 +104,16 @@ def _running(variant: Variant, resolution: int) -> Callable[[], Any]:
     return Running(variant, resolution).frame
 
 
-#: Frames in one turn: more than one, so that the caches are a candidate's own.
+#: Frames per turn: several, so that the caches hold the candidate's own data.
 _FRAMES_A_TURN = 3
 
 
 def _frame_times(
     makers: Mapping[str, Callable[[], Callable[[], Any]]], *, copies: int, seconds: float
 ) -> dict[str, list[float]]:
-    """Time of a frame of each candidate, round by round [s]: on one core, of several copies the fastest.
+    """Return the frame time of each candidate by round [s], on one core, as the fastest of several copies.
 
-    Where in memory the arrays of a copy happen to lie makes one in seven slower by up to an eighth.
+    Copies are needed because the memory layout slows one in seven by up to an eighth.
     """
 
     def turn(frame: Callable[[], Any]) -> Callable[[], None]:
@@ -124,7 +124,7 @@ def _frame_times(
         return frames
 
     with cores(one=True):
-        # A copy of each, then the next of each, so that none has the better part of the memory.
+        # Copies of the candidates alternate, so that none has better memory.
         made = {(name, k): turn(make()) for k in range(copies) for name, make in makers.items()}
         candidates = {f"{name}#{k}": frames for (name, k), frames in made.items()}
         turns = take_turns(candidates, seconds=seconds, clock=time.thread_time)
@@ -143,7 +143,7 @@ def _ratio(mine: list[float], theirs: list[float]) -> float:
 
 def _features(options: argparse.Namespace, report: Report) -> None:
     columns = ["N", "feature", "is", "frame ms", "to a frame without"]
-    table = Table("What a feature costs", columns)
+    table = Table("Cost of a feature", columns)
     for resolution in options.sizes:
         everything = variants()
         makers = {variant.name: partial(_running, variant, resolution) for variant in everything}
@@ -181,7 +181,7 @@ def _counts(options: argparse.Namespace, report: Report) -> None:
 
 
 def _ask(module: str, report: Report) -> dict[str, Any] | None:
-    """What a measurement of the node prints. In a process of its own: nothing here may load ROS."""
+    """Run a measurement of the node in its own process, because this one must not load ROS; return its output."""
     done = subprocess.run(**child(f"benchmarks.ros.{module}"), check=False, capture_output=True, text=True)
     try:
         told: dict[str, Any] = json.loads(done.stdout)
@@ -195,9 +195,7 @@ def _outputs(_options: argparse.Namespace, report: Report) -> None:
     told = _ask("outputs", report)
     if told is None:
         return
-    table = Table(
-        f"What outputs add to a frame of {told['particles']} particles", ["there is", "frame ms", "to nobody"]
-    )
+    table = Table(f"Cost of outputs in a frame of {told['particles']} particles", ["there is", "frame ms", "to nobody"])
     for name, found in told["presences"].items():
         table.rows.append([name, found["median_ms"], found["to_nobody"]])
     report.tables.append(table)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A frame put together by hand from just the engine's calls that it needs: what a simulation is held against."""
+"""Hand-written frame loop of the necessary engine calls, as a baseline."""
 
 from __future__ import annotations
 
@@ -17,25 +17,24 @@ from cloth_sim_ros.scene.scene import Scene
 
 
 class HandMadeLoop:
-    """Frames of a bare grid: at most axial bending, no grippers, no tolerance, no diagnostics.
+    """Hand-written loop for a bare grid: at most axial bending, no grippers, no tolerance, no diagnostics.
 
-    The only choice it makes is the number of steps, by the stability limit at the end of the frame before. It uses one
-    thread and one call of the engine a frame, whose request is made once. A simulation of such a scene makes the same
-    motion, to the last bit.
+    Its only choice is the number of steps, by the stability limit at the end of the previous frame. It uses one thread
+    and one engine call per frame, with a reused request. A simulation of such a scene gives the same bits.
 
     Args:
         scene: configuration.
 
     Raises:
-        ValueError: for a scene that it is not made for.
+        ValueError: for an unsupported scene.
     """
 
     def __init__(self, scene: Scene) -> None:
         if scene.gripper_names or scene.cloth.mesh or scene.cloth.springs or scene.tolerance:
-            raise ValueError("the loop made by hand has no grippers, mesh, raw springs or tolerance")
+            raise ValueError("the hand-written loop has no grippers, mesh, raw springs or tolerance")
         if scene.bending.model not in ("none", "axial"):
-            raise ValueError(f"the loop made by hand has no bending model '{scene.bending.model}'")
-        # Kept: the engine's side of it goes when it does.
+            raise ValueError(f"the hand-written loop has no bending model '{scene.bending.model}'")
+        # The plan owns the engine's data and must stay alive.
         self._plan = scene.plan()
         self._handle = self._plan._handle
         self._library = library()
@@ -47,12 +46,12 @@ class HandMadeLoop:
         self.steps = 0
         self._counts = np.zeros(1, dtype=np.int64)
         self._summary = np.zeros(SUMMARY_NUMBERS)
-        #: Positions and velocities of the run that is made, and of the one before, which the next one starts from.
+        #: Positions and velocities [m, m/s] of the current run and of the previous one, from which the next starts.
         self._ends = np.empty((1, 2, *self.x.shape)), np.empty((1, 2, *self.x.shape))
         self._frame = Frame(duration=self._period, runs=1, steps=self._counts.ctypes.data, bands=1, combined=1)
 
     def frame(self) -> None:
-        """One frame: its start kept, as many steps as stability asks for, their end looked at.
+        """Run one frame with the stable number of steps, and check its end.
 
         Raises:
             ValueError: if the motion does not stay finite.
@@ -64,7 +63,7 @@ class HandMadeLoop:
         self._limit = leapfrog_limit(float(self._summary[1]), float(self._summary[2]))
 
     def bare_frame(self) -> None:
-        """The steps alone: nothing is kept, nothing is looked at."""
+        """Run the steps of a frame without the check."""
         self._counts[0] = self.steps = steps_for(self._period, CONSTANTS.stability_safety * self._limit)
         frame = self._frame
         frame.x0, frame.v0, frame.out = self.x.ctypes.data, self.v.ctypes.data, self._ends[0].ctypes.data

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Time of the engine on a grid: per spring against a C kernel, and on two threads against one.
+"""Engine time on a grid: per spring against C, two threads against one.
 
 Scene: the square sheet of `raw_sheet`, six damped families, gravity and drag.
 """
@@ -24,13 +24,13 @@ from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.plan import Plan
 
-#: So short [s] that nothing moves, however many steps are timed.
+#: Step too short to move anything [s].
 _STILL = 1e-9
-#: Steps more of the long one of two runs whose difference is a step's time, at least.
+#: Smallest difference in steps of the two runs whose time difference gives a step's time.
 _FEWEST_STEPS = 40
 #: Particles times steps in one turn of a candidate: a few milliseconds.
 _UPDATES_A_TURN = 1_000_000
-#: Share of the longest stable step that the runs compared for their bits take.
+#: Step as a share of the stability limit in the runs whose bits are compared.
 _SHARE = 0.9
 
 
@@ -38,9 +38,9 @@ _SHARE = 0.9
 class KernelTime:
     """Nanoseconds per spring, medians.
 
-    `c`: one evaluation of the C kernel, forces alone; None without a C compiler. `step`: a whole step of the engine,
-    what a run costs beside its steps left out. `ratio`: step to C, the median over rounds. `accelerations`: one
-    evaluation asked for by itself, copying the state included; None in single precision, in which there is none.
+    `c` is one force evaluation of the C kernel; None without a C compiler. `step` is a whole step of the engine,
+    without the cost per run. `ratio` is step to C, the median over rounds. `accelerations` is a separate evaluation
+    that includes a copy of the state; None in single precision, which lacks it.
     """
 
     resolution: int
@@ -53,9 +53,10 @@ class KernelTime:
 
 @attrs.frozen(kw_only=True)
 class ThreadGain:
-    """What a second thread brings to a frame of 1/60 s; `same`: whether both moved the sheet to the same bits.
+    """Gain of a second thread in a frame of 1/60 s.
 
-    `most`: by how much more two sheets that share nothing get done on two threads than one on one.
+    `same_bits` tells if both give the same bits. `most` is the gain in throughput of two independent sheets on two
+    threads over one sheet on one thread.
     """
 
     resolution: int
@@ -96,7 +97,7 @@ def kernel_time(resolution: int, dtype: Any, *, compiler: str | None, seconds: f
         candidates["c"] = lambda: kernel.evaluate(steps)
     turns = take_turns(candidates, seconds=seconds, clock=time.thread_time)
     unit = 1e9 / (steps * len(sheet.sheet().pairs))
-    # What the steps more of the long run took, round by round [s].
+    # Time of the additional steps of the long run, by round [s].
     whole = [many - few for many, few in zip(turns.seconds["many"], turns.seconds["few"], strict=True)]
     ratio = None
     if compiler is not None:
@@ -112,19 +113,19 @@ def kernel_time(resolution: int, dtype: Any, *, compiler: str | None, seconds: f
 
 
 def thread_gain(resolution: int, dtype: Any, *, seconds: float) -> ThreadGain:
-    """Time frames of scene C, as many steps a call as it needs there, on one thread and on two, for about `seconds`.
+    """Time frames of scene C with stable steps on one thread and on two, for about `seconds`.
 
-    Each call includes what it costs to start the second thread.
+    Each call includes the start of the second thread.
     """
     sheet = RawSheet(resolution=resolution, drag=1.0)
     plan, start = sheet.plan(sheet.index[0]), _start(sheet)
     single = np.dtype(dtype) == np.float32
     steps = int(np.ceil(PERIOD / (_SHARE * leapfrog_limit(*plan.spectral_bounds(start[0])))))
-    # As many frames a turn as make some milliseconds.
+    # Enough frames per turn for some milliseconds.
     frames = max(_UPDATES_A_TURN // (steps * resolution**2), 1)
 
     def repeat(which: Plan, threads: int) -> None:
-        # Frames of hardly any length: they do all that others do.
+        # Frames of negligible duration cost as much as others.
         for _ in range(frames):
             which.runs(0.0, steps * _STILL, start, [steps], single_precision=single, threads=threads)
 

@@ -1,7 +1,9 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How fast: ns per spring against hand-vectorised C, what a step of other forces costs, real-time factor of scene C, a
-stiff sheet in real time, two threads against one.
+"""Speed of the engine: kernels, plans, scene C, a stiff sheet, threads.
+
+Times per spring are compared with hand-vectorised C. Other tables list steps with further forces, the real-time factors
+of scene C and of a stiff sheet, and the gain of a second thread.
 """
 
 from __future__ import annotations
@@ -21,17 +23,17 @@ from benchmarks.speed.kernels import kernel_time, thread_gain
 from benchmarks.speed.plans import PlanTime, bending_time, force_times, grip_time, mesh_time
 from validation.report import Plot, Report, Table
 
-#: A whole step takes at most so many times what the C kernel takes for the forces alone.
+#: Largest ratio of a whole step to the forces of the C kernel.
 MAX_KERNEL_RATIO = 1.0
-#: Simulated seconds per wall second that scene C reaches at least, by N, with an error of at most a millimetre.
+#: Smallest real-time factor of scene C, by N, with an error of at most 1 mm.
 MIN_CURTAIN_SPEEDS = {32: 25.0, 64: 8.0, 128: 1.5}
-#: Two threads are at least so many times as fast as one, from so many particles a side.
+#: Smallest gain of two threads over one, and the particles a side from which it applies.
 MIN_THREAD_GAIN, THREADS_FROM = 1.7, 96
-#: Tolerances that scene C is run with: the loosest that holds the millimetre counts. The first is the default.
+#: Tolerances of scene C [m]: the loosest with an error of at most 1 mm counts. The first is the default.
 TOLERANCES = (1e-3, 1e-4)
 #: Grids for bending models and for grippers, particles a side.
 PLAN_GRID = 64
-#: What the moduli of scene H are multiplied by, and its frames: 0.5 s.
+#: Factor of the moduli of scene H, and its number of frames: 0.5 s.
 STIFFNESS, STIFF_FRAMES = 1000.0, 30
 PARTS = ("kernels", "plans", "curtain", "stiff", "threads")
 
@@ -52,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> Report:
-    """Measure what was asked for."""
+    """Measure the selected parts."""
     report = Report("Speed", "python -m benchmarks speed")
     parts: dict[str, Callable[[argparse.Namespace, Report], None]] = {
         "kernels": _kernels,
@@ -74,7 +76,7 @@ def run(options: argparse.Namespace) -> Report:
 def _kernels(options: argparse.Namespace, report: Report) -> None:
     compiler = find_compiler()
     if compiler is None:
-        report.notes.append("no C compiler here ($CC, cc, gcc, clang): our engine alone, nothing to compare them with")
+        report.notes.append("no C compiler here ($CC, cc, gcc, clang): the engine is timed without a comparison")
     columns = ["N", "precision", "C forces", "whole step", "to C", "accelerations by themselves"]
     table = Table("Nanoseconds per spring, one core", columns)
     lines: dict[str, list[tuple[float, float]]] = {}
@@ -179,8 +181,8 @@ def _threads(options: argparse.Namespace, report: Report) -> None:
                 )
     report.tables.append(table)
     report.notes.append(
-        "two sheets apart: by how much more two sheets that share nothing get done on two threads than one on one: "
-        "what the machine's cores have to give"
+        "two sheets apart: gain in throughput of two independent sheets on two threads over one sheet on one thread, "
+        "the limit of the machine"
     )
 
 

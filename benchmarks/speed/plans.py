@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a step costs with other forces than a grid's springs: meshes, hinges, grippers, air, a force in numpy."""
+"""Step time of meshes, hinges, grippers, air, and a force in numpy."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 
-#: A step so short [s] that nothing moves, however many are timed.
+#: Step too short to move anything [s].
 _STILL = 1e-9
 #: Particles times steps of one turn: some milliseconds.
 _UPDATES_A_TURN = 500_000
@@ -33,7 +33,7 @@ _FEWEST_STEPS = 20
 
 @attrs.frozen(kw_only=True)
 class PlanTime:
-    """Nanoseconds per particle and step: the median, and what the plan says by which integrators are chosen."""
+    """Nanoseconds per particle and step: the median, and the plan's estimate for the choice of integrator."""
 
     particles: int
     step: float
@@ -41,7 +41,7 @@ class PlanTime:
 
 
 def mesh_time(particles: int, *, seconds: float) -> PlanTime:
-    """Time an irregular mesh, damped, in air, with about so many vertices in random order."""
+    """Time an irregular, damped mesh in air, with about `particles` vertices in random order."""
     sheet = shuffled_sheet(particles)
     springs = sheet.springs(stretch_modulus=1000.0, k_d0=0.2, density=0.2)
     model = Model(sheet.masses(0.2), [springs, Gravity(), Drag(0.5)], anchors=[0])
@@ -63,7 +63,7 @@ def bending_time(resolution: int, bending: str, *, seconds: float) -> PlanTime:
 
 
 def grip_time(resolution: int, *, turning: bool, seconds: float) -> PlanTime:
-    """Time a square grid held by a gripper that moves, and turns or not."""
+    """Time a square grid held by a gripper that moves and, if `turning`, rotates."""
     simulation = Simulation(
         Scene.from_parameters({"cloth.resolution": [resolution, resolution], "wind.normal_drag": 0.0})
     )
@@ -78,13 +78,13 @@ def grip_time(resolution: int, *, turning: bool, seconds: float) -> PlanTime:
 
 
 def shuffled_sheet(particles: int) -> MeshSheet:
-    """A square sheet of irregular triangles whose vertices come in random order."""
+    """Return a square sheet of irregular triangles with vertices in random order."""
     rest, triangles = shuffled_mesh(particles)
     return MeshSheet(rest_positions=rest, surface=Surface.from_triangles(triangles))
 
 
 class _Swirl(Force):
-    """What a user may write: a force of a few lines of numpy."""
+    """Example of a user-defined force in numpy."""
 
     name = "swirl"
 
@@ -94,7 +94,7 @@ class _Swirl(Force):
 
 
 def force_times(resolution: int, *, seconds: float) -> list[tuple[str, PlanTime]]:
-    """Time a square grid with air on its surface, and with a force in numpy."""
+    """Time a square grid with air drag on its surface, and with a force in numpy."""
     scene = Scene.from_parameters({"cloth.resolution": [resolution, resolution], "wind.normal_drag": 1.0})
     windy, x = scene.plan(), np.ascontiguousarray(scene.initial_positions().T)
     plain = scene.changed({"wind.normal_drag": 0.0}).plan().model

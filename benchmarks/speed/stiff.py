@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a sheet that is too stiff for explicit steps holds real time as shipped, frame by frame."""
+"""Real-time factor of a sheet too stiff for explicit steps."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from benchmarks.timing import take_turns
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.forces.force import Array
 
-#: Target of the position error [m], of which the sheet as shipped is held to the whole at the end.
+#: Tolerance, and bound of the final position error of the sheet as shipped [m].
 TOLERANCE = 1e-3
-#: What is compared: as shipped, and explicit steps at their stability limit without error control.
+#: Compared integrators: as shipped, and explicit at the stability limit without error control.
 STEPPERS: dict[str, tuple[str, float | None]] = {"as shipped": ("auto", TOLERANCE), "explicit": ("leapfrog", None)}
 
 
@@ -27,11 +27,11 @@ class StiffSpeed:
     """Runs of a scene by one stepper."""
 
     name: str
-    #: Names of the integrators that ran.
+    #: Names of the integrators used.
     integrators: tuple[str, ...]
     #: Wall times of frames [s], shape (runs, frames).
     frames: Array
-    #: Largest distance of a particle from its place in the reference at the end [m].
+    #: Largest final position error against the reference [m].
     error: float
 
     @property
@@ -41,12 +41,12 @@ class StiffSpeed:
 
     @property
     def late(self) -> float:
-        """Share of the frames that took longer than they last."""
+        """Share of frames that took longer than their period."""
         return float(np.mean(self.frames > PERIOD))
 
 
 def stiff_speeds(problem: Problem, known: Reference, *, seconds: float) -> list[StiffSpeed]:
-    """Run a scene in turns by each of `STEPPERS`, for about so many seconds."""
+    """Run a scene in turns by each of `STEPPERS`, for about `seconds`."""
     times: dict[str, list[list[float]]] = {name: [] for name in STEPPERS}
     ends: dict[str, tuple[tuple[str, ...], Array]] = {}
 
@@ -63,7 +63,7 @@ def stiff_speeds(problem: Problem, known: Reference, *, seconds: float) -> list[
     speeds = []
     for name in STEPPERS:
         integrators, x = ends[name]
-        # The first warmed up.
+        # The first run is a warm-up.
         frames = np.array(times[name][1:])
         error = known.deviation(problem.frames, x)
         speeds.append(StiffSpeed(name=name, integrators=integrators, frames=frames, error=error))
@@ -71,7 +71,7 @@ def stiff_speeds(problem: Problem, known: Reference, *, seconds: float) -> list[
 
 
 def _run(problem: Problem, name: str, tolerance: float | None) -> tuple[list[float], tuple[str, ...], Array]:
-    """Wall times of the frames [s], the integrators that ran, and where the particles end."""
+    """Return wall times of the frames [s], integrators used, and final positions [m], (3, n)."""
     plan, state = problem.build()
     integrator = make_integrator(name, tolerance=tolerance)
     spent, names = [], dict[str, None]()

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Symmetric band matrices of 3x3 blocks, an order that keeps them narrow, and sums in a fixed order (core/band.hpp).
 
-A matrix is an array made by `rows`. Block row I holds the blocks J = I ... I + width of the upper half: the entry
-(3 I + r, 3 J + c) is ``rows[I, r, 3 (J - I) + c]``. The padding stays zero.
+A matrix is an array made by `rows`. Block row I holds the blocks J = I ... I + width of the upper half.
+The entry (3 I + r, 3 J + c) is ``rows[I, r, 3 (J - I) + c]``. The padding stays zero.
 """
 
 from __future__ import annotations

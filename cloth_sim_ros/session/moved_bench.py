@@ -1,8 +1,8 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Old command `cloth_bench`, kept for one release: names the command that took its place.
+"""Stub of the old command `cloth_bench`, kept for one release; it names the new command.
 
-It stands in this room because every command begins here and nothing of the package is imported.
+The module imports nothing of the package, so that it starts fast.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The measurement of many cloths: a short sample of it, and that it tells what is not met."""
+"""Benchmark of many cloths: a short run, and its report of missed targets."""
 
 import pytest
 

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The measurement of contact: a short sample of it, and that it tells what is not met."""
+"""Benchmark of contact: a short run, and its report of missed targets."""
 
 import math
 from pathlib import Path
@@ -41,7 +41,7 @@ def test_contact_command_prints_a_table(capsys):
 
 
 def test_contact_command_reports_missed_targets(capsys, monkeypatch):
-    # A sheet that lies on a slope that is too steep for it.
+    # The slope is too steep for the sheet.
     monkeypatch.setattr(contact, "NEAR", -5.0)
     assert main(["contact", "--parts", "drift", "--drift", "0.5"]) == 1
     assert "NOT MET" in capsys.readouterr().out
@@ -49,7 +49,7 @@ def test_contact_command_reports_missed_targets(capsys, monkeypatch):
 
 def test_pinch_holds_the_weight_and_reports_missed_targets(capsys, monkeypatch):
     assert main(["contact", "--parts", "pinch", "--drift", "0.5"]) == 0
-    monkeypatch.setattr(contact_pinch, "OFF", -0.01)  # What is to slide is held, and the other way round.
+    monkeypatch.setattr(contact_pinch, "OFF", -0.01)  # Swaps the expectations of sliding and holding.
     monkeypatch.setattr(contact_pinch, "GIVES", 0.0)
     assert main(["contact", "--parts", "pinch", "--drift", "0.1"]) == 1
     told = capsys.readouterr().out
@@ -96,7 +96,7 @@ def test_fold_grippers_close_and_open():
 def test_self_contact_cost_is_reported(capsys, monkeypatch):
     monkeypatch.setattr(contact_self, "THICKNESSES", {12: 4e-3})
     monkeypatch.setattr(contact_self, "HUNG", (6,))
-    # What it costs depends on the machine.
+    # The cost depends on the machine.
     main(["contact", "--parts", "folds", "hanging", "--fold", "0.2", "--seconds", "0.1"])
     out = capsys.readouterr().out
     assert "12 x 12" in out

@@ -39,6 +39,6 @@ def test_a_small_run_reports_ratios(tmp_path, capsys):
     status = main(["feature-cost", "--only", "hand", "--sizes", "8", "--copies", "1", "--seconds", "0.01"])
     told = capsys.readouterr().out
     assert "| 8  | springs alone" in told or "| 8 | springs alone" in told
-    # At this size Python counts for more than the engine: the promise is broken, and said to be.
+    # At this size Python costs more than the engine, so the target is missed.
     assert status == 1
     assert "NOT MET" in told

@@ -24,7 +24,7 @@ from benchmarks.peers.environment import EnvironmentUnusable
 from benchmarks.peers.jobs import Attempt, Peer, PeerFailed
 from benchmarks.peers.solvers import PEERS, REQUIREMENTS
 
-# Its sheet grows a little with every step that is longer than it bears; variants are its faults.
+# Its sheet grows with every step above the stability limit; variants are its faults.
 ENGINE = """
 import os
 import signal
@@ -142,7 +142,7 @@ def test_attempt_reports_whether_the_sheet_is_whole(stand_in: Peer, sheet: Path,
 def test_slow_engine_stops_at_the_time_limit(stand_in: Peer, sheet: Path, environment: Path) -> None:
     slow = attempt(attrs.evolve(stand_in, variant="slow"), sheet, environment, 20, frames=1000, seconds=0.05)
     assert slow.whole
-    # Within the first frame already.
+    # The limit applies within the first frame.
     assert slow.n_steps < 20
     assert slow.simulated == pytest.approx(slow.n_steps / 20 / 60)
     assert slow.wall >= 0.05
@@ -156,13 +156,15 @@ def test_slow_engine_stops_at_the_time_limit(stand_in: Peer, sheet: Path, enviro
         ("turned", "the engine's sheet starts 1 m off"),
     ],
 )
-def test_failed_engine_reports_the_reason(variant: str, said: str, stand_in: Peer, sheet: Path, environment: Path) -> None:
+def test_failed_engine_reports_the_reason(
+    variant: str, said: str, stand_in: Peer, sheet: Path, environment: Path
+) -> None:
     with pytest.raises(PeerFailed, match=said):
         attempt(attrs.evolve(stand_in, variant=variant), sheet, environment, 20)
 
 
 def search_longest_step(bears: int) -> tuple[list[int], Attempt | None]:
-    """Search for the longest step of an engine whose sheet stays whole with so many steps a frame or more."""
+    """Search the longest step of an engine whose sheet stays whole from `min_steps` steps per frame on."""
     tried: list[int] = []
 
     def run(steps: int) -> Attempt:
@@ -238,7 +240,7 @@ def real_environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing answers where pip asks, and it knows no other place."""
+    """Point pip to an index that does not answer."""
     monkeypatch.setenv("PIP_CONFIG_FILE", "/dev/null")
     monkeypatch.setenv("PIP_INDEX_URL", "http://127.0.0.1:9/simple")
     for name in ("PIP_FIND_LINKS", "PIP_EXTRA_INDEX_URL"):
@@ -261,15 +263,13 @@ def test_peers_are_absent_without_a_network(
     for name in ("pybullet", "pyPBD"):
         (note,) = [note for note in written["notes"] if note.startswith(f"ABSENT: {name}:")]
         assert "not installed, and the package index is out of reach" in note
-    # The second is not asked for in vain.
+    # After the first failure no second installation is tried.
     said = capsys.readouterr().err
     assert "installing pybullet==3.2.7" in said
     assert "installing pyPBD" not in said
 
 
-def test_peer_without_a_wheel_is_absent(
-    real_environment: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_peer_without_a_wheel_is_absent(real_environment: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     said: list[str] = []
     script = "import importlib.metadata as m; print(m.version('pip'))"

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`python -m benchmarks peers-contact` without peers: made-up motions, ours for some frames, a stand-in engine."""
+"""`python -m benchmarks peers-contact` without peers: synthetic motions, short product runs, a stand-in engine."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from validation.report import Report
 TRIANGLE = np.array([[0, 1, 2]])
 RESOLUTION = 8
 
-# It sinks by a millimetre a frame, and held particles go where they are led; variants are its faults.
+# It sinks by 1 mm a frame, and held particles follow their path; variants are its faults.
 ENGINE = """
 import time
 
@@ -104,12 +104,12 @@ def stand_in(tmp_path: Path) -> ContactPeer:
 
 
 def short(name: str, frames: int) -> Contest:
-    """The first frames of a scene."""
+    """Return a scene cut to some frames."""
     return attrs.evolve(peer_scenes.CONTESTS[name](RESOLUTION), duration=frames * PERIOD)
 
 
 def made_up(contest: Contest, frames: np.ndarray) -> Recording:
-    """A recording of given positions, in which pads stood still."""
+    """Return a recording of given positions with static pads."""
     pads = np.broadcast_to(contest.pad_places, (len(frames), *contest.pad_places.shape))
     return Recording(frames=frames, pads=pads, simulated=(len(frames) - 1) * PERIOD, wall=1.0)
 
@@ -123,7 +123,7 @@ def test_ball_depth_includes_triangle_interiors() -> None:
     found = contact_measures.depth_in_ball(np.array([outside, deep, outside]), TRIANGLE, 0.1)
     assert found == pytest.approx(0.004)
     assert contact_measures.depth_in_ball(np.array([outside]), TRIANGLE, 0.1) == 0.0
-    # Without area: its nearest side counts, here its far end. One that is a point alone tells nothing.
+    # Without area the nearest edge counts, here its far end. A triangle that is a point is ignored.
     flat = np.array([[0.0, 0.0, 0.2], [0.0, 0.0, 0.15], [0.0, 0.0, 0.09]])
     both = np.array([[0, 1, 2], [0, 0, 0]])
     assert contact_measures.depth_in_ball(flat[None], both, 0.1) == pytest.approx(0.01)
@@ -135,7 +135,7 @@ def test_depth_is_of_the_worst_frame() -> None:
     frames[:, :, 2] = [[0.1, 0.2], [-0.003, 0.2], [0.1, -0.001]]
     assert contact_measures.depth(frames, table, np.zeros(3)) == pytest.approx(0.003)
     assert contact_measures.depth(frames[:1], table, np.zeros(3)) == 0.0
-    # A solid that moves: by its place in each frame.
+    # A moving solid: its position in each frame counts.
     places = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -0.005], [0.0, 0.0, 0.0]])
     assert contact_measures.depth(frames, table, places) == pytest.approx(0.001)
 
@@ -157,7 +157,7 @@ def test_crossings_list_self_intersecting_frames() -> None:
 def test_ball_creep_is_of_the_fastest_particle() -> None:
     first = np.array([[0.0, 0.0, 0.102], [0.102, 0.0, 0.0], [0.0, 0.0, 0.12], [0.0, 0.102, 0.0]])
     last = first + np.array([[1e-6, 0.0, 0.0], [0.0, 3e-6, 0.0], [1e-3, 0.0, 0.0], [0.0, 0.01, 0.0]])
-    # Of the last two one never was on it, and one left it.
+    # Of the last two particles one was never on the ball, and one left it.
     found = contact_measures.creep_on_ball(np.array([first, first, last]), 0.5, 0.1, 0.003)
     assert found == pytest.approx(6e-6, rel=1e-3)
     assert math.isnan(contact_measures.creep_on_ball(np.array([first, last])[:, 2:3], 0.5, 0.1, 0.003))
@@ -172,13 +172,13 @@ def test_pinch_result_uses_the_clamped_particles() -> None:
     assert between.sum() == 4
     frames = np.repeat(start[None], 601, axis=0)
     seconds = np.arange(601) * PERIOD
-    # It comes to rest by a millimetre, and then creeps by 5 um/s; what hangs swings.
+    # The clamped part settles by 1 mm and then creeps by 5 um/s; the hanging part swings.
     frames[:, between, 2] -= (1e-3 * (seconds > 1.0) + 5e-6 * np.clip(seconds - 2.0, 0.0, None))[:, None]
     frames[:, ~between, 2] += 0.01 * np.sin(seconds)[:, None]
     result = peers_contact.judge(contest, "made up", made_up(contest, frames))
     assert result.creep == pytest.approx(5e-6)
     assert (result.depth, result.outcome, result.factor) == (0.0, "", pytest.approx(10.0))
-    # From 0.5 s on all of it is below the pads: nothing is said of creep.
+    # From 0.5 s on all particles are below the pads: the creep is unknown.
     frames[31:, :, 2] -= 0.06
     fallen = peers_contact.judge(contest, "made up", made_up(contest, frames))
     assert fallen.outcome == "dropped at 0.52 s"
@@ -197,31 +197,31 @@ def test_product_failures_are_violated_guarantees() -> None:
     peers_contact._promised(peers_contact.judge(contest, "ours", made_up(contest, frames)), report)
     assert report.failures == []
     frames[5, 20, 2] = -1e-4
-    # The edge that is carried ends below the other, the row next to it above.
+    # The carried edge ends below the other, the next row above it.
     frames[9, :RESOLUTION] = frames[9, -2 * RESOLUTION : -RESOLUTION] + [0.01, -0.01, -0.001]
     frames[9, RESOLUTION : 2 * RESOLUTION, 2] += 0.005
     result = peers_contact.judge(contest, "ours", made_up(contest, frames))
     assert (result.depth, result.crossed) == (pytest.approx(1e-4), 1)
     peers_contact._promised(result, report)
     assert report.failures == [
-        "fold: a particle of ours is 0.1 mm inside an obstacle",
-        "fold: ours goes through itself in 1 frames",
+        "fold: a particle of the product is 0.1 mm inside an obstacle",
+        "fold: the product intersects itself in 1 frames",
     ]
     held = attrs.evolve(result, scene="pinch", inside=0.0, crossed=None, creep=0.9e-6)
     for creep, count in ((0.9e-6, 2), (math.nan, 2), (1.1e-6, 3), (-1.1e-6, 4)):
         peers_contact._promised(attrs.evolve(held, creep=creep), report)
         assert len(report.failures) == count
-    assert report.failures[2] == "pinch: ours creeps by 1.1 um/s; at most 1"
+    assert report.failures[2] == "pinch: the product creeps by 1.1 um/s; at most 1"
     peers_contact._promised(attrs.evolve(held, outcome="dropped at 1.00 s"), report)
-    assert report.failures[4] == "pinch: ours is dropped at 1.00 s"
-    # On a ball it is particles that are promised: triangles between them are only told.
+    assert report.failures[4] == "pinch: the product is dropped at 1.00 s"
+    # On a ball only particles are guaranteed to stay outside; the depth of triangles is only reported.
     peers_contact._promised(attrs.evolve(held, scene="drape", depth=1e-3), report)
     assert len(report.failures) == 5
 
 
 def test_edge_path_leads_to_the_opposite_edge() -> None:
     way = peer_scenes.carried()
-    # Taken hold of in the first frame.
+    # The edge is grasped in the first frame.
     assert len(way) == 122
     assert not way[:2].any()
     assert way[-1] == pytest.approx([0.0, -0.3 + peer_scenes.SHORT, 1.5 * peer_scenes.THICKNESS])
@@ -242,7 +242,7 @@ def test_scene_tables_match_the_product_scene(name: str) -> None:
     assert tables["held"].tolist() == (list(range(8)) if name == "fold" else [])
     assert tables["path"].shape == ((122, 8, 3) if name == "fold" else (1, 0, 3))
     assert len(np.unique(tables["triangles"])) == len(tables["positions"])
-    # Ours gives bending a share of the stiffness along the threads, which peers' membranes keep.
+    # The product gives bending a share of the stiffness along the threads, which peers' membranes keep.
     springs = contest.scene.model().force("structural").pair_springs
     assert tables["retardation"] == pytest.approx(np.median(springs.damping / springs.rigidity), rel=0.06)
 
@@ -254,7 +254,7 @@ def test_product_carries_and_releases_the_edge() -> None:
     recording = peer_contact.ours(contest, 60.0)
     assert recording.frames.shape == (25, 64, 3)
     assert recording.simulated == pytest.approx(0.4)
-    # Springs of 1000 N/m hold it: they give by far less than the way of a frame, near the end 0.8 mm.
+    # Grips of 1000 N/m deflect by far less than the displacement per frame, near the end 0.8 mm.
     off = np.abs(recording.frames[:20, contest.held] - way).max()
     assert off < 0.3 * np.linalg.norm(way[-1] - way[-2], axis=1).min()
     assert recording.frames[19, contest.held, 2].min() > 0.009
@@ -272,7 +272,7 @@ def test_product_runs_the_drape_and_the_pinch() -> None:
     assert np.linalg.norm(fallen.frames, axis=2).min() < 0.1 + peer_scenes.THICKNESS
     pinch = short("pinch", 12)
     held = peer_contact.ours(pinch, 60.0)
-    # The pads have closed, and stay symmetric; the gap is the thickness on either side but for what 4 N press.
+    # The pads are closed and symmetric; the gap is the thickness on either side, less the compression by 4 N.
     assert held.pads[0] == pytest.approx(pinch.pad_places)
     half = held.pads[-1, 0, 1] - 0.5 * peer_scenes.PAD[1]
     assert 0.5 * peer_scenes.THICKNESS < half < peer_scenes.THICKNESS
@@ -289,7 +289,7 @@ def test_product_run_never_sleeps() -> None:
     contest = short("pinch", 150)
     contest = attrs.evolve(contest, scene=contest.scene.changed({"air.drag": 50.0}))
     recording = peer_contact.ours(contest, 60.0)
-    # Not one frame is the one before.
+    # Each frame differs from the one before.
     assert (np.diff(recording.frames, axis=0) != 0.0).any(axis=(1, 2)).all()
 
 
@@ -301,7 +301,7 @@ def test_peer_is_recorded_frame_by_frame(stand_in: ContactPeer, environment: Pat
     assert sunk[:, -1, 2] == pytest.approx([0.0, -1e-3, -2e-3, -3e-3, -4e-3])
     held = recording.frames[:, contest.held]
     assert held[1:3] == pytest.approx(contest.path[1:])
-    # Let go: it sinks as the others do.
+    # After the release it sinks like the others.
     assert held[4] == pytest.approx(contest.path[2] - [0.0, 0.0, 2e-3])
     assert (recording.simulated, recording.finite) == (pytest.approx(4 * PERIOD), True)
     assert recording.remarks == ["was watched"]
@@ -348,7 +348,7 @@ def test_report_lists_failed_and_absent_engines(
     ends = [row[-1] for row in table["rows"]]
     assert ends == ["", "", "FAILED", "ABSENT"] * 2
     assert table["rows"][2][2:8] == table["rows"][3][2:8] == ["-"] * 6
-    # The table is at 0, the sheet began a thickness above.
+    # The table is at 0, the sheet starts a thickness above.
     deep = dict(zip(table["columns"], table["rows"][5], strict=True))
     assert (deep["deepest mm"], deep["frames crossed"]) == (pytest.approx(1.0), 0)
     assert deep["seconds"] == pytest.approx(0.05)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The measurements of the node run, and clouds are built for those alone who want them."""
+"""Measurements of the node: they run, and clouds are built only for receivers."""
 
 import json
 import subprocess
@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def ask(name, *arguments):
-    """Run a measurement; return what it prints. Its figures are the machine's, and so is its status."""
+    """Run a measurement; return its output. Figures and status depend on the machine."""
     command = [sys.executable, "-m", "benchmarks", name, *arguments]
     done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True, timeout=300)
     assert done.returncode in (0, 1) and done.stdout, done.stderr
@@ -28,7 +28,7 @@ def ask(name, *arguments):
 
 
 def test_outputs_are_built_only_for_receivers():
-    # The measurement refuses to report if a cloud was built for nobody.
+    # The measurement fails if a cloud was built without receiver.
     told = ask("ros-outputs", "--resolution", "8", "--frames", "3")
     assert told["particles"] == 64
     assert set(told["presences"]) == {"nobody", "subscriber", "recorder", "both"}
@@ -56,7 +56,7 @@ def test_idle_node_reports_its_added_frame_time():
 
 def test_late_frames_are_counted_with_parameter_changes(ros_domain):
     told = ask("ros-node", "sets", "--seconds", "0.5", "--rounds", "1", "--resolution", "5")
-    # A thousand a minute, fewer where the machine is slow; all of them taken.
+    # A thousand changes a minute, fewer on a slow machine; none is refused.
     assert 1 <= told["set"] <= 12
     assert told["refused"] == 0
     assert [len(told["late_frames"][how]) for how in ("with", "without")] == [1, 1]
@@ -71,7 +71,7 @@ def test_live_cycle_reports_late_frames(ros_domain):
 
 
 def stream(**values):
-    """Ten clouds a second for a second, each a little after it was due."""
+    """Return a stream of ten clouds in one second, each 10 ms late."""
     due = np.arange(10) / 10.0
     told = {"points": 4, "rate": 10.0, "asleep": True, "sent": 10, "received": 10, "late": 0, "load": 0.1}
     return Stream(**told | {"stamps": due, "arrivals": due + 0.01} | values)
@@ -99,7 +99,7 @@ def test_stream_counts_sent_and_received_clouds(moving):
 
 
 def test_latencies_are_measured(ros_domain: int) -> None:
-    """Whatever they are on a busy machine: the measurement itself."""
+    # The values depend on the load of the machine and are not checked.
     rclpy.init(args=[])
     try:
         found = latency.measure(resolution=(8, 8), rate=60.0, stream=100.0, seconds=0.5)

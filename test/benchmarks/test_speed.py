@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`python -m benchmarks speed`: what it times, how it compares, and what it says of a promise that was not met."""
+"""`python -m benchmarks speed`: timing, comparison, and report of missed targets."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_report_does_not_overwrite_a_session(
 
 
 def turns_on_fake_clock(spent: dict[str, list[float]]) -> speed_turns.Turns:
-    """Candidates that take the listed times, one a round, on a clock that only they move."""
+    """Time candidates with the listed durations, one a round, on a fake clock."""
     now = [0.0]
     left = {name: iter(times) for name, times in spent.items()}
 
@@ -48,7 +48,7 @@ def turns_on_fake_clock(spent: dict[str, list[float]]) -> speed_turns.Turns:
 
 
 def test_interleaved_times_exclude_the_first_round() -> None:
-    # The machine is three times as slow in two of the five rounds that count: the ratio does not see it.
+    # The machine is three times slower in two of the five counted rounds, which must not change the ratio.
     turns = turns_on_fake_clock({"a": [100.0, 1.0, 3.0, 3.0, 1.0, 1.0], "b": [100.0, 2.0, 6.0, 6.0, 2.0, 2.0]})
     assert turns.seconds["a"] == pytest.approx([1.0, 3.0, 3.0, 1.0, 1.0])
     assert turns.median("b") == pytest.approx(2.0)
@@ -84,15 +84,13 @@ def test_two_threads_give_the_same_bits() -> None:
     row = speed_kernels.thread_gain(12, np.float32, seconds=0.0)
     assert row.same
     assert row.gain > 0.0
-    # Steps of a frame are stable ones.
+    # The steps of a frame are stable.
     sheet = curtain(16).build()[0]
     limit = speed_kernels.leapfrog_limit(*sheet.spectral_bounds(curtain(16).build()[1].x))
     assert PERIOD / speed_kernels.thread_gain(16, np.float64, seconds=0.0).steps < limit
 
 
-def test_different_bits_and_a_small_gain_fail(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_different_bits_and_a_small_gain_fail(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
     row = speed_kernels.ThreadGain(
         resolution=96, precision="float64", steps=10, one=1.0, two=0.625, gain=1.6, most=1.9, same=False
     )
@@ -111,7 +109,7 @@ def test_curtain_error_is_against_the_reference() -> None:
     fine, coarse = (speed_curtain.run(scene, tolerance=tolerance) for tolerance in (1e-6, 1e-2))
     errors = [known.deviation(scene.frames, run.positions) for run in (fine, coarse)]
     assert errors[0] < 1e-6
-    # A tolerance that asks for less gets less, and the reference tells.
+    # A looser tolerance gives a larger error against the reference.
     assert 2.0 * errors[0] < errors[1] < 1e-2
     moved = coarse.positions.copy()
     moved[2, 77] += 0.25
@@ -130,9 +128,7 @@ def curtain_speed(tolerance: float, error: float, factor: float, *, one_core: bo
     )
 
 
-def test_loosest_accurate_tolerance_counts(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_loosest_accurate_tolerance_counts(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
     speeds = [
         curtain_speed(1e-3, 2e-3, 30.0),
         curtain_speed(1e-4, 1e-4, 20.0),
