@@ -197,7 +197,8 @@ def _explain(options: argparse.Namespace, contests: list[Contest], peers: list[C
         f"counts; a run ends after {options.seconds:g} s of it, and its figures cover the time until then",
         f"{OURS}: {material.stretch_modulus:g} N/m along the threads, {material.shear_modulus:g} N/m in shear, damping "
         f"{material.damping:g}, axial bending, drag {DRAG:g} 1/s, tolerance {TOLERANCE:g} m, sleep off: it is woken "
-        "before each frame; its thickness is the distance from an obstacle to the middle of the sheet, and between layers",
+        "before each frame; its thickness is the distance from an obstacle to the middle of the sheet, and between "
+        "layers",
     ]
     told = {
         "drape": (
