@@ -122,11 +122,13 @@ def run(options: argparse.Namespace) -> Report:
     report.notes += [
         f"With the default constants: error {usual.error:.3g} of the tolerance at most, "
         f"{sum(usual.evaluations)} evaluations, {usual.flagged} flagged frames, "
-        f"energy gain {usual.gain:.2g}, {usual.awake} frames until a sheet sleeps for good, {usual.left_out:.2g} of the tolerance as error from sleep",
+        f"energy gain {usual.gain:.2g}, "
+        f"{usual.awake} frames until a sheet sleeps for good, {usual.left_out:.2g} of the tolerance as error from sleep",
         "error: largest error over the tolerance of all scenes; work: force evaluations relative to the default "
         "constants, in the scene with the largest change",
         f"scenes: {', '.join(name for name, _, _ in HELD)}, {', '.join(DRIVEN)}, "
-        "an undamped sheet with an inverted cell, a sheet that comes to rest; constants for threads or time only (own, call) change none of the columns",
+        "an undamped sheet with an inverted cell, a sheet that comes to rest; "
+        "constants for threads or time only (own, call) change none of the columns",
     ]
     return report
 
