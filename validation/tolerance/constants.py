@@ -123,7 +123,7 @@ def run(options: argparse.Namespace) -> Report:
         f"With the default constants: error {usual.error:.3g} of the tolerance at most, "
         f"{sum(usual.evaluations)} evaluations, {usual.flagged} flagged frames, "
         f"energy gain {usual.gain:.2g}, "
-        f"{usual.awake} frames until a sheet sleeps for good, {usual.left_out:.2g} of the tolerance as error from sleep",
+        f"{usual.awake} frames until the sheet sleeps, {usual.left_out:.2g} of the tolerance as error from sleep",
         "error: largest error over the tolerance of all scenes; work: force evaluations relative to the default "
         "constants, in the scene with the largest change",
         f"scenes: {', '.join(name for name, _, _ in HELD)}, {', '.join(DRIVEN)}, "
