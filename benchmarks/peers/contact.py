@@ -16,7 +16,7 @@ from benchmarks.peers import contact_measures
 from benchmarks.peers import contact_runs as peer_contact
 from benchmarks.peers import environment as peer_environment
 from benchmarks.peers.contact_runs import ContactPeer, Recording
-from benchmarks.peers.contact_scenes import CONTESTS, DRAG, FRICTION, RADIUS, THICKNESS, TOLERANCE, Contest
+from benchmarks.peers.contact_scenes import CONTACT_SCENES, DRAG, FRICTION, RADIUS, THICKNESS, TOLERANCE, Contest
 from benchmarks.peers.jobs import PeerFailed
 from benchmarks.peers.solvers import CONTACT_PEERS, REQUIREMENTS
 from benchmarks.speed.curtain import cores
@@ -37,7 +37,7 @@ _LEAST = 8
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--scenes", nargs="+", choices=CONTESTS, default=[*CONTESTS], help="which to run")
+    parser.add_argument("--scenes", nargs="+", choices=CONTACT_SCENES, default=[*CONTACT_SCENES], help="which to run")
     parser.add_argument("--resolution", type=int, default=20, metavar="N", help="particles a side")
     peer_environment.add_arguments(parser, PACKAGES, seconds=60.0)
 
@@ -77,7 +77,7 @@ def run(options: argparse.Namespace) -> Report:
         raise ValueError(f"--seconds is {options.seconds:g}; it must be above 0")
     if options.resolution < _LEAST:
         raise ValueError(f"--resolution is {options.resolution}; it must be at least {_LEAST}")
-    contests = [CONTESTS[name](options.resolution) for name in options.scenes]
+    contests = [CONTACT_SCENES[name](options.resolution) for name in options.scenes]
     folder = options.environment.expanduser().absolute()
     wanted = {name: PACKAGES[name] for name in options.peers}
     absent = peer_environment.prepare(folder, wanted, say) if wanted else {}
@@ -203,8 +203,8 @@ def _explain(options: argparse.Namespace, contests: list[Contest], peers: list[C
     told = {
         "drape": (
             f"drape: a sheet of 0.5 m falls by 10 mm on a ball of {RADIUS:g} m; deepest is any point of a triangle in "
-            f"it; creep is the largest mean speed of a particle within {NEAR:g} thicknesses "
-            f"of it over the last {LAST:g} s"
+            f"it; creep is the largest mean speed of a particle within "
+            f"{NEAR:g} thicknesses of it over the last {LAST:g} s"
         ),
         "fold": (
             "fold: one edge of a sheet of 0.3 m on a table is carried in half a circle to the anchored other edge and "

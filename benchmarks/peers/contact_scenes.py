@@ -213,4 +213,4 @@ def pinch(resolution: int) -> Contest:
     )
 
 
-CONTESTS: dict[str, Callable[[int], Contest]] = {"drape": drape, "fold": fold, "pinch": pinch}
+CONTACT_SCENES: dict[str, Callable[[int], Contest]] = {"drape": drape, "fold": fold, "pinch": pinch}

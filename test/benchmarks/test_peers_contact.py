@@ -105,7 +105,7 @@ def stand_in(tmp_path: Path) -> ContactPeer:
 
 def short(name: str, frames: int) -> Contest:
     """Return a scene cut to some frames."""
-    return attrs.evolve(peer_scenes.CONTESTS[name](RESOLUTION), duration=frames * PERIOD)
+    return attrs.evolve(peer_scenes.CONTACT_SCENES[name](RESOLUTION), duration=frames * PERIOD)
 
 
 def made_up(contest: Contest, frames: np.ndarray) -> Recording:
@@ -231,9 +231,9 @@ def test_edge_path_leads_to_the_opposite_edge() -> None:
     assert speeds[[0, 1, -1]].max() < 1e-3
 
 
-@pytest.mark.parametrize("name", peer_scenes.CONTESTS)
+@pytest.mark.parametrize("name", peer_scenes.CONTACT_SCENES)
 def test_scene_tables_match_the_product_scene(name: str) -> None:
-    contest = peer_scenes.CONTESTS[name](RESOLUTION)
+    contest = peer_scenes.CONTACT_SCENES[name](RESOLUTION)
     tables = contest.tables()
     masses = {"drape": 0.2 * 0.5**2, "fold": 0.2 * 0.3**2, "pinch": 0.2 * 0.18 * 0.09}
     assert tables["masses"].sum() == pytest.approx(masses[name])
@@ -327,8 +327,8 @@ def shortened(monkeypatch: pytest.MonkeyPatch) -> None:
     def cut(make: Callable[[int], Contest]) -> Callable[[int], Contest]:
         return lambda resolution: attrs.evolve(make(resolution), duration=3 * PERIOD)
 
-    cuts = {name: cut(make) for name, make in peer_scenes.CONTESTS.items()}
-    monkeypatch.setattr(peers_contact, "CONTESTS", cuts)
+    cuts = {name: cut(make) for name, make in peer_scenes.CONTACT_SCENES.items()}
+    monkeypatch.setattr(peers_contact, "CONTACT_SCENES", cuts)
 
 
 def test_report_lists_failed_and_absent_engines(
@@ -395,4 +395,4 @@ def test_contact_peer_scripts_do_not_import_the_package(environment: Path) -> No
         assert done.stdout == "[]\n", name
     for peer in CONTACT_PEERS:
         assert peer.steps >= 1
-        assert peer.apart.keys() <= peer_scenes.CONTESTS.keys()
+        assert peer.apart.keys() <= peer_scenes.CONTACT_SCENES.keys()
