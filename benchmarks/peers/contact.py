@@ -195,10 +195,10 @@ def _explain(options: argparse.Namespace, contests: list[Contest], peers: list[C
         f"all: {material.density:g} kg/m2, {1e3 * THICKNESS:g} mm thick, friction {FRICTION:g} at rest and in motion, "
         f"the same particles and triangles, frames of 1/{1.0 / PERIOD:.0f} s, one thread; only the wall time of steps "
         f"counts; a run ends after {options.seconds:g} s of it, and its figures cover the time until then",
-        f"{OURS}: {material.stretch_modulus:g} N/m along the threads, {material.shear_modulus:g} N/m in shear, damping "
-        f"{material.damping:g}, axial bending, drag {DRAG:g} 1/s, tolerance {TOLERANCE:g} m, sleep off: it is woken "
-        "before each frame; its thickness is the distance from an obstacle to the middle of the sheet, and between "
-        "layers",
+        f"{OURS}: {material.stretch_modulus:g} N/m along the threads, {material.shear_modulus:g} N/m in shear, "
+        f"damping {material.damping:g}, axial bending, drag {DRAG:g} 1/s, tolerance {TOLERANCE:g} m, sleep off: it is "
+        "woken before each frame; its thickness is the distance from an obstacle to the middle of the sheet, and "
+        "between layers",
     ]
     told = {
         "drape": (
