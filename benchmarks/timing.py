@@ -11,11 +11,11 @@ from collections.abc import Callable, Mapping
 import attrs
 
 #: Minimum rounds of each candidate, for a meaningful median.
-FEWEST_TURNS = 5
+MIN_ROUNDS = 5
 
 
 @attrs.frozen
-class Turns:
+class InterleavedTimes:
     """Interleaved run times: one per candidate and round [s]."""
 
     seconds: dict[str, list[float]]
@@ -24,15 +24,15 @@ class Turns:
         """Median time of a candidate [s]."""
         return statistics.median(self.seconds[name])
 
-    def ratio(self, name: str, other: str) -> float:
+    def ratio(self, name: str, baseline: str) -> float:
         """Return the median over the rounds of the time of `name` over that of `baseline`."""
-        pairs = zip(self.seconds[name], self.seconds[other], strict=True)
-        return statistics.median(mine / theirs for mine, theirs in pairs)
+        pairs = zip(self.seconds[name], self.seconds[baseline], strict=True)
+        return statistics.median(candidate / reference for candidate, reference in pairs)
 
 
-def take_turns(
+def time_interleaved(
     candidates: Mapping[str, Callable[[], None]], *, seconds: float, clock: Callable[[], float] = time.perf_counter
-) -> Turns:
+) -> InterleavedTimes:
     """Time candidates round by round for about `seconds`, and at least `MIN_ROUNDS` rounds.
 
     A warm-up round before these is not counted.
@@ -47,10 +47,10 @@ def take_turns(
         candidate()
     times: dict[str, list[float]] = {name: [] for name in candidates}
     end, rounds = time.perf_counter() + seconds, 0
-    while rounds < FEWEST_TURNS or time.perf_counter() < end:
+    while rounds < MIN_ROUNDS or time.perf_counter() < end:
         for name, candidate in candidates.items():
             start = clock()
             candidate()
             times[name].append(clock() - start)
         rounds += 1
-    return Turns(times)
+    return InterleavedTimes(times)

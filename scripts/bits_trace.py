@@ -330,7 +330,7 @@ class TracedLibrary:
         index = self._contents[key] = len(self._contents)
         return struct.pack("<q", index) + content
 
-    def _frame(self, frame: binding.Frame, plan: dict[str, Any]) -> Callable[[], bytes]:
+    def _frame(self, frame: binding.FrameRequest, plan: dict[str, Any]) -> Callable[[], bytes]:
         n, runs = plan["n"], frame.runs
         sizes = {
             "steps": runs,
@@ -344,7 +344,7 @@ class TracedLibrary:
             "anchors": runs * _anchors(plan),
             "jaw_states": runs * binding.PINCH_NUMBERS * plan["pinches"],
         }
-        names = [name for name, *_ in binding.Frame._fields_]
+        names = [name for name, *_ in binding.FrameRequest._fields_]
         raw = bytes(frame)
         addresses = {name: getattr(frame, name) for name in sizes if getattr(frame, name)}
         arrays = [(names.index(name), self._memory(address, 8 * sizes[name])) for name, address in addresses.items()]

@@ -31,33 +31,35 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation.bending.elastica import hanging_strip, heavy_elastica
-from validation.bending.patterns import Plate, grid_patch, plate_of, triangle_patch
-from validation.bending.recovery import RESTS, STARTS, recover, rest_shape, starts
+from validation.bending.patterns import Plate, grid_patch, plate_moduli, triangle_patch
+from validation.bending.recovery import REST_TRIANGLES, STARTS, rest_shape, simulate_recovery, start_positions
 
 ANGLES = (0, 15, 30, 45, 60, 75, 90, 105, 120, 135, 150, 165)
 RATIO_SCALE = (0.125, 0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 EDGE_STIFFNESSES = (10.0, 100.0)
 MODELS: dict[Length, str] = {"crossed": "S7 + S8", "altitude": "S7 + S9"}
-SIDE, DENSITY = 0.3, 0.45 / 2.30
+SHEET_SIZE, DENSITY = 0.3, 0.45 / 2.30
 #: How far the held corners are carried across the sheet [m], in what time [s], and what follows [s]: at most 0.75 m/s.
-WAY, CARRIED, WATCHED = 0.25, 0.5, 5.0
+CARRY_DISTANCE, CARRIED, WATCHED = 0.25, 0.5, 5.0
 DRAGS = (0.0, 0.45)
 _UPRIGHT, ACROSS = (0.0, 0.0, 0.0, 1.0), np.array([0.0, 1.0, 0.0])
 
 
-def missed_starts(model: Length, each: int = 20) -> Array:
+def missed_starts(model: Length, count: int = 20) -> Array:
     """Share of starts that miss the rest shape, by rest angle (rows) and stiffness ratio (columns)."""
     missed = np.zeros((len(ANGLES), len(RATIO_SCALE)))
     for i, degrees in enumerate(ANGLES):
-        for name in RESTS:
-            rest = rest_shape(name, math.radians(degrees))
+        for name in REST_TRIANGLES:
+            rest_positions = rest_shape(name, math.radians(degrees))
             for j, ratio in enumerate(RATIO_SCALE):
                 for kind in STARTS:
                     for edge in EDGE_STIFFNESSES:
-                        begin = starts(kind, rest, each, np.random.default_rng(1))
-                        came = recover(begin, rest, model=model, ratio=ratio, edge_stiffness=edge, limit=20_000)
+                        begin = start_positions(kind, rest_positions, count, np.random.default_rng(1))
+                        came = simulate_recovery(
+                            begin, rest_positions, model=model, ratio=ratio, edge_stiffness=edge, limit=20_000
+                        )
                         missed[i, j] += came.missed
-    return missed / (len(RESTS) * len(STARTS) * len(EDGE_STIFFNESSES) * each)
+    return missed / (len(REST_TRIANGLES) * len(STARTS) * len(EDGE_STIFFNESSES) * count)
 
 
 def draw_map(pyplot: Any, folder: Path) -> Path:
@@ -72,8 +74,8 @@ def draw_map(pyplot: Any, folder: Path) -> Path:
         flat, angle, folded = RATIOS[model]
         for i, degrees in enumerate(ANGLES):
             ratio = folded if math.radians(degrees) > angle else flat
-            place = np.interp(math.log(ratio), np.log(RATIO_SCALE), np.arange(len(RATIO_SCALE)))
-            axis.plot(place, i, "s", markersize=17, markerfacecolor="none", markeredgecolor="tab:green")
+            column = np.interp(math.log(ratio), np.log(RATIO_SCALE), np.arange(len(RATIO_SCALE)))
+            axis.plot(column, i, "s", markersize=17, markerfacecolor="none", markeredgecolor="tab:green")
         axis.set_xticks(range(len(RATIO_SCALE)), [f"{ratio:g}" for ratio in RATIO_SCALE])
         axis.set_yticks(range(len(ANGLES)), [f"{degrees}°" for degrees in ANGLES])
         axis.set(
@@ -90,14 +92,14 @@ def draw_folds(pyplot: Any, folder: Path) -> Path:
     folds = np.radians(np.linspace(-180, 180, 1441))
     pair = np.array([[0, 1, 2, 3]])
     for axis, (name, degrees) in zip(axes, (("grid diagonal", 0), ("grid diagonal", 60), ("scalene", 60)), strict=True):
-        rest = HingeShape.of(pair, rest_shape(name, math.radians(degrees)))
-        across = np.array([rest.at(fold).wing_distance()[0] for fold in folds])
+        rest_hinge = HingeShape.of(pair, rest_shape(name, math.radians(degrees)))
+        across = np.array([rest_hinge.at(fold).wing_distance()[0] for fold in folds])
         half = 0.5 * np.ptp(across)
-        seven = ((across - rest.wing_distance()[0]) / half) ** 2
+        seven = ((across - rest_hinge.wing_distance()[0]) / half) ** 2
         axis.plot(np.degrees(folds), seven, label="S7")
         for kind, label in MODELS.items():
-            length = np.array([rest.at(fold).length(kind)[0] for fold in folds[1:-1]])
-            scaled = (length - rest.length(kind)[0]) / (rest.half_range_ratio(kind)[0] * half)
+            length = np.array([rest_hinge.at(fold).length(kind)[0] for fold in folds[1:-1]])
+            scaled = (length - rest_hinge.length(kind)[0]) / (rest_hinge.half_range_ratio(kind)[0] * half)
             axis.plot(np.degrees(folds[1:-1]), seven[1:-1] + RATIOS[kind][0] * scaled**2, label=label)
         axis.axvline(degrees, color="grey", linewidth=0.8, linestyle=":")
         axis.set(
@@ -123,7 +125,7 @@ def draw_elastica(pyplot: Any, folder: Path) -> Path:
                 if columns == 20 and model == "altitude":
                     left.plot(strip.curve[:, 0], -strip.curve[:, 1], ".", color=f"C{k}")
             right.loglog(counts, errors, style, color=f"C{k}", markersize=4)
-            _say(
+            _print(
                 f"{model} {degrees:3d} deg "
                 + " ".join(f"{columns}: {e:.2e}" for columns, e in zip(counts, errors, strict=True))
             )
@@ -143,20 +145,22 @@ def table_of_patterns() -> str:
     ]
 
     def row(name: str, plates: list[Plate]) -> str:
-        def mean(what: str) -> float:
-            return float(np.mean([getattr(plate, what) for plate in plates])) + 0.0
+        def mean(quantity: str) -> float:
+            return float(np.mean([getattr(plate, quantity) for plate in plates])) + 0.0
 
         both = f"{mean('along_x'):.3f}, {mean('along_y'):.3f}"
-        rest = " | ".join(f"{mean(what):.3f}" for what in ("cylindrical", "poisson", "twist", "isotropy"))
-        return f"| {name} | {both} | {rest} |"
+        other_columns = " | ".join(
+            f"{mean(quantity):.3f}" for quantity in ("cylindrical", "poisson", "twist", "isotropy")
+        )
+        return f"| {name} | {both} | {other_columns} |"
 
-    rows.append(row("grid, both checkerboards", [plate_of(grid_patch())]))
+    rows.append(row("grid, both checkerboards", [plate_moduli(grid_patch())]))
     rows += [
-        row(f"grid, {layout} alone", [plate_of(grid_patch(layout))]) for layout in ("alternating", "left", "right")
+        row(f"grid, {layout} alone", [plate_moduli(grid_patch(layout))]) for layout in ("alternating", "left", "right")
     ]
     for jitter in (0.0, 0.1, 0.2, 0.3, 0.4, 1.0):
         name = "regular triangles" if jitter == 0.0 else f"triangles, vertices moved by up to {jitter:g} side"
-        rows.append(row(name, [plate_of(triangle_patch(jitter, seed=seed)) for seed in range(6 if jitter else 1)]))
+        rows.append(row(name, [plate_moduli(triangle_patch(jitter, seed=seed)) for seed in range(6 if jitter else 1)]))
     return "\n".join(rows)
 
 
@@ -263,7 +267,7 @@ def swing(normal_drag: float) -> tuple[Array, Array]:
         Times since the stop [s], (frames,), and how far the free edge's middle is from below the held corners [m].
     """
     values = {
-        "cloth.size": [SIDE, SIDE],
+        "cloth.size": [SHEET_SIZE, SHEET_SIZE],
         "cloth.resolution": [21, 21],
         "cloth.anchors": [""],
         "material.density": DENSITY,
@@ -280,8 +284,8 @@ def swing(normal_drag: float) -> tuple[Array, Array]:
     times, ways = [], []
     for frame in range(round((CARRIED + WATCHED) * scene.rate) + 1):
         part = min(frame * scene.period / CARRIED, 1.0)
-        moved = WAY * part**2 * (3.0 - 2.0 * part)
-        events: list[Event] = [Target(name, place + moved * ACROSS, _UPRIGHT) for name, place in held.items()]
+        moved = CARRY_DISTANCE * part**2 * (3.0 - 2.0 * part)
+        events: list[Event] = [Target(name, position + moved * ACROSS, _UPRIGHT) for name, position in held.items()]
         if frame == 0:
             events += [Grasp(name, True) for name in held]
         cloth.advance(events)
@@ -300,7 +304,7 @@ def draw_swing(pyplot: Any, folder: Path) -> Path:
     axis.set(
         xlim=(-CARRIED, WATCHED), xlabel="time since the corners stopped [s]", ylabel="free edge, behind or ahead [mm]"
     )
-    axis.set_title(f"A cloth of {SIDE:g} m, held at two corners")
+    axis.set_title(f"A cloth of {SHEET_SIZE:g} m, held at two corners")
     figure.legend(loc="outside lower center", ncols=3)
     return _saved(figure, folder / "air_swing.png", dpi=100)
 
@@ -310,7 +314,7 @@ def _saved(figure: Any, path: Path, *, dpi: int = 110) -> Path:
     return path
 
 
-def _say(text: str) -> None:
+def _print(text: str) -> None:
     sys.stdout.write(text + "\n")
 
 
@@ -340,9 +344,9 @@ def main() -> None:
         parser.error(f"no figure {', '.join(unknown)}; there are {', '.join(FIGURES)}")
     options.folder.mkdir(parents=True, exist_ok=True)
     if not options.names:
-        _say(table_of_patterns())
+        _print(table_of_patterns())
     for name in options.names or FIGURES:
-        _say(f"wrote {FIGURES[name](pyplot, options.folder)}")
+        _print(f"wrote {FIGURES[name](pyplot, options.folder)}")
 
 
 if __name__ == "__main__":

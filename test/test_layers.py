@@ -59,7 +59,7 @@ WALLS: dict[str, tuple[set[str], set[str]]] = {
 # Folders at the top of the repository that measure the package and are not installed: the rooms of the package, and the
 # folders beside it, that each may import.
 _MEASURED = {"engine", "physics", "scene", "simulation", "session", "verify"}
-BESIDE: dict[str, tuple[set[str], set[str]]] = {
+MEASURING_FOLDERS: dict[str, tuple[set[str], set[str]]] = {
     "validation": (_MEASURED, {"support"}),
     "benchmarks": (_MEASURED | {"batch", "ros"}, {"support", "validation"}),
 }
@@ -173,19 +173,19 @@ def imports_of(path: Path) -> set[str]:
     return imported
 
 
-@pytest.mark.parametrize("folder", BESIDE)
+@pytest.mark.parametrize("folder", MEASURING_FOLDERS)
 def test_measuring_folders_import_only_what_they_may(folder: str) -> None:
-    rooms, others = BESIDE[folder]
+    rooms, allowed_folders = MEASURING_FOLDERS[folder]
     for path in sorted((ROOT / folder).rglob("*.py")):
         imported = imports_of(path)
         tops = {name.split(".")[0] for name in imported}
-        assert tops & {*BESIDE, "support"} - {folder} <= others, path
+        assert tops & {*MEASURING_FOLDERS, "support"} - {folder} <= allowed_folders, path
         assert {room for room in SUBPACKAGES if f"cloth_sim_ros.{room}" in imported} <= rooms, path
         if path.parent.name != "ros":
             assert not tops & ROS, f"{path}: ROS is measured in benchmarks/ros alone"
 
 
-@pytest.mark.parametrize("folder", BESIDE)
+@pytest.mark.parametrize("folder", MEASURING_FOLDERS)
 def test_measuring_folders_load_heavy_libraries_late(folder: str) -> None:
     if not (ROOT / folder).is_dir():
         pytest.skip(f"there is no {folder}")
@@ -200,7 +200,7 @@ def test_the_package_and_its_tests_need_no_measuring_folder() -> None:
     tests = [path for path in (ROOT / "test").rglob("*.py") if path.parent.name not in TESTED]
     for path in [*PACKAGE.rglob("*.py"), *tests]:
         tops = {name.split(".")[0] for name in imports_of(path)}
-        assert not tops & {*BESIDE, *({"support"} if path.is_relative_to(PACKAGE) else ())}, path
+        assert not tops & {*MEASURING_FOLDERS, *({"support"} if path.is_relative_to(PACKAGE) else ())}, path
 
 
 @pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(PACKAGE)))

@@ -20,7 +20,7 @@ _CONTEXT = multiprocessing.get_context("spawn")
 
 
 @attrs.frozen
-class Done(Generic[C, R]):
+class CaseResult(Generic[C, R]):
     """Result of one case, or the reason why it has none."""
 
     case: C
@@ -36,27 +36,27 @@ class _Worker(Generic[C, R]):
     """One process and its current case."""
 
     def __init__(self, run: Callable[[C], R]) -> None:
-        self.connection, theirs = _CONTEXT.Pipe()
-        self.process = _CONTEXT.Process(target=_serve, args=(theirs, run), daemon=True)
+        self.connection, child_connection = _CONTEXT.Pipe()
+        self.process = _CONTEXT.Process(target=_serve, args=(child_connection, run), daemon=True)
         self.process.start()
-        theirs.close()
+        child_connection.close()
         self.case: C | None = None
         #: Time at which its case is aborted; None while the process starts, which is not timed.
         self.deadline: float | None = None
         self.started = 0.0
 
-    def give(self, case: C, limit: float) -> None:
+    def assign(self, case: C, limit: float) -> None:
         self.case, self.started = case, time.monotonic()
         self.deadline = self.started + limit
         self.connection.send(case)
 
-    def end(self) -> None:
+    def stop(self) -> None:
         self.connection.close()
         self.process.kill()
         self.process.join()
 
 
-def run_cases(run: Callable[[C], R], cases: Sequence[C], *, workers: int, limit: float) -> Iterator[Done[C, R]]:
+def run_cases(run: Callable[[C], R], cases: Sequence[C], *, workers: int, limit: float) -> Iterator[CaseResult[C, R]]:
     """Yield the result of each case, in the order in which they end.
 
     Args:
@@ -65,36 +65,36 @@ def run_cases(run: Callable[[C], R], cases: Sequence[C], *, workers: int, limit:
         workers: number of processes.
         limit: wall time of one case [s].
     """
-    waiting = list(reversed(cases))
+    pending = list(reversed(cases))
     pool: list[_Worker[C, R]] = [_Worker(run) for _ in range(min(workers, len(cases)))]
     try:
         while pool:
-            ends = [worker.deadline for worker in pool if worker.deadline is not None]
-            timeout = max(0.0, min(ends) - time.monotonic()) if ends else None
+            deadlines = [worker.deadline for worker in pool if worker.deadline is not None]
+            timeout = max(0.0, min(deadlines) - time.monotonic()) if deadlines else None
             ready: list[Any] = wait([worker.connection for worker in pool], timeout)
             for worker in list(pool):
-                done: Done[C, R] | None = None
+                case_result: CaseResult[C, R] | None = None
                 if worker.connection in ready:
-                    done = _receive(worker)
+                    case_result = _receive(worker)
                 elif worker.deadline is not None and time.monotonic() >= worker.deadline and worker.case is not None:
-                    done = Done(worker.case, None, limit, f"took longer than {limit:g} s")
+                    case_result = CaseResult(worker.case, None, limit, f"took longer than {limit:g} s")
                 else:
                     continue
-                if done is not None:
-                    yield done
-                if done is not None and done.result is None:
-                    worker.end()
+                if case_result is not None:
+                    yield case_result
+                if case_result is not None and case_result.result is None:
+                    worker.stop()
                     pool.remove(worker)
-                    if waiting:
+                    if pending:
                         pool.append(_Worker(run))
-                elif waiting:
-                    worker.give(waiting.pop(), limit)
+                elif pending:
+                    worker.assign(pending.pop(), limit)
                 else:
-                    worker.end()
+                    worker.stop()
                     pool.remove(worker)
     finally:
         for worker in pool:
-            worker.end()
+            worker.stop()
 
 
 def run_missing(
@@ -104,8 +104,8 @@ def run_missing(
     workers: int,
     limit: float,
     file: Path | None,
-    read: Callable[[dict[str, Any]], Done[C, R]],
-) -> Iterator[Done[C, R]]:
+    read: Callable[[dict[str, Any]], CaseResult[C, R]],
+) -> Iterator[CaseResult[C, R]]:
     """Yield the result of each case: from a file, or else from `run_cases`, which is then appended to the file.
 
     Args:
@@ -116,36 +116,36 @@ def run_missing(
         file: one line of JSON per case; None stores nothing. A truncated last line is ignored.
         read: converts a line back to a result.
     """
-    known: dict[C, Done[C, R]] = {}
+    recorded: dict[C, CaseResult[C, R]] = {}
     for line in file.read_text().splitlines() if file is not None and file.exists() else []:
         try:
             entry = json.loads(line)
         except json.JSONDecodeError:
             continue
-        done = read(entry)
-        known[done.case] = done
-    yield from (known[case] for case in cases if case in known)
-    left = [case for case in cases if case not in known]
-    for done in run_cases(run, left, workers=workers, limit=limit) if left else ():
+        case_result = read(entry)
+        recorded[case_result.case] = case_result
+    yield from (recorded[case] for case in cases if case in recorded)
+    missing = [case for case in cases if case not in recorded]
+    for case_result in run_cases(run, missing, workers=workers, limit=limit) if missing else ():
         if file is not None:
-            with file.open("a") as out:
-                out.write(json.dumps(attrs.asdict(done), default=_plain) + "\n")
-        yield done
+            with file.open("a") as stream:
+                stream.write(json.dumps(attrs.asdict(case_result), default=_to_python) + "\n")
+        yield case_result
 
 
-def shown(dones: Iterator[Done[C, R]], total: int, unit: str) -> Any:
+def show_progress(results: Iterator[CaseResult[C, R]], total: int, unit: str) -> Any:
     """Yield the result of each case and draw a progress bar."""
     from tqdm import tqdm
 
-    return tqdm(dones, total=total, unit=unit, smoothing=0.02, mininterval=1.0)
+    return tqdm(results, total=total, unit=unit, smoothing=0.02, mininterval=1.0)
 
 
-def _plain(number: Any) -> Any:
+def _to_python(scalar: Any) -> Any:
     """Convert a numpy scalar to a Python number."""
-    return number.item()
+    return scalar.item()
 
 
-def _receive(worker: _Worker[C, R]) -> Done[C, R] | None:
+def _receive(worker: _Worker[C, R]) -> CaseResult[C, R] | None:
     """Receive a result from a process; None means that the process is ready."""
     case, seconds = worker.case, time.monotonic() - worker.started
     try:
@@ -153,8 +153,8 @@ def _receive(worker: _Worker[C, R]) -> Done[C, R] | None:
     except EOFError:
         if case is None:
             raise RuntimeError("a worker process ended before its first case; its output states the cause") from None
-        return Done(case, None, seconds, "its process ended")
-    return None if case is None else Done(case, result, seconds)
+        return CaseResult(case, None, seconds, "its process ended")
+    return None if case is None else CaseResult(case, result, seconds)
 
 
 def _serve(connection: Connection, run: Callable[[C], R]) -> None:

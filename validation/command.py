@@ -29,7 +29,7 @@ def run_command(
             and returns the exit status.
         arguments: command line; None takes that of this process.
     """
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    words = list(sys.argv[1:] if arguments is None else arguments)
     parser = argparse.ArgumentParser(
         prog=f"python -m {package}",
         description=description,
@@ -37,36 +37,36 @@ def run_command(
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("command", choices=commands, metavar="command", help="one of the names below")
-    if not given:
+    if not words:
         parser.print_help()
         return 0
-    name, *rest = given
+    name, *command_arguments = words
     if name not in commands:
-        parser.parse_args(given)
+        parser.parse_args(words)
     module = importlib.import_module(commands[name][0])
     if hasattr(module, "main"):
-        status: int = module.main(rest)
+        status: int = module.main(command_arguments)
         return status
-    inner = argparse.ArgumentParser(prog=f"{parser.prog} {name}", description=commands[name][1])
-    module.add_arguments(inner)
-    output = inner.add_argument_group("output")
+    command_parser = argparse.ArgumentParser(prog=f"{parser.prog} {name}", description=commands[name][1])
+    module.add_arguments(command_parser)
+    output = command_parser.add_argument_group("output")
     output.add_argument("--json", type=Path, metavar="FILE", help="write everything as JSON")
     output.add_argument("--csv", type=Path, metavar="FOLDER", help="write each table as CSV")
     output.add_argument("--plots", type=Path, metavar="FOLDER", help="write plots as PNG")
     output.add_argument("--markdown", type=Path, metavar="FILE", help="write the tables as a section of documentation")
-    options = inner.parse_args(rest)
+    options = command_parser.parse_args(command_arguments)
     try:
         check_outputs({"--json": options.json, "--markdown": options.markdown}, [])
         with safe_imports():
             report = module.run(options)
     except (ValueError, OutputError) as error:
-        inner.error(str(error))
+        command_parser.error(str(error))
     sys.stdout.write(report.text() + "\n")
     report.write(json_file=options.json, csv_folder=options.csv, plot_folder=options.plots, markdown=options.markdown)
     return 1 if report.failures else 0
 
 
-def child(module: str, *arguments: str) -> dict[str, Any]:
+def child_process_arguments(module: str, *arguments: str) -> dict[str, Any]:
     """Return arguments of `subprocess` that run a module of this repository.
 
     The process imports nothing from its working folder, therefore the root of the repository is on its path.

@@ -30,7 +30,7 @@ class Table:
 
     def lines(self) -> list[str]:
         """Return the table as lines of Markdown."""
-        cells = [[_cell(value) for value in row] for row in self.rows]
+        cells = [[_format_cell(value) for value in row] for row in self.rows]
         widths = [max([len(name), *(len(row[i]) for row in cells)]) for i, name in enumerate(self.columns)]
         pad = [[text.ljust(width) for text, width in zip(row, widths, strict=True)] for row in [self.columns, *cells]]
         head, *body = ["| " + " | ".join(row) + " |" for row in pad]
@@ -89,12 +89,12 @@ class Report:
         if plot_folder is not None:
             plot_folder.mkdir(parents=True, exist_ok=True)
             for plot in self.plots:
-                _draw(plot, plot_folder / f"{_file_name(plot.name)}.png")
+                _draw_plot(plot, plot_folder / f"{_file_name(plot.name)}.png")
         if markdown is not None:
             markdown.write_text(self.text() + "\n")
 
 
-def say(text: str) -> None:
+def print_progress(text: str) -> None:
     """Write a line of progress to standard error."""
     sys.stderr.write(f"{text}\n")
     sys.stderr.flush()
@@ -102,14 +102,18 @@ def say(text: str) -> None:
 
 def environment() -> dict[str, str]:
     """Return the machine, the versions of libraries and the commit."""
-    found = {"machine": _processor(), "cores": str(len(os.sched_getaffinity(0))), "python": platform.python_version()}
+    versions = {
+        "machine": _processor(),
+        "cores": str(len(os.sched_getaffinity(0))),
+        "python": platform.python_version(),
+    }
     for name in ("numpy", "numba", "scipy", "scikit-sundae"):
         try:
-            found[name] = importlib.metadata.version(name)
+            versions[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
-            found[name] = "absent"
-    found["commit"] = _commit()
-    return found
+            versions[name] = "absent"
+    versions["commit"] = _commit()
+    return versions
 
 
 def _processor() -> str:
@@ -128,7 +132,7 @@ def _commit() -> str:
     return done.stdout.strip() or "unknown"
 
 
-def _cell(value: Any) -> str:
+def _format_cell(value: Any) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
@@ -136,7 +140,7 @@ def _file_name(name: str) -> str:
     return "".join(letter if letter.isalnum() else "_" for letter in name.lower()).strip("_")
 
 
-def _draw(plot: Plot, file: Path) -> None:
+def _draw_plot(plot: Plot, file: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -22,7 +22,7 @@ from cloth_sim_ros.simulation.simulation import Simulation
 #: The gripper's circle: radius [m] and angular frequency [rad/s]; a speed of 0.3 m/s.
 RADIUS, FREQUENCY = 0.1, 3.0
 #: Frames before the timing, in which the motion from the grasp decays.
-WARM = 30
+WARM_UP_FRAMES = 30
 
 
 def hung(resolution: int, **values: Any) -> Scene:
@@ -37,7 +37,7 @@ def take_corner(simulation: Simulation) -> None:
     simulation.advance([Target("gripper", corner), Grasp("gripper", True)])
 
 
-class Carried:
+class CarriedCloths:
     """Vector environment whose grippers carry the last corners on circles with different phases.
 
     Args:
@@ -54,7 +54,7 @@ class Carried:
         self._corner = self.cloths.reset(seed=0)[0][0, -1].astype(np.float64)
         self._phases = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
         self._frame = 0
-        for _ in range(WARM):
+        for _ in range(WARM_UP_FRAMES):
             self.step()
 
     def step(self) -> None:
@@ -82,8 +82,8 @@ class Carried:
         done = 0
         for k in range(1, frames + 1):
             angle = FREQUENCY * (self._frame + k) * self.period
-            way = np.array([RADIUS * (np.cos(angle) - 1.0), RADIUS * np.sin(angle), 0.0])
-            advance = simulation.advance([Target("gripper", self._corner + way)]).advance
+            displacement = np.array([RADIUS * (np.cos(angle) - 1.0), RADIUS * np.sin(angle), 0.0])
+            advance = simulation.advance([Target("gripper", self._corner + displacement)]).advance
             done += advance.evaluations if advance is not None else 0
         return done / frames
 
@@ -98,7 +98,7 @@ class Carried:
         self.cloths.close()
 
 
-class Apart:
+class ProcessPair:
     """Two processes, each with its own single-threaded environment, stepped concurrently.
 
     Args:
@@ -111,10 +111,10 @@ class Apart:
         self._pipes: list[Connection] = []
         self._processes = []
         for _ in range(2):
-            here, there = context.Pipe()
-            process = context.Process(target=_steps, args=(there, count, resolution), daemon=True)
+            parent_end, child_end = context.Pipe()
+            process = context.Process(target=_steps, args=(child_end, count, resolution), daemon=True)
             process.start()
-            self._pipes.append(here)
+            self._pipes.append(parent_end)
             self._processes.append(process)
         for pipe in self._pipes:
             pipe.recv()
@@ -136,14 +136,14 @@ class Apart:
 
 
 def _steps(pipe: Any, count: int, resolution: int) -> None:
-    with Carried(count, resolution, threads=1) as carried:
+    with CarriedCloths(count, resolution, threads=1) as carried:
         pipe.send(True)
         while pipe.recv():
             carried.step()
             pipe.send(True)
 
 
-class Futures:
+class RolloutBatch:
     """Rollouts of 1 s of a cloth whose corner a gripper moves.
 
     Args:
@@ -152,17 +152,17 @@ class Futures:
         self_contact: whether self-contact is on.
     """
 
-    def __init__(self, count: int, resolution: int, own: bool) -> None:
-        simulation = Simulation(hung(resolution, **{"contact.self": own}))
+    def __init__(self, count: int, resolution: int, self_contact: bool) -> None:
+        simulation = Simulation(hung(resolution, **{"contact.self": self_contact}))
         take_corner(simulation)
         self.frames = round(simulation.scene.rate)
         self._snapshot = simulation.snapshot()
-        place = simulation.grippers.poses()[0, :3]
+        start = simulation.grippers.poses()[0, :3]
         t = np.arange(1, self.frames + 1) * simulation.scene.period
-        ways = np.random.default_rng(0).uniform(-0.2, 0.2, (count, 3))
+        displacements = np.random.default_rng(0).uniform(-0.2, 0.2, (count, 3))
         self._actions = np.ones((count, self.frames, 1, 4))
         # A smooth path: the speed is zero at both ends.
-        self._actions[:, :, 0, :3] = place + ways[:, None] * (t * t * (3.0 - 2.0 * t))[None, :, None]
+        self._actions[:, :, 0, :3] = start + displacements[:, None] * (t * t * (3.0 - 2.0 * t))[None, :, None]
 
     def in_threads(self) -> None:
         """Run all rollouts in threads on all cores."""
@@ -194,12 +194,12 @@ def memory(count: int, resolution: int) -> tuple[float, float]:
 
 def _in_a_process(count: int, resolution: int) -> tuple[float, float]:
     with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.apply(_taken, (count, resolution))
+        return pool.apply(_memory_use, (count, resolution))
 
 
-def _taken(count: int, resolution: int) -> tuple[float, float]:
+def _memory_use(count: int, resolution: int) -> tuple[float, float]:
     """Return the size of a cloth's state and of a process with `count` cloths [bytes]."""
-    with Carried(count, resolution) as some:
+    with CarriedCloths(count, resolution) as some:
         state = sum(array.nbytes for array in some.cloths.snapshots[0].state.arrays().values())
         return float(state), resident()
 
@@ -220,10 +220,10 @@ def soak(steps: int, count: int) -> Soak:
     """Run random steps of cloths of 6 x 6 particles; episodes last 50 steps, a quarter of them with another density."""
     from cloth_sim_ros.batch.vector_env import ClothVectorEnv
 
-    def other(random: np.random.Generator, _: Scene) -> dict[str, float] | None:
+    def randomise(random: np.random.Generator, _: Scene) -> dict[str, float] | None:
         return {"material.density": float(random.uniform(0.1, 0.3))} if random.random() < 0.25 else None
 
-    cloths = ClothVectorEnv(count, scene=hung(6), randomise=other, max_episode_steps=50, frames_per_step=2)
+    cloths = ClothVectorEnv(count, scene=hung(6), randomise=randomise, max_episode_steps=50, frames_per_step=2)
     cloths.reset(seed=0)
     cloths.action_space.seed(0)
     rounds, episodes, warm = -(-steps // count), 0, 0.0

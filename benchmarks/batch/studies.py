@@ -51,17 +51,17 @@ def run(options: argparse.Namespace) -> Report:
             address, attrs.evolve(study, runs=options.workers)
         )  # Warm-up: workers import their modules.
         for clouds in (False, True):
-            what = f"cloth_batch {'with' if clouds else 'without'} clouds"
-            rows.append([what, *_through_cloth_batch(address, attrs.evolve(study, clouds=clouds))])
+            label = f"cloth_batch {'with' if clouds else 'without'} clouds"
+            rows.append([label, *_through_cloth_batch(address, attrs.evolve(study, clouds=clouds))])
     simulated = options.runs * options.seconds
     table = Table(
         "throughput",
         ["what", "wall s", "core s", "times real time", "a core", "of plain %", "a core %", "kB a simulated second"],
     )
     _, plain, plain_work, _ = rows[0]
-    for what, wall, work, size in rows:
+    for label, wall, work, size in rows:
         shares = [simulated / wall, simulated / work, 100.0 * plain / wall, 100.0 * plain_work / work]
-        table.rows.append([what, wall, work, *shares, size / simulated / 1e3])
+        table.rows.append([label, wall, work, *shares, size / simulated / 1e3])
     report.tables.append(table)
     costs = [options.tasks, 1e3 * task[0], 1e3 * task[1]]
     report.tables.append(Table("Dask", ["tasks", "wall ms a task", "core ms of scheduler and client a task"], [costs]))
@@ -137,11 +137,11 @@ def _through_cloth_batch(address: SchedulerAddress, study: Study) -> tuple[float
     samples = sample(study.factors, runs=study.runs, seed=study.seed, sampling=study.sampling)
     rows: dict[int, dict[str, Any]] = {}
     with tempfile.TemporaryDirectory() as folder:
-        place = StudyFolder(Path(folder) / "study")
-        place.create(study, samples, "")
-        conductor = StudyRunner(place, study, samples, 10.0, rows.__setitem__)
+        study_folder = StudyFolder(Path(folder) / "study")
+        study_folder.create(study, samples, "")
+        runner = StudyRunner(study_folder, study, samples, 10.0, rows.__setitem__)
         begun = time.perf_counter()
-        conductor.run(address, range(study.runs), wait=30.0)
+        runner.run(address, range(study.runs), wait=30.0)
         wall = time.perf_counter() - begun
     return wall, sum(row["cpu_time"] for row in rows.values()), float(sum(row["bytes"] for row in rows.values()))
 
@@ -153,10 +153,10 @@ def _sizing(options: argparse.Namespace, rows: list[list[Any]], task: float) -> 
         ["clouds", "core hours", f"cores for {_HOURS:g} h", "bytes", "tasks a second then", "scheduler busy %"],
     )
     simulated = options.runs * options.seconds
-    for what, _, work, size in rows[1:]:
+    for label, _, work, size in rows[1:]:
         hours = work / simulated * _LENGTH * _MILLION / 3600.0
         rate = _MILLION / (_HOURS * 3600.0)
-        cloud = "yes" if what.endswith("with clouds") else "no"
+        cloud = "yes" if label.endswith("with clouds") else "no"
         total = format_quantity(size / simulated * _LENGTH * _MILLION, "B")
         table.rows.append([cloud, f"{hours:,.0f}", f"{hours / _HOURS:,.0f}", total, rate, 100.0 * rate * task])
     return table

@@ -12,13 +12,13 @@ from collections.abc import Callable
 import attrs
 
 from benchmarks.batch import cloths as batch_cloths
-from benchmarks.timing import take_turns
+from benchmarks.timing import time_interleaved
 from validation.report import Report, Table
 
 #: Smallest total of simulated seconds per wall second, on two cores.
 MIN_THROUGHPUT = 32.0
 #: Smallest gain of two threads over one, or relative margin below the gain of two independent processes.
-MIN_THREAD_GAIN, APART_SHARE = 1.9, 0.03
+MIN_THREAD_GAIN, PROCESS_PAIR_MARGIN = 1.9, 0.03
 #: Largest ratio of a cloth's memory to its state.
 MAX_MEMORY_RATIO = 4.0
 #: Largest wall time of the rollouts on two cores [s].
@@ -78,7 +78,7 @@ def _throughput(options: argparse.Namespace, report: Report) -> None:
         "core ms a frame",
     ]
     table = Table("A vector environment, each cloth carried by a gripper on a circle, tolerance 1e-3 m", columns)
-    with batch_cloths.Carried(options.envs, options.resolution) as carried:
+    with batch_cloths.CarriedCloths(options.envs, options.resolution) as carried:
         evaluations = carried.evaluations()
         factors, milliseconds = list[float](), list[float]()
         end = time.perf_counter() + options.seconds
@@ -105,46 +105,53 @@ def _threads(options: argparse.Namespace, report: Report) -> None:
     table = Table("A step of the vector environment on two threads against one", columns)
     count = options.envs
     with (
-        batch_cloths.Carried(count, options.resolution, threads=1) as one,
-        batch_cloths.Carried(count, options.resolution, threads=2) as two,
-        batch_cloths.Apart(count, options.resolution) as apart,
+        batch_cloths.CarriedCloths(count, options.resolution, threads=1) as one_thread,
+        batch_cloths.CarriedCloths(count, options.resolution, threads=2) as two_threads,
+        batch_cloths.ProcessPair(count, options.resolution) as apart,
     ):
-        turns = take_turns({"one": one.step, "two": two.step, "apart": apart.step}, seconds=options.seconds)
-        if one.digests() != two.digests():
+        turns = time_interleaved(
+            {"one": one_thread.step, "two": two_threads.step, "apart": apart.step}, seconds=options.seconds
+        )
+        if one_thread.digests() != two_threads.digests():
             report.failures.append("two threads gave other bits than one")
     gain = turns.ratio("one", "two")
     # Two processes step twice as many cloths.
-    most = 2.0 * turns.ratio("one", "apart")
-    table.rows.append([count, 1e3 * turns.median("one"), 1e3 * turns.median("two"), gain, most])
+    process_gain = 2.0 * turns.ratio("one", "apart")
+    table.rows.append([count, 1e3 * turns.median("one"), 1e3 * turns.median("two"), gain, process_gain])
     report.tables.append(table)
     report.notes.append("two processes: gain in throughput of two independent processes over one")
-    if gain < min(MIN_THREAD_GAIN, (1.0 - APART_SHARE) * most):
-        report.failures.append(f"two threads: {gain:.2f} times one; target {MIN_THREAD_GAIN:g} (apart {most:.2f})")
+    if gain < min(MIN_THREAD_GAIN, (1.0 - PROCESS_PAIR_MARGIN) * process_gain):
+        report.failures.append(
+            f"two threads: {gain:.2f} times one; target {MIN_THREAD_GAIN:g} (apart {process_gain:.2f})"
+        )
 
 
 def _memory(options: argparse.Namespace, report: Report) -> None:
     columns = ["cloths", "particles", "state kB", "a cloth kB", "to its state"]
     table = Table("Memory that a further cloth of a vector environment takes", columns)
-    state, each = batch_cloths.memory(options.envs, options.resolution)
-    table.rows.append([options.envs, options.resolution**2, state / 1e3, each / 1e3, each / state])
+    state, per_cloth = batch_cloths.memory(options.envs, options.resolution)
+    table.rows.append([options.envs, options.resolution**2, state / 1e3, per_cloth / 1e3, per_cloth / state])
     report.tables.append(table)
-    if each > MAX_MEMORY_RATIO * state:
-        report.failures.append(f"a cloth takes {each / state:.2f} times its state; target {MAX_MEMORY_RATIO:g}")
+    if per_cloth > MAX_MEMORY_RATIO * state:
+        report.failures.append(f"a cloth takes {per_cloth / state:.2f} times its state; target {MAX_MEMORY_RATIO:g}")
 
 
 def _rollouts(options: argparse.Namespace, report: Report) -> None:
     columns = ["futures", "frames", "particles", "contact with itself", "by", "wall s", "least", "most"]
     table = Table("Rollouts of one second, the gripper moving", columns)
-    ways = {}
-    for own in (False, True):
-        futures = batch_cloths.Futures(options.rollouts, options.rollout_resolution, own)
-        futures.in_processes()  # Warm-up: processes start and import.
-        ways[own, "threads"], ways[own, "processes"] = futures.in_threads, futures.in_processes
-    turns = take_turns({f"{own} {by}": way for (own, by), way in ways.items()}, seconds=options.seconds)
-    for own, by in ways:
-        seconds = turns.seconds[f"{own} {by}"]
-        row = [options.rollouts, futures.frames, options.rollout_resolution**2, "yes" if own else "no", by]
-        table.rows.append([*row, turns.median(f"{own} {by}"), min(seconds), max(seconds)])
+    methods = {}
+    for self_contact in (False, True):
+        batch = batch_cloths.RolloutBatch(options.rollouts, options.rollout_resolution, self_contact)
+        batch.in_processes()  # Warm-up: processes start and import.
+        methods[self_contact, "threads"], methods[self_contact, "processes"] = batch.in_threads, batch.in_processes
+    turns = time_interleaved(
+        {f"{self_contact} {by}": run_rollouts for (self_contact, by), run_rollouts in methods.items()},
+        seconds=options.seconds,
+    )
+    for self_contact, by in methods:
+        seconds = turns.seconds[f"{self_contact} {by}"]
+        row = [options.rollouts, batch.frames, options.rollout_resolution**2, "yes" if self_contact else "no", by]
+        table.rows.append([*row, turns.median(f"{self_contact} {by}"), min(seconds), max(seconds)])
     report.tables.append(table)
     best = min(turns.median("False threads"), turns.median("False processes"))
     if best > MAX_ROLLOUT_TIME:

@@ -8,7 +8,7 @@ import argparse
 import math
 
 import numpy as np
-from support.layer_stacks import advance, anchors, balanced, friction_off, slides, stack
+from support.layer_stacks import advance, advance_with_balance, anchors, friction_error, is_sliding, stack
 from support.obstacle_sheets import FRAME
 
 from validation.report import Report, Table
@@ -25,28 +25,28 @@ def layers(report: Report, options: argparse.Namespace) -> None:
     )
     for mu in (0.2, 0.5, 1.0):
         for count, below in ((7, 13), (10, 13), (13, 13), (10, 21)):
-            held = slides(stack(count, below, math.degrees(math.atan((1.0 - OFF) * mu)), (mu,)))
-            lost = slides(stack(count, below, math.degrees(math.atan((1.0 + OFF) * mu)), (mu,)))
-            off = friction_off(count, below, mu)
+            slides_below = is_sliding(stack(count, below, math.degrees(math.atan((1.0 - OFF) * mu)), (mu,)))
+            slides_above = is_sliding(stack(count, below, math.degrees(math.atan((1.0 + OFF) * mu)), (mu,)))
+            off = friction_error(count, below, mu)
             name = f"{count}^2 on {below}^2"
-            table.rows.append([mu, name, held, lost, 100.0 * off])
-            if held or not lost:
+            table.rows.append([mu, name, slides_below, slides_above, 100.0 * off])
+            if slides_below or not slides_above:
                 report.failures.append(f"mu {mu}, {name}: does not begin to slide at mu N")
             if not abs(off) < OFF:
                 report.failures.append(f"mu {mu}, {name}: friction in motion is {100.0 * off:.2g} % off mu N")
     report.tables.append(table)
-    _rest(report, options)
+    _drift(report, options)
     _energy(report)
 
 
-def _rest(report: Report, options: argparse.Namespace) -> None:
+def _drift(report: Report, options: argparse.Namespace) -> None:
     """Measure the drift of a stack 0.1 degrees below the friction angle."""
     motion = stack(10, 13, math.degrees(math.atan(0.5)) - 0.1, (0.5,))
     advance(motion, 60)
-    start, kept = motion.state.x.copy(), anchors(motion)
+    start, start_anchors = motion.state.x.copy(), anchors(motion)
     advance(motion, round(options.drift / 10.0 / FRAME))
     drift = float(np.abs(motion.state.x - start).max())
-    moved = int((anchors(motion) != kept).sum())
+    moved = int((anchors(motion) != start_anchors).sum())
     table = Table("Layers at rest", ["seconds", "largest way um", "numbers of anchors that changed"])
     table.rows.append([options.drift / 10.0, 1e6 * drift, moved])
     report.tables.append(table)
@@ -56,7 +56,7 @@ def _rest(report: Report, options: argparse.Namespace) -> None:
 
 def _energy(report: Report) -> None:
     """Measure friction work and energy residual of a sliding stack."""
-    balance, worst, least = balanced(stack(10, 13, 40.0, (0.5, 0.4)), 18)
+    balance, worst, least = advance_with_balance(stack(10, 13, 40.0, (0.5, 0.4)), 18)
     table = Table(
         "Energy of a stack that slides", ["lost J", "by friction J", "least in a frame J", "residual / turned over"]
     )

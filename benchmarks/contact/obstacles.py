@@ -21,11 +21,11 @@ from benchmarks.contact import self_contact as contact_self
 from benchmarks.contact.layers import layers
 from benchmarks.contact.pinch import pinch
 from benchmarks.contact.recovery import starts
-from benchmarks.timing import take_turns
+from benchmarks.timing import time_interleaved
 from cloth_sim_ros.physics.controller_state import ANCHORS_KEY
 from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
-from validation.report import Report, Table, say
+from validation.report import Report, Table, print_progress
 
 PARTS = (
     "slopes",
@@ -43,7 +43,7 @@ PARTS = (
 )
 G = 9.81
 #: Offsets from the friction angle at which a sheet must stick or slip, and at which its acceleration is measured [deg].
-NEAR, BEYOND = 0.1, 5.0
+STICTION_MARGIN, SLIDING_MARGIN = 0.1, 5.0
 #: Displacement within one second that counts as slip [m].
 SLIPPED = 1e-3
 
@@ -62,14 +62,14 @@ def run(options: argparse.Namespace) -> Report:
     """Run the selected parts."""
     report = Report("Contact", "python -m benchmarks contact")
     for part in options.parts:
-        say(f"{part} ...")
+        print_progress(f"{part} ...")
         _MEASURES[part](report, options)
     return report
 
 
-def _must(report: Report, holds: bool, what: str) -> None:
+def _require(report: Report, holds: bool, failure: str) -> None:
     if not holds:
-        report.failures.append(what)
+        report.failures.append(failure)
 
 
 def slopes(report: Report, options: argparse.Namespace) -> None:
@@ -82,30 +82,32 @@ def slopes(report: Report, options: argparse.Namespace) -> None:
         for kind in ("grid", "mesh"):
             for count in (6, 10, 16, 24):
                 name = f"{kind} {count} x {count}"
-                way, moved = _held(kind, count, steep - NEAR, mu)
-                above = slope(kind, count, steep + NEAR, (mu, mu))
-                start = downhill(above, steep + NEAR)
+                displacement, moved = _creep_below_friction_angle(kind, count, steep - STICTION_MARGIN, mu)
+                above = slope(kind, count, steep + STICTION_MARGIN, (mu, mu))
+                start = downhill(above, steep + STICTION_MARGIN)
                 for _ in range(60):
                     above.advance()
-                slid = downhill(above, steep + NEAR) - start
-                off = _acceleration(kind, count, steep + BEYOND, mu)
-                table.rows.append([mu, 0.8 * mu, name, 1e6 * way, moved, 1e3 * slid, 100.0 * off])
-                _must(report, way < SLIPPED and not moved, f"mu {mu}, {name}: slips below the angle of friction")
-                _must(report, slid > SLIPPED, f"mu {mu}, {name}: sticks above the angle of friction")
-                _must(report, abs(off) < 0.01, f"mu {mu}, {name}: accelerates {100.0 * off:.2g} % off")
+                slid = downhill(above, steep + STICTION_MARGIN) - start
+                off = _acceleration(kind, count, steep + SLIDING_MARGIN, mu)
+                table.rows.append([mu, 0.8 * mu, name, 1e6 * displacement, moved, 1e3 * slid, 100.0 * off])
+                _require(
+                    report, displacement < SLIPPED and not moved, f"mu {mu}, {name}: slips below the angle of friction"
+                )
+                _require(report, slid > SLIPPED, f"mu {mu}, {name}: sticks above the angle of friction")
+                _require(report, abs(off) < 0.01, f"mu {mu}, {name}: accelerates {100.0 * off:.2g} % off")
     report.tables.append(table)
     report.notes.append("mu_k applies to the last column only; the others use mu_s for both coefficients.")
 
 
-def _held(kind: str, count: int, degrees: float, mu: float) -> tuple[float, int]:
+def _creep_below_friction_angle(kind: str, count: int, degrees: float, mu: float) -> tuple[float, int]:
     """Return the displacement [m] within 1 s after settling, and the number of anchors that changed in it."""
     motion = slope(kind, count, degrees, (mu, mu))
     for _ in range(60):
         motion.advance()
-    start, kept = downhill(motion, degrees), motion.state.memory[ANCHORS_KEY].copy()
+    start, start_anchors = downhill(motion, degrees), motion.state.memory[ANCHORS_KEY].copy()
     for _ in range(60):
         motion.advance()
-    moved = int((motion.state.memory[ANCHORS_KEY] != kept).any(axis=1).sum())
+    moved = int((motion.state.memory[ANCHORS_KEY] != start_anchors).any(axis=1).sum())
     return abs(downhill(motion, degrees) - start), moved
 
 
@@ -122,23 +124,23 @@ def _acceleration(kind: str, count: int, degrees: float, mu: float) -> float:
 
 def drift(report: Report, options: argparse.Namespace) -> None:
     """Measure the drift of a sheet on a slope 0.1 degrees below the friction angle."""
-    steep = math.degrees(math.atan(0.5)) - NEAR
+    steep = math.degrees(math.atan(0.5)) - STICTION_MARGIN
     motion = slope("grid", 8, steep, (0.5, 0.5))
     for _ in range(60):
         motion.advance()
-    start, kept = motion.state.x.copy(), motion.state.memory[ANCHORS_KEY].copy()
+    start, start_anchors = motion.state.x.copy(), motion.state.memory[ANCHORS_KEY].copy()
     for _ in range(round(options.drift / FRAME)):
         motion.advance()
-    way = float(np.abs(motion.state.x - start).max())
-    slipped = int((motion.state.memory[ANCHORS_KEY] != kept).sum())
+    displacement = float(np.abs(motion.state.x - start).max())
+    slipped = int((motion.state.memory[ANCHORS_KEY] != start_anchors).sum())
     report.tables.append(
         Table(
             "Drift",
             ["seconds", "largest way um", "numbers of anchors that changed"],
-            [[options.drift, 1e6 * way, slipped]],
+            [[options.drift, 1e6 * displacement, slipped]],
         )
     )
-    _must(report, way < 1e-6 and not slipped, f"a sheet that sticks drifted by {way:.2g} m")
+    _require(report, displacement < 1e-6 and not slipped, f"a sheet that sticks drifted by {displacement:.2g} m")
 
 
 def weight(report: Report, options: argparse.Namespace) -> None:
@@ -157,7 +159,7 @@ def weight(report: Report, options: argparse.Namespace) -> None:
             fastest = float(np.abs(motion.state.v).max())
             off = up / (mass * G)
             table.rows.append([name, kind, 100.0 * off, fastest])
-            _must(report, abs(off) < 1e-3, f"{name}, {kind}: bears {100.0 * off:.2g} % off the weight")
+            _require(report, abs(off) < 1e-3, f"{name}, {kind}: bears {100.0 * off:.2g} % off the weight")
     report.tables.append(table)
 
 
@@ -192,10 +194,10 @@ def capstan(report: Report, options: argparse.Namespace) -> None:
             steps.advance(strip.plan, state, frame * FRAME, FRAME)
             if frame >= 60:
                 pulls += strip.tensions(state.x, state.v)
-        ratio, wanted = float(pulls.max() / pulls.min()), math.exp(mu * math.radians(degrees))
-        off = ratio / wanted - 1.0
-        table.rows.append([mu, degrees, mu * math.radians(degrees), ratio, wanted, 100.0 * off])
-        _must(report, abs(off) < 0.03, f"mu {mu} over {degrees:g} degrees: tensions {100.0 * off:.2g} % off")
+        ratio, expected = float(pulls.max() / pulls.min()), math.exp(mu * math.radians(degrees))
+        off = ratio / expected - 1.0
+        table.rows.append([mu, degrees, mu * math.radians(degrees), ratio, expected, 100.0 * off])
+        _require(report, abs(off) < 0.03, f"mu {mu} over {degrees:g} degrees: tensions {100.0 * off:.2g} % off")
     report.tables.append(table)
     report.notes.append("Capstan: means over 1.5 s, from 1 s on; the drum surface slides at 0.2 m/s under the strip.")
 
@@ -233,7 +235,7 @@ def impacts(report: Report, options: argparse.Namespace) -> None:
                 finest, evaluations = min(finest, done.step), evaluations + done.evaluations
                 flagged += done.flagged
             table.rows.append([speed, name, deepest / THICKNESS, 1e6 * finest, evaluations, flagged])
-            _must(report, deepest > 0.0, f"{speed:g} m/s, {name}: through the floor")
+            _require(report, deepest > 0.0, f"{speed:g} m/s, {name}: through the floor")
     report.tables.append(table)
     report.notes.append("Impacts: 30 frames after a start 10 mm above; a frame that reaches its work limit is flagged.")
 
@@ -241,29 +243,31 @@ def impacts(report: Report, options: argparse.Namespace) -> None:
 def order(report: Report, options: argparse.Namespace) -> None:
     """Compare a sheet sliding over a ball with its own solution at a tenth of the smallest tolerance."""
     values, _ = sheet("grid", 8)
-    place = [0.04, 0.0, 0.11]
-    values |= {**_SUPPORTS["sphere"], "obstacles": ["it"], "it.friction": [0.4, 0.3], "cloth.position": place}
+    position = [0.04, 0.0, 0.11]
+    values |= {**_SUPPORTS["sphere"], "obstacles": ["it"], "it.friction": [0.4, 0.3], "cloth.position": position}
     table = Table(
         "Sliding over a ball for a third of a second",
         ["tolerance m", "largest error m", "of the error bound", "evaluations"],
     )
 
-    def end(tolerance: float, kick: float = 0.0) -> tuple[Any, int, int]:
+    def end(tolerance: float, perturbation: float = 0.0) -> tuple[Any, int, int]:
         motion = Motion({**values, "tolerance": tolerance, "work_limit": 1e3})
-        motion.state.x += kick * np.random.default_rng(1).normal(size=motion.state.x.shape) / math.sqrt(3.0)
+        motion.state.x += perturbation * np.random.default_rng(1).normal(size=motion.state.x.shape) / math.sqrt(3.0)
         done = [motion.advance() for _ in range(20)]
-        return motion.state.x, sum(each.evaluations for each in done), sum(each.flagged for each in done)
+        return motion.state.x, sum(frame.evaluations for frame in done), sum(frame.flagged for frame in done)
 
     best, _, _ = end(1e-6)
-    kicked, _, _ = end(1e-6, 1e-5)
-    growth = max(1.0, float(np.linalg.norm(kicked - best, axis=0).max()) / 1e-5)
+    perturbed, _, _ = end(1e-6, 1e-5)
+    amplification = max(1.0, float(np.linalg.norm(perturbed - best, axis=0).max()) / 1e-5)
     for tolerance in (1e-3, 1e-4, 1e-5):
         x, evaluations, flagged = end(tolerance)
         error = float(np.linalg.norm(x - best, axis=0).max())
-        table.rows.append([tolerance, error, error / (tolerance * growth), evaluations])
-        _must(report, flagged > 0 or error <= tolerance * growth, f"{tolerance:g} m: {error:.2g} m off, unflagged")
+        table.rows.append([tolerance, error, error / (tolerance * amplification), evaluations])
+        _require(
+            report, flagged > 0 or error <= tolerance * amplification, f"{tolerance:g} m: {error:.2g} m off, unflagged"
+        )
     report.tables.append(table)
-    report.notes.append(f"Sliding: a perturbation of 10 um was amplified {growth:.3g} times.")
+    report.notes.append(f"Sliding: a perturbation of 10 um was amplified {amplification:.3g} times.")
 
 
 def cost(report: Report, options: argparse.Namespace) -> None:
@@ -276,24 +280,24 @@ def cost(report: Report, options: argparse.Namespace) -> None:
         for name, friction in (("on a table", 0.0), ("on a table with friction", 0.5)):
             on = Motion({**lying, "it.friction": [friction, friction]})
             free = Motion({**common, "gravity": [0.0, 0.0, 0.0]})
-            ratio = _compared(on, free, options.seconds)
+            ratio = _cost_ratio(on, free, options.seconds)
             table.rows.append([name, f"{count} x {count}", "floating", ratio, 1.3])
-            _must(report, ratio <= 1.3, f"{name}, {count} x {count}: {ratio:.3g} times a free sheet's frame")
+            _require(report, ratio <= 1.3, f"{name}, {count} x {count}: {ratio:.3g} times a free sheet's frame")
         hung = {
             **common,
             "cloth.anchors": ["top"],
             "cloth.orientation": [0.7071067811865476, 0.0, 0.0, 0.7071067811865476],
         }
         ball = {"obstacles": ["it"], "it.shape": "sphere", "it.size": [0.2], "it.position": [3.0, 0.0, 0.0]}
-        ratio = _compared(Motion({**hung, **ball}), Motion(hung), options.seconds)
+        ratio = _cost_ratio(Motion({**hung, **ball}), Motion(hung), options.seconds)
         table.rows.append(["a ball out of reach", f"{count} x {count}", "none", ratio, 1.02])
-        _must(report, ratio <= 1.02, f"a ball out of reach costs {ratio:.4g} times, {count} x {count}")
+        _require(report, ratio <= 1.02, f"a ball out of reach costs {ratio:.4g} times, {count} x {count}")
     report.tables.append(table)
 
 
-def _compared(one: Motion, other: Motion, seconds: float) -> float:
+def _cost_ratio(candidate_motion: Motion, baseline: Motion, seconds: float) -> float:
     """Return the ratio of the frame times after both motions have settled."""
-    for motion in (one, other):
+    for motion in (candidate_motion, baseline):
         for _ in range(60):
             motion.advance()
 
@@ -305,7 +309,9 @@ def _compared(one: Motion, other: Motion, seconds: float) -> float:
 
         return frames
 
-    turns = take_turns({"one": turn(one), "other": turn(other)}, seconds=seconds, clock=time.process_time)
+    turns = time_interleaved(
+        {"one": turn(candidate_motion), "other": turn(baseline)}, seconds=seconds, clock=time.process_time
+    )
     return turns.ratio("one", "other")
 
 

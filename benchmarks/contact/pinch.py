@@ -30,16 +30,16 @@ from validation.report import Report, Table
 G = 9.81
 HEIGHT, WIDTH = 0.18, 0.09
 #: Height of the clamped part [m].
-BETWEEN = 0.045
+CLAMPED_HEIGHT = 0.045
 #: Frames until the full weight acts and the sheet is at rest, and frames in which it must then stay.
-SETTLED, WATCHED = 70, 60
+SETTLING_FRAMES, OBSERVED_FRAMES = 70, 60
 #: Relative error of the holding force; excursion [spacings]; creep and residual displacement [m].
-OFF, GIVES, CREEPS = 0.01, 0.01, 1e-6
+FORCE_MARGIN, MAX_EXCURSION, MAX_CREEP = 0.01, 0.01, 1e-6
 #: Largest speed [m/s] and acceleration [m/s^2] while carried.
-SPEED, RISE = 1.0, 2.0
+CARRY_SPEED, CARRY_ACCELERATION = 1.0, 2.0
 
 
-class Pinched:
+class PinchedSheet:
     """Sheet that hangs between closed pads.
 
     Args:
@@ -52,15 +52,15 @@ class Pinched:
     def __init__(self, kind: str, columns: int, mu: float, share: float) -> None:
         values, files = _sheet(kind, columns)
         scene = Scene.from_parameters(values, files=files)
-        rest, free = scene.sheet.positions(), scene.model()
-        places = np.stack([rest[:, 0], np.zeros(len(rest)), rest[:, 1]], axis=1)
+        rest_positions, free = scene.sheet.positions(), scene.model()
+        places = np.stack([rest_positions[:, 0], np.zeros(len(rest_positions)), rest_positions[:, 1]], axis=1)
         places[:, 0] -= 0.5 * (places[:, 0].min() + places[:, 0].max())
         places[:, 2] -= places[:, 2].max()
         mass = float(free.masses.sum())
         force, speed = share * mass * G / (2.0 * mu), 0.05
         pads = ParallelJaw(
             gripper="hand",
-            size=(2.0 * WIDTH, 0.01, 2.0 * BETWEEN),
+            size=(2.0 * WIDTH, 0.01, 2.0 * CLAMPED_HEIGHT),
             friction=(mu, mu),
             force=force,
             speed=speed,
@@ -68,35 +68,35 @@ class Pinched:
             inertia=drive_inertia(mass, force, speed),
         )
         self.contact = Contact([], thickness=THICKNESS, jaws=[pads])
-        kept = [each for each in free.forces if each.name not in ("gravity", "drag")]
-        self._kept = [*kept, self.contact]
-        self.plan = compile(Model(free.masses, self._kept))
+        sheet_forces = [term for term in free.forces if term.name not in ("gravity", "drag")]
+        self._constant_forces = [*sheet_forces, self.contact]
+        self.plan = compile(Model(free.masses, self._constant_forces))
         self.state = State(places)
         self.state.memory[JAWS_KEY] = np.array([[1.2 * THICKNESS, 0.0]])
         self._steps, self._frames = make_integrator("auto", tolerance=1e-5), 0
-        self.between = places[:, 2] > -BETWEEN
+        self.between = places[:, 2] > -CLAMPED_HEIGHT
         self.spacing = WIDTH / (columns - 1)
         self.move(np.zeros(3), np.zeros(3), np.zeros(3))
         self.contact.set_jaw_commands(np.array([[True, True]]))
         # Gravity ramps up within half a second, with strong drag, so that the sheet does not fall into the pads.
-        for k in range(SETTLED):
-            self._uniform(G * min(1.0, max(0.0, (k - 10) / 30)), 5.0)
+        for k in range(SETTLING_FRAMES):
+            self._set_uniform_forces(G * min(1.0, max(0.0, (k - 10) / 30)), 5.0)
             self.advance()
-        self._uniform(G, 0.2)
+        self._set_uniform_forces(G, 0.2)
 
-    def thicken(self) -> None:
+    def raise_drag(self) -> None:
         """Raise the drag, which damps the swing."""
-        self._uniform(G, 5.0)
+        self._set_uniform_forces(G, 5.0)
 
-    def _uniform(self, gravity: float, drag: float) -> None:
+    def _set_uniform_forces(self, gravity: float, drag: float) -> None:
         uniform = [*([Gravity((0.0, 0.0, -gravity))] if gravity else []), Drag(drag)]
-        self.plan.change_uniform([*self._kept, *uniform], uniform)
+        self.plan.change_uniform([*self._constant_forces, *uniform], uniform)
 
-    def move(self, place: Any, speed: Any, rise: Any) -> None:
+    def move(self, position: Any, speed: Any, acceleration: Any) -> None:
         """Set position [m], speed [m/s] and acceleration [m/s^2] of both pads, each (3,), for the next frame."""
         path = np.zeros((2, 26))
         path[:, 0], path[:, 16] = self._frames * FRAME, 1.0
-        path[:, 1:4], path[:, 4:7], path[:, 7:10] = place, speed, 0.5 * np.asarray(rise)
+        path[:, 1:4], path[:, 4:7], path[:, 7:10] = position, speed, 0.5 * np.asarray(acceleration)
         self.contact.set_paths(path)
 
     def advance(self, frames: int = 1) -> None:
@@ -121,52 +121,56 @@ def _sheet(kind: str, columns: int) -> tuple[dict[str, Any], dict[str, bytes]]:
     }
     if kind == "grid":
         return {**values, "cloth.resolution": [2 * columns - 1, columns]}, {}
-    rest, triangles = shuffled_mesh(2 * columns * columns)
+    rest_positions, triangles = shuffled_mesh(2 * columns * columns)
     del values["cloth.size"]
     values |= {"cloth.mesh": "mesh.obj", "bending.model": "opposite"}
-    return values, {"mesh.obj": garment.as_obj(rest * [WIDTH, HEIGHT, 1.0], triangles)}
+    return values, {"mesh.obj": garment.as_obj(rest_positions * [WIDTH, HEIGHT, 1.0], triangles)}
 
 
 def pinch(report: Report, options: argparse.Namespace) -> None:
     """Measure sheets just below and above the holding force, a long hold, and carried sheets."""
-    _holds(report)
-    _creeps(report, options.drift)
-    _carried(report)
+    _measure_holding_force(report)
+    _measure_creep(report, options.drift)
+    _measure_carrying(report)
 
 
-def _holds(report: Report) -> None:
+def _measure_holding_force(report: Report) -> None:
     columns = ["mu", "sheet", "at 0.99: way mm", "at 1.01: way mm", "anchors that moved"]
     table = Table("A pinch: force over m g / (2 mu) at which a sheet slides and is held", columns)
     for mu in (0.2, 0.5, 1.0):
         for kind, count in (("grid", 4), ("grid", 8), ("mesh", 6)):
-            ways, moved = [], 0
-            for share in (1.0 - OFF, 1.0 + OFF):
-                it = Pinched(kind, count, mu, share)
-                start, kept = it.state.x[2].mean(), it.anchors
-                it.advance(WATCHED)
-                ways.append(float(start - it.state.x[2].mean()))
-                moved = int((it.anchors != kept).any(axis=1).sum())
-            name = f"{kind} of {it.state.particle_count}"
-            table.rows.append([mu, name, 1e3 * ways[0], 1e3 * ways[1], moved])
-            if not (ways[0] > 1e-3 and ways[1] < CREEPS and not moved):
-                report.failures.append(f"mu {mu}, {name}: it slides {1e3 * ways[0]:.3g} mm, is held to {ways[1]:.2g} m")
+            displacements, moved = [], 0
+            for share in (1.0 - FORCE_MARGIN, 1.0 + FORCE_MARGIN):
+                pinched = PinchedSheet(kind, count, mu, share)
+                start, start_anchors = pinched.state.x[2].mean(), pinched.anchors
+                pinched.advance(OBSERVED_FRAMES)
+                displacements.append(float(start - pinched.state.x[2].mean()))
+                moved = int((pinched.anchors != start_anchors).any(axis=1).sum())
+            name = f"{kind} of {pinched.state.particle_count}"
+            table.rows.append([mu, name, 1e3 * displacements[0], 1e3 * displacements[1], moved])
+            if not (displacements[0] > 1e-3 and displacements[1] < MAX_CREEP and not moved):
+                report.failures.append(
+                    f"mu {mu}, {name}: it slides {1e3 * displacements[0]:.3g} mm, is held to {displacements[1]:.2g} m"
+                )
     report.tables.append(table)
 
 
-def _creeps(report: Report, seconds: float) -> None:
-    it = Pinched("grid", 4, 0.5, 2.0)
-    it.advance(WATCHED)
-    start, kept = it.state.x.copy(), it.anchors
-    it.advance(round(seconds / FRAME))
-    way = float(np.abs(it.state.x - start).max())
-    slipped = int((it.anchors != kept).sum())
+def _measure_creep(report: Report, seconds: float) -> None:
+    pinched = PinchedSheet("grid", 4, 0.5, 2.0)
+    pinched.advance(OBSERVED_FRAMES)
+    start, start_anchors = pinched.state.x.copy(), pinched.anchors
+    pinched.advance(round(seconds / FRAME))
+    displacement = float(np.abs(pinched.state.x - start).max())
+    slipped = int((pinched.anchors != start_anchors).sum())
     columns = ["seconds", "largest way um", "numbers of anchors that changed"]
-    report.tables.append(Table("A pinch at twice that force", columns, [[seconds, 1e6 * way, slipped]]))
-    if way >= CREEPS or slipped:
-        report.failures.append(f"a sheet that is pinched crept by {way:.2g} m, {slipped} numbers of anchors changed")
+    report.tables.append(Table("A pinch at twice that force", columns, [[seconds, 1e6 * displacement, slipped]]))
+    if displacement >= MAX_CREEP or slipped:
+        report.failures.append(
+            f"a sheet that is pinched crept by {displacement:.2g} m, {slipped} numbers of anchors changed"
+        )
 
 
-def _carried(report: Report) -> None:
+def _measure_carrying(report: Report) -> None:
     table = Table(
         "Carried by a pinch at 1 m/s and 2 m/s^2",
         [
@@ -178,13 +182,13 @@ def _carried(report: Report) -> None:
             "anchors that slipped",
         ],
     )
-    for what, axis, share in (("sideways, in its plane", 0, 4.0), ("across", 1, 2.0), ("up", 2, 2.0)):
+    for direction, axis, share in (("sideways, in its plane", 0, 4.0), ("across", 1, 2.0), ("up", 2, 2.0)):
         for kind, count in (("grid", 4), ("grid", 8)):
-            most, left, moved = _carry(Pinched(kind, count, 0.5, share), axis)
-            table.rows.append([what, share, f"{kind} {count}", most, 1e6 * left, moved])
-            if most > GIVES or left > CREEPS:
+            excursion, residual, moved = _carry(PinchedSheet(kind, count, 0.5, share), axis)
+            table.rows.append([direction, share, f"{kind} {count}", excursion, 1e6 * residual, moved])
+            if excursion > MAX_EXCURSION or residual > MAX_CREEP:
                 report.failures.append(
-                    f"carried {what}, {kind} {count}: gives by {most:.2g} spacings, {left:.2g} m left"
+                    f"carried {direction}, {kind} {count}: gives by {excursion:.2g} spacings, {residual:.2g} m left"
                 )
     report.tables.append(table)
     report.notes.append(
@@ -193,21 +197,27 @@ def _carried(report: Report) -> None:
     )
 
 
-def _carry(it: Pinched, axis: int) -> tuple[float, float, int]:
+def _carry(pinched: PinchedSheet, axis: int) -> tuple[float, float, int]:
     """Carry the sheet by 1 m and wait; return largest excursion [spacings], residual [m], number of moved anchors."""
-    it.advance(WATCHED)
-    start, kept = it.state.x[:, it.between], it.anchors
-    along, place, speed, most = np.eye(3)[axis], 0.0, 0.0, 0.0
-    risen = round(0.5 * SPEED / (0.5 * RISE) / FRAME)
-    for k in range(4 * risen):
-        rise = RISE if k < risen else -RISE if 2 * risen <= k < 3 * risen else 0.0
-        it.move(place * along, speed * along, rise * along)
-        it.advance()
-        place, speed = place + speed * FRAME + 0.5 * rise * FRAME**2, speed + rise * FRAME
-        away = np.abs(it.state.x[:, it.between] - place * along[:, None] - start).max()
-        most = max(most, float(away))
+    pinched.advance(OBSERVED_FRAMES)
+    start, start_anchors = pinched.state.x[:, pinched.between], pinched.anchors
+    along, position, speed, max_excursion = np.eye(3)[axis], 0.0, 0.0, 0.0
+    ramp_frames = round(0.5 * CARRY_SPEED / (0.5 * CARRY_ACCELERATION) / FRAME)
+    for k in range(4 * ramp_frames):
+        acceleration = (
+            CARRY_ACCELERATION
+            if k < ramp_frames
+            else -CARRY_ACCELERATION
+            if 2 * ramp_frames <= k < 3 * ramp_frames
+            else 0.0
+        )
+        pinched.move(position * along, speed * along, acceleration * along)
+        pinched.advance()
+        position, speed = position + speed * FRAME + 0.5 * acceleration * FRAME**2, speed + acceleration * FRAME
+        excursion = np.abs(pinched.state.x[:, pinched.between] - position * along[:, None] - start).max()
+        max_excursion = max(max_excursion, float(excursion))
     # Without the higher drag the swing decays within minutes.
-    it.thicken()
-    it.advance(240)
-    away = np.abs(it.state.x[:, it.between] - place * along[:, None] - start).max()
-    return most / it.spacing, float(away), int((it.anchors != kept).any(axis=1).sum())
+    pinched.raise_drag()
+    pinched.advance(240)
+    excursion = np.abs(pinched.state.x[:, pinched.between] - position * along[:, None] - start).max()
+    return max_excursion / pinched.spacing, float(excursion), int((pinched.anchors != start_anchors).any(axis=1).sum())

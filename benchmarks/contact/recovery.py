@@ -54,12 +54,12 @@ def starts(report: Report, options: argparse.Namespace) -> None:
             _add(report, table, name, support, make, [max(gap, 0.02 + 1e-6) * THICKNESS for gap in GAPS])
     report.tables.append(table)
     pressed = Table(
-        "Fastest particle m/s after a press by so many mm", ["on", *(f"{1e3 * way:g}" for way in PRESSES), *columns]
+        "Fastest particle m/s after a press by so many mm", ["on", *(f"{1e3 * depth:g}" for depth in PRESSES), *columns]
     )
     for support in PRESSED_ON:
-        found = _add(report, pressed, "", support, released, PRESSES)
-        if support != "sphere" and found > HIGHEST:
-            report.failures.append(f"released on {support}: a corner rises {1e3 * found:.3g} mm")
+        rise = _add(report, pressed, "", support, released, PRESSES)
+        if support != "sphere" and rise > HIGHEST:
+            report.failures.append(f"released on {support}: a corner rises {1e3 * rise:.3g} mm")
     report.tables.append(pressed)
     report.notes.append(
         f"Speeds and rises in the second after an event, at a tolerance of {COARSE:g} m; residuals of the energy "
@@ -70,14 +70,16 @@ def starts(report: Report, options: argparse.Namespace) -> None:
 
 def _add(report: Report, table: Table, name: str, support: str, make: _Make, values: Sequence[float]) -> float:
     """Add a row; return the highest rise [m]."""
-    seen = [watch(make(support, value, COARSE)) for value in values]
+    observations = [watch(make(support, value, COARSE)) for value in values]
     left = max(watch(make(support, value, FINE)).left_over for value in values)
-    rise = max(each.rise for each in seen)
-    table.rows.append([*filter(None, [name]), support, *(each.speed for each in seen), 1e3 * rise, left])
-    what = f"{name or 'released'}, {support}"
-    for value, each in zip(values, seen, strict=True):
-        if each.speed > FASTEST:
-            report.failures.append(f"{what}, {1e3 * value:.3g} mm: a particle moves at {each.speed:.3g} m/s")
+    rise = max(observation.rise for observation in observations)
+    table.rows.append(
+        [*filter(None, [name]), support, *(observation.speed for observation in observations), 1e3 * rise, left]
+    )
+    label = f"{name or 'released'}, {support}"
+    for value, observation in zip(values, observations, strict=True):
+        if observation.speed > FASTEST:
+            report.failures.append(f"{label}, {1e3 * value:.3g} mm: a particle moves at {observation.speed:.3g} m/s")
     if left > OPEN:
-        report.failures.append(f"{what}: the energy balance leaves {left:.2g} of what is turned over")
+        report.failures.append(f"{label}: the energy balance leaves {left:.2g} of what is turned over")
     return rise

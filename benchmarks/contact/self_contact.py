@@ -15,7 +15,7 @@ import attrs
 import numpy as np
 from support.obstacle_sheets import FRAME, SHEET, Motion
 
-from benchmarks.timing import take_turns
+from benchmarks.timing import time_interleaved
 from cloth_sim_ros.scene import parameter_file
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
@@ -26,7 +26,7 @@ from validation.report import Report, Table
 FOLD_FILE = Path(__file__).resolve().parents[2] / "config" / "fold.yaml"
 #: Poses of grippers over time [s], of config/fold_left.yaml and fold_right.yaml: y and z [m], and the angle about x
 #: [degrees]; x is the offset to either side [m].
-ASIDE = 0.19
+GRIPPER_OFFSET = 0.19
 POSES = (
     (0.0, -0.22, 0.1, 0.0),
     (0.8, -0.2, 0.006, 0.0),
@@ -39,17 +39,17 @@ POSES = (
     (5.6, 0.23, 0.12, -180.0),
     (6.5, 0.23, 0.12, -180.0),
 )
-CLOSES, OPENS = 1.0, 4.8
+CLOSING_TIME, OPENING_TIME = 1.0, 4.8
 #: Thickness by resolution [m]: that of config/fold.yaml, and half a spacing of 64 x 64.
 THICKNESSES = {30: 4e-3, 64: 3e-3}
 #: Resolutions of the hanging sheets.
-HUNG = (30, 64)
+HANGING_RESOLUTIONS = (30, 64)
 #: Frames per second of simulated time.
-SECOND = round(1.0 / FRAME)
+FRAMES_PER_SECOND = round(1.0 / FRAME)
 
 
 @attrs.frozen
-class Folded:
+class FoldRecord:
     """Cost of a fold, frame by frame."""
 
     #: Processor time [s], force evaluations, and contacts at its end.
@@ -61,7 +61,10 @@ class Folded:
     @property
     def worst(self) -> int:
         """Index of the first frame of the slowest second."""
-        sums = [sum(self.seconds[k : k + SECOND]) for k in range(max(1, len(self.seconds) - SECOND + 1))]
+        sums = [
+            sum(self.seconds[k : k + FRAMES_PER_SECOND])
+            for k in range(max(1, len(self.seconds) - FRAMES_PER_SECOND + 1))
+        ]
         return int(np.argmax(sums))
 
     def speed(self, first: int = 0, frames: int | None = None) -> float:
@@ -70,18 +73,18 @@ class Folded:
         return len(part) * FRAME / sum(part)
 
 
-def place(time_: float) -> tuple[float, float, float]:
+def gripper_pose(time_: float) -> tuple[float, float, float]:
     """Return y [m], z [m] and angle [degrees] at a time [s], by minimum-jerk motion between the poses."""
-    for (start, *here), (end, *there) in itertools.pairwise(POSES):
+    for (start, *start_pose), (end, *end_pose) in itertools.pairwise(POSES):
         if time_ < end:
             u = (time_ - start) / (end - start)
             s = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
-            y, z, angle = (a + s * (b - a) for a, b in zip(here, there, strict=True))
+            y, z, angle = (a + s * (b - a) for a, b in zip(start_pose, end_pose, strict=True))
             return y, z, angle
     return POSES[-1][1:]
 
 
-def turned(angle: float) -> tuple[float, float, float, float]:
+def x_rotation(angle: float) -> tuple[float, float, float, float]:
     """Return the quaternion (x, y, z, w) of a rotation about x by an angle [degrees]."""
     half = math.radians(0.5 * angle)
     return math.sin(half), 0.0, 0.0, math.cos(half)
@@ -92,17 +95,17 @@ def events(frames: int) -> Iterator[list[Event]]:
     closed = False
     for k in range(1, frames + 1):
         t = k * FRAME
-        y, z, angle = place(t)
-        told: list[Event] = []
-        for name, x in (("left", -ASIDE), ("right", ASIDE)):
-            told.append(Target(name, (x, y, z), turned(angle)))
-        if closed != (CLOSES <= t < OPENS):
+        y, z, angle = gripper_pose(t)
+        commands: list[Event] = []
+        for name, x in (("left", -GRIPPER_OFFSET), ("right", GRIPPER_OFFSET)):
+            commands.append(Target(name, (x, y, z), x_rotation(angle)))
+        if closed != (CLOSING_TIME <= t < OPENING_TIME):
             closed = not closed
-            told += [Grasp("left", closed), Grasp("right", closed)]
-        yield told
+            commands += [Grasp("left", closed), Grasp("right", closed)]
+        yield commands
 
 
-def fold(count: int, thickness: float, frames: int) -> Folded:
+def fold(count: int, thickness: float, frames: int) -> FoldRecord:
     """Fold a towel of count x count particles for some frames."""
     values = {
         **parameter_file.read(FOLD_FILE, node="cloth_sim", strict=True),
@@ -112,15 +115,15 @@ def fold(count: int, thickness: float, frames: int) -> Folded:
         "contact.thickness": thickness,
     }
     simulation = Simulation(Scene.from_parameters(values))
-    found = Folded([], [], [], simulation.state.x.shape[1])
-    for told in events(frames):
+    record = FoldRecord([], [], [], simulation.state.x.shape[1])
+    for commands in events(frames):
         start = time.process_time()
-        done = simulation.advance(told)
-        found.seconds.append(time.process_time() - start)
-        found.evaluations.append(0 if done.advance is None else done.advance.evaluations)
+        done = simulation.advance(commands)
+        record.seconds.append(time.process_time() - start)
+        record.evaluations.append(0 if done.advance is None else done.advance.evaluations)
         contact = simulation.plan.contact
-        found.contacts.append(0 if contact is None else contact.self_gaps(simulation.state.x)[0])
-    return found
+        record.contacts.append(0 if contact is None else contact.self_gaps(simulation.state.x)[0])
+    return record
 
 
 def folds(report: Report, options: argparse.Namespace) -> None:
@@ -131,9 +134,16 @@ def folds(report: Report, options: argparse.Namespace) -> None:
     for count, thickness in THICKNESSES.items():
         done = fold(count, thickness, frames)
         first = done.worst
-        worst = slice(first, first + SECOND)
+        worst = slice(first, first + FRAMES_PER_SECOND)
         share = float(np.mean(done.contacts[worst])) / done.particles
-        row = [f"{count} x {count}", 1e3 * thickness, done.speed(), done.speed(first, SECOND), share, done.contacts[-1]]
+        row = [
+            f"{count} x {count}",
+            1e3 * thickness,
+            done.speed(),
+            done.speed(first, FRAMES_PER_SECOND),
+            share,
+            done.contacts[-1],
+        ]
         means = [float(np.mean(done.evaluations)), float(np.mean(done.evaluations[worst]))]
         table.rows.append([*row, *means])
     report.tables.append(table)
@@ -143,7 +153,7 @@ def folds(report: Report, options: argparse.Namespace) -> None:
 def hanging(report: Report, options: argparse.Namespace) -> None:
     """Measure a hanging sheet at rest with and without self-contact."""
     table = Table("A sheet that hangs", ["sheet", "with contact.self: times", "at most"])
-    for count in HUNG:
+    for count in HANGING_RESOLUTIONS:
         values = {
             **SHEET,
             "cloth.size": [1.0, 1.0],
@@ -164,7 +174,7 @@ def hanging(report: Report, options: argparse.Namespace) -> None:
                 motion.advance()
 
         candidates = {name: (lambda motion=motion: turn(motion)) for name, motion in motions.items()}
-        turns = take_turns(candidates, seconds=options.seconds, clock=time.process_time)
+        turns = time_interleaved(candidates, seconds=options.seconds, clock=time.process_time)
         ratio = turns.ratio("with", "without")
         table.rows.append([f"{count} x {count}", ratio, 1.1])
         if not ratio <= 1.1:

@@ -55,11 +55,11 @@ def stretch(frames: Array, triangles: NDArray[np.int64]) -> float:
         triangles: (t, 3).
     """
     ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    rest = np.linalg.norm(frames[0][ends[:, 1]] - frames[0][ends[:, 0]], axis=1)
-    return max(float((np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1) / rest).max()) for x in frames)
+    rest_lengths = np.linalg.norm(frames[0][ends[:, 1]] - frames[0][ends[:, 0]], axis=1)
+    return max(float((np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1) / rest_lengths).max()) for x in frames)
 
 
-def crossings(frames: Array, triangles: NDArray[np.int64], rest: Array) -> list[int]:
+def crossings(frames: Array, triangles: NDArray[np.int64], rest_positions: Array) -> list[int]:
     """Return the indices of frames in which an edge of the cloth intersects one of its triangles.
 
     Args:
@@ -67,18 +67,16 @@ def crossings(frames: Array, triangles: NDArray[np.int64], rest: Array) -> list[
         triangles: (t, 3).
         rest_positions: positions at rest [m], (n, 3).
     """
-    owner = PlanHandle(Model(np.ones(len(rest)), []))
+    plan = PlanHandle(Model(np.ones(len(rest_positions)), []))
     # The thickness does not matter for intersection.
-    surface = ContactSurface(triangles, rest, thickness=1e-9)
-    self_contact_binding.upload_surface(owner.pointer, Contact(thickness=1e-9, surface=surface))
+    surface = ContactSurface(triangles, rest_positions, thickness=1e-9)
+    self_contact_binding.upload_surface(plan.pointer, Contact(thickness=1e-9, surface=surface))
     return [
-        number
-        for number, x in enumerate(frames)
-        if find_self_intersection(owner, np.ascontiguousarray(x.T)) is not None
+        index for index, x in enumerate(frames) if find_self_intersection(plan, np.ascontiguousarray(x.T)) is not None
     ]
 
 
-def creep_on_ball(frames: Array, seconds: float, radius: float, near: float) -> float:
+def creep_on_ball(frames: Array, seconds: float, radius: float, contact_range: float) -> float:
     """Return the mean speed of the fastest particle on a ball [m/s]; nan if none is on it.
 
     Args:
@@ -88,12 +86,12 @@ def creep_on_ball(frames: Array, seconds: float, radius: float, near: float) -> 
         contact_range: a particle within this distance of the ball at both ends of the time is on it [m].
     """
     first, last = frames[0], frames[-1]
-    touching = np.ones(frames.shape[1], dtype=bool)
+    in_contact = np.ones(frames.shape[1], dtype=bool)
     for x in (first, last):
-        touching &= np.linalg.norm(x, axis=1) - radius <= near
-    if not touching.any():
+        in_contact &= np.linalg.norm(x, axis=1) - radius <= contact_range
+    if not in_contact.any():
         return float("nan")
-    return float(np.linalg.norm(last - first, axis=1)[touching].max()) / seconds
+    return float(np.linalg.norm(last - first, axis=1)[in_contact].max()) / seconds
 
 
 def sinking(frames: Array, seconds: float, between: NDArray[np.bool_]) -> float:
@@ -117,8 +115,8 @@ def between_pads(start: Array, solid: Obstacle, places: Array) -> NDArray[np.boo
     """
     x, _, z = (0.5 * length for length in solid.size)
     away = np.abs(start - places.mean(axis=0))
-    found: NDArray[np.bool_] = (away[:, 0] <= x) & (away[:, 2] <= z)
-    return found
+    between: NDArray[np.bool_] = (away[:, 0] <= x) & (away[:, 2] <= z)
+    return between
 
 
 def dropped(frames: Array, solid: Obstacle, pads: Array) -> int | None:

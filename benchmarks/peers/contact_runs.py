@@ -13,8 +13,8 @@ import numpy as np
 from support.problems import PERIOD
 
 from benchmarks.peers import jobs as peer_jobs
-from benchmarks.peers.contact_scenes import Contest
-from benchmarks.peers.jobs import Solver
+from benchmarks.peers.contact_scenes import ContactScene
+from benchmarks.peers.jobs import PeerSolver
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -22,7 +22,7 @@ from cloth_sim_ros.simulation.sleep import wake
 
 
 @attrs.frozen(kw_only=True)
-class ContactPeer(Solver):
+class ContactPeer(PeerSolver):
     """Solver of another engine for contact, with the step of its examples."""
 
     #: Steps in a frame of 1/60 s.
@@ -32,7 +32,7 @@ class ContactPeer(Solver):
 
 
 @attrs.frozen(eq=False, kw_only=True)
-class Recording:
+class EngineRecording:
     """Positions at the start and at the end of every frame."""
 
     #: Particles [m], (frames + 1, n, 3).
@@ -58,46 +58,48 @@ class Recording:
         return (len(self.frames) - 1) * PERIOD
 
 
-def ours(contest: Contest, seconds: float) -> Recording:
+def run_product(contact_scene: ContactScene, seconds: float) -> EngineRecording:
     """Run a scene by the product as shipped, without sleep: the cloth is woken before each frame.
 
     Args:
         contact_scene: the scene.
         seconds: limit of the wall time of the frames [s].
     """
-    simulation = Simulation(contest.scene)
-    frames, pads, wall = [simulation.positions], [contest.pad_places], 0.0
-    for frame in range(contest.frames):
-        told = _events(contest, frame)
+    simulation = Simulation(contact_scene.scene)
+    frames, pads, wall = [simulation.positions], [contact_scene.pad_positions], 0.0
+    for frame in range(contact_scene.frames):
+        commands = _events(contact_scene, frame)
         begin = time.perf_counter()
         wake(simulation.state)
-        simulation.advance(told)
+        simulation.advance(commands)
         wall += time.perf_counter() - begin
         frames.append(simulation.positions)
         pinching = simulation.pinching
-        pads.append(contest.pad_places if pinching is None else pinching.poses()[:, :3])
+        pads.append(contact_scene.pad_positions if pinching is None else pinching.poses()[:, :3])
         if wall >= seconds:
             break
     simulated = (len(frames) - 1) * PERIOD
-    return Recording(frames=np.array(frames), pads=np.array(pads), simulated=simulated, wall=wall)
+    return EngineRecording(frames=np.array(frames), pads=np.array(pads), simulated=simulated, wall=wall)
 
 
-def _events(contest: Contest, frame: int) -> list[Event]:
+def _events(contact_scene: ContactScene, frame: int) -> list[Event]:
     """Return the commands to the grippers before a frame."""
-    names = contest.scene.gripper_names
-    if contest.pads:
-        place = contest.pad_places.mean(axis=0)
-        return [] if frame else [Target(names[0], place), Grasp(names[0], True)]
-    if frame > contest.hold or not names:
+    names = contact_scene.scene.gripper_names
+    if contact_scene.pads:
+        position = contact_scene.pad_positions.mean(axis=0)
+        return [] if frame else [Target(names[0], position), Grasp(names[0], True)]
+    if frame > contact_scene.hold or not names:
         return []
-    if frame == contest.hold:
+    if frame == contact_scene.hold:
         return [Grasp(name, False) for name in names]
-    ends = contest.path[frame + 1]
-    told: list[Event] = [Target(name, end) for name, end in zip(names, ends, strict=True)]
-    return told if frame else told + [Grasp(name, True) for name in names]
+    ends = contact_scene.path[frame + 1]
+    commands: list[Event] = [Target(name, end) for name, end in zip(names, ends, strict=True)]
+    return commands if frame else commands + [Grasp(name, True) for name in names]
 
 
-def theirs(peer: ContactPeer, contest: Contest, seconds: float, *, environment: Path, threads: int = 1) -> Recording:
+def run_peer(
+    peer: ContactPeer, contact_scene: ContactScene, seconds: float, *, environment: Path, threads: int = 1
+) -> EngineRecording:
     """Run a scene by another engine, in a process of the peers' environment.
 
     Args:
@@ -110,20 +112,20 @@ def theirs(peer: ContactPeer, contest: Contest, seconds: float, *, environment: 
     Raises:
         PeerFailed: if the engine gives no result.
     """
-    with tempfile.TemporaryDirectory() as place:
-        sheet, record = Path(place, "sheet.npz"), Path(place, "record.npz")
-        np.savez(sheet, **contest.tables())
-        job = {"sheet": str(sheet), "record": str(record), "steps": peer.steps, "frames": contest.frames}
-        job |= {"hold": contest.hold, "seconds": seconds}
-        said = peer_jobs.answer(peer, job, folder=Path(place), environment=environment, threads=threads)
-        with np.load(record) as kept:
-            frames, pads = kept["frames"], kept["pads"]
-    return Recording(
+    with tempfile.TemporaryDirectory() as folder:
+        sheet, record = Path(folder, "sheet.npz"), Path(folder, "record.npz")
+        np.savez(sheet, **contact_scene.tables())
+        job = {"sheet": str(sheet), "record": str(record), "steps": peer.steps, "frames": contact_scene.frames}
+        job |= {"hold": contact_scene.hold, "seconds": seconds}
+        answer = peer_jobs.answer(peer, job, folder=Path(folder), environment=environment, threads=threads)
+        with np.load(record) as arrays:
+            frames, pads = arrays["frames"], arrays["pads"]
+    return EngineRecording(
         frames=frames,
         pads=pads,
-        simulated=said["n_steps"] / peer.steps * PERIOD,
-        wall=said["wall"],
-        finite=said["finite"],
-        versions=said["versions"],
-        remarks=said["remarks"],
+        simulated=answer["n_steps"] / peer.steps * PERIOD,
+        wall=answer["wall"],
+        finite=answer["finite"],
+        versions=answer["versions"],
+        remarks=answer["remarks"],
     )

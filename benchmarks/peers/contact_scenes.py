@@ -20,14 +20,14 @@ THICKNESS, FRICTION, GRAVITY, TOLERANCE = 2e-3, 0.5, 9.81, 1e-3
 #: Drag of the air [1/s]; strong enough for sheets to come to rest.
 DRAG = 2.0
 #: Radius of the ball of the drape, and initial height of the sheet above it [m].
-RADIUS, ABOVE = 0.1, 0.01
+RADIUS, DROP_HEIGHT = 0.1, 0.01
 #: Size of the folded sheet [m]; time for which its edge is carried [s]; distance from the other edge at the end [m].
-TOWEL, CARRIED, SHORT = 0.3, 2.0, 3e-3
+FOLD_SIZE, FOLD_TIME, FOLD_SHORTFALL = 0.3, 2.0, 3e-3
 #: Size of a pad along its axes [m], y normal to the faces; distance from its lower edge to the sheet's upper edge [m];
 #: force [N].
-PAD, BETWEEN, FORCE = (0.04, 0.01, 0.05), 0.045, 4.0
+PAD_SIZE, CLAMPED_HEIGHT, PAD_FORCE = (0.04, 0.01, 0.05), 0.045, 4.0
 #: Half the initial distance between the pads' faces [thicknesses].
-APART = 1.2
+PAD_CLEARANCE = 1.2
 #: Parameters of all scenes: the default material, with explicit values of those that peers receive, and strong drag.
 _COMMON: dict[str, Any] = {
     "rate": 1.0 / PERIOD,
@@ -44,7 +44,7 @@ _COMMON: dict[str, Any] = {
 
 
 @attrs.frozen(eq=False, kw_only=True)
-class Contest:
+class ContactScene:
     """Contact scene for all engines."""
 
     name: str
@@ -53,16 +53,16 @@ class Contest:
     duration: float
     #: Static obstacles, at the positions below (m, 3) [m].
     solids: tuple[Obstacle, ...] = ()
-    places: Array = attrs.field(factory=lambda: np.zeros((0, 3)))
+    solid_positions: Array = attrs.field(factory=lambda: np.zeros((0, 3)))
     #: Pads, a box each, and initial positions of their centres, (2, 3) [m].
     pads: tuple[Obstacle, ...] = ()
-    pad_places: Array = attrs.field(factory=lambda: np.zeros((0, 3)))
+    pad_positions: Array = attrs.field(factory=lambda: np.zeros((0, 3)))
     #: Held particles, and their positions at the start and the end of each frame of the hold [m],
     #: (frames + 1, held, 3).
     held: NDArray[np.int64] = attrs.field(factory=lambda: np.zeros(0, dtype=np.int64))
     path: Array = attrs.field(factory=lambda: np.zeros((1, 0, 3)))
     #: Whether self-contact is on.
-    own: bool = False
+    self_contact: bool = False
 
     @property
     def frames(self) -> int:
@@ -77,8 +77,8 @@ class Contest:
     @property
     def triangles(self) -> NDArray[np.int64]:
         """Triangles of the sheet, (t, 3)."""
-        found: NDArray[np.int64] = self.scene.sheet.triangles()
-        return found
+        triangles: NDArray[np.int64] = self.scene.sheet.triangles()
+        return triangles
 
     @property
     def start(self) -> Array:
@@ -109,51 +109,51 @@ class Contest:
             "retardation": material.damping * np.sqrt(heaviest / material.stretch_modulus),
             "gravity": np.array([0.0, 0.0, -GRAVITY]),
             "drag": DRAG,
-            "own": self.own,
+            "own": self.self_contact,
             "held": self.held,
             "path": self.path,
             "radius": RADIUS,
-            "pad_size": np.array(PAD),
-            "pad_places": self.pad_places,
-            "force": FORCE,
+            "pad_size": np.array(PAD_SIZE),
+            "pad_places": self.pad_positions,
+            "force": PAD_FORCE,
         }
 
 
-def drape(resolution: int) -> Contest:
+def drape(resolution: int) -> ContactScene:
     """Return the drape: a square sheet of 0.5 m falls on a static ball."""
-    rough = [FRICTION, FRICTION]
+    friction = [FRICTION, FRICTION]
     values = {
         "cloth.size": [0.5, 0.5],
         "cloth.resolution": [resolution, resolution],
-        "cloth.position": [0.0, 0.0, RADIUS + ABOVE],
+        "cloth.position": [0.0, 0.0, RADIUS + DROP_HEIGHT],
         "obstacles": ["ball"],
         "ball.shape": "sphere",
         "ball.size": [RADIUS],
-        "ball.friction": rough,
+        "ball.friction": friction,
     }
-    ball = Obstacle(name="ball", shape="sphere", size=(RADIUS,), friction=rough)
+    ball = Obstacle(name="ball", shape="sphere", size=(RADIUS,), friction=friction)
     scene = Scene.from_parameters({**_COMMON, **values})
-    return Contest(name="drape", scene=scene, duration=3.0, solids=(ball,), places=np.zeros((1, 3)))
+    return ContactScene(name="drape", scene=scene, duration=3.0, solids=(ball,), solid_positions=np.zeros((1, 3)))
 
 
-def fold(resolution: int) -> Contest:
+def fold(resolution: int) -> ContactScene:
     """Return the fold: one edge of a sheet on a table is carried to the other edge and released.
 
     The other edge is anchored, because otherwise sliding on the table would decide the line of the fold.
     """
-    rough = [FRICTION, FRICTION]
-    spacing = TOWEL / (resolution - 1)
+    friction = [FRICTION, FRICTION]
+    spacing = FOLD_SIZE / (resolution - 1)
     names = [f"hand{k}" for k in range(resolution)]
     values = {
-        "cloth.size": [TOWEL, TOWEL],
+        "cloth.size": [FOLD_SIZE, FOLD_SIZE],
         "cloth.resolution": [resolution, resolution],
         "cloth.position": [0.0, 0.0, THICKNESS],
         "cloth.anchors": ["bottom"],
         "contact.self": True,
-        "contact.friction": rough,
+        "contact.friction": friction,
         "obstacles": ["table"],
         "table.shape": "plane",
-        "table.friction": rough,
+        "table.friction": friction,
         # Each gripper holds one particle of the edge.
         "grippers": names,
         "gripper.radius": 0.4 * spacing,
@@ -162,33 +162,33 @@ def fold(resolution: int) -> Contest:
     # The first row of a grid is the upper edge.
     held = np.arange(resolution)
     start = scene.starting_state().positions[held]
-    return Contest(
+    return ContactScene(
         name="fold",
         scene=scene,
-        duration=CARRIED + 1.0,
-        solids=(Obstacle(name="table", shape="plane", friction=rough),),
-        places=np.zeros((1, 3)),
+        duration=FOLD_TIME + 1.0,
+        solids=(Obstacle(name="table", shape="plane", friction=friction),),
+        solid_positions=np.zeros((1, 3)),
         held=held,
-        path=start + carried()[:, None, :],
-        own=True,
+        path=start + edge_path()[:, None, :],
+        self_contact=True,
     )
 
 
-def carried() -> Array:
+def edge_path() -> Array:
     """Return the displacement of a carried edge by frame [m], (frames + 1, 3): half a circle towards -y.
 
     The edge is grasped in the first frame. It moves from rest to rest with minimum jerk and ends 1.5 thicknesses above
     the lower layer.
     """
-    count = round(CARRIED / PERIOD)
+    count = round(FOLD_TIME / PERIOD)
     u = np.concatenate([[0.0], np.linspace(0.0, 1.0, count + 1)])
     s = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
-    radius = 0.5 * (TOWEL - SHORT)
+    radius = 0.5 * (FOLD_SIZE - FOLD_SHORTFALL)
     across, up = radius * (np.cos(np.pi * s) - 1.0), radius * np.sin(np.pi * s) + 1.5 * THICKNESS * s
     return np.stack([np.zeros_like(s), across, up], axis=1)
 
 
-def pinch(resolution: int) -> Contest:
+def pinch(resolution: int) -> ContactScene:
     """Return the pinch: a sheet of nearly square cells hangs between two pads that press on its upper quarter."""
     values = {
         "cloth.size": [0.18, 0.09],
@@ -198,19 +198,19 @@ def pinch(resolution: int) -> Contest:
         "cloth.position": [0.0, 0.0, -0.09],
         "grippers": ["hand"],
         "gripper.mode": "pinch",
-        "gripper.pad_size": list(PAD),
-        "gripper.opening": 2.0 * APART * THICKNESS,
-        "gripper.force": FORCE,
+        "gripper.pad_size": list(PAD_SIZE),
+        "gripper.opening": 2.0 * PAD_CLEARANCE * THICKNESS,
+        "gripper.force": PAD_FORCE,
         "gripper.friction": [FRICTION, FRICTION],
     }
-    away, middle = APART * THICKNESS + 0.5 * PAD[1], 0.5 * PAD[2] - BETWEEN
-    return Contest(
+    away, middle = PAD_CLEARANCE * THICKNESS + 0.5 * PAD_SIZE[1], 0.5 * PAD_SIZE[2] - CLAMPED_HEIGHT
+    return ContactScene(
         name="pinch",
         scene=Scene.from_parameters({**_COMMON, **values}),
         duration=10.0,
-        pads=tuple(Obstacle(name=name, shape="box", size=PAD) for name in ("left", "right")),
-        pad_places=np.array([[0.0, away, middle], [0.0, -away, middle]]),
+        pads=tuple(Obstacle(name=name, shape="box", size=PAD_SIZE) for name in ("left", "right")),
+        pad_positions=np.array([[0.0, away, middle], [0.0, -away, middle]]),
     )
 
 
-CONTACT_SCENES: dict[str, Callable[[int], Contest]] = {"drape": drape, "fold": fold, "pinch": pinch}
+CONTACT_SCENES: dict[str, Callable[[int], ContactScene]] = {"drape": drape, "fold": fold, "pinch": pinch}

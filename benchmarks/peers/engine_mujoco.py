@@ -111,8 +111,10 @@ class MujocoEngine:
     def remarks(self) -> list[str]:
         """Return its warnings."""
         kinds = self._mujoco.mjtWarning
-        given = [(kinds(i).name, int(one.number)) for i, one in enumerate(self._data.warning) if one.number]
-        return [f"warned {name} {count} times" for name, count in given]
+        warnings = [
+            (kinds(i).name, int(warning.number)) for i, warning in enumerate(self._data.warning) if warning.number
+        ]
+        return [f"warned {name} {count} times" for name, count in warnings]
 
 
 class MujocoContactEngine(MujocoEngine):
@@ -154,7 +156,7 @@ class MujocoContactEngine(MujocoEngine):
         mujoco.mj_setConst(model, self._data)
         self._connects = np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_CONNECT))
         self._start = sheet["positions"][sheet["held"]]
-        self._way: Any = iter(())
+        self._path: Any = iter(())
         self._pads = np.zeros((0, 3))
         if sheet["kind"] == "pinch":
             self._pads = sheet["pad_places"]
@@ -164,8 +166,8 @@ class MujocoContactEngine(MujocoEngine):
 
     def lead(self, begin: Any, end: Any, steps: int) -> None:
         """Move held particles by a common displacement in the next steps."""
-        away = np.array([(place - self._start).mean(axis=0) for place in (begin, end)])
-        self._way = iter([away[0] + (k + 1) / steps * (away[1] - away[0]) for k in range(steps)])
+        away = np.array([(position - self._start).mean(axis=0) for position in (begin, end)])
+        self._path = iter([away[0] + (k + 1) / steps * (away[1] - away[0]) for k in range(steps)])
 
     def let_go(self) -> None:
         """Release the held particles."""
@@ -174,9 +176,9 @@ class MujocoContactEngine(MujocoEngine):
     def advance(self, steps: int) -> None:
         """Take some steps."""
         for _ in range(steps):
-            here = next(self._way, None)
-            if here is not None:
-                self._data.mocap_pos[0] = here
+            target = next(self._path, None)
+            if target is not None:
+                self._data.mocap_pos[0] = target
             super().advance(1)
 
     def positions(self) -> Any:
@@ -198,8 +200,8 @@ def _solids(sheet: dict[str, Any]) -> str:
         return '<geom type="plane" size="1 1 0.1"/>'
     size = _numbers(0.5 * sheet["pad_size"])
     return "".join(
-        _PAD.format(place=_numbers(place), damping=_PAD_DAMPING, size=size, mass=_PAD_MASS)
-        for place in sheet["pad_places"]
+        _PAD.format(place=_numbers(position), damping=_PAD_DAMPING, size=size, mass=_PAD_MASS)
+        for position in sheet["pad_places"]
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 #: Solver iterations per step, and steps between rebuilds of the bounding volume tree, as in its examples.
-_ITERATIONS, _RENEWED = 10, 10
+_ITERATIONS, _REBUILD_PERIOD = 10, 10
 #: Stiffness [N/m] and damping [N s/m] of contact, hinges [N, N s], and range of self-contact beyond
 #: the margin [margins], as in its example of a twisted cloth, whose areal density is the same.
 _STIFFNESS, _DAMPING, _HINGE, _HINGE_DAMPING, _FURTHER = 1e3, 1e-1, 1e-3, 1e-2, 0.75
@@ -29,12 +29,12 @@ class NewtonEngine:
         self._warp = warp
         builder = newton.ModelBuilder()
         builder.gravity = tuple(sheet["gravity"].tolist())
-        positions = [tuple(place) for place in sheet["positions"].tolist()]
+        positions = [tuple(position) for position in sheet["positions"].tolist()]
         masses = np.where(sheet["anchored"], 0.0, sheet["masses"])
         builder.add_particles(positions, [(0.0, 0.0, 0.0)] * len(positions), masses.tolist())
         springs = zip(sheet["pairs"].tolist(), sheet["stiffness"].tolist(), sheet["damping"].tolist(), strict=True)
-        for (near, far), stiffness, damping in springs:
-            builder.add_spring(near, far, stiffness, damping, 0.0)
+        for (first, second), stiffness, damping in springs:
+            builder.add_spring(first, second, stiffness, damping, 0.0)
         if variant == "vbd":
             # Particles of one colour are moved at once, so no spring may join two of them. Blocks of 3 x 3 colours
             # suffice for all six spring directions. Newton colours triangles itself, but not springs.
@@ -101,13 +101,13 @@ class NewtonContactEngine(NewtonEngine):
         builder = newton.ModelBuilder()
         builder.gravity = tuple(sheet["gravity"].tolist())
         solid = newton.ModelBuilder.ShapeConfig(ke=_STIFFNESS, kd=_DAMPING, mu=friction)
-        self._pads = self._surround(builder, sheet, solid, warp)
+        self._pads = self._add_solids(builder, sheet, solid, warp)
         builder.add_cloth_mesh(
             pos=warp.vec3(0.0, 0.0, 0.0),
             rot=warp.quat_identity(),
             scale=1.0,
             vel=warp.vec3(0.0, 0.0, 0.0),
-            vertices=[warp.vec3(*place) for place in sheet["positions"].tolist()],
+            vertices=[warp.vec3(*position) for position in sheet["positions"].tolist()],
             indices=sheet["triangles"].ravel().tolist(),
             density=1.0,
             # Lame's constants of a membrane of the modulus along the threads, with zero Poisson ratio. Its damping
@@ -129,12 +129,15 @@ class NewtonContactEngine(NewtonEngine):
             self._flags = model.particle_flags.numpy()
             self._flags[self._held] &= ~self._active
             self._flags[sheet["anchored"]] &= ~self._active
-            own = {"particle_self_contact_margin": thickness, "particle_self_contact_gap": _FURTHER * thickness}
+            self_contact = {
+                "particle_self_contact_margin": thickness,
+                "particle_self_contact_gap": _FURTHER * thickness,
+            }
             solver = newton.solvers.SolverVBD(
                 model,
                 iterations=_ITERATIONS,
                 particle_enable_self_contact=bool(sheet["own"]),
-                **(own if sheet["own"] else {}),
+                **(self_contact if sheet["own"] else {}),
             )
             pipeline = newton.CollisionPipeline(model)
             contacts, control = pipeline.contacts(), model.control()
@@ -144,9 +147,9 @@ class NewtonContactEngine(NewtonEngine):
                 solver.step(before, after, control, contacts, step)
 
             self._record(model, once)
-        self._solver, self._own = solver, bool(sheet["own"])
-        self._turn = self._taken = 0
-        self._way: Any = iter(())
+        self._solver, self._self_contact = solver, bool(sheet["own"])
+        self._turn = self._n_steps = 0
+        self._path: Any = iter(())
         # On the CPU these arrays share the engine's memory.
         self._places = [state.particle_q.numpy() for state in self._states]
         self._speeds = [state.particle_qd.numpy() for state in self._states]
@@ -154,7 +157,7 @@ class NewtonContactEngine(NewtonEngine):
         self._drag = -float(sheet["drag"]) * sheet["masses"][:, None]
 
     @staticmethod
-    def _surround(builder: Any, sheet: dict[str, Any], solid: Any, warp: Any) -> np.ndarray:
+    def _add_solids(builder: Any, sheet: dict[str, Any], solid: Any, warp: Any) -> np.ndarray:
         """Add obstacles; return the positions of the pads [m], (pads, 3)."""
         if sheet["kind"] == "drape":
             builder.add_shape_sphere(-1, radius=float(sheet["radius"]), cfg=solid)
@@ -168,8 +171,8 @@ class NewtonContactEngine(NewtonEngine):
             deep = float(sheet["force"]) / (_STIFFNESS * between)
             places = sheet["pad_places"].copy()
             places[:, 1] = np.sign(places[:, 1]) * (float(sheet["thickness"]) - deep + half[1])
-            for place in places.tolist():
-                where = warp.transform(warp.vec3(*place), warp.quat_identity())
+            for position in places.tolist():
+                where = warp.transform(warp.vec3(*position), warp.quat_identity())
                 builder.add_shape_box(
                     -1, xform=where, hx=float(half[0]), hy=float(half[1]), hz=float(half[2]), cfg=solid
                 )
@@ -178,7 +181,7 @@ class NewtonContactEngine(NewtonEngine):
 
     def lead(self, begin: Any, end: Any, steps: int) -> None:
         """Move held particles in the next steps."""
-        self._way = iter([begin + (k + 1) / steps * (end - begin) for k in range(steps)])
+        self._path = iter([begin + (k + 1) / steps * (end - begin) for k in range(steps)])
 
     def let_go(self) -> None:
         """Release the held particles from rest."""
@@ -187,16 +190,16 @@ class NewtonContactEngine(NewtonEngine):
     def advance(self, steps: int) -> None:
         """Take some steps."""
         for _ in range(steps):
-            if self._own and self._taken % _RENEWED == 0:
+            if self._self_contact and self._n_steps % _REBUILD_PERIOD == 0:
                 self._solver.rebuild_bvh(self._states[self._turn])
-            here = next(self._way, None)
-            if here is not None:
-                self._places[self._turn][self._held] = here
-                self._places[1 - self._turn][self._held] = here
+            target = next(self._path, None)
+            if target is not None:
+                self._places[self._turn][self._held] = target
+                self._places[1 - self._turn][self._held] = target
             self._forces[self._turn][:] = self._drag * self._speeds[self._turn]
             self._warp.capture_launch(self._graphs[self._turn])
             self._turn ^= 1
-            self._taken += 1
+            self._n_steps += 1
 
     def positions(self) -> Any:
         """Positions [m], (n, 3)."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 #: Largest stiffness of its explicit springs, as a share of mass over squared step.
-_BEARABLE = 0.2
+_STABLE_SHARE = 0.2
 #: Half the distance between the pads' faces at which joint limits stop them [thicknesses].
 _STOP = 0.2
 #: Mass [kg] and damping [N s/m] of each pad; mass of the body that carries an edge [kg].
@@ -79,10 +79,10 @@ class PyBulletContactEngine(PyBulletEngine):
         self._bullet.setPhysicsEngineParameter(sparseSdfVoxelSize=0.25)
         self._joints: int | None = None
         self._pads = np.zeros((0, 3))
-        self._surround(sheet)
+        self._add_solids(sheet)
         mass = float(sheet["masses"].sum()) / len(sheet["masses"])
         #: Stiffness of the springs [N/m].
-        self._stiffness = min(float(sheet["modulus"]), _BEARABLE * mass / step**2)
+        self._stiffness = min(float(sheet["modulus"]), _STABLE_SHARE * mass / step**2)
         self._load(
             sheet,
             springElasticStiffness=self._stiffness,
@@ -94,13 +94,13 @@ class PyBulletContactEngine(PyBulletEngine):
             frictionCoeff=float(sheet["friction"]),
             collisionMargin=float(sheet["thickness"]),
         )
-        self._way: Any = iter(())
+        self._path: Any = iter(())
         self._carrier = -1
         self._anchors: list[int] = []
         if len(sheet["held"]):
             self._carry(sheet)
 
-    def _surround(self, sheet: dict[str, Any]) -> None:
+    def _add_solids(self, sheet: dict[str, Any]) -> None:
         """Add obstacles."""
         bullet = self._bullet
         if sheet["kind"] == "pinch":
@@ -142,14 +142,14 @@ class PyBulletContactEngine(PyBulletEngine):
         places = sheet["positions"][sheet["held"]]
         self._start = places.mean(axis=0)
         self._carrier = self._bullet.createMultiBody(_CARRIER, basePosition=self._start.tolist())
-        for particle, place in zip(sheet["held"].tolist(), places, strict=True):
-            offset = (place - self._start).tolist()
+        for particle, position in zip(sheet["held"].tolist(), places, strict=True):
+            offset = (position - self._start).tolist()
             self._anchors.append(self._bullet.createSoftBodyAnchor(self._body, particle, self._carrier, -1, offset))
 
     def lead(self, begin: Any, end: Any, steps: int) -> None:
         """Move held particles by a common displacement in the next steps."""
         first, last = begin.mean(axis=0), end.mean(axis=0)
-        self._way = iter([first + (k + 1) / steps * (last - first) for k in range(steps)])
+        self._path = iter([first + (k + 1) / steps * (last - first) for k in range(steps)])
 
     def let_go(self) -> None:
         """Release the held particles."""
@@ -160,10 +160,10 @@ class PyBulletContactEngine(PyBulletEngine):
         """Take some steps."""
         bullet = self._bullet
         for _ in range(steps):
-            here = next(self._way, None)
-            if here is not None:
+            target = next(self._path, None)
+            if target is not None:
                 now, _ = bullet.getBasePositionAndOrientation(self._carrier)
-                speed = (here - np.array(now)) / self._step - self._gravity * self._step
+                speed = (target - np.array(now)) / self._step - self._gravity * self._step
                 bullet.resetBaseVelocity(self._carrier, speed.tolist(), [0.0, 0.0, 0.0])
             if self._joints is not None:
                 for link, force in enumerate(self._forces):

@@ -25,11 +25,11 @@ class PyPbdEngine:
         # Its gravity is fixed to 9.81 m/s^2 along -y: the sheet is rotated instead, z to y.
         if sheet["gravity"].tolist() != [0.0, 0.0, -9.81]:
             raise ValueError(f"gravity is {sheet['gravity'].tolist()}; this engine has (0, 0, -9.81) m/s^2")
-        for particle, (place, mass) in enumerate(zip(sheet["positions"], masses.tolist(), strict=True)):
-            self._particles.addVertex([place[0], place[2], -place[1]])
+        for particle, (position, mass) in enumerate(zip(sheet["positions"], masses.tolist(), strict=True)):
+            self._particles.addVertex([position[0], position[2], -position[1]])
             self._particles.setMass(particle, mass)
-        for (near, far), stiffness in zip(sheet["pairs"].tolist(), sheet["stiffness"].tolist(), strict=True):
-            self._model.addDistanceConstraint_XPBD(near, far, stiffness)
+        for (first, second), stiffness in zip(sheet["pairs"].tolist(), sheet["stiffness"].tolist(), strict=True):
+            self._model.addDistanceConstraint_XPBD(first, second, stiffness)
         # Colours the constraints before the first step.
         self._model.initConstraintGroups()
         self._stepper = simulation.getTimeStep()

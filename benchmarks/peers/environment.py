@@ -58,8 +58,8 @@ def add_arguments(parser: argparse.ArgumentParser, packages: Collection[str], se
 
 def clean_variables(**more: str) -> dict[str, str]:
     """Return this process's environment variables without those that point back to its environment."""
-    kept = {name: value for name, value in os.environ.items() if name not in _LEADING_BACK}
-    return kept | more
+    variables = {name: value for name, value in os.environ.items() if name not in _LEADING_BACK}
+    return variables | more
 
 
 def python_of(folder: Path) -> Path:
@@ -67,7 +67,9 @@ def python_of(folder: Path) -> Path:
     return folder / "bin" / "python"
 
 
-def prepare(folder: Path, requirements: Mapping[str, tuple[str, ...]], say: Callable[[str], None]) -> dict[str, str]:
+def prepare(
+    folder: Path, requirements: Mapping[str, tuple[str, ...]], on_message: Callable[[str], None]
+) -> dict[str, str]:
     """Create the environment if it is missing, and install missing packages.
 
     Args:
@@ -86,43 +88,47 @@ def prepare(folder: Path, requirements: Mapping[str, tuple[str, ...]], say: Call
         folder.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise EnvironmentUnusable(f"environment {folder}: {error}; name another folder by --environment") from error
-    with alone(folder, say):
+    with lock_folder(folder, on_message):
         if not python_of(folder).exists():
-            _make(folder, say)
+            _make(folder, on_message)
         present = _installed(folder)
-        for peer, wanted in requirements.items():
-            missing = [one for one in wanted if present.get(one.partition("==")[0].lower()) != one.partition("==")[2]]
+        for peer, packages in requirements.items():
+            missing = [
+                package
+                for package in packages
+                if present.get(package.partition("==")[0].lower()) != package.partition("==")[2]
+            ]
             if not missing:
                 continue
             if _UNREACHABLE in absent.values():
                 # Each further attempt would time out after half a minute.
                 absent[peer] = _UNREACHABLE
                 continue
-            say(f"installing {', '.join(wanted)} into {folder}, once ...")
-            reason = _install(folder, wanted)
+            on_message(f"installing {', '.join(packages)} into {folder}, once ...")
+            reason = _install(folder, packages)
             if reason:
                 absent[peer] = reason
     return absent
 
 
 @contextmanager
-def alone(folder: Path, say: Callable[[str], None]) -> Iterator[None]:
+def lock_folder(folder: Path, on_message: Callable[[str], None]) -> Iterator[None]:
     """Hold the lock of an environment, so that processes take turns."""
     with folder.with_name(folder.name + ".lock").open("w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            say(f"another process is at work on {folder}; waiting for it ...")
+            on_message(f"another process is at work on {folder}; waiting for it ...")
             fcntl.flock(lock, fcntl.LOCK_EX)
         yield
 
 
-def _make(folder: Path, say: Callable[[str], None]) -> None:
+def _make(folder: Path, on_message: Callable[[str], None]) -> None:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise EnvironmentUnusable(
             f"{folder} holds something, but no Python environment; name another folder by --environment, or remove it"
         )
-    say(f"making an environment for the peers in {folder}, once ...")
+    on_message(f"making an environment for the peers in {folder}, once ...")
     done = subprocess.run(
         [sys.executable, "-m", "venv", str(folder)], env=clean_variables(), capture_output=True, text=True, check=False
     )
@@ -151,24 +157,24 @@ def _installed(folder: Path) -> dict[str, str]:
         raise EnvironmentUnusable(
             f"the Python in {folder} does not run: {reason}; remove the folder; the next run creates it again"
         )
-    found: dict[str, str] = json.loads(done.stdout)
-    return found
+    versions: dict[str, str] = json.loads(done.stdout)
+    return versions
 
 
-def _install(folder: Path, wanted: tuple[str, ...]) -> str:
+def _install(folder: Path, packages: tuple[str, ...]) -> str:
     """Install exact versions from wheels; return the cause of a failure, or an empty text."""
     command = [str(python_of(folder)), "-I", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-    command += ["--no-input", "--retries", "1", "--only-binary", ":all:", *wanted]
+    command += ["--no-input", "--retries", "1", "--only-binary", ":all:", *packages]
     done = subprocess.run(command, env=clean_variables(), capture_output=True, text=True, check=False)
     if not done.returncode:
         return ""
-    said = done.stderr + done.stdout
-    if any(text in said for text in NO_NETWORK):
+    output = done.stderr + done.stdout
+    if any(text in output for text in NO_NETWORK):
         return _UNREACHABLE
-    if "No matching distribution" in said:
+    if "No matching distribution" in output:
         version = ".".join(str(part) for part in sys.version_info[:2])
-        return f"there is no wheel of {' '.join(wanted)} for Python {version} on this machine"
-    return f"pip failed with {' '.join(wanted)}: {last_line(said)}"
+        return f"there is no wheel of {' '.join(packages)} for Python {version} on this machine"
+    return f"pip failed with {' '.join(packages)}: {last_line(output)}"
 
 
 def last_line(text: str) -> str:

@@ -23,9 +23,9 @@ from cloth_sim_ros.physics.forces.gravity import Gravity
 from cloth_sim_ros.physics.forces.grid_springs import GridSprings
 
 #: Time for start, compilation and set-up, on top of the time limit of the frames [s].
-_STARTING = 600.0
+_START_TIMEOUT = 600.0
 #: Upper bound of steps per frame in the search.
-_MOST_STEPS = 4096
+_MAX_STEPS = 4096
 #: Bisections between the longest step that kept the sheet whole and the shortest that did not.
 _REFINEMENTS = 2
 
@@ -35,7 +35,7 @@ class PeerFailed(RuntimeError):
 
 
 @attrs.frozen
-class Solver:
+class PeerSolver:
     """Solver of another engine, and the script that runs it."""
 
     name: str
@@ -48,7 +48,7 @@ class Solver:
 
 
 @attrs.frozen
-class Peer(Solver):
+class Peer(PeerSolver):
     """Solver of the throughput comparison, with a search for the longest step."""
 
     #: First steps per frame of the search, by particles a side.
@@ -94,8 +94,8 @@ def sheet_tables(problem: Problem) -> dict[str, Any]:
     model = plan.model
     sheet = model.force(SHEET)
     assert isinstance(sheet, GridSprings)
-    side = math.isqrt(model.particle_count)
-    index = np.arange(side * side).reshape(side, side)
+    n_per_side = math.isqrt(model.particle_count)
+    index = np.arange(n_per_side * n_per_side).reshape(n_per_side, n_per_side)
     gravity, drag = np.zeros(3), 0.0
     for force in model.forces:
         if isinstance(force, Gravity):
@@ -109,8 +109,8 @@ def sheet_tables(problem: Problem) -> dict[str, Any]:
         "positions": state.positions,
         "masses": model.masses,
         "anchored": model.inverse_masses == 0.0,
-        "rows": side,
-        "columns": side,
+        "rows": n_per_side,
+        "columns": n_per_side,
         "gravity": gravity,
         "drag": drag,
         "pairs": springs.pairs,
@@ -162,7 +162,9 @@ def attempt(
     return Attempt(steps=steps, **answer(peer, job, folder=sheet.parent, environment=environment, threads=threads))
 
 
-def answer(solver: Solver, job: dict[str, Any], *, folder: Path, environment: Path, threads: int = 1) -> dict[str, Any]:
+def answer(
+    solver: PeerSolver, job: dict[str, Any], *, folder: Path, environment: Path, threads: int = 1
+) -> dict[str, Any]:
     """Run a job of `runner` in a process of the environment, and return its answer.
 
     Args:
@@ -184,7 +186,7 @@ def answer(solver: Solver, job: dict[str, Any], *, folder: Path, environment: Pa
     )
     python = peer_environment.python_of(environment.absolute())
     command = [str(python), "-I", str(Path(__file__).with_name("runner.py"))]
-    limit = _STARTING + 2.0 * job["seconds"]
+    limit = _START_TIMEOUT + 2.0 * job["seconds"]
     try:
         done = subprocess.run(
             command,
@@ -215,7 +217,7 @@ def longest_step(run: Callable[[int], Attempt], first: int) -> Attempt | None:
         first: steps in a frame to begin with.
     """
     best, torn, steps = None, 0, first
-    while best is None and steps <= _MOST_STEPS:
+    while best is None and steps <= _MAX_STEPS:
         tried = run(steps)
         if tried.whole:
             best = tried

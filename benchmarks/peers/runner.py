@@ -60,43 +60,43 @@ def check_start(engine: Any, sheet: dict[str, Any]) -> None:
 def measure(engine: Any, sheet: dict[str, Any], job: dict[str, Any]) -> dict[str, Any]:
     """Advance until the end, the time limit, or a torn sheet; return the result."""
     check_start(engine, sheet)
-    wall, largest, taken, whole = 0.0, 0.0, 0, True
+    wall, largest, n_steps, whole = 0.0, 0.0, 0, True
     last = job["frames"] * job["steps"]
-    while taken < last and whole and wall < job["seconds"]:
-        done, spent = advance_frame(engine, job["steps"], job["seconds"] - wall)
-        taken, wall = taken + done, wall + spent
+    while n_steps < last and whole and wall < job["seconds"]:
+        done, frame_wall = advance_frame(engine, job["steps"], job["seconds"] - wall)
+        n_steps, wall = n_steps + done, wall + frame_wall
         stretch = largest_stretch(engine.positions(), sheet["edges"], sheet["edge_lengths"])
         # A nan position makes the stretch nan, which does not count as whole.
         whole = stretch <= job["whole"]
         largest = max(largest, stretch) if np.isfinite(stretch) else float("inf")
-    return {"whole": whole, "stretch": largest, "n_steps": taken, "wall": wall, "remarks": engine.remarks()}
+    return {"whole": whole, "stretch": largest, "n_steps": n_steps, "wall": wall, "remarks": engine.remarks()}
 
 
 def advance_frame(engine: Any, steps: int, seconds: float) -> tuple[int, float]:
     """Take the steps of a frame within a time limit [s]; return their number and wall time [s]."""
-    taken, wall = 0, 0.0
-    while taken < steps and wall < seconds:
+    n_steps, wall = 0, 0.0
+    while n_steps < steps and wall < seconds:
         # A frame of a slow engine may take minutes, so the clock is also read within it.
-        few = min(-(-steps // _SLICES), steps - taken)
+        slice_steps = min(-(-steps // _SLICES), steps - n_steps)
         begin = time.perf_counter()
-        engine.advance(few)
+        engine.advance(slice_steps)
         wall += time.perf_counter() - begin
-        taken += few
-    return taken, wall
+        n_steps += slice_steps
+    return n_steps, wall
 
 
 def record(engine: Any, sheet: dict[str, Any], job: dict[str, Any]) -> dict[str, Any]:
     """Advance until the end, the time limit, or a nan position; write the positions of every whole frame."""
     check_start(engine, sheet)
-    frames, pads, wall, taken = [engine.positions()], [engine.pads()], 0.0, 0
+    frames, pads, wall, n_steps = [engine.positions()], [engine.pads()], 0.0, 0
     finite = True
     for frame in range(job["frames"]):
         if frame < job["hold"]:
             engine.lead(sheet["path"][frame], sheet["path"][frame + 1], job["steps"])
         elif frame == job["hold"] > 0:
             engine.let_go()
-        done, spent = advance_frame(engine, job["steps"], job["seconds"] - wall)
-        taken, wall = taken + done, wall + spent
+        done, frame_wall = advance_frame(engine, job["steps"], job["seconds"] - wall)
+        n_steps, wall = n_steps + done, wall + frame_wall
         if done < job["steps"]:
             break
         now = engine.positions()
@@ -108,7 +108,7 @@ def record(engine: Any, sheet: dict[str, Any], job: dict[str, Any]) -> dict[str,
         if wall >= job["seconds"]:
             break
     np.savez(job["record"], frames=np.array(frames), pads=np.array(pads))
-    return {"n_steps": taken, "wall": wall, "finite": finite, "remarks": engine.remarks()}
+    return {"n_steps": n_steps, "wall": wall, "finite": finite, "remarks": engine.remarks()}
 
 
 def main() -> None:

@@ -19,7 +19,7 @@ from benchmarks.peers import jobs as peer_jobs
 from benchmarks.peers.jobs import Attempt, Peer, PeerFailed
 from benchmarks.peers.solvers import PEERS, REQUIREMENTS
 from benchmarks.speed import curtain as speed_curtain
-from validation.report import Plot, Report, Table, say
+from validation.report import Plot, Report, Table, print_progress
 
 #: Smallest speed ratio of the product to the fastest peer, and the N of scene C for which it applies.
 MIN_PEER_RATIO, RATED_RESOLUTIONS = 15.0, (64, 128)
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 @attrs.define
-class Entry:
+class EngineEntry:
     """Runs of one engine on one sheet."""
 
     name: str
@@ -60,7 +60,7 @@ class Entry:
 
 
 @attrs.define
-class Field:
+class SheetComparison:
     """Runs of all engines on one sheet."""
 
     resolution: int
@@ -69,14 +69,14 @@ class Field:
     error: float
     scored: float
     reference_error: float
-    ours: Entry
-    one_core: Entry
-    peers: list[Entry] = attrs.field(factory=list)
+    product: EngineEntry
+    one_core: EngineEntry
+    peers: list[EngineEntry] = attrs.field(factory=list)
     #: Failures of peers: the output of those without a result, and sheets that were never whole.
     failed: list[str] = attrs.field(factory=list)
 
     @property
-    def fastest(self) -> Entry | None:
+    def fastest(self) -> EngineEntry | None:
         """Fastest peer; None if none gave a result."""
         return max(self.peers, key=lambda entry: entry.factor, default=None)
 
@@ -93,9 +93,9 @@ def run(options: argparse.Namespace) -> Report:
     if not options.stretch > 1.0:
         raise ValueError(f"--stretch is {options.stretch:g}; it must be above 1, the length at rest")
     folder = options.environment.expanduser().absolute()
-    wanted = {name: REQUIREMENTS[name] for name in options.peers}
-    absent = peer_environment.prepare(folder, wanted, say) if wanted else {}
-    peers = [peer for peer in PEERS if peer.package in wanted and peer.package not in absent]
+    requirements = {name: REQUIREMENTS[name] for name in options.peers}
+    absent = peer_environment.prepare(folder, requirements, print_progress) if requirements else {}
+    peers = [peer for peer in PEERS if peer.package in requirements and peer.package not in absent]
     fields = [measure(options, folder, resolution, peers) for resolution in options.resolutions]
     report = Report("Peers", f"python -m benchmarks peers --scene {options.scene} --stretch {options.stretch:g}")
     report.notes += [f"ABSENT: {name}: {reason}" for name, reason in absent.items()]
@@ -103,18 +103,18 @@ def run(options: argparse.Namespace) -> Report:
     report.plots.append(_plot(fields))
     _explain(options, peers, fields, report)
     if options.scene == "curtain":
-        _judge(fields, report)
+        _check_targets(fields, report)
     return report
 
 
-def measure(options: argparse.Namespace, folder: Path, resolution: int, peers: list[Peer]) -> Field:
+def measure(options: argparse.Namespace, folder: Path, resolution: int, peers: list[Peer]) -> SheetComparison:
     """Search the longest step of each engine on one sheet, then time all engines in turns."""
     scene = SCENES[options.scene]
-    say(f"N = {resolution}: reference")
+    print_progress(f"N = {resolution}: reference")
     field = _score(speed_curtain.scored(scene, resolution), resolution)
     whole = attrs.evolve(speed_curtain.scored(scene, resolution), frames=max(round(options.duration / PERIOD), 1))
-    with tempfile.TemporaryDirectory() as place:
-        sheet = Path(place, "sheet.npz")
+    with tempfile.TemporaryDirectory() as temporary:
+        sheet = Path(temporary, "sheet.npz")
         np.savez(sheet, **peer_jobs.sheet_tables(whole))
 
         def attempt(peer: Peer, steps: int, share: float = 1.0) -> Attempt:
@@ -129,105 +129,109 @@ def measure(options: argparse.Namespace, folder: Path, resolution: int, peers: l
                 threads=options.peer_threads,
             )
 
-        longest: dict[Peer, Entry] = {}
+        longest: dict[Peer, EngineEntry] = {}
         for peer in peers:
             try:
-                found = peer_jobs.longest_step(_told(peer, resolution, attempt), peer.first_steps(resolution))
+                longest_attempt = peer_jobs.longest_step(
+                    _logged(peer, resolution, attempt), peer.first_steps(resolution)
+                )
             except PeerFailed as error:
                 field.failed.append(f"N = {resolution}: {error}")
                 continue
-            if found is None:
+            if longest_attempt is None:
                 field.failed.append(f"N = {resolution}: {peer.name}: no step kept the sheet whole")
                 continue
-            longest[peer] = Entry(peer.name, attempts=[found])
-        for number in range(options.repeats):
-            say(f"N = {resolution}: round {number + 1} of {options.repeats}")
-            for one, entry in ((False, field.ours), (True, field.one_core)):
-                with speed_curtain.cores(one=one):
+            longest[peer] = EngineEntry(peer.name, attempts=[longest_attempt])
+        for round_index in range(options.repeats):
+            print_progress(f"N = {resolution}: round {round_index + 1} of {options.repeats}")
+            for one_core, entry in ((False, field.product), (True, field.one_core)):
+                with speed_curtain.cores(one_core=one_core):
                     entry.factors.append(whole.duration / speed_curtain.run(whole, tolerance=field.tolerance).seconds)
             for peer, entry in longest.items():
-                again = attempt(peer, entry.attempts[0].steps, _ROUND)
-                entry.attempts.append(again)
-                entry.factors.append(again.factor)
+                repeat = attempt(peer, entry.attempts[0].steps, _ROUND)
+                entry.attempts.append(repeat)
+                entry.factors.append(repeat.factor)
     field.peers = [*longest.values()]
     return field
 
 
-def _score(problem: Problem, resolution: int) -> Field:
+def _score(problem: Problem, resolution: int) -> SheetComparison:
     """Choose the loosest accurate tolerance of the product."""
     known = speed_curtain.trusted(problem)
     for tolerance in TOLERANCES:
         error = known.deviation(problem.frames, speed_curtain.run(problem, tolerance=tolerance).positions)
         if error <= speed_curtain.ACCURATE:
             break
-    return Field(
+    return SheetComparison(
         resolution=resolution,
         tolerance=tolerance,
         error=error,
         scored=problem.duration,
         reference_error=known.error,
-        ours=Entry("cloth_sim_ros, as shipped"),
-        one_core=Entry("cloth_sim_ros, one core"),
+        product=EngineEntry("cloth_sim_ros, as shipped"),
+        one_core=EngineEntry("cloth_sim_ros, one core"),
     )
 
 
-def _told(peer: Peer, resolution: int, attempt: Callable[[Peer, int], Attempt]) -> Callable[[int], Attempt]:
+def _logged(peer: Peer, resolution: int, attempt: Callable[[Peer, int], Attempt]) -> Callable[[int], Attempt]:
     """Wrap `attempt` for one peer; log each result."""
 
-    def tell(steps: int) -> Attempt:
+    def run_logged(steps: int) -> Attempt:
         done = attempt(peer, steps)
         how = "whole" if done.whole else "torn"
-        say(f"N = {resolution}: {peer.name}, {steps} steps a frame: {how} after {done.simulated:.2f} s")
+        print_progress(f"N = {resolution}: {peer.name}, {steps} steps a frame: {how} after {done.simulated:.2f} s")
         return done
 
-    return tell
+    return run_logged
 
 
-def _throughput(fields: list[Field]) -> Table:
+def _throughput(fields: list[SheetComparison]) -> Table:
     table = Table("Simulated seconds per wall second", ["engine", *(f"N = {field.resolution}" for field in fields)])
     by_name: dict[str, dict[int, float]] = {}
     for field in fields:
-        for entry in (field.ours, field.one_core, *field.peers):
+        for entry in (field.product, field.one_core, *field.peers):
             by_name.setdefault(entry.name, {})[field.resolution] = entry.factor
     table.rows = [[name, *(by.get(field.resolution, "-") for field in fields)] for name, by in by_name.items()]
     return table
 
 
-def _comparison(fields: list[Field]) -> Table:
+def _comparison(fields: list[SheetComparison]) -> Table:
     columns = ["N", "tolerance m", "error m", "at s", "fastest peer", "as fast as it", "on one core"]
     table = Table("Product against the fastest peer", columns)
     for field in fields:
         start = [field.resolution, field.tolerance, field.error, field.scored]
         best = field.fastest
         end = (
-            [best.name, *(entry.factor / best.factor for entry in (field.ours, field.one_core))] if best else ["-"] * 3
+            [best.name, *(entry.factor / best.factor for entry in (field.product, field.one_core))]
+            if best
+            else ["-"] * 3
         )
         table.rows.append([*start, *end])
     return table
 
 
-def _details(fields: list[Field]) -> Table:
+def _details(fields: list[SheetComparison]) -> Table:
     columns = ["N", "engine", "steps a frame", "step s", "largest stretch", "simulated s", "ms a step", "x real time"]
     table = Table("Each peer at its longest step", columns)
     for field in fields:
         for entry in field.peers:
-            found = entry.attempts[0]
-            milliseconds = 1e3 * PERIOD / (found.steps * entry.factor)
+            attempt = entry.attempts[0]
+            milliseconds = 1e3 * PERIOD / (attempt.steps * entry.factor)
             stretch = max(attempt.stretch for attempt in entry.attempts)
-            row = [field.resolution, entry.name, found.steps, PERIOD / found.steps, stretch, found.simulated]
+            row = [field.resolution, entry.name, attempt.steps, PERIOD / attempt.steps, stretch, attempt.simulated]
             table.rows.append([*row, milliseconds, entry.factor])
     return table
 
 
-def _plot(fields: list[Field]) -> Plot:
+def _plot(fields: list[SheetComparison]) -> Plot:
     lines: dict[str, list[tuple[float, float]]] = {}
     for field in fields:
-        for entry in (field.ours, field.one_core, *field.peers):
+        for entry in (field.product, field.one_core, *field.peers):
             lines.setdefault(entry.name, []).append((float(field.resolution), entry.factor))
     return Plot("Peers", "particles a side", "simulated s per wall s", lines)
 
 
-def _explain(options: argparse.Namespace, peers: list[Peer], fields: list[Field], report: Report) -> None:
+def _explain(options: argparse.Namespace, peers: list[Peer], fields: list[SheetComparison], report: Report) -> None:
     versions = {name: text for f in fields for e in f.peers for name, text in e.attempts[0].versions.items()}
     report.environment |= versions
     report.notes.append(
@@ -243,17 +247,17 @@ def _explain(options: argparse.Namespace, peers: list[Peer], fields: list[Field]
             f"{where}: the error's reference is within {field.reference_error:.1g} m of the exact solution"
         )
         for entry in field.peers:
-            found = entry.attempts[0]
-            if found.simulated < options.duration - PERIOD:
+            attempt = entry.attempts[0]
+            if attempt.simulated < options.duration - PERIOD:
                 report.notes.append(
                     f"{where}: {entry.name} reached the limit of {options.seconds:g} s: its sheet was whole for "
-                    f"{found.simulated:.2f} s and may tear later"
+                    f"{attempt.simulated:.2f} s and may tear later"
                 )
-            report.notes += [f"{where}: {entry.name} {remark}" for remark in found.remarks]
+            report.notes += [f"{where}: {entry.name} {remark}" for remark in attempt.remarks]
         report.notes += [f"FAILED: {text}" for text in field.failed]
 
 
-def _judge(fields: list[Field], report: Report) -> None:
+def _check_targets(fields: list[SheetComparison], report: Report) -> None:
     for field in fields:
         where = f"N = {field.resolution}"
         if field.error > speed_curtain.ACCURATE:
@@ -261,6 +265,6 @@ def _judge(fields: list[Field], report: Report) -> None:
                 f"{where}: the product is {field.error:.2g} m off; at most {speed_curtain.ACCURATE:g} m"
             )
         best = field.fastest
-        if best and field.resolution in RATED_RESOLUTIONS and field.ours.factor < MIN_PEER_RATIO * best.factor:
-            times = field.ours.factor / best.factor
+        if best and field.resolution in RATED_RESOLUTIONS and field.product.factor < MIN_PEER_RATIO * best.factor:
+            times = field.product.factor / best.factor
             report.failures.append(f"{where}: {times:.3g} times as fast as {best.name}; target {MIN_PEER_RATIO:g}")

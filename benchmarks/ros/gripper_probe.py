@@ -32,17 +32,17 @@ class GripperProbe:
     """
 
     def __init__(self, name: str, alive: Callable[[], None]) -> None:
-        self._alive = alive
+        self._check_alive = alive
         self._node = Node(name)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self._targets = self._node.create_publisher(PoseStamped, "/cloth_sim/gripper/target", QoSProfile(depth=10))
-        self._node.create_subscription(PointCloud2, "/cloth_sim/points", self.see, QoSProfile(depth=10))
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, QoSProfile(depth=10))
+        self._node.create_subscription(PointCloud2, "/cloth_sim/points", self.on_cloud, QoSProfile(depth=10))
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._receive_diagnostics, QoSProfile(depth=10))
         self._close = self._node.create_client(SetBool, "/cloth_sim/gripper/close")
         self._next = time.monotonic()
 
-    def place(self, now: float) -> np.ndarray:
+    def target_position(self, now: float) -> np.ndarray:
         """Return the position of the target [m], (3,), at a time [s]."""
         raise NotImplementedError
 
@@ -50,14 +50,14 @@ class GripperProbe:
         """Return the time until the next target [s]."""
         raise NotImplementedError
 
-    def sent(self, place: tuple[float, ...]) -> None:
+    def before_publish(self, position: tuple[float, ...]) -> None:
         """Called before a target is published."""
 
-    def see(self, cloud: PointCloud2) -> None:
+    def on_cloud(self, cloud: PointCloud2) -> None:
         """Called with each cloud."""
         raise NotImplementedError
 
-    def hear(self, values: dict[str, str]) -> None:
+    def on_diagnostics(self, values: dict[str, str]) -> None:
         """Called with each diagnostics message of the cloth."""
         raise NotImplementedError
 
@@ -75,7 +75,7 @@ class GripperProbe:
         end = time.monotonic() + limit
         while not condition():
             now = time.monotonic()
-            self._alive()
+            self._check_alive()
             if now > end:
                 raise RuntimeError(f"the condition did not hold within {limit:g} s")
             if now >= self._next:
@@ -86,12 +86,12 @@ class GripperProbe:
     def _publish(self, now: float) -> None:
         message = PoseStamped()
         p = message.pose.position
-        p.x, p.y, p.z = (float(value) for value in self.place(now))
+        p.x, p.y, p.z = (float(value) for value in self.target_position(now))
         message.pose.orientation.w = 1.0
-        self.sent((p.x, p.y, p.z))
+        self.before_publish((p.x, p.y, p.z))
         self._targets.publish(message)
 
-    def _hear(self, report: DiagnosticArray) -> None:
+    def _receive_diagnostics(self, report: DiagnosticArray) -> None:
         for status in report.status:
             if status.name.endswith(": cloth"):
-                self.hear({entry.key: entry.value for entry in status.values})
+                self.on_diagnostics({entry.key: entry.value for entry in status.values})

@@ -34,7 +34,7 @@ from benchmarks.ros.node_process import node_process, ros_context
 #: Radius [m] and speed [m/s] of the corner's circle.
 _RADIUS, _SPEED = 0.1, 0.2
 #: Time before the counted targets [s].
-_FIRST = 1.0
+_WARM_UP_TIME = 1.0
 
 
 @attrs.frozen(kw_only=True)
@@ -59,7 +59,7 @@ class Latencies:
         low, median, high, highest = (
             float(1e3 * value) for value in np.percentile(self.seconds, [1.0, 50.0, 99.0, 100.0])
         )
-        kept = ("real_time_factor_overall", "late_frames", "load", "longest_frame_ms", "integrator_why")
+        diagnostic_keys = ("real_time_factor_overall", "late_frames", "load", "longest_frame_ms", "integrator_why")
         return {
             "particles": self.particles,
             "rate_hz": self.rate,
@@ -69,11 +69,11 @@ class Latencies:
             "p99_ms": high,
             "max_ms": highest,
             "goal": "median below a frame and 2 ms, p99 below two frames: " + ("met" if self.met else "not met"),
-            **{name: self.diagnostics.get(name, "") for name in kept},
+            **{name: self.diagnostics.get(name, "") for name in diagnostic_keys},
         }
 
 
-class Prober(GripperProbe):
+class LatencyProbe(GripperProbe):
     """Probe that publishes targets and receives the clouds.
 
     Args:
@@ -113,8 +113,8 @@ class Prober(GripperProbe):
         gc.collect()
         gc.freeze()
         self._begun = time.monotonic()
-        end = self._begun + _FIRST + seconds
-        self.spin_until(lambda: time.monotonic() >= end, limit=2.0 * (_FIRST + seconds))
+        end = self._begun + _WARM_UP_TIME + seconds
+        self.spin_until(lambda: time.monotonic() >= end, limit=2.0 * (_WARM_UP_TIME + seconds))
         seen = len(self.arrived)
         self.spin_until(lambda: len(self.arrived) > seen + 10)
 
@@ -123,41 +123,41 @@ class Prober(GripperProbe):
         from cloth_sim_ros.session.reader import SessionReader
 
         (path,) = folder.glob("*.mcap")
-        places = list(self.published)
-        number = {place: index for index, place in enumerate(places)}
-        found: list[float] = []
+        positions = list(self.published)
+        index_of = {position: index for index, position in enumerate(positions)}
+        latencies: list[float] = []
         shown = 0
-        first = (self._begun or 0.0) + _FIRST
+        first = (self._begun or 0.0) + _WARM_UP_TIME
         with SessionReader(path) as reader:
             for recorded in reader.clouds():
                 events = recorded.frame.events if recorded.frame is not None else ()
-                taken = [tuple(event["position"]) for event in events if event["kind"] == "target"]
+                targets = [tuple(event["position"]) for event in events if event["kind"] == "target"]
                 arrival = self.arrived.get(recorded.cloud.stamp)
-                if not taken or arrival is None or taken[-1] not in number:
+                if not targets or arrival is None or targets[-1] not in index_of:
                     continue
-                newest = number[taken[-1]] + 1
-                published = [self.published[place] for place in places[shown:newest]]
-                found += [arrival - moment for moment in published if moment >= first]
+                newest = index_of[targets[-1]] + 1
+                published = [self.published[position] for position in positions[shown:newest]]
+                latencies += [arrival - moment for moment in published if moment >= first]
                 shown = max(shown, newest)
-        return np.array(found)
+        return np.array(latencies)
 
-    def see(self, cloud: PointCloud2) -> None:
+    def on_cloud(self, cloud: PointCloud2) -> None:
         now = time.monotonic()
         self.particles = cloud.width * cloud.height
         self.arrived[cloud.header.stamp.sec * 1_000_000_000 + cloud.header.stamp.nanosec] = now
 
-    def hear(self, values: dict[str, str]) -> None:
+    def on_diagnostics(self, values: dict[str, str]) -> None:
         self.diagnostics = values
 
-    def place(self, now: float) -> np.ndarray:
+    def target_position(self, now: float) -> np.ndarray:
         if self._begun is None:
             return CORNER
-        turn = _SPEED / _RADIUS * (time.monotonic() - self._begun)
-        return CORNER + _RADIUS * np.array([0.0, -np.sin(turn), 1.0 - np.cos(turn)])
+        angle = _SPEED / _RADIUS * (time.monotonic() - self._begun)
+        return CORNER + _RADIUS * np.array([0.0, -np.sin(angle), 1.0 - np.cos(angle)])
 
-    def sent(self, place: tuple[float, ...]) -> None:
+    def before_publish(self, position: tuple[float, ...]) -> None:
         if self._begun is not None:
-            self.published[place] = time.monotonic()
+            self.published[position] = time.monotonic()
 
     def pause(self) -> float:
         return self._between * float(self._random.uniform(0.5, 1.5))
@@ -203,17 +203,17 @@ def measure(
     Raises:
         RuntimeError: if the node ends, or does not answer.
     """
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
         with running_node(resolution=resolution, rate=rate, folder=folder, further=further) as alive:
-            prober = Prober(stream=stream, alive=alive)
+            prober = LatencyProbe(stream=stream, alive=alive)
             try:
                 prober.hold()
                 prober.lead(seconds)
             finally:
                 prober.close()
-        found = prober.latencies(folder)
-    return Latencies(particles=prober.particles, rate=rate, seconds=found, diagnostics=prober.diagnostics)
+        latencies = prober.latencies(folder)
+    return Latencies(particles=prober.particles, rate=rate, seconds=latencies, diagnostics=prober.diagnostics)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -227,18 +227,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("parameters", nargs="*", metavar="name:=value", help="further parameters of the node")
     options = parser.parse_args(arguments)
     with ros_context():
-        found = measure(
+        latencies = measure(
             resolution=tuple(options.resolution),
             rate=options.rate,
             stream=options.stream,
             seconds=options.seconds,
             further=options.parameters,
         )
-    for name, value in found.summary().items():
+    for name, value in latencies.summary().items():
         print(f"{name:26} {value:.3f}" if isinstance(value, float) else f"{name:26} {value}")
     if options.json is not None:
-        options.json.write_text(json.dumps({**found.summary(), "seconds": found.seconds.tolist()}))
-    return 0 if found.met else 1
+        options.json.write_text(json.dumps({**latencies.summary(), "seconds": latencies.seconds.tolist()}))
+    return 0 if latencies.met else 1
 
 
 if __name__ == "__main__":

@@ -78,15 +78,17 @@ class Robot(GripperProbe):
             self.spin_until(client.service_is_ready)
         self.spin_until(lambda: len(self.reports) > 1 and self.arrivals)
 
-    def go_through(self, cycle: Cycle) -> None:
+    def run_cycle(self, cycle: Cycle) -> None:
         """Run one cycle."""
         self._begin("carried")
         self._lead(lambda _: CORNER, 0.25)
         self._ask(self._close, SetBool.Request(data=True))
-        turn = 2.0 * np.pi / cycle.carried
+        angular_frequency = 2.0 * np.pi / cycle.carried
 
         def carried(t: float) -> np.ndarray:
-            return CORNER + np.array([0.0, -0.25 * np.sin(turn * t), 0.2 * (1.0 - np.cos(turn * t))])
+            return CORNER + np.array(
+                [0.0, -0.25 * np.sin(angular_frequency * t), 0.2 * (1.0 - np.cos(angular_frequency * t))]
+            )
 
         self._lead(carried, cycle.carried)
         self._begin("swung")
@@ -130,14 +132,14 @@ class Robot(GripperProbe):
             raise RuntimeError(f"{client.srv_name}: {answer.message}")
         return answer
 
-    def see(self, cloud: PointCloud2) -> None:
+    def on_cloud(self, cloud: PointCloud2) -> None:
         self.arrivals.append(time.monotonic())
         self.stamps.append(cloud.header.stamp.sec + 1e-9 * cloud.header.stamp.nanosec)
 
-    def hear(self, values: dict[str, str]) -> None:
+    def on_diagnostics(self, values: dict[str, str]) -> None:
         self.reports.append((time.monotonic(), values))
 
-    def place(self, now: float) -> np.ndarray:
+    def target_position(self, now: float) -> np.ndarray:
         return self._path(now)
 
     def pause(self) -> float:
@@ -190,12 +192,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     rate, cycles = 60.0, 0
     with (
         ros_context(),
-        tempfile.TemporaryDirectory() as place,
+        tempfile.TemporaryDirectory() as temporary,
         # The grip holds only the corner: 2 cm of a sheet with a spacing of 3.4 cm.
         running_node(
             resolution=(30, 30),
             rate=rate,
-            folder=Path(place),
+            folder=Path(temporary),
             further=["gripper.radius:=0.02", *options.parameters],
         ) as alive,
     ):
@@ -204,13 +206,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             robot.begin()
             end = time.monotonic() + options.seconds
             while time.monotonic() < end:
-                robot.go_through(Cycle().scaled(options.pace))
+                robot.run_cycle(Cycle().scaled(options.pace))
                 cycles += 1
         finally:
             robot.close()
-    found = summary(robot, rate=rate, cycles=cycles)
-    print(json.dumps(found, indent=1))
-    return 0 if found["met"] else 1
+    figures = summary(robot, rate=rate, cycles=cycles)
+    print(json.dumps(figures, indent=1))
+    return 0 if figures["met"] else 1
 
 
 if __name__ == "__main__":

@@ -38,7 +38,7 @@ AT_REST = {"gravity": [0.0, 0.0, 0.0]}
 #: Longest wait for a start or an answer [s].
 _PATIENCE = 60.0
 #: Largest number of pending requests.
-_MOST_WAITING = 8
+_MAX_PENDING = 8
 #: Parameter changes per minute.
 RATE = 1000.0
 
@@ -68,16 +68,16 @@ def measure_idle(values: dict[str, Any], seconds: float, settle: float) -> dict[
         time.sleep(settle)
         before, begun = processor_time(pid), time.monotonic()
         time.sleep(seconds)
-        taken, elapsed = processor_time(pid) - before, time.monotonic() - begun
+        busy, elapsed = processor_time(pid) - before, time.monotonic() - begun
     alone, paced = (simulation_alone(scene, seconds, settle, paced=paced) for paced in (False, True))
-    each = taken / (elapsed * scene.rate)
+    per_frame = busy / (elapsed * scene.rate)
     return {
-        "node_ms_a_frame": round(1e3 * each, 4),
+        "node_ms_a_frame": round(1e3 * per_frame, 4),
         "simulation_ms_a_frame": round(1e3 * alone, 4),
         "paced_simulation_ms_a_frame": round(1e3 * paced, 4),
-        "added_ms_a_frame": round(1e3 * (each - alone), 4),
-        "added_to_paced_ms_a_frame": round(1e3 * (each - paced), 4),
-        "share_of_a_core": round(taken / elapsed, 4),
+        "added_ms_a_frame": round(1e3 * (per_frame - alone), 4),
+        "added_to_paced_ms_a_frame": round(1e3 * (per_frame - paced), 4),
+        "share_of_a_core": round(busy / elapsed, 4),
     }
 
 
@@ -97,7 +97,7 @@ def simulation_alone(scene: Scene, seconds: float, settle: float, *, paced: bool
     return (time.process_time() - before) / frames
 
 
-class Setter:
+class ParameterSetter:
     """Sets parameters of a node, and counts its late frames.
 
     Args:
@@ -113,7 +113,7 @@ class Setter:
         self._client = self._node.create_client(SetParameters, f"{target}/set_parameters")
         self.refused = 0
 
-    def stretch(self, seconds: float, rate: float) -> tuple[int, int]:
+    def run_interval(self, seconds: float, rate: float) -> tuple[int, int]:
         """Change parameters at a rate [1/s] for some time [s]; return the number of changes and of late frames."""
         self._next_report()
         late, sent = int(self._status["late_frames"]), 0
@@ -121,7 +121,7 @@ class Setter:
         waiting: list[Any] = []
         while (elapsed := time.monotonic() - begun) < seconds:
             # A service queues ten requests; more would be lost on a busy machine.
-            while sent < elapsed * rate and len(waiting) < _MOST_WAITING:
+            while sent < elapsed * rate and len(waiting) < _MAX_PENDING:
                 waiting.append(self._client.call_async(SetParameters.Request(parameters=[_change(sent)])))
                 sent += 1
             self._executor.spin_once(timeout_sec=0.005)
@@ -162,14 +162,14 @@ class Setter:
             self._executor.spin_once(timeout_sec=0.02)
 
 
-def _change(number: int) -> Parameter:
+def _change(index: int) -> Parameter:
     """Return the change of an index: small changes of each kind in turn."""
-    turn, size = number % 4, 0.01 * (number % 7)
-    if turn == 0:
+    kind, size = index % 4, 0.01 * (index % 7)
+    if kind == 0:
         return _parameter("gravity", [0.0, 0.0, -9.81 + size])
-    if turn == 1:
+    if kind == 1:
         return _parameter("wind.velocity", [0.1 + size, 0.0, 0.0])
-    return _parameter("air.drag", 0.2 + size) if turn == 2 else _parameter("material.damping", 0.1 + 0.1 * size)
+    return _parameter("air.drag", 0.2 + size) if kind == 2 else _parameter("material.damping", 0.1 + 0.1 * size)
 
 
 def _parameter(name: str, value: Any) -> Parameter:
@@ -186,14 +186,14 @@ def measure_sets(values: dict[str, Any], seconds: float, rounds: int) -> dict[st
     late: dict[str, list[int]] = {"with": [], "without": []}
     sent = 0
     with cloth(name, values):
-        setter = Setter(f"/{name}")
+        setter = ParameterSetter(f"/{name}")
         try:
             setter.wait()
             for _ in range(rounds):
-                late["without"].append(setter.stretch(seconds, 0.0)[1])
-                count, found = setter.stretch(seconds, RATE / 60.0)
+                late["without"].append(setter.run_interval(seconds, 0.0)[1])
+                count, late_count = setter.run_interval(seconds, RATE / 60.0)
                 sent += count
-                late["with"].append(found)
+                late["with"].append(late_count)
         finally:
             setter.close()
     return {"set": sent, "refused": setter.refused, "seconds_each": seconds, "late_frames": late}
@@ -216,21 +216,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.seconds <= 0.0 or options.rounds < 1:
         parser.error("--seconds must be above 0, --rounds at least 1")
-    side = options.resolution or (30 if options.what == "idle" else 64)
-    values: dict[str, Any] = {"cloth.resolution": [side, side]}
+    resolution = options.resolution or (30 if options.what == "idle" else 64)
+    values: dict[str, Any] = {"cloth.resolution": [resolution, resolution]}
     if options.what == "idle":
-        told: dict[str, Any] = {
+        figures: dict[str, Any] = {
             "at rest": measure_idle(values | AT_REST, options.seconds, options.settle),
             "swinging": measure_idle(values, options.seconds, options.settle),
             "goal_ms": GOAL,
         }
-        told["met"] = all(told[how]["added_ms_a_frame"] <= GOAL for how in ("at rest", "swinging"))
+        figures["met"] = all(figures[how]["added_ms_a_frame"] <= GOAL for how in ("at rest", "swinging"))
     else:
         with ros_context():
-            told = measure_sets(values, options.seconds, options.rounds)
-        told["met"] = not told["refused"]
-    sys.stdout.write(json.dumps(told, indent=1) + "\n")
-    return 0 if told["met"] else 1
+            figures = measure_sets(values, options.seconds, options.rounds)
+        figures["met"] = not figures["refused"]
+    sys.stdout.write(json.dumps(figures, indent=1) + "\n")
+    return 0 if figures["met"] else 1
 
 
 if __name__ == "__main__":

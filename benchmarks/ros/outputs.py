@@ -31,7 +31,7 @@ from cloth_sim_ros.ros.outputs import Outputs
 from cloth_sim_ros.ros.recording import SessionRecording
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
-from validation.command import child
+from validation.command import child_process_arguments
 
 #: Pause after each frame [s], as the rest of a period, for the recorder thread and the subscriber.
 _PAUSE = 0.005
@@ -53,17 +53,17 @@ class Candidate:
         recorded: whether it is recorded.
     """
 
-    def __init__(self, name: str, scene: Scene, *, heard: bool, recorded: bool) -> None:
+    def __init__(self, name: str, scene: Scene, *, subscribed: bool, recorded: bool) -> None:
         self._node = Node(name)
         self._simulation = Simulation(scene)
         self._recording = SessionRecording(node_name=self._node.get_fully_qualified_name(), simulation=self._simulation)
         self._outputs = Outputs(self._node, scene, self._recording)
         self._listener: subprocess.Popen[bytes] | None = None
         topic = f"{self._node.get_fully_qualified_name()}/points"
-        if heard:
+        if subscribed:
             # The subscriber must not inherit standard output: a reader would wait until all writers have closed it.
             self._listener = subprocess.Popen(
-                **child("benchmarks.ros.outputs", "--listen", topic),
+                **child_process_arguments("benchmarks.ros.outputs", "--listen", topic),
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
             )
@@ -108,13 +108,13 @@ class Candidate:
 def candidates(resolution: int) -> Iterator[dict[str, Candidate]]:
     """Yield the four cloths; recordings go to a temporary folder."""
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
-        made = {}
-        for name, (heard, recorded) in PRESENCES.items():
+        cloths = {}
+        for name, (subscribed, recorded) in PRESENCES.items():
             values = {"cloth.resolution": [resolution, resolution], "record.folder": folder}
             scene = Scene.from_parameters(values)
-            made[name] = Candidate(f"outputs_{os.getpid()}_{name}", scene, heard=heard, recorded=recorded)
-            stack.callback(made[name].close)
-        yield made
+            cloths[name] = Candidate(f"outputs_{os.getpid()}_{name}", scene, subscribed=subscribed, recorded=recorded)
+            stack.callback(cloths[name].close)
+        yield cloths
 
 
 def measure(resolution: int, frames: int) -> dict[str, list[float]]:
@@ -123,18 +123,18 @@ def measure(resolution: int, frames: int) -> dict[str, list[float]]:
     Raises:
         RuntimeError: if a cloud was built without receiver, or missing with one.
     """
-    with candidates(resolution) as made:
-        times: dict[str, list[float]] = {name: [] for name in made}
+    with candidates(resolution) as cloths:
+        times: dict[str, list[float]] = {name: [] for name in cloths}
         for k in range(frames + _FIRST):
-            for name, candidate in made.items():
-                taken = candidate.frame()
+            for name, candidate in cloths.items():
+                frame_time = candidate.frame()
                 if k >= _FIRST:
-                    times[name].append(taken)
+                    times[name].append(frame_time)
                 time.sleep(_PAUSE)
-        for name, candidate in made.items():
-            wanted = 0 if name == "nobody" else frames + _FIRST
-            if candidate.published != wanted:
-                raise RuntimeError(f"with {name} there, {candidate.published} clouds were built instead of {wanted}")
+        for name, candidate in cloths.items():
+            expected = 0 if name == "nobody" else frames + _FIRST
+            if candidate.published != expected:
+                raise RuntimeError(f"with {name} there, {candidate.published} clouds were built instead of {expected}")
     return times
 
 
@@ -166,15 +166,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with ros_context():
         times = measure(options.resolution, options.frames)
     alone = times["nobody"]
-    told = {
+    presences = {
         name: {
-            "median_ms": round(1e3 * statistics.median(taken), 4),
-            "to_nobody": round(statistics.median(a / b for a, b in zip(taken, alone, strict=True)), 4),
+            "median_ms": round(1e3 * statistics.median(frame_times), 4),
+            "to_nobody": round(statistics.median(a / b for a, b in zip(frame_times, alone, strict=True)), 4),
         }
-        for name, taken in times.items()
+        for name, frame_times in times.items()
     }
-    met = told["both"]["to_nobody"] <= 1.0 + GOAL
-    answer = {"particles": options.resolution**2, "presences": told, "goal": 1.0 + GOAL, "met": met}
+    met = presences["both"]["to_nobody"] <= 1.0 + GOAL
+    answer = {"particles": options.resolution**2, "presences": presences, "goal": 1.0 + GOAL, "met": met}
     sys.stdout.write(json.dumps(answer, indent=1) + "\n")
     return 0 if met else 1
 

@@ -155,11 +155,11 @@ def _run_timer(
     frames: Sequence[Sequence[Message]], recorder: Recorder | None, rate: float, count: int, timing: _Timing
 ) -> None:
     start = time.perf_counter() + 0.1
-    for number in range(count):
-        due = start + number / rate
-        time.sleep(max(due - time.perf_counter(), 0.0))
+    for index in range(count):
+        deadline = start + index / rate
+        time.sleep(max(deadline - time.perf_counter(), 0.0))
         began = time.perf_counter()
-        frame = frames[number % len(frames)]
+        frame = frames[index % len(frames)]
         # Fresh bytes, as from a serializer, are not in the caches.
         fresh = [bytes(memoryview(message.data)) for message in frame]
         handed = time.perf_counter()
@@ -169,11 +169,11 @@ def _run_timer(
                     message.topic,
                     message.type_name,
                     data,
-                    log_time=number,
+                    log_time=index,
                     droppable=message.topic.endswith("/points"),
                 )
         timing.cost.append(time.perf_counter() - handed)
-        timing.late.append(began - due)
+        timing.late.append(began - deadline)
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ from benchmarks.ros.node_process import node_process, processor_time, ros_contex
 #: Longest wait for a first cloud [s].
 _PATIENCE = 60.0
 #: Time after which an unanswered request is repeated [s].
-_AGAIN = 1.0
+_RETRY_PERIOD = 1.0
 #: Largest start-up time with the libraries in memory [s].
 GOAL = 2.0
 
@@ -71,9 +71,9 @@ def measure_start(index: int, arguments: Sequence[str] = ()) -> Start:
         raw=True,
     )
     question = node.create_client(GetParameters, "cloth_sim/get_parameters")
-    asked: list[Future] = []
+    pending: list[Future] = []
     seen = answered = None
-    begun = again = time.monotonic()
+    begun = next_request = time.monotonic()
     with node_process(["-r", f"__ns:=/{namespace}", *arguments]) as process:
         while not arrivals or answered is None:
             executor.spin_once(timeout_sec=0.02)
@@ -81,10 +81,10 @@ def measure_start(index: int, arguments: Sequence[str] = ()) -> Start:
                 seen = time.monotonic()
             now = time.monotonic()
             # An answer sent before the node has discovered this client is lost, so the request is repeated.
-            if answered is None and now > again and question.service_is_ready():
-                asked.append(question.call_async(GetParameters.Request(names=["rate"])))
-                again = now + _AGAIN
-            if answered is None and any(future.done() for future in asked):
+            if answered is None and now > next_request and question.service_is_ready():
+                pending.append(question.call_async(GetParameters.Request(names=["rate"])))
+                next_request = now + _RETRY_PERIOD
+            if answered is None and any(future.done() for future in pending):
                 answered = now
             if process.poll() is not None:
                 _, said = process.communicate()
@@ -115,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with ros_context():
         first, *warm = (measure_start(index, options.ros) for index in range(options.starts + 1))
     median = float(np.median([start.wall for start in warm]))
-    told: dict[str, Any] = {
+    figures: dict[str, Any] = {
         "first_s": round(first.wall, 3),
         "warm_s": [round(start.wall, 3) for start in warm],
         "warm_median_s": round(median, 3),
@@ -124,8 +124,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "goal_s": GOAL,
         "met": median < GOAL,
     }
-    sys.stdout.write(json.dumps(told, indent=1) + "\n")
-    return 0 if told["met"] else 1
+    sys.stdout.write(json.dumps(figures, indent=1) + "\n")
+    return 0 if figures["met"] else 1
 
 
 if __name__ == "__main__":

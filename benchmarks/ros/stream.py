@@ -36,7 +36,7 @@ from sensor_msgs.msg import PointCloud2
 
 from benchmarks.ros.node_process import ros_context
 from cloth_sim_ros.ros.node import ClothNode
-from validation.command import child
+from validation.command import child_process_arguments
 
 #: A cloth with few steps per frame, and one that also falls asleep.
 _MOVING = {"material.stretch_modulus": 10.0, "material.shear_modulus": 1.0, "bending.model": "none"}
@@ -112,7 +112,7 @@ def subscriber(topic: str, file: Path) -> Iterator[None]:
     """Run a reliable subscriber in its own process, which records clouds to a file."""
     # The subscriber must not inherit standard output: a reader would wait until all writers have closed it.
     process = subprocess.Popen(
-        **child("benchmarks.ros.stream", "--listen", topic, str(file)),
+        **child_process_arguments("benchmarks.ros.stream", "--listen", topic, str(file)),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
@@ -131,8 +131,8 @@ def measure(resolution: int, *, seconds: float, rate: float, moving: bool = Fals
         RuntimeError: if no subscriber comes, or a cloth that should sleep does not.
     """
     values = {"cloth.resolution": [resolution, resolution], "rate": rate, **(_MOVING if moving else _RESTING)}
-    given = [Parameter(name, value=value) for name, value in values.items()]
-    cloth = ClothNode(f"stream_{os.getpid()}_{resolution}", parameter_overrides=given)
+    overrides = [Parameter(name, value=value) for name, value in values.items()]
+    cloth = ClothNode(f"stream_{os.getpid()}_{resolution}", parameter_overrides=overrides)
     executor = SingleThreadedExecutor()
     executor.add_node(cloth.node)
     try:
@@ -256,12 +256,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not options.seconds >= least:
         parser.error(f"--seconds is {options.seconds:g}; at least two frames, {least:g} s, are needed")
     with ros_context():
-        found = [
-            measure(side, seconds=options.seconds, rate=options.rate, moving=options.moving)
-            for side in options.resolutions
+        streams = [
+            measure(resolution, seconds=options.seconds, rate=options.rate, moving=options.moving)
+            for resolution in options.resolutions
         ]
-    sys.stdout.write(json.dumps([stream.summary() for stream in found], indent=1) + "\n")
-    return 0 if all(stream.met for stream in found) else 1
+    sys.stdout.write(json.dumps([stream.summary() for stream in streams], indent=1) + "\n")
+    return 0 if all(stream.met for stream in streams) else 1
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import json
 import subprocess
 from typing import Any
 
-from validation.command import child
+from validation.command import child_process_arguments
 from validation.report import Plot, Report, Table
 
 #: Largest ratio of the time per particle and step to that of a sheet of about 10^4 particles.
@@ -47,24 +47,24 @@ def run(options: argparse.Namespace) -> Report:
         ["sheet", "particles", "most while built", "most while run", "state", "forces", "tables", "run to their sum"],
     )
     for kind in options.kinds:
-        found = _sheets(kind, options, report)
-        if not found:
+        sheets = _sheets(kind, options, report)
+        if not sheets:
             continue
-        near = min(found, key=lambda one: abs(one["particles"] - 1e4))
-        for one in found:
-            ratio = one["least_ns"] / near["least_ns"]
-            row = [kind, one["particles"], one["build_s"], 1e3 * one["least_frame_s"], one["least_ns"], ratio]
+        reference = min(sheets, key=lambda sheet: abs(sheet["particles"] - 1e4))
+        for sheet in sheets:
+            ratio = sheet["least_ns"] / reference["least_ns"]
+            row = [kind, sheet["particles"], sheet["build_s"], 1e3 * sheet["least_frame_s"], sheet["least_ns"], ratio]
             times.rows.append(row)
-            sizes = [one[f"{what}_bytes"] for what in ("build_peak", "peak", "state", "force", "table")]
+            sizes = [sheet[f"{quantity}_bytes"] for quantity in ("build_peak", "peak", "state", "force", "table")]
             share = sizes[1] / sum(sizes[2:])
-            memory.rows.append([kind, one["particles"], *(size / _MEGA for size in sizes), share])
-            if one["particles"] >= _LARGE and ratio > MAX_TIME_RATIO:
-                report.failures.append(f"{kind} of {one['particles']}: {ratio:.2f} times the time of 10^4")
-            if one["particles"] >= _LARGE and share > MAX_MEMORY_RATIO:
+            memory.rows.append([kind, sheet["particles"], *(size / _MEGA for size in sizes), share])
+            if sheet["particles"] >= _LARGE and ratio > MAX_TIME_RATIO:
+                report.failures.append(f"{kind} of {sheet['particles']}: {ratio:.2f} times the time of 10^4")
+            if sheet["particles"] >= _LARGE and share > MAX_MEMORY_RATIO:
                 report.failures.append(
-                    f"{kind} of {one['particles']}: {share:.2f} times the memory of what it must hold"
+                    f"{kind} of {sheet['particles']}: {share:.2f} times the memory of what it must hold"
                 )
-        points = [(float(one["particles"]), float(one["least_ns"])) for one in found]
+        points = [(float(sheet["particles"]), float(sheet["least_ns"])) for sheet in sheets]
         report.plots.append(Plot(f"Time, {kind}", "particles", "ns a particle and step", {kind: points}))
     report.tables += [times, memory]
     report.notes.append("each sheet in separate processes, sizes in turns; shortest median frame of several")
@@ -78,14 +78,17 @@ def _sheets(kind: str, options: argparse.Namespace, report: Report) -> list[dict
         for size in options.sizes:
             arguments = [kind, str(size), "--seconds", str(options.seconds)]
             done = subprocess.run(
-                **child("benchmarks.scale.sheet", *arguments), check=False, capture_output=True, text=True
+                **child_process_arguments("benchmarks.scale.sheet", *arguments),
+                check=False,
+                capture_output=True,
+                text=True,
             )
             if done.returncode:
                 last = (done.stderr.strip().splitlines() or [f"status {done.returncode}"])[-1]
                 report.failures.append(f"{kind}, {size} a side, could not be run: {last}")
                 continue
-            found = json.loads(done.stdout.splitlines()[-1])
+            figures = json.loads(done.stdout.splitlines()[-1])
             before = best.get(size)
-            if before is None or found["ns"] < before["ns"]:
-                best[size] = found | {"least_ns": found["ns"], "least_frame_s": found["frame_s"]}
+            if before is None or figures["ns"] < before["ns"]:
+                best[size] = figures | {"least_ns": figures["ns"], "least_frame_s": figures["frame_s"]}
     return [best[size] for size in sorted(best)]

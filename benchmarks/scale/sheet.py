@@ -49,12 +49,12 @@ def main() -> int:
     scene = _scene(options.kind, options.resolution)
     simulation = Simulation(scene)
     built = time.perf_counter() - begun
-    found: dict[str, Any] = {"build_s": built, "build_peak_bytes": _peak() - before}
+    figures: dict[str, Any] = {"build_s": built, "build_peak_bytes": _peak() - before}
     gc.collect()
     _forget_peak()
-    found |= _measure(simulation, seconds=options.seconds)
-    found |= {"peak_bytes": _peak() - before, **_needed(simulation)}
-    sys.stdout.write(json.dumps(found) + "\n")
+    figures |= _measure(simulation, seconds=options.seconds)
+    figures |= {"peak_bytes": _peak() - before, **_needed(simulation)}
+    sys.stdout.write(json.dumps(figures) + "\n")
     return 0
 
 
@@ -85,10 +85,10 @@ def _ply(resolution: int) -> bytes:
     points = np.zeros((resolution, resolution, 3), dtype="<f4")
     points[..., 0], points[..., 1] = line[None, :], line[:, None]
     count = resolution**2
-    place = random.permutation(count)
+    order = random.permutation(count)
     shuffled = np.empty((count, 3), dtype="<f4")
-    shuffled[place] = points.reshape(-1, 3)
-    triangles = place[grid_triangles(resolution, resolution, "alternating")]
+    shuffled[order] = points.reshape(-1, 3)
+    triangles = order[grid_triangles(resolution, resolution, "alternating")]
     faces = np.zeros(len(triangles), dtype=[("count", "u1"), ("ends", "<i4", 3)])
     faces["count"], faces["ends"] = 3, random.permutation(triangles)
     head = (

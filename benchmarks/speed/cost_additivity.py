@@ -22,7 +22,7 @@ from support import garment
 from support.problems import PERIOD
 from support.random_meshes import shuffled_mesh
 
-from benchmarks.timing import Turns, take_turns
+from benchmarks.timing import InterleavedTimes, time_interleaved
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.model import Model
@@ -31,7 +31,7 @@ from cloth_sim_ros.scene import parameter_file
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
-from validation.report import Report, Table, say
+from validation.report import Report, Table, print_progress
 
 #: Scene to which features are added.
 DEFAULT_CLOTH = Path(__file__).resolve().parents[2] / "config" / "cloth_sim.yaml"
@@ -143,27 +143,27 @@ def add(sheet: str, cost: Cost, report: Report) -> None:
 
 def measured(sheet: str, options: argparse.Namespace) -> Cost:
     """Time frames of a kind of cloth without features, with each one, and with each pair."""
-    wanted = [frozenset[str](), *(frozenset([name]) for name in options.features)]
-    wanted += [frozenset(pair) for pair in pairs(tuple(options.features))]
-    limit = min(_limit(scene(sheet, options.resolution, names)) for names in wanted)
+    feature_sets = [frozenset[str](), *(frozenset([name]) for name in options.features)]
+    feature_sets += [frozenset(pair) for pair in pairs(tuple(options.features))]
+    limit = min(_limit(scene(sheet, options.resolution, names)) for names in feature_sets)
     steps = math.ceil(PERIOD / (_STEP_SHARE * limit))
     step = PERIOD / steps
-    say(f"{sheet}: {len(wanted)} cloths, {steps} steps a frame")
-    turns = take_turns(
-        {str(k): turn(scene(sheet, options.resolution, names, step=step)) for k, names in enumerate(wanted)},
+    print_progress(f"{sheet}: {len(feature_sets)} cloths, {steps} steps a frame")
+    turns = time_interleaved(
+        {str(k): turn(scene(sheet, options.resolution, names, step=step)) for k, names in enumerate(feature_sets)},
         seconds=options.seconds,
         clock=time.process_time,
     )
     return Cost(
         base=turns.median("0") / _FRAMES,
         steps=steps,
-        times={names: _to_base(turns, k) for k, names in enumerate(wanted) if names},
+        times={names: _to_base(turns, k) for k, names in enumerate(feature_sets) if names},
     )
 
 
-def _to_base(turns: Turns, number: int) -> float:
-    shares = zip(turns.seconds[str(number)], turns.seconds["0"], strict=True)
-    return statistics.median(mine / base for mine, base in shares)
+def _to_base(turns: InterleavedTimes, index: int) -> float:
+    shares = zip(turns.seconds[str(index)], turns.seconds["0"], strict=True)
+    return statistics.median(candidate / base for candidate, base in shares)
 
 
 def scene(sheet: str, resolution: int, features: frozenset[str], *, step: float = 0.0) -> Scene:
@@ -175,9 +175,9 @@ def scene(sheet: str, resolution: int, features: frozenset[str], *, step: float 
     if sheet == "grid":
         values["cloth.resolution"] = [resolution, resolution]
     else:
-        rest, triangles = shuffled_mesh(resolution**2)
-        files["mesh.obj"] = garment.as_obj(rest - [0.5, 0.5, 0.0], triangles)
-        edge = np.flatnonzero(rest[:, 1] == rest[:, 1].max())
+        rest_positions, triangles = shuffled_mesh(resolution**2)
+        files["mesh.obj"] = garment.as_obj(rest_positions - [0.5, 0.5, 0.0], triangles)
+        edge = np.flatnonzero(rest_positions[:, 1] == rest_positions[:, 1].max())
         values |= {"cloth.mesh": "mesh.obj", "cloth.anchors": [str(particle) for particle in edge.tolist()]}
         del values["cloth.size"], values["cloth.resolution"]
     bending = next((name for name in BENDINGS if name in features), "none")
@@ -193,13 +193,13 @@ def scene(sheet: str, resolution: int, features: frozenset[str], *, step: float 
     return kind.from_parameters(values, files=files)
 
 
-def turn(wanted: Scene) -> Callable[[], None]:
+def turn(configuration: Scene) -> Callable[[], None]:
     """Return a function that runs some frames of a scene from a fixed state."""
-    simulation = Simulation(wanted)
+    simulation = Simulation(configuration)
     corner = lower_corner(simulation)
 
     def events(frame: int) -> list[Event]:
-        if not wanted.gripper_names:
+        if not configuration.gripper_names:
             return []
         t = (frame + 1) * PERIOD
         half = 0.5 * _TURN * t
@@ -207,7 +207,7 @@ def turn(wanted: Scene) -> Callable[[], None]:
             Target("gripper", corner + np.array([0.0, _SPEED * t, 0.0]), (0.0, 0.0, math.sin(half), math.cos(half)))
         ]
 
-    if wanted.gripper_names:
+    if configuration.gripper_names:
         done = simulation.advance([Target("gripper", corner), Grasp("gripper", True)])
         if not done.grasps[0].grasped_count:
             raise RuntimeError(f"the gripper holds nothing: {done.grasps[0].reason}")
@@ -231,9 +231,9 @@ def lower_corner(simulation: Simulation) -> Array:
     return np.asarray(positions[np.argmax(positions[:, 0] - positions[:, 2])])
 
 
-def _limit(wanted: Scene) -> float:
+def _limit(configuration: Scene) -> float:
     """Return the longest stable step of a scene's initial, grasped cloth [s]."""
-    simulation = Simulation(attrs.evolve(wanted, step=0.0))
-    if wanted.gripper_names:
+    simulation = Simulation(attrs.evolve(configuration, step=0.0))
+    if configuration.gripper_names:
         simulation.advance([Target("gripper", lower_corner(simulation)), Grasp("gripper", True)])
     return leapfrog_limit(*simulation.plan.spectral_bounds(simulation.state.x))

@@ -14,7 +14,7 @@ import attrs
 from support.problems import PERIOD, Problem
 from support.reference import Reference, reference
 
-from benchmarks.timing import take_turns
+from benchmarks.timing import time_interleaved
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.forces.force import Array
 
@@ -27,7 +27,7 @@ _TOLERANCE, _CHECK = 1e-10, 1e-9
 
 
 @attrs.frozen(eq=False)
-class Run:
+class CurtainRun:
     """Run of a scene as shipped."""
 
     #: Wall time of the frames, without set-up [s].
@@ -57,7 +57,7 @@ def trusted(problem: Problem) -> Reference:
     return reference(problem, tolerance=_TOLERANCE, check=_CHECK)
 
 
-def run(problem: Problem, *, tolerance: float) -> Run:
+def run(problem: Problem, *, tolerance: float) -> CurtainRun:
     """Run a scene frame by frame with automatic integrator and step, as a simulation does."""
     plan, state = problem.build()
     integrator = make_integrator("auto", tolerance=tolerance)
@@ -65,14 +65,14 @@ def run(problem: Problem, *, tolerance: float) -> Run:
     for frame in range(problem.frames):
         done = integrator.advance(plan, state, frame * PERIOD, PERIOD)
         evaluations, reason = evaluations + done.evaluations, done.reason
-    return Run(time.perf_counter() - begin, state.x, evaluations, reason)
+    return CurtainRun(time.perf_counter() - begin, state.x, evaluations, reason)
 
 
 @contextlib.contextmanager
-def cores(*, one: bool) -> Iterator[None]:
+def cores(*, one_core: bool) -> Iterator[None]:
     """Restrict this thread and its children to one core; a plan compiled within has one thread."""
     allowed = os.sched_getaffinity(0)
-    if one:
+    if one_core:
         os.sched_setaffinity(0, {max(allowed)})
     try:
         yield
@@ -104,26 +104,26 @@ def curtain_speeds(
     problem: Problem, known: Reference, *, tolerances: tuple[float, ...], seconds: float
 ) -> list[CurtainSpeed]:
     """Run a scene in turns at each tolerance, on all cores and on one, for about `seconds`."""
-    kinds = [(tolerance, one) for tolerance in tolerances for one in (False, True)]
-    runs: dict[str, list[Run]] = {str(kind): [] for kind in kinds}
+    kinds = [(tolerance, one_core) for tolerance in tolerances for one_core in (False, True)]
+    runs: dict[str, list[CurtainRun]] = {str(kind): [] for kind in kinds}
 
-    def candidate(tolerance: float, one: bool) -> Callable[[], None]:
+    def candidate(tolerance: float, one_core: bool) -> Callable[[], None]:
         def turn() -> None:
-            with cores(one=one):
-                runs[str((tolerance, one))].append(run(problem, tolerance=tolerance))
+            with cores(one_core=one_core):
+                runs[str((tolerance, one_core))].append(run(problem, tolerance=tolerance))
 
         return turn
 
-    take_turns({str(kind): candidate(*kind) for kind in kinds}, seconds=seconds)
+    time_interleaved({str(kind): candidate(*kind) for kind in kinds}, seconds=seconds)
     speeds = []
-    for tolerance, one in kinds:
+    for tolerance, one_core in kinds:
         # The first run is a warm-up.
-        counted = runs[str((tolerance, one))][1:]
+        counted = runs[str((tolerance, one_core))][1:]
         speeds.append(
             CurtainSpeed(
                 tolerance=tolerance,
-                one_core=one,
-                factors=[problem.duration / each.seconds for each in counted],
+                one_core=one_core,
+                factors=[problem.duration / counted_run.seconds for counted_run in counted],
                 evaluations=counted[-1].evaluations / problem.frames,
                 error=known.deviation(problem.frames, counted[-1].positions),
                 reason=counted[-1].reason,

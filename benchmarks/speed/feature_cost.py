@@ -17,11 +17,11 @@ from support.feature_variants import BARE, FORCES, Running, Variant, swinging, v
 from support.frame_counts import MARKERS, bytes_of_a_frame, calls_of_a_frame, modules_of
 
 from benchmarks.speed.curtain import cores
-from benchmarks.speed.hand_written_loop import HandMadeLoop
-from benchmarks.timing import take_turns
+from benchmarks.speed.hand_written_loop import HandWrittenLoop
+from benchmarks.timing import time_interleaved
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
-from validation.command import child
+from validation.command import child_process_arguments
 from validation.report import Report, Table
 
 #: Largest ratio of a frame to one of the hand-written loop.
@@ -80,11 +80,13 @@ def _hand(options: argparse.Namespace, report: Report) -> None:
             makers[f"{name}, steps"] = partial(_by_hand, scene, bare=True)
         times = _frame_times(makers, copies=options.copies, seconds=options.seconds)
         for name in scenes:
-            mine, hand, again, steps = (times[f"{name}{what}"] for what in ("", ", by hand", ", again", ", steps"))
-            ratio = 0.5 * (_ratio(mine, hand) + _ratio(mine, again))
-            milliseconds = 1e3 * statistics.median(mine)
+            simulated, hand, again, steps = (
+                times[f"{name}{suffix}"] for suffix in ("", ", by hand", ", again", ", steps")
+            )
+            ratio = 0.5 * (_ratio(simulated, hand) + _ratio(simulated, again))
+            milliseconds = 1e3 * statistics.median(simulated)
             more = 1e3 * milliseconds * (1.0 - 1.0 / ratio)
-            row = [resolution, name, milliseconds, ratio, _ratio(again, hand), _ratio(mine, steps), more]
+            row = [resolution, name, milliseconds, ratio, _ratio(again, hand), _ratio(simulated, steps), more]
             table.rows.append(row)
             if ratio > MAX_HAND_WRITTEN_RATIO:
                 report.failures.append(f"N = {resolution}, {name}: {ratio:.3f} times the loop by hand")
@@ -96,7 +98,7 @@ def _simulated(scene: Scene) -> Callable[[], Any]:
 
 
 def _by_hand(scene: Scene, *, bare: bool = False) -> Callable[[], Any]:
-    loop = HandMadeLoop(scene)
+    loop = HandWrittenLoop(scene)
     return loop.bare_frame if bare else loop.frame
 
 
@@ -123,11 +125,11 @@ def _frame_times(
 
         return frames
 
-    with cores(one=True):
+    with cores(one_core=True):
         # Copies of the candidates alternate, so that none has better memory.
-        made = {(name, k): turn(make()) for k in range(copies) for name, make in makers.items()}
-        candidates = {f"{name}#{k}": frames for (name, k), frames in made.items()}
-        turns = take_turns(candidates, seconds=seconds, clock=time.thread_time)
+        frame_turns = {(name, k): turn(make()) for k in range(copies) for name, make in makers.items()}
+        candidates = {f"{name}#{k}": frames for (name, k), frames in frame_turns.items()}
+        turns = time_interleaved(candidates, seconds=seconds, clock=time.thread_time)
     return {
         name: [
             min(round_) / _FRAMES_A_TURN
@@ -137,8 +139,8 @@ def _frame_times(
     }
 
 
-def _ratio(mine: list[float], theirs: list[float]) -> float:
-    return statistics.median(a / b for a, b in zip(mine, theirs, strict=True))
+def _ratio(times: list[float], baseline: list[float]) -> float:
+    return statistics.median(a / b for a, b in zip(times, baseline, strict=True))
 
 
 def _features(options: argparse.Namespace, report: Report) -> None:
@@ -166,53 +168,59 @@ def _counts(options: argparse.Namespace, report: Report) -> None:
     for variant in variants():
         simulation = Running(variant, resolution).simulation
         calls = calls_of_a_frame(simulation)
-        needed, kept = bytes_of_a_frame(simulation)
-        told = ", ".join(f"{name} {count}" if count > 1 else name for name, count in calls.items()) or "none"
-        row = [variant.feature, variant.presence, told, needed / simulation.state.particle_count, kept]
+        needed, retained = bytes_of_a_frame(simulation)
+        call_list = ", ".join(f"{name} {count}" if count > 1 else name for name, count in calls.items()) or "none"
+        row = [variant.feature, variant.presence, call_list, needed / simulation.state.particle_count, retained]
         table.rows.append(row)
     report.tables.append(table)
     imports = Table("Modules that a fresh interpreter has loaded after two frames", ["scene", "ours", *MARKERS])
     for name, values in _SCENES.items():
         loaded = modules_of(values)
-        ours = sum(module.startswith("cloth_sim_ros") for module in loaded)
+        n_product_modules = sum(module.startswith("cloth_sim_ros") for module in loaded)
         seen = ["yes" if any(marker in loaded for marker in markers) else "no" for markers in MARKERS.values()]
-        imports.rows.append([name, ours, *seen])
+        imports.rows.append([name, n_product_modules, *seen])
     report.tables.append(imports)
 
 
-def _ask(module: str, report: Report) -> dict[str, Any] | None:
+def _run_measurement(module: str, report: Report) -> dict[str, Any] | None:
     """Run a measurement of the node in its own process, because this one must not load ROS; return its output."""
-    done = subprocess.run(**child(f"benchmarks.ros.{module}"), check=False, capture_output=True, text=True)
+    done = subprocess.run(
+        **child_process_arguments(f"benchmarks.ros.{module}"), check=False, capture_output=True, text=True
+    )
     try:
-        told: dict[str, Any] = json.loads(done.stdout)
+        figures: dict[str, Any] = json.loads(done.stdout)
     except ValueError:
         report.notes.append(f"{module} failed: {(done.stderr.strip().splitlines() or ['no answer'])[-1]}")
         return None
-    return told
+    return figures
 
 
 def _outputs(_options: argparse.Namespace, report: Report) -> None:
-    told = _ask("outputs", report)
-    if told is None:
+    figures = _run_measurement("outputs", report)
+    if figures is None:
         return
-    table = Table(f"Cost of outputs in a frame of {told['particles']} particles", ["there is", "frame ms", "to nobody"])
-    for name, found in told["presences"].items():
-        table.rows.append([name, found["median_ms"], found["to_nobody"]])
+    table = Table(
+        f"Cost of outputs in a frame of {figures['particles']} particles", ["there is", "frame ms", "to nobody"]
+    )
+    for name, times in figures["presences"].items():
+        table.rows.append([name, times["median_ms"], times["to_nobody"]])
     report.tables.append(table)
-    if not told["met"]:
-        ratio = told["presences"]["both"]["to_nobody"]
-        report.failures.append(f"with recorder and subscriber {ratio:.3f} times the frame; target {told['goal']:g}")
+    if not figures["met"]:
+        ratio = figures["presences"]["both"]["to_nobody"]
+        report.failures.append(f"with recorder and subscriber {ratio:.3f} times the frame; target {figures['goal']:g}")
 
 
 def _start(_options: argparse.Namespace, report: Report) -> None:
-    told = _ask("start", report)
-    if told is None:
+    figures = _run_measurement("start", report)
+    if figures is None:
         return
     columns = ["start", "least s", "median s", "most s", "processor time s"]
     table = Table("From process start to the first cloud at a subscriber", columns)
-    table.rows.append(["first", told["first_s"], told["first_s"], told["first_s"], "-"])
-    warm = told["warm_s"]
-    table.rows.append(["warm cache", min(warm), told["warm_median_s"], max(warm), told["warm_processor_median_s"]])
+    table.rows.append(["first", figures["first_s"], figures["first_s"], figures["first_s"], "-"])
+    warm = figures["warm_s"]
+    table.rows.append(
+        ["warm cache", min(warm), figures["warm_median_s"], max(warm), figures["warm_processor_median_s"]]
+    )
     report.tables.append(table)
-    if not told["met"]:
-        report.failures.append(f"a warm start took {told['warm_median_s']} s; target {told['goal_s']} s")
+    if not figures["met"]:
+        report.failures.append(f"a warm start took {figures['warm_median_s']} s; target {figures['goal_s']} s")

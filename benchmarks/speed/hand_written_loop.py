@@ -9,14 +9,14 @@ import ctypes
 import numpy as np
 from support.feature_variants import swinging
 
-from cloth_sim_ros.engine.binding import SUMMARY_NUMBERS, Frame, check, library
+from cloth_sim_ros.engine.binding import SUMMARY_NUMBERS, FrameRequest, check, library
 from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.scene.scene import Scene
 
 
-class HandMadeLoop:
+class HandWrittenLoop:
     """Hand-written loop for a bare grid: at most axial bending, no grippers, no tolerance, no diagnostics.
 
     Its only choice is the number of steps, by the stability limit at the end of the previous frame. It uses one thread
@@ -48,7 +48,7 @@ class HandMadeLoop:
         self._summary = np.zeros(SUMMARY_NUMBERS)
         #: Positions and velocities [m, m/s] of the current run and of the previous one, from which the next starts.
         self._ends = np.empty((1, 2, *self.x.shape)), np.empty((1, 2, *self.x.shape))
-        self._frame = Frame(duration=self._period, runs=1, steps=self._counts.ctypes.data, bands=1, combined=1)
+        self._frame = FrameRequest(duration=self._period, runs=1, steps=self._counts.ctypes.data, bands=1, combined=1)
 
     def frame(self) -> None:
         """Run one frame with the stable number of steps, and check its end.

@@ -19,7 +19,7 @@ from support.problems import PERIOD
 from support.raw_sheet import RawSheet
 from support.reference_kernel import ReferenceKernel
 
-from benchmarks.timing import Turns, take_turns
+from benchmarks.timing import InterleavedTimes, time_interleaved
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.plan import Plan
@@ -27,7 +27,7 @@ from cloth_sim_ros.physics.plan import Plan
 #: Step too short to move anything [s].
 _STILL = 1e-9
 #: Smallest difference in steps of the two runs whose time difference gives a step's time.
-_FEWEST_STEPS = 40
+_MIN_STEPS = 40
 #: Particles times steps in one turn of a candidate: a few milliseconds.
 _UPDATES_A_TURN = 1_000_000
 #: Step as a share of the stability limit in the runs whose bits are compared.
@@ -62,11 +62,11 @@ class ThreadGain:
     resolution: int
     precision: str
     steps: int
-    one: float
-    two: float
+    one_thread: float
+    two_threads: float
     gain: float
     most: float
-    same: bool
+    same_bits: bool
 
 
 def kernel_time(resolution: int, dtype: Any, *, compiler: str | None, seconds: float) -> KernelTime:
@@ -74,8 +74,8 @@ def kernel_time(resolution: int, dtype: Any, *, compiler: str | None, seconds: f
     sheet = RawSheet(resolution=resolution, drag=1.0)
     plan, (x, v) = sheet.plan(sheet.index[0]), _start(sheet)
     single = np.dtype(dtype) == np.float32
-    steps = max(_UPDATES_A_TURN // resolution**2, _FEWEST_STEPS)
-    few = 20
+    steps = max(_UPDATES_A_TURN // resolution**2, _MIN_STEPS)
+    short_steps = 20
     out = np.empty_like(x)
 
     def evaluate() -> None:
@@ -88,20 +88,25 @@ def kernel_time(resolution: int, dtype: Any, *, compiler: str | None, seconds: f
 
         return run
 
-    candidates: dict[str, Callable[[], None]] = {"few": runner(few), "many": runner(few + steps)}
+    candidates: dict[str, Callable[[], None]] = {"few": runner(short_steps), "many": runner(short_steps + steps)}
     if not single:
         candidates["accelerations"] = evaluate
     if compiler is not None:
         kernel = ReferenceKernel(sheet.sheet(), dtype, compiler=compiler)
         kernel.set_state(x, v)
         candidates["c"] = lambda: kernel.evaluate(steps)
-    turns = take_turns(candidates, seconds=seconds, clock=time.thread_time)
+    turns = time_interleaved(candidates, seconds=seconds, clock=time.thread_time)
     unit = 1e9 / (steps * len(sheet.sheet().pairs))
     # Time of the additional steps of the long run, by round [s].
-    whole = [many - few for many, few in zip(turns.seconds["many"], turns.seconds["few"], strict=True)]
+    whole = [
+        long_time - short_steps
+        for long_time, short_steps in zip(turns.seconds["many"], turns.seconds["few"], strict=True)
+    ]
     ratio = None
     if compiler is not None:
-        ratio = statistics.median(mine / theirs for mine, theirs in zip(whole, turns.seconds["c"], strict=True))
+        ratio = statistics.median(
+            engine_time / c_time for engine_time, c_time in zip(whole, turns.seconds["c"], strict=True)
+        )
     return KernelTime(
         resolution=resolution,
         precision=np.dtype(dtype).name,
@@ -133,25 +138,25 @@ def thread_gain(resolution: int, dtype: Any, *, seconds: float) -> ThreadGain:
     for threads in (1, 2):
         (run,), _ = plan.runs(0.0, 3 * PERIOD, start, [3 * steps], single_precision=single, threads=threads)
         ends.append((run.x.tobytes(), run.v.tobytes()))
-    others = [sheet.plan(sheet.index[0]) for _ in range(2)]
-    with ThreadPoolExecutor(len(others)) as pool:
+    independent_plans = [sheet.plan(sheet.index[0]) for _ in range(2)]
+    with ThreadPoolExecutor(len(independent_plans)) as pool:
 
         def apart() -> None:
-            for done in [pool.submit(repeat, other, 1) for other in others]:
+            for done in [pool.submit(repeat, independent_plan, 1) for independent_plan in independent_plans]:
                 done.result()
 
-        turns: Turns = take_turns(
+        turns: InterleavedTimes = time_interleaved(
             {"1": lambda: repeat(plan, 1), "2": lambda: repeat(plan, 2), "apart": apart}, seconds=seconds
         )
     return ThreadGain(
         resolution=resolution,
         precision=np.dtype(dtype).name,
         steps=steps,
-        one=turns.median("1") / frames,
-        two=turns.median("2") / frames,
+        one_thread=turns.median("1") / frames,
+        two_threads=turns.median("2") / frames,
         gain=turns.ratio("1", "2"),
         most=2.0 * turns.ratio("1", "apart"),
-        same=ends[0] == ends[1],
+        same_bits=ends[0] == ends[1],
     )
 
 

@@ -108,7 +108,7 @@ def _plans(options: argparse.Namespace, report: Report) -> None:
     for turning in (False, True):
         scene = f"grid, gripper that {'moves and turns' if turning else 'moves'}"
         rows.append((scene, grip_time(PLAN_GRID, turning=turning, seconds=options.seconds)))
-    rows += [(f"grid, {what}", row) for what, row in force_times(PLAN_GRID, seconds=options.seconds)]
+    rows += [(f"grid, {label}", row) for label, row in force_times(PLAN_GRID, seconds=options.seconds)]
     for scene, row in rows:
         table.rows.append([scene, row.particles, row.step, row.estimate, row.step / row.estimate])
     report.tables.append(table)
@@ -170,10 +170,19 @@ def _threads(options: argparse.Namespace, report: Report) -> None:
         for resolution in options.threads:
             row = thread_gain(resolution, dtype, seconds=options.seconds)
             table.rows.append(
-                [resolution, row.precision, row.steps, 1e3 * row.one, 1e3 * row.two, row.gain, row.most, _yes(row.same)]
+                [
+                    resolution,
+                    row.precision,
+                    row.steps,
+                    1e3 * row.one_thread,
+                    1e3 * row.two_threads,
+                    row.gain,
+                    row.most,
+                    _yes(row.same_bits),
+                ]
             )
             where = f"two threads at N = {resolution}, {row.precision}"
-            if not row.same:
+            if not row.same_bits:
                 report.failures.append(f"{where}: other bits than one thread")
             if resolution >= THREADS_FROM and row.gain < MIN_THREAD_GAIN:
                 report.failures.append(

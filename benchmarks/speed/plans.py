@@ -12,7 +12,7 @@ import attrs
 import numpy as np
 from support.random_meshes import shuffled_mesh
 
-from benchmarks.timing import take_turns
+from benchmarks.timing import time_interleaved
 from cloth_sim_ros.physics.forces.drag import Drag
 from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.forces.gravity import Gravity
@@ -28,7 +28,7 @@ from cloth_sim_ros.simulation.simulation import Simulation
 _STILL = 1e-9
 #: Particles times steps of one turn: some milliseconds.
 _UPDATES_A_TURN = 500_000
-_FEWEST_STEPS = 20
+_MIN_STEPS = 20
 
 
 @attrs.frozen(kw_only=True)
@@ -79,8 +79,8 @@ def grip_time(resolution: int, *, turning: bool, seconds: float) -> PlanTime:
 
 def shuffled_sheet(particles: int) -> MeshSheet:
     """Return a square sheet of irregular triangles with vertices in random order."""
-    rest, triangles = shuffled_mesh(particles)
-    return MeshSheet(rest_positions=rest, surface=Surface.from_triangles(triangles))
+    rest_positions, triangles = shuffled_mesh(particles)
+    return MeshSheet(rest_positions=rest_positions, surface=Surface.from_triangles(triangles))
 
 
 class _Swirl(Force):
@@ -98,25 +98,27 @@ def force_times(resolution: int, *, seconds: float) -> list[tuple[str, PlanTime]
     scene = Scene.from_parameters({"cloth.resolution": [resolution, resolution], "wind.normal_drag": 1.0})
     windy, x = scene.plan(), np.ascontiguousarray(scene.initial_positions().T)
     plain = scene.changed({"wind.normal_drag": 0.0}).plan().model
-    own = compile(Model(plain.masses, [*plain.forces, _Swirl()], anchors=plain.anchors))
+    with_user_force = compile(Model(plain.masses, [*plain.forces, _Swirl()], anchors=plain.anchors))
     v = np.zeros_like(x)
     return [
-        (what, _time(plan, 0.0, x, v, seconds=seconds))
-        for what, plan in (("air on its surface", windy), ("a force in numpy", own))
+        (label, _time(plan, 0.0, x, v, seconds=seconds))
+        for label, plan in (("air on its surface", windy), ("a force in numpy", with_user_force))
     ]
 
 
 def _time(plan: Plan, t: float, x: Array, v: Array, *, seconds: float) -> PlanTime:
     count = x.shape[1]
-    steps, few = max(_UPDATES_A_TURN // count, _FEWEST_STEPS), 1
+    steps, short_steps = max(_UPDATES_A_TURN // count, _MIN_STEPS), 1
 
-    def runner(number: int) -> Callable[[], None]:
+    def runner(count: int) -> Callable[[], None]:
         def run() -> None:
-            plan.runs(t, number * _STILL, (x, v), [number], threads=1)
+            plan.runs(t, count * _STILL, (x, v), [count], threads=1)
 
         return run
 
-    turns = take_turns({"few": runner(few), "many": runner(few + steps)}, seconds=seconds, clock=time.thread_time)
+    turns = time_interleaved(
+        {"few": runner(short_steps), "many": runner(short_steps + steps)}, seconds=seconds, clock=time.thread_time
+    )
     pairs = zip(turns.seconds["many"], turns.seconds["few"], strict=True)
-    step = 1e9 / (steps * count) * statistics.median(many - one for many, one in pairs)
+    step = 1e9 / (steps * count) * statistics.median(long_time - short_time for long_time, short_time in pairs)
     return PlanTime(particles=count, step=step, estimate=plan.step_cost)

@@ -12,7 +12,7 @@ import numpy as np
 from support.problems import PERIOD, Problem
 from support.reference import Reference
 
-from benchmarks.timing import take_turns
+from benchmarks.timing import time_interleaved
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.forces.force import Array
 
@@ -53,13 +53,13 @@ def stiff_speeds(problem: Problem, known: Reference, *, seconds: float) -> list[
     def candidate(name: str) -> Callable[[], None]:
         def turn() -> None:
             integrator, tolerance = STEPPERS[name]
-            spent, names, x = _run(problem, integrator, tolerance)
-            times[name].append(spent)
+            wall_times, names, x = _run(problem, integrator, tolerance)
+            times[name].append(wall_times)
             ends[name] = names, x
 
         return turn
 
-    take_turns({name: candidate(name) for name in STEPPERS}, seconds=seconds)
+    time_interleaved({name: candidate(name) for name in STEPPERS}, seconds=seconds)
     speeds = []
     for name in STEPPERS:
         integrators, x = ends[name]
@@ -74,9 +74,9 @@ def _run(problem: Problem, name: str, tolerance: float | None) -> tuple[list[flo
     """Return wall times of the frames [s], integrators used, and final positions [m], (3, n)."""
     plan, state = problem.build()
     integrator = make_integrator(name, tolerance=tolerance)
-    spent, names = [], dict[str, None]()
+    wall_times, names = [], dict[str, None]()
     for frame in range(problem.frames):
         begin = time.perf_counter()
         names[integrator.advance(plan, state, frame * PERIOD, PERIOD).integrator] = None
-        spent.append(time.perf_counter() - begin)
-    return spent, tuple(names), state.x
+        wall_times.append(time.perf_counter() - begin)
+    return wall_times, tuple(names), state.x

@@ -63,7 +63,7 @@ class EngineError(RuntimeError):
     """The engine is not built, or failed."""
 
 
-class Frame(ctypes.Structure):
+class FrameRequest(ctypes.Structure):
     """Request of a frame; the same layout as in plan/frame.hpp."""
 
     _fields_ = (
@@ -93,7 +93,7 @@ class Frame(ctypes.Structure):
 
 #: Packs a `Frame` in one call.
 FRAME = struct.Struct(
-    "@" + "".join({ctypes.c_double: "d", ctypes.c_int64: "q"}.get(kind, "P") for _, kind in Frame._fields_)
+    "@" + "".join({ctypes.c_double: "d", ctypes.c_int64: "q"}.get(kind, "P") for _, kind in FrameRequest._fields_)
 )
 
 _P, _I, _D, _INT = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double, ctypes.c_int
@@ -113,7 +113,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_plan_jaws": (_INT, _P, _I, _P, _P),
     "cloth_plan_jaw_states": (_INT, _P, _P),
     "cloth_jaw_accelerations": (_INT, _P, _D, _P, _P, _P),
-    "cloth_frame": (_INT, _P, ctypes.POINTER(Frame)),
+    "cloth_frame": (_INT, _P, ctypes.POINTER(FrameRequest)),
     "cloth_accelerations": (_INT, _P, _D, _P, _P, _P),
     "cloth_energy": (_INT, _P, _D, _P, _P, _P),
     "cloth_powers": (_INT, _P, _D, _P, _P, _P),

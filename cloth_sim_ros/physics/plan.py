@@ -24,7 +24,7 @@ from cloth_sim_ros.engine.binding import (
     FRAME,
     MAX_RUNS,
     SUMMARY_NUMBERS,
-    Frame,
+    FrameRequest,
     address,
     check,
     doubles,
@@ -110,7 +110,7 @@ class Plan(PlanQueries, Uncopyable):
         self._steps, self._weights = (ctypes.c_int64 * MAX_RUNS)(), (ctypes.c_double * MAX_RUNS)()
         self._summary_out = (ctypes.c_double * SUMMARY_NUMBERS)()
         self._steps_address, self._weights_address = addressof(self._steps), addressof(self._weights)
-        self._frame = Frame()
+        self._frame = FrameRequest()
         #: Numbers of steps in the request.
         self._requested_steps: tuple[int, ...] | None = None
         #: The newest combination of runs; the reference keeps its address valid.

@@ -38,16 +38,16 @@ MOVED = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the new command on standard error; return 2."""
-    name, *rest = (sys.argv[1:] if arguments is None else arguments) or [""]
+    name, *options = (sys.argv[1:] if arguments is None else arguments) or [""]
     commands = [
-        f"make {target} ARGS={shlex.quote(shlex.join([names[name], *rest]))}"
+        f"make {target} ARGS={shlex.quote(shlex.join([names[name], *options]))}"
         for target, names in MOVED.items()
         if name in names
     ]
     if name == "engine":
-        says = "its comparison with trees from before the engine is deleted"
+        advice = "its comparison with trees from before the engine is deleted"
     else:
-        says = f"run {' or '.join(f'`{each}`' for each in commands or ['make bench', 'make validate'])}"
-        says += " in a clone of the repository"
-    sys.stderr.write(f"cloth_bench has left the package: {says}\n")
+        advice = f"run {' or '.join(f'`{command}`' for command in commands or ['make bench', 'make validate'])}"
+        advice += " in a clone of the repository"
+    sys.stderr.write(f"cloth_bench has left the package: {advice}\n")
     return 2

@@ -42,19 +42,19 @@ def test_contact_command_prints_a_table(capsys):
 
 def test_contact_command_reports_missed_targets(capsys, monkeypatch):
     # The slope is too steep for the sheet.
-    monkeypatch.setattr(contact, "NEAR", -5.0)
+    monkeypatch.setattr(contact, "STICTION_MARGIN", -5.0)
     assert main(["contact", "--parts", "drift", "--drift", "0.5"]) == 1
     assert "NOT MET" in capsys.readouterr().out
 
 
 def test_pinch_holds_the_weight_and_reports_missed_targets(capsys, monkeypatch):
     assert main(["contact", "--parts", "pinch", "--drift", "0.5"]) == 0
-    monkeypatch.setattr(contact_pinch, "OFF", -0.01)  # Swaps the expectations of sliding and holding.
-    monkeypatch.setattr(contact_pinch, "GIVES", 0.0)
+    monkeypatch.setattr(contact_pinch, "FORCE_MARGIN", -0.01)  # Swaps the expectations of sliding and holding.
+    monkeypatch.setattr(contact_pinch, "MAX_EXCURSION", 0.0)
     assert main(["contact", "--parts", "pinch", "--drift", "0.1"]) == 1
-    told = capsys.readouterr().out
-    assert "NOT MET: mu 0.5, grid of 28: it slides" in told
-    assert "NOT MET: carried up, grid 4: gives by" in told
+    output = capsys.readouterr().out
+    assert "NOT MET: mu 0.5, grid of 28: it slides" in output
+    assert "NOT MET: carried up, grid 4: gives by" in output
 
 
 def test_recovery_is_slow_and_reports_missed_targets(capsys, monkeypatch):
@@ -68,34 +68,34 @@ def test_recovery_is_slow_and_reports_missed_targets(capsys, monkeypatch):
     for name in ("FASTEST", "HIGHEST", "OPEN"):
         monkeypatch.setattr(contact_starts, name, 0.0)
     assert main(["contact", "--parts", "starts"]) == 1
-    told = capsys.readouterr().out
-    assert "NOT MET: start, plane, 0.6 mm: a particle moves at" in told
-    assert "NOT MET: released on plane: a corner rises" in told
-    assert "NOT MET: start, plane: the energy balance leaves" in told
+    output = capsys.readouterr().out
+    assert "NOT MET: start, plane, 0.6 mm: a particle moves at" in output
+    assert "NOT MET: released on plane: a corner rises" in output
+    assert "NOT MET: start, plane: the energy balance leaves" in output
 
 
 def test_fold_poses_match_the_configuration():
-    for side, sign in (("left", -1.0), ("right", 1.0)):
-        steps = ros_yaml.load((CONFIG / f"fold_{side}.yaml").read_text(encoding="utf-8"))["steps"]
+    for name, sign in (("left", -1.0), ("right", 1.0)):
+        steps = ros_yaml.load((CONFIG / f"fold_{name}.yaml").read_text(encoding="utf-8"))["steps"]
         poses = {step["time"]: tuple(step["position"]) for step in steps}
-        assert poses == {t: (sign * contact_self.ASIDE, y, z) for t, y, z, _ in contact_self.POSES}
+        assert poses == {t: (sign * contact_self.GRIPPER_OFFSET, y, z) for t, y, z, _ in contact_self.POSES}
         turns = [step["orientation"] for step in steps]
-        assert np.allclose(turns, [contact_self.turned(angle) for *_, angle in contact_self.POSES], atol=1e-6)
+        assert np.allclose(turns, [contact_self.x_rotation(angle) for *_, angle in contact_self.POSES], atol=1e-6)
         closes = [(step["time"], step["close"]) for step in steps if "close" in step]
-        assert closes == [(contact_self.CLOSES, True), (contact_self.OPENS, False)]
+        assert closes == [(contact_self.CLOSING_TIME, True), (contact_self.OPENING_TIME, False)]
 
 
 def test_fold_grippers_close_and_open():
-    told = [event for events in contact_self.events(300) for event in events]
-    assert [event.closed for event in told if isinstance(event, Grasp)] == [True, True, False, False]
-    assert contact_self.place(0.0) == (-0.22, 0.1, 0.0)
-    assert contact_self.place(2.3) == pytest.approx((-0.0875, 0.15, -60.0))
-    assert contact_self.place(9.0) == (0.23, 0.12, -180.0)
+    commands = [event for events in contact_self.events(300) for event in events]
+    assert [event.closed for event in commands if isinstance(event, Grasp)] == [True, True, False, False]
+    assert contact_self.gripper_pose(0.0) == (-0.22, 0.1, 0.0)
+    assert contact_self.gripper_pose(2.3) == pytest.approx((-0.0875, 0.15, -60.0))
+    assert contact_self.gripper_pose(9.0) == (0.23, 0.12, -180.0)
 
 
 def test_self_contact_cost_is_reported(capsys, monkeypatch):
     monkeypatch.setattr(contact_self, "THICKNESSES", {12: 4e-3})
-    monkeypatch.setattr(contact_self, "HUNG", (6,))
+    monkeypatch.setattr(contact_self, "HANGING_RESOLUTIONS", (6,))
     # The cost depends on the machine.
     main(["contact", "--parts", "folds", "hanging", "--fold", "0.2", "--seconds", "0.1"])
     out = capsys.readouterr().out
@@ -105,7 +105,7 @@ def test_self_contact_cost_is_reported(capsys, monkeypatch):
 
 def test_fold_record_finds_the_worst_second():
     seconds = [0.01] * 100 + [0.05] * 60 + [0.02] * 40
-    folded = contact_self.Folded(seconds, [1] * 200, [0] * 200, 900)
+    folded = contact_self.FoldRecord(seconds, [1] * 200, [0] * 200, 900)
     assert folded.worst == 100
     assert folded.speed(folded.worst, 60) == pytest.approx(1.0 / 3.0)
     assert folded.speed() == pytest.approx(200.0 / 60.0 / 4.8)

@@ -8,16 +8,16 @@ from support.feature_variants import BARE, FORCES, swinging
 
 from benchmarks.__main__ import COMMANDS, main
 from benchmarks.speed.curtain import cores
-from benchmarks.speed.hand_written_loop import HandMadeLoop
+from benchmarks.speed.hand_written_loop import HandWrittenLoop
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
 
 @pytest.mark.parametrize("values", [BARE, FORCES], ids=["bare", "forces"])
 def test_hand_written_loop_matches_the_simulation_bits(values):
-    with cores(one=True):
+    with cores(one_core=True):
         scene = Scene.from_parameters({**values, "cloth.resolution": [9, 12]})
-        simulation, loop = Simulation(scene, swinging(scene)), HandMadeLoop(scene)
+        simulation, loop = Simulation(scene, swinging(scene)), HandWrittenLoop(scene)
         for _ in range(12):
             frame = simulation.advance()
             loop.frame()
@@ -37,8 +37,8 @@ def test_commands_print_their_help(capsys):
 
 def test_a_small_run_reports_ratios(tmp_path, capsys):
     status = main(["feature-cost", "--only", "hand", "--sizes", "8", "--copies", "1", "--seconds", "0.01"])
-    told = capsys.readouterr().out
-    assert "| 8  | springs alone" in told or "| 8 | springs alone" in told
+    output = capsys.readouterr().out
+    assert "| 8  | springs alone" in output or "| 8 | springs alone" in output
     # At this size Python costs more than the engine, so the target is missed.
     assert status == 1
-    assert "NOT MET" in told
+    assert "NOT MET" in output

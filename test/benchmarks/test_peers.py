@@ -119,11 +119,11 @@ def test_sheet_tables_match_the_product_sheet() -> None:
 
 
 def test_largest_stretch_is_of_the_longest_edge() -> None:
-    edges, rest = np.array([[0, 1], [1, 2]]), np.array([1.0, 0.5])
-    places = np.array([[0.0, 0.0, 0.0], [1.1, 0.0, 0.0], [1.1, 0.6, 0.0]])
-    assert peer_run.largest_stretch(places, edges, rest) == pytest.approx(1.2)
-    places[2, 1] = np.nan
-    assert np.isnan(peer_run.largest_stretch(places, edges, rest))
+    edges, rest_lengths = np.array([[0, 1], [1, 2]]), np.array([1.0, 0.5])
+    positions = np.array([[0.0, 0.0, 0.0], [1.1, 0.0, 0.0], [1.1, 0.6, 0.0]])
+    assert peer_run.largest_stretch(positions, edges, rest_lengths) == pytest.approx(1.2)
+    positions[2, 1] = np.nan
+    assert np.isnan(peer_run.largest_stretch(positions, edges, rest_lengths))
 
 
 def test_attempt_reports_whether_the_sheet_is_whole(stand_in: Peer, sheet: Path, environment: Path) -> None:
@@ -135,8 +135,8 @@ def test_attempt_reports_whether_the_sheet_is_whole(stand_in: Peer, sheet: Path,
     # 1.02^8 is 1.17: at the third frame 1.61, too much.
     torn = attempt(stand_in, sheet, environment, 8, frames=10)
     assert (torn.whole, torn.n_steps, torn.stretch) == (False, 24, pytest.approx(1.02**24))
-    lost = attempt(attrs.evolve(stand_in, variant="nan"), sheet, environment, 20)
-    assert (lost.whole, lost.n_steps) == (False, 20)
+    not_finite = attempt(attrs.evolve(stand_in, variant="nan"), sheet, environment, 20)
+    assert (not_finite.whole, not_finite.n_steps) == (False, 20)
 
 
 def test_slow_engine_stops_at_the_time_limit(stand_in: Peer, sheet: Path, environment: Path) -> None:
@@ -163,28 +163,28 @@ def test_failed_engine_reports_the_reason(
         attempt(attrs.evolve(stand_in, variant=variant), sheet, environment, 20)
 
 
-def search_longest_step(bears: int) -> tuple[list[int], Attempt | None]:
+def search_longest_step(min_steps: int) -> tuple[list[int], Attempt | None]:
     """Search the longest step of an engine whose sheet stays whole from `min_steps` steps per frame on."""
     tried: list[int] = []
 
     def run(steps: int) -> Attempt:
         tried.append(steps)
-        return Attempt(steps=steps, whole=steps >= bears, stretch=1.0, n_steps=1, wall=1.0, versions={}, remarks=[])
+        return Attempt(steps=steps, whole=steps >= min_steps, stretch=1.0, n_steps=1, wall=1.0, versions={}, remarks=[])
 
     return tried, peer_jobs.longest_step(run, 16)
 
 
 @pytest.mark.parametrize("bears", [1, 2, 3, 15, 16, 17, 40, 64, 100, 1000])
 def test_longest_step_is_within_a_fifth(bears: int) -> None:
-    tried, found = search_longest_step(bears)
-    assert found is not None
-    assert bears <= found.steps <= max(1.2 * bears, bears + 1)
+    tried, longest = search_longest_step(bears)
+    assert longest is not None
+    assert bears <= longest.steps <= max(1.2 * bears, bears + 1)
     assert len(tried) == len(set(tried)) <= 10
 
 
 def test_longest_step_is_none_if_every_step_tears() -> None:
-    tried, found = search_longest_step(10**9)
-    assert found is None
+    tried, longest = search_longest_step(10**9)
+    assert longest is None
     assert max(tried) <= 4096
 
 
@@ -193,7 +193,7 @@ def test_peers_have_scripts_and_exact_versions() -> None:
         assert Path(peers.__file__).with_name(peer.script).exists()
         assert peer.package in REQUIREMENTS
         assert all(peer.first_steps(n) >= 1 for n in (16, 128))
-    assert all("==" in one for wanted in REQUIREMENTS.values() for one in wanted)
+    assert all("==" in package for packages in REQUIREMENTS.values() for package in packages)
 
 
 def test_peer_scripts_do_not_import_the_package(environment: Path) -> None:
@@ -239,7 +239,7 @@ def real_environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
+def disconnect(monkeypatch: pytest.MonkeyPatch) -> None:
     """Point pip to an index that does not answer."""
     monkeypatch.setenv("PIP_CONFIG_FILE", "/dev/null")
     monkeypatch.setenv("PIP_INDEX_URL", "http://127.0.0.1:9/simple")
@@ -250,7 +250,7 @@ def cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_peers_are_absent_without_a_network(
     real_environment: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
-    cut_off(monkeypatch)
+    disconnect(monkeypatch)
     file = tmp_path / "peers.json"
     options = ["--resolutions", "16", "--duration", "0.1", "--repeats", "1", "--peers", "pybullet", "pyPBD"]
     assert main(["peers", "--environment", str(real_environment), *options, "--json", str(file)]) == 0
@@ -275,8 +275,8 @@ def test_peer_without_a_wheel_is_absent(real_environment: Path, monkeypatch: pyt
     script = "import importlib.metadata as m; print(m.version('pip'))"
     python = str(peer_environment.python_of(real_environment))
     pip = subprocess.run([python, "-I", "-c", script], check=True, capture_output=True, text=True).stdout.strip()
-    wanted = {"there": (f"pip=={pip}",), "none": ("cloth-sim-ros-has-no-such-peer==9.9",)}
-    absent = peer_environment.prepare(real_environment, wanted, said.append)
+    requirements = {"there": (f"pip=={pip}",), "none": ("cloth-sim-ros-has-no-such-peer==9.9",)}
+    absent = peer_environment.prepare(real_environment, requirements, said.append)
     assert absent.keys() == {"none"}
     assert absent["none"].startswith("there is no wheel of cloth-sim-ros-has-no-such-peer==9.9 for Python 3.")
     assert len(said) == 1

@@ -22,8 +22,8 @@ from benchmarks.peers import contact_measures
 from benchmarks.peers import contact_runs as peer_contact
 from benchmarks.peers import contact_scenes as peer_scenes
 from benchmarks.peers import environment as peer_environment
-from benchmarks.peers.contact_runs import ContactPeer, Recording
-from benchmarks.peers.contact_scenes import Contest
+from benchmarks.peers.contact_runs import ContactPeer, EngineRecording
+from benchmarks.peers.contact_scenes import ContactScene
 from benchmarks.peers.jobs import PeerFailed
 from benchmarks.peers.solvers import CONTACT_PEERS
 from cloth_sim_ros.physics.obstacles import Obstacle
@@ -103,15 +103,15 @@ def stand_in(tmp_path: Path) -> ContactPeer:
     )
 
 
-def short(name: str, frames: int) -> Contest:
+def shortened_scene(name: str, frames: int) -> ContactScene:
     """Return a scene cut to some frames."""
     return attrs.evolve(peer_scenes.CONTACT_SCENES[name](RESOLUTION), duration=frames * PERIOD)
 
 
-def made_up(contest: Contest, frames: np.ndarray) -> Recording:
+def synthetic_recording(contact_scene: ContactScene, frames: np.ndarray) -> EngineRecording:
     """Return a recording of given positions with static pads."""
-    pads = np.broadcast_to(contest.pad_places, (len(frames), *contest.pad_places.shape))
-    return Recording(frames=frames, pads=pads, simulated=(len(frames) - 1) * PERIOD, wall=1.0)
+    pads = np.broadcast_to(contact_scene.pad_positions, (len(frames), *contact_scene.pad_positions.shape))
+    return EngineRecording(frames=frames, pads=pads, simulated=(len(frames) - 1) * PERIOD, wall=1.0)
 
 
 def test_ball_depth_includes_triangle_interiors() -> None:
@@ -120,8 +120,8 @@ def test_ball_depth_includes_triangle_interiors() -> None:
     angles = 2.0 * np.pi * np.arange(3) / 3.0
     deep = np.stack([around * np.cos(angles), around * np.sin(angles), np.full(3, height)], axis=1)
     outside = deep + np.array([0.0, 0.0, 0.1])
-    found = contact_measures.depth_in_ball(np.array([outside, deep, outside]), TRIANGLE, 0.1)
-    assert found == pytest.approx(0.004)
+    depth = contact_measures.depth_in_ball(np.array([outside, deep, outside]), TRIANGLE, 0.1)
+    assert depth == pytest.approx(0.004)
     assert contact_measures.depth_in_ball(np.array([outside]), TRIANGLE, 0.1) == 0.0
     # Without area the nearest edge counts, here its far end. A triangle that is a point is ignored.
     flat = np.array([[0.0, 0.0, 0.2], [0.0, 0.0, 0.15], [0.0, 0.0, 0.09]])
@@ -158,173 +158,179 @@ def test_ball_creep_is_of_the_fastest_particle() -> None:
     first = np.array([[0.0, 0.0, 0.102], [0.102, 0.0, 0.0], [0.0, 0.0, 0.12], [0.0, 0.102, 0.0]])
     last = first + np.array([[1e-6, 0.0, 0.0], [0.0, 3e-6, 0.0], [1e-3, 0.0, 0.0], [0.0, 0.01, 0.0]])
     # Of the last two particles one was never on the ball, and one left it.
-    found = contact_measures.creep_on_ball(np.array([first, first, last]), 0.5, 0.1, 0.003)
-    assert found == pytest.approx(6e-6, rel=1e-3)
+    creep = contact_measures.creep_on_ball(np.array([first, first, last]), 0.5, 0.1, 0.003)
+    assert creep == pytest.approx(6e-6, rel=1e-3)
     assert math.isnan(contact_measures.creep_on_ball(np.array([first, last])[:, 2:3], 0.5, 0.1, 0.003))
 
 
 def test_pinch_result_uses_the_clamped_particles() -> None:
-    contest = peer_scenes.pinch(RESOLUTION)
-    start, pad, places = contest.start, contest.pads[0], contest.pad_places
+    contact_scene = peer_scenes.pinch(RESOLUTION)
+    start, pad, places = contact_scene.start, contact_scene.pads[0], contact_scene.pad_positions
     between = contact_measures.between_pads(start, pad, places)
-    assert (start[between, 2] >= -peer_scenes.BETWEEN).all()
-    assert (np.abs(start[between, 0]) <= 0.5 * peer_scenes.PAD[0]).all()
+    assert (start[between, 2] >= -peer_scenes.CLAMPED_HEIGHT).all()
+    assert (np.abs(start[between, 0]) <= 0.5 * peer_scenes.PAD_SIZE[0]).all()
     assert between.sum() == 4
     frames = np.repeat(start[None], 601, axis=0)
     seconds = np.arange(601) * PERIOD
     # The clamped part settles by 1 mm and then creeps by 5 um/s; the hanging part swings.
     frames[:, between, 2] -= (1e-3 * (seconds > 1.0) + 5e-6 * np.clip(seconds - 2.0, 0.0, None))[:, None]
     frames[:, ~between, 2] += 0.01 * np.sin(seconds)[:, None]
-    result = peers_contact.judge(contest, "made up", made_up(contest, frames))
+    result = peers_contact.evaluate(contact_scene, "made up", synthetic_recording(contact_scene, frames))
     assert result.creep == pytest.approx(5e-6)
     assert (result.depth, result.outcome, result.factor) == (0.0, "", pytest.approx(10.0))
     # From 0.5 s on all particles are below the pads: the creep is unknown.
     frames[31:, :, 2] -= 0.06
-    fallen = peers_contact.judge(contest, "made up", made_up(contest, frames))
-    assert fallen.outcome == "dropped at 0.52 s"
-    assert math.isnan(fallen.creep)
-    early = peers_contact.judge(contest, "made up", made_up(contest, frames[:31]))
+    dropped = peers_contact.evaluate(contact_scene, "made up", synthetic_recording(contact_scene, frames))
+    assert dropped.outcome == "dropped at 0.52 s"
+    assert math.isnan(dropped.creep)
+    early = peers_contact.evaluate(contact_scene, "made up", synthetic_recording(contact_scene, frames[:31]))
     assert (early.outcome, math.isnan(early.creep)) == ("ended at 0.50 s of 10", True)
     into = frames[:31].copy()
     into[7, :, 1] += 0.003
-    assert peers_contact.judge(contest, "made up", made_up(contest, into)).depth == pytest.approx(6e-4)
+    assert peers_contact.evaluate(
+        contact_scene, "made up", synthetic_recording(contact_scene, into)
+    ).depth == pytest.approx(6e-4)
 
 
 def test_product_failures_are_violated_guarantees() -> None:
-    contest = peer_scenes.fold(RESOLUTION)
+    contact_scene = peer_scenes.fold(RESOLUTION)
     report = Report("", "")
-    frames = np.repeat(contest.start[None], 181, axis=0)
-    peers_contact._promised(peers_contact.judge(contest, "ours", made_up(contest, frames)), report)
+    frames = np.repeat(contact_scene.start[None], 181, axis=0)
+    peers_contact._check_product(
+        peers_contact.evaluate(contact_scene, "ours", synthetic_recording(contact_scene, frames)), report
+    )
     assert report.failures == []
     frames[5, 20, 2] = -1e-4
     # The carried edge ends below the other, the next row above it.
     frames[9, :RESOLUTION] = frames[9, -2 * RESOLUTION : -RESOLUTION] + [0.01, -0.01, -0.001]
     frames[9, RESOLUTION : 2 * RESOLUTION, 2] += 0.005
-    result = peers_contact.judge(contest, "ours", made_up(contest, frames))
+    result = peers_contact.evaluate(contact_scene, "ours", synthetic_recording(contact_scene, frames))
     assert (result.depth, result.crossed) == (pytest.approx(1e-4), 1)
-    peers_contact._promised(result, report)
+    peers_contact._check_product(result, report)
     assert report.failures == [
         "fold: a particle of the product is 0.1 mm inside an obstacle",
         "fold: the product intersects itself in 1 frames",
     ]
     held = attrs.evolve(result, scene="pinch", inside=0.0, crossed=None, creep=0.9e-6)
     for creep, count in ((0.9e-6, 2), (math.nan, 2), (1.1e-6, 3), (-1.1e-6, 4)):
-        peers_contact._promised(attrs.evolve(held, creep=creep), report)
+        peers_contact._check_product(attrs.evolve(held, creep=creep), report)
         assert len(report.failures) == count
     assert report.failures[2] == "pinch: the product creeps by 1.1 um/s; at most 1"
-    peers_contact._promised(attrs.evolve(held, outcome="dropped at 1.00 s"), report)
+    peers_contact._check_product(attrs.evolve(held, outcome="dropped at 1.00 s"), report)
     assert report.failures[4] == "pinch: the product is dropped at 1.00 s"
     # On a ball only particles are guaranteed to stay outside; the depth of triangles is only reported.
-    peers_contact._promised(attrs.evolve(held, scene="drape", depth=1e-3), report)
+    peers_contact._check_product(attrs.evolve(held, scene="drape", depth=1e-3), report)
     assert len(report.failures) == 5
 
 
 def test_edge_path_leads_to_the_opposite_edge() -> None:
-    way = peer_scenes.carried()
+    path = peer_scenes.edge_path()
     # The edge is grasped in the first frame.
-    assert len(way) == 122
-    assert not way[:2].any()
-    assert way[-1] == pytest.approx([0.0, -0.3 + peer_scenes.SHORT, 1.5 * peer_scenes.THICKNESS])
-    assert way[61] == pytest.approx([0.0, 0.5 * way[-1, 1], -0.5 * way[-1, 1] + 0.5 * way[-1, 2]])
-    speeds = np.linalg.norm(np.diff(way, axis=0), axis=1) / PERIOD
+    assert len(path) == 122
+    assert not path[:2].any()
+    assert path[-1] == pytest.approx([0.0, -0.3 + peer_scenes.FOLD_SHORTFALL, 1.5 * peer_scenes.THICKNESS])
+    assert path[61] == pytest.approx([0.0, 0.5 * path[-1, 1], -0.5 * path[-1, 1] + 0.5 * path[-1, 2]])
+    speeds = np.linalg.norm(np.diff(path, axis=0), axis=1) / PERIOD
     assert speeds.max() < 0.5
     assert speeds[[0, 1, -1]].max() < 1e-3
 
 
 @pytest.mark.parametrize("name", peer_scenes.CONTACT_SCENES)
 def test_scene_tables_match_the_product_scene(name: str) -> None:
-    contest = peer_scenes.CONTACT_SCENES[name](RESOLUTION)
-    tables = contest.tables()
+    contact_scene = peer_scenes.CONTACT_SCENES[name](RESOLUTION)
+    tables = contact_scene.tables()
     masses = {"drape": 0.2 * 0.5**2, "fold": 0.2 * 0.3**2, "pinch": 0.2 * 0.18 * 0.09}
     assert tables["masses"].sum() == pytest.approx(masses[name])
-    assert (tables["positions"] == contest.scene.starting_state().positions).all()
+    assert (tables["positions"] == contact_scene.scene.starting_state().positions).all()
     assert np.flatnonzero(tables["anchored"]).tolist() == (list(range(56, 64)) if name == "fold" else [])
     assert tables["held"].tolist() == (list(range(8)) if name == "fold" else [])
     assert tables["path"].shape == ((122, 8, 3) if name == "fold" else (1, 0, 3))
     assert len(np.unique(tables["triangles"])) == len(tables["positions"])
     # The product gives bending a share of the stiffness along the threads, which peers' membranes keep.
-    springs = contest.scene.model().force("structural").pair_springs
+    springs = contact_scene.scene.model().force("structural").pair_springs
     assert tables["retardation"] == pytest.approx(np.median(springs.damping / springs.rigidity), rel=0.06)
 
 
 def test_product_carries_and_releases_the_edge() -> None:
-    contest = peer_scenes.fold(RESOLUTION)
-    way = contest.path[:20] if contest.hold else contest.path
-    contest = attrs.evolve(contest, path=way, duration=24 * PERIOD)
-    recording = peer_contact.ours(contest, 60.0)
+    contact_scene = peer_scenes.fold(RESOLUTION)
+    path = contact_scene.path[:20] if contact_scene.hold else contact_scene.path
+    contact_scene = attrs.evolve(contact_scene, path=path, duration=24 * PERIOD)
+    recording = peer_contact.run_product(contact_scene, 60.0)
     assert recording.frames.shape == (25, 64, 3)
     assert recording.simulated == pytest.approx(0.4)
     # Grips of 1000 N/m deflect by far less than the displacement per frame, near the end 0.8 mm.
-    off = np.abs(recording.frames[:20, contest.held] - way).max()
-    assert off < 0.3 * np.linalg.norm(way[-1] - way[-2], axis=1).min()
-    assert recording.frames[19, contest.held, 2].min() > 0.009
-    fallen = recording.frames[24, contest.held, 2] - recording.frames[19, contest.held, 2]
-    assert fallen.max() < -1e-3
-    result = peers_contact.judge(contest, "ours", recording)
+    off = np.abs(recording.frames[:20, contact_scene.held] - path).max()
+    assert off < 0.3 * np.linalg.norm(path[-1] - path[-2], axis=1).min()
+    assert recording.frames[19, contact_scene.held, 2].min() > 0.009
+    sinking = recording.frames[24, contact_scene.held, 2] - recording.frames[19, contact_scene.held, 2]
+    assert sinking.max() < -1e-3
+    result = peers_contact.evaluate(contact_scene, "ours", recording)
     assert (result.crossed, result.inside) == (0, 0.0)
 
 
 def test_product_runs_the_drape_and_the_pinch() -> None:
-    drape = short("drape", 25)
-    fallen = peer_contact.ours(drape, 60.0)
-    result = peers_contact.judge(drape, "ours", fallen)
+    drape = shortened_scene("drape", 25)
+    drape_recording = peer_contact.run_product(drape, 60.0)
+    result = peers_contact.evaluate(drape, "ours", drape_recording)
     assert result.inside == 0.0
-    assert np.linalg.norm(fallen.frames, axis=2).min() < 0.1 + peer_scenes.THICKNESS
-    pinch = short("pinch", 12)
-    held = peer_contact.ours(pinch, 60.0)
+    assert np.linalg.norm(drape_recording.frames, axis=2).min() < 0.1 + peer_scenes.THICKNESS
+    pinch = shortened_scene("pinch", 12)
+    pinch_recording = peer_contact.run_product(pinch, 60.0)
     # The pads are closed and symmetric; the gap is the thickness on either side, less the compression by 4 N.
-    assert held.pads[0] == pytest.approx(pinch.pad_places)
-    half = held.pads[-1, 0, 1] - 0.5 * peer_scenes.PAD[1]
+    assert pinch_recording.pads[0] == pytest.approx(pinch.pad_positions)
+    half = pinch_recording.pads[-1, 0, 1] - 0.5 * peer_scenes.PAD_SIZE[1]
     assert 0.5 * peer_scenes.THICKNESS < half < peer_scenes.THICKNESS
-    assert held.pads[-1, 1] == pytest.approx(held.pads[-1, 0] * [1.0, -1.0, 1.0])
-    assert held.frames[-1, :, 2].max() > -2e-3
+    assert pinch_recording.pads[-1, 1] == pytest.approx(pinch_recording.pads[-1, 0] * [1.0, -1.0, 1.0])
+    assert pinch_recording.frames[-1, :, 2].max() > -2e-3
 
 
 def test_product_run_stops_at_the_time_limit() -> None:
-    recording = peer_contact.ours(short("drape", 1000), 1e-9)
+    recording = peer_contact.run_product(shortened_scene("drape", 1000), 1e-9)
     assert (len(recording.frames), recording.simulated) == (2, pytest.approx(PERIOD))
 
 
 def test_product_run_never_sleeps() -> None:
-    contest = short("pinch", 150)
-    contest = attrs.evolve(contest, scene=contest.scene.changed({"air.drag": 50.0}))
-    recording = peer_contact.ours(contest, 60.0)
+    contact_scene = shortened_scene("pinch", 150)
+    contact_scene = attrs.evolve(contact_scene, scene=contact_scene.scene.changed({"air.drag": 50.0}))
+    recording = peer_contact.run_product(contact_scene, 60.0)
     # Each frame differs from the one before.
     assert (np.diff(recording.frames, axis=0) != 0.0).any(axis=(1, 2)).all()
 
 
 def test_peer_is_recorded_frame_by_frame(stand_in: ContactPeer, environment: Path) -> None:
-    contest = attrs.evolve(peer_scenes.fold(RESOLUTION), duration=4 * PERIOD)
-    contest = attrs.evolve(contest, path=contest.path[60:63])
-    recording = peer_contact.theirs(stand_in, contest, 60.0, environment=environment)
-    sunk = recording.frames - contest.start
+    contact_scene = attrs.evolve(peer_scenes.fold(RESOLUTION), duration=4 * PERIOD)
+    contact_scene = attrs.evolve(contact_scene, path=contact_scene.path[60:63])
+    recording = peer_contact.run_peer(stand_in, contact_scene, 60.0, environment=environment)
+    sunk = recording.frames - contact_scene.start
     assert sunk[:, -1, 2] == pytest.approx([0.0, -1e-3, -2e-3, -3e-3, -4e-3])
-    held = recording.frames[:, contest.held]
-    assert held[1:3] == pytest.approx(contest.path[1:])
+    held = recording.frames[:, contact_scene.held]
+    assert held[1:3] == pytest.approx(contact_scene.path[1:])
     # After the release it sinks like the others.
-    assert held[4] == pytest.approx(contest.path[2] - [0.0, 0.0, 2e-3])
+    assert held[4] == pytest.approx(contact_scene.path[2] - [0.0, 0.0, 2e-3])
     assert (recording.simulated, recording.finite) == (pytest.approx(4 * PERIOD), True)
     assert recording.remarks == ["was watched"]
     assert recording.versions == {"numpy": np.__version__}
 
 
 def test_peer_stops_at_time_limit_or_nan_positions(stand_in: ContactPeer, environment: Path) -> None:
-    contest = short("drape", 100)
-    slow = peer_contact.theirs(attrs.evolve(stand_in, variant="slow"), contest, 0.12, environment=environment)
+    contact_scene = shortened_scene("drape", 100)
+    slow = peer_contact.run_peer(attrs.evolve(stand_in, variant="slow"), contact_scene, 0.12, environment=environment)
     # Three of the four steps of the first frame.
     assert len(slow.frames) == 1
     assert slow.simulated == pytest.approx(0.75 * PERIOD)
-    assert peers_contact.judge(contest, "slow", slow).outcome == "ended at 0.00 s of 1.66667"
-    lost = peer_contact.theirs(attrs.evolve(stand_in, variant="nan"), contest, 60.0, environment=environment)
-    assert (lost.finite, len(lost.frames)) == (False, 1)
-    assert peers_contact.judge(contest, "lost", lost).outcome == "blew up after 0.00 s"
+    assert peers_contact.evaluate(contact_scene, "slow", slow).outcome == "ended at 0.00 s of 1.66667"
+    not_finite = peer_contact.run_peer(
+        attrs.evolve(stand_in, variant="nan"), contact_scene, 60.0, environment=environment
+    )
+    assert (not_finite.finite, len(not_finite.frames)) == (False, 1)
+    assert peers_contact.evaluate(contact_scene, "lost", not_finite).outcome == "blew up after 0.00 s"
     with pytest.raises(PeerFailed, match="Stand-in: ended with status 1: RuntimeError: no such solver"):
-        peer_contact.theirs(attrs.evolve(stand_in, variant="raises"), contest, 60.0, environment=environment)
+        peer_contact.run_peer(attrs.evolve(stand_in, variant="raises"), contact_scene, 60.0, environment=environment)
 
 
 @pytest.fixture
 def shortened(monkeypatch: pytest.MonkeyPatch) -> None:
-    def cut(make: Callable[[int], Contest]) -> Callable[[int], Contest]:
+    def cut(make: Callable[[int], ContactScene]) -> Callable[[int], ContactScene]:
         return lambda resolution: attrs.evolve(make(resolution), duration=3 * PERIOD)
 
     cuts = {name: cut(make) for name, make in peer_scenes.CONTACT_SCENES.items()}

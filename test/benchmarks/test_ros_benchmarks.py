@@ -19,7 +19,7 @@ from benchmarks.ros.stream import Stream
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def ask(name, *arguments):
+def run_measurement(name, *arguments):
     """Run a measurement; return its output. Figures and status depend on the machine."""
     command = [sys.executable, "-m", "benchmarks", name, *arguments]
     done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True, timeout=300)
@@ -29,62 +29,62 @@ def ask(name, *arguments):
 
 def test_outputs_are_built_only_for_receivers():
     # The measurement fails if a cloud was built without receiver.
-    told = ask("ros-outputs", "--resolution", "8", "--frames", "3")
-    assert told["particles"] == 64
-    assert set(told["presences"]) == {"nobody", "subscriber", "recorder", "both"}
-    assert told["presences"]["nobody"]["to_nobody"] == 1.0
+    figures = run_measurement("ros-outputs", "--resolution", "8", "--frames", "3")
+    assert figures["particles"] == 64
+    assert set(figures["presences"]) == {"nobody", "subscriber", "recorder", "both"}
+    assert figures["presences"]["nobody"]["to_nobody"] == 1.0
 
 
 def test_start_time_ends_at_the_first_cloud():
-    told = ask("ros-start", "--starts", "1", "--ros", "-p", "cloth.resolution:=[5, 5]")
-    assert len(told["warm_s"]) == 1
-    assert 0.0 < told["warm_processor_median_s"] < told["warm_s"][0] * 4.0
-    assert told["met"] == (told["warm_median_s"] < told["goal_s"])
-    assert len(told["answers_after_s"]) == 2
-    assert min(told["answers_after_s"]) >= 0.0
+    figures = run_measurement("ros-start", "--starts", "1", "--ros", "-p", "cloth.resolution:=[5, 5]")
+    assert len(figures["warm_s"]) == 1
+    assert 0.0 < figures["warm_processor_median_s"] < figures["warm_s"][0] * 4.0
+    assert figures["met"] == (figures["warm_median_s"] < figures["goal_s"])
+    assert len(figures["answers_after_s"]) == 2
+    assert min(figures["answers_after_s"]) >= 0.0
 
 
 def test_idle_node_reports_its_added_frame_time():
-    told = ask("ros-node", "idle", "--seconds", "0.5", "--settle", "0.2", "--resolution", "5")
+    figures = run_measurement("ros-node", "idle", "--seconds", "0.5", "--settle", "0.2", "--resolution", "5")
     for how in ("at rest", "swinging"):
-        found = told[how]
-        assert found["added_ms_a_frame"] == pytest.approx(
-            found["node_ms_a_frame"] - found["simulation_ms_a_frame"], abs=1e-3
-        )
-    assert told["met"] == all(told[how]["added_ms_a_frame"] <= told["goal_ms"] for how in ("at rest", "swinging"))
+        row = figures[how]
+        assert row["added_ms_a_frame"] == pytest.approx(row["node_ms_a_frame"] - row["simulation_ms_a_frame"], abs=1e-3)
+    assert figures["met"] == all(
+        figures[how]["added_ms_a_frame"] <= figures["goal_ms"] for how in ("at rest", "swinging")
+    )
 
 
 def test_late_frames_are_counted_with_parameter_changes(ros_domain):
-    told = ask("ros-node", "sets", "--seconds", "0.5", "--rounds", "1", "--resolution", "5")
+    figures = run_measurement("ros-node", "sets", "--seconds", "0.5", "--rounds", "1", "--resolution", "5")
     # A thousand changes a minute, fewer on a slow machine; none is refused.
-    assert 1 <= told["set"] <= 12
-    assert told["refused"] == 0
-    assert [len(told["late_frames"][how]) for how in ("with", "without")] == [1, 1]
+    assert 1 <= figures["set"] <= 12
+    assert figures["refused"] == 0
+    assert [len(figures["late_frames"][how]) for how in ("with", "without")] == [1, 1]
 
 
 def test_live_cycle_reports_late_frames(ros_domain):
-    told = ask("ros-live", "--seconds", "0.1", "--pace", "0.1")
-    assert told["cycles"] == 1
-    assert told["frames"] > 0
-    assert told["met"] == (told["late_frames"] == 0)
-    assert told["longest_frame_of_the_first_minute_ms"] == told["longest_frame_ms"] > 0.0
+    figures = run_measurement("ros-live", "--seconds", "0.1", "--pace", "0.1")
+    assert figures["cycles"] == 1
+    assert figures["frames"] > 0
+    assert figures["met"] == (figures["late_frames"] == 0)
+    assert figures["longest_frame_of_the_first_minute_ms"] == figures["longest_frame_ms"] > 0.0
 
 
 def stream(**values):
     """Return a stream of ten clouds in one second, each 10 ms late."""
-    due = np.arange(10) / 10.0
-    told = {"points": 4, "rate": 10.0, "asleep": True, "sent": 10, "received": 10, "late": 0, "load": 0.1}
-    return Stream(**told | {"stamps": due, "arrivals": due + 0.01} | values)
+    due_times = np.arange(10) / 10.0
+    counts = {"points": 4, "rate": 10.0, "asleep": True, "sent": 10, "received": 10, "late": 0, "load": 0.1}
+    return Stream(**counts | {"stamps": due_times, "arrivals": due_times + 0.01} | values)
 
 
 def test_stream_counts_lost_and_missing_clouds():
     assert stream().met
     assert stream().summary()["received_hz"] == pytest.approx(10.0)
-    lost = stream(received=9)
-    assert (lost.summary()["lost"], lost.met) == (1, False)
+    incomplete = stream(received=9)
+    assert (incomplete.summary()["lost"], incomplete.met) == (1, False)
     whole = stream()
-    kept = [0, 1, 2, 3, 4, 7, 8, 9]
-    late = stream(stamps=whole.stamps[kept], arrivals=whole.arrivals[kept])
+    indices = [0, 1, 2, 3, 4, 7, 8, 9]
+    late = stream(stamps=whole.stamps[indices], arrivals=whole.arrivals[indices])
     assert (late.summary()["left_out"], late.met) == (2, False)
     assert late.summary()["spacing_max_ms"] == pytest.approx(300.0)
     assert not stream(sent=0, received=0).met
@@ -92,24 +92,26 @@ def test_stream_counts_lost_and_missing_clouds():
 
 @pytest.mark.parametrize("moving", [False, True], ids=["at rest", "moving"])
 def test_stream_counts_sent_and_received_clouds(moving):
-    (told,) = ask("ros-stream", "--resolutions", "5", "--seconds", "0.5", "--rate", "30", *["--moving"] * moving)
-    assert (told["points"], told["asleep"]) == (25, not moving)
-    assert 0 < told["sent"] == told["received"]
-    assert told["met"] == (told["left_out"] == 0)
+    (figures,) = run_measurement(
+        "ros-stream", "--resolutions", "5", "--seconds", "0.5", "--rate", "30", *["--moving"] * moving
+    )
+    assert (figures["points"], figures["asleep"]) == (25, not moving)
+    assert 0 < figures["sent"] == figures["received"]
+    assert figures["met"] == (figures["left_out"] == 0)
 
 
 def test_latencies_are_measured(ros_domain: int) -> None:
     # The values depend on the load of the machine and are not checked.
     rclpy.init(args=[])
     try:
-        found = latency.measure(resolution=(8, 8), rate=60.0, stream=100.0, seconds=0.5)
+        latencies = latency.measure(resolution=(8, 8), rate=60.0, stream=100.0, seconds=0.5)
     finally:
         rclpy.try_shutdown()
-    assert found.particles == 64
-    assert len(found.seconds) > 10
-    assert (found.seconds > 0.0).all()
-    assert found.summary()["integrator_why"]
-    quick = latency.Latencies(particles=1, rate=60.0, seconds=found.seconds * 0.0 + 0.001, diagnostics={})
-    slow = latency.Latencies(particles=1, rate=60.0, seconds=found.seconds * 0.0 + 0.019, diagnostics={})
+    assert latencies.particles == 64
+    assert len(latencies.seconds) > 10
+    assert (latencies.seconds > 0.0).all()
+    assert latencies.summary()["integrator_why"]
+    quick = latency.Latencies(particles=1, rate=60.0, seconds=latencies.seconds * 0.0 + 0.001, diagnostics={})
+    slow = latency.Latencies(particles=1, rate=60.0, seconds=latencies.seconds * 0.0 + 0.019, diagnostics={})
     assert quick.met
     assert not slow.met

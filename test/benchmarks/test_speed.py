@@ -35,28 +35,28 @@ def test_report_does_not_overwrite_a_session(
     assert session.read_bytes() == MAGIC
 
 
-def turns_on_fake_clock(spent: dict[str, list[float]]) -> speed_turns.Turns:
+def times_on_fake_clock(wall_times: dict[str, list[float]]) -> speed_turns.InterleavedTimes:
     """Time candidates with the listed durations, one a round, on a fake clock."""
     now = [0.0]
-    left = {name: iter(times) for name, times in spent.items()}
+    left = {name: iter(times) for name, times in wall_times.items()}
 
     def candidate(name: str) -> None:
         now[0] += next(left[name])
 
-    candidates = {name: lambda name=name: candidate(name) for name in spent}
-    return speed_turns.take_turns(candidates, seconds=0.0, clock=lambda: now[0])
+    candidates = {name: lambda name=name: candidate(name) for name in wall_times}
+    return speed_turns.time_interleaved(candidates, seconds=0.0, clock=lambda: now[0])
 
 
 def test_interleaved_times_exclude_the_first_round() -> None:
     # The machine is three times slower in two of the five counted rounds, which must not change the ratio.
-    turns = turns_on_fake_clock({"a": [100.0, 1.0, 3.0, 3.0, 1.0, 1.0], "b": [100.0, 2.0, 6.0, 6.0, 2.0, 2.0]})
+    turns = times_on_fake_clock({"a": [100.0, 1.0, 3.0, 3.0, 1.0, 1.0], "b": [100.0, 2.0, 6.0, 6.0, 2.0, 2.0]})
     assert turns.seconds["a"] == pytest.approx([1.0, 3.0, 3.0, 1.0, 1.0])
     assert turns.median("b") == pytest.approx(2.0)
     assert turns.ratio("b", "a") == pytest.approx(2.0)
 
 
 def test_ratio_is_the_median_over_rounds() -> None:
-    turns = speed_turns.Turns({"a": [1.0, 10.0, 2.0], "b": [1.0, 5.0, 4.0]})
+    turns = speed_turns.InterleavedTimes({"a": [1.0, 10.0, 2.0], "b": [1.0, 5.0, 4.0]})
     assert turns.median("a") / turns.median("b") == 0.5
     assert turns.ratio("a", "b") == 1.0
 
@@ -82,7 +82,7 @@ def test_plan_times_are_compared_with_estimates(tmp_path: Path) -> None:
 
 def test_two_threads_give_the_same_bits() -> None:
     row = speed_kernels.thread_gain(12, np.float32, seconds=0.0)
-    assert row.same
+    assert row.same_bits
     assert row.gain > 0.0
     # The steps of a frame are stable.
     sheet = curtain(16).build()[0]
@@ -92,7 +92,14 @@ def test_two_threads_give_the_same_bits() -> None:
 
 def test_different_bits_and_a_small_gain_fail(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
     row = speed_kernels.ThreadGain(
-        resolution=96, precision="float64", steps=10, one=1.0, two=0.625, gain=1.6, most=1.9, same=False
+        resolution=96,
+        precision="float64",
+        steps=10,
+        one_thread=1.0,
+        two_threads=0.625,
+        gain=1.6,
+        most=1.9,
+        same_bits=False,
     )
     monkeypatch.setattr(speed, "thread_gain", lambda *_, **__: row)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
@@ -146,10 +153,10 @@ def test_loosest_accurate_tolerance_counts(monkeypatch: pytest.MonkeyPatch, caps
 
 def test_cores_restores_the_affinity() -> None:
     before = os.sched_getaffinity(0)
-    with speed_curtain.cores(one=True):
+    with speed_curtain.cores(one_core=True):
         assert len(os.sched_getaffinity(0)) == 1
     assert os.sched_getaffinity(0) == before
-    with speed_curtain.cores(one=False):
+    with speed_curtain.cores(one_core=False):
         assert os.sched_getaffinity(0) == before
 
 

@@ -37,15 +37,15 @@ def as_usual() -> dict[str, list[str]]:
 
 
 @pytest.mark.parametrize("way", bits.run_configurations()[1:], ids=lambda way: way.name)
-def test_bits_are_the_same(as_usual: dict[str, list[str]], way: Any) -> None:
-    if way.skip_reason:
-        pytest.skip(f"{way.name}: {way.skip_reason}")
-    if "CLOTH_SIM_ROS_ENGINE" in way.environment and not (bits.ENGINE / f"_{way.name}.so").exists():
-        pytest.skip(f"{way.name}: not built")
-    output = bits.run_in_subprocess(way, FRAMES)
-    if "CLOTH_SIM_ROS_ENGINE" in way.environment:
-        assert output["engine"] == way.name
-    assert bits.compare(as_usual, output["digests"], way.name) == []
+def test_bits_are_the_same(as_usual: dict[str, list[str]], configuration: Any) -> None:
+    if configuration.skip_reason:
+        pytest.skip(f"{configuration.name}: {configuration.skip_reason}")
+    if "CLOTH_SIM_ROS_ENGINE" in configuration.environment and not (bits.ENGINE / f"_{configuration.name}.so").exists():
+        pytest.skip(f"{configuration.name}: not built")
+    output = bits.run_in_subprocess(configuration, FRAMES)
+    if "CLOTH_SIM_ROS_ENGINE" in configuration.environment:
+        assert output["engine"] == configuration.name
+    assert bits.compare(as_usual, output["digests"], configuration.name) == []
 
 
 def test_scenes_use_both_precisions_and_all_integrators(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -162,8 +162,10 @@ def test_trace_replays_with_equal_bits(replay: Path, tmp_path: Path, scene: str)
 
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="an x86-64 C library is switched")
 def test_plain_environment_changes_c_library_and_numpy() -> None:
-    way = next(way for way in bits.run_configurations() if way.name.startswith("plain"))
-    if not way.environment["NPY_DISABLE_CPU_FEATURES"]:
+    configuration = next(
+        configuration for configuration in bits.run_configurations() if configuration.name.startswith("plain")
+    )
+    if not configuration.environment["NPY_DISABLE_CPU_FEATURES"]:
         pytest.skip("numpy takes nothing of this processor that it could do without")
     script = (
         "import json, math, sys; import numpy as np; sys.path.insert(0, 'scripts'); import bits\n"
@@ -177,7 +179,7 @@ def test_plain_environment_changes_c_library_and_numpy() -> None:
         )
         return json.loads(done.stdout)
 
-    (features, values), (disabled, other_values) = output({}), output(way.environment)
+    (features, values), (disabled, other_values) = output({}), output(configuration.environment)
     assert features
     assert disabled == []
     assert values != other_values

@@ -103,7 +103,7 @@ def test_accumulator_changes_no_bit_and_covers_the_whole_time(name: str) -> None
 
 
 def test_fixed_step_above_the_limit_is_refused() -> None:
-    sheet = RawSheet(resolution=6, rest=0.5)
+    sheet = RawSheet(resolution=6, relative_rest_length=0.5)
     plan, state = sheet.plan(sheet.index[0]), State(sheet.flat(hung=False))
     limit = Leapfrog().step_limit(*plan.spectral_bounds(state.x))
     with pytest.raises(ValueError, match=f"above the stability limit {limit:.6g} s"):

@@ -20,10 +20,10 @@ def test_its_equations_are_the_engines(name):
     random = np.random.default_rng(3)
     y = np.concatenate([state.x.ravel(), state.v.ravel()])
     y += 0.01 * random.standard_normal(y.size) * np.tile(plan.model.inverse_masses > 0.0, 6)
-    own, engines = IndependentRightSide(plan.model), RightSide(plan)
+    independent, engines = IndependentRightSide(plan.model), RightSide(plan)
     for t in (0.0, 0.3):
         expected = engines(t, y)
-        assert own(t, y) == pytest.approx(expected, abs=1e-12 * np.abs(expected).max())
+        assert independent(t, y) == pytest.approx(expected, abs=1e-12 * np.abs(expected).max())
 
 
 def test_it_meets_an_exact_solution():

@@ -25,8 +25,8 @@ def test_a_frame_takes_all_that_has_come(client: Client) -> None:
         targets = client.publisher(PoseStamped, "/cloth_sim/gripper/target")
         cloth.target("gripper", (0.5, 0.0, 0.5))
         cloth.tick()
-        for number in range(8):
-            targets.publish(pose(0.5, 0.0, 0.5 + 0.01 * number))
+        for index in range(8):
+            targets.publish(pose(0.5, 0.0, 0.5 + 0.01 * index))
         begun = cloth.simulation.frame
 
         def newest() -> bool:
@@ -58,4 +58,4 @@ def test_a_frame_waits_for_commands_but_not_for_a_flood() -> None:
     assert [commands.is_drained() for _ in range(5)] == [True, False, False, True, True]
     flooded = commands_of([1] * 30)
     turns = [flooded.is_drained() for _ in range(30)]
-    assert [turn for turn, settled in enumerate(turns) if settled] == [10, 21]
+    assert [call for call, settled in enumerate(turns) if settled] == [10, 21]

@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 from support import contact_starts as starts
 from support import garment
-from support.layer_stacks import places_of
+from support.layer_stacks import stack_geometry
 from support.obstacle_sheets import BORNE, SHEET, THICKNESS
 from support.session_maker import SessionMaker
 
@@ -104,7 +104,7 @@ def stack(layers: int, gap: float) -> Simulation:
     triangles: list[NDArray[np.int64]] = []
     count = 6 * 6
     for k in range(layers):
-        sheet, of, held = places_of(6, 6, 0.3 * k)
+        sheet, of, held = stack_geometry(6, 6, 0.3 * k)
         above = of[:, 0] >= len(held)
         sheet[:, 2] = k * gap
         places.append(sheet[len(held) :])

@@ -76,18 +76,18 @@ def test_stack_below_friction_angle_keeps_anchors_exactly():
 
 
 def test_stack_slides_at_coulomb_limit_with_kinetic_friction():
-    assert not stacks.slides(stacks.stack(6, 9, math.degrees(math.atan(0.98 * MU)), (MU,)))
-    assert stacks.slides(stacks.stack(6, 9, math.degrees(math.atan(1.02 * MU)), (MU,)))
-    assert abs(stacks.friction_off(6, 9, MU)) < 0.02
+    assert not stacks.is_sliding(stacks.stack(6, 9, math.degrees(math.atan(0.98 * MU)), (MU,)))
+    assert stacks.is_sliding(stacks.stack(6, 9, math.degrees(math.atan(1.02 * MU)), (MU,)))
+    assert abs(stacks.friction_error(6, 9, MU)) < 0.02
 
 
 def test_friction_is_correct_when_work_limit_is_reached():
     # In most frames the tolerance needs more work than the limit.
-    assert abs(stacks.friction_off(7, 13, 1.0)) < 0.02
+    assert abs(stacks.friction_error(7, 13, 1.0)) < 0.02
 
 
 def test_friction_only_dissipates_and_is_in_energy_balance():
-    balance, worst, least = stacks.balanced(stacks.stack(6, 9, 40.0, (MU, 0.4)), 12)
+    balance, worst, least = stacks.advance_with_balance(stacks.stack(6, 9, 40.0, (MU, 0.4)), 12)
     assert least > 0.0
     assert 0.5 * balance.dissipation < balance.friction_work <= balance.dissipation
     assert worst <= 1e-3 * balance.energy_turnover

@@ -46,18 +46,18 @@ def test_error_control_adds_a_look_at_the_end():
 def test_a_sleeping_frame_calls_nothing_and_takes_no_memory():
     asleep = running("sleep: active, asleep")
     assert calls_of_a_frame(asleep, frames=5) == {}
-    needed, kept = bytes_of_a_frame(asleep)
+    needed, retained = bytes_of_a_frame(asleep)
     assert needed < 2000
-    assert kept < 1000
+    assert retained < 1000
 
 
 def test_a_frame_takes_the_room_of_the_state_that_it_makes():
     simulation = running("gripper: absent", 32)
-    needed, kept = bytes_of_a_frame(simulation)
+    needed, retained = bytes_of_a_frame(simulation)
     state = simulation.state.x.nbytes + simulation.state.v.nbytes
     # The new positions and velocities; the old ones go.
     assert needed < 1.3 * state
-    assert kept < 4000
+    assert retained < 4000
 
 
 def test_springs_of_a_sheet_have_no_lists():

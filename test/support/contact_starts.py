@@ -20,7 +20,7 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, SetParameters, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 from support import garment
-from support.layer_stacks import places_of
+from support.layer_stacks import stack_geometry
 from support.obstacle_sheets import BORNE, SHEET, THICKNESS
 
 #: Frames in a second, so that speeds are seen between the frames of a node.
@@ -64,14 +64,14 @@ class Start:
     simulation: Simulation
     events: Sequence[Event] = ()
     #: Positions from which a rise counts; None takes those at the event.
-    resting: Array | None = None
+    rest_positions: Array | None = None
 
 
 def block() -> bytes:
     """A cube of triangles with edges of 1 m, as an OBJ file."""
     corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     sides = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
-    triangles = [each for a, b, c, d in sides for each in ((a, b, c), (a, c, d))]
+    triangles = [triangle for a, b, c, d in sides for triangle in ((a, b, c), (a, c, d))]
     return garment.as_obj(corners, np.array(triangles))
 
 
@@ -109,7 +109,7 @@ def sheet_on(support: str, height: float, tolerance: float, **more: Any) -> dict
 
 def sheets(height: float) -> bytes:
     """A held sheet and a smaller one at a height above it [m], as an OBJ file."""
-    places, triangles, held = places_of(7, 13, 0.3)
+    places, triangles, held = stack_geometry(7, 13, 0.3)
     places[len(held) :, 2] = height
     return garment.as_obj(places, triangles)
 
@@ -142,14 +142,14 @@ def folded(gap: float, tolerance: float) -> Simulation:
     flat = Scene.from_parameters({**SHEET, "cloth.orientation": [0.0, 0.0, 0.0, 1.0], **values})
     state, cell = flat.starting_state(), 0.03
     rows = np.unique(np.round(state.x[1], 9))
-    aside = math.sqrt(cell**2 - 0.25 * (cell - gap) ** 2)
-    for number, row in enumerate(rows):
-        of = np.abs(state.x[1] - row) < 1e-6
-        along = -cell * (5 - number) if number <= 5 else -cell * (number - 8)
-        height = 0.0 if number <= 5 else gap
-        if number in (6, 7):
-            along, height = aside, 0.5 * gap + (0.5 if number == 7 else -0.5) * cell
-        state.x[1, of], state.x[2, of] = along, height
+    half_width = math.sqrt(cell**2 - 0.25 * (cell - gap) ** 2)
+    for row_index, row in enumerate(rows):
+        row_particles = np.abs(state.x[1] - row) < 1e-6
+        along = -cell * (5 - row_index) if row_index <= 5 else -cell * (row_index - 8)
+        height = 0.0 if row_index <= 5 else gap
+        if row_index in (6, 7):
+            along, height = half_width, 0.5 * gap + (0.5 if row_index == 7 else -0.5) * cell
+        state.x[1, row_particles], state.x[2, row_particles] = along, height
     return simulation(values, state.to_bytes())
 
 
@@ -218,26 +218,26 @@ def changed(support: str, gap: float, tolerance: float) -> Start:
 
 def released(support: str, depth: float, tolerance: float) -> Start:
     """Open a gripper that pressed a corner (on a sphere: the centre) by a depth [m] for a quarter of a second."""
-    more = {"gripper.radius": 0.01, "grippers": ["gripper"]}
+    extra_values = {"gripper.radius": 0.01, "grippers": ["gripper"]}
     if support == "cloth":
-        values, mesh = stacked(BORNE * THICKNESS, tolerance, **more)
+        values, mesh = stacked(BORNE * THICKNESS, tolerance, **extra_values)
         cloth = simulation(values, sheets=mesh)
     else:
-        share = 1.0 if support == "sphere" else BORNE
-        cloth = simulation(sheet_on(support, share * THICKNESS, tolerance, **more))
+        thickness_fraction = 1.0 if support == "sphere" else BORNE
+        cloth = simulation(sheet_on(support, thickness_fraction * THICKNESS, tolerance, **extra_values))
     resting = cloth.positions
-    held = resting[60 if support == "sphere" else -1]
-    cloth.advance([Target("gripper", tuple(held)), Grasp("gripper", True)])
-    ways = np.minimum(np.arange(1, RATE // 2 + 1) / (RATE // 4), 1.0) * depth
-    for way in ways.tolist():
-        cloth.advance([Target("gripper", (held[0], held[1], held[2] - way))])
+    grasp_position = resting[60 if support == "sphere" else -1]
+    cloth.advance([Target("gripper", tuple(grasp_position)), Grasp("gripper", True)])
+    depth_steps = np.minimum(np.arange(1, RATE // 2 + 1) / (RATE // 4), 1.0) * depth
+    for depth_step in depth_steps.tolist():
+        cloth.advance([Target("gripper", (grasp_position[0], grasp_position[1], grasp_position[2] - depth_step))])
     return Start(cloth, [Grasp("gripper", False)], resting)
 
 
 def watch(begun: Start, seconds: float = 1.0) -> Watched:
     """Let the events happen and a time pass."""
     cloth, events = begun.simulation, begun.events
-    resting = cloth.positions if begun.resting is None else begun.resting
+    resting = cloth.positions if begun.rest_positions is None else begun.rest_positions
     before, speed, rise = cloth.energy_report, 0.0, 0.0
     for _ in range(round(seconds * RATE)):
         cloth.advance(events)
@@ -246,8 +246,8 @@ def watch(begun: Start, seconds: float = 1.0) -> Watched:
         rise = max(rise, float((cloth.positions - resting)[:, 2].max()))
     after = cloth.energy_report
     assert after is not None
-    left, turned = after.residual, after.turned_over
-    if before is not None and begun.resting is not None:
+    residual, energy_turned_over = after.residual, after.turned_over
+    if before is not None and begun.rest_positions is not None:
         # A change of parameters resets the sums, a gripper that opens does not.
-        left, turned = left - before.residual, turned - before.turned_over
-    return Watched(speed, rise, abs(left) / turned if turned else 0.0)
+        residual, energy_turned_over = residual - before.residual, energy_turned_over - before.turned_over
+    return Watched(speed, rise, abs(residual) / energy_turned_over if energy_turned_over else 0.0)

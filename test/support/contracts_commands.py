@@ -28,7 +28,7 @@ _SUBCOMMANDS = {"cloth_batch": ["", "check", "view", "export"]}
 _SKIPPED_COMMANDS = {"cloth_bench"}
 
 
-class _ParserFoundError(Exception):
+class _ParserCapturedError(Exception):
     def __init__(self, parser: argparse.ArgumentParser) -> None:
         super().__init__(parser.prog)
         self.parser = parser
@@ -135,9 +135,9 @@ def _entry_points() -> dict[str, tuple[str, str]]:
 
 
 @contextlib.contextmanager
-def _caught() -> Iterator[None]:
+def _capture_parser() -> Iterator[None]:
     def parse(self: argparse.ArgumentParser, *_: Any, **__: Any) -> Any:
-        raise _ParserFoundError(self)
+        raise _ParserCapturedError(self)
 
     with (
         mock.patch.object(argparse.ArgumentParser, "parse_args", parse),
@@ -149,11 +149,11 @@ def _caught() -> Iterator[None]:
 
 def _parser_of(main: Any, arguments: list[str]) -> argparse.ArgumentParser:
     """Return the first parser that a command asks to parse."""
-    with _caught():
+    with _capture_parser():
         try:
             main(arguments)
-        except _ParserFoundError as found:
-            return found.parser
+        except _ParserCapturedError as captured:
+            return captured.parser
     raise AssertionError("the command parsed nothing")
 
 

@@ -197,23 +197,25 @@ def study() -> dict[str, Any]:
     }
     (folder / "study.yaml").write_text(json.dumps(content))
     whole = study_file.read(folder / "study.yaml")
-    place, samples = StudyFolder(folder / "out"), sample_and_estimate(whole, 1)[0]
-    place.create(whole, samples, "")
-    rows = [perform(place, whole, run, values) for run, values in enumerate(samples)]
-    index.write(place, rows)
-    study_keys = json.loads(place.study_file.read_text())
+    study_folder, samples = StudyFolder(folder / "out"), sample_and_estimate(whole, 1)[0]
+    study_folder.create(whole, samples, "")
+    rows = [perform(study_folder, whole, run, values) for run, values in enumerate(samples)]
+    index.write(study_folder, rows)
+    study_keys = json.loads(study_folder.study_file.read_text())
     study_keys["parameters"] = {}
-    row = json.loads(place.row_file(0).read_text())
+    row = json.loads(study_folder.row_file(0).read_text())
     return {
         "entries": list(study_file.ENTRIES),
         "distributions": list(factors.KINDS),
         "samplings": list(SAMPLINGS),
         "outcomes": list(outcomes.BUILT_IN),
-        "files": sorted(str(path.relative_to(place.path)) for path in place.path.rglob("*") if path.is_file()),
+        "files": sorted(
+            str(path.relative_to(study_folder.path)) for path in study_folder.path.rglob("*") if path.is_file()
+        ),
         "study.json": shape(study_keys),
         "row": shape(row),
-        "index": {field.name: str(field.type) for field in index.read(place).schema},
-        "exports": _exports(place.path),
+        "index": {field.name: str(field.type) for field in index.read(study_folder).schema},
+        "exports": _exports(study_folder.path),
     }
 
 

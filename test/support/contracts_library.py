@@ -137,7 +137,7 @@ def memory() -> dict[str, Any]:
         state = simulation.state
         contract["integrators"][name] = _layout(state)
         contract["values"][name] = {
-            key: [float(number).hex() for number in array]
+            key: [float(element).hex() for element in array]
             for key, array in sorted(state.memory.items())
             if key.startswith("control.") and array.ndim == 1
         }
@@ -167,8 +167,8 @@ def engine_calls() -> dict[str, Any]:
             call: f"{name(result)} ({', '.join(map(name, arguments))})"
             for call, (result, *arguments) in binding._SIGNATURES.items()
         },
-        "frame": [f"{place:02d} {name(kind)}" for place, (_, kind) in enumerate(binding.Frame._fields_)],
-        "frame bytes": ctypes.sizeof(binding.Frame),
+        "frame": [f"{index:02d} {name(kind)}" for index, (_, kind) in enumerate(binding.FrameRequest._fields_)],
+        "frame bytes": ctypes.sizeof(binding.FrameRequest),
         "force answers": binding.CALLED_WELL,
         "shapes": binding.SHAPES,
         "families": list(binding.FAMILIES),
@@ -187,24 +187,24 @@ def engine_symbols() -> dict[str, Any]:
     return {"exported": [symbol for symbol in symbols if symbol.startswith("cloth_")]}
 
 
-def _described(thing: Any) -> dict[str, Any]:
-    if not inspect.isclass(thing):
-        if callable(thing):
-            return {"function": _parameters(thing)}
-        return {"value": str(thing)}
-    described: dict[str, Any] = {"class": _parameters(thing)}
-    if attrs.has(thing):
-        described["fields"] = [field.name for field in attrs.fields(thing)]
-    foreign = {name for base in thing.__mro__ if not _is_ours(base) for name in vars(base)}
+def _described(public_object: Any) -> dict[str, Any]:
+    if not inspect.isclass(public_object):
+        if callable(public_object):
+            return {"function": _parameters(public_object)}
+        return {"value": str(public_object)}
+    described: dict[str, Any] = {"class": _parameters(public_object)}
+    if attrs.has(public_object):
+        described["fields"] = [field.name for field in attrs.fields(public_object)]
+    foreign = {name for base in public_object.__mro__ if not _is_package_class(base) for name in vars(base)}
     members = {}
-    for name in dir(thing):
+    for name in dir(public_object):
         if name.startswith("_") or name in foreign:
             continue
-        member = inspect.getattr_static(thing, name)
+        member = inspect.getattr_static(public_object, name)
         if isinstance(member, property):
             members[name] = "property"
         elif isinstance(member, classmethod | staticmethod):
-            members[name] = f"{type(member).__name__} {_signature(getattr(thing, name))}"
+            members[name] = f"{type(member).__name__} {_signature(getattr(public_object, name))}"
         elif inspect.isfunction(member):
             members[name] = f"method {_signature(member)}"
         else:
@@ -213,7 +213,7 @@ def _described(thing: Any) -> dict[str, Any]:
     return described
 
 
-def _is_ours(kind: type) -> bool:
+def _is_package_class(kind: type) -> bool:
     return kind.__module__.startswith("cloth_sim_ros")
 
 
@@ -224,10 +224,10 @@ def _signature(function: Any) -> str:
     return str(signature.replace(parameters=parameters, return_annotation=inspect.Signature.empty))
 
 
-def _parameters(thing: Any) -> list[str]:
+def _parameters(public_object: Any) -> list[str]:
     """Return the parameters of a call, one text each."""
     try:
-        signature = inspect.signature(thing)
+        signature = inspect.signature(public_object)
     except ValueError:
         return []
     listed = []

@@ -26,7 +26,7 @@ def graph() -> dict[str, Any]:
     with Client() as client, ClockedCloth(client) as cloth:
         cloth.tick()
         node = cloth.node.node
-        mine = (node.get_name(), node.get_namespace())
+        node_name = (node.get_name(), node.get_namespace())
         topics = {
             "publishes": {end.topic_name: [_type_name(end.msg_type), _qos(end.qos_profile)] for end in node.publishers},
             "subscribes": {
@@ -35,7 +35,7 @@ def graph() -> dict[str, Any]:
         }
         services = {
             name: types
-            for name, types in node.get_service_names_and_types_by_node(*mine)
+            for name, types in node.get_service_names_and_types_by_node(*node_name)
             if not name.endswith(_OF_RCLPY)
         }
         keys = list(cloth.node._report(True)[2])
@@ -103,7 +103,7 @@ def _plots(keys: list[str]) -> dict[str, Any]:
     """Return the plot of each key of the diagnostics, as replay reads them."""
     return {
         "paths": sorted(plots.PLOTS),
-        "of keys": {key: place for key in keys if (place := plots._plot_path(key)) is not None},
+        "of keys": {key: plot_path for key in keys if (plot_path := plots._plot_path(key)) is not None},
     }
 
 

@@ -36,7 +36,7 @@ G = 9.81
 SLIPPED = 1e-4
 
 
-def places_of(count: int, below: int, turned: float) -> tuple[Array, NDArray[np.int64], list[int]]:
+def stack_geometry(count: int, below: int, turned: float) -> tuple[Array, NDArray[np.int64], list[int]]:
     """Positions, triangles and the lower sheet's particles of a stack.
 
     Args:
@@ -45,8 +45,8 @@ def places_of(count: int, below: int, turned: float) -> tuple[Array, NDArray[np.
         turned: of the upper sheet about the vertical [rad].
     """
 
-    def square(side: float, number: int, height: float, angle: float) -> Array:
-        axis = (np.arange(number) / (number - 1) - 0.5) * side
+    def square(edge_length: float, n_per_edge: int, height: float, angle: float) -> Array:
+        axis = (np.arange(n_per_edge) / (n_per_edge - 1) - 0.5) * edge_length
         x, y = (a.ravel() for a in np.meshgrid(axis, axis, indexing="ij"))
         cos, sin = math.cos(angle), math.sin(angle)
         return np.stack([cos * x - sin * y, sin * x + cos * y, np.full(x.size, height)], axis=1)
@@ -64,7 +64,7 @@ def stack(
     count: int, below: int, degrees: float, friction: tuple[float, ...], *, turned: float = 0.3, tolerance: float = 1e-4
 ) -> Stack:
     """A stack that is laid at rest, with gravity as on a slope."""
-    places, triangles, held = places_of(count, below, turned)
+    places, triangles, held = stack_geometry(count, below, turned)
     angle, material = math.radians(degrees), MaterialParameters()
     first = len(held)
     lower = MeshSheet(rest_positions=places[:first], surface=Surface.from_triangles(triangles[triangles[:, 0] < first]))
@@ -88,28 +88,28 @@ def stack(
 class Stack:
     """Two layers, advanced frame by frame."""
 
-    def __init__(self, model: Model, places: Array, tolerance: float) -> None:
-        self.plan, self.state, self.frames = compile(model), State(places), 0
+    def __init__(self, model: Model, positions: Array, tolerance: float) -> None:
+        self.plan, self.state, self.frames = compile(model), State(positions), 0
         self._steps = Scene.from_parameters({"tolerance": tolerance}).build_integrator()
 
-    def advance(self, book: WorkAccumulator | None = None) -> Advance:
+    def advance(self, accumulator: WorkAccumulator | None = None) -> Advance:
         """Advance by one frame."""
-        done = self._steps.advance(self.plan, self.state, self.frames * FRAME, FRAME, book)
+        done = self._steps.advance(self.plan, self.state, self.frames * FRAME, FRAME, accumulator)
         self.frames += 1
         return done
 
 
-def way(motion: Stack) -> float:
+def slope_position(motion: Stack) -> float:
     """Return the mean position of free particles along the slope [m]."""
     return float(motion.state.x[0, motion.plan.model.inverse_masses > 0.0].mean())
 
 
 def advance(motion: Stack, frames: int) -> float:
     """Advance; return by how much the upper sheet moved [m]."""
-    start = way(motion)
+    start = slope_position(motion)
     for _ in range(frames):
         motion.advance()
-    return way(motion) - start
+    return slope_position(motion) - start
 
 
 def anchors(motion: Stack) -> Array:
@@ -117,33 +117,33 @@ def anchors(motion: Stack) -> Array:
     return motion.state.memory[ANCHORS_KEY][-LAYER_SIDES:].copy()
 
 
-def slides(motion: Stack) -> bool:
+def is_sliding(motion: Stack) -> bool:
     """Return true if a stack slides."""
     advance(motion, 12)
     return advance(motion, 18) > SLIPPED
 
 
-def balanced(motion: Stack, frames: int) -> tuple[EnergyBalance, float, float]:
+def advance_with_balance(motion: Stack, frames: int) -> tuple[EnergyBalance, float, float]:
     """Advance with a balance of energy; return it, the largest residual [J], and the least loss by friction in a frame
     [J].
     """
     balance = EnergyBalance(motion.plan, motion.state)
-    worst, least, before = 0.0, math.inf, 0.0
+    worst, min_loss, previous_loss = 0.0, math.inf, 0.0
     for _ in range(frames):
         motion.advance(balance.accumulator)
         worst = max(worst, abs(balance.close(motion.frames * FRAME, motion.state)))
-        least, before = min(least, balance.friction_work - before), balance.friction_work
-    return balance, worst, least
+        min_loss, previous_loss = min(min_loss, balance.friction_work - previous_loss), balance.friction_work
+    return balance, worst, min_loss
 
 
-def friction_off(count: int, below: int, mu: float) -> float:
+def friction_error(count: int, below: int, mu: float) -> float:
     """Return the relative error of kinetic friction, on a slope ten degrees above the angle of static friction."""
     degrees = math.degrees(math.atan(mu)) + 10.0
     motion = stack(count, below, degrees, (mu, 0.8 * mu))
-    places = []
+    slope_positions = []
     for _ in range(18):
         motion.advance()
-        places.append(way(motion))
+        slope_positions.append(slope_position(motion))
     angle = math.radians(degrees)
-    found = (places[-1] - 2.0 * places[-7] + places[-13]) / (6 * FRAME) ** 2
-    return (G * math.sin(angle) - found) / (0.8 * mu * G * math.cos(angle)) - 1.0
+    acceleration = (slope_positions[-1] - 2.0 * slope_positions[-7] + slope_positions[-13]) / (6 * FRAME) ** 2
+    return (G * math.sin(angle) - acceleration) / (0.8 * mu * G * math.cos(angle)) - 1.0

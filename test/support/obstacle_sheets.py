@@ -39,10 +39,10 @@ def sheet(kind: str, count: int) -> tuple[dict[str, Any], dict[str, bytes]]:
     """Parameters and files of a sheet of count x count particles, as a grid or as an irregular mesh."""
     if kind == "grid":
         return {**SHEET, "cloth.resolution": [count, count]}, {}
-    rest, triangles = shuffled_mesh(count * count)
+    rest_positions, triangles = shuffled_mesh(count * count)
     values = {name: value for name, value in SHEET.items() if name != "cloth.size"}
     values |= {"cloth.mesh": "mesh.obj", "bending.model": "opposite"}
-    return values, {"mesh.obj": garment.as_obj(0.3 * (rest - [0.5, 0.5, 0.0]), triangles)}
+    return values, {"mesh.obj": garment.as_obj(0.3 * (rest_positions - [0.5, 0.5, 0.0]), triangles)}
 
 
 class Motion:
@@ -53,9 +53,9 @@ class Motion:
         self.plan, self.state, self._steps = scene.plan(), scene.starting_state(), scene.build_integrator()
         self.frames = 0
 
-    def advance(self, book: WorkAccumulator | None = None) -> Advance:
+    def advance(self, accumulator: WorkAccumulator | None = None) -> Advance:
         """Advance by one frame."""
-        done = self._steps.advance(self.plan, self.state, self.frames * FRAME, FRAME, book)
+        done = self._steps.advance(self.plan, self.state, self.frames * FRAME, FRAME, accumulator)
         self.frames += 1
         return done
 
@@ -104,12 +104,12 @@ class Capstan:
 
     def __init__(self, friction: float, angle: float, *, columns: int = 160, stretch: float = 0.02) -> None:
         r = self.radius + BORNE * self.thickness
-        laid = r * angle + 2.0 * self.free
-        width = laid / (1.0 + stretch) * (self.rows - 1) / (columns - 1)
+        path_length = r * angle + 2.0 * self.free
+        width = path_length / (1.0 + stretch) * (self.rows - 1) / (columns - 1)
         values = {
             **SHEET,
             "cloth.resolution": [self.rows, columns],
-            "cloth.size": [width, laid / (1.0 + stretch)],
+            "cloth.size": [width, path_length / (1.0 + stretch)],
             "bending.model": "none",
         }
         model = Scene.from_parameters(values).model()
@@ -119,11 +119,11 @@ class Capstan:
         ends = [row * columns + end for row in range(self.rows) for end in (0, columns - 1)]
         self.plan = compile(Model(model.masses, [*springs, self._contact], anchors=ends))
         self._springs = compile(Model(model.masses, springs))
-        along = np.linspace(0.0, laid, columns) - self.free
-        on = np.clip(along, 0.0, r * angle)
-        turned = on / r - 0.5 * angle
-        x = r * np.sin(turned) + (along - on) * np.cos(turned)
-        z = r * np.cos(turned) - (along - on) * np.sin(turned)
+        arc = np.linspace(0.0, path_length, columns) - self.free
+        wrapped = np.clip(arc, 0.0, r * angle)
+        wrap_angle = wrapped / r - 0.5 * angle
+        x = r * np.sin(wrap_angle) + (arc - wrapped) * np.cos(wrap_angle)
+        z = r * np.cos(wrap_angle) - (arc - wrapped) * np.sin(wrap_angle)
         across = (np.arange(self.rows) - 1.0) * width / (self.rows - 1)
         self.start = np.stack([np.tile(x, self.rows), np.repeat(across, columns), np.tile(z, self.rows)], axis=1)
         self._columns = columns

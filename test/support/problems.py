@@ -99,14 +99,14 @@ def chain() -> Problem:
     """S2: 24 particles on a line between two anchors, a smooth longitudinal wave; exact by normal modes."""
     count, stiffness, mass, k_d0 = 24, 200.0, 0.01, 0.1
     damping = float(lecture_damping(k_d0, stiffness, mass))
-    rest = 1.0 / (count + 1)
-    places = np.arange(count + 2) * rest
-    bump = 0.2 * rest * np.exp(-0.5 * ((np.arange(count + 2) - 8.0) / 2.0) ** 2)
+    spacing = 1.0 / (count + 1)
+    places = np.arange(count + 2) * spacing
+    bump = 0.2 * spacing * np.exp(-0.5 * ((np.arange(count + 2) - 8.0) / 2.0) ** 2)
     bump[[0, -1]] = 0.0
 
     def build() -> tuple[Plan, State]:
         pairs = np.stack([np.arange(count + 1), np.arange(1, count + 2)], axis=1)
-        springs = PairSprings(pairs, rest, stiffness * rest, damping)
+        springs = PairSprings(pairs, spacing, stiffness * spacing, damping)
         positions = np.zeros((count + 2, 3))
         positions[:, 0] = places + bump
         model = Model(np.full(count + 2, mass), [springs], anchors=[0, count + 1])
@@ -139,7 +139,7 @@ def drumhead() -> Problem:
     """A stretched sheet with its border pinned, struck smoothly: large tension, small damping."""
 
     def build() -> tuple[Plan, State]:
-        sheet = RawSheet(resolution=16, k_d0=0.1, rest=0.9, gravity=(0.0, 0.0, 0.0), drag=0.5)
+        sheet = RawSheet(resolution=16, k_d0=0.1, relative_rest_length=0.9, gravity=(0.0, 0.0, 0.0), drag=0.5)
         index = sheet.index
         border = np.unique(np.concatenate([index[0], index[-1], index[:, 0], index[:, -1]]))
         positions = sheet.flat(hung=False)
@@ -163,14 +163,19 @@ def carried(resolution: int = 16) -> Problem:
         grips = Grips(1)
         corner = sheet.index[-1, -2:].ravel()
         positions = sheet.flat(hung=True)
-        place, away, duration = positions[corner[-1]], np.array([0.03, 0.2, -0.02]), frames * PERIOD
+        grasp_position, travel, duration = positions[corner[-1]], np.array([0.03, 0.2, -0.02]), frames * PERIOD
         row = np.zeros(PATH_NUMBERS)
-        row[1:4], row[16] = place, 1.0
-        row[7:10], row[10:13] = 3.0 * away / duration**2, -2.0 * away / duration**3
+        row[1:4], row[16] = grasp_position, 1.0
+        row[7:10], row[10:13] = 3.0 * travel / duration**2, -2.0 * travel / duration**3
         k = np.full(corner.size, 300.0)
         damping = np.asarray(lecture_damping(0.5, k, sheet.mass))
         grips.hold(
-            row[None], np.array([0, corner.size]), corner.astype(np.int64), positions[corner] - place, k, damping
+            row[None],
+            np.array([0, corner.size]),
+            corner.astype(np.int64),
+            positions[corner] - grasp_position,
+            k,
+            damping,
         )
         return sheet.plan(sheet.index[0], [grips]), State(positions)
 
@@ -208,15 +213,17 @@ def irregular_sheet() -> MeshSheet:
     random = np.random.default_rng(7)
     inside = random.uniform(0.0, 1.0, (400, 2))
     border = np.linspace(0.0, 1.0, 11)
-    kept = [[x, z] for x in border for z in (0.0, 1.0)] + [[x, z] for z in border[1:-1] for x in (0.0, 1.0)]
+    vertices = [[x, z] for x in border for z in (0.0, 1.0)] + [[x, z] for z in border[1:-1] for x in (0.0, 1.0)]
     for point in inside:
-        if min(point.min(), 1.0 - point.max()) > 0.05 and all(np.hypot(*(point - p)) > 0.06 for p in kept):
-            kept.append(list(point))
-    points = np.array(kept)
+        if min(point.min(), 1.0 - point.max()) > 0.05 and all(np.hypot(*(point - p)) > 0.06 for p in vertices):
+            vertices.append(list(point))
+    points = np.array(vertices)
     triangles = Delaunay(points).simplices.astype(np.int64)
-    rest = np.zeros((len(points), 3))
-    rest[:, 0], rest[:, 2] = points[:, 0], -points[:, 1]
-    return MeshSheet(rest_positions=rest, surface=Surface.from_triangles(_counterclockwise(points, triangles)))
+    rest_positions = np.zeros((len(points), 3))
+    rest_positions[:, 0], rest_positions[:, 2] = points[:, 0], -points[:, 1]
+    return MeshSheet(
+        rest_positions=rest_positions, surface=Surface.from_triangles(_counterclockwise(points, triangles))
+    )
 
 
 def _counterclockwise(points: Array, triangles: np.ndarray) -> np.ndarray:

@@ -30,8 +30,8 @@ def shuffled_mesh(particles: int) -> tuple[Array, NDArray[np.int64]]:
     inner = ((plane > 0.0) & (plane < 1.0)).all(axis=1)
     plane[inner] += random.uniform(-0.3, 0.3, (int(inner.sum()), 2)) / edge
     plane = plane[random.permutation(len(plane))]
-    rest = np.concatenate([plane, np.zeros((len(plane), 1))], axis=1)
-    return rest, Delaunay(plane).simplices.astype(np.int64)
+    rest_positions = np.concatenate([plane, np.zeros((len(plane), 1))], axis=1)
+    return rest_positions, Delaunay(plane).simplices.astype(np.int64)
 
 
 def random_mesh(rng: np.random.Generator) -> tuple[bytes, Array, str]:
@@ -60,11 +60,11 @@ def _triangulated(points: Array, size: float, *, hole: bool = False) -> tuple[by
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     double_area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    kept = double_area > 0.02 * sides * sides
+    has_enough_area = double_area > 0.02 * sides * sides
     if hole:
         middle = corners.mean(axis=1)
-        kept &= ~((np.abs(middle[:, 0]) < 0.2) & (np.abs(middle[:, 1]) < 0.15))
-    triangles = triangles[kept]
+        has_enough_area &= ~((np.abs(middle[:, 0]) < 0.2) & (np.abs(middle[:, 1]) < 0.15))
+    triangles = triangles[has_enough_area]
     used = np.unique(triangles)
     points, triangles = size * points[used], np.searchsorted(used, triangles)
     lines = [f"v {x:.9f} {y:.9f} 0" for x, y in points.tolist()]

@@ -41,7 +41,7 @@ class RawSheet:
     drag: float = 0.0
     gravity: tuple[float, float, float] = GRAVITY
     #: Rest length relative to the spacing: below 1 the flat sheet is under tension.
-    rest: float = 1.0
+    relative_rest_length: float = 1.0
     moduli: tuple[float, float, float] = (1000.0, 200.0, 10.0)
 
     @property
@@ -66,10 +66,10 @@ class RawSheet:
         kinds += [("diagonal", 2.0**0.5, shear), ("antidiagonal", 2.0**0.5, shear)]
         kinds += [("right2", 2.0, bend), ("down2", 2.0, bend)]
         families = []
-        for name, reach, modulus in kinds:
-            rest, k_s = self.rest * reach * h, self.stiffness * modulus * h
-            damping = float(lecture_damping(self.k_d0, k_s / rest, self.mass))
-            families.append(GridFamily(name=name, stiffness=k_s, rest_length=rest, damping=damping))
+        for name, distance, modulus in kinds:
+            rest_length, k_s = self.relative_rest_length * distance * h, self.stiffness * modulus * h
+            damping = float(lecture_damping(self.k_d0, k_s / rest_length, self.mass))
+            families.append(GridFamily(name=name, stiffness=k_s, rest_length=rest_length, damping=damping))
         return families
 
     def sheet(self) -> GridSprings:
@@ -82,10 +82,13 @@ class RawSheet:
         for family in self.families():
             (r0, c0), (r1, c1) = _SHIFTS[family.name]
             rows, columns = self.resolution - max(r0, r1), self.resolution - max(c0, c1)
-            near, far = index[r0 : r0 + rows, c0 : c0 + columns], index[r1 : r1 + rows, c1 : c1 + columns]
-            pairs = np.stack([near.ravel(), far.ravel()], axis=1)
-            numbers = family.rest_length, family.stiffness, family.damping
-            forces.append(PairSprings(pairs, *numbers, name=family.name))
+            first_particles, second_particles = (
+                index[r0 : r0 + rows, c0 : c0 + columns],
+                index[r1 : r1 + rows, c1 : c1 + columns],
+            )
+            pairs = np.stack([first_particles.ravel(), second_particles.ravel()], axis=1)
+            coefficients = family.rest_length, family.stiffness, family.damping
+            forces.append(PairSprings(pairs, *coefficients, name=family.name))
         return forces
 
     def model(self, anchors: Iterable[int], extra: Iterable[Force] = (), *, listed: bool = False) -> Model:

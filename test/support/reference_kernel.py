@@ -70,13 +70,13 @@ class ReferenceKernel:
     def _set_constants(self) -> None:
         weights = self._weights.reshape(len(FAMILIES), self.springs.rows, self._pitch)
         for family in self.springs.families:
-            place = FAMILIES.index(family.name)
+            family_index = FAMILIES.index(family.name)
             for row in range(self.springs.rows):
                 # Here the antidiagonal belongs to its upper end, one column to the right.
                 shift = 1 if family.name == "antidiagonal" else 0
-                weights[place, row, : self.springs.columns] = np.roll(_weights(self.springs, family, row), shift)
+                weights[family_index, row, : self.springs.columns] = np.roll(_weights(self.springs, family, row), shift)
             constants = family.stiffness, family.stiffness / family.rest_length, family.damping
-            self._constants[3 * place : 3 * place + 3] = constants
+            self._constants[3 * family_index : 3 * family_index + 3] = constants
 
     def set_state(self, x: Array, v: Array) -> None:
         """Copy in positions [m] and velocities [m/s], both (3, rows * columns) float64."""

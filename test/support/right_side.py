@@ -38,11 +38,11 @@ class IndependentRightSide:
                 lists.append(force.pair_springs if isinstance(force, GridSprings) else force)
             elif not self._uniform(force):
                 raise ValueError(f"the reference does not know the force '{force.name}'")
-        pairs = np.concatenate([each.pairs for each in lists])
-        self._rest = np.concatenate([each.rest_length for each in lists])
-        self._stiffness = np.concatenate([each.stiffness for each in lists])
-        self._damping = np.concatenate([each.damping for each in lists])
-        if not (self._rest > 0.0).all():
+        pairs = np.concatenate([springs.pairs for springs in lists])
+        self._rest_length = np.concatenate([springs.rest_length for springs in lists])
+        self._stiffness = np.concatenate([springs.stiffness for springs in lists])
+        self._damping = np.concatenate([springs.damping for springs in lists])
+        if not (self._rest_length > 0.0).all():
             raise ValueError("the reference knows no joints")
         # Row by row what goes from particles to springs' differences, and back.
         ends, signs = pairs.ravel(), np.tile([-1.0, 1.0], len(pairs))
@@ -72,7 +72,7 @@ class IndependentRightSide:
         s, u = self._difference @ x, self._difference @ v
         length = np.sqrt(np.einsum("ij,ij->i", s, s))
         along = s / length[:, None]
-        tension = self._stiffness * (length / self._rest - 1.0) + self._damping * np.einsum("ij,ij->i", u, along)
+        tension = self._stiffness * (length / self._rest_length - 1.0) + self._damping * np.einsum("ij,ij->i", u, along)
         a = self._gather @ (-tension[:, None] * along)
         if self._grips is not None:
             self._hold(self._grips, t, x, v, a)
@@ -83,18 +83,20 @@ class IndependentRightSide:
     def _hold(self, grips: Grips, t: float, x: Array, v: Array, f: Array) -> None:
         for gripper, path in enumerate(grips.paths):
             s, coefficients = t - path[0], path[1:13].reshape(4, 3)
-            place = coefficients.T @ (1.0, s, s * s, s * s * s)
-            speed = coefficients.T @ (0.0, 1.0, 2.0 * s, 3.0 * s * s)
-            held = slice(grips.starts[gripper], grips.starts[gripper + 1])
-            particles = grips.particles[held]
-            away = x[particles] - place - _turned(grips.offsets[held], path[13:17])
-            force = grips.stiffness[held, None] * away + grips.damping[held, None] * (v[particles] - speed)
+            position = coefficients.T @ (1.0, s, s * s, s * s * s)
+            velocity = coefficients.T @ (0.0, 1.0, 2.0 * s, 3.0 * s * s)
+            grip_slice = slice(grips.starts[gripper], grips.starts[gripper + 1])
+            particles = grips.particles[grip_slice]
+            offsets = x[particles] - position - _turned(grips.offsets[grip_slice], path[13:17])
+            force = grips.stiffness[grip_slice, None] * offsets + grips.damping[grip_slice, None] * (
+                v[particles] - velocity
+            )
             np.add.at(f, particles, -force)
 
 
 def _turned(points: Array, orientation: Array) -> Array:
     """Points (m, 3) turned by a unit quaternion x, y, z, w."""
     axis, w = orientation[:3], orientation[3]
-    side = np.cross(axis, points)
-    turned: Array = points + 2.0 * (w * side + np.cross(axis, side))
+    cross_product = np.cross(axis, points)
+    turned: Array = points + 2.0 * (w * cross_product + np.cross(axis, cross_product))
     return turned

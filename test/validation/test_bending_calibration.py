@@ -20,8 +20,8 @@ from cloth_sim_ros.physics.sheets.bending import (
 )
 from cloth_sim_ros.physics.sheets.hinge_shape import HingeShape
 from cloth_sim_ros.physics.sheets.surface import Surface, grid_diagonals, grid_hinges, grid_triangles
-from validation.bending.patterns import grid_patch, plate_of, triangle_patch
-from validation.bending.recovery import RESTS, rest_shape
+from validation.bending.patterns import grid_patch, plate_moduli, triangle_patch
+from validation.bending.recovery import REST_TRIANGLES, rest_shape
 
 PAIR = np.array([[0, 1, 2, 3]])
 KINDS = ("crossed", "altitude")
@@ -63,7 +63,7 @@ def test_the_fold_angle_is_signed(angle):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", RESTS)
+@pytest.mark.parametrize("name", REST_TRIANGLES)
 @pytest.mark.parametrize("angle", [0.0, 0.5, 1.2, 2.1, -0.7])
 def test_fold_energy_is_half_hinge_constant_times_angle_squared(kind, name, angle):
     rest_positions = rest_shape(name, angle)
@@ -82,7 +82,7 @@ def test_fold_energy_is_half_hinge_constant_times_angle_squared(kind, name, angl
 
 def test_the_hinges_of_a_grid_are_a_plate_without_poissons_ratio():
     for spacing in [(1.0, 1.0), (0.4, 1.0), (1.0, 0.1)]:
-        plate = plate_of(grid_patch(spacing=spacing))
+        plate = plate_moduli(grid_patch(spacing=spacing))
         for modulus in (plate.along_x, plate.along_y, plate.cylindrical, plate.isotropy):
             assert modulus == pytest.approx(1.0, rel=1e-9)
         assert (plate.poisson, plate.twist) == pytest.approx((0.0, 0.0), abs=1e-9)
@@ -91,7 +91,7 @@ def test_the_hinges_of_a_grid_are_a_plate_without_poissons_ratio():
 @pytest.mark.parametrize("layout", ["left", "right", "alternating", "both"])
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.5, 1.0)])
 def test_single_triangulation_has_the_modulus_in_free_strips(layout, spacing):
-    plate = plate_of(grid_patch(layout, spacing=spacing))
+    plate = plate_moduli(grid_patch(layout, spacing=spacing))
     assert (plate.along_x, plate.along_y) == pytest.approx((1.0, 1.0), rel=1e-9)
     if spacing == (1.0, 1.0):
         # as documented in docs/bending.md: a checkerboard has a Poisson's ratio, one family of diagonals twists
@@ -101,11 +101,11 @@ def test_single_triangulation_has_the_modulus_in_free_strips(layout, spacing):
 
 
 def test_triangle_bending_moduli_deviate_as_documented():
-    plate = plate_of(triangle_patch(0.0))
+    plate = plate_moduli(triangle_patch(0.0))
     moduli = (plate.along_x, plate.along_y, plate.cylindrical, plate.poisson, plate.isotropy)
     assert moduli == pytest.approx((1.0, 1.0, 1.125, -1 / 3, 1.0), rel=1e-9)
     for jitter, least, most in [(0.1, 1.0, 1.02), (0.2, 1.02, 1.07), (0.4, 1.05, 1.25)]:
-        along = [plate_of(triangle_patch(jitter, seed=seed)).along_x for seed in range(3)]
+        along = [plate_moduli(triangle_patch(jitter, seed=seed)).along_x for seed in range(3)]
         assert least < np.mean(along) < most
 
 
@@ -117,7 +117,7 @@ def test_hinge_constants_do_not_change_under_refinement():
 
 def test_opposite_springs_have_quartic_energy_and_cubic_moment():
     # equal heights, feet together: E = k L θ⁴/128 and moment k L θ³/32, k the force per strain
-    k_s, distance = 2.0, 2.0 * RESTS["checkerboard edge"][1]
+    k_s, distance = 2.0, 2.0 * REST_TRIANGLES["checkerboard edge"][1]
     springs = OppositeSprings(PAIR[:, 2:], distance, k_s)
 
     def energy(angle):

@@ -12,7 +12,7 @@ from validation.bending.elastica import hanging_strip, heavy_elastica
 
 def deviation(model, exact, columns, **options):
     strip = hanging_strip(model, exact, columns=columns, **options)
-    assert strip.aside < 1e-9
+    assert strip.max_lateral_offset < 1e-9
     return np.linalg.norm(strip.curve - exact.at(strip.arc), axis=1).max()
 
 

@@ -5,22 +5,27 @@
 import numpy as np
 import pytest
 
-from validation.bending.patterns import triangulation
-from validation.moduli.mesh import moduli_of
+from validation.bending.patterns import periodic_triangulation
+from validation.moduli.mesh import measure_moduli
 
 
 @pytest.mark.parametrize("relaxed", [True, False])
 def test_moduli_of_a_regular_periodic_patch_are_those_asked_for(relaxed):
-    found = moduli_of(triangulation(0.0), relaxed=relaxed)
-    assert (found.along_x, found.along_y, found.shear, found.poisson) == pytest.approx((1.0, 1.0, 1.0, 1.0), rel=1e-9)
+    moduli = measure_moduli(periodic_triangulation(0.0), relaxed=relaxed)
+    assert (moduli.along_x, moduli.along_y, moduli.shear, moduli.poisson) == pytest.approx(
+        (1.0, 1.0, 1.0, 1.0), rel=1e-9
+    )
 
 
 def test_irregular_triangles_deviate_by_what_the_docs_say():
     """0.3 of a side: mean Young's modulus 0.898, mean shear modulus 0.887 of the nominal ones (docs/springs.md)."""
-    meshes = [triangulation(0.3, seed=seed) for seed in range(12)]
-    found = [moduli_of(mesh) for mesh in meshes]
+    meshes = [periodic_triangulation(0.3, seed=seed) for seed in range(12)]
+    moduli = [measure_moduli(mesh) for mesh in meshes]
     # Three standard errors of a dozen meshes whose standard deviation is 0.02.
-    assert np.mean([one.along_x for one in found]) == pytest.approx(0.898, abs=0.02)
-    assert np.mean([one.shear for one in found]) == pytest.approx(0.887, abs=0.02)
+    assert np.mean([mesh_moduli.along_x for mesh_moduli in moduli]) == pytest.approx(0.898, abs=0.02)
+    assert np.mean([mesh_moduli.shear for mesh_moduli in moduli]) == pytest.approx(0.887, abs=0.02)
     # A constraint of the vertices to the strain can only make the sheet stiffer.
-    assert all(one.along_x < moduli_of(mesh, relaxed=False).along_x for one, mesh in zip(found, meshes, strict=True))
+    assert all(
+        mesh_moduli.along_x < measure_moduli(mesh, relaxed=False).along_x
+        for mesh_moduli, mesh in zip(moduli, meshes, strict=True)
+    )

@@ -18,20 +18,20 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation import __main__ as validation_command
 from validation.case_pool import run_cases
-from validation.stability.cases import Case, contact_cases, every_case, random_cases, run_case
-from validation.stability.limits import LARGEST_EXCESS, limit_found, stretched_sheet
-from validation.stability.scan import LARGEST_GAIN
+from validation.stability.cases import Case, all_cases, contact_cases, random_cases, run_case
+from validation.stability.limits import LARGEST_EXCESS, measure_step_limit, stretched_sheet
+from validation.stability.scan import MAX_ENERGY_GAIN
 
 
 @pytest.mark.parametrize("case", contact_cases(1, 5), ids=lambda case: case.attack)
 def test_contact_stress_cases_stay_finite_and_gain_no_energy(case: Case) -> None:
-    verdict = run_case(case)
-    assert verdict.finite, verdict.trouble
-    assert verdict.gain <= LARGEST_GAIN
+    result = run_case(case)
+    assert result.finite, result.trouble
+    assert result.gain <= MAX_ENERGY_GAIN
 
 
 def test_scan_has_at_least_2000_distinct_cases() -> None:
-    cases = every_case()
+    cases = all_cases()
     assert len(set(cases)) == len(cases) >= 2000
 
 
@@ -70,10 +70,10 @@ def test_scan_has_at_least_2000_distinct_cases() -> None:
     ids=lambda value: f"{value.sheet} {value.attack}" if isinstance(value, Case) else value,
 )
 def test_stress_cases_stay_finite_and_gain_no_energy(case: Case, integrator: str) -> None:
-    verdict = run_case(case)
-    assert verdict.finite, verdict.trouble
-    assert verdict.gain <= LARGEST_GAIN
-    assert integrator in verdict.integrators
+    result = run_case(case)
+    assert result.finite, result.trouble
+    assert result.gain <= MAX_ENERGY_GAIN
+    assert integrator in result.integrators
 
 
 @pytest.mark.parametrize(("stretch", "k_d0"), [(1.0, 0.0), (2.0, 0.2), (3.0, 1.0)])
@@ -81,7 +81,7 @@ def test_measured_step_limit_stays_close_to_its_bound(stretch: float, k_d0: floa
     plan, x = stretched_sheet(stretch, k_d0, resolution=8)
     bound = Leapfrog().step_limit(*plan.spectral_bounds(x))
     # The bisection is accurate to 0.2 %.
-    assert 0.998 * bound <= limit_found(plan, x, bound) <= (1.0 + LARGEST_EXCESS) * bound
+    assert 0.998 * bound <= measure_step_limit(plan, x, bound) <= (1.0 + LARGEST_EXCESS) * bound
 
 
 def test_unsolvable_implicit_step_settles_at_equilibrium() -> None:
@@ -115,34 +115,36 @@ def _square(case: int) -> int:
 
 
 def test_case_pool_reports_timeouts_and_dead_processes() -> None:
-    dones = {done.case: done for done in run_cases(_square, [1, 2, 3, 4, 5], workers=2, limit=1.0)}
-    assert {case: done.result for case, done in dones.items()} == {1: 1, 2: 4, 3: None, 4: None, 5: 25}
-    assert dones[3].trouble == "its process ended"
-    assert dones[4].trouble == "took longer than 1 s"
+    results = {
+        case_result.case: case_result for case_result in run_cases(_square, [1, 2, 3, 4, 5], workers=2, limit=1.0)
+    }
+    assert {case: case_result.result for case, case_result in results.items()} == {1: 1, 2: 4, 3: None, 4: None, 5: 25}
+    assert results[3].trouble == "its process ended"
+    assert results[4].trouble == "took longer than 1 s"
 
 
 def test_random_cases_are_reproducible_and_within_the_scan() -> None:
     cases = random_cases(5, 200)
     assert cases == random_cases(5, 200) != random_cases(6, 200)
-    assert {case.attack for case in cases} == {case.attack for case in every_case()}
-    assert {case.sheet for case in cases} == {case.sheet for case in every_case()}
+    assert {case.attack for case in cases} == {case.attack for case in all_cases()}
+    assert {case.sheet for case in cases} == {case.sheet for case in all_cases()}
     assert all(1.0 <= case.stiffness <= 1e6 and 0.0 <= case.damping <= 3.0 for case in cases)
     assert all(30.0 <= case.rate <= 240.0 for case in cases)
 
 
 def test_interrupted_scan_resumes_from_its_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """All results are in the file: the report contains them, and no case runs again."""
-    kept = tmp_path / "results.jsonl"
-    first, second = every_case()[:2]
+    result_file = tmp_path / "results.jsonl"
+    first, second = all_cases()[:2]
     lines = []
     for case, gain in ((first, 0.0), (second, 0.5)):
         entry = {name: getattr(case, name) for name in ("sheet", "attack", "stiffness", "damping", "rate", "stepping")}
         result = {"integrators": ["leapfrog"], "finite": True, "strain": 0.1, "gain": gain}
         lines.append(json.dumps({"case": entry, "result": result, "seconds": 1.0, "trouble": ""}))
-    kept.write_text("\n".join([*lines, '{"cut off']))
-    every = len(every_case())
-    status = validation_command.main(["stability", "--parts", "scan", "--resume", str(kept), "--only", "2"])
-    told = capsys.readouterr().out
+    result_file.write_text("\n".join([*lines, '{"cut off']))
+    n_cases = len(all_cases())
+    status = validation_command.main(["stability", "--parts", "scan", "--resume", str(result_file), "--only", "2"])
+    output = capsys.readouterr().out
     assert status == 1
-    assert f"2 cases of {every}" in told
-    assert "gains 0.5 of the energy turned over" in told
+    assert f"2 cases of {n_cases}" in output
+    assert "gains 0.5 of the energy turned over" in output

@@ -19,26 +19,26 @@ from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation.__main__ import main
-from validation.case_pool import Done, run_missing
+from validation.case_pool import CaseResult, run_missing
 from validation.tolerance import bound
 from validation.tolerance.compiled_reference import (
-    KICK,
     LANES,
-    Held,
+    PERTURBATION,
+    GripTable,
     Integration,
-    ReferenceError,
+    ReferenceFailureError,
     ReferenceSystem,
     trajectories,
 )
-from validation.tolerance.random_scenes import CAP, draw
-from validation.tolerance.recording import record
-from validation.tolerance.regimes import Regime, drawn, every_regime, exact, judge_regime
+from validation.tolerance.random_scenes import MAX_COST, draw_scene
+from validation.tolerance.recording import record_run
+from validation.tolerance.regimes import Regime, all_regimes, evaluate_regime, exact_positions, regime_scene
 from validation.tolerance.violent import run_violent
-from validation.tolerance.windows import judge, judge_window, kicks, own_points
+from validation.tolerance.windows import evaluate_scene, evaluate_window, grip_points, unit_perturbations
 
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="there is no C compiler")
 
-REGIMES = {regime.name: regime for regime in every_regime()}
+REGIMES = {regime.name: regime for regime in all_regimes()}
 
 
 @pytest.mark.parametrize(
@@ -51,9 +51,9 @@ def test_reference_accelerations_match_numpy_laws(name):
     # No three particles are collinear: the laws divide by the area between them.
     x = x + 0.003 * np.random.default_rng(1).normal(size=x.shape)
     expected = laws.total(model, 0.0, x, v).force * model.inverse_masses
-    found = ReferenceSystem(model).accelerations(x, v)
+    accelerations = ReferenceSystem(model).accelerations(x, v)
     # Rounding of some tens of forces a particle.
-    assert found == pytest.approx(expected, abs=1e-13 * np.abs(expected).max())
+    assert accelerations == pytest.approx(expected, abs=1e-13 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.2, 3.0])
@@ -71,14 +71,14 @@ def test_reference_gripper_motion_matches_numpy_laws(turn):
     grips.hold(paths, np.array([0, 2, 3]), particles, offsets, stiffness, damping)
     model = Model([1.0, 2.0, 3.0], [grips])
     system = ReferenceSystem(model)
-    held = Held(
+    grasped = GripTable(
         paths=paths,
         grippers=np.array([0, 0, 1]),
         particles=particles,
         numbers=np.stack([stiffness, damping], axis=1),
         offsets=np.repeat(offsets[:, :, None], LANES, axis=2),
     )
-    system.hold(held, 1.25)
+    system.set_grasped(grasped, 1.25)
     x, v = rng.normal(size=(2, 3, 3))
     expected = laws.total(model, 1.75, x, v).force * model.inverse_masses
     assert system.accelerations(x, v, since=0.5) == pytest.approx(expected, abs=1e-12 * np.abs(expected).max())
@@ -89,8 +89,8 @@ def test_reference_matches_projectile_with_drag():
     system = ReferenceSystem(Model([1.0], [Drag(drag), Gravity(gravity)]))
     v = np.array([[1.0], [2.0], [3.0]])
     y = trajectories(np.zeros((3, 1)), v)
-    y[0, 0, 0, 1] += KICK
-    y[1, 0, 1, 2] += KICK
+    y[0, 0, 0, 1] += PERTURBATION
+    y[1, 0, 1, 2] += PERTURBATION
     integration = Integration(system, y, tolerance=1e-13)
     for _ in range(4):
         integration.advance(0.5)
@@ -99,33 +99,33 @@ def test_reference_matches_projectile_with_drag():
     assert integration.positions[:, 0] == pytest.approx(expected, abs=1e-12)
     # A perturbation of position keeps its size. A perturbation of velocity grows like a throw with drag. The third
     # trajectory is not perturbed. Positions are rounded to 1e-7 of a perturbation.
-    assert integration.deviations() / KICK == pytest.approx([1.0, slowed, 0.0], abs=1e-5)
+    assert integration.deviations() / PERTURBATION == pytest.approx([1.0, slowed, 0.0], abs=1e-5)
 
 
 @pytest.mark.parametrize(
     "name", ["spring, critically damped", "chain of 7, taut, undamped", "chain of 7, joints, damped"]
 )
 def test_reference_matches_matrix_exponential(name):
-    scene = drawn(REGIMES[name], 1e-3)
+    scene = regime_scene(REGIMES[name], 1e-3)
     simulation = Simulation(scene.scene, scene.state)
     model, x, v = simulation.model, simulation.state.x, simulation.state.v
     integration = Integration(ReferenceSystem(model), trajectories(x, v), tolerance=1e-13)
-    for place in exact(model, x, v, 1.0 / 60.0, 60):
+    for expected in exact_positions(model, x, v, 1.0 / 60.0, 60):
         integration.advance(1.0 / 60.0)
-        assert np.abs(integration.positions - place).max() < 1e-11
+        assert np.abs(integration.positions - expected).max() < 1e-11
 
 
 def test_reference_matches_particle_pulled_by_gripper():
     paths = np.zeros((1, 26))
     paths[0, 4], paths[0, 16] = 0.3, 1.0
-    one, mass, stiffness = np.array([0]), 0.5, 8.0
+    first_index, mass, stiffness = np.array([0]), 0.5, 8.0
     numbers, offsets = np.array([[stiffness, 0.0]]), np.zeros((1, 3, LANES))
-    held = Held(paths=paths, grippers=one, particles=one, numbers=numbers, offsets=offsets)
+    grasped = GripTable(paths=paths, grippers=first_index, particles=first_index, numbers=numbers, offsets=offsets)
     system = ReferenceSystem(Model([mass], [Grips(1)]))
     integration = Integration(system, trajectories(np.zeros((3, 1)), np.zeros((3, 1))), tolerance=1e-13)
     rate = (stiffness / mass) ** 0.5
     for frame in range(10):
-        system.hold(held, 0.1 * frame)
+        system.set_grasped(grasped, 0.1 * frame)
         integration.advance(0.1)
     assert integration.positions[0, 0] == pytest.approx(0.3 * (1.0 - np.sin(rate) / rate), abs=1e-12)
 
@@ -133,26 +133,26 @@ def test_reference_matches_particle_pulled_by_gripper():
 def test_reference_stops_at_its_evaluation_limit():
     model = Model([1.0, 1.0], [PairSprings([[0, 1]], 1.0, 1e6)], anchors=[0])
     y = trajectories(np.array([[0.0, 1.1], [0.0, 0.0], [0.0, 0.0]]), np.zeros((3, 2)))
-    with pytest.raises(ReferenceError, match="more than 100 evaluations"):
-        Integration(ReferenceSystem(model), y, tolerance=1e-9, most=100).advance(1.0)
+    with pytest.raises(ReferenceFailureError, match="more than 100 evaluations"):
+        Integration(ReferenceSystem(model), y, tolerance=1e-9, max_evaluations=100).advance(1.0)
 
 
 def test_random_scene_follows_from_seed_and_index():
-    first, again, other = draw(3, 5), draw(3, 5), draw(3, 6)
-    assert first.scene == again.scene
-    assert first.words == again.words
-    assert (first.cost, first.frames) == (again.cost, again.frames)
-    assert first.state.digest() == again.state.digest()
-    assert [hold.grasp for hold in first.script.holds] == [hold.grasp for hold in again.script.holds]
-    assert first.words != other.words
+    first, repeated, different = draw_scene(3, 5), draw_scene(3, 5), draw_scene(3, 6)
+    assert first.scene == repeated.scene
+    assert first.words == repeated.words
+    assert (first.cost, first.frames) == (repeated.cost, repeated.frames)
+    assert first.state.digest() == repeated.state.digest()
+    assert [hold.grasp for hold in first.script.holds] == [hold.grasp for hold in repeated.script.holds]
+    assert first.words != different.words
 
 
 def test_random_scenes_cover_all_kinds_and_exceed_the_cap():
-    draws = [draw(1, index) for index in range(40)]
-    words = " ".join(each.words for each in draws)
+    random_scenes = [draw_scene(1, index) for index in range(40)]
+    words = " ".join(random_scene.words for random_scene in random_scenes)
     for kind in ("grid", "disc", "hole", "irregular", "spring", "chain", "crossed", "altitude", "axial", "opposite"):
         assert kind in words
-    assert 0 < sum(each.cost > CAP for each in draws) < 30
+    assert 0 < sum(random_scene.cost > MAX_COST for random_scene in random_scenes) < 30
 
 
 def _swinging(tolerance: float) -> Regime:
@@ -162,27 +162,29 @@ def _swinging(tolerance: float) -> Regime:
 
 
 def test_window_satisfies_and_violates_the_error_bound():
-    run = record(drawn(_swinging(1e-4), 1e-4))
+    run = record_run(regime_scene(_swinging(1e-4), 1e-4))
     assert run.mismatch < 1e-13
-    window = judge_window(run, 0, 60, seed=0)[0]
-    assert window.known
+    window = evaluate_window(run, 0, 60, seed=0)[0]
+    assert window.is_known
     assert window.ratio < 1.0
-    assert 1.0 < window.growth < 10.0
+    assert 1.0 < window.amplification < 10.0
     # The same run with an error of three times the bound in each coordinate in the middle.
-    run.positions[30] = run.positions[30] + 3.0 * window.promised
-    broken = judge_window(run, 0, 60, seed=0)[0]
-    assert broken.from_start == pytest.approx(3.0 * 3.0**0.5, abs=1.0)
+    run.positions[30] = run.positions[30] + 3.0 * window.error_bound
+    violated = evaluate_window(run, 0, 60, seed=0)[0]
+    assert violated.ratio_from_start == pytest.approx(3.0 * 3.0**0.5, abs=1.0)
     # Perturbations that start later in the window grow more here, but not enough to explain the error.
-    assert broken.growth < broken.later < 3.0 * broken.growth
-    assert broken.ratio == pytest.approx(broken.from_start * broken.growth / broken.later)
-    assert broken.ratio > 1.0
+    assert violated.amplification < violated.later_amplification < 3.0 * violated.amplification
+    assert violated.ratio == pytest.approx(
+        violated.ratio_from_start * violated.amplification / violated.later_amplification
+    )
+    assert violated.ratio > 1.0
 
 
 def test_perturbations_have_unit_size_and_spare_anchors():
-    run = record(attrs.evolve(drawn(_swinging(1e-4), 1e-4), frames=1))
+    run = record_run(attrs.evolve(regime_scene(_swinging(1e-4), 1e-4), frames=1))
     for second in (False, True):
-        found = kicks(run, 1, second=second)
-        size = np.sqrt(np.sum(found * found, axis=2))
+        perturbations = unit_perturbations(run, 1, second=second)
+        size = np.sqrt(np.sum(perturbations * perturbations, axis=2))
         assert size[:, 0].max() == 0.0
         # Each trajectory has a perturbation of positions or one of velocities.
         assert np.count_nonzero(size[:, 1], axis=0).tolist() == [1] * (LANES - 1)
@@ -193,30 +195,30 @@ def test_new_grips_start_at_each_trajectory():
     rng = np.random.default_rng(2)
     paths = np.zeros((1, 26))
     paths[0, 1:4], paths[0, 13:17] = (1.0, 2.0, 3.0), (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
-    held = Held(
+    grasped = GripTable(
         paths=paths,
         grippers=np.array([0]),
         particles=np.array([1]),
         numbers=np.ones((1, 2)),
         offsets=rng.normal(size=(1, 3, LANES)),
     )
-    y, known = rng.normal(size=(2, 3, 3, LANES)), {}
+    y, known_points = rng.normal(size=(2, 3, 3, LANES)), {}
     # The engine's points if the grip is older than the window.
-    assert own_points(held, np.array([False]), known, y).offsets.tolist() == held.offsets.tolist()
-    away = y[0, 1] - np.array([[1.0], [2.0], [3.0]])
+    assert grip_points(grasped, np.array([False]), known_points, y).offsets.tolist() == grasped.offsets.tolist()
+    offsets = y[0, 1] - np.array([[1.0], [2.0], [3.0]])
     # In the frame of a gripper that is turned by a right angle about z.
-    expected = np.stack([away[1], -away[0], away[2]])
-    assert own_points(held, np.array([True]), known, y).offsets[0] == pytest.approx(expected, abs=1e-14)
-    later = own_points(held, np.array([False]), known, rng.normal(size=y.shape))
+    expected = np.stack([offsets[1], -offsets[0], offsets[2]])
+    assert grip_points(grasped, np.array([True]), known_points, y).offsets[0] == pytest.approx(expected, abs=1e-14)
+    later = grip_points(grasped, np.array([False]), known_points, rng.normal(size=y.shape))
     assert later.offsets[0] == pytest.approx(expected, abs=1e-14)
-    assert own_points(None, np.zeros(0, dtype=bool), known, y) is None
-    assert not known
+    assert grip_points(None, np.zeros(0, dtype=bool), known_points, y) is None
+    assert not known_points
 
 
 @pytest.fixture(scope="module")
 def held_scene():
     """Return the index of a cheap random scene with grasped particles."""
-    return next(k for k in range(100) if draw(2, k).cost < 3e7 and draw(2, k).script.holds)
+    return next(k for k in range(100) if draw_scene(2, k).cost < 3e7 and draw_scene(2, k).script.holds)
 
 
 def test_command_reports_evaluated_scenes(held_scene, tmp_path):
@@ -231,53 +233,57 @@ def test_command_reports_evaluated_scenes(held_scene, tmp_path):
 
 
 def test_evaluated_scenes_are_read_from_the_file(held_scene, tmp_path, monkeypatch):
-    kept = tmp_path / "evaluated.jsonl"
-    judgement = judge(2, held_scene, 1)
+    result_file = tmp_path / "evaluated.jsonl"
+    evaluation = evaluate_scene(2, held_scene, 1)
     case = (2, held_scene, 1)
-    done = list(run_missing(judge, [], workers=1, limit=60.0, file=kept, read=bound._read))
-    assert not done
-    assert not kept.exists()
-    monkeypatch.setattr("validation.case_pool.run_cases", lambda *_, **__: [Done(case, judgement, 1.0)])
-    limits = {"workers": 1, "limit": 60.0, "file": kept, "read": bound._read}
-    first = list(run_missing(bound._judge, [case], **limits))
+    results = list(run_missing(evaluate_scene, [], workers=1, limit=60.0, file=result_file, read=bound._read))
+    assert not results
+    assert not result_file.exists()
+    monkeypatch.setattr("validation.case_pool.run_cases", lambda *_, **__: [CaseResult(case, evaluation, 1.0)])
+    limits = {"workers": 1, "limit": 60.0, "file": result_file, "read": bound._read}
+    first_results = list(run_missing(bound._evaluate_case, [case], **limits))
     monkeypatch.setattr("validation.case_pool.run_cases", lambda *_, **__: pytest.fail("it runs again"))
-    assert list(run_missing(bound._judge, [case], **limits)) == first == [Done(case, judgement, 1.0)]
+    assert (
+        list(run_missing(bound._evaluate_case, [case], **limits))
+        == first_results
+        == [CaseResult(case, evaluation, 1.0)]
+    )
 
 
 def test_differing_forces_are_reported(held_scene, monkeypatch):
     monkeypatch.setattr("validation.tolerance.recording._mismatch", lambda *_: 1e-9)
-    judgement = judge(2, held_scene, 1)
-    assert judgement.verdict == "FORCES DIFFER"
-    assert not judgement.windows
+    evaluation = evaluate_scene(2, held_scene, 1)
+    assert evaluation.verdict == "FORCES DIFFER"
+    assert not evaluation.windows
 
 
 def test_free_rotating_spring_satisfies_the_error_bound():
     # Its errors have one sign, and estimates are too low by a factor of up to four.
-    judgement = judge(1, 96, 2)
-    assert judgement.verdict == "kept"
-    assert not judgement.flagged_frames
-    assert max(window.error / window.promised for window in judgement.windows) < 1.0
+    evaluation = evaluate_scene(1, 96, 2)
+    assert evaluation.verdict == "kept"
+    assert not evaluation.flagged_frames
+    assert max(window.error / window.error_bound for window in evaluation.windows) < 1.0
 
 
 def test_linear_regime_is_compared_with_exact_solution():
-    outcome = judge_regime((REGIMES["spring, undamped"], 1e-3))
-    assert outcome.reference < 1e-6
-    assert 0.0 < outcome.ratio < 1.0
+    result = evaluate_regime((REGIMES["spring, undamped"], 1e-3))
+    assert result.reference < 1e-6
+    assert 0.0 < result.ratio < 1.0
 
 
 def test_violent_scene_stays_finite_without_energy_gain():
-    found = run_violent((1, 5))
-    assert found.finite
-    assert not found.trouble
-    assert found.evaluations > 0
-    assert found.gain < 0.01
+    result = run_violent((1, 5))
+    assert result.finite
+    assert not result.trouble
+    assert result.evaluations > 0
+    assert result.gain < 0.01
 
 
 def test_violent_scene_frames_stay_within_work_limit():
     # Its 49th frame is halved 20 times around a jump; a former version took 1.2 times the limit.
-    found = run_violent((1, 146))
-    assert found.flagged > 0
-    assert 0.5 < found.of_cap <= 1.0
+    result = run_violent((1, 146))
+    assert result.flagged > 0
+    assert 0.5 < result.of_cap <= 1.0
 
 
 def test_work_limited_frame_keeps_explicit_steps() -> None:
@@ -287,7 +293,7 @@ def test_work_limited_frame_keeps_explicit_steps() -> None:
     remaining work.
     """
     chain = attrs.evolve(REGIMES["chain of 33, joints, undamped"], duration=0.2)
-    run = record(drawn(chain, 1e-10))
+    run = record_run(regime_scene(chain, 1e-10))
     advances = [frame.advance for frame in run.frames]
     assert sum(done.flagged > 0 for done in advances) > 3
     assert {done.integrator for done in advances} == {"extrapolated"}

@@ -9,21 +9,21 @@ import pytest
 
 from validation.__main__ import main
 from validation.tolerance import contact
-from validation.tolerance.contact import FRICTIONS, KINDS, draw_contact, judge_contact, run_contact
+from validation.tolerance.contact import FRICTIONS, KINDS, draw_contact, evaluate_contact, run_contact
 
 #: A table and a sheet folded on itself, without friction.
 CASES = (0, 3)
 
 
 @pytest.fixture(autouse=True)
-def short(monkeypatch):
+def short_scenes(monkeypatch):
     """Shorten scenes to a fifth of a second, at a tight tolerance."""
     monkeypatch.setattr(contact, "_SECONDS", 0.2)
-    drawn = contact.draw_contact
+    draw_original = contact.draw_contact
 
     def shorter(seed, index):
-        found = drawn(seed, index)
-        return attrs.evolve(found, scene=found.scene.changed({"tolerance": 1e-5}))
+        contact_draw = draw_original(seed, index)
+        return attrs.evolve(contact_draw, scene=contact_draw.scene.changed({"tolerance": 1e-5}))
 
     monkeypatch.setattr(contact, "draw_contact", shorter)
     monkeypatch.setattr(contact, "_WINDOW", 0.2)
@@ -31,9 +31,9 @@ def short(monkeypatch):
 
 @pytest.mark.parametrize("index", CASES)
 def test_contact_scene_satisfies_the_error_bound(index):
-    judgement = judge_contact(1, index, 1)
-    assert judgement.verdict == "kept"
-    assert judgement.worst(flagged=False).error > 0.0
+    evaluation = evaluate_contact(1, index, 1)
+    assert evaluation.verdict == "kept"
+    assert evaluation.worst(flagged=False).error > 0.0
 
 
 def test_wrong_frame_violates_the_error_bound(monkeypatch):
@@ -43,7 +43,7 @@ def test_wrong_frame_violates_the_error_bound(monkeypatch):
         return run
 
     monkeypatch.setattr(contact, "run_contact", off)
-    assert judge_contact(1, 0, 1).verdict == "BROKEN"
+    assert evaluate_contact(1, 0, 1).verdict == "BROKEN"
 
 
 def test_contact_scenes_cover_every_kind_and_touch():
@@ -59,15 +59,15 @@ def test_contact_scenes_cover_every_kind_and_touch():
 
 def test_command_reports_evaluated_contact_scenes(tmp_path, monkeypatch):
     # Worker processes would not have the shorter window.
-    monkeypatch.setattr("validation.tolerance.bound.run_missing", _alone)
+    monkeypatch.setattr("validation.tolerance.bound.run_missing", _run_in_process)
     file = tmp_path / "output.json"
     assert main(["tolerance", "--contact", "--count", "1", "--windows", "1", "--json", str(file)]) == 0
-    told = json.loads(file.read_text())
-    assert told["tables"][0]["rows"][0][1] == "kept"
+    output = json.loads(file.read_text())
+    assert output["tables"][0]["rows"][0][1] == "kept"
 
 
-def _alone(judged_by, cases, **_):
-    from validation.case_pool import Done
+def _run_in_process(evaluate, cases, **_):
+    from validation.case_pool import CaseResult
 
     for case in cases:
-        yield Done(case, judged_by(case), 1.0)
+        yield CaseResult(case, evaluate(case), 1.0)

@@ -13,36 +13,48 @@ from support.problems import Problem, problem
 
 from validation.__main__ import main
 from validation.tolerance import baselines, work_precision
-from validation.tolerance.baselines import Run, Solver, TooSlow
+from validation.tolerance.baselines import SolverRun, SolverSetting, SolverTimeoutError
 
 
-def fake(name: str, kind: str, *, error: float, seconds: float, held_up: bool = False) -> Solver:
+def fake(name: str, kind: str, *, error: float, seconds: float, held_up: bool = False) -> SolverSetting:
     """Return a solver with a given error on the chain and a given time; `held_up`: later runs exceed any time limit."""
     runs = []
 
-    def solve(scene: Problem, limit: float) -> Run:
+    def solve(scene: Problem, limit: float) -> SolverRun:
         runs.append(limit)
         if held_up and len(runs) > 1 and limit < math.inf:
-            raise TooSlow
+            raise SolverTimeoutError
         if seconds > limit:
-            raise TooSlow
+            raise SolverTimeoutError
         assert scene.exact is not None
         x = scene.exact(scene.duration)
         x[0, 5] += error
-        return Run(x, seconds, 7)
+        return SolverRun(x, seconds, 7)
 
-    return Solver(name, "as it is", kind, solve)
+    return SolverSetting(name, "as it is", kind, solve)
 
 
 def test_comparison_uses_fastest_accurate_solver(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    ours = [fake("fine", "beside", error=0.0, seconds=1e-9), fake("rough", "ours", error=1e-4, seconds=0.001)]
-    ours += [fake("good", "ours", error=9e-6, seconds=0.01), fake("better", "ours", error=9e-8, seconds=0.05)]
-    ours += [fake("one thread", "alone", error=9e-6, seconds=0.02), fake("the same", "alone", error=9e-8, seconds=0.1)]
-    theirs = [fake("theirs", "library", error=1e-8, seconds=0.2), fake("slower", "library", error=1e-9, seconds=0.3)]
-    theirs += [fake("never", "library", error=0.0, seconds=9.0)]
-    theirs.append(fake("held up", "library", error=1e-9, seconds=0.4, held_up=True))
-    monkeypatch.setattr(work_precision, "our_solvers", lambda _: ours)
-    monkeypatch.setattr(work_precision, "library_solvers", lambda *, slow: theirs)
+    product_solvers = [
+        fake("fine", "beside", error=0.0, seconds=1e-9),
+        fake("rough", "ours", error=1e-4, seconds=0.001),
+    ]
+    product_solvers += [
+        fake("good", "ours", error=9e-6, seconds=0.01),
+        fake("better", "ours", error=9e-8, seconds=0.05),
+    ]
+    product_solvers += [
+        fake("one thread", "alone", error=9e-6, seconds=0.02),
+        fake("the same", "alone", error=9e-8, seconds=0.1),
+    ]
+    library_solvers = [
+        fake("theirs", "library", error=1e-8, seconds=0.2),
+        fake("slower", "library", error=1e-9, seconds=0.3),
+    ]
+    library_solvers += [fake("never", "library", error=0.0, seconds=9.0)]
+    library_solvers.append(fake("held up", "library", error=1e-9, seconds=0.4, held_up=True))
+    monkeypatch.setattr(work_precision, "product_solvers", lambda _: product_solvers)
+    monkeypatch.setattr(work_precision, "library_solvers", lambda *, slow: library_solvers)
     monkeypatch.setattr(work_precision, "_residual", lambda *_: None)
     file = tmp_path / "report.json"
     assert main(["work-precision", "--scene", "chain", "--limit", "1", "--repeats", "3", "--json", str(file)]) == 0
@@ -64,9 +76,11 @@ def test_product_and_library_solve_the_same_equations() -> None:
     scene = problem("chain")
     assert scene.exact is not None
     exact = scene.exact(scene.duration)
-    ours = next(solver for solver in baselines.our_solvers((1e-7,)) if solver.kind == "ours")
-    theirs = next(solver for solver in baselines.library_solvers(slow=False) if solver.setting.endswith("1e-08"))
-    for solver in (ours, theirs):
+    product_solver = next(solver for solver in baselines.product_solvers((1e-7,)) if solver.kind == "ours")
+    library_solver = next(
+        solver for solver in baselines.library_solvers(slow=False) if solver.setting.endswith("1e-08")
+    )
+    for solver in (product_solver, library_solver):
         done = solver.solve(scene, 60.0)
         assert abs(done.positions - exact).max() < 1e-7
         assert done.evaluations > 100

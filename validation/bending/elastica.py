@@ -80,7 +80,7 @@ class Strip:
     """Arc length from the clamp of every column of particles beyond it [m], (c,)."""
     curve: Array
     """Mean distance from the clamp and depth below it of the columns [m], (c, 2)."""
-    aside: float
+    max_lateral_offset: float
     """Largest sideways offset of a column's mean [m]: a strip that twists leaves its plane."""
 
 
@@ -108,29 +108,33 @@ def hanging_strip(
     Raises:
         RuntimeError: if no equilibrium is found.
     """
-    cell = 1.0 / (columns - 1.5)
-    along = np.linspace(-0.5 * cell, 1.0, columns)
+    cell_size = 1.0 / (columns - 1.5)
+    arc = np.linspace(-0.5 * cell_size, 1.0, columns)
     column = np.tile(np.arange(columns), rows)
     row = np.repeat(np.arange(rows), columns)
-    rest = np.stack((along[column], row * cell, np.zeros(rows * columns)), axis=1)
-    masses = np.full(rows * columns, exact.load * cell * cell)  # gravity is 1
+    rest_positions = np.stack((arc[column], row * cell_size, np.zeros(rows * columns)), axis=1)
+    masses = np.full(rows * columns, exact.load * cell_size * cell_size)  # gravity is 1
     masses[column == columns - 1] *= 0.5
     masses[(row == 0) | (row == rows - 1)] *= 0.5
     hinges = grid_hinges(rows, columns)
     edges = Surface.from_triangles(grid_triangles(rows, columns, "left")).edges
     pairs = np.concatenate((edges, grid_diagonals(rows, columns, "right")))
-    lengths = np.linalg.norm(rest[pairs[:, 1]] - rest[pairs[:, 0]], axis=1)
-    constants = grid_hinge_constants(hinges, columns=columns, spacing=(cell, cell), bending_modulus=1.0)
+    lengths = np.linalg.norm(rest_positions[pairs[:, 1]] - rest_positions[pairs[:, 0]], axis=1)
+    constants = grid_hinge_constants(hinges, columns=columns, spacing=(cell_size, cell_size), bending_modulus=1.0)
     forces: list[Force] = [PairSprings(pairs, lengths, stretch * lengths), Gravity((0.0, 0.0, -1.0))]
-    forces += bending_terms(model, hinges, rest, hinge_constants=constants, existing=pairs)
+    forces += bending_terms(model, hinges, rest_positions, hinge_constants=constants, existing=pairs)
     free = np.flatnonzero(column > 1)
-    start = rest.copy()
-    curve = exact.at(along[column[free]])
+    start = rest_positions.copy()
+    curve = exact.at(arc[column[free]])
     start[free, 0], start[free, 2] = curve[:, 0], -curve[:, 1]
-    x = _equilibrium(Model(masses, forces), start, column, 2)
-    mean = np.array([x[column == k].mean(axis=0) for k in range(2, columns)])
-    centre = rest[:, 1].mean()
-    return Strip(arc=along[2:], curve=mean[:, [0, 2]] * (1.0, -1.0), aside=float(np.abs(mean[:, 1] - centre).max()))
+    positions = _equilibrium(Model(masses, forces), start, column, 2)
+    mean_positions = np.array([positions[column == k].mean(axis=0) for k in range(2, columns)])
+    centre = rest_positions[:, 1].mean()
+    return Strip(
+        arc=arc[2:],
+        curve=mean_positions[:, [0, 2]] * (1.0, -1.0),
+        max_lateral_offset=float(np.abs(mean_positions[:, 1] - centre).max()),
+    )
 
 
 def _equilibrium(model: Model, start: Array, column: NDArray[np.int64], clamped: int) -> Array:
@@ -143,11 +147,11 @@ def _equilibrium(model: Model, start: Array, column: NDArray[np.int64], clamped:
     from scipy.sparse.linalg import splu
 
     plan, x = compile(model), np.ascontiguousarray(start.T)
-    still = np.zeros_like(x)
+    zero_velocities = np.zeros_like(x)
     free = np.flatnonzero(column >= clamped)
-    number = np.full(column.size, -1)
-    number[free] = np.arange(free.size)
-    size = 3 * free.size
+    free_index = np.full(column.size, -1)
+    free_index[free] = np.arange(free.size)
+    n_unknowns = 3 * free.size
     weight = model.mass
 
     def energy() -> float:
@@ -155,40 +159,43 @@ def _equilibrium(model: Model, start: Array, column: NDArray[np.int64], clamped:
 
     def force() -> Array:
         f = np.zeros_like(x)
-        plan.add_force(0.0, x, still, f)
+        plan.add_force(0.0, x, zero_velocities, f)
         return f[:, free].ravel()
 
     def hessian() -> csc_array:
-        to, of, values = [], [], []
-        rank = np.zeros(column.size, np.int64)
+        row_indices, column_indices, values = [], [], []
+        row_in_column = np.zeros(column.size, np.int64)
         for k in np.unique(column):
-            rank[column == k] = np.arange(np.count_nonzero(column == k))
-        for phase, place, axis in itertools.product(range(5), range(int(rank.max()) + 1), range(3)):
-            pushed = np.flatnonzero((column % 5 == phase) & (rank == place) & (number >= 0))
-            push, out = np.zeros_like(x), np.zeros_like(x)
-            push[axis, pushed] = 1.0
-            plan.add_jacobian_product(0.0, x, still, push, still, out)
-            for p in pushed:
-                near = free[np.abs(column[free] - column[p]) <= 2]
+            row_in_column[column == k] = np.arange(np.count_nonzero(column == k))
+        for column_phase, row_index, axis in itertools.product(range(5), range(int(row_in_column.max()) + 1), range(3)):
+            perturbed = np.flatnonzero((column % 5 == column_phase) & (row_in_column == row_index) & (free_index >= 0))
+            perturbation, product = np.zeros_like(x), np.zeros_like(x)
+            perturbation[axis, perturbed] = 1.0
+            plan.add_jacobian_product(0.0, x, zero_velocities, perturbation, zero_velocities, product)
+            for p in perturbed:
+                neighbours = free[np.abs(column[free] - column[p]) <= 2]
                 for component in range(3):
-                    to.append(component * free.size + number[near])
-                    of.append(np.full(near.size, axis * free.size + number[p]))
-                    values.append(-out[component, near])
-        return csc_array((np.concatenate(values), (np.concatenate(to), np.concatenate(of))), shape=(size, size))
+                    row_indices.append(component * free.size + free_index[neighbours])
+                    column_indices.append(np.full(neighbours.size, axis * free.size + free_index[p]))
+                    values.append(-product[component, neighbours])
+        return csc_array(
+            (np.concatenate(values), (np.concatenate(row_indices), np.concatenate(column_indices))),
+            shape=(n_unknowns, n_unknowns),
+        )
 
     def move(step: Array) -> None:
         x[:, free] += step.reshape(3, -1)
 
-    shift, least = 0.0, energy()
+    shift, min_energy = 0.0, energy()
     for _ in range(500):
         f = force()
         if np.abs(f).max() < 1e-6 * weight:
             break
-        step = splu(hessian() + shift * csc_array(identity(size))).solve(f)
+        step = splu(hessian() + shift * csc_array(identity(n_unknowns))).solve(f)
         move(step)
-        after = energy()
-        if after <= least + 1e-13 * abs(least) and step @ f > 0.0:
-            shift, least = (0.1 * shift if shift > 1e-6 * weight else 0.0), after
+        new_energy = energy()
+        if new_energy <= min_energy + 1e-13 * abs(min_energy) and step @ f > 0.0:
+            shift, min_energy = (0.1 * shift if shift > 1e-6 * weight else 0.0), new_energy
         else:
             move(-step)
             shift = max(10.0 * shift, 1e-3 * weight)

@@ -28,7 +28,7 @@ class Patch:
     """Hinges of the period, (m, 4)."""
     constants: Array
     """k_θ [N m] for the modulus 1 N m, (m,)."""
-    same: NDArray[np.int64]
+    periodic_index: NDArray[np.int64]
     """Index of the particle within the period that each is a copy of, (n,)."""
     area: float
     """Area of the period [m²]."""
@@ -52,7 +52,7 @@ class Plate:
     """2 C33/(C11 - C12): 1 for an isotropic plate."""
 
 
-def plate_of(patch: Patch) -> Plate:
+def plate_moduli(patch: Patch) -> Plate:
     """Return the moduli of a pattern."""
     p = patch.positions[patch.hinges]
     a, b, r = p[:, 1] - p[:, 0], p[:, 3] - p[:, 2], p[:, 2] - p[:, 0]
@@ -61,14 +61,20 @@ def plate_of(patch: Patch) -> Plate:
     edge = np.linalg.norm(a, axis=1)
     heights = np.abs(_cross(a, r)), np.abs(_cross(a, p[:, 3] - p[:, 0]))
     fold = np.stack((s - 1.0, -s, 1.0 - t, t), axis=1) * (np.abs(area) * edge / (heights[0] * heights[1]))[:, None]
-    count = int(patch.same.max()) + 1
-    free = np.zeros((len(p), count))
-    np.add.at(free, (np.arange(len(p))[:, None], patch.same[patch.hinges]), fold)
+    n_particles = int(patch.periodic_index.max()) + 1
+    deflection_folds = np.zeros((len(p), n_particles))
+    np.add.at(deflection_folds, (np.arange(len(p))[:, None], patch.periodic_index[patch.hinges]), fold)
     x, y = patch.positions.T
-    given = np.stack([(fold * z[patch.hinges]).sum(axis=1) for z in (0.5 * x * x, 0.5 * y * y, 0.5 * x * y)], axis=1)
-    root = np.sqrt(patch.constants)[:, None]
-    least = root * (given - free @ np.linalg.lstsq(root * free, root * given, rcond=None)[0])
-    tensor = least.T @ least / patch.area
+    curvature_folds = np.stack(
+        [(fold * z[patch.hinges]).sum(axis=1) for z in (0.5 * x * x, 0.5 * y * y, 0.5 * x * y)], axis=1
+    )
+    root_stiffness = np.sqrt(patch.constants)[:, None]
+    relaxed_folds = root_stiffness * (
+        curvature_folds
+        - deflection_folds
+        @ np.linalg.lstsq(root_stiffness * deflection_folds, root_stiffness * curvature_folds, rcond=None)[0]
+    )
+    tensor = relaxed_folds.T @ relaxed_folds / patch.area
     compliance = np.linalg.inv(tensor)
     return Plate(
         along_x=float(1.0 / compliance[0, 0]),
@@ -90,13 +96,13 @@ def grid_patch(layout: Layout | None = None, *, spacing: tuple[float, float] = (
     else:
         hinges = Surface.from_triangles(grid_triangles(size, size, layout)).hinges
     constants = grid_hinge_constants(hinges, columns=size, spacing=spacing, bending_modulus=1.0)
-    middle = 0.5 * np.stack((column[hinges[:, :2]].sum(axis=1), row[hinges[:, :2]].sum(axis=1)), axis=1)
-    inside = ((middle >= 1.75) & (middle < 3.75)).all(axis=1)
+    midpoints = 0.5 * np.stack((column[hinges[:, :2]].sum(axis=1), row[hinges[:, :2]].sum(axis=1)), axis=1)
+    inside = ((midpoints >= 1.75) & (midpoints < 3.75)).all(axis=1)
     return Patch(
         positions=positions,
         hinges=hinges[inside],
         constants=constants[inside],
-        same=row % 2 * 2 + column % 2,
+        periodic_index=row % 2 * 2 + column % 2,
         area=4.0 * spacing[0] * spacing[1],
     )
 
@@ -109,18 +115,18 @@ class Triangulation:
     """Particles [m], (n, 2); those of the period itself come first."""
     triangles: NDArray[np.int64]
     """Triangles, anticlockwise, (m, 3)."""
-    same: NDArray[np.int64]
+    periodic_index: NDArray[np.int64]
     """Index of the particle within the period that each is a copy of, (n,)."""
     period: Array
     """Width and height of the period [m], (2,)."""
 
-    def inside(self, ends: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def in_period(self, edges: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return (m,) true for edges, given by their particles (m, 2), in the period; each edge counts exactly once."""
-        middle = self.positions[ends].mean(axis=1) + 1e-6
-        return np.asarray(((middle >= 0.0) & (middle < self.period)).all(axis=1))
+        midpoints = self.positions[edges].mean(axis=1) + 1e-6
+        return np.asarray(((midpoints >= 0.0) & (midpoints < self.period)).all(axis=1))
 
 
-def triangulation(jitter: float, *, size: int = 12, seed: int = 0, square: bool = False) -> Triangulation:
+def periodic_triangulation(jitter: float, *, size: int = 12, seed: int = 0, square: bool = False) -> Triangulation:
     """Return the Delaunay triangulation of `size` x `size` particles, each moved by up to `jitter` [m].
 
     The particles start at the corners of regular triangles of side 1 m, or of squares with `square`. A jitter of 1 or
@@ -138,27 +144,27 @@ def triangulation(jitter: float, *, size: int = 12, seed: int = 0, square: bool 
     positions = (points[None] + shifts[:, None]).reshape(-1, 2)
     triangles = Delaunay(positions).simplices.astype(np.int64)
     corners = positions[triangles]
-    turned = _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    triangles[turned < 0] = triangles[turned < 0, ::-1]
+    signed_area = _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    triangles[signed_area < 0] = triangles[signed_area < 0, ::-1]
     return Triangulation(
         positions=positions,
-        triangles=triangles[np.abs(turned) > 1e-9],
-        same=np.tile(np.arange(size * size), len(shifts)),
+        triangles=triangles[np.abs(signed_area) > 1e-9],
+        periodic_index=np.tile(np.arange(size * size), len(shifts)),
         period=period,
     )
 
 
 def triangle_patch(jitter: float, *, size: int = 12, seed: int = 0) -> Patch:
     """Return the hinges of a `triangulation`."""
-    mesh = triangulation(jitter, size=size, seed=seed)
+    mesh = periodic_triangulation(jitter, size=size, seed=seed)
     hinges = Surface.from_triangles(mesh.triangles, particle_count=len(mesh.positions)).hinges
-    hinges = hinges[mesh.inside(hinges[:, :2])]
+    hinges = hinges[mesh.in_period(hinges[:, :2])]
     flat = np.concatenate((mesh.positions, np.zeros((len(mesh.positions), 1))), axis=1)
     return Patch(
         positions=mesh.positions,
         hinges=hinges,
         constants=mesh_hinge_constants(hinges, flat, bending_modulus=1.0),
-        same=mesh.same,
+        periodic_index=mesh.periodic_index,
         area=float(mesh.period.prod()),
     )
 

@@ -30,10 +30,10 @@ from cloth_sim_ros.physics.sheets.hinge_shape import HingeShape
 EDGES = np.array([[0, 1], [0, 2], [1, 2], [0, 3], [1, 3], [2, 3]])
 
 #: Steps between checks for rest.
-LOOK = 50
+STEPS_PER_CHECK = 50
 
 #: Rest triangles: edge, heights and feet of the two wings [m].
-RESTS: dict[str, tuple[float, float, float, float, float]] = {
+REST_TRIANGLES: dict[str, tuple[float, float, float, float, float]] = {
     "equilateral": (1.0, math.sqrt(0.75), math.sqrt(0.75), 0.5, 0.5),
     "grid diagonal": (math.sqrt(2.0), math.sqrt(0.5), math.sqrt(0.5), math.sqrt(0.5), math.sqrt(0.5)),
     "grid edge": (1.0, 1.0, 1.0, 0.0, 1.0),
@@ -47,34 +47,34 @@ STARTS: tuple[Start, ...] = ("random", "inverted", "flat", "folded", "collinear"
 
 
 @attrs.frozen(kw_only=True)
-class Recovery:
+class RecoveryStatistics:
     """Statistics of a batch of starts."""
 
     starts: int
     missed: int
     """Number of starts that rest in another shape, or that do not come to rest."""
-    longest: int
+    max_steps: int
     """Steps until the slowest of them is at rest."""
-    latest_energy_rise: float
+    late_energy_rise: float
     """Largest rise of the total energy between two checks in the last tenth of any motion, over k7 L²."""
 
 
-def starts(kind: Start, rest: Array, count: int, rng: np.random.Generator) -> Array:
+def start_positions(kind: Start, rest_positions: Array, count: int, rng: np.random.Generator) -> Array:
     """Return start positions (count, 4, 3) [m], none of them planar, for a rest shape (4, 3)."""
-    size = float(np.linalg.norm(rest - rest.mean(axis=0), axis=1).max())
+    size = float(np.linalg.norm(rest_positions - rest_positions.mean(axis=0), axis=1).max())
     noise = rng.standard_normal((count, 4, 3))
     if kind == "random":
         return size * noise
     if kind == "inverted":  # the mirror image, nearly
-        return rest * np.array([1.0, 1.0, -1.0]) + 0.1 * size * noise
+        return rest_positions * np.array([1.0, 1.0, -1.0]) + 0.1 * size * noise
     if kind == "flat":  # planar but for a thousandth
-        x = rest + 0.3 * size * noise
+        x = rest_positions + 0.3 * size * noise
         x[:, :, 2] = 1e-3 * size * noise[:, :, 2]
         return x
     if kind == "folded":  # shut by nine tenths or more, either way
         turn = math.pi * rng.choice([-1.0, 1.0], count) * (1.0 - rng.uniform(0.0, 0.1, count))
-        edge, foot = np.linalg.norm(rest[1] - rest[0]), rest[2:, 1] - rest[0, 1]
-        height = np.linalg.norm(rest[2:] - rest[0], axis=1) ** 2 - foot**2
+        edge, foot = np.linalg.norm(rest_positions[1] - rest_positions[0]), rest_positions[2:, 1] - rest_positions[0, 1]
+        height = np.linalg.norm(rest_positions[2:] - rest_positions[0], axis=1) ** 2 - foot**2
         h0, h1 = np.sqrt(height)
         c, s = np.cos(0.5 * turn), np.sin(0.5 * turn)
         x = np.zeros((count, 4, 3))
@@ -89,21 +89,21 @@ def starts(kind: Start, rest: Array, count: int, rng: np.random.Generator) -> Ar
 
 def rest_shape(name: str, angle: float) -> Array:
     """Return the rest positions (4, 3) [m] of one of `RESTS`, folded by `angle` [rad], its edge along y."""
-    edge, h0, h1, f0, f1 = RESTS[name]
+    edge, h0, h1, f0, f1 = REST_TRIANGLES[name]
     c, s = math.cos(0.5 * angle), math.sin(0.5 * angle)
     return np.array([(0.0, 0.0, 0.0), (0.0, edge, 0.0), (-h0 * c, f0, h0 * s), (h1 * c, f1, h1 * s)])
 
 
-def recover(
+def simulate_recovery(
     x: Array,
-    rest: Array,
+    rest_positions: Array,
     *,
     model: Literal["crossed", "altitude"] = "altitude",
     ratio: float | None = None,
     edge_stiffness: float = 10.0,
     damping: float = 0.7,
     limit: int = 60_000,
-) -> Recovery:
+) -> RecoveryStatistics:
     """Integrate starts x (count, 4, 3) until rest, and count those that miss the rest shape (4, 3).
 
     `x` is changed in place.
@@ -117,10 +117,10 @@ def recover(
         damping: dimensionless k_d0 of every spring.
         limit: maximal number of steps; a motion that takes longer counts as missed.
     """
-    shape = HingeShape.of([[0, 1, 2, 3]], rest)
+    shape = HingeShape.of([[0, 1, 2, 3]], rest_positions)
     second, opposite = (float(k[0]) for k in spring_constants(model, shape, [1.0], ratio=ratio))
     ratio_second = second / opposite
-    lengths = np.linalg.norm(rest[EDGES[:, 1]] - rest[EDGES[:, 0]], axis=1)
+    lengths = np.linalg.norm(rest_positions[EDGES[:, 1]] - rest_positions[EDGES[:, 0]], axis=1)
     stiffness = np.array([edge_stiffness] * 5 + [1.0])  # unit masses; S7 has 1 N/m
     k_d = damping * np.sqrt(stiffness)
     h0 = float(shape.length(model)[0])
@@ -132,15 +132,17 @@ def recover(
         step,
         limit,
     )
-    found = np.linalg.norm(x[:, EDGES[:, 1]] - x[:, EDGES[:, 0]], axis=2)
-    final = signed_lengths(_quads(len(x)), _componentwise(x), kind=model)
-    near = 1e-3 * float(lengths.max())
-    right = (np.abs(found - lengths).max(axis=1) < near) & (np.abs(final - h0) < near)
-    return Recovery(
+    final_lengths = np.linalg.norm(x[:, EDGES[:, 1]] - x[:, EDGES[:, 0]], axis=2)
+    final_signed_lengths = signed_lengths(_quads(len(x)), _componentwise(x), kind=model)
+    length_tolerance = 1e-3 * float(lengths.max())
+    is_recovered = (np.abs(final_lengths - lengths).max(axis=1) < length_tolerance) & (
+        np.abs(final_signed_lengths - h0) < length_tolerance
+    )
+    return RecoveryStatistics(
         starts=len(x),
-        missed=int(np.count_nonzero(~right)),
-        longest=int(steps.max(initial=0)),
-        latest_energy_rise=float(rise.max(initial=0.0) / lengths.max() ** 2),
+        missed=int(np.count_nonzero(~is_recovered)),
+        max_steps=int(steps.max(initial=0)),
+        late_energy_rise=float(rise.max(initial=0.0) / lengths.max() ** 2),
     )
 
 
@@ -195,7 +197,7 @@ def _componentwise(x: Array) -> Array:
     return np.ascontiguousarray(x.reshape(-1, 3).T)
 
 
-def _come_to_rest(starts: Array, many: _Tetrahedra, step: float, limit: int) -> tuple[NDArray[np.int64], Array]:
+def _come_to_rest(starts: Array, tetrahedra: _Tetrahedra, step: float, limit: int) -> tuple[NDArray[np.int64], Array]:
     """Integrate all by the leapfrog until they rest; return the steps of each and its late rise of energy [J].
 
     A check for rest follows every `STEPS_PER_CHECK` steps. A tetrahedron rests if four successive checks find it at
@@ -203,20 +205,25 @@ def _come_to_rest(starts: Array, many: _Tetrahedra, step: float, limit: int) -> 
     """
     x, count = _componentwise(starts), len(starts)
     v, forces = np.zeros_like(x), np.zeros_like(x)
-    quiet, taken = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
-    history = [many.energies(x, v)]
-    for look in range(1, limit // LOOK + 1):
-        (run,), _ = many.plan.runs(0.0, LOOK * step, (x, v), [LOOK])
+    checks_at_rest, checks_until_rest = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    history = [tetrahedra.energies(x, v)]
+    for check_index in range(1, limit // STEPS_PER_CHECK + 1):
+        (run,), _ = tetrahedra.plan.runs(0.0, STEPS_PER_CHECK * step, (x, v), [STEPS_PER_CHECK])
         x, v = run.x, run.v
-        many.plan.accelerations(0.0, x, v, forces)
-        history.append(many.energies(x, v))
-        still = (2.0 * _kinetic_energies(forces) < 1e-14) & (_kinetic_energies(v) < 1e-14)
-        quiet = np.where(still, quiet + 1, 0)
-        taken[(quiet == 4) & (taken == 0)] = look
-        if taken.all():
+        tetrahedra.plan.accelerations(0.0, x, v, forces)
+        history.append(tetrahedra.energies(x, v))
+        is_at_rest = (2.0 * _kinetic_energies(forces) < 1e-14) & (_kinetic_energies(v) < 1e-14)
+        checks_at_rest = np.where(is_at_rest, checks_at_rest + 1, 0)
+        checks_until_rest[(checks_at_rest == 4) & (checks_until_rest == 0)] = check_index
+        if checks_until_rest.all():
             break
-    taken[taken == 0] = len(history) - 1
+    checks_until_rest[checks_until_rest == 0] = len(history) - 1
     starts[:] = x.T.reshape(-1, 4, 3)
-    rises = np.diff(np.array(history), axis=0)
-    rise = np.array([rises[last - last // 10 : last, k].max(initial=0.0) for k, last in enumerate(taken.tolist())])
-    return LOOK * taken, rise
+    energy_rises = np.diff(np.array(history), axis=0)
+    late_rises = np.array(
+        [
+            energy_rises[last_check - last_check // 10 : last_check, k].max(initial=0.0)
+            for k, last_check in enumerate(checks_until_rest.tolist())
+        ]
+    )
+    return STEPS_PER_CHECK * checks_until_rest, late_rises

@@ -18,7 +18,7 @@ import numpy as np
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.sheets.mesh import POISSON_RATIO, SHEAR_OVER_STRETCH, MeshSheet
 from cloth_sim_ros.physics.sheets.surface import Surface
-from validation.bending.patterns import Triangulation, triangulation
+from validation.bending.patterns import Triangulation, periodic_triangulation
 from validation.report import Report, Table
 
 #: Meshes: (square lattice, largest displacement of a vertex in sides); 1 leaves no trace of the lattice.
@@ -43,7 +43,7 @@ class Moduli:
     """Poisson's ratio along x, over 1/3."""
 
 
-def moduli_of(mesh: Triangulation, *, relaxed: bool = True) -> Moduli:
+def measure_moduli(mesh: Triangulation, *, relaxed: bool = True) -> Moduli:
     """Return the moduli of the package's edge springs on a mesh.
 
     Without `relaxed` every particle moves with the strain, which is stiffer than the sheet.
@@ -51,24 +51,29 @@ def moduli_of(mesh: Triangulation, *, relaxed: bool = True) -> Moduli:
     flat = np.concatenate((mesh.positions, np.zeros((len(mesh.positions), 1))), axis=1)
     sheet = MeshSheet(rest_positions=flat, surface=Surface.from_triangles(mesh.triangles, particle_count=len(flat)))
     springs = sheet.springs(stretch_modulus=1.0, k_d0=0.0, density=1.0)
-    mine = mesh.inside(springs.pairs)
-    pairs, root = springs.pairs[mine], np.sqrt(springs.stiffness[mine] / springs.rest_length[mine])[:, None]
-    away = mesh.positions[pairs[:, 1]] - mesh.positions[pairs[:, 0]]
-    x, y = (away / springs.rest_length[mine, None]).T
+    in_period = mesh.in_period(springs.pairs)
+    pairs, root_stiffness = (
+        springs.pairs[in_period],
+        np.sqrt(springs.stiffness[in_period] / springs.rest_length[in_period])[:, None],
+    )
+    separations = mesh.positions[pairs[:, 1]] - mesh.positions[pairs[:, 0]]
+    x, y = (separations / springs.rest_length[in_period, None]).T
     # Stretch of each spring under the unit strains xx, yy and (engineering) xy.
-    given = springs.rest_length[mine, None] * np.stack((x * x, y * y, x * y), axis=1)
-    least = root * given
+    strain_stretches = springs.rest_length[in_period, None] * np.stack((x * x, y * y, x * y), axis=1)
+    relaxed_stretches = root_stiffness * strain_stretches
     if relaxed:
-        count = int(mesh.same.max()) + 1
-        free = np.zeros((len(pairs), 2 * count))
-        ends, spring = mesh.same[pairs], np.arange(len(pairs))
-        for end, sign in ((1, 1.0), (0, -1.0)):
-            np.add.at(free, (spring, 2 * ends[:, end]), sign * x)
-            np.add.at(free, (spring, 2 * ends[:, end] + 1), sign * y)
+        n_particles = int(mesh.periodic_index.max()) + 1
+        displacement_stretches = np.zeros((len(pairs), 2 * n_particles))
+        periodic_ends, spring = mesh.periodic_index[pairs], np.arange(len(pairs))
+        for end_index, sign in ((1, 1.0), (0, -1.0)):
+            np.add.at(displacement_stretches, (spring, 2 * periodic_ends[:, end_index]), sign * x)
+            np.add.at(displacement_stretches, (spring, 2 * periodic_ends[:, end_index] + 1), sign * y)
         # Particle 0 is fixed: a uniform displacement stretches no spring.
-        pulls = (root * free)[:, 2:]
-        least = least - pulls @ np.linalg.solve(pulls.T @ pulls, pulls.T @ least)
-    compliance = np.linalg.inv(least.T @ least / float(mesh.period.prod()))
+        weighted_stretches = (root_stiffness * displacement_stretches)[:, 2:]
+        relaxed_stretches = relaxed_stretches - weighted_stretches @ np.linalg.solve(
+            weighted_stretches.T @ weighted_stretches, weighted_stretches.T @ relaxed_stretches
+        )
+    compliance = np.linalg.inv(relaxed_stretches.T @ relaxed_stretches / float(mesh.period.prod()))
     return Moduli(
         along_x=float(1.0 / compliance[0, 0]),
         along_y=float(1.0 / compliance[1, 1]),
@@ -91,19 +96,22 @@ def run(options: argparse.Namespace) -> Report:
     table = Table(f"Moduli over those asked for, {options.patterns} random Delaunay meshes a row", columns)
     for square, jitter in MESHES:
         meshes = [
-            triangulation(jitter, size=options.size, seed=seed, square=square) for seed in range(options.patterns)
+            periodic_triangulation(jitter, size=options.size, seed=seed, square=square)
+            for seed in range(options.patterns)
         ]
-        found, affine = ([moduli_of(mesh, relaxed=relaxed) for mesh in meshes] for relaxed in (True, False))
+        relaxed_moduli, affine = (
+            [measure_moduli(mesh, relaxed=relaxed) for mesh in meshes] for relaxed in (True, False)
+        )
         for name in ("Young's", "shear", "Poisson's"):
-            values, bound = _of(name, found), _of(name, affine)
-            spread = [float(q) for q in np.quantile(values, (0.05, 0.95))]
+            values, affine_values = _moduli_by_name(name, relaxed_moduli), _moduli_by_name(name, affine)
+            percentiles = [float(q) for q in np.quantile(values, (0.05, 0.95))]
             row = ["squares" if square else "triangles", f"{jitter:g} side", name, float(values.mean())]
-            table.rows.append([*row, float(values.std(ddof=1)), *spread, float(bound.mean())])
+            table.rows.append([*row, float(values.std(ddof=1)), *percentiles, float(affine_values.mean())])
     note = f"{options.size**2} vertices a mesh, periodic; Young's modulus along x and along y both count"
     return Report("Moduli of irregular meshes", "python -m validation mesh-moduli", tables=[table], notes=[note])
 
 
-def _of(name: str, found: list[Moduli]) -> Array:
+def _moduli_by_name(name: str, moduli: list[Moduli]) -> Array:
     if name == "Young's":
-        return np.array([value for one in found for value in (one.along_x, one.along_y)])
-    return np.array([one.shear if name == "shear" else one.poisson for one in found])
+        return np.array([value for mesh_moduli in moduli for value in (mesh_moduli.along_x, mesh_moduli.along_y)])
+    return np.array([mesh_moduli.shear if name == "shear" else mesh_moduli.poisson for mesh_moduli in moduli])

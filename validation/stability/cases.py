@@ -22,9 +22,9 @@ from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation
-from validation.stability.limits import stretch_of
-from validation.stability.stress_cases import ATTACKS, Moment
-from validation.stability.stress_cases_contact import CONTACT_ATTACKS
+from validation.stability.limits import max_stretch
+from validation.stability.stress_cases import STRESS_CASES, StressFrame
+from validation.stability.stress_cases_contact import CONTACT_STRESS_CASES
 
 RESOLUTION = 12
 #: Simulated time of a case [s].
@@ -37,13 +37,13 @@ STEPPINGS = ("auto", "fixed")
 MORE_SHEETS = ("mesh", "opposite", "crossed", "altitude")
 SHEETS = ("grid", *MORE_SHEETS)
 MORE_STIFFNESSES, MORE_RATES, MORE_DAMPINGS = (1.0, 1e2, 1e4), (60.0,), (0.0, 0.5)
-_EVERY = {**ATTACKS, **CONTACT_ATTACKS}
+_ALL_STRESS_CASES = {**STRESS_CASES, **CONTACT_STRESS_CASES}
 #: Target of the position error [m].
 TOLERANCE = 1e-3
 #: Fixed explicit steps are this fraction of the stability limit at the start.
-FIXED_SHARE = 0.5
+FIXED_STEP_FRACTION = 0.5
 #: If a fixed explicit step needs more steps, the implicit method at half a frame replaces it.
-_MOST_STEPS = 200_000
+_MAX_FIXED_STEPS = 200_000
 
 
 @attrs.frozen
@@ -62,7 +62,7 @@ class Case:
 
 
 @attrs.frozen
-class Verdict:
+class StabilityResult:
     """Stability and energy gain of one case."""
 
     #: Names of the integrators that ran.
@@ -81,11 +81,11 @@ class Verdict:
     trouble: str = ""
 
 
-def every_case() -> list[Case]:
+def all_cases() -> list[Case]:
     """Return all cases of the scan."""
-    grids = itertools.product(("grid",), ATTACKS, STIFFNESSES, DAMPINGS, RATES, STEPPINGS)
-    more = itertools.product(MORE_SHEETS, ATTACKS, MORE_STIFFNESSES, MORE_DAMPINGS, MORE_RATES, STEPPINGS)
-    return [Case(*combination) for combination in (*grids, *more)]
+    grid_cases = itertools.product(("grid",), STRESS_CASES, STIFFNESSES, DAMPINGS, RATES, STEPPINGS)
+    sheet_cases = itertools.product(MORE_SHEETS, STRESS_CASES, MORE_STIFFNESSES, MORE_DAMPINGS, MORE_RATES, STEPPINGS)
+    return [Case(*combination) for combination in (*grid_cases, *sheet_cases)]
 
 
 def random_cases(seed: int, count: int) -> list[Case]:
@@ -100,7 +100,7 @@ def random_cases(seed: int, count: int) -> list[Case]:
         low, high = np.log10(min(stiffnesses)), np.log10(max(stiffnesses))
         damping = 0.0 if rng.random() < 0.2 else float(rng.uniform(min(dampings), max(dampings)))
         rate = float(rng.integers(round(min(rates)), round(max(rates)) + 1))
-        attack, stepping = str(rng.choice(list(ATTACKS))), str(rng.choice(STEPPINGS))
+        attack, stepping = str(rng.choice(list(STRESS_CASES))), str(rng.choice(STEPPINGS))
         cases.append(Case(sheet, attack, float(10.0 ** rng.uniform(low, high)), damping, rate, stepping))
     return cases
 
@@ -110,7 +110,7 @@ def contact_cases(seed: int, count: int) -> list[Case]:
     rng = np.random.default_rng(seed)
     cases = []
     for k in range(count):
-        attack = list(CONTACT_ATTACKS)[k % len(CONTACT_ATTACKS)]
+        attack = list(CONTACT_STRESS_CASES)[k % len(CONTACT_STRESS_CASES)]
         damping = 0.0 if rng.random() < 0.2 else float(rng.uniform(0.0, 1.0))
         rate = float(rng.integers(round(min(RATES)), round(max(RATES)) + 1))
         cases.append(Case("grid", attack, float(10.0 ** rng.uniform(0.0, 2.0)), damping, rate, "auto"))
@@ -119,11 +119,11 @@ def contact_cases(seed: int, count: int) -> list[Case]:
 
 def scene(case: Case) -> Scene:
     """Return a sheet of 1 m x 1 m and 0.2 kg, hung by its upper edge, with the integrator `auto`."""
-    values: dict[str, Any] = {
+    parameters: dict[str, Any] = {
         "rate": case.rate,
         "material.damping": case.damping,
         "gripper.stiffness": 1000.0 * min(case.stiffness, 1e4),
-        "gripper.radius": _EVERY[case.attack].radius,
+        "gripper.radius": _ALL_STRESS_CASES[case.attack].radius,
         "gripper.max_speed": 0.0,
         "wind.normal_drag": 0.0,
         "tolerance": TOLERANCE,
@@ -132,12 +132,12 @@ def scene(case: Case) -> Scene:
     if case.sheet == "mesh":
         mesh, anchors = _mesh()
         return Scene.from_parameters(
-            {**values, "cloth.mesh": "sheet.obj", "cloth.anchors": anchors, "bending.model": "opposite"},
+            {**parameters, "cloth.mesh": "sheet.obj", "cloth.anchors": anchors, "bending.model": "opposite"},
             files={"sheet.obj": mesh},
         )
     model = "axial" if case.sheet == "grid" else case.sheet
-    values |= {"cloth.resolution": [RESOLUTION, RESOLUTION], "bending.model": model}
-    return Scene.from_parameters({**values, **_EVERY[case.attack].values})
+    parameters |= {"cloth.resolution": [RESOLUTION, RESOLUTION], "bending.model": model}
+    return Scene.from_parameters({**parameters, **_ALL_STRESS_CASES[case.attack].values})
 
 
 def _moduli(case: Case) -> dict[str, float]:
@@ -155,10 +155,10 @@ def _moduli(case: Case) -> dict[str, float]:
 def _mesh() -> tuple[bytes, list[str]]:
     """Return an irregular mesh as the content of an OBJ file, and the particles of its upper edge."""
     sheet = irregular_sheet()
-    rest = sheet.positions()
-    lines = [f"v {x} {y} {z}" for x, y, z in rest.tolist()]
+    rest_positions = sheet.positions()
+    lines = [f"v {x} {y} {z}" for x, y, z in rest_positions.tolist()]
     lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in sheet.surface.triangles.tolist()]
-    top = np.flatnonzero(rest[:, 2] > rest[:, 2].max() - 1e-9)
+    top = np.flatnonzero(rest_positions[:, 2] > rest_positions[:, 2].max() - 1e-9)
     return "\n".join(lines).encode(), [str(particle) for particle in top]
 
 
@@ -188,10 +188,10 @@ class EnergyAccount:
         self._simulation = simulation
         self._kinetic = _kinetic(simulation)
         self._start = simulation.energy()
-        self._least = self._least_own = self._start
-        self._put_in = 0.0
+        self._min_energy = self._min_modified_energy = self._start
+        self._external_work = 0.0
         # Motion below the tolerance is not resolved: the scale of gains is at least the weight's work over it.
-        self._turned = 9.81 * simulation.model.mass * TOLERANCE
+        self._energy_turned_over = 9.81 * simulation.model.mass * TOLERANCE
         #: See `StabilityResult.gain`.
         self.gain = 0.0
 
@@ -205,58 +205,70 @@ class EnergyAccount:
             work: external work over the frame [J].
             step: length of fixed leapfrog steps [s]; None for any other stepping.
         """
-        self._put_in += work
-        run = self._simulation
-        energy = own = run.energy()
+        self._external_work += work
+        simulation = self._simulation
+        energy = modified_energy = simulation.energy()
         if step is not None:
-            own = leapfrog_energy(run.plan, run.time, run.state.x, run.state.v, step)
-        energy, own = energy - self._put_in, own - self._put_in
+            modified_energy = leapfrog_energy(
+                simulation.plan, simulation.time, simulation.state.x, simulation.state.v, step
+            )
+        energy, modified_energy = energy - self._external_work, modified_energy - self._external_work
         kinetic = _kinetic(self._simulation)
-        self._turned += abs(kinetic - self._kinetic) + abs(work)
-        self._turned = max(self._turned, self._start - energy)
+        self._energy_turned_over += abs(kinetic - self._kinetic) + abs(work)
+        self._energy_turned_over = max(self._energy_turned_over, self._start - energy)
         self._kinetic = kinetic
-        self.gain = max(self.gain, min(energy - self._least, own - self._least_own) / self._turned)
-        self._least, self._least_own = min(self._least, energy), min(self._least_own, own)
+        self.gain = max(
+            self.gain,
+            min(energy - self._min_energy, modified_energy - self._min_modified_energy) / self._energy_turned_over,
+        )
+        self._min_energy, self._min_modified_energy = (
+            min(self._min_energy, energy),
+            min(self._min_modified_energy, modified_energy),
+        )
 
 
-def run_case(case: Case) -> Verdict:
+def run_case(case: Case) -> StabilityResult:
     """Run one case to its end."""
-    attack = _EVERY[case.attack]
-    built = scene(case)
-    start = State(attack.start(built.initial_positions(), np.random.default_rng(3)))
+    stress_case = _ALL_STRESS_CASES[case.attack]
+    case_scene = scene(case)
+    start = State(stress_case.start(case_scene.initial_positions(), np.random.default_rng(3)))
     if case.stepping == "fixed":
-        built = built.changed(_fixed(case, built, start))
-    simulation = WatchedSimulation(built, start)
-    rest = built.initial_positions()
-    corner = rest[np.argmax(rest[:, 0] - rest[:, 2])]
+        case_scene = case_scene.changed(_fixed_step_values(case, case_scene, start))
+    simulation = WatchedSimulation(case_scene, start)
+    rest_positions = case_scene.initial_positions()
+    corner = rest_positions[np.argmax(rest_positions[:, 0] - rest_positions[:, 2])]
     springs = _springs(simulation.model)
     account = EnergyAccount(simulation)
     strain, flagged, rejected = 0.0, 0, 0
     names: dict[str, None] = {}
     trouble = ""
     for frame in range(round(DURATION * case.rate)):
-        events = attack.events(Moment(frame / case.rate, 1.0 / case.rate, corner, _moduli(case)))
+        events = stress_case.events(StressFrame(frame / case.rate, 1.0 / case.rate, corner, _moduli(case)))
         try:
-            put_in = simulation.work_of_parameters(events)
-            done = simulation.advance(events).advance
+            parameter_work = simulation.work_of_parameters(events)
+            advance = simulation.advance(events).advance
         except (UnstableError, ValueError) as error:
             trouble = f"at {frame / case.rate:.3g} s: {error}"
             break
-        if done is not None:
-            names[done.integrator] = None
-            flagged, rejected = flagged + done.flagged, rejected + done.rejected
-        own = done is not None and done.error is None and done.integrator == "leapfrog"
-        account.close(put_in + simulation.work, done.step if done is not None and own else None)
-        stretches = (stretch_of(each.pairs, each.rest_length, simulation.state.x) for each in springs)
-        strain = max(strain, *(stretch - 1.0 for stretch in stretches))
+        if advance is not None:
+            names[advance.integrator] = None
+            flagged, rejected = flagged + advance.flagged, rejected + advance.rejected
+        has_fixed_step = advance is not None and advance.error is None and advance.integrator == "leapfrog"
+        account.close(
+            parameter_work + simulation.work, advance.step if advance is not None and has_fixed_step else None
+        )
+        max_stretches = (
+            max_stretch(spring_group.pairs, spring_group.rest_length, simulation.state.x) for spring_group in springs
+        )
+        strain = max(strain, *(stretch - 1.0 for stretch in max_stretches))
     finite = not trouble and bool(np.isfinite(simulation.state.x).all() and np.isfinite(simulation.state.v).all())
-    return Verdict(tuple(names), finite, strain, account.gain, flagged, rejected, trouble)
+    return StabilityResult(tuple(names), finite, strain, account.gain, flagged, rejected, trouble)
 
 
-def _fixed(case: Case, built: Scene, start: State) -> dict[str, Any]:
+def _fixed_step_values(case: Case, case_scene: Scene, start: State) -> dict[str, Any]:
     """Return parameters of a fixed step: a fraction of the stability limit at the start."""
-    step = FIXED_SHARE * Leapfrog().step_limit(*built.plan().spectral_bounds(start.x))
-    if DURATION / step <= _MOST_STEPS:
+    step = FIXED_STEP_FRACTION * Leapfrog().step_limit(*case_scene.plan().spectral_bounds(start.x))
+    if DURATION / step <= _MAX_FIXED_STEPS:
         return {"integrator": "leapfrog", "step": step}
     return {"integrator": "implicit", "step": 0.5 / case.rate}
 

@@ -11,16 +11,16 @@ from typing import Any
 
 import attrs
 
-from validation.case_pool import Done, run_cases, run_missing, shown
+from validation.case_pool import CaseResult, run_cases, run_missing, show_progress
 from validation.report import Report, Table
-from validation.stability.cases import Case, Verdict, contact_cases, every_case, random_cases, run_case
+from validation.stability.cases import Case, StabilityResult, all_cases, contact_cases, random_cases, run_case
 from validation.stability.limits import PEER_CASES, PeerCase, limits, run_peer_case
 
 #: Largest energy gain of a case beyond the external work, relative to the energy turned over.
-LARGEST_GAIN = 0.01
+MAX_ENERGY_GAIN = 0.01
 PARTS = ("scan", "limits", "peers")
 #: Number of slowest cases in the report.
-_SLOWEST = 10
+_N_SLOWEST = 10
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,11 +44,11 @@ def run(options: argparse.Namespace) -> Report:
     """Run the selected parts."""
     report = Report("Stability", "python -m validation stability")
     if "scan" in options.parts:
-        every = random_cases(options.seed, options.random) if options.random else every_case()
+        candidates = random_cases(options.seed, options.random) if options.random else all_cases()
         if options.contact:
-            every = contact_cases(options.seed, options.contact)
-        cases = every[:: options.every][: options.only]
-        _tell(report, _scan(cases, options), len(every))
+            candidates = contact_cases(options.seed, options.contact)
+        cases = candidates[:: options.every][: options.only]
+        _add_scan_results(report, _scan(cases, options), len(candidates))
     if "limits" in options.parts:
         table, failures = limits()
         report.tables.append(table)
@@ -58,36 +58,36 @@ def run(options: argparse.Namespace) -> Report:
     return report
 
 
-def _scan(cases: list[Case], options: argparse.Namespace) -> list[Done[Case, Verdict]]:
-    limits = {"workers": options.workers, "limit": options.limit}
-    found = run_missing(run_case, cases, **limits, file=options.resume, read=_read)
-    return list(shown(found, len(cases), "case"))
+def _scan(cases: list[Case], options: argparse.Namespace) -> list[CaseResult[Case, StabilityResult]]:
+    pool_limits = {"workers": options.workers, "limit": options.limit}
+    results = run_missing(run_case, cases, **pool_limits, file=options.resume, read=_read)
+    return list(show_progress(results, len(cases), "case"))
 
 
-def _read(entry: dict[str, Any]) -> Done[Case, Verdict]:
+def _read(entry: dict[str, Any]) -> CaseResult[Case, StabilityResult]:
     case, result = Case(**entry["case"]), entry["result"]
-    verdict = None if result is None else Verdict(**{**result, "integrators": tuple(result["integrators"])})
-    return Done(case, verdict, entry["seconds"], entry["trouble"])
+    verdict = None if result is None else StabilityResult(**{**result, "integrators": tuple(result["integrators"])})
+    return CaseResult(case, verdict, entry["seconds"], entry["trouble"])
 
 
-def _tell(report: Report, dones: list[Done[Case, Verdict]], every: int) -> None:
-    report.tables += [_summary(dones, ("sheet", "attack", "stepping")), _summary(dones, ("stiffness", "damping"))]
-    for done in dones:
+def _add_scan_results(report: Report, results: list[CaseResult[Case, StabilityResult]], n_all_cases: int) -> None:
+    report.tables += [_summary(results, ("sheet", "attack", "stepping")), _summary(results, ("stiffness", "damping"))]
+    for done in results:
         case, verdict = done.case, done.result
         if verdict is None or not verdict.finite:
             report.failures.append(f"{case}: {done.trouble or (verdict and verdict.trouble) or 'not finite'}")
-        elif verdict.gain > LARGEST_GAIN:
+        elif verdict.gain > MAX_ENERGY_GAIN:
             names = ", ".join(verdict.integrators)
             report.failures.append(f"{case} by {names}: gains {verdict.gain:.2g} of the energy turned over")
     slowest = Table("Slowest cases", ["sheet", "attack", "moduli x", "k_d0", "rate 1/s", "stepping", "wall s"])
-    for done in sorted(dones, key=lambda done: -done.seconds)[:_SLOWEST]:
+    for done in sorted(results, key=lambda done: -done.seconds)[:_N_SLOWEST]:
         slowest.rows.append([*attrs.astuple(done.case), done.seconds])
     report.tables.append(slowest)
-    total = sum(done.seconds for done in dones)
-    report.notes.append(f"{len(dones)} cases of {every}, {total:.0f} s of wall time in all processes together")
+    total = sum(done.seconds for done in results)
+    report.notes.append(f"{len(results)} cases of {n_all_cases}, {total:.0f} s of wall time in all processes together")
 
 
-def _summary(dones: list[Done[Case, Verdict]], keys: tuple[str, ...]) -> Table:
+def _summary(results: list[CaseResult[Case, StabilityResult]], keys: tuple[str, ...]) -> Table:
     table = Table(
         f"Scan by {', '.join(keys)}",
         [
@@ -102,8 +102,8 @@ def _summary(dones: list[Done[Case, Verdict]], keys: tuple[str, ...]) -> Table:
             "integrators",
         ],
     )
-    groups: dict[tuple[Any, ...], list[Done[Case, Verdict]]] = defaultdict(list)
-    for done in dones:
+    groups: dict[tuple[Any, ...], list[CaseResult[Case, StabilityResult]]] = defaultdict(list)
+    for done in results:
         groups[tuple(getattr(done.case, key) for key in keys)].append(done)
     for key in sorted(groups):
         group = groups[key]

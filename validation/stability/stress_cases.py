@@ -14,16 +14,16 @@ from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.simulation.events import Event, Grasp, SetParameters, Target
 
 #: Speed of a gripper that is yanked away [m/s].
-YANK = 10.0
+YANK_SPEED = 10.0
 #: Radius of the gripper [m], and its radius in `zero-length springs`.
 RADIUS, WIDE_RADIUS = 0.15, 0.4
 #: Divisor of the moduli during the soft phase of `parameters change`.
-SOFTENED = 10.0
+SOFTENING_FACTOR = 10.0
 _GRIPPER = "gripper"
 
 
 @attrs.frozen
-class Moment:
+class StressFrame:
     """Frame before which an event may happen."""
 
     #: Time at its start, and its length [s].
@@ -34,136 +34,144 @@ class Moment:
     #: Moduli of the case [N/m] by parameter.
     moduli: dict[str, float]
 
-    def is_first_after(self, moment: float) -> bool:
+    def is_first_after(self, time: float) -> bool:
         """Return true for the first frame that starts at a time [s] or later."""
-        return moment <= self.t + 1e-9 * self.period < moment + self.period
+        return time <= self.t + 1e-9 * self.period < time + self.period
 
 
 @attrs.frozen
-class Attack:
+class StressCase:
     """Initial positions and events of a case."""
 
     #: Returns initial positions (n, 3) for rest positions (n, 3) and a random generator.
     start: Callable[[Array, np.random.Generator], Array]
     #: Returns the events before a frame.
-    events: Callable[[Moment], list[Event]]
+    events: Callable[[StressFrame], list[Event]]
     radius: float = RADIUS
     #: Additional parameters of its scene.
     values: dict[str, Any] = attrs.field(factory=dict)
 
 
-def _as_it_is(rest: Array, random: np.random.Generator) -> Array:
-    return rest
+def _unchanged(rest_positions: Array, random: np.random.Generator) -> Array:
+    return rest_positions
 
 
-def _stretched(rest: Array, random: np.random.Generator) -> Array:
-    return rest[0] + 3.0 * (rest - rest[0])
+def _stretched(rest_positions: Array, random: np.random.Generator) -> Array:
+    return rest_positions[0] + 3.0 * (rest_positions - rest_positions[0])
 
 
-def _crumpled(rest: Array, random: np.random.Generator) -> Array:
-    return rest[0] + 0.2 * (rest - rest[0]) + 0.02 * random.normal(size=rest.shape)
+def _crumpled(rest_positions: Array, random: np.random.Generator) -> Array:
+    return (
+        rest_positions[0] + 0.2 * (rest_positions - rest_positions[0]) + 0.02 * random.normal(size=rest_positions.shape)
+    )
 
 
-def _middle(rest: Array) -> np.ndarray:
+def _by_distance_from_centre(rest_positions: Array) -> np.ndarray:
     """Return particles sorted by their distance from the centre of the sheet."""
-    away = rest - rest.mean(axis=0)
-    return np.argsort(np.sum(away * away, axis=1), kind="stable")
+    offsets = rest_positions - rest_positions.mean(axis=0)
+    return np.argsort(np.sum(offsets * offsets, axis=1), kind="stable")
 
 
-def _coincident(rest: Array, random: np.random.Generator) -> Array:
-    changed = rest.copy()
-    changed[_middle(rest)[:5]] = rest[_middle(rest)[0]]
+def _coincident(rest_positions: Array, random: np.random.Generator) -> Array:
+    changed = rest_positions.copy()
+    changed[_by_distance_from_centre(rest_positions)[:5]] = rest_positions[_by_distance_from_centre(rest_positions)[0]]
     return changed
 
 
-def _to_a_point(rest: Array, random: np.random.Generator) -> Array:
+def _collapsed(rest_positions: Array, random: np.random.Generator) -> Array:
     """Move the lower half to one point."""
-    changed = rest.copy()
-    lower = rest[:, 2] < rest[:, 2].mean()
-    changed[lower] = rest[lower].mean(axis=0)
+    changed = rest_positions.copy()
+    lower = rest_positions[:, 2] < rest_positions[:, 2].mean()
+    changed[lower] = rest_positions[lower].mean(axis=0)
     return changed
 
 
-def _inverted(rest: Array, random: np.random.Generator) -> Array:
-    changed = rest.copy()
-    near = _middle(rest)[:6]
-    changed[[near[0], near[5]]] = changed[[near[5], near[0]]]
+def _inverted(rest_positions: Array, random: np.random.Generator) -> Array:
+    changed = rest_positions.copy()
+    nearest_to_centre = _by_distance_from_centre(rest_positions)[:6]
+    changed[[nearest_to_centre[0], nearest_to_centre[5]]] = changed[[nearest_to_centre[5], nearest_to_centre[0]]]
     return changed
 
 
-def _folded(rest: Array, random: np.random.Generator) -> Array:
+def _folded(rest_positions: Array, random: np.random.Generator) -> Array:
     """Fold the lower half up by nearly 180 degrees, onto the upper one."""
-    changed = rest.copy()
-    fold = rest[:, 2].mean()
-    lower = rest[:, 2] < fold
-    changed[lower, 1] += 0.02 * (fold - rest[lower, 2])
-    changed[lower, 2] = 2.0 * fold - rest[lower, 2]
+    changed = rest_positions.copy()
+    fold_height = rest_positions[:, 2].mean()
+    lower = rest_positions[:, 2] < fold_height
+    changed[lower, 1] += 0.02 * (fold_height - rest_positions[lower, 2])
+    changed[lower, 2] = 2.0 * fold_height - rest_positions[lower, 2]
     return changed
 
 
-def _nothing(moment: Moment) -> list[Event]:
+def _no_events(frame: StressFrame) -> list[Event]:
     return []
 
 
-def _close(moment: Moment) -> list[Event]:
-    return [Target(_GRIPPER, moment.corner), Grasp(_GRIPPER, True)]
+def _grasp_corner(frame: StressFrame) -> list[Event]:
+    return [Target(_GRIPPER, frame.corner), Grasp(_GRIPPER, True)]
 
 
-def _release(moment: Moment) -> list[Event]:
-    if moment.is_first_after(0.0):
-        return _close(moment)
-    if moment.t < 0.25:
-        return [Target(_GRIPPER, moment.corner + (moment.t + moment.period) * np.array([0.0, 0.8, 0.4]))]
-    return [Grasp(_GRIPPER, False)] if moment.is_first_after(0.25 + moment.period) else []
+def _release(frame: StressFrame) -> list[Event]:
+    if frame.is_first_after(0.0):
+        return _grasp_corner(frame)
+    if frame.t < 0.25:
+        return [Target(_GRIPPER, frame.corner + (frame.t + frame.period) * np.array([0.0, 0.8, 0.4]))]
+    return [Grasp(_GRIPPER, False)] if frame.is_first_after(0.25 + frame.period) else []
 
 
-def _snap(moment: Moment) -> list[Event]:
-    if moment.is_first_after(0.1):
-        return _close(moment)
-    late = moment.is_first_after(0.1 + 2.0 * moment.period)
-    return [Target(_GRIPPER, moment.corner + np.array([0.0, 0.3, 0.1]))] if late else []
+def _snap(frame: StressFrame) -> list[Event]:
+    if frame.is_first_after(0.1):
+        return _grasp_corner(frame)
+    is_jump_frame = frame.is_first_after(0.1 + 2.0 * frame.period)
+    return [Target(_GRIPPER, frame.corner + np.array([0.0, 0.3, 0.1]))] if is_jump_frame else []
 
 
-def _yank(moment: Moment) -> list[Event]:
-    if moment.is_first_after(0.0):
-        return _close(moment)
-    if moment.t < 0.15:
+def _yank(frame: StressFrame) -> list[Event]:
+    if frame.is_first_after(0.0):
+        return _grasp_corner(frame)
+    if frame.t < 0.15:
         return [
-            Target(_GRIPPER, moment.corner + YANK * (moment.t + moment.period) * np.array([0.0, 0.8, 0.6])),
+            Target(_GRIPPER, frame.corner + YANK_SPEED * (frame.t + frame.period) * np.array([0.0, 0.8, 0.6])),
         ]
-    return [Grasp(_GRIPPER, False)] if moment.is_first_after(0.15 + moment.period) else []
+    return [Grasp(_GRIPPER, False)] if frame.is_first_after(0.15 + frame.period) else []
 
 
-def _jumps(moment: Moment) -> list[Event]:
+def _jump(frame: StressFrame) -> list[Event]:
     """Move a grasped patch back and forth through the zero length of its springs, and turn it."""
-    if moment.is_first_after(0.0):
-        return _close(moment)
-    for k, moment_of_jump in enumerate((0.1, 0.2, 0.3, 0.4)):
-        if moment.is_first_after(moment_of_jump):
-            side = np.array([0.0, 0.2 if k % 2 else -0.2, 0.05])
-            half = 0.25 * np.pi * (k + 1)
-            return [Target(_GRIPPER, moment.corner + side, (0.0, 0.0, float(np.sin(half)), float(np.cos(half))))]
+    if frame.is_first_after(0.0):
+        return _grasp_corner(frame)
+    for k, jump_time in enumerate((0.1, 0.2, 0.3, 0.4)):
+        if frame.is_first_after(jump_time):
+            displacement = np.array([0.0, 0.2 if k % 2 else -0.2, 0.05])
+            half_angle = 0.25 * np.pi * (k + 1)
+            return [
+                Target(
+                    _GRIPPER,
+                    frame.corner + displacement,
+                    (0.0, 0.0, float(np.sin(half_angle)), float(np.cos(half_angle))),
+                )
+            ]
     return []
 
 
-def _parameters(moment: Moment) -> list[Event]:
+def _parameters(frame: StressFrame) -> list[Event]:
     """Reduce the moduli during the run, and restore them."""
-    if moment.is_first_after(0.1):
-        return [SetParameters({name: value / SOFTENED for name, value in moment.moduli.items()})]
-    return [SetParameters(dict(moment.moduli))] if moment.is_first_after(0.3) else []
+    if frame.is_first_after(0.1):
+        return [SetParameters({name: value / SOFTENING_FACTOR for name, value in frame.moduli.items()})]
+    return [SetParameters(dict(frame.moduli))] if frame.is_first_after(0.3) else []
 
 
-ATTACKS = {
-    "hanging": Attack(_as_it_is, _nothing),
-    "release": Attack(_as_it_is, _release),
-    "snap grasp": Attack(_as_it_is, _snap),
-    "yanked at 10 m/s": Attack(_as_it_is, _yank),
-    "zero-length springs": Attack(_as_it_is, _jumps, radius=WIDE_RADIUS),
-    "parameters change": Attack(_folded, _parameters),
-    "stretched x 3": Attack(_stretched, _nothing),
-    "crumpled": Attack(_crumpled, _nothing),
-    "coincident": Attack(_coincident, _nothing),
-    "half in one point": Attack(_to_a_point, _nothing),
-    "inverted cell": Attack(_inverted, _nothing),
-    "folded shut": Attack(_folded, _nothing),
+STRESS_CASES = {
+    "hanging": StressCase(_unchanged, _no_events),
+    "release": StressCase(_unchanged, _release),
+    "snap grasp": StressCase(_unchanged, _snap),
+    "yanked at 10 m/s": StressCase(_unchanged, _yank),
+    "zero-length springs": StressCase(_unchanged, _jump, radius=WIDE_RADIUS),
+    "parameters change": StressCase(_folded, _parameters),
+    "stretched x 3": StressCase(_stretched, _no_events),
+    "crumpled": StressCase(_crumpled, _no_events),
+    "coincident": StressCase(_coincident, _no_events),
+    "half in one point": StressCase(_collapsed, _no_events),
+    "inverted cell": StressCase(_inverted, _no_events),
+    "folded shut": StressCase(_folded, _no_events),
 }

@@ -10,12 +10,12 @@ import numpy as np
 
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
-from validation.stability.stress_cases import YANK, Attack, Moment
+from validation.stability.stress_cases import YANK_SPEED, StressCase, StressFrame
 
 #: Contact thickness in these cases [m]: the cells of the cloth are 0.14 m wide.
 THICKNESS = 0.01
 #: Gaps relative to the thickness: of the start at an obstacle, of the folded start, and of the crushing plates.
-NEARLY_ON, FOLDED, CRUSHED = 0.021, 0.3, 0.3
+START_GAP, FOLDED_GAP, CRUSHED_GAP = 0.021, 0.3, 0.3
 _COMMON: dict[str, Any] = {"cloth.resolution": [8, 8], "contact.thickness": THICKNESS, "gripper.max_speed": 0.0}
 _PLATE: dict[str, Any] = {"shape": "box", "size": [1.2, 0.1, 1.2], "friction": [0.5, 0.4]}
 
@@ -25,48 +25,50 @@ def _plate(name: str, y: float) -> dict[str, Any]:
     return {**{f"{name}.{key}": value for key, value in _PLATE.items()}, f"{name}.position": [0.0, y, 1.0]}
 
 
-def _as_it_is(rest: Array, random: np.random.Generator) -> Array:
-    return rest
+def _unchanged(rest_positions: Array, random: np.random.Generator) -> Array:
+    return rest_positions
 
 
-def _folded(rest: Array, random: np.random.Generator) -> Array:
+def _folded(rest_positions: Array, random: np.random.Generator) -> Array:
     """Mirror the lower half onto the upper one at a small gap."""
-    changed = rest.copy()
-    fold = rest[:, 2].mean()
-    lower = rest[:, 2] < fold
-    changed[lower, 1] += FOLDED * THICKNESS
-    changed[lower, 2] = 2.0 * fold - rest[lower, 2]
+    changed = rest_positions.copy()
+    fold_height = rest_positions[:, 2].mean()
+    lower = rest_positions[:, 2] < fold_height
+    changed[lower, 1] += FOLDED_GAP * THICKNESS
+    changed[lower, 2] = 2.0 * fold_height - rest_positions[lower, 2]
     return changed
 
 
-def _through(moment: Moment) -> list[Event]:
-    return [Move("crate", (0.0, 0.8, 1.0))] if moment.is_first_after(0.05) else []
+def _drive_through(frame: StressFrame) -> list[Event]:
+    return [Move("crate", (0.0, 0.8, 1.0))] if frame.is_first_after(0.05) else []
 
 
-def _pinched(moment: Moment) -> list[Event]:
+def _pinch_and_yank(frame: StressFrame) -> list[Event]:
     """Close the jaws on the free corner, and yank them away."""
-    if moment.is_first_after(0.0):
-        return [Target("gripper", moment.corner), Grasp("gripper", True)]
-    if 0.2 <= moment.t < 0.3:
-        return [Target("gripper", moment.corner + YANK * (moment.t - 0.2 + moment.period) * np.array([0.0, 0.8, 0.6]))]
+    if frame.is_first_after(0.0):
+        return [Target("gripper", frame.corner), Grasp("gripper", True)]
+    if 0.2 <= frame.t < 0.3:
+        return [
+            Target("gripper", frame.corner + YANK_SPEED * (frame.t - 0.2 + frame.period) * np.array([0.0, 0.8, 0.6]))
+        ]
     return []
 
 
-def _crush(moment: Moment) -> list[Event]:
-    if moment.is_first_after(0.05):
-        y = 0.05 + CRUSHED * THICKNESS
+def _crush(frame: StressFrame) -> list[Event]:
+    if frame.is_first_after(0.05):
+        y = 0.05 + CRUSHED_GAP * THICKNESS
         return [Move("front", (0.0, -y, 1.0)), Move("back", (0.0, y, 1.0))]
-    return [Move("back", (0.0, 0.3, 1.0))] if moment.is_first_after(0.3) else []
+    return [Move("back", (0.0, 0.3, 1.0))] if frame.is_first_after(0.3) else []
 
 
-def _nothing(moment: Moment) -> list[Event]:
+def _no_events(frame: StressFrame) -> list[Event]:
     return []
 
 
-CONTACT_ATTACKS = {
-    "driven through at 10 m/s": Attack(
-        _as_it_is,
-        _through,
+CONTACT_STRESS_CASES = {
+    "driven through at 10 m/s": StressCase(
+        _unchanged,
+        _drive_through,
         values={
             **_COMMON,
             "obstacles": ["crate"],
@@ -76,9 +78,9 @@ CONTACT_ATTACKS = {
             "crate.friction": [0.5, 0.4],
         },
     ),
-    "pinch yanked at 10 m/s": Attack(
-        _as_it_is,
-        _pinched,
+    "pinch yanked at 10 m/s": StressCase(
+        _unchanged,
+        _pinch_and_yank,
         values={
             **_COMMON,
             "gripper.mode": "pinch",
@@ -87,15 +89,15 @@ CONTACT_ATTACKS = {
             "gripper.speed": 0.5,
         },
     ),
-    "crushed": Attack(
-        _as_it_is,
+    "crushed": StressCase(
+        _unchanged,
         _crush,
         values={**_COMMON, "obstacles": ["front", "back"], **_plate("front", -0.2), **_plate("back", 0.2)},
     ),
-    "nearly on it": Attack(
-        _as_it_is,
-        _nothing,
-        values={**_COMMON, "obstacles": ["front"], **_plate("front", -0.05 - NEARLY_ON * THICKNESS)},
+    "nearly on it": StressCase(
+        _unchanged,
+        _no_events,
+        values={**_COMMON, "obstacles": ["front"], **_plate("front", -0.05 - START_GAP * THICKNESS)},
     ),
-    "folded on itself": Attack(_folded, _nothing, values={**_COMMON, "contact.self": True}),
+    "folded on itself": StressCase(_folded, _no_events, values={**_COMMON, "contact.self": True}),
 }

@@ -22,12 +22,12 @@ from cloth_sim_ros.physics.forces.force import Array
 from validation.tolerance.jacobian import SparseJacobian
 
 
-class TooSlow(RuntimeError):
+class SolverTimeoutError(RuntimeError):
     """The solver exceeded its time limit."""
 
 
 @attrs.frozen
-class Run:
+class SolverRun:
     """One solution: final positions (3, n) [m], wall time [s] and force evaluations."""
 
     positions: Array
@@ -36,19 +36,19 @@ class Run:
 
 
 @attrs.frozen
-class Solver:
+class SolverSetting:
     """A method at one setting."""
 
     name: str
     setting: str
     #: `ours` (the product), `alone` (the product on one thread), `library`, or `beside` (in no comparison).
     kind: str
-    solve: Callable[[Problem, float], Run]
+    solve: Callable[[Problem, float], SolverRun]
     #: Requested tolerance [m]; infinite for a fixed step.
     tolerance: float = math.inf
 
 
-def library_solvers(*, slow: bool) -> list[Solver]:
+def library_solvers(*, slow: bool) -> list[SolverSetting]:
     """Return every library solver at several tolerances; `slow` adds those that take minutes."""
     solvers = []
     for method, tolerances in (
@@ -68,42 +68,46 @@ def library_solvers(*, slow: bool) -> list[Solver]:
     return solvers
 
 
-def our_solvers(tolerances: tuple[float, ...]) -> list[Solver]:
+def product_solvers(tolerances: tuple[float, ...]) -> list[SolverSetting]:
     """Return `auto` at several tolerances, with all threads and with one, and leapfrogs of fixed steps."""
-    solvers = [_ours("auto", tolerance, alone=alone) for alone in (False, True) for tolerance in tolerances]
-    return [*solvers, *(_plain(share) for share in (0.9, 0.45, 0.225))]
+    solvers = [
+        _product_solver("auto", tolerance, single_threaded=single_threaded)
+        for single_threaded in (False, True)
+        for tolerance in tolerances
+    ]
+    return [*solvers, *(_fixed_step_leapfrog(fraction) for fraction in (0.9, 0.45, 0.225))]
 
 
-def _ours(name: str, tolerance: float, *, alone: bool) -> Solver:
-    def solve(problem: Problem, limit: float) -> Run:
+def _product_solver(name: str, tolerance: float, *, single_threaded: bool) -> SolverSetting:
+    def solve(problem: Problem, limit: float) -> SolverRun:
         plan, state = problem.build()
         integrator = make_integrator(name, tolerance=tolerance)
-        with thread_limit.single_threaded() if alone else nullcontext():
+        with thread_limit.single_threaded() if single_threaded else nullcontext():
             evaluations, begin = 0, time.perf_counter()
             for frame in range(problem.frames):
                 evaluations += integrator.advance(plan, state, frame * PERIOD, PERIOD).evaluations
-            return Run(state.x, time.perf_counter() - begin, evaluations)
+            return SolverRun(state.x, time.perf_counter() - begin, evaluations)
 
-    kind, called = ("alone", f"ours, {name}, one thread") if alone else ("ours", f"ours, {name}")
-    return Solver(called, f"tolerance {tolerance:g}", kind, solve, tolerance)
+    kind, label = ("alone", f"ours, {name}, one thread") if single_threaded else ("ours", f"ours, {name}")
+    return SolverSetting(label, f"tolerance {tolerance:g}", kind, solve, tolerance)
 
 
-def _plain(share: float) -> Solver:
-    def solve(problem: Problem, limit: float) -> Run:
+def _fixed_step_leapfrog(limit_fraction: float) -> SolverSetting:
+    def solve(problem: Problem, limit: float) -> SolverRun:
         plan, state = problem.build()
         integrator = make_integrator("leapfrog")
-        step = share * integrator.step_limit(*plan.spectral_bounds(state.x))
+        step = limit_fraction * integrator.step_limit(*plan.spectral_bounds(state.x))
         fixed = make_integrator("leapfrog", step=step)
         evaluations, begin = 0, time.perf_counter()
         for frame in range(problem.frames):
             evaluations += fixed.advance(plan, state, frame * PERIOD, PERIOD).evaluations
-        return Run(state.x, time.perf_counter() - begin, evaluations)
+        return SolverRun(state.x, time.perf_counter() - begin, evaluations)
 
-    return Solver("plain leapfrog", f"{share:g} of the limit", "beside", solve)
+    return SolverSetting("plain leapfrog", f"{limit_fraction:g} of the limit", "beside", solve)
 
 
-def _scipy(method: str, tolerance: float) -> Solver:
-    def solve(problem: Problem, limit: float) -> Run:
+def _scipy(method: str, tolerance: float) -> SolverSetting:
+    def solve(problem: Problem, limit: float) -> SolverRun:
         plan, state = problem.build()
         right = _Limited(RightSide(plan), limit)
         options = {"jac": SparseJacobian(plan.model)} if method in ("BDF", "Radau") else {}
@@ -118,13 +122,13 @@ def _scipy(method: str, tolerance: float) -> Solver:
             **options,
         )
         seconds = time.perf_counter() - begin
-        return Run(np.ascontiguousarray(right.inner.positions(solved.y[:, -1])), seconds, right.inner.calls)
+        return SolverRun(np.ascontiguousarray(right.inner.positions(solved.y[:, -1])), seconds, right.inner.calls)
 
-    return Solver(f"scipy {method}", f"rtol = atol = {tolerance:g}", "library", solve)
+    return SolverSetting(f"scipy {method}", f"rtol = atol = {tolerance:g}", "library", solve)
 
 
-def _cvode(method: str, linear: str | None, tolerance: float) -> Solver:
-    def solve(problem: Problem, limit: float) -> Run:
+def _cvode(method: str, linear: str | None, tolerance: float) -> SolverSetting:
+    def solve(problem: Problem, limit: float) -> SolverRun:
         from sksundae.cvode import CVODE
 
         plan, state = problem.build()
@@ -134,10 +138,10 @@ def _cvode(method: str, linear: str | None, tolerance: float) -> Solver:
         begin = time.perf_counter()
         solved = solver.solve(np.array([0.0, problem.duration]), right.start(state))
         seconds = time.perf_counter() - begin
-        return Run(np.ascontiguousarray(right.positions(solved.y[-1])), seconds, right.calls)
+        return SolverRun(np.ascontiguousarray(right.positions(solved.y[-1])), seconds, right.calls)
 
     name = f"CVODE {method}" + (" + GMRES" if linear else "")
-    return Solver(name, f"rtol = atol = {tolerance:g}", "library", solve)
+    return SolverSetting(name, f"rtol = atol = {tolerance:g}", "library", solve)
 
 
 class _Limited:
@@ -149,5 +153,5 @@ class _Limited:
 
     def __call__(self, t: float, y: Array) -> Array:
         if time.perf_counter() > self._end:
-            raise TooSlow
+            raise SolverTimeoutError
         return self.inner(t, y)

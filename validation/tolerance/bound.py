@@ -17,29 +17,29 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from validation.case_pool import Done, run_missing, shown
+from validation.case_pool import CaseResult, run_missing, show_progress
 from validation.report import Report, Table
-from validation.tolerance.random_scenes import CAP, draw
-from validation.tolerance.windows import CALM, Judgement, Window, judge
+from validation.tolerance.random_scenes import MAX_COST, draw_scene
+from validation.tolerance.windows import CALM_AMPLIFICATION, SceneEvaluation, Window, evaluate_scene
 
 #: Largest fraction of flagged windows among those with amplification below `CALM_AMPLIFICATION`, and largest ratio of
 #: error to error bound of a flagged window.
-MOST_FLAGGED, MOST_MISSED = 0.002, 2.0
+MAX_FLAGGED_FRACTION, MAX_FLAGGED_RATIO = 0.002, 2.0
 #: Smallest ratio of error to error bound of a listed window.
-_LISTED = 0.5
+_LISTED_RATIO = 0.5
 #: Largest number of consecutive draws beyond the cap.
-_PATIENCE = 1000
+_MAX_REJECTED_DRAWS = 1000
 
 _Case = tuple[int, int, int]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    what = parser.add_mutually_exclusive_group()
-    what.add_argument("--regimes", action="store_true", help="evaluate springs, chains and pendulums of fixed regimes")
-    what.add_argument("--violent", action="store_true", help="evaluate scenes whose grippers jump with each frame")
-    what.add_argument("--contact", action="store_true", help="evaluate sheets that fall on obstacles and on themselves")
-    what.add_argument(
+    mode = parser.add_mutually_exclusive_group()
+    mode.add_argument("--regimes", action="store_true", help="evaluate springs, chains and pendulums of fixed regimes")
+    mode.add_argument("--violent", action="store_true", help="evaluate scenes whose grippers jump with each frame")
+    mode.add_argument("--contact", action="store_true", help="evaluate sheets that fall on obstacles and on themselves")
+    mode.add_argument(
         "--only", type=int, metavar="INDEX", help="evaluate this scene of the seed only, window by window"
     )
     parser.add_argument("--seed", type=int, default=1, help="seed of the scenes (1)")
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--windows", type=int, default=4, help="windows of one second per scene, besides the whole run (4)"
     )
     parser.add_argument(
-        "--cap", type=float, default=CAP, metavar="WORK", help=f"largest estimated cost of a scene ({CAP:g})"
+        "--cap", type=float, default=MAX_COST, metavar="WORK", help=f"largest estimated cost of a scene ({MAX_COST:g})"
     )
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes (one per core)")
     parser.add_argument(
@@ -78,108 +78,112 @@ def run(options: argparse.Namespace) -> Report:
 
         return violent(options)
     if options.contact:
-        return _contact(options)
+        return _evaluate_contact(options)
     if options.only is not None:
-        return _one(options)
-    return _many(options)
+        return _evaluate_single(options)
+    return _evaluate_random(options)
 
 
-def _one(options: argparse.Namespace) -> Report:
-    judgement = judge(options.seed, options.only, options.windows)
+def _evaluate_single(options: argparse.Namespace) -> Report:
+    evaluation = evaluate_scene(options.seed, options.only, options.windows)
     report = Report("Error bound", f"python -m validation tolerance --seed {options.seed} --only {options.only}")
-    report.tables.append(_scenes([judgement]))
-    table = _windows("Windows", [judgement], least=0.0)
+    report.tables.append(_scenes([evaluation]))
+    table = _windows("Windows", [evaluation], min_ratio=0.0)
     report.tables.append(table)
     report.notes += [
-        f"flagged or most expensive frame of the window at {w.first}: {w.reason}" for w in judgement.windows
+        f"flagged or most expensive frame of the window at {window.first}: {window.reason}"
+        for window in evaluation.windows
     ]
-    report.notes += judgement.unknown
-    _count([judgement], report)
+    report.notes += evaluation.unknown
+    _add_summary([evaluation], report)
     return report
 
 
-def _contact(options: argparse.Namespace) -> Report:
+def _evaluate_contact(options: argparse.Namespace) -> Report:
     command = f"python -m validation tolerance --contact --seed {options.seed} --count {options.count}"
     cases = [(options.seed, index, options.windows) for index in range(options.count)]
     report = Report("Error bound with contact", command)
-    _judge_all(_judge_contact, cases, options, report)
+    _add_evaluations(_evaluate_contact_case, cases, options, report)
     return report
 
 
-def _many(options: argparse.Namespace) -> Report:
-    cases, beyond = drawn(options)
+def _evaluate_random(options: argparse.Namespace) -> Report:
+    cases, beyond = select_cases(options)
     report = Report("Error bound", f"python -m validation tolerance --seed {options.seed} --count {options.count}")
-    report.notes.append(f"{len(beyond)} draws beyond the cap: {_listed(beyond)}")
-    _judge_all(_judge, cases, options, report)
+    report.notes.append(f"{len(beyond)} draws beyond the cap: {_join_numbers(beyond)}")
+    _add_evaluations(_evaluate_case, cases, options, report)
     return report
 
 
-def _judge_all(
-    judged_by: Callable[[_Case], Judgement], cases: list[_Case], options: argparse.Namespace, report: Report
+def _add_evaluations(
+    evaluate: Callable[[_Case], SceneEvaluation], cases: list[_Case], options: argparse.Namespace, report: Report
 ) -> None:
-    judged: list[Judgement] = []
-    for done in progress(cases, options, judged_by):
-        if done.result is None:
-            report.failures.append(f"scene {done.case[1]}: {done.trouble}")
+    evaluations: list[SceneEvaluation] = []
+    for case_result in progress(cases, options, evaluate):
+        if case_result.result is None:
+            report.failures.append(f"scene {case_result.case[1]}: {case_result.trouble}")
             continue
-        judged.append(done.result)
-    judged.sort(key=lambda judgement: judgement.index)
-    report.tables += [_scenes(judged), _windows(f"Windows above {_LISTED} of the error bound", judged, least=_LISTED)]
-    report.notes.append(f"{len(judged)} scenes evaluated")
-    _count(judged, report)
+        evaluations.append(case_result.result)
+    evaluations.sort(key=lambda evaluation: evaluation.index)
+    report.tables += [
+        _scenes(evaluations),
+        _windows(f"Windows above {_LISTED_RATIO} of the error bound", evaluations, min_ratio=_LISTED_RATIO),
+    ]
+    report.notes.append(f"{len(evaluations)} scenes evaluated")
+    _add_summary(evaluations, report)
 
 
-def drawn(options: argparse.Namespace) -> tuple[list[_Case], list[int]]:
+def select_cases(options: argparse.Namespace) -> tuple[list[_Case], list[int]]:
     """Return the cases to evaluate, and the indices of draws beyond the cap."""
-    cases, beyond, index, since = list[_Case](), list[int](), 0, 0
+    cases, rejected, index, n_rejected = list[_Case](), list[int](), 0, 0
     while len(cases) < options.count:
-        if draw(options.seed, index).cost <= options.cap:
+        if draw_scene(options.seed, index).cost <= options.cap:
             cases.append((options.seed, index, options.windows))
-            since = 0
+            n_rejected = 0
         else:
-            beyond.append(index)
-            since += 1
-            if since == _PATIENCE:
-                raise ValueError(f"{since} consecutive draws are beyond --cap {options.cap:g}; raise --cap")
+            rejected.append(index)
+            n_rejected += 1
+            if n_rejected == _MAX_REJECTED_DRAWS:
+                raise ValueError(f"{n_rejected} consecutive draws are beyond --cap {options.cap:g}; raise --cap")
         index += 1
-    return cases, beyond
+    return cases, rejected
 
 
-def progress(cases: list[_Case], options: argparse.Namespace, judged_by: Callable[[_Case], Judgement]) -> Any:
+def progress(cases: list[_Case], options: argparse.Namespace, evaluate: Callable[[_Case], SceneEvaluation]) -> Any:
     """Yield the result of each scene as it ends, and print it beside a progress bar."""
     from tqdm import tqdm
 
-    limits = {"workers": options.jobs, "limit": options.limit}
-    found = run_missing(judged_by, cases, **limits, file=options.resume, read=_read)
-    for done in shown(found, len(cases), "scene"):
-        tqdm.write(_line(done))
-        yield done
+    pool_limits = {"workers": options.jobs, "limit": options.limit}
+    results = run_missing(evaluate, cases, **pool_limits, file=options.resume, read=_read)
+    for case_result in show_progress(results, len(cases), "scene"):
+        tqdm.write(_line(case_result))
+        yield case_result
 
 
-def _read(entry: dict[str, Any]) -> Done[_Case, Judgement]:
+def _read(entry: dict[str, Any]) -> CaseResult[_Case, SceneEvaluation]:
     seed, index, windows = entry["case"]
     result = entry["result"]
     if result is not None:
         result["windows"] = tuple(Window(**window) for window in result["windows"])
         result["whole"] = result["whole"] and Window(**result["whole"])
         result["unknown"] = tuple(result["unknown"])
-    return Done((seed, index, windows), result and Judgement(**result), entry["seconds"], entry["trouble"])
+    return CaseResult((seed, index, windows), result and SceneEvaluation(**result), entry["seconds"], entry["trouble"])
 
 
-def _judge(case: _Case) -> Judgement:
-    return judge(*case)
+def _evaluate_case(case: _Case) -> SceneEvaluation:
+    return evaluate_scene(*case)
 
 
-def _judge_contact(case: _Case) -> Judgement:
-    from validation.tolerance.contact import judge_contact
+def _evaluate_contact_case(case: _Case) -> SceneEvaluation:
+    from validation.tolerance.contact import evaluate_contact
 
-    return judge_contact(*case)
+    return evaluate_contact(*case)
 
 
-def _line(done: Done[_Case, Judgement]) -> str:
-    if done.result is None:
-        return f"{done.case[1]:4d} {done.trouble}"
-    row = dict(zip(_COLUMNS, _row(done.result), strict=True))
+def _line(case_result: CaseResult[_Case, SceneEvaluation]) -> str:
+    if case_result.result is None:
+        return f"{case_result.case[1]:4d} {case_result.trouble}"
+    row = dict(zip(_COLUMNS, _row(case_result.result), strict=True))
     return ", ".join(
         f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}" for name, value in row.items()
     )
@@ -204,33 +208,33 @@ _COLUMNS = [
 ]
 
 
-def _row(judgement: Judgement) -> list[Any]:
+def _row(evaluation: SceneEvaluation) -> list[Any]:
     worst: list[Any] = []
     for flagged in (False, True):
-        window = judgement.worst(flagged=flagged)
-        worst += [window.ratio, window.growth] if window else ["-", "-"]
-    whole = judgement.whole
+        window = evaluation.worst(flagged=flagged)
+        worst += [window.ratio, window.amplification] if window else ["-", "-"]
+    whole = evaluation.whole
     return [
-        judgement.index,
-        judgement.verdict,
-        judgement.tolerance,
-        judgement.particles,
-        len(judgement.windows),
+        evaluation.index,
+        evaluation.verdict,
+        evaluation.tolerance,
+        evaluation.particles,
+        len(evaluation.windows),
         *worst,
-        whole.ratio if whole and whole.known else "-",
-        judgement.flagged_frames / max(1, judgement.frames),
-        judgement.evaluations,
-        judgement.seconds,
-        judgement.longest_frame,
-        judgement.words,
+        whole.ratio if whole and whole.is_known else "-",
+        evaluation.flagged_frames / max(1, evaluation.frames),
+        evaluation.evaluations,
+        evaluation.seconds,
+        evaluation.longest_frame,
+        evaluation.words,
     ]
 
 
-def _scenes(judged: list[Judgement]) -> Table:
-    return Table("Error relative to tolerance x max(1, g)", _COLUMNS, [_row(judgement) for judgement in judged])
+def _scenes(evaluations: list[SceneEvaluation]) -> Table:
+    return Table("Error relative to tolerance x max(1, g)", _COLUMNS, [_row(evaluation) for evaluation in evaluations])
 
 
-def _windows(name: str, judged: list[Judgement], *, least: float) -> Table:
+def _windows(name: str, evaluations: list[SceneEvaluation], *, min_ratio: float) -> Table:
     columns = [
         "scene",
         "from s",
@@ -245,75 +249,84 @@ def _windows(name: str, judged: list[Judgement], *, least: float) -> Table:
         "asleep",
     ]
     table = Table(name, [*columns, "frames", "evaluations", "reference evaluations", "binds"])
-    for judgement in judged:
-        whole = [judgement.whole] if judgement.whole else []
-        for window in [*judgement.windows, *whole]:
-            if not least or (window.known and window.ratio >= least):
-                table.rows.append(_window_row(judgement, window))
+    for evaluation in evaluations:
+        whole_runs = [evaluation.whole] if evaluation.whole else []
+        for window in [*evaluation.windows, *whole_runs]:
+            if not min_ratio or (window.is_known and window.ratio >= min_ratio):
+                table.rows.append(_window_row(evaluation, window))
     return table
 
 
-def _window_row(judgement: Judgement, window: Window) -> list[Any]:
+def _window_row(evaluation: SceneEvaluation, window: Window) -> list[Any]:
     return [
-        judgement.index,
-        window.first * judgement.period,
-        window.frames * judgement.period,
+        evaluation.index,
+        window.first * evaluation.period,
+        window.frames * evaluation.period,
         window.error,
-        judgement.tolerance,
-        window.growth,
-        window.later or "-",
-        window.ratio if window.known else "unknown",
+        evaluation.tolerance,
+        window.amplification,
+        window.later_amplification or "-",
+        window.ratio if window.is_known else "unknown",
         window.reference_error,
         window.flagged,
         window.asleep,
         window.frames,
         window.evaluations,
         window.reference_evaluations,
-        window.binds,
+        window.limited_by,
     ]
 
 
-def _count(judged: list[Judgement], report: Report) -> None:
+def _add_summary(evaluations: list[SceneEvaluation], report: Report) -> None:
     """Add a summary of the scenes and the violations of the error bound to the report."""
-    every = [window for judgement in judged for window in judgement.windows]
-    known = [window for window in every if window.known]
+    windows = [window for evaluation in evaluations for window in evaluation.windows]
+    known = [window for window in windows if window.is_known]
     unflagged = [window for window in known if not window.flagged]
-    broken = [window for window in unflagged if window.ratio > 1.0]
-    calm = [window for window in known if window.growth < CALM]
-    flagged = [window for window in calm if window.flagged]
-    missed = [window for window in known if window.ratio > MOST_MISSED]
-    lost = len(every) - len(known) + sum(len(judgement.unknown) for judgement in judged)
+    violated = [window for window in unflagged if window.ratio > 1.0]
+    well_conditioned = [window for window in known if window.amplification < CALM_AMPLIFICATION]
+    flagged = [window for window in well_conditioned if window.flagged]
+    far_violated = [window for window in known if window.ratio > MAX_FLAGGED_RATIO]
+    n_unknown = len(windows) - len(known) + sum(len(evaluation.unknown) for evaluation in evaluations)
     worst = max((window.ratio for window in known), default=0.0)
     worst_unflagged = max((window.ratio for window in unflagged), default=0.0)
-    from_start = [window.from_start for window in unflagged]
-    frames = sum(judgement.frames for judgement in judged)
-    flags = sum(judgement.flagged_frames for judgement in judged)
+    from_start = [window.ratio_from_start for window in unflagged]
+    frames = sum(evaluation.frames for evaluation in evaluations)
+    n_flagged_frames = sum(evaluation.flagged_frames for evaluation in evaluations)
     report.notes += [
-        f"{len(known)} windows evaluated, {lost} that the reference can't follow",
-        f"unflagged: {len(unflagged)}, of which {len(broken)} violate the bound, the worst {worst_unflagged:.3g} times",
+        f"{len(known)} windows evaluated, {n_unknown} that the reference can't follow",
+        f"unflagged: {len(unflagged)}, of which {len(violated)} violate the bound, "
+        f"the worst {worst_unflagged:.3g} "
+        f"times",
         f"with perturbations at window starts only: {sum(ratio > 1.0 for ratio in from_start)} of these above it, "
         f"the worst {max(from_start, default=0.0):.3g} times",
-        f"flagged: {len(known) - len(unflagged)}; among the {len(calm)} windows with g below {CALM:g}: {len(flagged)}",
-        f"worst of all {worst:.3g} times; above {MOST_MISSED:g} times: {len(missed)}, "
-        f"with g below {CALM:g}: "
-        f"{sum(window.growth < CALM for window in missed)}",
-        f"{flags} of {frames} frames flagged ({flags / max(1, frames):.2%})",
+        f"flagged: {len(known) - len(unflagged)}; "
+        f"among the {len(well_conditioned)} windows with g below "
+        f"{CALM_AMPLIFICATION:g}: {len(flagged)}",
+        f"worst of all {worst:.3g} times; above {MAX_FLAGGED_RATIO:g} times: {len(far_violated)}, "
+        f"with g below {CALM_AMPLIFICATION:g}: "
+        f"{sum(window.amplification < CALM_AMPLIFICATION for window in far_violated)}",
+        f"{n_flagged_frames} of {frames} frames flagged ({n_flagged_frames / max(1, frames):.2%})",
     ]
-    if broken:
-        report.failures.append(f"{len(broken)} unflagged windows violate the error bound")
-    if missed:
-        report.failures.append(f"{len(missed)} windows are above {MOST_MISSED:g} times the error bound")
-    if calm and len(flagged) > MOST_FLAGGED * len(calm):
-        report.failures.append(f"{len(flagged) / len(calm):.2%} of windows with g below {CALM:g} are flagged")
-    whole = [j.index for j in judged if j.verdict == "BROKEN, whole"]
-    for what, found in (
-        ("that violate the error bound over the whole run", whole),
-        ("with forces that differ from the reference's", [j.index for j in judged if j.verdict == "FORCES DIFFER"]),
-        ("that stopped", [j.index for j in judged if j.trouble]),
+    if violated:
+        report.failures.append(f"{len(violated)} unflagged windows violate the error bound")
+    if far_violated:
+        report.failures.append(f"{len(far_violated)} windows are above {MAX_FLAGGED_RATIO:g} times the error bound")
+    if well_conditioned and len(flagged) > MAX_FLAGGED_FRACTION * len(well_conditioned):
+        report.failures.append(
+            f"{len(flagged) / len(well_conditioned):.2%} of windows with g below {CALM_AMPLIFICATION:g} are flagged"
+        )
+    whole_run_violations = [scene.index for scene in evaluations if scene.verdict == "BROKEN, whole"]
+    for description, scene_indices in (
+        ("that violate the error bound over the whole run", whole_run_violations),
+        (
+            "with forces that differ from the reference's",
+            [scene.index for scene in evaluations if scene.verdict == "FORCES DIFFER"],
+        ),
+        ("that stopped", [scene.index for scene in evaluations if scene.trouble]),
     ):
-        if found:
-            report.failures.append(f"scenes {what}: {_listed(found)}")
+        if scene_indices:
+            report.failures.append(f"scenes {description}: {_join_numbers(scene_indices)}")
 
 
-def _listed(numbers: list[int]) -> str:
-    return ", ".join(str(number) for number in numbers) or "none"
+def _join_numbers(indices: list[int]) -> str:
+    return ", ".join(str(index) for index in indices) or "none"

@@ -38,16 +38,16 @@ from cloth_sim_ros.physics.model import Model
 #: Trajectories side by side: the solution and `LANES` - 1 perturbed ones.
 LANES = 4
 #: Size of a perturbation: of positions [m], or of velocities [m/s].
-KICK = 1e-9
+PERTURBATION = 1e-9
 #: Local error of a perturbed trajectory's deviation, relative to the deviation.
-SHARE = 1e-4
+DEVIATION_TOLERANCE = 1e-4
 FLAGS = ("-O3", "-march=native", "-std=gnu11", "-fPIC", "-fno-math-errno", f"-DLANES={LANES}")
 
 _SOURCE = Path(__file__).with_name("compiled_reference.c")
-_MOST_GRIPPERS = 8
+_MAX_GRIPPERS = 8
 _POINTER = ctypes.c_void_p
 _COUNT = ctypes.c_int64
-_NUMBER = ctypes.c_double
+_DOUBLE = ctypes.c_double
 
 
 class _System(ctypes.Structure):
@@ -71,42 +71,42 @@ class _System(ctypes.Structure):
         ("panels", _COUNT),
         ("corners", _COUNT),
         ("panel_particles", _POINTER),
-        ("normal", _NUMBER),
-        ("tangential", _NUMBER),
-        ("wind", _NUMBER * 3),
-        ("push", _NUMBER * 3),
-        ("drag", _NUMBER),
+        ("normal", _DOUBLE),
+        ("tangential", _DOUBLE),
+        ("wind", _DOUBLE * 3),
+        ("push", _DOUBLE * 3),
+        ("drag", _DOUBLE),
         ("held", _COUNT),
         ("held_particles", _POINTER),
         ("held_grippers", _POINTER),
         ("held_numbers", _POINTER),
         ("held_offsets", _POINTER),
         ("paths", _POINTER),
-        ("shift", _NUMBER * _MOST_GRIPPERS),
+        ("shift", _DOUBLE * _MAX_GRIPPERS),
     )
 
 
 class _Method(ctypes.Structure):
     _fields_ = (
-        ("a", _NUMBER * 144),
-        ("b", _NUMBER * 12),
-        ("c", _NUMBER * 12),
-        ("third", _NUMBER * 12),
-        ("fifth", _NUMBER * 12),
-        ("a_place", _NUMBER * 144),
-        ("b_place", _NUMBER * 12),
-        ("third_place", _NUMBER * 12),
-        ("fifth_place", _NUMBER * 12),
+        ("a", _DOUBLE * 144),
+        ("b", _DOUBLE * 12),
+        ("c", _DOUBLE * 12),
+        ("third", _DOUBLE * 12),
+        ("fifth", _DOUBLE * 12),
+        ("a_place", _DOUBLE * 144),
+        ("b_place", _DOUBLE * 12),
+        ("third_place", _DOUBLE * 12),
+        ("fifth_place", _DOUBLE * 12),
     )
 
 
 class _Control(ctypes.Structure):
     _fields_ = (
-        ("tolerance", _NUMBER),
-        ("kick", _NUMBER),
-        ("share", _NUMBER),
-        ("step", _NUMBER),
-        ("deviations", _NUMBER * 2),
+        ("tolerance", _DOUBLE),
+        ("kick", _DOUBLE),
+        ("share", _DOUBLE),
+        ("step", _DOUBLE),
+        ("deviations", _DOUBLE * 2),
         ("evaluations", _COUNT),
         ("rejected", _COUNT),
         ("most", _COUNT),
@@ -114,7 +114,7 @@ class _Control(ctypes.Structure):
 
 
 @attrs.frozen(eq=False, kw_only=True)
-class Held:
+class GripTable:
     """Particles that grippers hold over one frame, and the grippers' paths."""
 
     #: Path of each gripper, shape (gripper_count, PATH_NUMBERS), see `Grips`.
@@ -129,7 +129,7 @@ class Held:
     offsets: Array
 
 
-class ReferenceError(RuntimeError):
+class ReferenceFailureError(RuntimeError):
     """The reference fails: no step is small enough, or it needs too many evaluations."""
 
 
@@ -139,9 +139,9 @@ def _library() -> ctypes.CDLL:
     if compiler is None:
         raise ValueError("no C compiler found: the reference is compiled at run time; set $CC or install gcc")
     library = compiled(_SOURCE, FLAGS, compiler=compiler)
-    library.accelerations.argtypes = [_POINTER, _NUMBER, _POINTER, _POINTER, _POINTER]
+    library.accelerations.argtypes = [_POINTER, _DOUBLE, _POINTER, _POINTER, _POINTER]
     library.accelerations.restype = None
-    library.advance.argtypes = [_POINTER, _POINTER, _POINTER, _NUMBER, _POINTER, _POINTER]
+    library.advance.argtypes = [_POINTER, _POINTER, _POINTER, _DOUBLE, _POINTER, _POINTER]
     library.advance.restype = ctypes.c_int
     return library
 
@@ -172,9 +172,9 @@ class ReferenceSystem:
     def __init__(self, model: Model) -> None:
         self._library = _library()
         self.model = model
-        self._kept: list[Any] = []
+        self._arrays: list[Any] = []
         self._c = system = _System(particles=model.particle_count, corners=3)
-        system.inverse_mass = self._keep(model.inverse_masses, np.float64)
+        system.inverse_mass = self._store_array(model.inverse_masses, np.float64)
         pairs, lists = list[PairSprings](), dict[str, list[HingeSprings]](crossed=[], altitude=[])
         for force in model.forces:
             if isinstance(force, GridSprings | PairSprings):
@@ -194,68 +194,73 @@ class ReferenceSystem:
         for kind, prefix, total in (("crossed", "crossed", "crossed"), ("altitude", "altitude", "altitudes")):
             self._set_hinges(lists[kind], prefix, total)
 
-    def _keep(self, array: Any, dtype: type) -> int:
+    def _store_array(self, array: Any, dtype: type) -> int:
         """Store a copy of an array as long as the system lives; return its address."""
-        mine: NDArray[Any] = np.array(array, dtype=dtype, order="C")
-        self._kept.append(mine)
-        return int(mine.ctypes.data)
+        copy: NDArray[Any] = np.array(array, dtype=dtype, order="C")
+        self._arrays.append(copy)
+        return int(copy.ctypes.data)
 
     def _set_pairs(self, lists: Sequence[PairSprings]) -> None:
         if not lists:
             return
-        ends, rest, stiffness, damping = (
-            np.concatenate([getattr(each, name) for each in lists])
+        ends, rest_length, stiffness, damping = (
+            np.concatenate([getattr(springs, name) for springs in lists])
             for name in ("pairs", "rest_length", "stiffness", "damping")
         )
-        joint = rest == 0.0
-        system, spring = self._c, ~joint
-        system.springs, system.joints = int(spring.sum()), int(joint.sum())
-        system.spring_ends, system.joint_ends = self._keep(ends[spring], np.int64), self._keep(ends[joint], np.int64)
-        numbers = np.stack([stiffness[spring] / rest[spring], rest[spring], damping[spring]], axis=1)
-        system.spring_numbers = self._keep(numbers, np.float64)
-        system.joint_numbers = self._keep(np.stack([stiffness[joint], damping[joint]], axis=1), np.float64)
+        is_joint = rest_length == 0.0
+        system, is_spring = self._c, ~is_joint
+        system.springs, system.joints = int(is_spring.sum()), int(is_joint.sum())
+        system.spring_ends, system.joint_ends = (
+            self._store_array(ends[is_spring], np.int64),
+            self._store_array(ends[is_joint], np.int64),
+        )
+        coefficients = np.stack(
+            [stiffness[is_spring] / rest_length[is_spring], rest_length[is_spring], damping[is_spring]], axis=1
+        )
+        system.spring_numbers = self._store_array(coefficients, np.float64)
+        system.joint_numbers = self._store_array(np.stack([stiffness[is_joint], damping[is_joint]], axis=1), np.float64)
 
     def _set_hinges(self, lists: Sequence[HingeSprings], prefix: str, total: str) -> None:
         if not lists:
             return
-        particles = np.concatenate([each.hinges for each in lists])
-        numbers = [np.stack([each.rest_length, each.stiffness, each.damping], axis=1) for each in lists]
+        particles = np.concatenate([hinges.hinges for hinges in lists])
+        coefficients = [np.stack([hinges.rest_length, hinges.stiffness, hinges.damping], axis=1) for hinges in lists]
         setattr(self._c, total, len(particles))
-        setattr(self._c, f"{prefix}_particles", self._keep(particles, np.int64))
-        setattr(self._c, f"{prefix}_numbers", self._keep(np.concatenate(numbers), np.float64))
+        setattr(self._c, f"{prefix}_particles", self._store_array(particles, np.int64))
+        setattr(self._c, f"{prefix}_numbers", self._store_array(np.concatenate(coefficients), np.float64))
 
     def _set_panels(self, force: AirPanels) -> None:
         system = self._c
         system.panels, system.corners = force.panels.shape
-        system.panel_particles = self._keep(force.panels, np.int64)
+        system.panel_particles = self._store_array(force.panels, np.int64)
         system.normal, system.tangential = force.normal, force.tangential
         system.wind[:] = force.wind.tolist()
 
     @property
-    def elements(self) -> float:
+    def evaluation_cost(self) -> float:
         """Cost of one evaluation relative to that of one spring."""
         c = self._c
         return float(c.springs + c.joints + 4 * c.crossed + 6 * c.altitudes + 3 * c.panels + 4 * c.particles)
 
-    def hold(self, held: Held | None, t: float) -> None:
+    def set_grasped(self, grasped: GripTable | None, t: float) -> None:
         """Set the grasped particles from time t [s] on, which becomes the time origin."""
         system = self._c
-        if held is None or not len(held.particles):
+        if grasped is None or not len(grasped.particles):
             system.held = 0
             return
-        if len(held.paths) > _MOST_GRIPPERS or held.paths.shape[1] != PATH_NUMBERS:
-            raise ValueError(f"paths have shape {held.paths.shape}; there are {_MOST_GRIPPERS} grippers at most")
+        if len(grasped.paths) > _MAX_GRIPPERS or grasped.paths.shape[1] != PATH_NUMBERS:
+            raise ValueError(f"paths have shape {grasped.paths.shape}; there are {_MAX_GRIPPERS} grippers at most")
         # The arrays must live as long as the system has their addresses.
-        self._held = [
-            np.ascontiguousarray(held.particles, dtype=np.int64),
-            np.ascontiguousarray(held.grippers, dtype=np.int64),
-            *(np.ascontiguousarray(a, dtype=np.float64) for a in (held.numbers, held.offsets, held.paths)),
+        self._grasp_arrays = [
+            np.ascontiguousarray(grasped.particles, dtype=np.int64),
+            np.ascontiguousarray(grasped.grippers, dtype=np.int64),
+            *(np.ascontiguousarray(a, dtype=np.float64) for a in (grasped.numbers, grasped.offsets, grasped.paths)),
         ]
-        system.held = len(held.particles)
+        system.held = len(grasped.particles)
         names = ("held_particles", "held_grippers", "held_numbers", "held_offsets", "paths")
-        for name, array in zip(names, self._held, strict=True):
+        for name, array in zip(names, self._grasp_arrays, strict=True):
             setattr(system, name, array.ctypes.data)
-        system.shift[: len(held.paths)] = (t - held.paths[:, 0]).tolist()
+        system.shift[: len(grasped.paths)] = (t - grasped.paths[:, 0]).tolist()
 
     def accelerations(self, x: Array, v: Array, *, since: float = 0.0) -> Array:
         """Return accelerations (3, n) [m/s^2] at x and v (3, n), a time `since` [s] after the frame's start."""
@@ -283,9 +288,11 @@ class Integration:
         max_evaluations: largest number of evaluations in one call of `advance`.
     """
 
-    def __init__(self, system: ReferenceSystem, y: Array, *, tolerance: float, most: int = 1 << 40) -> None:
+    def __init__(self, system: ReferenceSystem, y: Array, *, tolerance: float, max_evaluations: int = 1 << 40) -> None:
         self.system, self.y = system, y
-        self._control = _Control(tolerance=tolerance, kick=KICK, share=SHARE, most=most)
+        self._control = _Control(
+            tolerance=tolerance, kick=PERTURBATION, share=DEVIATION_TOLERANCE, most=max_evaluations
+        )
         self._work = np.empty(7 * y.size)
 
     @property
@@ -303,8 +310,8 @@ class Integration:
         library = self.system._library
         status = library.advance(*addresses, duration, self.y.ctypes.data, self._work.ctypes.data)
         if status:
-            why = "finds no step" if status == 1 else f"needs more than {self._control.most} evaluations"
-            raise ReferenceError(f"the reference {why} for {duration:g} s")
+            reason = "finds no step" if status == 1 else f"needs more than {self._control.most} evaluations"
+            raise ReferenceFailureError(f"the reference {reason} for {duration:g} s")
 
     @property
     def positions(self) -> Array:
@@ -313,5 +320,5 @@ class Integration:
 
     def deviations(self) -> Array:
         """Return the largest particle distance of each perturbed trajectory from the solution (LANES - 1,) [m]."""
-        away = self.y[0, :, :, 1:] - self.y[0, :, :, :1]
-        return np.asarray(np.sqrt(np.sum(away * away, axis=1).max(axis=0)))
+        offsets = self.y[0, :, :, 1:] - self.y[0, :, :, :1]
+        return np.asarray(np.sqrt(np.sum(offsets * offsets, axis=1).max(axis=0)))

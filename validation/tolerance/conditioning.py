@@ -17,9 +17,9 @@ from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from validation.report import Report, Table
 
 #: Largest perturbation of a particle's position [m].
-KICK = 1e-9
+PERTURBATION = 1e-9
 #: Amplification above which a pointwise error is not meaningful.
-CHAOTIC = 1e3
+CHAOTIC_AMPLIFICATION = 1e3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,22 +35,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--kicks", type=int, default=2, help="number of random perturbations; the worst counts")
 
 
-def amplification(scene: Problem, *, seed: int) -> list[float]:
+def measure_amplification(scene: Problem, *, seed: int) -> list[float]:
     """Return the amplification of a random perturbation at the end of each frame."""
     runs = [scene.build(), scene.build()]
-    plan, kicked = runs[1]
-    kick = np.random.default_rng(seed).normal(size=kicked.x.shape)
+    plan, perturbed_state = runs[1]
+    perturbation = np.random.default_rng(seed).normal(size=perturbed_state.x.shape)
     # A closed-form scene is a line: the perturbation is along it.
-    kick[1:] *= 0.0 if scene.exact is not None else 1.0
-    kick /= np.sqrt((kick * kick).sum(axis=0).max())
-    kicked.x += KICK * kick * (plan.model.inverse_masses > 0.0)
+    perturbation[1:] *= 0.0 if scene.exact is not None else 1.0
+    perturbation /= np.sqrt((perturbation * perturbation).sum(axis=0).max())
+    perturbed_state.x += PERTURBATION * perturbation * (plan.model.inverse_masses > 0.0)
     integrators = [Extrapolated(n_runs=3), Extrapolated(n_runs=3)]
-    growth = []
+    amplifications = []
     for frame in range(scene.frames):
         for integrator, (equations, state) in zip(integrators, runs, strict=True):
             integrator.advance(equations, state, frame * PERIOD, PERIOD)
-        growth.append(largest_distance(runs[0][1].x, kicked.x) / KICK)
-    return growth
+        amplifications.append(largest_distance(runs[0][1].x, perturbed_state.x) / PERTURBATION)
+    return amplifications
 
 
 def run(options: argparse.Namespace) -> Report:
@@ -61,9 +61,9 @@ def run(options: argparse.Namespace) -> Report:
     )
     for name in options.scenes:
         scene = problem(name)
-        kicks = [amplification(scene, seed=seed) for seed in range(options.kicks)]
-        worst = np.max(kicks, axis=0)
-        verdict = "yes" if worst.max() < CHAOTIC else "no"
-        row = [name, scene.duration, float(worst[len(worst) // 2]), float(worst[-1]), float(worst.max()), verdict]
+        amplifications = [measure_amplification(scene, seed=seed) for seed in range(options.kicks)]
+        worst = np.max(amplifications, axis=0)
+        is_pointwise = "yes" if worst.max() < CHAOTIC_AMPLIFICATION else "no"
+        row = [name, scene.duration, float(worst[len(worst) // 2]), float(worst[-1]), float(worst.max()), is_pointwise]
         table.rows.append(row)
     return Report("Conditioning", "python -m validation conditioning", tables=[table])

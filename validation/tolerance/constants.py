@@ -28,7 +28,7 @@ from cloth_sim_ros.simulation.simulation import Simulation
 from validation.report import Report, Table
 
 #: Scenes with a reference, their tolerances [m], and the integrator.
-HELD = (
+REFERENCE_SCENES = (
     ("chain", (1e-3, 1e-5, 1e-7), "auto"),
     ("drumhead", (1e-2, 1e-4, 1e-6), "auto"),
     ("carried16", (1e-2, 1e-3, 1e-4, 1e-6), "auto"),
@@ -38,7 +38,7 @@ HELD = (
 #: Scenes of `Simulation` for features that the others lack: single precision, the automatic choice of implicit steps,
 #: frames at their work limit, an impact. Each has parameters, a number of frames, and the jump of the target in each
 #: frame [m]. The frames are so few that a change of rounding does not grow to the tolerance.
-DRIVEN: dict[str, tuple[dict[str, Any], int, float]] = {
+SIMULATED_SCENES: dict[str, tuple[dict[str, Any], int, float]] = {
     "carried30": ({"tolerance": 1e-3, "cloth.resolution": [30, 30]}, 20, 0.005),
     "stiff": (
         {
@@ -73,11 +73,11 @@ DRIVEN: dict[str, tuple[dict[str, Any], int, float]] = {
     ),
 }
 #: Upper limits of constants: a fraction can't be doubled beyond the whole.
-_MOST = {"safety": 1.0, "share": 1.0, "aim": 1.0, "far": 0.5}
+_MAX_VALUES = {"safety": 1.0, "share": 1.0, "aim": 1.0, "far": 0.5}
 
 
 @attrs.frozen
-class Effect:
+class ConstantsEffect:
     """Error and work of all scenes with one set of constants."""
 
     #: Largest error over its tolerance.
@@ -88,8 +88,8 @@ class Effect:
     #: Largest relative energy gain of a free sheet.
     gain: float
     #: Computed frames of a sheet that comes to rest, and the position error from sleep over its tolerance.
-    awake: int
-    left_out: float
+    awake_frames: int
+    sleep_error: float
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -109,38 +109,39 @@ def run(options: argparse.Namespace) -> Report:
         columns += [f"{change}: error", "work", "flagged", "gain", "awake", "left out"]
     table = Table("Tuned numbers", columns)
     report = Report("Constants", "python -m validation constants", tables=[table])
-    scenes = Scenes()
-    usual = scenes.effect()
-    for field in tqdm([each for each in attrs.fields(Constants) if each.name in options.only], unit="constant"):
+    scenes = ConstantsScenes()
+    baseline = scenes.effect()
+    for field in tqdm([field for field in attrs.fields(Constants) if field.name in options.only], unit="constant"):
         value = float(getattr(CONSTANTS, field.name))
         row: list[object] = [field.name, value, field.metadata["meaning"]]
         for factor in (0.5, 2.0):
-            changed = min(factor * value, _MOST.get(field.name, math.inf))
-            with _set_to(field.name, 1.0 + (value - 1.0) * factor if field.name == "stiffened" else changed):
-                row += _cells(scenes.effect(), usual)
+            changed = min(factor * value, _MAX_VALUES.get(field.name, math.inf))
+            with _override(field.name, 1.0 + (value - 1.0) * factor if field.name == "stiffened" else changed):
+                row += _cells(scenes.effect(), baseline)
         table.rows.append(row)
     report.notes += [
-        f"With the default constants: error {usual.error:.3g} of the tolerance at most, "
-        f"{sum(usual.evaluations)} evaluations, {usual.flagged} flagged frames, "
-        f"energy gain {usual.gain:.2g}, "
-        f"{usual.awake} frames until the sheet sleeps, {usual.left_out:.2g} of the tolerance as error from sleep",
+        f"With the default constants: error {baseline.error:.3g} of the tolerance at most, "
+        f"{sum(baseline.evaluations)} evaluations, {baseline.flagged} flagged frames, "
+        f"energy gain {baseline.gain:.2g}, "
+        f"{baseline.awake_frames} frames until the sheet sleeps, {baseline.sleep_error:.2g} of the tolerance as "
+        f"error from sleep",
         "error: largest error over the tolerance of all scenes; work: force evaluations relative to the default "
         "constants, in the scene with the largest change",
-        f"scenes: {', '.join(name for name, _, _ in HELD)}, {', '.join(DRIVEN)}, "
+        f"scenes: {', '.join(name for name, _, _ in REFERENCE_SCENES)}, {', '.join(SIMULATED_SCENES)}, "
         "an undamped sheet with an inverted cell, a sheet that comes to rest; "
         "constants for threads or time only (own, call) change none of the columns",
     ]
     return report
 
 
-def _cells(effect: Effect, usual: Effect) -> list[object]:
-    ratios = [new / old for new, old in zip(effect.evaluations, usual.evaluations, strict=True)]
+def _cells(effect: ConstantsEffect, baseline: ConstantsEffect) -> list[object]:
+    ratios = [new / old for new, old in zip(effect.evaluations, baseline.evaluations, strict=True)]
     work = max(ratios, key=lambda ratio: abs(math.log(ratio)))
-    return [effect.error, work, effect.flagged, effect.gain, effect.awake, effect.left_out]
+    return [effect.error, work, effect.flagged, effect.gain, effect.awake_frames, effect.sleep_error]
 
 
 @contextmanager
-def _set_to(name: str, value: float) -> Iterator[None]:
+def _override(name: str, value: float) -> Iterator[None]:
     before = getattr(CONSTANTS, name)
     setattr(CONSTANTS, name, value)
     try:
@@ -149,61 +150,66 @@ def _set_to(name: str, value: float) -> Iterator[None]:
         setattr(CONSTANTS, name, before)
 
 
-class Scenes:
+class ConstantsScenes:
     """Scenes that run with each set of constants; their references are calculated once."""
 
     def __init__(self) -> None:
-        self._known: dict[str, Reference] = {}
-        for name, _, _ in HELD:
-            if name not in self._known:
-                self._known[name] = reference(problem(name))
+        self._references: dict[str, Reference] = {}
+        for name, _, _ in REFERENCE_SCENES:
+            if name not in self._references:
+                self._references[name] = reference(problem(name))
 
-    def effect(self) -> Effect:
+    def effect(self) -> ConstantsEffect:
         """Run all scenes with the current constants."""
         error, evaluations, flagged = 0.0, [], 0
-        for name, tolerances, integrator in HELD:
+        for name, tolerances, integrator in REFERENCE_SCENES:
             for tolerance in tolerances:
-                done = measure(problem(name), self._known[name], integrator, tolerance, energy=False)
+                done = measure(problem(name), self._references[name], integrator, tolerance, energy=False)
                 error = max(error, done.error / tolerance)
                 evaluations.append(done.evaluations)
                 flagged += done.flagged
-        for name in DRIVEN:
-            positions, spent, missed = _driven(name)
-            off = np.linalg.norm(positions - _known(name), axis=-1).max() / DRIVEN[name][0]["tolerance"]
+        for name in SIMULATED_SCENES:
+            positions, scene_evaluations, scene_flagged = _run_scene(name)
+            error_ratio = (
+                np.linalg.norm(positions - _fine_positions(name), axis=-1).max()
+                / SIMULATED_SCENES[name][0]["tolerance"]
+            )
             # Frames that exceed their work limit need not meet the tolerance.
-            error = max(error, float(off) if not missed else 0.0)
-            evaluations.append(spent)
-            flagged += missed
-        awake, left_out = _rest()
-        return Effect(error, tuple(evaluations), flagged, _pushed_to_a_point(), awake, left_out)
+            error = max(error, float(error_ratio) if not scene_flagged else 0.0)
+            evaluations.append(scene_evaluations)
+            flagged += scene_flagged
+        awake_frames, sleep_error = _sleep_effect()
+        return ConstantsEffect(error, tuple(evaluations), flagged, _inverted_cell_gain(), awake_frames, sleep_error)
 
 
-def _driven(name: str, **changes: Any) -> tuple[NDArray[np.float64], int, int]:
+def _run_scene(name: str, **changes: Any) -> tuple[NDArray[np.float64], int, int]:
     """Run a scene that a gripper drives; return positions after each frame, evaluations and flagged frames."""
-    values, frames, jump = DRIVEN[name]
+    values, frames, jump = SIMULATED_SCENES[name]
     simulation = Simulation(
         Scene.from_parameters({**values, "gripper.max_speed": 0.0, "wind.normal_drag": 0.0, **changes})
     )
-    corner, places, spent, missed = simulation.positions[-1].copy(), [], 0, 0
+    corner, positions, evaluations, flagged = simulation.positions[-1].copy(), [], 0, 0
     for frame in range(frames):
-        aside = np.array([0.0, -1.0, 0.5]) * (jump * frame if jump < 0.1 else jump * (frame % 3))
-        events: list[Event] = [Target("gripper", tuple(float(number) for number in corner + aside), None)]
+        displacement = np.array([0.0, -1.0, 0.5]) * (jump * frame if jump < 0.1 else jump * (frame % 3))
+        events: list[Event] = [
+            Target("gripper", tuple(float(coordinate) for coordinate in corner + displacement), None)
+        ]
         if frame == 0:
             events.append(Grasp("gripper", True))
         done = simulation.advance(events).advance
         if done is not None:
-            spent, missed = spent + done.evaluations, missed + done.flagged
-        places.append(simulation.positions.copy())
-    return np.array(places), spent, missed
+            evaluations, flagged = evaluations + done.evaluations, flagged + done.flagged
+        positions.append(simulation.positions.copy())
+    return np.array(positions), evaluations, flagged
 
 
 @cache
-def _known(name: str) -> NDArray[np.float64]:
+def _fine_positions(name: str) -> NDArray[np.float64]:
     """Return the positions (frames, n, 3) [m] at a thousandth of the tolerance."""
-    return _driven(name, tolerance=1e-3 * DRIVEN[name][0]["tolerance"], work_limit=0.0)[0]
+    return _run_scene(name, tolerance=1e-3 * SIMULATED_SCENES[name][0]["tolerance"], work_limit=0.0)[0]
 
 
-def _pushed_to_a_point() -> float:
+def _inverted_cell_gain() -> float:
     """Return the relative energy gain of an undamped sheet with an inverted cell at fixed steps."""
     sheet = RawSheet(resolution=8, k_d0=0.0, gravity=(0.0, 0.0, 0.0))
     plan, state = sheet.plan([]), State(sheet.flat(hung=True))
@@ -216,7 +222,7 @@ def _pushed_to_a_point() -> float:
     return gain
 
 
-def _rest() -> tuple[int, float]:
+def _sleep_effect() -> tuple[int, float]:
     """Return the computed frames of a sheet that comes to rest, and its error from sleep over the tolerance."""
     values = {"cloth.resolution": [5, 6], "wind.normal_drag": 0.0, "air.drag": 5.0, "tolerance": 1e-3, "rate": 30.0}
     values |= {"material.stretch_modulus": 100.0, "material.shear_modulus": 20.0}
@@ -225,8 +231,8 @@ def _rest() -> tuple[int, float]:
     for _ in range(600):
         done = sleeping.advance().advance
         computed += done is not None and done.steps > 0
-    moving = Simulation(Scene.from_parameters({**values, "tolerance": 1e-7}))
+    reference = Simulation(Scene.from_parameters({**values, "tolerance": 1e-7}))
     for _ in range(600):
-        moving.advance()
-    away = np.linalg.norm(moving.positions - sleeping.positions, axis=1).max()
-    return computed, float(away) / 1e-3
+        reference.advance()
+    distance = np.linalg.norm(reference.positions - sleeping.positions, axis=1).max()
+    return computed, float(distance) / 1e-3

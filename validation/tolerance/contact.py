@@ -26,13 +26,13 @@ from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.independent_integrator import dop853
 from cloth_sim_ros.verify.reference_motion import Equations, FrameCapture, ReferenceMotion, SimulatedFrame
 from validation.tolerance.random_scenes import log_uniform, smooth_field
-from validation.tolerance.windows import Judgement, Window
+from validation.tolerance.windows import SceneEvaluation, Window
 
 KINDS = ("table", "sphere", "edge", "itself")
 #: Coefficients of friction: none, and one that prevents sliding everywhere.
 FRICTIONS = (0.0, 4.0)
 #: Size of a perturbation [m, m/s]: far above the difference of two reference runs, far below the thickness.
-KICK = 1e-7
+PERTURBATION = 1e-7
 #: Local error relative to the coordinates: of the reference, and of the run that checks it.
 FINE, ROUGH = 1e-11, 1e-10
 #: Parts of a window. Perturbations also start at their borders if those at the window's start do not explain its error.
@@ -67,7 +67,7 @@ def draw_contact(seed: int, index: int) -> ContactDraw:
         "cloth.resolution": [rows, columns],
         "cloth.size": [height, width],
         "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
-        "cloth.anchors": [_anchored(kind, friction)],
+        "cloth.anchors": [_anchor(kind, friction)],
         "cloth.position": [0.0, 0.0, gap + 1.05 * thickness],
         "material.stretch_modulus": log_uniform(rng, 100.0, 2000.0),
         "material.damping": float(rng.uniform(0.05, 0.5)),
@@ -87,17 +87,17 @@ def draw_contact(seed: int, index: int) -> ContactDraw:
     if kind == "itself":
         values |= {"contact.self": True, "contact.friction": [friction]}
     scene = Scene.from_parameters(values)
-    places = scene.initial_positions()
-    places = _folded(places, rng.uniform(1.5, 2.5) * thickness) if kind == "itself" else _tilted(places, rng)
+    positions = scene.initial_positions()
+    positions = _folded(positions, rng.uniform(1.5, 2.5) * thickness) if kind == "itself" else _tilted(positions, rng)
     words = (
         f"{kind}, {rows} x {columns}, {values['material.stretch_modulus']:.2g} N/m, "
         f"k_d0 {values['material.damping']:.2g}, {bending}, thickness {1e3 * thickness:.2g} mm, friction {friction:g}, "
         f"{scene.rate:g} Hz"
     )
-    return ContactDraw(scene=scene, state=State(places), words=words)
+    return ContactDraw(scene=scene, state=State(positions), words=words)
 
 
-def _anchored(kind: str, friction: float) -> str:
+def _anchor(kind: str, friction: float) -> str:
     """Return the anchored edge; it prevents a sheet from sliding off an obstacle without friction."""
     if friction or kind not in ("sphere", "edge"):
         return ""
@@ -111,27 +111,27 @@ def _obstacle(kind: str, height: float, width: float, rng: np.random.Generator) 
         return {"thing.shape": "sphere", "thing.size": [radius], "thing.position": [0.0, 0.0, -radius]}
     if kind == "edge":
         # Part of the sheet lies on the box, part hangs over its edge.
-        lies = float(rng.uniform(0.55, 0.75)) * width
+        supported_width = float(rng.uniform(0.55, 0.75)) * width
         return {
             "thing.shape": "box",
             "thing.size": [2.0, 2.0, 0.4],
-            "thing.position": [0.5 * width - lies + 1.0, 0.0, -0.2],
+            "thing.position": [0.5 * width - supported_width + 1.0, 0.0, -0.2],
         }
     return {"thing.shape": "plane", "thing.position": [0.0, 0.0, 0.0]}
 
 
-def _tilted(places: Array, rng: np.random.Generator) -> Array:
+def _tilted(positions: Array, rng: np.random.Generator) -> Array:
     """Tilt the sheet by up to two degrees about horizontal axes; the height of its lowest particle stays."""
     slopes = np.tan(np.radians(rng.uniform(-2.0, 2.0, size=2)))
-    lifted = places.copy()
-    lifted[:, 2] += places[:, :2] @ slopes
-    lifted[:, 2] += places[:, 2].min() - lifted[:, 2].min()
+    lifted = positions.copy()
+    lifted[:, 2] += positions[:, :2] @ slopes
+    lifted[:, 2] += positions[:, 2].min() - lifted[:, 2].min()
     return lifted
 
 
-def _folded(places: Array, radius: float) -> Array:
+def _folded(positions: Array, radius: float) -> Array:
     """Fold the right half of the sheet back over the left one."""
-    folded, along = places.copy(), places[:, 0]
+    folded, along = positions.copy(), positions[:, 0]
     first = -0.5 * math.pi * radius
     angle = np.clip((along - first) / radius, 0.0, math.pi)
     folded[:, 0] = np.minimum(along, first) + radius * np.sin(angle) - np.maximum(along + first, 0.0)
@@ -140,7 +140,7 @@ def _folded(places: Array, radius: float) -> Array:
 
 
 @attrs.frozen(eq=False, kw_only=True)
-class Run:
+class ContactRun:
     """Frames of the engine and their step statistics."""
 
     draw: ContactDraw
@@ -150,27 +150,29 @@ class Run:
     trouble: str
 
 
-def run_contact(draw: ContactDraw) -> Run:
+def run_contact(draw: ContactDraw) -> ContactRun:
     """Run a scene to its end."""
-    simulation, watch = Simulation(draw.scene, draw.state), FrameCapture()
-    run = Run(draw=draw, frames=[], advances=[], seconds=[], trouble="")
-    for number in range(round(_SECONDS * draw.scene.rate)):
+    simulation, capture = Simulation(draw.scene, draw.state), FrameCapture()
+    run = ContactRun(draw=draw, frames=[], advances=[], seconds=[], trouble="")
+    for frame_index in range(round(_SECONDS * draw.scene.rate)):
         before, begin = simulation.state.shallow_copy(), time.perf_counter()
         try:
             frame = simulation.advance()
         except (UnstableError, ValueError) as error:
-            return attrs.evolve(run, trouble=f"frame {number}: {error}")
+            return attrs.evolve(run, trouble=f"frame {frame_index}: {error}")
         seconds = time.perf_counter() - begin
-        seen = watch.capture(simulation, draw.scene, before, frame)
-        if seen is None or frame.advance is None:
-            raise RuntimeError(f"frame {number} let no time pass")
-        run.frames.append(seen)
+        simulated_frame = capture.capture(simulation, draw.scene, before, frame)
+        if simulated_frame is None or frame.advance is None:
+            raise RuntimeError(f"frame {frame_index} let no time pass")
+        run.frames.append(simulated_frame)
         run.advances.append(frame.advance)
         run.seconds.append(seconds)
     return run
 
 
-def follow(frames: list[SimulatedFrame], kick: tuple[Array, Array] | None, local: float) -> list[Array]:
+def integrate_reference(
+    frames: list[SimulatedFrame], perturbation: tuple[Array, Array] | None, local_error: float
+) -> list[Array]:
     """Return positions (3, n) [m] at the end of each frame by DOP853.
 
     It starts from the engine's state before the first frame, with an optional perturbation.
@@ -178,33 +180,33 @@ def follow(frames: list[SimulatedFrame], kick: tuple[Array, Array] | None, local
     Raises:
         ArithmeticError: if no step is small enough.
     """
-    motion, equations, found = ReferenceMotion(frames[0].before), Equations(), list[Array]()
-    if kick is not None:
-        motion.perturb(*kick)
+    motion, equations, positions = ReferenceMotion(frames[0].before), Equations(), list[Array]()
+    if perturbation is not None:
+        motion.perturb(*perturbation)
     for frame in frames:
         motion.apply_grasps(frame)
         plan = equations.plan(frame, motion)
         motion.state = dop853(
-            plan, frame.t, frame.duration, motion.state, relative_tolerance=local, absolute_tolerance=local
+            plan, frame.t, frame.duration, motion.state, relative_tolerance=local_error, absolute_tolerance=local_error
         )
-        found.append(motion.x)
-    return found
+        positions.append(motion.x)
+    return positions
 
 
-def judge_contact(seed: int, index: int, windows: int) -> Judgement:
+def evaluate_contact(seed: int, index: int, windows: int) -> SceneEvaluation:
     """Draw a scene, run it, and evaluate a number of its windows of one second."""
     draw = draw_contact(seed, index)
     run = run_contact(draw)
     second, count = round(_WINDOW * draw.scene.rate), len(run.frames)
     rng = np.random.default_rng([seed, index, 15])
-    later = rng.permutation(np.arange(1, max(1, count - second + 1)))[: windows - 1]
-    judged, unknown = list[Window](), list[str]()
-    for first in [0, *sorted(later.tolist())] if count >= second else []:
+    later_starts = rng.permutation(np.arange(1, max(1, count - second + 1)))[: windows - 1]
+    evaluated, unknown = list[Window](), list[str]()
+    for first in [0, *sorted(later_starts.tolist())] if count >= second else []:
         try:
-            judged.append(_window(run, first, second, rng))
+            evaluated.append(_window(run, first, second, rng))
         except ArithmeticError as error:
             unknown.append(f"window at {first}: {error}")
-    return Judgement(
+    return SceneEvaluation(
         seed=seed,
         index=index,
         words=draw.words,
@@ -213,7 +215,7 @@ def judge_contact(seed: int, index: int, windows: int) -> Judgement:
         frames=count,
         period=draw.scene.period,
         cost=0.0,
-        windows=tuple(judged),
+        windows=tuple(evaluated),
         whole=None,
         flagged_frames=sum(advance.flagged > 0 for advance in run.advances),
         evaluations=sum(advance.evaluations for advance in run.advances),
@@ -225,42 +227,54 @@ def judge_contact(seed: int, index: int, windows: int) -> Judgement:
     )
 
 
-def _window(run: Run, first: int, second: int, rng: np.random.Generator) -> Window:
+def _window(run: ContactRun, first: int, second: int, rng: np.random.Generator) -> Window:
     frames, advances = run.frames[first : first + second], run.advances[first : first + second]
-    exact = follow(frames, None, FINE)
-    check = follow(frames, None, ROUGH)
-    tolerance, rest = run.draw.scene.tolerance, run.draw.state.x.T
-    fields = [rng.normal(size=rest.shape), smooth_field(rng, rest)]
-    kicks = [KICK * np.ascontiguousarray(field.T / np.linalg.norm(field, axis=1).max()) for field in fields]
-    growth = max(_growth(frames, exact, kick, moving) for kick in kicks for moving in (False, True))
+    exact = integrate_reference(frames, None, FINE)
+    check = integrate_reference(frames, None, ROUGH)
+    tolerance, initial_positions = run.draw.scene.tolerance, run.draw.state.x.T
+    fields = [rng.normal(size=initial_positions.shape), smooth_field(rng, initial_positions)]
+    perturbations = [
+        PERTURBATION * np.ascontiguousarray(field.T / np.linalg.norm(field, axis=1).max()) for field in fields
+    ]
+    amplification = max(
+        _amplification(frames, exact, perturbation, perturbs_velocity)
+        for perturbation in perturbations
+        for perturbs_velocity in (False, True)
+    )
     error = max(largest_distance(frame.after.x, x) for frame, x in zip(frames, exact, strict=True))
-    later = 0.0
-    if error > tolerance * max(1.0, growth):
+    later_amplification = 0.0
+    if error > tolerance * max(1.0, amplification):
         for part in range(1, _PARTS):
-            rest_of_it = frames[part * second // _PARTS :]
-            from_there = follow(rest_of_it, None, FINE)
-            grown = (_growth(rest_of_it, from_there, kick, moving) for kick in kicks for moving in (False, True))
-            later = max(later, *grown)
-    most = max(advances, key=lambda advance: (advance.flagged, advance.evaluations))
+            later_frames = frames[part * second // _PARTS :]
+            later_exact = integrate_reference(later_frames, None, FINE)
+            later_amplifications = (
+                _amplification(later_frames, later_exact, perturbation, perturbs_velocity)
+                for perturbation in perturbations
+                for perturbs_velocity in (False, True)
+            )
+            later_amplification = max(later_amplification, *later_amplifications)
+    costliest = max(advances, key=lambda advance: (advance.flagged, advance.evaluations))
     return Window(
         first=first,
         frames=second,
         error=error,
-        growth=growth,
-        promised=tolerance * max(1.0, growth, later),
+        amplification=amplification,
+        error_bound=tolerance * max(1.0, amplification, later_amplification),
         reference_error=max(largest_distance(a, b) for a, b in zip(exact, check, strict=True)),
         flagged=sum(advance.flagged > 0 for advance in advances),
         asleep=sum(advance.limited_by == "rest" for advance in advances),
-        binds=", ".join(sorted({advance.limited_by for advance in advances})),
-        reason=most.reason,
+        limited_by=", ".join(sorted({advance.limited_by for advance in advances})),
+        reason=costliest.reason,
         evaluations=sum(advance.evaluations for advance in advances),
         reference_evaluations=0,
-        later=later,
+        later_amplification=later_amplification,
     )
 
 
-def _growth(frames: list[SimulatedFrame], exact: list[Array], kick: Array, moving: bool) -> float:
+def _amplification(
+    frames: list[SimulatedFrame], exact: list[Array], perturbation: Array, perturbs_velocity: bool
+) -> float:
     """Return the largest amplification of a perturbation of positions or of velocities."""
-    still = np.zeros_like(kick)
-    kicked = follow(frames, (still, kick) if moving else (kick, still), FINE)
-    return max(largest_distance(a, b) for a, b in zip(kicked, exact, strict=True)) / KICK
+    zeros = np.zeros_like(perturbation)
+    perturbed = integrate_reference(frames, (zeros, perturbation) if perturbs_velocity else (perturbation, zeros), FINE)
+    return max(largest_distance(a, b) for a, b in zip(perturbed, exact, strict=True)) / PERTURBATION

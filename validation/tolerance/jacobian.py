@@ -26,9 +26,9 @@ class SparseJacobian:
         if len(sheets) != 1:
             raise ValueError("the sparse Jacobian is written for raw sheets only")
         springs = sheets[0].pair_springs
-        self._pairs, self._rest, self._damping = springs.pairs, springs.rest_length, springs.damping
+        self._pairs, self._rest_length, self._damping = springs.pairs, springs.rest_length, springs.damping
         self._rigidity = springs.rigidity
-        self._inverse = model.inverse_masses
+        self._inverse_mass = model.inverse_masses
         self._drag = sum(force.rate for force in model.forces if isinstance(force, Drag))
         self._count = model.particle_count
 
@@ -44,8 +44,8 @@ class SparseJacobian:
         length = np.sqrt(square)
         su = np.sum(s * u, axis=0)
         # F on b = -g s with g = k (1 - l0/L) + c su / L^2; dg = p . ds + q . du.
-        g = self._rigidity * (1.0 - self._rest / length) + self._damping * su / square
-        p = (self._rigidity * self._rest / (length * square) - 2.0 * self._damping * su / square**2) * s
+        g = self._rigidity * (1.0 - self._rest_length / length) + self._damping * su / square
+        p = (self._rigidity * self._rest_length / (length * square) - 2.0 * self._damping * su / square**2) * s
         p += self._damping / square * u
         q = self._damping / square * s
         blocks = []
@@ -57,10 +57,10 @@ class SparseJacobian:
                     for row, column, sign in ((b, b, -1.0), (b, a, 1.0), (a, a, -1.0), (a, b, 1.0)):
                         rows.append(i * n + row)
                         columns.append(j * n + column)
-                        values.append(sign * entry * self._inverse[row])
-            where = (np.concatenate(rows), np.concatenate(columns))
-            blocks.append(coo_matrix((np.concatenate(values), where), shape=(3 * n, 3 * n)).tocsc())
-        free = np.tile(self._inverse > 0.0, 3).astype(float)
+                        values.append(sign * entry * self._inverse_mass[row])
+            indices = (np.concatenate(rows), np.concatenate(columns))
+            blocks.append(coo_matrix((np.concatenate(values), indices), shape=(3 * n, 3 * n)).tocsc())
+        free = np.tile(self._inverse_mass > 0.0, 3).astype(float)
         blocks[1] = blocks[1] - diags(self._drag * free)
         upper = beside([csc_matrix((3 * n, 3 * n)), identity(3 * n)])
         return vstack([upper, beside(blocks)]).tocsc()

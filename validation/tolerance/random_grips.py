@@ -22,7 +22,7 @@ APPROACH = 3
 
 
 @attrs.frozen(kw_only=True, eq=False)
-class Hold:
+class GraspInterval:
     """Interval from the grasp of one particle to its release, and the actions in it."""
 
     gripper: str
@@ -37,36 +37,40 @@ class Hold:
 
 
 @attrs.frozen(kw_only=True, eq=False)
-class Script:
+class RandomGripScript:
     """Grasp intervals of a scene."""
 
-    holds: tuple[Hold, ...]
+    holds: tuple[GraspInterval, ...]
 
     @classmethod
-    def random(cls, rng: np.random.Generator, scene: Scene, frames: int, *, pace: float = 1.0) -> Script:
+    def random(cls, rng: np.random.Generator, scene: Scene, frames: int, *, pace: float = 1.0) -> RandomGripScript:
         """Draw a script for a number of frames; `pace` scales the speeds."""
-        rest = scene.initial_positions()
-        size = float(np.ptp(rest, axis=0).max()) or 1.0
+        rest_positions = scene.initial_positions()
+        size = float(np.ptp(rest_positions, axis=0).max()) or 1.0
         rate = scene.rate
         holds = []
         for name in scene.gripper_names:
             frame = int(rng.uniform(0.0, 0.5) * rate)
             while frame < frames - 2:
                 release = frame + max(2, int(rng.uniform(0.3, 2.0) * rate))
-                actions, at = [], frame + 1
-                while at < release:
-                    what = str(rng.choice(ACTIONS))
+                actions, action_frame = [], frame + 1
+                while action_frame < release:
+                    action_name = str(rng.choice(ACTIONS))
                     direction = rng.normal(size=3)
-                    reach = {"turn": 2.0, "jump": 0.25 * size}.get(what, 0.4 * size)
+                    reach = {"turn": 2.0, "jump": 0.25 * size}.get(action_name, 0.4 * size)
                     actions.append(
-                        (at, what, pace * rng.uniform(0.1, 1.0) * reach * direction / np.linalg.norm(direction))
+                        (
+                            action_frame,
+                            action_name,
+                            pace * rng.uniform(0.1, 1.0) * reach * direction / np.linalg.norm(direction),
+                        )
                     )
-                    at += max(2, int(rng.uniform(0.15, 0.8) * rate))
+                    action_frame += max(2, int(rng.uniform(0.15, 0.8) * rate))
                 stride = int(rng.choice([1, 1, 1, 2, 4]))
                 holds.append(
-                    Hold(
+                    GraspInterval(
                         gripper=name,
-                        particle=int(rng.integers(len(rest))),
+                        particle=int(rng.integers(len(rest_positions))),
                         grasp=frame,
                         release=release,
                         actions=tuple(actions),
@@ -84,17 +88,17 @@ class Script:
 
     def moments(self) -> list[int]:
         """Return the frames before which an action begins, sorted."""
-        found = {frame for hold in self.holds for frame in (hold.grasp, hold.release, *(a[0] for a in hold.actions))}
-        return sorted(found)
+        frames = {frame for hold in self.holds for frame in (hold.grasp, hold.release, *(a[0] for a in hold.actions))}
+        return sorted(frames)
 
 
-class Player:
+class RandomGripPlayer:
     """Player of a script on a simulation; a gripper's path starts at the particle's position at the grasp."""
 
-    def __init__(self, script: Script, simulation: Simulation) -> None:
+    def __init__(self, script: RandomGripScript, simulation: Simulation) -> None:
         self._script, self._simulation = script, simulation
         self._orientations = {hold.gripper: np.array([0.0, 0.0, 0.0, 1.0]) for hold in script.holds}
-        self._places: dict[str, Array] = {}
+        self._positions: dict[str, Array] = {}
 
     def events(self, frame: int) -> list[Event]:
         """Return the events before a frame, counted from 0."""
@@ -110,24 +114,26 @@ class Player:
                 events.append(self._follow(hold, frame))
         return events
 
-    def _target(self, gripper: str, place: Array) -> Target:
-        self._places[gripper] = place
-        return Target(gripper, drawn_alike(place), drawn_alike(self._orientations[gripper]))
+    def _target(self, gripper: str, position: Array) -> Target:
+        self._positions[gripper] = position
+        return Target(gripper, drawn_alike(position), drawn_alike(self._orientations[gripper]))
 
-    def _follow(self, hold: Hold, frame: int) -> Target:
-        place = self._places[hold.gripper]
-        begin, what, vector = [action for action in hold.actions if action[0] <= frame][-1]
+    def _follow(self, hold: GraspInterval, frame: int) -> Target:
+        position = self._positions[hold.gripper]
+        begin, action_name, vector = [action for action in hold.actions if action[0] <= frame][-1]
         seconds = hold.stride * self._simulation.scene.period
-        if what == "jump" and frame - hold.stride < begin:
-            place = place + vector
-        elif what == "carry":
-            place = place + seconds * vector
-        elif what == "swing":
-            place = place + seconds * 4.0 * math.cos(12.0 * (frame - begin) * self._simulation.scene.period) * vector
-        elif what == "turn":
+        if action_name == "jump" and frame - hold.stride < begin:
+            position = position + vector
+        elif action_name == "carry":
+            position = position + seconds * vector
+        elif action_name == "swing":
+            position = (
+                position + seconds * 4.0 * math.cos(12.0 * (frame - begin) * self._simulation.scene.period) * vector
+            )
+        elif action_name == "turn":
             speed = float(np.linalg.norm(vector))
             half = 0.5 * seconds * speed
             step = (*(math.sin(half) * vector / speed).tolist(), math.cos(half))
             turned = normalized(quaternion_product(step, self._orientations[hold.gripper].tolist()))
             self._orientations[hold.gripper] = turned
-        return self._target(hold.gripper, place)
+        return self._target(hold.gripper, position)

@@ -17,7 +17,7 @@ from cloth_sim_ros.physics.state import State
 from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from validation.tolerance.compiled_reference import ReferenceSystem
-from validation.tolerance.random_grips import Script
+from validation.tolerance.random_grips import RandomGripScript
 
 #: Particles of a sheet along a side, stretch moduli [N/m], densities [kg/m^2], tolerances [m], frames per second [1/s].
 SIDES, MODULI, DENSITIES = (5, 60), (50.0, 1e5), (0.02, 2.0)
@@ -25,9 +25,9 @@ TOLERANCES, RATES = (1e-8, 1e-2), (30, 240)
 #: Simulated time of a scene [s].
 DURATIONS = (2.0, 4.0)
 #: Largest cost of a scene in spring evaluations by the reference: about a minute of one core.
-CAP = 5e9
+MAX_COST = 5e9
 #: Steps of the reference per radian of the highest frequency, for the cost estimate.
-_STEPS_A_RADIAN = 0.8
+_STEPS_PER_RADIAN = 0.8
 _STAGES = 12
 _ANCHORS = (
     ["top"],
@@ -40,23 +40,23 @@ _ANCHORS = (
     [""],
 )
 #: Number of those that hold a hanging sheet.
-_HANGING = 4
+_N_HANGING_ANCHORS = 4
 #: Fraction of calm scenes: damped sheets that hang from their upper edge, with slow grippers. In most other scenes a
 #: perturbation grows without bound within a second, and a window is not meaningful.
-_CALM = 0.6
+_CALM_FRACTION = 0.6
 #: Pace of grippers in calm scenes.
-_SLOWLY = 0.15
+_CALM_PACE = 0.15
 
 
 @attrs.frozen(kw_only=True, eq=False)
-class Draw:
+class RandomScene:
     """Random scene with its initial state and gripper script."""
 
     seed: int
     index: int
     scene: Scene
     state: State
-    script: Script
+    script: RandomGripScript
     #: Number of frames.
     frames: int
     #: Short description.
@@ -67,16 +67,16 @@ class Draw:
     frequency: float
 
     @property
-    def frames_a_second(self) -> int:
+    def frames_per_second(self) -> int:
         """Number of frames in a window of one second."""
         return round(self.scene.rate)
 
 
-def draw(seed: int, index: int) -> Draw:
+def draw_scene(seed: int, index: int) -> RandomScene:
     """Draw the scene of an index for a seed."""
     rng = np.random.default_rng([seed, index])
     while True:
-        calm = bool(rng.random() < _CALM)
+        calm = bool(rng.random() < _CALM_FRACTION)
         try:
             values, files, words = _values(rng, calm)
             scene = Scene.from_parameters(values, files=files)
@@ -86,19 +86,19 @@ def draw(seed: int, index: int) -> Draw:
             continue
     duration = float(rng.uniform(*DURATIONS))
     frames = max(round(scene.rate), round(duration * scene.rate))
-    state = _start(rng, scene, 0.2 if calm else 1.0)
-    script = Script.random(rng, scene, frames, pace=_SLOWLY if calm else 1.0)
+    state = _initial_state(rng, scene, 0.2 if calm else 1.0)
+    script = RandomGripScript.random(rng, scene, frames, pace=_CALM_PACE if calm else 1.0)
     system = ReferenceSystem(scene.model())
-    what = ", ".join([*words, f"{scene.rate:g} Hz", f"{frames / scene.rate:.1f} s", script.words])
-    frequency = frequency_of(scene, state.x)
-    return Draw(
+    description = ", ".join([*words, f"{scene.rate:g} Hz", f"{frames / scene.rate:.1f} s", script.words])
+    frequency = max_frequency(scene, state.x)
+    return RandomScene(
         seed=seed,
         index=index,
         scene=scene,
         state=state,
         script=script,
         frames=frames,
-        words=what,
+        words=description,
         cost=reference_cost(system, frequency, frames / scene.rate),
         frequency=frequency,
     )
@@ -107,10 +107,10 @@ def draw(seed: int, index: int) -> Draw:
 def reference_cost(system: ReferenceSystem, frequency: float, duration: float, *, windows: int = 4) -> float:
     """Estimate the spring evaluations by the reference: the whole run and the windows, each twice."""
     seconds = 2.0 * (duration + windows - 1)
-    return seconds * _STAGES * _STEPS_A_RADIAN * frequency * system.elements
+    return seconds * _STAGES * _STEPS_PER_RADIAN * frequency * system.evaluation_cost
 
 
-def frequency_of(scene: Scene, x: Array) -> float:
+def max_frequency(scene: Scene, x: Array) -> float:
     """Return the highest frequency of a scene at positions x (3, n), or its damping rate if that is higher [1/s]."""
     plan = scene.plan()
     omega2, damping = plan.spectral_bounds(x)
@@ -182,7 +182,7 @@ def _sheet(rng: np.random.Generator, kind: str, calm: bool) -> tuple[dict[str, A
         rows, columns = (round(log_uniform(rng, *SIDES)) for _ in range(2))
         height = float(rng.uniform(0.3, 1.2))
         width = float(height * (columns - 1) / (rows - 1) * log_uniform(rng, 0.7, 1.4))
-        anchors = list(_ANCHORS[rng.integers(_HANGING if calm else len(_ANCHORS))])
+        anchors = list(_ANCHORS[rng.integers(_N_HANGING_ANCHORS if calm else len(_ANCHORS))])
         if not calm and rng.random() < 0.2:
             anchors = [str(int(rng.integers(rows * columns))) for _ in range(int(rng.integers(1, 4)))]
         layout = str(rng.choice(["left", "right", "alternating", "both"]))
@@ -201,7 +201,7 @@ def _sheet(rng: np.random.Generator, kind: str, calm: bool) -> tuple[dict[str, A
             chosen = np.flatnonzero(points[:, 1] > points[:, 1].max() - 0.1 * np.ptp(points[:, 1]))
         anchors = [str(int(k)) for k in chosen] or [""]
         values |= {"cloth.mesh": "sheet.obj", "cloth.anchors": anchors}
-    held = " ".join(anchors) if len(anchors) < 4 else f"{len(anchors)} particles"
+    anchor_names = " ".join(anchors) if len(anchors) < 4 else f"{len(anchors)} particles"
     words = [
         "calm" if calm else "wild",
         shape,
@@ -209,7 +209,7 @@ def _sheet(rng: np.random.Generator, kind: str, calm: bool) -> tuple[dict[str, A
         f"{density:.2g} kg/m2",
         f"k_d0 {damping:.2g}",
         model,
-        f"anchors {held or 'none'}",
+        f"anchors {anchor_names or 'none'}",
     ]
     return values, files, words
 
@@ -217,18 +217,18 @@ def _sheet(rng: np.random.Generator, kind: str, calm: bool) -> tuple[dict[str, A
 def _springs(rng: np.random.Generator, calm: bool) -> tuple[bytes, dict[str, Any], list[str]]:
     """Draw a single spring, or a chain of different springs."""
     count = 2 if rng.random() < 0.4 else int(rng.integers(3, 102))
-    rest = rng.uniform(0.02, 0.2, count - 1) if count > 2 else rng.uniform(0.1, 1.0, 1)
+    rest_lengths = rng.uniform(0.02, 0.2, count - 1) if count > 2 else rng.uniform(0.1, 1.0, 1)
     if rng.random() < 0.2:
-        rest[:] = 0.0
+        rest_lengths[:] = 0.0
     slack = float(rng.uniform(1.05 if calm else 0.7, 1.5))
-    length = np.where(rest > 0.0, slack * rest, 0.05)
+    length = np.where(rest_lengths > 0.0, slack * rest_lengths, 0.05)
     direction = rng.normal(size=3)
     positions = np.concatenate([[0.0], np.cumsum(length)])[:, None] * (direction / np.linalg.norm(direction))
     positions += 0.01 * length.mean() * rng.normal(size=positions.shape)
     rigidity = (
-        np.array([log_uniform(rng, *MODULI) for _ in rest])
+        np.array([log_uniform(rng, *MODULI) for _ in rest_lengths])
         if rng.random() < 0.5
-        else np.full(len(rest), log_uniform(rng, *MODULI))
+        else np.full(len(rest_lengths), log_uniform(rng, *MODULI))
     )
     masses = (
         np.array([log_uniform(rng, 1e-3, 0.3) for _ in positions])
@@ -246,13 +246,19 @@ def _springs(rng: np.random.Generator, calm: bool) -> tuple[bytes, dict[str, Any
         "velocities": velocities.tolist(),
         "masses": masses.tolist(),
         "springs": [[k, k + 1] for k in range(count - 1)],
-        "rest_lengths": rest.tolist(),
-        "stiffness": (rigidity * np.where(rest > 0.0, rest, 1.0)).tolist(),
+        "rest_lengths": rest_lengths.tolist(),
+        "stiffness": (rigidity * np.where(rest_lengths > 0.0, rest_lengths, 1.0)).tolist(),
         "k_d0": damping,
     }
-    what = "spring" if count == 2 else f"chain of {count}"
-    kind = "joints" if not rest.any() else f"{rigidity.min():.2g} to {rigidity.max():.2g} N/m"
-    words = ["calm" if calm else "wild", what, kind, f"k_d0 {damping:.2g}", f"anchors {' '.join(anchors) or 'none'}"]
+    kind_name = "spring" if count == 2 else f"chain of {count}"
+    stiffness_text = "joints" if not rest_lengths.any() else f"{rigidity.min():.2g} to {rigidity.max():.2g} N/m"
+    words = [
+        "calm" if calm else "wild",
+        kind_name,
+        stiffness_text,
+        f"k_d0 {damping:.2g}",
+        f"anchors {' '.join(anchors) or 'none'}",
+    ]
     return json.dumps(tables).encode(), {"cloth.anchors": anchors, "cloth.size": [float(length.sum()), 1e-6]}, words
 
 
@@ -269,29 +275,29 @@ def _hanging(rng: np.random.Generator) -> list[float]:
     return [cosine, sine, sine, cosine]
 
 
-def _start(rng: np.random.Generator, scene: Scene, share: float) -> State:
+def _initial_state(rng: np.random.Generator, scene: Scene, amplitude: float) -> State:
     """Draw a start at rest, or one with a smooth deformation and velocity."""
     state = scene.starting_state()
     if rng.random() < 0.5:
         return state
-    rest = state.positions
-    size = float(np.ptp(rest, axis=0).max())
+    rest_positions = state.positions
+    size = float(np.ptp(rest_positions, axis=0).max())
     free = scene.model().inverse_masses > 0.0
-    state.x += drawn_alike(0.05 * share * size * smooth_field(rng, rest).T * free)
-    state.v += drawn_alike(rng.uniform(0.0, share) * smooth_field(rng, rest).T * free)
+    state.x += drawn_alike(0.05 * amplitude * size * smooth_field(rng, rest_positions).T * free)
+    state.v += drawn_alike(rng.uniform(0.0, amplitude) * smooth_field(rng, rest_positions).T * free)
     return state
 
 
-def smooth_field(rng: np.random.Generator, rest: Array) -> Array:
+def smooth_field(rng: np.random.Generator, rest_positions: Array) -> Array:
     """Draw a smooth vector field (n, 3) over positions (n, 3); the longest vector has length 1."""
-    size = float(np.ptp(rest, axis=0).max()) or 1.0
-    field = np.tile(rng.normal(size=3), (len(rest), 1))
+    size = float(np.ptp(rest_positions, axis=0).max()) or 1.0
+    field = np.tile(rng.normal(size=3), (len(rest_positions), 1))
     for _ in range(4):
         waves, phase = rng.normal(scale=4.0 / size, size=3), rng.uniform(0.0, 2.0 * np.pi)
-        field = field + np.cos(rest @ waves + phase)[:, None] * rng.normal(size=3)
+        field = field + np.cos(rest_positions @ waves + phase)[:, None] * rng.normal(size=3)
     return np.asarray(field / np.sqrt(np.sum(field * field, axis=1).max()))
 
 
-def log_uniform(rng: np.random.Generator, least: float, most: float) -> float:
+def log_uniform(rng: np.random.Generator, minimum: float, maximum: float) -> float:
     """Draw a log-uniform number, rounded to nine digits because the last bits of exp differ between machines."""
-    return float(f"{np.exp(rng.uniform(math.log(least), math.log(most))):.9g}")
+    return float(f"{np.exp(rng.uniform(math.log(minimum), math.log(maximum))):.9g}")

@@ -13,37 +13,37 @@ from numpy.typing import NDArray
 from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.simulation.simulation import Simulation
-from validation.tolerance.compiled_reference import LANES, Held, ReferenceSystem
-from validation.tolerance.random_grips import Player
-from validation.tolerance.random_scenes import Draw
+from validation.tolerance.compiled_reference import LANES, GripTable, ReferenceSystem
+from validation.tolerance.random_grips import RandomGripPlayer
+from validation.tolerance.random_scenes import RandomScene
 
 #: Largest difference between accelerations of the reference and of the plan, relative to the largest acceleration.
-SAME_FORCES = 1e-12
+MAX_FORCE_MISMATCH = 1e-12
 
 
 @attrs.frozen(kw_only=True, eq=False)
-class FrameRecord:
+class RecordedFrame:
     """Inputs of one frame and its step statistics."""
 
     #: Grasped particles with the engine's points for each trajectory; None if nothing is grasped.
-    held: Held | None
+    grasped: GripTable | None
     #: True for grips that are new in this frame, shape (m,); their points follow from the particles' positions.
-    fresh: NDArray[np.bool_]
+    is_new_grip: NDArray[np.bool_]
     advance: Advance
     #: Wall time [s].
     seconds: float
 
 
 @attrs.frozen(kw_only=True, eq=False)
-class Recording:
+class RecordedRun:
     """Run with its states at the boundaries of frames."""
 
-    draw: Draw
+    draw: RandomScene
     system: ReferenceSystem
     #: (3, n) each [m], [m/s]; one more than frames.
     positions: list[Array]
     velocities: list[Array]
-    frames: list[FrameRecord]
+    frames: list[RecordedFrame]
     #: Largest difference of accelerations, see `MAX_FORCE_MISMATCH`.
     mismatch: float
     #: Reason why it ended early; empty if it did not.
@@ -55,34 +55,34 @@ class Recording:
         return self.draw.scene.period
 
 
-def record(draw: Draw) -> Recording:
+def record_run(draw: RandomScene) -> RecordedRun:
     """Run a scene to its end."""
     simulation = Simulation(draw.scene, draw.state)
-    player = Player(draw.script, simulation)
+    player = RandomGripPlayer(draw.script, simulation)
     system = ReferenceSystem(simulation.model)
     positions, velocities = [simulation.state.x.copy()], [simulation.state.v.copy()]
-    frames: list[FrameRecord] = []
+    frames: list[RecordedFrame] = []
     mismatch, trouble = _mismatch(simulation, system, None, 0.0), ""
-    looked = False
-    for number in range(draw.frames):
+    grips_compared = False
+    for frame_index in range(draw.frames):
         begin = time.perf_counter()
         try:
-            done = simulation.advance(player.events(number)).advance
+            advance = simulation.advance(player.events(frame_index)).advance
         except (UnstableError, ValueError) as error:
-            trouble = f"frame {number}: {error}"
+            trouble = f"frame {frame_index}: {error}"
             break
         seconds = time.perf_counter() - begin
-        if done is None:
-            raise RuntimeError(f"frame {number} let no time pass")
-        held, fresh = _held(simulation, frames[-1].held if frames else None)
-        if held is not None and not looked:
-            looked = True
+        if advance is None:
+            raise RuntimeError(f"frame {frame_index} let no time pass")
+        grasped, is_new_grip = _grasped_particles(simulation, frames[-1].grasped if frames else None)
+        if grasped is not None and not grips_compared:
+            grips_compared = True
             start = simulation.time - draw.scene.period
-            mismatch = max(mismatch, _mismatch(simulation, system, held, start))
-        frames.append(FrameRecord(held=held, fresh=fresh, advance=done, seconds=seconds))
+            mismatch = max(mismatch, _mismatch(simulation, system, grasped, start))
+        frames.append(RecordedFrame(grasped=grasped, is_new_grip=is_new_grip, advance=advance, seconds=seconds))
         positions.append(simulation.state.x.copy())
         velocities.append(simulation.state.v.copy())
-    return Recording(
+    return RecordedRun(
         draw=draw,
         system=system,
         positions=positions,
@@ -93,29 +93,31 @@ def record(draw: Draw) -> Recording:
     )
 
 
-def _held(simulation: Simulation, before: Held | None) -> tuple[Held | None, NDArray[np.bool_]]:
+def _grasped_particles(
+    simulation: Simulation, previous: GripTable | None
+) -> tuple[GripTable | None, NDArray[np.bool_]]:
     """Return the grasped particles of the last frame, and which grips are new."""
     grips = simulation.plan.grips
     if grips is None or not grips.particles.size:
         return None, np.zeros(0, dtype=bool)
-    held = Held(
+    grasped = GripTable(
         paths=grips.paths.copy(),
         grippers=grips.gripper_indices(),
         particles=grips.particles.copy(),
         numbers=np.stack([grips.stiffness, grips.damping], axis=1),
         offsets=np.repeat(grips.offsets[:, :, None], LANES, axis=2),
     )
-    fresh = np.ones(len(held.particles), dtype=bool)
-    if before is not None:
-        for gripper in np.unique(held.grippers):
-            now, then = held.grippers == gripper, before.grippers == gripper
-            same = np.array_equal(held.particles[now], before.particles[then])
-            if same and np.array_equal(held.offsets[now], before.offsets[then]):
-                fresh[now] = False
-    return held, fresh
+    is_new_grip = np.ones(len(grasped.particles), dtype=bool)
+    if previous is not None:
+        for gripper in np.unique(grasped.grippers):
+            current, previous_selection = grasped.grippers == gripper, previous.grippers == gripper
+            same_particles = np.array_equal(grasped.particles[current], previous.particles[previous_selection])
+            if same_particles and np.array_equal(grasped.offsets[current], previous.offsets[previous_selection]):
+                is_new_grip[current] = False
+    return grasped, is_new_grip
 
 
-def _mismatch(simulation: Simulation, system: ReferenceSystem, held: Held | None, t: float) -> float:
+def _mismatch(simulation: Simulation, system: ReferenceSystem, grasped: GripTable | None, t: float) -> float:
     """Return the relative difference of accelerations in a perturbed state, less the rounding error."""
     rng = np.random.default_rng(7)
     state = simulation.state
@@ -126,9 +128,9 @@ def _mismatch(simulation: Simulation, system: ReferenceSystem, held: Held | None
     since = 0.3 * simulation.scene.period
     expected = np.empty_like(x)
     simulation.plan.accelerations(t + since, x, v, expected)
-    system.hold(held, t)
-    found = system.accelerations(x, v, since=since)
+    system.set_grasped(grasped, t)
+    accelerations = system.accelerations(x, v, since=since)
     # Stiff springs convert the rounding of positions to accelerations.
     rounding = 4.0 * np.finfo(np.float64).eps * float(np.abs(x).max()) * simulation.plan.spectral_bounds(x)[0]
-    beyond = float(np.abs(found - expected).max()) - rounding
-    return max(0.0, beyond) / max(float(np.abs(expected).max()), 1e-30)
+    excess = float(np.abs(accelerations - expected).max()) - rounding
+    return max(0.0, excess) / max(float(np.abs(expected).max()), 1e-30)

@@ -20,20 +20,20 @@ from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.model import Model
 from cloth_sim_ros.scene.scene import Scene
-from validation.case_pool import run_cases, shown
+from validation.case_pool import run_cases, show_progress
 from validation.report import Report, Table
-from validation.tolerance.random_grips import Script
-from validation.tolerance.random_scenes import Draw, frequency_of
-from validation.tolerance.recording import Recording, record
-from validation.tolerance.windows import Window, follow, judge_window, kicks
+from validation.tolerance.random_grips import RandomGripScript
+from validation.tolerance.random_scenes import RandomScene, max_frequency
+from validation.tolerance.recording import RecordedRun, record_run
+from validation.tolerance.windows import Window, evaluate_window, run_reference, unit_perturbations
 
 TOLERANCES = tuple(10.0**-k for k in range(3, 11))
 PENDULUM_TOLERANCES = (1e-3, 1e-5, 1e-7)
 #: Simulated time of springs and chains, and of pendulums [s].
-DURATION, MINUTE = 2.0, 60.0
+DURATION, PENDULUM_DURATION = 2.0, 60.0
 RATE = 60.0
 #: Largest error that counts as rounding [m].
-FLOOR = 1e-12
+ROUNDING_ERROR = 1e-12
 _SIZES = (7, 33, 101)
 
 
@@ -49,9 +49,9 @@ class Regime:
     duration: float = DURATION
 
 
-def every_regime() -> list[Regime]:
+def all_regimes() -> list[Regime]:
     """Return springs without damping and in three regimes of damping, and chains."""
-    found = [
+    regimes = [
         _spring("undamped", 0.0),
         _spring("under-damped", 0.3),
         _spring("critically damped", 2.0),
@@ -59,8 +59,8 @@ def every_regime() -> list[Regime]:
     ]
     for count in _SIZES:
         for damping in (0.0, 0.3):
-            found += [_taut(count, damping), _joints(count, damping), _slack(count, damping)]
-    return found
+            regimes += [_taut(count, damping), _joints(count, damping), _slack(count, damping)]
+    return regimes
 
 
 def pendulums() -> list[Regime]:
@@ -95,15 +95,22 @@ def _mixed(count: int) -> tuple[np.random.Generator, Array, Array, Array]:
 
 
 def _chain(
-    name: str, places: Array, speeds: Array, masses: Array, rest: Array, stiffness: Array, damping: float, **more: Any
+    name: str,
+    positions: Array,
+    velocities: Array,
+    masses: Array,
+    rest_lengths: Array,
+    stiffness: Array,
+    damping: float,
+    **more: Any,
 ) -> Regime:
-    count = len(places)
+    count = len(positions)
     tables = {
-        "positions": places.tolist(),
-        "velocities": speeds.tolist(),
+        "positions": positions.tolist(),
+        "velocities": velocities.tolist(),
         "masses": masses.tolist(),
         "springs": [[k, k + 1] for k in range(count - 1)],
-        "rest_lengths": rest.tolist(),
+        "rest_lengths": rest_lengths.tolist(),
         "stiffness": stiffness.tolist(),
         "k_d0": damping,
     }
@@ -113,55 +120,59 @@ def _chain(
 
 def _taut(count: int, damping: float) -> Regime:
     """Return a chain on a line, stretched by a half between its ends, with velocities along the line."""
-    rng, masses, stiffness, rest = _mixed(count)
+    rng, masses, stiffness, rest_lengths = _mixed(count)
     # In equilibrium every spring has the same tension.
-    tension = 0.5 * rest.sum() / (1.0 / stiffness).sum()
-    places = np.zeros((count, 3))
-    places[1:, 0] = np.cumsum(rest + tension / stiffness)
-    speeds = np.zeros((count, 3))
+    tension = 0.5 * rest_lengths.sum() / (1.0 / stiffness).sum()
+    positions = np.zeros((count, 3))
+    positions[1:, 0] = np.cumsum(rest_lengths + tension / stiffness)
+    velocities = np.zeros((count, 3))
     # Small enough that every spring stays taut.
-    speeds[1:-1, 0] = 0.1 * rest.min() * np.sqrt(stiffness.min() / masses.max()) * rng.uniform(-1.0, 1.0, count - 2)
-    return _chain("taut", places, speeds, masses, rest, stiffness * rest, damping, linear=True)
+    velocities[1:-1, 0] = (
+        0.1 * rest_lengths.min() * np.sqrt(stiffness.min() / masses.max()) * rng.uniform(-1.0, 1.0, count - 2)
+    )
+    return _chain("taut", positions, velocities, masses, rest_lengths, stiffness * rest_lengths, damping, linear=True)
 
 
 def _joints(count: int, damping: float) -> Regime:
     """Return a chain of springs of zero rest length in space."""
-    rng, masses, stiffness, rest = _mixed(count)
-    places = np.zeros((count, 3))
-    places[1:, 0] = np.cumsum(rest)
-    places[1:-1] += 0.01 * rng.normal(size=(count - 2, 3))
-    speeds = np.zeros((count, 3))
-    speeds[1:-1] = 0.2 * rng.normal(size=(count - 2, 3))
-    return _chain("joints", places, speeds, masses, 0.0 * rest, stiffness, damping, linear=True)
+    rng, masses, stiffness, rest_lengths = _mixed(count)
+    positions = np.zeros((count, 3))
+    positions[1:, 0] = np.cumsum(rest_lengths)
+    positions[1:-1] += 0.01 * rng.normal(size=(count - 2, 3))
+    velocities = np.zeros((count, 3))
+    velocities[1:-1] = 0.2 * rng.normal(size=(count - 2, 3))
+    return _chain("joints", positions, velocities, masses, 0.0 * rest_lengths, stiffness, damping, linear=True)
 
 
 def _slack(count: int, damping: float) -> Regime:
     """Return a zigzag chain between two points at a distance of three quarters of its length."""
-    _, masses, stiffness, rest = _mixed(count)
-    places = np.zeros((count, 3))
-    places[1:, 0] = 0.75 * np.cumsum(rest)
-    sides = np.sqrt(1.0 - 0.75**2) * rest * np.where(np.arange(count - 1) % 2, 1.0, -1.0)
-    places[1:, 2] = np.cumsum(sides)
-    places[1:, 1] = 0.1 * places[1:, 2]
+    _, masses, stiffness, rest_lengths = _mixed(count)
+    positions = np.zeros((count, 3))
+    positions[1:, 0] = 0.75 * np.cumsum(rest_lengths)
+    sides = np.sqrt(1.0 - 0.75**2) * rest_lengths * np.where(np.arange(count - 1) % 2, 1.0, -1.0)
+    positions[1:, 2] = np.cumsum(sides)
+    positions[1:, 1] = 0.1 * positions[1:, 2]
     more = {"linear": False, "gravity": (0.0, 0.0, -9.81)}
-    return _chain("slack", places, np.zeros((count, 3)), masses, rest, stiffness * rest, damping, **more)
+    return _chain(
+        "slack", positions, np.zeros((count, 3)), masses, rest_lengths, stiffness * rest_lengths, damping, **more
+    )
 
 
 def _pendulum(name: str, lengths: list[float], masses: list[float], stiffness: float, *, angle: float) -> Regime:
     along = np.array([np.sin(angle), 0.0, -np.cos(angle)])
-    places = np.concatenate([[0.0], np.cumsum(lengths)])[:, None] * along
-    count = len(places)
+    positions = np.concatenate([[0.0], np.cumsum(lengths)])[:, None] * along
+    count = len(positions)
     tables = {
-        "positions": places.tolist(),
+        "positions": positions.tolist(),
         "masses": [1.0, *masses],
         "springs": [[k, k + 1] for k in range(count - 1)],
         "rest_lengths": lengths,
         "stiffness": [stiffness * length for length in lengths],
     }
-    return Regime(name, tables, ("0",), linear=False, gravity=(0.0, 0.0, -9.81), duration=MINUTE)
+    return Regime(name, tables, ("0",), linear=False, gravity=(0.0, 0.0, -9.81), duration=PENDULUM_DURATION)
 
 
-def drawn(regime: Regime, tolerance: float) -> Draw:
+def regime_scene(regime: Regime, tolerance: float) -> RandomScene:
     """Return a regime as a scene without grippers."""
     values = {
         "rate": RATE,
@@ -177,20 +188,20 @@ def drawn(regime: Regime, tolerance: float) -> Draw:
     }
     scene = Scene.from_parameters(values, files={"springs.yaml": json.dumps(regime.tables).encode()})
     state = scene.starting_state()
-    return Draw(
+    return RandomScene(
         seed=0,
         index=0,
         scene=scene,
         state=state,
-        script=Script(holds=()),
+        script=RandomGripScript(holds=()),
         frames=round(regime.duration * RATE),
         words=regime.name,
         cost=0.0,
-        frequency=frequency_of(scene, state.x),
+        frequency=max_frequency(scene, state.x),
     )
 
 
-def exact(model: Model, x: Array, v: Array, period: float, frames: int) -> list[Array]:
+def exact_positions(model: Model, x: Array, v: Array, period: float, frames: int) -> list[Array]:
     """Return positions (3, n) [m] at the end of each frame of a linear system, by a matrix exponential.
 
     The system has no gravity.
@@ -206,34 +217,34 @@ def exact(model: Model, x: Array, v: Array, period: float, frames: int) -> list[
     difference[np.arange(len(springs.pairs)), springs.pairs[:, 1]] = 1.0
     stiff = difference.T @ (springs.rigidity[:, None] * difference)
     damped = difference.T @ (springs.damping[:, None] * difference)
-    away = difference @ x.T
+    separations = difference @ x.T
     # Stretch of a spring on a line: d - l0 d / |d|; of a joint: d.
-    length = np.sqrt(np.sum(away * away, axis=1))
-    stretch = away * (1.0 - springs.rest_length / np.where(length > 0.0, length, 1.0))[:, None]
+    length = np.sqrt(np.sum(separations * separations, axis=1))
+    stretch = separations * (1.0 - springs.rest_length / np.where(length > 0.0, length, 1.0))[:, None]
     push = -difference.T @ (springs.rigidity[:, None] * stretch)
     inverse = model.inverse_masses[:, None]
     free = np.flatnonzero(model.inverse_masses > 0.0)
-    many = len(free)
+    n_free = len(free)
     # State: deviation from the start, velocity, and 1; one column for each axis, because the axes are independent.
-    matrix = np.zeros((2 * many + 3, 2 * many + 3))
-    matrix[:many, many : 2 * many] = np.eye(many)
-    matrix[many : 2 * many, :many] = -(inverse * stiff)[np.ix_(free, free)]
-    matrix[many : 2 * many, many : 2 * many] = -(inverse * damped)[np.ix_(free, free)]
-    matrix[many : 2 * many, 2 * many :] = (inverse * push)[free]
+    matrix = np.zeros((2 * n_free + 3, 2 * n_free + 3))
+    matrix[:n_free, n_free : 2 * n_free] = np.eye(n_free)
+    matrix[n_free : 2 * n_free, :n_free] = -(inverse * stiff)[np.ix_(free, free)]
+    matrix[n_free : 2 * n_free, n_free : 2 * n_free] = -(inverse * damped)[np.ix_(free, free)]
+    matrix[n_free : 2 * n_free, 2 * n_free :] = (inverse * push)[free]
     step = expm(matrix * period)
-    state = np.zeros((2 * many + 3, 3))
-    state[many : 2 * many], state[2 * many :] = v.T[free], np.eye(3)
-    found = []
+    state = np.zeros((2 * n_free + 3, 3))
+    state[n_free : 2 * n_free], state[2 * n_free :] = v.T[free], np.eye(3)
+    positions = []
     for _ in range(frames):
         state = step @ state
-        place = x.copy()
-        place[:, free] += state[:many].T
-        found.append(place)
-    return found
+        frame_positions = x.copy()
+        frame_positions[:, free] += state[:n_free].T
+        positions.append(frame_positions)
+    return positions
 
 
 @attrs.frozen
-class Outcome:
+class RegimeResult:
     """One regime at one tolerance."""
 
     #: Largest ratio of error to error bound of its windows; of a pendulum, at all times.
@@ -246,43 +257,48 @@ class Outcome:
     reference: float
 
 
-def judge_regime(case: tuple[Regime, float]) -> Outcome:
+def evaluate_regime(case: tuple[Regime, float]) -> RegimeResult:
     """Evaluate one regime at one tolerance."""
     regime, tolerance = case
-    run = record(drawn(regime, tolerance))
+    run = record_run(regime_scene(regime, tolerance))
     flagged = sum(frame.advance.flagged > 0 for frame in run.frames)
-    if regime.duration == MINUTE:
-        return _minute(run, tolerance, flagged)
-    second = run.draw.frames_a_second
+    if regime.duration == PENDULUM_DURATION:
+        return _evaluate_pendulum(run, tolerance, flagged)
+    frames_per_second = run.draw.frames_per_second
     windows: list[Window] = []
     reference = 0.0
-    for first in (0, second // 2, second):
-        window = judge_window(run, first, second, seed=first)[0]
+    for first in (0, frames_per_second // 2, frames_per_second):
+        window = evaluate_window(run, first, frames_per_second, seed=first)[0]
         if regime.linear:
-            places = exact(run.system.model, run.positions[first], run.velocities[first], run.period, second)
-            there = run.positions[first + 1 : first + 1 + second]
-            error = max(largest_distance(a, b) for a, b in zip(there, places, strict=True))
+            exact_window = exact_positions(
+                run.system.model, run.positions[first], run.velocities[first], run.period, frames_per_second
+            )
+            engine_positions = run.positions[first + 1 : first + 1 + frames_per_second]
+            error = max(largest_distance(a, b) for a, b in zip(engine_positions, exact_window, strict=True))
             reference = max(reference, abs(error - window.error))
             window = attrs.evolve(window, error=error)
         reference = max(reference, window.reference_error)
         windows.append(window)
     ratio = max(window.ratio for window in windows)
-    return Outcome(ratio, windows[0].error, windows[0].growth, flagged, reference)
+    return RegimeResult(ratio, windows[0].error, windows[0].amplification, flagged, reference)
 
 
-def _minute(run: Recording, tolerance: float, flagged: int) -> Outcome:
+def _evaluate_pendulum(run: RecordedRun, tolerance: float, flagged: int) -> RegimeResult:
     """Evaluate a pendulum; the bound at time t is max(1, t) x tolerance x amplification."""
     runs = [
-        follow(run, 0, len(run.frames), kicks(run, 0, second=k == 1), local) for k, local in enumerate((1e-12, 1e-13))
+        run_reference(run, 0, len(run.frames), unit_perturbations(run, 0, second=k == 1), local)
+        for k, local in enumerate((1e-12, 1e-13))
     ]
-    growth, ratio, error, reference = 1.0, 0.0, 0.0, 0.0
-    for frame, (rough, fine) in enumerate(zip(runs[0].positions, runs[1].positions, strict=True)):
-        growth = max(growth, *(float(each.growths[frame].max()) for each in runs))
-        here = largest_distance(run.positions[frame + 1], fine)
+    amplification, ratio, error, reference = 1.0, 0.0, 0.0, 0.0
+    for frame, (coarse_positions, fine_positions) in enumerate(zip(runs[0].positions, runs[1].positions, strict=True)):
+        amplification = max(
+            amplification, *(float(reference_run.amplifications[frame].max()) for reference_run in runs)
+        )
+        distance = largest_distance(run.positions[frame + 1], fine_positions)
         seconds = max(1.0, (frame + 1) * run.period)
-        error, ratio = max(error, here), max(ratio, here / (seconds * tolerance * growth))
-        reference = max(reference, largest_distance(rough, fine))
-    return Outcome(ratio, error, growth, flagged, reference)
+        error, ratio = max(error, distance), max(ratio, distance / (seconds * tolerance * amplification))
+        reference = max(reference, largest_distance(coarse_positions, fine_positions))
+    return RegimeResult(ratio, error, amplification, flagged, reference)
 
 
 def regimes(options: argparse.Namespace) -> Report:
@@ -290,67 +306,72 @@ def regimes(options: argparse.Namespace) -> Report:
     from tqdm import tqdm
 
     report = Report("Error bound in fixed regimes", "python -m validation tolerance --regimes")
-    cases = [(regime, tolerance) for regime in every_regime() for tolerance in TOLERANCES]
+    cases = [(regime, tolerance) for regime in all_regimes() for tolerance in TOLERANCES]
     cases += [(regime, tolerance) for regime in pendulums() for tolerance in PENDULUM_TOLERANCES]
-    found: dict[tuple[str, float], Outcome] = {}
-    done_cases = run_cases(judge_regime, cases, workers=options.jobs, limit=options.limit)
-    for done in shown(done_cases, len(cases), "case"):
-        regime, tolerance = done.case
-        if done.result is None:
-            report.failures.append(f"{regime.name} at {tolerance:.0e} m: {done.trouble}")
+    results: dict[tuple[str, float], RegimeResult] = {}
+    done_cases = run_cases(evaluate_regime, cases, workers=options.jobs, limit=options.limit)
+    for case_result in show_progress(done_cases, len(cases), "case"):
+        regime, tolerance = case_result.case
+        if case_result.result is None:
+            report.failures.append(f"{regime.name} at {tolerance:.0e} m: {case_result.trouble}")
         else:
-            found[regime.name, tolerance] = outcome = done.result
-            says = f"{outcome.ratio:.3g} of the error bound, g {outcome.growth:.3g}, {outcome.flagged} frames flagged"
-            tqdm.write(f"{regime.name} at {tolerance:.0e} m: error {outcome.error:.2g} m, {says}")
-    names = [regime.name for regime in every_regime()]
+            results[regime.name, tolerance] = result = case_result.result
+            summary = f"{result.ratio:.3g} of the error bound, g {result.growth:.3g}, {result.flagged} frames flagged"
+            tqdm.write(f"{regime.name} at {tolerance:.0e} m: error {result.error:.2g} m, {summary}")
+    names = [regime.name for regime in all_regimes()]
     report.tables += [
         _table(
-            "Error / (tolerance x max(1, g)) over windows of a second, * with flagged frames", names, found, "ratio"
+            "Error / (tolerance x max(1, g)) over windows of a second, * with flagged frames", names, results, "ratio"
         ),
-        _table("Error over the first second [m], ! if it does not fall with the tolerance", names, found, "error"),
+        _table("Error over the first second [m], ! if it does not fall with the tolerance", names, results, "error"),
     ]
     minutes = Table("Undamped for a minute", ["what", "tolerance m", "error m", "g", "ratio", "flagged", "reference m"])
     for regime in pendulums():
         for tolerance in PENDULUM_TOLERANCES:
-            each = found.get((regime.name, tolerance))
-            if each:
-                numbers = [each.error, each.growth, each.ratio, each.flagged, each.reference]
+            result = results.get((regime.name, tolerance))
+            if result:
+                numbers = [result.error, result.growth, result.ratio, result.flagged, result.reference]
                 minutes.rows.append([regime.name, tolerance, *numbers])
     report.tables.append(minutes)
-    broken = [(what, outcome) for what, outcome in found.items() if outcome.ratio > 1.0]
-    risen = [(name, tolerance) for name in names for tolerance in TOLERANCES if not _falls(name, tolerance, found)]
-    report.notes += [
-        f"{len(broken)} of {len(found)} violate the error bound, "
-        f"{sum(not outcome.flagged for _, outcome in broken)} of them without a flagged frame",
-        f"{len(risen)} whose error is above both that of the next looser tolerance and a tenth of their own",
-        f"largest error of the reference {max((outcome.reference for outcome in found.values()), default=0.0):.2g} m",
+    violated = [(case_key, result) for case_key, result in results.items() if result.ratio > 1.0]
+    risen = [
+        (name, tolerance) for name in names for tolerance in TOLERANCES if not _error_falls(name, tolerance, results)
     ]
-    if broken:
-        report.failures.append(f"{len(broken)} regimes violate the error bound")
+    report.notes += [
+        f"{len(violated)} of {len(results)} violate the error bound, "
+        f"{sum(not result.flagged for _, result in violated)} of them without a flagged frame",
+        f"{len(risen)} whose error is above both that of the next looser tolerance and a tenth of their own",
+        f"largest error of the reference {max((result.reference for result in results.values()), default=0.0):.2g} m",
+    ]
+    if violated:
+        report.failures.append(f"{len(violated)} regimes violate the error bound")
     if risen:
         report.failures.append(f"in {len(risen)} regimes the error does not fall with the tolerance")
     return report
 
 
-def _falls(name: str, tolerance: float, found: dict[tuple[str, float], Outcome]) -> bool:
+def _error_falls(name: str, tolerance: float, results: dict[tuple[str, float], RegimeResult]) -> bool:
     """Return true if the error is below one of: that of the next looser tolerance, tolerance / 10, rounding."""
-    this, looser = found.get((name, tolerance)), found.get((name, 10.0 ** (round(np.log10(tolerance)) + 1)))
-    return not this or not looser or this.error <= max(looser.error, 0.1 * tolerance, FLOOR)
+    result, looser_result = (
+        results.get((name, tolerance)),
+        results.get((name, 10.0 ** (round(np.log10(tolerance)) + 1))),
+    )
+    return not result or not looser_result or result.error <= max(looser_result.error, 0.1 * tolerance, ROUNDING_ERROR)
 
 
-def _table(title: str, names: list[str], found: dict[tuple[str, float], Outcome], what: str) -> Table:
+def _table(title: str, names: list[str], results: dict[tuple[str, float], RegimeResult], quantity: str) -> Table:
     table = Table(title, ["what", *(f"{tolerance:.0e}" for tolerance in TOLERANCES), "g", "reference m"])
     for name in names:
         row: list[Any] = [name]
         growth = reference = 0.0
         for tolerance in TOLERANCES:
-            outcome = found.get((name, tolerance))
-            if outcome is None:
+            result = results.get((name, tolerance))
+            if result is None:
                 row.append("-")
                 continue
-            mark = "*" if what == "ratio" and outcome.flagged else ""
-            mark = "!" if what == "error" and not _falls(name, tolerance, found) else mark
-            row.append(f"{getattr(outcome, what):.2g}{mark}")
-            growth, reference = max(growth, outcome.growth), max(reference, outcome.reference)
+            mark = "*" if quantity == "ratio" and result.flagged else ""
+            mark = "!" if quantity == "error" and not _error_falls(name, tolerance, results) else mark
+            row.append(f"{getattr(result, quantity):.2g}{mark}")
+            growth, reference = max(growth, result.growth), max(reference, result.reference)
         table.rows.append([*row, growth, reference])
     return table

@@ -17,9 +17,9 @@ from validation.report import Plot, Report, Table
 
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 #: Smallest achieved error relative to the tolerance if accuracy limits the step.
-LEAST_SHARE = 0.01
+MIN_ERROR_FRACTION = 0.01
 #: Largest residual of the energy balance, relative to the energy turned over, at the default tolerance.
-LARGEST_RESIDUAL = 1e-3
+MAX_RESIDUAL = 1e-3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,26 +46,26 @@ def run(options: argparse.Namespace) -> Report:
         known = reference(scene)
         accurate = []
         for tolerance in options.tolerances:
-            out = measure(scene, known, options.integrator, tolerance, energy=options.energy)
-            share = out.error / tolerance
-            binding = ", ".join(f"{bound} {count}" for bound, count in out.binds.most_common())
-            row = [name, tolerance, out.error, share, out.estimate / tolerance, binding]
-            row += [", ".join(out.integrators), out.evaluations, out.rejected, out.flagged]
-            table.rows.append(row + ([out.residual] if options.energy else []))
-            lines.setdefault(name, []).append((tolerance, max(out.error, 1e-16)))
-            if share > 1.0:
-                report.failures.append(f"{name} at {tolerance:g} m: achieved {out.error:.3g} m")
-            if out.binds["accuracy"] > 0.5 * scene.frames:
-                accurate.append((tolerance, out.error))
-                if share < LEAST_SHARE:
+            run_result = measure(scene, known, options.integrator, tolerance, energy=options.energy)
+            error_ratio = run_result.error / tolerance
+            limits_text = ", ".join(f"{bound} {count}" for bound, count in run_result.binds.most_common())
+            row = [name, tolerance, run_result.error, error_ratio, run_result.estimate / tolerance, limits_text]
+            row += [", ".join(run_result.integrators), run_result.evaluations, run_result.rejected, run_result.flagged]
+            table.rows.append(row + ([run_result.residual] if options.energy else []))
+            lines.setdefault(name, []).append((tolerance, max(run_result.error, 1e-16)))
+            if error_ratio > 1.0:
+                report.failures.append(f"{name} at {tolerance:g} m: achieved {run_result.error:.3g} m")
+            if run_result.binds["accuracy"] > 0.5 * scene.frames:
+                accurate.append((tolerance, run_result.error))
+                if error_ratio < MIN_ERROR_FRACTION:
                     report.failures.append(
-                        f"{name} at {tolerance:g} m: accuracy limits the step; error only {share:.2g} of it"
+                        f"{name} at {tolerance:g} m: accuracy limits the step; error only {error_ratio:.2g} of it"
                     )
-            if options.energy and tolerance <= Scene().tolerance and not out.residual <= LARGEST_RESIDUAL:
-                report.failures.append(f"{name} at {tolerance:g} m: energy residual {out.residual:.2g}")
+            if options.energy and tolerance <= Scene().tolerance and not run_result.residual <= MAX_RESIDUAL:
+                report.failures.append(f"{name} at {tolerance:g} m: energy residual {run_result.residual:.2g}")
         if len(accurate) > 1:
-            asked, got = np.log(accurate).T
-            slope = float(np.polyfit(asked, got, 1)[0])
+            log_tolerances, log_errors = np.log(accurate).T
+            slope = float(np.polyfit(log_tolerances, log_errors, 1)[0])
             slopes.rows.append([name, len(accurate), slope])
     report.plots.append(Plot("Achieved error over tolerance", "tolerance [m]", "largest position error [m]", lines))
     return report

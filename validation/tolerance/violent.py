@@ -21,23 +21,23 @@ from cloth_sim_ros.scene.parameters import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
-from validation.case_pool import Done, run_missing, shown
+from validation.case_pool import CaseResult, run_missing, show_progress
 from validation.report import Report, Table
 from validation.tolerance.random_scenes import DENSITIES, log_uniform
 
 SIDES, MODULI = (2, 33), (30.0, 1e5)
 TOLERANCES, RATES = (1e-5, 1e-2), (30, 120)
 #: Simulated time [s]: with grasped particles, and free.
-HELD, ALONE = 0.6, 0.6
+GRASPED_DURATION, FREE_DURATION = 0.6, 0.6
 #: Largest energy gain while no gripper acts, relative to the energy turned over.
-LARGEST_GAIN = 0.01
+MAX_FREE_ENERGY_GAIN = 0.01
 #: Largest fraction of flagged frames.
-MOST_FLAGGED = 0.05
-_DEAREST = 10
+MAX_FLAGGED_FRAMES = 0.05
+_N_LISTED = 10
 
 
 @attrs.frozen(kw_only=True)
-class Violence:
+class ViolentResult:
     """Result of one violent scene."""
 
     index: int
@@ -98,14 +98,14 @@ def violent_scene(seed: int, index: int) -> tuple[Scene, np.random.Generator, st
         return scene, rng, f"{words}, tolerance {scene.tolerance:.1e} m"
 
 
-def run_violent(case: tuple[int, int]) -> Violence:
+def run_violent(case: tuple[int, int]) -> ViolentResult:
     """Run one scene to its end."""
     scene, rng, words = violent_scene(*case)
     simulation = Simulation(scene)
-    held = max(3, round(HELD * scene.rate))
-    frames = held + max(3, round(ALONE * scene.rate))
-    account = _Account(simulation)
-    flagged = most = done = 0
+    grasped_frames = max(3, round(GRASPED_DURATION * scene.rate))
+    frames = grasped_frames + max(3, round(FREE_DURATION * scene.rate))
+    account = _FreeEnergyAccount(simulation)
+    flagged = max_evaluations = n_done = 0
     longest = total = 0.0
     names, trouble = dict[str, None](), ""
     evaluation = 1e-9 * simulation.plan.step_cost * simulation.state.particle_count
@@ -113,26 +113,26 @@ def run_violent(case: tuple[int, int]) -> Violence:
     for frame in range(frames):
         begin = time.perf_counter()
         try:
-            advance = simulation.advance(_events(simulation, rng, frame, held)).advance
+            advance = simulation.advance(_events(simulation, rng, frame, grasped_frames)).advance
         except (UnstableError, ValueError) as error:
             trouble = f"frame {frame}: {error}"
             break
         seconds = time.perf_counter() - begin
-        total, longest, done = total + seconds, max(longest, seconds), done + 1
+        total, longest, n_done = total + seconds, max(longest, seconds), n_done + 1
         if advance is not None:
             flagged += advance.flagged > 0
-            most = max(most, advance.evaluations)
+            max_evaluations = max(max_evaluations, advance.evaluations)
             names[advance.integrator] = None
-        account.look(alone=frame > held)
-    return Violence(
+        account.record_frame(is_free=frame > grasped_frames)
+    return ViolentResult(
         index=case[1],
         words=words,
         finite=bool(np.isfinite(simulation.state.x).all() and np.isfinite(simulation.state.v).all()),
         gain=account.gain,
-        frames=done,
+        frames=n_done,
         flagged=flagged,
-        evaluations=most,
-        of_cap=most / cap,
+        evaluations=max_evaluations,
+        of_cap=max_evaluations / cap,
         seconds=longest,
         total=total,
         integrators=", ".join(names),
@@ -144,8 +144,8 @@ def _events(simulation: Simulation, rng: np.random.Generator, frame: int, held: 
     """Return the events before a frame: all grippers grasp, jump, and release."""
     names = simulation.scene.gripper_names
     if frame == 0:
-        places = [simulation.state.x[:, rng.integers(simulation.state.particle_count)] for _ in names]
-        targets = [Target(name, tuple(place)) for name, place in zip(names, places, strict=True)]
+        positions = [simulation.state.x[:, rng.integers(simulation.state.particle_count)] for _ in names]
+        targets = [Target(name, tuple(position)) for name, position in zip(names, positions, strict=True)]
         return [*targets, *(Grasp(name, True) for name in names)]
     if frame == held:
         return [Grasp(name, False) for name in names]
@@ -154,39 +154,43 @@ def _events(simulation: Simulation, rng: np.random.Generator, frame: int, held: 
     events: list[Event] = []
     size = max(simulation.scene.cloth.size)
     for pose, name in zip(simulation.grippers.poses(), names, strict=True):
-        leap = rng.normal(size=3)
-        leap *= rng.uniform(0.0, size / 3.0) / np.linalg.norm(leap)
-        turn = rng.normal(size=4) if rng.random() < 0.2 else None
-        events.append(Target(name, drawn_alike(pose[:3] + leap), None if turn is None else drawn_alike(turn)))
+        displacement = rng.normal(size=3)
+        displacement *= rng.uniform(0.0, size / 3.0) / np.linalg.norm(displacement)
+        orientation = rng.normal(size=4) if rng.random() < 0.2 else None
+        events.append(
+            Target(
+                name, drawn_alike(pose[:3] + displacement), None if orientation is None else drawn_alike(orientation)
+            )
+        )
     return events
 
 
-class _Account:
+class _FreeEnergyAccount:
     """Energy account of the free phase."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
-        self._least: float | None = None
-        self._kinetic = self._turned = 0.0
+        self._min_energy: float | None = None
+        self._kinetic = self._energy_turned_over = 0.0
         #: Largest rise above the energy at the end of any earlier frame, relative to the energy turned over.
         self.gain = 0.0
 
-    def look(self, *, alone: bool) -> None:
+    def record_frame(self, *, is_free: bool) -> None:
         """Account for a frame; `is_free`: no gripper acted during it."""
         energy = self._simulation.energy()
         v = self._simulation.state.v
         kinetic = 0.5 * float(np.sum(self._simulation.model.masses * v * v))
-        if alone and self._least is not None:
-            self._turned += abs(kinetic - self._kinetic)
+        if is_free and self._min_energy is not None:
+            self._energy_turned_over += abs(kinetic - self._kinetic)
             # A sheet at rest turns over no energy.
-            scale = max(self._turned, self._least_scale())
-            self.gain = max(self.gain, (energy - self._least) / scale)
-            self._least = min(self._least, energy)
+            scale = max(self._energy_turned_over, self._min_energy_scale())
+            self.gain = max(self.gain, (energy - self._min_energy) / scale)
+            self._min_energy = min(self._min_energy, energy)
         else:
-            self._least, self._turned = energy, kinetic
+            self._min_energy, self._energy_turned_over = energy, kinetic
         self._kinetic = kinetic
 
-    def _least_scale(self) -> float:
+    def _min_energy_scale(self) -> float:
         """Return the work that lifts the sheet by the tolerance [J]."""
         return 9.81 * self._simulation.model.mass * self._simulation.scene.tolerance
 
@@ -199,14 +203,14 @@ def violent(options: argparse.Namespace) -> Report:
         "Violent scenes", f"python -m validation tolerance --violent --seed {options.seed} --count {options.count}"
     )
     cases = [(options.seed, index) for index in range(options.count)]
-    found: list[Violence] = []
-    limits = {"workers": options.jobs, "limit": options.limit}
-    dones = run_missing(run_violent, cases, **limits, file=options.resume, read=_read)
-    for done in shown(dones, len(cases), "scene"):
+    results: list[ViolentResult] = []
+    pool_limits = {"workers": options.jobs, "limit": options.limit}
+    dones = run_missing(run_violent, cases, **pool_limits, file=options.resume, read=_read)
+    for done in show_progress(dones, len(cases), "scene"):
         if done.result is None:
             report.failures.append(f"scene {done.case[1]}: {done.trouble}")
         else:
-            found.append(done.result)
+            results.append(done.result)
             tqdm.write(" | ".join(str(cell) for cell in _row(done.result)))
     columns = [
         "scene",
@@ -221,44 +225,46 @@ def violent(options: argparse.Namespace) -> Report:
         "trouble",
     ]
     chosen = {
-        "Most expensive frames": sorted(found, key=lambda each: -each.seconds)[:_DEAREST],
-        "Largest energy gain": sorted(found, key=lambda each: -each.gain)[:_DEAREST],
-        "Most flagged frames": sorted(found, key=lambda each: -each.flagged / max(1, each.frames))[:_DEAREST],
+        "Most expensive frames": sorted(results, key=lambda result: -result.seconds)[:_N_LISTED],
+        "Largest energy gain": sorted(results, key=lambda result: -result.gain)[:_N_LISTED],
+        "Most flagged frames": sorted(results, key=lambda result: -result.flagged / max(1, result.frames))[:_N_LISTED],
     }
-    for name, some in chosen.items():
-        report.tables.append(Table(name, columns, [_row(each) for each in some]))
-    frames, flagged = sum(each.frames for each in found), sum(each.flagged for each in found)
+    for name, listed in chosen.items():
+        report.tables.append(Table(name, columns, [_row(result) for result in listed]))
+    frames, flagged = sum(result.frames for result in results), sum(result.flagged for result in results)
     share = flagged / max(1, frames)
-    often = sum(each.flagged > 0.1 * each.frames for each in found)
+    n_often_flagged = sum(result.flagged > 0.1 * result.frames for result in results)
     report.notes += [
-        f"{len(found)} scenes, {frames} frames, {share:.2%} of them flagged; {often} scenes with more than a tenth",
-        f"longest frame {max((each.seconds for each in found), default=0.0):.3g} s, most evaluations "
-        f"{max((each.evaluations for each in found), default=0)}, at most "
-        f"{max((each.of_cap for each in found), default=0.0):.3g} of the cap; frames above a second in "
-        f"{sum(each.seconds > 1.0 for each in found)} scenes",
-        f"largest gain of energy {max((each.gain for each in found), default=0.0):.3g} of the energy turned over",
+        f"{len(results)} scenes, {frames} frames, {share:.2%} of them flagged; "
+        f"{n_often_flagged} scenes with more "
+        f"than a tenth",
+        f"longest frame {max((result.seconds for result in results), default=0.0):.3g} s, most evaluations "
+        f"{max((result.evaluations for result in results), default=0)}, at most "
+        f"{max((result.of_cap for result in results), default=0.0):.3g} of the cap; frames above a second in "
+        f"{sum(result.seconds > 1.0 for result in results)} scenes",
+        f"largest gain of energy {max((result.gain for result in results), default=0.0):.3g} of the energy turned over",
     ]
-    for what, some in (
-        ("not finite, or stopped", [each for each in found if not each.finite or each.trouble]),
+    for description, listed in (
+        ("not finite, or stopped", [result for result in results if not result.finite or result.trouble]),
         (
-            f"with a gain above {LARGEST_GAIN:g} of the energy",
-            [each for each in found if not each.gain <= LARGEST_GAIN],
+            f"with a gain above {MAX_FREE_ENERGY_GAIN:g} of the energy",
+            [result for result in results if not result.gain <= MAX_FREE_ENERGY_GAIN],
         ),
     ):
-        if some:
-            report.failures.append(f"scenes {what}: {', '.join(str(each.index) for each in some)}")
-    if share > MOST_FLAGGED:
-        report.failures.append(f"{share:.2%} of all frames are flagged, more than {MOST_FLAGGED:.0%}")
+        if listed:
+            report.failures.append(f"scenes {description}: {', '.join(str(result.index) for result in listed)}")
+    if share > MAX_FLAGGED_FRAMES:
+        report.failures.append(f"{share:.2%} of all frames are flagged, more than {MAX_FLAGGED_FRAMES:.0%}")
     return report
 
 
-def _read(entry: dict[str, Any]) -> Done[tuple[int, int], Violence]:
+def _read(entry: dict[str, Any]) -> CaseResult[tuple[int, int], ViolentResult]:
     seed, index = entry["case"]
     result = entry["result"]
-    return Done((seed, index), result and Violence(**result), entry["seconds"], entry["trouble"])
+    return CaseResult((seed, index), result and ViolentResult(**result), entry["seconds"], entry["trouble"])
 
 
-def _row(each: Violence) -> list[Any]:
-    share = f"{each.flagged}/{each.frames}"
-    costs = [each.evaluations, each.of_cap, each.seconds, each.total]
-    return [each.index, each.words, each.gain, share, *costs, each.integrators, each.trouble]
+def _row(result: ViolentResult) -> list[Any]:
+    share = f"{result.flagged}/{result.frames}"
+    costs = [result.evaluations, result.of_cap, result.seconds, result.total]
+    return [result.index, result.words, result.gain, share, *costs, result.integrators, result.trouble]

@@ -16,11 +16,11 @@ from support.reference_runs import measure
 from cloth_sim_ros.physics import thread_limit
 from cloth_sim_ros.scene.scene import Scene
 from validation.report import Plot, Report, Table
-from validation.tolerance.baselines import Solver, TooSlow, library_solvers, our_solvers
-from validation.tolerance.sweep import LARGEST_RESIDUAL
+from validation.tolerance.baselines import SolverSetting, SolverTimeoutError, library_solvers, product_solvers
+from validation.tolerance.sweep import MAX_RESIDUAL
 
 #: Required speedup over the best library solver, by error [m].
-PROMISES = {1e-5: 10.0, 1e-7: 5.0, 1e-10: 2.5}
+MIN_SPEEDUPS = {1e-5: 10.0, 1e-7: 5.0, 1e-10: 2.5}
 #: Three per decade, as dense as those of the best library solvers, so that grid spacing does not bias the comparison.
 TOLERANCES = (1e-2, *(digit * 10.0**power for power in range(-4, -12, -1) for digit in (10, 5, 2)))
 
@@ -37,10 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 @attrs.frozen
-class Point:
+class SolverPoint:
     """One solver's error and times."""
 
-    solver: Solver
+    solver: SolverSetting
     error: float
     seconds: list[float]
     evaluations: int
@@ -56,46 +56,48 @@ class Point:
 def run(options: argparse.Namespace) -> Report:
     """Measure one scene."""
     scene = problem(options.scene)
-    known = reference(scene)
-    solvers = [*our_solvers(TOLERANCES), *library_solvers(slow=options.slow)]
-    given_up, first = [], {}
+    scene_reference = reference(scene)
+    solvers = [*product_solvers(TOLERANCES), *library_solvers(slow=options.slow)]
+    timeouts, first_runs = [], {}
     for solver in solvers:
         try:
             # The first run warms up; it is not counted.
-            first[solver] = solver.solve(scene, options.limit)
-        except TooSlow:
-            given_up.append(f"{solver.name} {solver.setting}: not done after {options.limit:g} s")
-    times: dict[Solver, list[float]] = {solver: [] for solver in first}
+            first_runs[solver] = solver.solve(scene, options.limit)
+        except SolverTimeoutError:
+            timeouts.append(f"{solver.name} {solver.setting}: not done after {options.limit:g} s")
+    times: dict[SolverSetting, list[float]] = {solver: [] for solver in first_runs}
     # Solvers alternate, so that other load on the machine affects all of them.
     for repeat in range(options.repeats):
-        for solver, run_before in first.items():
+        for solver, run_before in first_runs.items():
             if repeat == 0 or run_before.seconds < 5.0:
                 # No time limit: the first run of this solver was within it.
                 times[solver].append(solver.solve(scene, math.inf).seconds)
     points = [
-        Point(
+        SolverPoint(
             solver,
-            known.deviation(scene.frames, done.positions),
+            scene_reference.deviation(scene.frames, solver_run.positions),
             times[solver],
-            done.evaluations,
-            _residual(solver, scene, known),
+            solver_run.evaluations,
+            _residual(solver, scene, scene_reference),
         )
-        for solver, done in first.items()
+        for solver, solver_run in first_runs.items()
     ]
     report = Report(f"Work-precision on {scene.name}", f"python -m validation work-precision --scene {scene.name}")
     report.notes.append(
-        f"{scene.description}; errors at {scene.duration:g} s; the reference's own error is {known.error:.1g} m"
+        f"{scene.description}; errors at {scene.duration:g} s; "
+        f"the reference's own error is "
+        f"{scene_reference.error:.1g} m"
     )
-    report.notes += given_up
+    report.notes += timeouts
     report.notes.append(
         f"the product may use {thread_limit.available_threads()} threads here: it computes runs of the extrapolation "
         "concurrently; library solvers use one thread, because each of their steps needs the previous one"
     )
     for point in points:
-        open_by, asked = point.residual, point.solver.tolerance
-        if open_by is not None and asked <= Scene().tolerance and not open_by <= LARGEST_RESIDUAL:
-            report.failures.append(f"{point.solver.name} {point.solver.setting}: energy residual {open_by:.2g}")
-    report.tables += [_everything(points), _comparison(points, report, scene.name)]
+        residual, tolerance = point.residual, point.solver.tolerance
+        if residual is not None and tolerance <= Scene().tolerance and not residual <= MAX_RESIDUAL:
+            report.failures.append(f"{point.solver.name} {point.solver.setting}: energy residual {residual:.2g}")
+    report.tables += [_all_runs(points), _comparison(points, report, scene.name)]
     lines: dict[str, list[tuple[float, float]]] = {}
     for point in points:
         lines.setdefault(point.solver.name, []).append((point.error, point.median))
@@ -103,14 +105,14 @@ def run(options: argparse.Namespace) -> Report:
     return report
 
 
-def _residual(solver: Solver, scene: Problem, known: Reference) -> float | None:
+def _residual(solver: SolverSetting, scene: Problem, scene_reference: Reference) -> float | None:
     """Return the residual of the product's energy balance from an untimed run; None for other solvers."""
     if solver.kind != "ours":
         return None
-    return measure(scene, known, "auto", solver.tolerance, energy=True).residual
+    return measure(scene, scene_reference, "auto", solver.tolerance, energy=True).residual
 
 
-def _everything(points: list[Point]) -> Table:
+def _all_runs(points: list[SolverPoint]) -> Table:
     table = Table(
         "All runs", ["solver", "setting", "error m", "wall s", "least s", "most s", "evaluations", "energy residual"]
     )
@@ -121,29 +123,29 @@ def _everything(points: list[Point]) -> Table:
     return table
 
 
-def _comparison(points: list[Point], report: Report, scene: str) -> Table:
+def _comparison(points: list[SolverPoint], report: Report, scene: str) -> Table:
     table = Table(
         "Least time to an error",
         ["error m", "ours s", "by", "one thread s", "best library s", "by library", "times", "times by one thread"],
     )
-    for error, promise in PROMISES.items():
-        ours = _least(points, "ours", error)
-        alone = _least(points, "alone", error)
-        theirs = _least(points, "library", error)
-        if ours is None or alone is None or theirs is None:
+    for error, min_speedup in MIN_SPEEDUPS.items():
+        product = _fastest(points, "ours", error)
+        single_thread = _fastest(points, "alone", error)
+        library = _fastest(points, "library", error)
+        if product is None or single_thread is None or library is None:
             report.notes.append(f"no comparison at {error:g} m: product or library did not reach it")
             continue
-        times = theirs.median / ours.median
-        names = [f"{point.solver.name} {point.solver.setting}" for point in (ours, theirs)]
-        table.rows.append([error, ours.median, names[0], alone.median, theirs.median, names[1], times])
-        table.rows[-1].append(theirs.median / alone.median)
-        if scene in ("curtain16", "curtain32") and times < promise:
+        speedup = library.median / product.median
+        names = [f"{point.solver.name} {point.solver.setting}" for point in (product, library)]
+        table.rows.append([error, product.median, names[0], single_thread.median, library.median, names[1], speedup])
+        table.rows[-1].append(library.median / single_thread.median)
+        if scene in ("curtain16", "curtain32") and speedup < min_speedup:
             report.failures.append(
-                f"speedup over the best library at {error:g} m is {times:.2g}; required: {promise:g}"
+                f"speedup over the best library at {error:g} m is {speedup:.2g}; required: {min_speedup:g}"
             )
     return table
 
 
-def _least(points: list[Point], kind: str, error: float) -> Point | None:
-    good = [point for point in points if point.solver.kind == kind and point.error <= error]
-    return min(good, key=lambda point: point.median) if good else None
+def _fastest(points: list[SolverPoint], kind: str, error: float) -> SolverPoint | None:
+    accurate = [point for point in points if point.solver.kind == kind and point.error <= error]
+    return min(accurate, key=lambda point: point.median) if accurate else None
