@@ -36,7 +36,7 @@ def as_usual() -> dict[str, list[str]]:
     return bits.run_in_subprocess(bits.run_configurations()[0], FRAMES)["digests"]
 
 
-@pytest.mark.parametrize("way", bits.run_configurations()[1:], ids=lambda way: way.name)
+@pytest.mark.parametrize("configuration", bits.run_configurations()[1:], ids=lambda configuration: configuration.name)
 def test_bits_are_the_same(as_usual: dict[str, list[str]], configuration: Any) -> None:
     if configuration.skip_reason:
         pytest.skip(f"{configuration.name}: {configuration.skip_reason}")

@@ -70,13 +70,13 @@ def test_impulses_have_order_two(kind: str) -> None:
 @pytest.mark.parametrize("single_precision", [False, True])
 def test_impulses_have_equal_bits_for_any_thread_count(kind: str, single_precision: bool) -> None:
     moving = _moving(kind)
-    reference = _end(moving, 90, 9, narrow=single_precision, threads=1)
+    reference = _end(moving, 90, 9, single_precision=single_precision, threads=1)
     for threads in (2, 3, 7):
-        assert np.array_equal(_end(moving, 90, 9, narrow=single_precision, threads=threads), reference)
+        assert np.array_equal(_end(moving, 90, 9, single_precision=single_precision, threads=threads), reference)
     # Previous runs have no effect on the result.
-    _end(moving, 45, 3, narrow=single_precision)
-    _end(moving, 45, 1, narrow=single_precision)
-    assert np.array_equal(_end(moving, 90, 9, narrow=single_precision, threads=1), reference)
+    _end(moving, 45, 3, single_precision=single_precision)
+    _end(moving, 45, 1, single_precision=single_precision)
+    assert np.array_equal(_end(moving, 90, 9, single_precision=single_precision, threads=1), reference)
 
 
 @pytest.mark.parametrize("kind", ["altitude", "mesh"])
