@@ -13,25 +13,25 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.control.extrapolated import Extrapolated
     from cloth_sim_ros.physics.control.leapfrog import Leapfrog
-    from cloth_sim_ros.physics.forces.air_panels import AirPanels
-    from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
-    from cloth_sim_ros.physics.forces.crossed import CrossedSprings
-    from cloth_sim_ros.physics.forces.drag import Drag
-    from cloth_sim_ros.physics.forces.force import Force
-    from cloth_sim_ros.physics.forces.gravity import Gravity
-    from cloth_sim_ros.physics.forces.grid_springs import GridSprings
-    from cloth_sim_ros.physics.forces.grips import Grips
-    from cloth_sim_ros.physics.forces.opposite import OppositeSprings
-    from cloth_sim_ros.physics.forces.pair_springs import PairSprings
-    from cloth_sim_ros.physics.forces.wind import Wind
     from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
     from cloth_sim_ros.physics.integrators.implicit import Implicit
     from cloth_sim_ros.physics.integrators.symplectic_euler import SymplecticEuler
-    from cloth_sim_ros.physics.model import Model
-    from cloth_sim_ros.physics.parts import GridFamily
-    from cloth_sim_ros.physics.plan import Plan, compile
+    from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
+    from cloth_sim_ros.physics.model.forces.altitude import AltitudeSprings
+    from cloth_sim_ros.physics.model.forces.crossed import CrossedSprings
+    from cloth_sim_ros.physics.model.forces.drag import Drag
+    from cloth_sim_ros.physics.model.forces.force import Force
+    from cloth_sim_ros.physics.model.forces.gravity import Gravity
+    from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+    from cloth_sim_ros.physics.model.forces.grips import Grips
+    from cloth_sim_ros.physics.model.forces.opposite import OppositeSprings
+    from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+    from cloth_sim_ros.physics.model.forces.wind import Wind
+    from cloth_sim_ros.physics.model.model import Model
+    from cloth_sim_ros.physics.model.parts import GridFamily
+    from cloth_sim_ros.physics.plan.plan import Plan, compile
     from cloth_sim_ros.physics.simulate import Motion, simulate
-    from cloth_sim_ros.physics.state import State
+    from cloth_sim_ros.physics.state.state import State
     from cloth_sim_ros.scene.scene import Scene
     from cloth_sim_ros.simulation.events import Grasp, Move, Pause, Relax, Reset, SetParameters, Step, Target
     from cloth_sim_ros.simulation.simulation import Frame, Simulation
@@ -40,40 +40,40 @@ __version__ = "0.2.0"
 
 _MODULES = {
     "Advance": "physics.integrators.base",
-    "AirPanels": "physics.forces.air_panels",
-    "AltitudeSprings": "physics.forces.altitude",
-    "compile": "physics.plan",
-    "CrossedSprings": "physics.forces.crossed",
-    "Drag": "physics.forces.drag",
+    "AirPanels": "physics.model.forces.air_panels",
+    "AltitudeSprings": "physics.model.forces.altitude",
+    "compile": "physics.plan.plan",
+    "CrossedSprings": "physics.model.forces.crossed",
+    "Drag": "physics.model.forces.drag",
     "Extrapolated": "physics.control.extrapolated",
-    "Force": "physics.forces.force",
+    "Force": "physics.model.forces.force",
     "Frame": "simulation.simulation",
     "Grasp": "simulation.events",
-    "Gravity": "physics.forces.gravity",
-    "GridFamily": "physics.parts",
-    "GridSprings": "physics.forces.grid_springs",
-    "Grips": "physics.forces.grips",
+    "Gravity": "physics.model.forces.gravity",
+    "GridFamily": "physics.model.parts",
+    "GridSprings": "physics.model.forces.grid_springs",
+    "Grips": "physics.model.forces.grips",
     "Implicit": "physics.integrators.implicit",
     "Leapfrog": "physics.control.leapfrog",
-    "Model": "physics.model",
+    "Model": "physics.model.model",
     "Motion": "physics.simulate",
     "Move": "simulation.events",
-    "OppositeSprings": "physics.forces.opposite",
-    "PairSprings": "physics.forces.pair_springs",
+    "OppositeSprings": "physics.model.forces.opposite",
+    "PairSprings": "physics.model.forces.pair_springs",
     "Pause": "simulation.events",
-    "Plan": "physics.plan",
+    "Plan": "physics.plan.plan",
     "Relax": "simulation.events",
     "Reset": "simulation.events",
     "Scene": "scene.scene",
     "SetParameters": "simulation.events",
     "simulate": "physics.simulate",
     "Simulation": "simulation.simulation",
-    "State": "physics.state",
+    "State": "physics.state.state",
     "Step": "simulation.events",
     "SymplecticEuler": "physics.integrators.symplectic_euler",
     "Target": "simulation.events",
     "UnstableError": "physics.integrators.base",
-    "Wind": "physics.forces.wind",
+    "Wind": "physics.model.forces.wind",
 }
 
 __all__ = [

@@ -3,7 +3,7 @@
 """Policy for a study: grasps the cloth's lower right corner and lifts it at the run's speed."""
 
 from cloth_sim_ros import Grasp, Target
-from cloth_sim_ros.batch.user_code import Finished, Observation
+from cloth_sim_ros.studies.user_code import Finished, Observation
 
 
 class Lift:

@@ -5,7 +5,7 @@
 import numpy as np
 
 from cloth_sim_ros import Grasp, Scene, Simulation, Target
-from cloth_sim_ros.batch import rollouts
+from cloth_sim_ros.learning import rollouts
 
 GOAL = np.array([0.3, 0.3, 0.7])  # [m]
 N_ROLLOUTS, HORIZON, SPREAD, INVERSE_TEMPERATURE = 16, 8, 0.005, 100.0  # samples, frames, m a frame, 1/m

@@ -36,7 +36,7 @@ from typing import Any, BinaryIO
 import xxhash
 
 from cloth_sim_ros.engine import binding
-from cloth_sim_ros.physics.controller_state import LAYER_SIDES
+from cloth_sim_ros.physics.state.controller_state import LAYER_SIDES
 
 #: Function of a call's arguments and its plan's sizes that returns the size of a memory argument, in 8-byte numbers.
 Size = Callable[[Sequence[Any], dict[str, Any]], int]

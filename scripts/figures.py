@@ -19,14 +19,14 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.sheets.bending import RATIOS
-from cloth_sim_ros.physics.sheets.chain import Chain, SpringLaw
-from cloth_sim_ros.physics.sheets.grid import GridSheet
-from cloth_sim_ros.physics.sheets.hinge_shape import HingeShape, Length
-from cloth_sim_ros.physics.sheets.material import grid_threads
-from cloth_sim_ros.physics.sheets.surface import LAYOUTS
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.sheets.bending import RATIOS
+from cloth_sim_ros.physics.model.sheets.chain import Chain, SpringLaw
+from cloth_sim_ros.physics.model.sheets.grid import GridSheet
+from cloth_sim_ros.physics.model.sheets.hinge_shape import HingeShape, Length
+from cloth_sim_ros.physics.model.sheets.material import grid_threads
+from cloth_sim_ros.physics.model.sheets.surface import LAYOUTS
+from cloth_sim_ros.physics.plan.plan import compile
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation

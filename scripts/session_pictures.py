@@ -22,7 +22,7 @@ sys.path.insert(0, str(ROOT / "test"))
 from support.session_maker import SessionMaker, carried_corner  # type: ignore[import-not-found]  # noqa: E402
 
 from cloth_sim_ros.replay.main import main as cloth_replay  # noqa: E402
-from cloth_sim_ros.scene.parameter_file import read as read_parameters  # noqa: E402
+from cloth_sim_ros.scene.parameters.parameter_file import read as read_parameters  # noqa: E402
 from cloth_sim_ros.scene.scene import Scene  # noqa: E402
 from cloth_sim_ros.simulation.events import Event, Grasp, Target  # noqa: E402
 from cloth_sim_ros.simulation.gripper_script import GripperScript  # noqa: E402

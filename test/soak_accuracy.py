@@ -22,7 +22,7 @@ from support.random_sessions import make_random_session
 from support.session_maker import NODE, cloud_bytes
 from tqdm import tqdm
 
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import decode_cloud
 from cloth_sim_ros.session.frame_record import FrameRecord

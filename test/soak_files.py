@@ -190,10 +190,10 @@ class Samples:
 
     def _perform(self) -> None:
         """Run a study in this process."""
-        from cloth_sim_ros.batch import index, study_file
-        from cloth_sim_ros.batch.folder import StudyFolder
-        from cloth_sim_ros.batch.study_estimate import sample_and_estimate
-        from cloth_sim_ros.batch.study_run import perform
+        from cloth_sim_ros.studies import index, study_file
+        from cloth_sim_ros.studies.folder import StudyFolder
+        from cloth_sim_ros.studies.study_estimate import sample_and_estimate
+        from cloth_sim_ros.studies.study_run import perform
 
         study = study_file.read(self.folder / "study.yaml")
         study_folder = StudyFolder(self.study)

@@ -23,8 +23,8 @@ import numpy as np
 from support.fit_samples import RANGES, START, random_truth, record_swing
 from tqdm import tqdm
 
-from cloth_sim_ros.batch.fit import Fit, fit
-from cloth_sim_ros.batch.fit_recording import read_session
+from cloth_sim_ros.fit.fit import Fit, fit
+from cloth_sim_ros.fit.recording import read_session
 
 #: Maximum relative error of an identified parameter, and maximum time of a fit [s].
 LARGEST, LONGEST = 0.05, 600.0

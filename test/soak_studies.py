@@ -56,7 +56,7 @@ def free_port() -> int:
 
 def batch(*arguments: str | Path) -> list[str]:
     """Return a command line of cloth_batch."""
-    return [sys.executable, "-m", "cloth_sim_ros.batch.main", *map(str, arguments)]
+    return [sys.executable, "-m", "cloth_sim_ros.studies.main", *map(str, arguments)]
 
 
 class Cluster:

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from cloth_sim_ros import Scene, Simulation
-from cloth_sim_ros.scene.parameter_warnings import ineffective_parameters
+from cloth_sim_ros.scene.parameters.warnings import ineffective_parameters
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = sorted((ROOT / "examples").iterdir())
@@ -97,10 +97,10 @@ def test_lift_study_lifts_as_fast_as_its_run_says(tmp_path: Path) -> None:
     pytest.importorskip("rosbags")
     import attrs
 
-    from cloth_sim_ros.batch import study_file
-    from cloth_sim_ros.batch.folder import StudyFolder
-    from cloth_sim_ros.batch.study_estimate import sample_and_estimate
-    from cloth_sim_ros.batch.study_run import perform
+    from cloth_sim_ros.studies import study_file
+    from cloth_sim_ros.studies.folder import StudyFolder
+    from cloth_sim_ros.studies.study_estimate import sample_and_estimate
+    from cloth_sim_ros.studies.study_run import perform
 
     assert (ROOT / "examples" / "lift_policy.py").is_file()
     study = attrs.evolve(study_file.read(ROOT / "examples" / "lift_study.yaml"), runs=2, duration=1.0)

@@ -21,8 +21,8 @@ from soak_files import soak
 from support import bombs
 from support.session_maker import make_grasp
 
-from cloth_sim_ros.scene import parameter_file
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters import parameter_file
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.frame_record import FrameRecord
 from cloth_sim_ros.session.reader import SessionReader

@@ -34,8 +34,8 @@ COMMANDS: dict[str, tuple[str, str, list[str]]] = {
     "cloth_session": ("cloth_sim_ros.session.command", "mcap", ["info", str(SESSION)]),
     "cloth_verify": ("cloth_sim_ros.verify.command", "mcap", [str(SESSION)]),
     "cloth_replay": ("cloth_sim_ros.replay.command", "rerun", [str(SESSION), "--save", "{folder}/out.rrd"]),
-    "cloth_batch": ("cloth_sim_ros.batch.command", "distributed", ["check", "{folder}/scene.yaml"]),
-    "cloth_fit": ("cloth_sim_ros.batch.fit_command", "mcap", [str(SESSION), "--parameters", "stretch"]),
+    "cloth_batch": ("cloth_sim_ros.studies.command", "distributed", ["check", "{folder}/scene.yaml"]),
+    "cloth_fit": ("cloth_sim_ros.fit.command", "mcap", [str(SESSION), "--parameters", "stretch"]),
 }
 
 

@@ -38,7 +38,11 @@ LATE = {
     *VIEWER,
 }
 FILES = {"mcap", "rosbags", "yaml"}
-SUBPACKAGES = ("engine", "physics", "scene", "simulation", "session", "verify", "batch", "ros", "replay")
+#: Rooms, and `batch`, the old address of three of them.
+SUBPACKAGES = (
+    *("engine", "physics", "scene", "simulation", "session", "verify", "replay", "ros"),
+    *("studies", "learning", "fit", "batch"),
+)
 
 # For each subpackage: the subpackages it may load, and the libraries it must not load.
 WALLS: dict[str, tuple[set[str], set[str]]] = {
@@ -50,8 +54,15 @@ WALLS: dict[str, tuple[set[str], set[str]]] = {
     "session": (set(), ROS | LATE | {"scipy"}),
     "replay": ({"session"}, ROS | {"scipy"}),
     "verify": ({"engine", "physics", "scene", "simulation", "session"}, ROS | LATE),
-    # Environments inherit from gymnasium's classes; `batch` imports their names at first use.
-    "batch": ({"engine", "physics", "scene", "simulation", "session"}, ROS | LATE - {"gymnasium"}),
+    "studies": ({"engine", "physics", "scene", "simulation", "session"}, ROS | LATE),
+    # Environments inherit from gymnasium's classes.
+    "learning": ({"engine", "physics", "scene", "simulation", "session"}, ROS | LATE - {"gymnasium"}),
+    "fit": ({"engine", "physics", "scene", "simulation", "session"}, ROS | LATE),
+    # Old addresses of the three.
+    "batch": (
+        {"engine", "physics", "scene", "simulation", "session", "studies", "learning", "fit"},
+        ROS | LATE - {"gymnasium"},
+    ),
     "ros": ({"engine", "physics", "scene", "simulation", "session"}, LATE),
 }
 
@@ -61,7 +72,7 @@ WALLS: dict[str, tuple[set[str], set[str]]] = {
 _MEASURED = {"engine", "physics", "scene", "simulation", "session", "verify"}
 MEASURING_FOLDERS: dict[str, tuple[set[str], set[str]]] = {
     "validation": (_MEASURED, {"support"}),
-    "benchmarks": (_MEASURED | {"batch", "ros"}, {"support", "validation"}),
+    "benchmarks": (_MEASURED | {"studies", "learning", "ros"}, {"support", "validation"}),
 }
 #: Folders of the tests of both, without which the product's tests pass.
 TESTED = ("benchmarks", "validation")
@@ -122,7 +133,7 @@ def test_subpackage_loads_only_allowed_modules(importer: str) -> None:
 
 def test_only_public_rclpy_api_is_used() -> None:
     # Handles of rcl and private names of rclpy change between distributions.
-    for path in sorted((ROOT / "cloth_sim_ros" / "ros").glob("*.py")):
+    for path in sorted((ROOT / "cloth_sim_ros" / "ros").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Attribute):
                 is_self_attribute = isinstance(node.value, ast.Name) and node.value.id in ("self", "cls", "os")
@@ -136,7 +147,7 @@ def test_only_public_rclpy_api_is_used() -> None:
 
 
 @pytest.mark.parametrize(
-    "command", ["session.main", "replay.main", "verify.main", "batch.main", "session.moved_bench", "ros.gripper_main"]
+    "command", ["session.main", "replay.main", "verify.main", "studies.main", "session.moved_bench", "ros.gripper_main"]
 )
 def test_command_help_loads_no_heavy_module(command: str) -> None:
     skip_without(command.split(".")[0])

@@ -35,7 +35,7 @@ def test_study_scheduler_refuses_client_without_certificate() -> None:
     pytest.importorskip("distributed")
     from distributed import Client, Security
 
-    from cloth_sim_ros.batch.cluster import connect, local_scheduler
+    from cloth_sim_ros.studies.cluster import connect, local_scheduler
 
     with local_scheduler(1, lambda _text: None) as scheduler:
         client = connect(scheduler, wait=30.0)

@@ -14,7 +14,7 @@ from typing import Any, Self
 import attrs
 import numpy as np
 
-from cloth_sim_ros.batch.parallel_rollouts import rollouts
+from cloth_sim_ros.learning.parallel_rollouts import rollouts
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -47,7 +47,7 @@ class CarriedCloths:
     """
 
     def __init__(self, count: int, resolution: int, threads: int | None = None) -> None:
-        from cloth_sim_ros.batch.vector_env import ClothVectorEnv
+        from cloth_sim_ros.learning.vector_env import ClothVectorEnv
 
         self.cloths = ClothVectorEnv(count, scene=hung(resolution), prepare=take_corner, threads=threads)
         self.period = self.cloths.scene.period
@@ -218,7 +218,7 @@ class Soak:
 
 def soak(steps: int, count: int) -> Soak:
     """Run random steps of cloths of 6 x 6 particles; episodes last 50 steps, a quarter of them with another density."""
-    from cloth_sim_ros.batch.vector_env import ClothVectorEnv
+    from cloth_sim_ros.learning.vector_env import ClothVectorEnv
 
     def randomise(random: np.random.Generator, _: Scene) -> dict[str, float] | None:
         return {"material.density": float(random.uniform(0.1, 0.3))} if random.random() < 0.25 else None

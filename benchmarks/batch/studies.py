@@ -13,14 +13,14 @@ from typing import Any
 
 import attrs
 
-from cloth_sim_ros.batch import study_file
-from cloth_sim_ros.batch.cluster import SchedulerAddress, connect, local_scheduler
-from cloth_sim_ros.batch.folder import StudyFolder
-from cloth_sim_ros.batch.sampling import sample
-from cloth_sim_ros.batch.study import Study
-from cloth_sim_ros.batch.study_estimate import format_quantity
-from cloth_sim_ros.batch.study_run import CommandedSimulation
-from cloth_sim_ros.batch.study_runner import StudyRunner
+from cloth_sim_ros.studies import study_file
+from cloth_sim_ros.studies.cluster import SchedulerAddress, connect, local_scheduler
+from cloth_sim_ros.studies.folder import StudyFolder
+from cloth_sim_ros.studies.sampling import sample
+from cloth_sim_ros.studies.study import Study
+from cloth_sim_ros.studies.study_estimate import format_quantity
+from cloth_sim_ros.studies.study_run import CommandedSimulation
+from cloth_sim_ros.studies.study_runner import StudyRunner
 from validation.report import Report, Table
 
 #: Runs of the sizing on paper, and the length of each [s].

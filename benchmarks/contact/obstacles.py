@@ -22,8 +22,8 @@ from benchmarks.contact.layers import layers
 from benchmarks.contact.pinch import pinch
 from benchmarks.contact.recovery import starts
 from benchmarks.timing import time_interleaved
-from cloth_sim_ros.physics.controller_state import ANCHORS_KEY
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from validation.report import Report, Table, print_progress
 

@@ -15,15 +15,15 @@ from support import garment
 from support.obstacle_sheets import FRAME, SHEET, THICKNESS
 from support.random_meshes import shuffled_mesh
 
+from cloth_sim_ros.physics.contact.parallel_jaw import ParallelJaw, drive_inertia
 from cloth_sim_ros.physics.control.automatic import make_integrator
-from cloth_sim_ros.physics.controller_state import ANCHORS_KEY, JAWS_KEY
-from cloth_sim_ros.physics.forces.contact import Contact
-from cloth_sim_ros.physics.forces.drag import Drag
-from cloth_sim_ros.physics.forces.gravity import Gravity
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.parallel_jaw import ParallelJaw, drive_inertia
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.contact import Contact
+from cloth_sim_ros.physics.model.forces.drag import Drag
+from cloth_sim_ros.physics.model.forces.gravity import Gravity
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.plan import compile
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from validation.report import Report, Table
 

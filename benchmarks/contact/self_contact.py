@@ -16,7 +16,7 @@ import numpy as np
 from support.obstacle_sheets import FRAME, SHEET, Motion
 
 from benchmarks.timing import time_interleaved
-from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation

@@ -7,14 +7,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics import self_contact_binding
-from cloth_sim_ros.physics.forces.contact import Contact, ContactSurface
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.initial_penetration import find_self_intersection
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.obstacle_mesh import nearest_points
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.plan_handle import PlanHandle
+from cloth_sim_ros.physics.contact import self_contact_binding
+from cloth_sim_ros.physics.contact.initial_penetration import find_self_intersection
+from cloth_sim_ros.physics.contact.obstacle_mesh import nearest_points
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.model.forces.contact import Contact, ContactSurface
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.plan_handle import PlanHandle
 
 
 def depth_in_ball(frames: Array, triangles: NDArray[np.int64], radius: float) -> float:

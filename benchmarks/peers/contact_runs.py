@@ -15,7 +15,7 @@ from support.problems import PERIOD
 from benchmarks.peers import jobs as peer_jobs
 from benchmarks.peers.contact_scenes import ContactScene
 from benchmarks.peers.jobs import PeerSolver
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.simulation.sleep import wake

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from support.problems import PERIOD
 
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
 
 THICKNESS, FRICTION, GRAVITY, TOLERANCE = 2e-3, 0.5, 9.81, 1e-3

@@ -27,8 +27,8 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
 from benchmarks.ros.node_process import ros_context
-from cloth_sim_ros.ros.outputs import Outputs
-from cloth_sim_ros.ros.recording import SessionRecording
+from cloth_sim_ros.ros.io.outputs import Outputs
+from cloth_sim_ros.ros.recording.recording import SessionRecording
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation.command import child_process_arguments

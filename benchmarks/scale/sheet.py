@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from cloth_sim_ros.physics.sheets.surface import grid_triangles
+from cloth_sim_ros.physics.model.sheets.surface import grid_triangles
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 

@@ -23,11 +23,11 @@ from support.problems import PERIOD
 from support.random_meshes import shuffled_mesh
 
 from benchmarks.timing import InterleavedTimes, time_interleaved
-from cloth_sim_ros.physics.forces.force import Array, Force
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.plan import Plan, compile
-from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.physics.model.forces.force import Array, Force
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.plan import Plan, compile
+from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation

@@ -16,7 +16,7 @@ from support.reference import Reference, reference
 
 from benchmarks.timing import time_interleaved
 from cloth_sim_ros.physics.control.automatic import make_integrator
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.model.forces.force import Array
 
 #: Frames of `PERIOD` until the error measurement: 0.5 s, and 0.3 s at N = 128, where perturbations grow faster.
 SCORED_FRAMES = {16: 30, 32: 30, 64: 30, 128: 18}

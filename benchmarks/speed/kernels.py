@@ -20,9 +20,9 @@ from support.raw_sheet import RawSheet
 from support.reference_kernel import ReferenceKernel
 
 from benchmarks.timing import InterleavedTimes, time_interleaved
-from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
-from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan import Plan
 
 #: Step too short to move anything [s].
 _STILL = 1e-9

@@ -13,13 +13,13 @@ import numpy as np
 from support.random_meshes import shuffled_mesh
 
 from benchmarks.timing import time_interleaved
-from cloth_sim_ros.physics.forces.drag import Drag
-from cloth_sim_ros.physics.forces.force import Array, Force
-from cloth_sim_ros.physics.forces.gravity import Gravity
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.plan import Plan, compile
-from cloth_sim_ros.physics.sheets.mesh import MeshSheet
-from cloth_sim_ros.physics.sheets.surface import Surface
+from cloth_sim_ros.physics.model.forces.drag import Drag
+from cloth_sim_ros.physics.model.forces.force import Array, Force
+from cloth_sim_ros.physics.model.forces.gravity import Gravity
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
+from cloth_sim_ros.physics.model.sheets.surface import Surface
+from cloth_sim_ros.physics.plan.plan import Plan, compile
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation

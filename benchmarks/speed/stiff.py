@@ -14,7 +14,7 @@ from support.reference import Reference
 
 from benchmarks.timing import time_interleaved
 from cloth_sim_ros.physics.control.automatic import make_integrator
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.model.forces.force import Array
 
 #: Tolerance, and bound of the final position error of the sheet as shipped [m].
 TOLERANCE = 1e-3

@@ -12,7 +12,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.fit_grasped import (
+from cloth_sim_ros.fit.grasped import (
     GRASP_SPAN,
     GraspedParticles,
     check_distinct,
@@ -20,15 +20,15 @@ from cloth_sim_ros.batch.fit_grasped import (
     find_grasped_at_rest,
     parse_all_grasped,
 )
-from cloth_sim_ros.batch.fit_motion import GripperPath, check_rest
-from cloth_sim_ros.batch.fit_parameters import FitError
-from cloth_sim_ros.batch.fit_recording import FitRecording, visible
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import rotation_matrix
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.fit.motion import GripperPath, check_rest
+from cloth_sim_ros.fit.parameters import FitError
+from cloth_sim_ros.fit.recording import FitRecording, visible
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.bodies.grippers import Grippers
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
-from cloth_sim_ros.simulation.grippers import Grippers
 
 _CLOUD, _POSE, _BOOL = "sensor_msgs/msg/PointCloud2", "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Bool"
 #: Names of a cloud's field with the particle index, and numpy types of PointField's integer types.

@@ -12,11 +12,11 @@ from typing import Any
 import attrs
 import numpy as np
 
-from cloth_sim_ros.batch.fit import Fit, fitted_positions
-from cloth_sim_ros.batch.fit_parameters import scene_with
-from cloth_sim_ros.batch.fit_recording import visible
-from cloth_sim_ros.batch.fit_text import verdict
-from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.fit.fit import Fit, fitted_positions
+from cloth_sim_ros.fit.parameters import scene_with
+from cloth_sim_ros.fit.recording import visible
+from cloth_sim_ros.fit.text import verdict
+from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.session.output_files import atomic_write
 
 

@@ -11,13 +11,13 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.fit_information import ConfoundedDirection, confounded_directions, correlation
-from cloth_sim_ros.batch.fit_misfit import MISFIT_RATIO
-from cloth_sim_ros.batch.fit_parameters import FitError, FitParameter, choose_parameters
-from cloth_sim_ros.batch.fit_recording import FitRecording, check_recording, residual_offsets, visible
-from cloth_sim_ros.batch.fit_runs import FitRun, FitRunPool, mean_offset, residuals, simulate, simulate_with_misses
-from cloth_sim_ros.batch.fit_solver import FitProblem, fisher_information, standard_deviations
-from cloth_sim_ros.batch.fit_windows import IDENTIFIED_DEVIATION, WindowedFit, solve_windows
+from cloth_sim_ros.fit.information import ConfoundedDirection, confounded_directions, correlation
+from cloth_sim_ros.fit.misfit import MISFIT_RATIO
+from cloth_sim_ros.fit.parameters import FitError, FitParameter, choose_parameters
+from cloth_sim_ros.fit.recording import FitRecording, check_recording, residual_offsets, visible
+from cloth_sim_ros.fit.runs import FitRun, FitRunPool, mean_offset, residuals, simulate, simulate_with_misses
+from cloth_sim_ros.fit.solver import FitProblem, fisher_information, standard_deviations
+from cloth_sim_ros.fit.windows import IDENTIFIED_DEVIATION, WindowedFit, solve_windows
 
 #: Half width of the 95 % interval of a normal distribution [standard deviations].
 NORMAL_95 = 1.959963984540054

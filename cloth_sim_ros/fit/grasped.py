@@ -11,10 +11,10 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.fit_parameters import FitError
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import rotation_matrix
-from cloth_sim_ros.physics.sheets.grid import GridSheet
+from cloth_sim_ros.fit.parameters import FitError
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.sheets.grid import GridSheet
+from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
 from cloth_sim_ros.scene.scene import Scene
 
 #: Length of the examined beginning of the recording [s].

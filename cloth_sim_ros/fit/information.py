@@ -10,9 +10,9 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.fit_parameters import FitParameter
-from cloth_sim_ros.batch.fit_recording import FitRecording, visible
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.fit.parameters import FitParameter
+from cloth_sim_ros.fit.recording import FitRecording, visible
+from cloth_sim_ros.physics.model.forces.force import Array
 
 #: Least component of a parameter that belongs to a direction, relative to the largest component.
 MIN_COMPONENT = 0.3

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 from cloth_sim_ros.session.console import escape_unencodable
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.batch.fit import Fit
-    from cloth_sim_ros.batch.fit_recording import FitRecording
+    from cloth_sim_ros.fit.fit import Fit
+    from cloth_sim_ros.fit.recording import FitRecording
 
 #: Exit status: every parameter is identified.
 IDENTIFIED = 0
@@ -38,8 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.plot is not None and importlib.util.find_spec("matplotlib") is None:
         parser.error("--plot needs matplotlib: pip install 'cloth_sim_ros[batch]'")
-    from cloth_sim_ros.batch.fit_parameters import FitError
-    from cloth_sim_ros.scene.parameters import ParameterError
+    from cloth_sim_ros.fit.parameters import FitError
+    from cloth_sim_ros.scene.parameters.declare import ParameterError
     from cloth_sim_ros.session.errors import SessionError
     from cloth_sim_ros.session.output_files import check_outputs
 
@@ -141,8 +141,8 @@ def _add_bag_options(parser: argparse.ArgumentParser) -> None:
 def _fit(options: argparse.Namespace) -> Fit:
     from tqdm import tqdm
 
-    from cloth_sim_ros.batch.fit import fit
-    from cloth_sim_ros.batch.fit_parameters import FitError
+    from cloth_sim_ros.fit.fit import fit
+    from cloth_sim_ros.fit.parameters import FitError
 
     if options.every < 1:
         raise FitError(f"--every is {options.every}; give 1 or more")
@@ -164,9 +164,9 @@ def _fit(options: argparse.Namespace) -> Fit:
 
 
 def _recording(options: argparse.Namespace) -> FitRecording:
-    from cloth_sim_ros.batch.fit_bag import is_session, read_bag
-    from cloth_sim_ros.batch.fit_parameters import FitError
-    from cloth_sim_ros.batch.fit_recording import read_session
+    from cloth_sim_ros.fit.bag import is_session, read_bag
+    from cloth_sim_ros.fit.parameters import FitError
+    from cloth_sim_ros.fit.recording import read_session
     from cloth_sim_ros.scene.scene import Scene
     from cloth_sim_ros.session.opening import open_file
 
@@ -201,7 +201,7 @@ def _recording(options: argparse.Namespace) -> FitRecording:
 
 
 def _pairs(texts: Sequence[str], option: str) -> dict[str, str]:
-    from cloth_sim_ros.batch.fit_parameters import FitError
+    from cloth_sim_ros.fit.parameters import FitError
 
     pairs = {}
     for text in texts:
@@ -213,7 +213,7 @@ def _pairs(texts: Sequence[str], option: str) -> dict[str, str]:
 
 
 def _parse_number(text: str, option: str) -> float:
-    from cloth_sim_ros.batch.fit_parameters import FitError
+    from cloth_sim_ros.fit.parameters import FitError
 
     try:
         return float(text)
@@ -222,8 +222,8 @@ def _parse_number(text: str, option: str) -> float:
 
 
 def _report(fit: Fit, options: argparse.Namespace) -> None:
-    from cloth_sim_ros.batch.fit_files import write_json, write_parameters, write_plot
-    from cloth_sim_ros.batch.fit_text import describe
+    from cloth_sim_ros.fit.files import write_json, write_parameters, write_plot
+    from cloth_sim_ros.fit.text import describe
 
     print(describe(fit), flush=True)
     if options.json is not None:

@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.fit_solver import Linearization
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.fit.solver import Linearization
+from cloth_sim_ros.physics.model.forces.force import Array
 
 #: Ratio of residuals to noise above which the model does not explain the clouds.
 MISFIT_RATIO = 1.5

@@ -14,8 +14,8 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.fit_parameters import FitError
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.fit.parameters import FitError
+from cloth_sim_ros.physics.model.forces.force import Array
 
 #: Length of the examined beginning [s], and the least number of its clouds.
 SPAN, MIN_CLOUDS = 0.27, 7

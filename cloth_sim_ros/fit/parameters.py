@@ -11,8 +11,8 @@ from typing import Any
 
 import attrs
 
-from cloth_sim_ros.scene.parameter_warnings import ineffective_parameters
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.scene.parameters.warnings import ineffective_parameters
 from cloth_sim_ros.scene.scene import Scene
 
 #: Full names by short name; `bending` depends on the scene's bending model.

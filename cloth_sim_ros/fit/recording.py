@@ -12,10 +12,10 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.fit_parameters import FitError
-from cloth_sim_ros.physics.controller_state import reset_step_control
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.fit.parameters import FitError
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.state.controller_state import reset_step_control
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.recorded_scene import recorded_values
 from cloth_sim_ros.scene.scene import Scene
@@ -23,7 +23,7 @@ from cloth_sim_ros.simulation.events import Event, Relax, SetParameters, from_di
 from cloth_sim_ros.simulation.sleep import wake
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.batch.fit_grasped import GraspedParticles
+    from cloth_sim_ros.fit.grasped import GraspedParticles
 
 #: Least number of clouds with points.
 MIN_CLOUDS = 3

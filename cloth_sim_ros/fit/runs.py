@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Self
 import attrs
 import numpy as np
 
-from cloth_sim_ros.batch.fit_parameters import FitError, FitParameter, scene_with
-from cloth_sim_ros.batch.fit_recording import FitRecording, visible
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.fit.parameters import FitError, FitParameter, scene_with
+from cloth_sim_ros.fit.recording import FitRecording, visible
 from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.child_process import overrides, safe_imports
 from cloth_sim_ros.simulation.events import SetParameters
@@ -93,7 +93,7 @@ def residuals(recording: FitRecording, parameters: Sequence[FitParameter], run: 
     positions = simulate(recording, parameters, run)
     parts = []
     if not recording.matched:
-        from cloth_sim_ros.batch.fit_surface import signed_distances
+        from cloth_sim_ros.fit.surface import signed_distances
 
         triangles = recording.scene.sheet.triangles()
         for cloud, x in zip(recording.clouds, positions, strict=False):

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import attrs
 import numpy as np
 
-from cloth_sim_ros.batch.fit_parameters import FitError
-from cloth_sim_ros.batch.fit_runs import FitRun, FitRunPool
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.fit.parameters import FitError
+from cloth_sim_ros.fit.runs import FitRun, FitRunPool
+from cloth_sim_ros.physics.model.forces.force import Array
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

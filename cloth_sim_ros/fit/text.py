@@ -7,9 +7,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from cloth_sim_ros.batch.fit import MIN_CORRELATION, Estimate, Fit
-from cloth_sim_ros.batch.fit_grasped import describe_grasped
-from cloth_sim_ros.batch.fit_information import ConfoundedDirection
+from cloth_sim_ros.fit.fit import MIN_CORRELATION, Estimate, Fit
+from cloth_sim_ros.fit.grasped import describe_grasped
+from cloth_sim_ros.fit.information import ConfoundedDirection
 from cloth_sim_ros.session.plurals import pluralize
 
 

@@ -11,7 +11,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.fit_misfit import (
+from cloth_sim_ros.fit.misfit import (
     MISFIT,
     NOT_CONVERGED,
     UNCONFIRMED,
@@ -19,8 +19,8 @@ from cloth_sim_ros.batch.fit_misfit import (
     is_remainder_misfit,
     root_mean_square,
 )
-from cloth_sim_ros.batch.fit_parameters import FitError
-from cloth_sim_ros.batch.fit_solver import (
+from cloth_sim_ros.fit.parameters import FitError
+from cloth_sim_ros.fit.solver import (
     MAX_DIFFERENCE,
     FitProblem,
     Linearization,
@@ -28,7 +28,7 @@ from cloth_sim_ros.batch.fit_solver import (
     fisher_information,
     minimize,
 )
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.model.forces.force import Array
 
 #: Length of the first window [s]; each further window is twice as long.
 FIRST_WINDOW = 0.25

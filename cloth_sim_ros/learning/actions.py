@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.deterministic_math import ordered_sum
+from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.bodies.kinematic_bodies import clamp_motion
 from cloth_sim_ros.simulation.event_checks import MAX_COORDINATE
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
-from cloth_sim_ros.simulation.kinematic_bodies import clamp_motion
 from cloth_sim_ros.simulation.simulation import Simulation
 
 #: Size of a gripper's row without and with an orientation.

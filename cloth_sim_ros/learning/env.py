@@ -14,8 +14,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from cloth_sim_ros.batch.vector_env import ClothVectorEnv
-from cloth_sim_ros.physics.uncopyable import Uncopyable
+from cloth_sim_ros.learning.vector_env import ClothVectorEnv
+from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
 from cloth_sim_ros.simulation.snapshot import Snapshot
 
 

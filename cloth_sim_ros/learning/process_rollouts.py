@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.rollout import Rollout, RolloutRequest, roll_out
-from cloth_sim_ros.physics import thread_limit
+from cloth_sim_ros.learning.rollout import Rollout, RolloutRequest, roll_out
+from cloth_sim_ros.physics.plan import thread_limit
 from cloth_sim_ros.session.child_process import overrides, safe_imports
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.simulation.snapshot import Snapshot

@@ -3,7 +3,7 @@
 """Registration of the environments in gymnasium.
 
 Importing this module or an environment's module registers the name. The call
-``gymnasium.make_vec("cloth_sim_ros.batch.registered:cloth_sim_ros/Cloth-v0")`` imports this module.
+``gymnasium.make_vec("cloth_sim_ros.learning.registered:cloth_sim_ros/Cloth-v0")`` imports this module.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ STEPS = 600
 if NAME not in gymnasium.registry:
     gymnasium.register(
         NAME,
-        entry_point="cloth_sim_ros.batch.env:ClothEnv",
-        vector_entry_point="cloth_sim_ros.batch.vector_env:ClothVectorEnv",
+        entry_point="cloth_sim_ros.learning.env:ClothEnv",
+        vector_entry_point="cloth_sim_ros.learning.vector_env:ClothVectorEnv",
         max_episode_steps=STEPS,
     )

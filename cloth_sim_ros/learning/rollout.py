@@ -10,9 +10,9 @@ import attrs
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cloth_sim_ros.batch.actions import ActionDecoder
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.learning.actions import ActionDecoder
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.simulation.snapshot import Snapshot
 

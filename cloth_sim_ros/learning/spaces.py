@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cloth_sim_ros.batch.actions import ActionDecoder
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.learning.actions import ActionDecoder
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.event_checks import MAX_COORDINATE
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Self
 
-from cloth_sim_ros.physics import thread_limit
+from cloth_sim_ros.physics.plan import thread_limit
 
 
 def resolve_worker_count(count: int | None, name: str = "threads") -> int:

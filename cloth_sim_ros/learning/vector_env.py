@@ -16,13 +16,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from cloth_sim_ros.batch import registered as registered
-from cloth_sim_ros.batch.actions import ActionDecoder
-from cloth_sim_ros.batch.outcome import Outcome, OutcomeFunction, evaluate_outcome
-from cloth_sim_ros.batch.rollout import select_particles, store_particles
-from cloth_sim_ros.batch.seeds import Generators
-from cloth_sim_ros.batch.simulation_pool import Prepare, Randomise, SimulationPool
-from cloth_sim_ros.batch.spaces import (
+from cloth_sim_ros.learning.actions import ActionDecoder
+from cloth_sim_ros.learning.outcome import Outcome, OutcomeFunction, evaluate_outcome
+from cloth_sim_ros.learning.rollout import select_particles, store_particles
+from cloth_sim_ros.learning.seeds import Generators
+from cloth_sim_ros.learning.simulation_pool import Prepare, Randomise, SimulationPool
+from cloth_sim_ros.learning.spaces import (
     action_space,
     check_positive_integer,
     make_workspace,
@@ -31,9 +30,9 @@ from cloth_sim_ros.batch.spaces import (
     observation_space,
     scene_of,
 )
-from cloth_sim_ros.batch.thread_pool import ThreadPool
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.uncopyable import Uncopyable
+from cloth_sim_ros.learning.thread_pool import ThreadPool
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.simulation.snapshot import Snapshot

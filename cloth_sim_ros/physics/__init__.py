@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The model of a cloth and its motion, without ROS, files or clocks.
 
-Begin with `model` (masses, forces, anchors) and `plan` (`compile` turns a model into a callable plan). `forces` has one
-file a force. `sheets` builds grids, meshes and chains. `integrators` and `control` step time. `state` has the dynamic
-state.
+Begin with `model` (masses, forces, anchors, sheets) and `plan` (`compile` turns a model into a callable plan).
+`contact` has obstacles and jaws. `integrators` and `control` step time. `state` has the dynamic state. `accounting`
+sums work and energy.
 """

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cloth_sim_ros.engine.binding import finite
-from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import TOLERANCE, Advance, Integrator
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.plan import Plan, compile
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.plan import Plan, compile
+from cloth_sim_ros.physics.state.state import State
 
 #: Longest interval of one advance [s]: a frame of a node at 60 Hz.
 MAX_ADVANCE = 1.0 / 60.0

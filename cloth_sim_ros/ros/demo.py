@@ -32,8 +32,8 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import PointCloud2
 from tqdm import tqdm
 
-from cloth_sim_ros.ros.messages import read_stamp
-from cloth_sim_ros.ros.stopping import StopSignals
+from cloth_sim_ros.ros.io.messages import read_stamp
+from cloth_sim_ros.ros.process.stopping import StopSignals
 from cloth_sim_ros.scene.config_files import config_file
 from cloth_sim_ros.session.child_process import child_environment, module_command
 from cloth_sim_ros.session.plurals import pluralize

@@ -10,8 +10,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from cloth_sim_ros.ros.gripper_words import describe_holds as describe_holds
-from cloth_sim_ros.ros.stopping import StopSignals
+from cloth_sim_ros.ros.client.gripper_words import describe_holds as describe_holds
+from cloth_sim_ros.ros.process.stopping import StopSignals
 from cloth_sim_ros.session.command_runner import exit_on_signal
 
 
@@ -23,7 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     argv = list(sys.argv if arguments is None else ["cloth_gripper", *arguments])
     with exit_on_signal("cloth_gripper"):
-        from cloth_sim_ros.ros.gripper_run import run
+        from cloth_sim_ros.ros.client.gripper_run import run
 
         signals = StopSignals()
     signals.install()

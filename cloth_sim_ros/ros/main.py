@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 # First: between the next import and the installation of the handlers a signal would leave a traceback.
 import cloth_sim_ros.session.command_runner as command_loading
-from cloth_sim_ros.ros.stopping import StopSignals
+from cloth_sim_ros.ros.process.stopping import StopSignals
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -26,12 +26,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     argv = list(sys.argv if arguments is None else ["cloth_sim", *arguments])
     if any(argument == "--check" or argument.startswith("--check=") for argument in argv):
         with command_loading.exit_on_signal("cloth_sim"):
-            from cloth_sim_ros.ros.check import main as check
+            from cloth_sim_ros.ros.check.check import main as check
         return check(argv[1:])
     signals = StopSignals()
     signals.install()
     with signals.exiting_at_once():
-        from cloth_sim_ros.ros.process import run
+        from cloth_sim_ros.ros.process.process import run
     return run(argv, signals)
 
 

@@ -13,39 +13,40 @@ from rclpy.clock import Clock, ClockType
 from rclpy.logging_service import LoggingService
 from rclpy.parameter_service import ParameterService
 
-from cloth_sim_ros.ros import diagnostics, parameters
-from cloth_sim_ros.ros.accuracy_switch import AccuracySwitch
-from cloth_sim_ros.ros.clock_pause import ClockPause
-from cloth_sim_ros.ros.cloth_clock import ClothClock
-from cloth_sim_ros.ros.commands import CommandSubscriptions
-from cloth_sim_ros.ros.deadline_monitor import DeadlineMonitor
-from cloth_sim_ros.ros.event_queue import EventQueue
-from cloth_sim_ros.ros.failure import FailureGuard
-from cloth_sim_ros.ros.feasibility import check_feasibility
-from cloth_sim_ros.ros.first_contact import FirstContact
-from cloth_sim_ros.ros.frame_log import FrameLog
-from cloth_sim_ros.ros.gripper_speed import GripperSpeedMonitor
-from cloth_sim_ros.ros.initial_state import describe_left_out
-from cloth_sim_ros.ros.log import ThrottledLog
-from cloth_sim_ros.ros.obstacles import ObstacleTopics
-from cloth_sim_ros.ros.outputs import Outputs
-from cloth_sim_ros.ros.pacer import ClockPacer, FrameTick, Pacer, WallPacer
-from cloth_sim_ros.ros.performance_estimate import PerformanceEstimator, measure_step_cost
-from cloth_sim_ros.ros.recording import SessionRecording
-from cloth_sim_ros.ros.recording_control import RecordingControl
-from cloth_sim_ros.ros.report import DiagnosticsCollector, LatestFrame, log_start
-from cloth_sim_ros.ros.rosout_recorder import RosoutRecorder
-from cloth_sim_ros.ros.services import Services
-from cloth_sim_ros.ros.shut_down import ignore_errors_after_shutdown
-from cloth_sim_ros.ros.sim_time import SIM_TIME
-from cloth_sim_ros.ros.states import States
-from cloth_sim_ros.ros.stepper import Stepper
-from cloth_sim_ros.ros.stopping import StopRequestedError
-from cloth_sim_ros.ros.tf_broadcaster import TfBroadcaster
-from cloth_sim_ros.ros.tf_follower import TfFollower
-from cloth_sim_ros.ros.tf_frames import FrameTransformer
-from cloth_sim_ros.ros.tolerance_governor import ToleranceGovernor
-from cloth_sim_ros.ros.worker_thread import InterruptibleLock, run_inline
+from cloth_sim_ros.ros.accuracy.accuracy_switch import AccuracySwitch
+from cloth_sim_ros.ros.check.feasibility import check_feasibility
+from cloth_sim_ros.ros.check.performance_estimate import PerformanceEstimator, measure_step_cost
+from cloth_sim_ros.ros.io import parameters
+from cloth_sim_ros.ros.io.commands import CommandSubscriptions
+from cloth_sim_ros.ros.io.obstacles import ObstacleTopics
+from cloth_sim_ros.ros.io.outputs import Outputs
+from cloth_sim_ros.ros.io.services import Services
+from cloth_sim_ros.ros.io.states import States
+from cloth_sim_ros.ros.io.tf_broadcaster import TfBroadcaster
+from cloth_sim_ros.ros.io.tf_follower import TfFollower
+from cloth_sim_ros.ros.io.tf_frames import FrameTransformer
+from cloth_sim_ros.ros.process.failure import FailureGuard
+from cloth_sim_ros.ros.process.shut_down import ignore_errors_after_shutdown
+from cloth_sim_ros.ros.process.stopping import StopRequestedError
+from cloth_sim_ros.ros.process.worker_thread import InterruptibleLock, run_inline
+from cloth_sim_ros.ros.recording.initial_state import describe_left_out
+from cloth_sim_ros.ros.recording.recording import SessionRecording
+from cloth_sim_ros.ros.recording.recording_control import RecordingControl
+from cloth_sim_ros.ros.recording.rosout_recorder import RosoutRecorder
+from cloth_sim_ros.ros.reporting import diagnostics
+from cloth_sim_ros.ros.reporting.first_contact import FirstContact
+from cloth_sim_ros.ros.reporting.frame_log import FrameLog
+from cloth_sim_ros.ros.reporting.gripper_speed import GripperSpeedMonitor
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
+from cloth_sim_ros.ros.reporting.report import DiagnosticsCollector, LatestFrame, log_start
+from cloth_sim_ros.ros.timing.clock_pause import ClockPause
+from cloth_sim_ros.ros.timing.cloth_clock import ClothClock
+from cloth_sim_ros.ros.timing.deadline_monitor import DeadlineMonitor
+from cloth_sim_ros.ros.timing.event_queue import EventQueue
+from cloth_sim_ros.ros.timing.pacer import ClockPacer, FrameTick, Pacer, WallPacer
+from cloth_sim_ros.ros.timing.sim_time import SIM_TIME
+from cloth_sim_ros.ros.timing.stepper import Stepper
+from cloth_sim_ros.ros.timing.tolerance_governor import ToleranceGovernor
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation.events import Reset, SetParameters

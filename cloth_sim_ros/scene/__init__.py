@@ -3,6 +3,6 @@
 """Configuration of a cloth: parameters, files, and the model built from them.
 
 Begin with `scene` (the frozen configuration) and `sections` (every parameter with its default). `parameters` declares
-and checks parameters, and `files` reads the files that a scene names. `build` makes a model and its plan. `topology_id`
-identifies the cloth of a state. `parameter_warnings` lists ineffective parameters.
+parameters and reads their files, and `files` reads the files that a scene names. `build` makes a model and
+its plan. `topology_id` identifies the cloth of a state.
 """

@@ -14,27 +14,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
-from cloth_sim_ros.physics.deterministic_math import ordered_sum, row_sum
-from cloth_sim_ros.physics.forces.drag import Drag
-from cloth_sim_ros.physics.forces.force import Array, Force
-from cloth_sim_ros.physics.forces.gravity import Gravity
-from cloth_sim_ros.physics.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.gripper_path import normalized
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.parts import GridFamily
-from cloth_sim_ros.physics.plan import Plan, compile
-from cloth_sim_ros.physics.sheets.grid import GridSheet
-from cloth_sim_ros.physics.sheets.material import Threads, grid_threads
-from cloth_sim_ros.physics.sheets.mesh import MeshSheet
-from cloth_sim_ros.physics.sheets.raw import RawSprings
-from cloth_sim_ros.physics.sheets.surface import grid_cells, grid_hinges
+from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum, row_sum
+from cloth_sim_ros.physics.model.forces.drag import Drag
+from cloth_sim_ros.physics.model.forces.force import Array, Force
+from cloth_sim_ros.physics.model.forces.gravity import Gravity
+from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model.forces.grips import Grips
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.parts import GridFamily
+from cloth_sim_ros.physics.model.sheets.grid import GridSheet
+from cloth_sim_ros.physics.model.sheets.material import Threads, grid_threads
+from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
+from cloth_sim_ros.physics.model.sheets.raw import RawSprings
+from cloth_sim_ros.physics.model.sheets.surface import grid_cells, grid_hinges
+from cloth_sim_ros.physics.plan.gripper_path import normalized
+from cloth_sim_ros.physics.plan.plan import Plan, compile
 from cloth_sim_ros.scene import sections
 from cloth_sim_ros.scene.gripper_pads import pads_of
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.physics.obstacles import Obstacle
+    from cloth_sim_ros.physics.contact.obstacles import Obstacle
 
 Sheet: TypeAlias = GridSheet | MeshSheet | RawSprings
 
@@ -178,7 +178,7 @@ def build_model(scene: PhysicsScene) -> Model:
         forces.append(Grips(len(scene.gripper_names)))
     solids, pads, contact_parameters = scene.solids, pads_of(scene, ordered_sum(masses.tolist())), scene.contact
     if solids or pads or contact_parameters.self_:
-        from cloth_sim_ros.physics.forces.contact import Contact, ContactSurface
+        from cloth_sim_ros.physics.model.forces.contact import Contact, ContactSurface
 
         faces = None
         if contact_parameters.self_ or solids:
@@ -215,7 +215,7 @@ def uniform_forces(scene: PhysicsScene) -> list[Force]:
     if scene.air.drag:
         forces.append(Drag(scene.air.drag))
     if any(scene.wind.velocity) and scene.air.drag:
-        from cloth_sim_ros.physics.forces.wind import Wind
+        from cloth_sim_ros.physics.model.forces.wind import Wind
 
         forces.append(Wind(scene.wind.velocity, scene.air.drag))
     return forces
@@ -226,7 +226,7 @@ def _air_panels(scene: PhysicsScene, sheet: Sheet) -> list[Force]:
     wind = scene.wind
     if not wind.normal_drag and not wind.tangential_drag:
         return []
-    from cloth_sim_ros.physics.forces.air_panels import AirPanels
+    from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
 
     # A grid has panels per cell, not per triangle. Therefore the area of each particle is proportional to its mass.
     panels = grid_cells(sheet.rows, sheet.columns) if isinstance(sheet, GridSheet) else sheet.triangles()
@@ -275,7 +275,7 @@ def _hinge_springs(
     scene: PhysicsScene, sheet: GridSheet | MeshSheet, masses: Array, existing: NDArray[np.int64] | None
 ) -> list[Force]:
     """Build the bending forces: S7 (opposite), S7 and S8 (crossed), or S7 and S9 (altitude)."""
-    from cloth_sim_ros.physics.sheets import bending as calibration
+    from cloth_sim_ros.physics.model.sheets import bending as calibration
 
     model = scene.bending.model
     rest_positions = sheet.positions()

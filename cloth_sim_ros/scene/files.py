@@ -11,10 +11,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from cloth_sim_ros.physics.deterministic_math import integer_sum
+from cloth_sim_ros.physics.arithmetic.deterministic_math import integer_sum
 from cloth_sim_ros.scene import input_file
 from cloth_sim_ros.scene.input_file import InputFileError
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 #: Parameters that name a file.
 FILE_PARAMETERS = ("cloth.mesh", "cloth.springs", "initial_state")

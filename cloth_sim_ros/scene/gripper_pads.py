@@ -7,10 +7,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 from cloth_sim_ros.scene import sections
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.physics.parallel_jaw import ParallelJaw
+    from cloth_sim_ros.physics.contact.parallel_jaw import ParallelJaw
 
 
 class PinchScene(Protocol):
@@ -31,7 +31,7 @@ def pads_of(scene: PinchScene, mass: float) -> list[ParallelJaw]:
     """
     if not scene.pinching:
         return []
-    from cloth_sim_ros.physics.parallel_jaw import ParallelJaw, drive_inertia
+    from cloth_sim_ros.physics.contact.parallel_jaw import ParallelJaw, drive_inertia
 
     gripper = scene.gripper
     if len(gripper.friction) not in (1, 2):

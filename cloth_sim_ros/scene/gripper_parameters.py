@@ -12,8 +12,9 @@ from typing import Any
 
 import attrs
 
-from cloth_sim_ros.scene import parameters, sections
-from cloth_sim_ros.scene.parameters import NAME, Parameter, ParameterError
+from cloth_sim_ros.scene import sections
+from cloth_sim_ros.scene.parameters import declare as parameters
+from cloth_sim_ros.scene.parameters.declare import NAME, Parameter, ParameterError
 
 #: Last parts of the names of these parameters.
 LEAVES = ("mode", "frame", "max_speed")

@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import attrs
 
-from cloth_sim_ros.physics.obstacle_shapes import MAX_SIZE
+from cloth_sim_ros.physics.contact.obstacle_shapes import MAX_SIZE
 from cloth_sim_ros.scene.limits import FRAME, FRICTION
-from cloth_sim_ros.scene.parameters import parameter
+from cloth_sim_ros.scene.parameters.declare import parameter
 
 #: Default speed limit of a gripper, the limit of obstacles [m/s]: robots move at 2 to 3 m/s, fast parallel ones at 10.
 MAX_SPEED = 10.0

@@ -3,7 +3,7 @@
 """Triangle meshes from OBJ, PLY and STL files; vertices keep the file's order.
 
 trimesh reads STL, after checks for files that end before their header says, which trimesh accepts silently. Vertices
-that are copies of each other, up to rounding, are merged (`physics.sheets.merging`).
+that are copies of each other, up to rounding, are merged (`physics.model.sheets.merging`).
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.sheets.merging import merge_limit
-from cloth_sim_ros.physics.sheets.mesh import MeshSheet
-from cloth_sim_ros.physics.sheets.meshes import CheckedMesh, checked_mesh, triangulated
-from cloth_sim_ros.physics.solid_repair import closed_solid, is_closed, used_vertices
+from cloth_sim_ros.physics.contact.solid_repair import closed_solid, is_closed, used_vertices
+from cloth_sim_ros.physics.model.sheets.merging import merge_limit
+from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
+from cloth_sim_ros.physics.model.sheets.meshes import CheckedMesh, checked_mesh, triangulated
 
 KINDS = ("obj", "ply", "stl")
 #: Bytes of a binary STL file's header, the count of triangles included, and of each triangle.

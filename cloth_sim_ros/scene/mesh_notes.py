@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import logging
 
-from cloth_sim_ros.physics.sheets.mesh import MeshSheet
+from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
 from cloth_sim_ros.scene.obstacles import solid_mesh
 from cloth_sim_ros.scene.scene import Scene
 

@@ -12,15 +12,16 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-from cloth_sim_ros.physics.gripper_path import normalized
-from cloth_sim_ros.physics.sheets.grid import GridSheet
-from cloth_sim_ros.physics.sheets.mesh import MeshSheet
-from cloth_sim_ros.scene import parameters, sections
+from cloth_sim_ros.physics.model.sheets.grid import GridSheet
+from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
+from cloth_sim_ros.physics.plan.gripper_path import normalized
+from cloth_sim_ros.scene import sections
 from cloth_sim_ros.scene.build import Sheet
-from cloth_sim_ros.scene.parameters import NAME, Parameter, ParameterError
+from cloth_sim_ros.scene.parameters import declare as parameters
+from cloth_sim_ros.scene.parameters.declare import NAME, Parameter, ParameterError
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.physics.obstacles import Obstacle
+    from cloth_sim_ros.physics.contact.obstacles import Obstacle
     from cloth_sim_ros.scene.mesh_file import SolidMesh
 
 #: Parameters of a present obstacle that may change.
@@ -144,7 +145,7 @@ def _solid(name: str, description: sections.ObstacleParameters, content: bytes) 
     Raises:
         ParameterError: for an invalid description.
     """
-    from cloth_sim_ros.physics.obstacles import Obstacle
+    from cloth_sim_ros.physics.contact.obstacles import Obstacle
 
     try:
         normalized(description.orientation)

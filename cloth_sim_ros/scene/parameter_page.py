@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterable
 from typing import Any
 
-from cloth_sim_ros.scene.parameters import Parameter
+from cloth_sim_ros.scene.parameters.declare import Parameter
 from cloth_sim_ros.scene.scene import Scene
 
 _HEAD = """# Parameters

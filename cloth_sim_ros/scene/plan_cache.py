@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import attrs
 
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.build import build_plan, uniform_forces
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.physics.plan import Plan
+    from cloth_sim_ros.physics.plan.plan import Plan
     from cloth_sim_ros.scene.scene import Scene
 
 
@@ -51,7 +51,7 @@ class PlanCache:
         uniform, replaced = uniform_forces(scene), {force.name for force in uniform_forces(before)}
         remaining, air = [force for force in self.plan.model.forces if force.name not in replaced], None
         if scene.wind.normal_drag or scene.wind.tangential_drag:
-            from cloth_sim_ros.physics.forces.air_panels import AirPanels
+            from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
 
             panels = next(force for force in remaining if isinstance(force, AirPanels))
             updated = panels.in_wind(scene.wind.velocity)

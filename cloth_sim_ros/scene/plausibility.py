@@ -13,8 +13,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.deterministic_math import ordered_sum
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
 
 #: Extents [m] and masses [kg] of cloth that a robot handles: from a patch of a centimetre to a sail.

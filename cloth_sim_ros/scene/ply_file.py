@@ -19,7 +19,7 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.deterministic_math import integer_sum
+from cloth_sim_ros.physics.arithmetic.deterministic_math import integer_sum
 
 #: numpy's names of the types.
 _KINDS = {

@@ -7,8 +7,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from cloth_sim_ros.scene import parameter_file, sections
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene import sections
+from cloth_sim_ros.scene.parameters import parameter_file
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 #: Values of parameters that a session lacks. It was recorded before they existed and runs again as it ran then.
 LEGACY_VALUES: dict[str, Any] = {"cloth.merge": False, "gripper.max_speed": 0.0, "wind.normal_drag": 0.0}

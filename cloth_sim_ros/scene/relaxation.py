@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.state.state import State
 
 #: Largest factor [1], and largest relaxed tolerance [m].
 MAX_FACTOR, MAX_TOLERANCE = 10.0, 1e-2

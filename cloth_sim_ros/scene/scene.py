@@ -13,19 +13,19 @@ import attrs
 import numpy as np
 
 from cloth_sim_ros.physics.control.automatic import INTEGRATORS, make_integrator
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import normalized, rotation_matrix
 from cloth_sim_ros.physics.integrators.base import TOLERANCE, WORK_LIMIT, Integrator
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.sheets.grid import GridSheet
-from cloth_sim_ros.physics.sheets.material import Threads
-from cloth_sim_ros.physics.sheets.mesh import POISSON_RATIO, MeshSheet
-from cloth_sim_ros.physics.sheets.raw import RawSprings
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.sheets.grid import GridSheet
+from cloth_sim_ros.physics.model.sheets.material import Threads
+from cloth_sim_ros.physics.model.sheets.mesh import POISSON_RATIO, MeshSheet
+from cloth_sim_ros.physics.model.sheets.raw import RawSprings
+from cloth_sim_ros.physics.plan.gripper_path import normalized, rotation_matrix
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene import files as scene_files
 from cloth_sim_ros.scene import gripper_pads as scene_pinch
-from cloth_sim_ros.scene import gripper_parameters, limits, parameter_file, parameters, relaxation, sections
+from cloth_sim_ros.scene import gripper_parameters, limits, relaxation, sections
 from cloth_sim_ros.scene import obstacles as scene_obstacles
 from cloth_sim_ros.scene.build import (
     Sheet,
@@ -36,7 +36,10 @@ from cloth_sim_ros.scene.build import (
     grid_threads_of,
 )
 from cloth_sim_ros.scene.gripper_section import PINCH
-from cloth_sim_ros.scene.parameters import ParameterError, parameter, section
+from cloth_sim_ros.scene.parameters import declare as parameters
+from cloth_sim_ros.scene.parameters import parameter_file
+from cloth_sim_ros.scene.parameters.declare import ParameterError, parameter, section
+from cloth_sim_ros.scene.parameters.unknown_parameters import is_ros_parameter
 from cloth_sim_ros.scene.recorded_scene import merge_hint
 from cloth_sim_ros.scene.sections import (
     AirParameters,
@@ -53,11 +56,10 @@ from cloth_sim_ros.scene.sections import (
 )
 from cloth_sim_ros.scene.sheet_checks import check_sheet, without_surface
 from cloth_sim_ros.scene.topology_id import difference, topology_id
-from cloth_sim_ros.scene.unknown_parameters import is_ros_parameter
 from cloth_sim_ros.scene.value_checks import check_values
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.physics.obstacles import Obstacle
+    from cloth_sim_ros.physics.contact.obstacles import Obstacle
 
 #: Parameters and groups of parameters that rclpy declares by itself.
 _ROS_GROUPS = ("use_sim_time", "qos_overrides", "start_type_description_service")

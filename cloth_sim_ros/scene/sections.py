@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import attrs
 
-from cloth_sim_ros.physics.obstacle_shapes import MAX_SIZE, SHAPES
-from cloth_sim_ros.physics.sheets.surface import LAYOUTS
+from cloth_sim_ros.physics.contact.obstacle_shapes import MAX_SIZE, SHAPES
+from cloth_sim_ros.physics.model.sheets.surface import LAYOUTS
 from cloth_sim_ros.scene.gripper_section import GripperParameters as GripperParameters
 from cloth_sim_ros.scene.limits import FRAME, FRICTION, MAX_PARTICLES, QUATERNION
-from cloth_sim_ros.scene.parameters import parameter
+from cloth_sim_ros.scene.parameters.declare import parameter
 
 
 @attrs.frozen(kw_only=True)

@@ -7,10 +7,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from cloth_sim_ros.physics.sheets.grid import GridSheet
-from cloth_sim_ros.physics.sheets.raw import RawSprings
+from cloth_sim_ros.physics.model.sheets.grid import GridSheet
+from cloth_sim_ros.physics.model.sheets.raw import RawSprings
 from cloth_sim_ros.scene.build import PhysicsScene, anchored_particles, grid_threads_of
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 
 def without_surface(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -48,7 +48,7 @@ def check_sheet(scene: PhysicsScene) -> None:
             "wind.normal_drag and wind.tangential_drag need a surface; raw springs have none: set both to 0"
         )
     if model in ("axial", "opposite") and modulus:
-        from cloth_sim_ros.physics.sheets.bending import refuse_bending_modulus
+        from cloth_sim_ros.physics.model.sheets.bending import refuse_bending_modulus
 
         try:
             refuse_bending_modulus(model)

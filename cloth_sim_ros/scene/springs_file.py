@@ -1,14 +1,14 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Springs files: the tables of `physics.sheets.raw` as YAML, or as the arrays of an .npz."""
+"""Springs files: the tables of `physics.model.sheets.raw` as YAML, or as the arrays of an .npz."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from cloth_sim_ros.physics import npz
-from cloth_sim_ros.physics.sheets.raw import RawSprings
-from cloth_sim_ros.scene import ros_yaml
+from cloth_sim_ros.physics.model.sheets.raw import RawSprings
+from cloth_sim_ros.physics.state import npz
+from cloth_sim_ros.scene.parameters import ros_yaml
 
 #: Largest number of values of a YAML file; larger tables need an .npz.
 _MAX_VALUES = 500_000

@@ -11,10 +11,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from cloth_sim_ros.physics.sheets.grid import GridSheet
-from cloth_sim_ros.physics.sheets.mesh import MeshSheet
-from cloth_sim_ros.physics.sheets.raw import RawSprings
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.sheets.grid import GridSheet
+from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
+from cloth_sim_ros.physics.model.sheets.raw import RawSprings
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.build import Sheet
 
 #: Upper bound of a fingerprint, which must fit into a signed integer of 64 bits.

@@ -7,10 +7,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, Protocol
 
-from cloth_sim_ros.physics.gripper_path import normalized
+from cloth_sim_ros.physics.plan.gripper_path import normalized
 from cloth_sim_ros.scene import gripper_parameters, obstacles, sections
 from cloth_sim_ros.scene.limits import MAX_PARTICLES, MIN_TOLERANCE
-from cloth_sim_ros.scene.parameters import Faults
+from cloth_sim_ros.scene.parameters.declare import Faults
 
 
 class SceneValues(Protocol):

@@ -8,11 +8,11 @@ from typing import TypeAlias
 
 import attrs
 
-from cloth_sim_ros.physics.deterministic_math import ordered_sum
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.old_names import with_old_names
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.state import State
 
 
 @with_old_names(rubbed="friction_work")

@@ -69,7 +69,7 @@ def _source() -> str:
     import xxhash
 
     root = Path(__file__).parent.parent
-    patterns = ("physics/**/*.py", "scene/*.py", "simulation/*.py", "engine/**/*.py", "engine/**/*.?pp")
+    patterns = ("physics/**/*.py", "scene/**/*.py", "simulation/**/*.py", "engine/**/*.py", "engine/**/*.?pp")
     hasher = xxhash.xxh3_64()
     for path in sorted(path for pattern in patterns for path in root.glob(pattern)):
         hasher.update(path.relative_to(root).as_posix().encode())

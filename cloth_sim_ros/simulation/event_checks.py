@@ -10,15 +10,15 @@ from collections.abc import Sequence
 import attrs
 import numpy as np
 
-from cloth_sim_ros.physics.controller_state import JAWS_KEY
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import normalized, unit_quaternion
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.gripper_path import normalized, unit_quaternion
+from cloth_sim_ros.physics.state.controller_state import JAWS_KEY
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.gripper_pads import pads_of
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.bodies import change_obstacles
+from cloth_sim_ros.simulation.bodies.bodies import change_obstacles
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Relax, Reset, SetParameters, Target
 
 #: Largest coordinate of a target [m]; anything beyond it is a mistake.
@@ -100,7 +100,7 @@ def _check_pads(event: Target, scene: Scene, state: State) -> None:
     is_placed = state.memory.get("gripper.placed")
     if is_placed is not None and is_placed[scene.gripper_names.index(event.gripper)]:
         return
-    from cloth_sim_ros.simulation.parallel_grippers import check_first_pose
+    from cloth_sim_ros.simulation.bodies.parallel_grippers import check_first_pose
 
     orientation = (0.0, 0.0, 0.0, 1.0) if event.orientation is None else normalized(event.orientation)
     pads = next(pads for pads in pads_of(scene, 1.0) if pads.gripper == event.gripper)
@@ -168,8 +168,8 @@ def _check_present_pads(scene: Scene, state: State) -> None:
     """Refuse a scene if placed pads would be too close to the cloth or intersect it."""
     if not scene.pinching or "gripper.pose" not in state.memory:
         return
-    from cloth_sim_ros.simulation.grippers import Grippers
-    from cloth_sim_ros.simulation.parallel_grippers import ParallelGrippers
+    from cloth_sim_ros.simulation.bodies.grippers import Grippers
+    from cloth_sim_ros.simulation.bodies.parallel_grippers import ParallelGrippers
 
     state_copy = state.shallow_copy()
     pinching = ParallelGrippers(tuple(pads_of(scene, 1.0)), Grippers(scene.gripper_names, state_copy), state_copy)
@@ -181,7 +181,7 @@ def _check_start(scene: Scene, names: Sequence[str], state: State, subject: str)
     """Refuse a state that is inside named obstacles. Obstacles stand at the state's poses, or else at their start."""
     if not names:
         return
-    from cloth_sim_ros.simulation.obstacles import Obstacles
+    from cloth_sim_ros.simulation.bodies.obstacles import Obstacles
 
     try:
         obstacles = Obstacles(scene.solids, scene.described, state.shallow_copy())
@@ -197,11 +197,11 @@ def _check_faces(scene: Scene, solids: Sequence[Obstacle], poses: Array, state: 
 
     A cloth that is too close to itself is refused as well.
     """
-    from cloth_sim_ros.physics.contact_thickness import check_gaps
-    from cloth_sim_ros.physics.forces.contact import Contact, ContactSurface
-    from cloth_sim_ros.physics.model import Model
-    from cloth_sim_ros.physics.plan import compile
-    from cloth_sim_ros.simulation.kinematic_bodies import constant_paths
+    from cloth_sim_ros.physics.contact.thickness import check_gaps
+    from cloth_sim_ros.physics.model.forces.contact import Contact, ContactSurface
+    from cloth_sim_ros.physics.model.model import Model
+    from cloth_sim_ros.physics.plan.plan import compile
+    from cloth_sim_ros.simulation.bodies.kinematic_bodies import constant_paths
 
     thickness = scene.contact.thickness
     faces = ContactSurface(scene.sheet.triangles(), scene.sheet.positions(), thickness=thickness)

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 from typing import Concatenate, ParamSpec, TypeVar
 
-from cloth_sim_ros.physics.uncopyable import Uncopyable
+from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
 
 _Self = TypeVar("_Self", bound="ExclusiveAccess")
 _Arguments = ParamSpec("_Arguments")

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import attrs
 
-from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import Advance
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.old_names import with_old_names
+from cloth_sim_ros.simulation.bodies.grippers import GraspResult
 from cloth_sim_ros.simulation.events import Event
-from cloth_sim_ros.simulation.grippers import GraspResult
 
 if TYPE_CHECKING:
     from cloth_sim_ros.simulation.contact_recovery import ContactRecovery

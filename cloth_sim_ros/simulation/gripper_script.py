@@ -14,8 +14,9 @@ from typing import Any
 
 import attrs
 
-from cloth_sim_ros.physics.gripper_path import normalized, rotated_by, rotation_vector
-from cloth_sim_ros.scene import input_file, ros_yaml
+from cloth_sim_ros.physics.plan.gripper_path import normalized, rotated_by, rotation_vector
+from cloth_sim_ros.scene import input_file
+from cloth_sim_ros.scene.parameters import ros_yaml
 
 Vector = tuple[float, ...]
 

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.controller_state import reset_step_control
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.sheets.raw import RawSprings
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.sheets.raw import RawSprings
+from cloth_sim_ros.physics.state.controller_state import reset_step_control
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.topology_id import difference
+from cloth_sim_ros.simulation.bodies.grippers import GraspResult, Grippers
 from cloth_sim_ros.simulation.events import Grasp
-from cloth_sim_ros.simulation.grippers import GraspResult, Grippers
 from cloth_sim_ros.simulation.sleep import wake
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.simulation.parallel_grippers import ParallelGrippers
+    from cloth_sim_ros.simulation.bodies.parallel_grippers import ParallelGrippers
 
 
 def stop_particles(state: State, particles: NDArray[np.int64]) -> None:

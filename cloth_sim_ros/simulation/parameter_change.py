@@ -11,7 +11,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
 
 #: Change of velocity from one frame to the next [m/s] above which a motion counts as a jump.

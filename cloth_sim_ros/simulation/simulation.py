@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.controller_state import reset_step_control
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator, accumulate
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.old_names import with_old_names
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator, accumulate
+from cloth_sim_ros.physics.state.controller_state import reset_step_control
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.plan_cache import PlanCache
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.bodies import (
+from cloth_sim_ros.simulation.bodies.bodies import (
     build_grippers,
     build_obstacles,
     build_parallel_grippers,
@@ -32,6 +32,7 @@ from cloth_sim_ros.simulation.bodies import (
     set_constant_paths,
     stop_bodies,
 )
+from cloth_sim_ros.simulation.bodies.grippers import GraspResult
 from cloth_sim_ros.simulation.contact_recovery import (
     ContactRecovery,
     begin_recovery,
@@ -58,7 +59,6 @@ from cloth_sim_ros.simulation.events import (
 )
 from cloth_sim_ros.simulation.exclusive import ExclusiveAccess, between_frames, exclusive
 from cloth_sim_ros.simulation.frame import Frame
-from cloth_sim_ros.simulation.grippers import GraspResult
 from cloth_sim_ros.simulation.initial_state import apply_grasp, starting_states, stop_anchored, stop_particles
 from cloth_sim_ros.simulation.parameter_change import MAX_VELOCITY_CHANGE, is_small_change
 from cloth_sim_ros.simulation.sleep import SleepRule, is_asleep, sleeps_until, wake

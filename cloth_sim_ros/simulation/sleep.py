@@ -19,16 +19,16 @@ import math
 
 import numpy as np
 
-from cloth_sim_ros.physics.arrays import largest_distance
-from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.controller_state import JAWS_KEY, reset_step_control
-from cloth_sim_ros.physics.controller_state import SLEEP_POSITIONS_KEY as FROM
-from cloth_sim_ros.physics.controller_state import SLEEP_VELOCITIES_KEY as VELOCITY
-from cloth_sim_ros.physics.controller_state import SleepState as Memory
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import Advance
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.controller_state import JAWS_KEY, reset_step_control
+from cloth_sim_ros.physics.state.controller_state import SLEEP_POSITIONS_KEY as FROM
+from cloth_sim_ros.physics.state.controller_state import SLEEP_VELOCITIES_KEY as VELOCITY
+from cloth_sim_ros.physics.state.controller_state import SleepState as Memory
+from cloth_sim_ros.physics.state.state import State
 
 #: Accelerations below this many rounding errors of a coordinate, times the largest squared frequency, count as zero.
 _ROUNDING_FACTOR = 4.0

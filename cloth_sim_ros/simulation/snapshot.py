@@ -14,14 +14,14 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation import grippers
+from cloth_sim_ros.simulation.bodies import grippers
+from cloth_sim_ros.simulation.bodies.grippers import Grippers
 from cloth_sim_ros.simulation.frame import Frame
-from cloth_sim_ros.simulation.grippers import Grippers
 
 if TYPE_CHECKING:
     from cloth_sim_ros.simulation import energy_watch

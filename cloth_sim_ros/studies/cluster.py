@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 import attrs
 
-from cloth_sim_ros.batch.errors import StoppedError, StudyError
 from cloth_sim_ros.session.child_process import safe_imports
+from cloth_sim_ros.studies.errors import StoppedError, StudyError
 
 if TYPE_CHECKING:
     from distributed import Client, Security

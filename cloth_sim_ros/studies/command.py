@@ -11,4 +11,4 @@ from cloth_sim_ros.session.command_runner import run_command
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit status."""
-    return run_command("cloth_batch", "cloth_sim_ros.batch.main", arguments)
+    return run_command("cloth_batch", "cloth_sim_ros.studies.main", arguments)

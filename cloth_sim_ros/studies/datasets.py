@@ -13,11 +13,11 @@ import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from cloth_sim_ros.batch import index, trajectories
-from cloth_sim_ros.batch.errors import StudyError, folder_error
-from cloth_sim_ros.batch.folder import StudyFolder
-from cloth_sim_ros.batch.study_run import OK
-from cloth_sim_ros.batch.trajectories import Trajectory
+from cloth_sim_ros.studies import index, trajectories
+from cloth_sim_ros.studies.errors import StudyError, folder_error
+from cloth_sim_ros.studies.folder import StudyFolder
+from cloth_sim_ros.studies.study_run import OK
+from cloth_sim_ros.studies.trajectories import Trajectory
 
 #: Returns a new iterator over the runs at each call.
 TrajectorySource = Callable[[], Iterator[Trajectory]]
@@ -25,7 +25,7 @@ TrajectorySource = Callable[[], Iterator[Trajectory]]
 
 def to_zarr(folder: Path, out: Path) -> int:
     """Write a zarr v3 group and return exit status 0."""
-    from cloth_sim_ros.batch import zarr_export
+    from cloth_sim_ros.studies import zarr_export
 
     return _export(
         folder, out, lambda study_folder, target, runs, count: zarr_export.write(target, runs(), count, study_folder)
@@ -34,7 +34,7 @@ def to_zarr(folder: Path, out: Path) -> int:
 
 def to_lerobot(folder: Path, out: Path, *, task: str, video: bool) -> int:
     """Write a LeRobotDataset v3.0 and return exit status 0."""
-    from cloth_sim_ros.batch import lerobot_export
+    from cloth_sim_ros.studies import lerobot_export
 
     return _export(
         folder,

@@ -10,8 +10,8 @@ from typing import Any
 
 import attrs
 
-from cloth_sim_ros.batch.errors import StudyError
-from cloth_sim_ros.scene.unknown_parameters import suggestion
+from cloth_sim_ros.scene.parameters.unknown_parameters import suggestion
+from cloth_sim_ros.studies.errors import StudyError
 
 #: Limit of the number of values of a list or of `steps`.
 MAX_CHOICES = 1_000_000

@@ -23,11 +23,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cloth_sim_ros.batch.errors import StudyError, folder_error
-from cloth_sim_ros.batch.study import Study
 from cloth_sim_ros.scene import files as scene_files
 from cloth_sim_ros.scene import input_file
 from cloth_sim_ros.session import plain_json
+from cloth_sim_ros.studies.errors import StudyError, folder_error
+from cloth_sim_ros.studies.study import Study
 
 #: Limit of files per folder, because file systems slow down with many files.
 _FILES_PER_FOLDER = 1000

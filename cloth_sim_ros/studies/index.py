@@ -9,8 +9,8 @@ import json
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from cloth_sim_ros.batch.errors import StudyError, folder_error
-from cloth_sim_ros.batch.folder import StudyFolder
+from cloth_sim_ros.studies.errors import StudyError, folder_error
+from cloth_sim_ros.studies.folder import StudyFolder
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cloth_sim_ros.batch.errors import StudyError
-from cloth_sim_ros.batch.lerobot_stats import aggregate, statistics
-from cloth_sim_ros.batch.trajectories import Trajectory
+from cloth_sim_ros.studies.errors import StudyError
+from cloth_sim_ros.studies.lerobot_stats import aggregate, statistics
+from cloth_sim_ros.studies.trajectories import Trajectory
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -217,7 +217,7 @@ class _Dataset:
 
     def _write_video(self, run: Trajectory, episode: int, stats: dict[str, Any]) -> dict[str, Any]:
         """Render an episode into its own file and return the file's location for the episodes table."""
-        from cloth_sim_ros.batch.video import render
+        from cloth_sim_ros.studies.video import render
 
         chunk, file = episode // _CHUNK_FILES, episode % _CHUNK_FILES
         path = self._path / VIDEO.format(video_key=CAMERA, chunk_index=chunk, file_index=file)

@@ -11,8 +11,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from cloth_sim_ros.batch.errors import StoppedError, StudyError
 from cloth_sim_ros.session.console import escape_unencodable
+from cloth_sim_ros.studies.errors import StoppedError, StudyError
 
 #: Exit statuses: every run was successful; a run failed, or the study stopped; bad input; interrupted.
 SUCCESS, INCOMPLETE, REFUSED, INTERRUPTED = 0, 1, 2, 130
@@ -123,7 +123,7 @@ def _export_parser() -> argparse.ArgumentParser:
 
 def _run(options: argparse.Namespace) -> int:
     """Run a study."""
-    from cloth_sim_ros.batch.study_session import run_study
+    from cloth_sim_ros.studies.study_session import run_study
 
     if options.retry_failed and not options.resume:
         raise StudyError("--retry-failed continues a study: it needs --resume")
@@ -140,9 +140,9 @@ def _run(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> int:
     """Check a study."""
-    from cloth_sim_ros.batch import study_file
-    from cloth_sim_ros.batch.cluster import core_count
-    from cloth_sim_ros.batch.study_estimate import sample_and_estimate
+    from cloth_sim_ros.studies import study_file
+    from cloth_sim_ros.studies.cluster import core_count
+    from cloth_sim_ros.studies.study_estimate import sample_and_estimate
 
     study = study_file.read(options.study)
     _, estimate = sample_and_estimate(study, core_count())
@@ -155,7 +155,7 @@ def _check(options: argparse.Namespace) -> int:
 
 def _view(options: argparse.Namespace) -> int:
     """Show a study."""
-    from cloth_sim_ros.batch.view import view
+    from cloth_sim_ros.studies.view import view
 
     if options.plot is not None and not (options.outcome and options.over):
         raise StudyError("--plot draws an outcome over a factor: it needs --outcome and --over")
@@ -174,7 +174,7 @@ def _view(options: argparse.Namespace) -> int:
 
 def _export(options: argparse.Namespace) -> int:
     """Write a dataset."""
-    from cloth_sim_ros.batch import datasets
+    from cloth_sim_ros.studies import datasets
 
     if options.video and options.lerobot is None:
         raise StudyError("--video goes into a LeRobot dataset: it needs --lerobot")

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from cloth_sim_ros.batch.user_code import USER_ERRORS, Finished, format_error
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
+from cloth_sim_ros.studies.user_code import USER_ERRORS, Finished, format_error
 
 
 class OutcomeError(RuntimeError):

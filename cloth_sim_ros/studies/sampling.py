@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.errors import StudyError
-from cloth_sim_ros.batch.factors import Factor
+from cloth_sim_ros.studies.errors import StudyError
+from cloth_sim_ros.studies.factors import Factor
 
 #: Limit of the number of runs of a study.
 MAX_RUNS = 10_000_000

@@ -15,15 +15,15 @@ from typing import Any
 import attrs
 import numpy as np
 
-from cloth_sim_ros.batch.errors import StudyError
-from cloth_sim_ros.batch.factors import Factor
-from cloth_sim_ros.batch.user_code import Source
 from cloth_sim_ros.scene import input_file
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.scene.parameters.unknown_parameters import suggestion
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.scene.unknown_parameters import suggestion
 from cloth_sim_ros.session import plain_json
 from cloth_sim_ros.simulation.gripper_script import GripperScript
+from cloth_sim_ros.studies.errors import StudyError
+from cloth_sim_ros.studies.factors import Factor
+from cloth_sim_ros.studies.user_code import Source
 
 VERSION = 1
 #: First part of the names of factors that move a script's targets, and of a policy's values.

@@ -13,12 +13,12 @@ from typing import Any
 
 import attrs
 
-from cloth_sim_ros.batch.errors import StudyError
-from cloth_sim_ros.batch.run_recording import RunRecording
-from cloth_sim_ros.batch.sampling import MAX_RUNS, sample
-from cloth_sim_ros.batch.study import POLICY, TARGET, Study
-from cloth_sim_ros.batch.study_run import CommandedSimulation, RunError
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.studies.errors import StudyError
+from cloth_sim_ros.studies.run_recording import RunRecording
+from cloth_sim_ros.studies.sampling import MAX_RUNS, sample
+from cloth_sim_ros.studies.study import POLICY, TARGET, Study
+from cloth_sim_ros.studies.study_run import CommandedSimulation, RunError
 
 #: Wall time of the trial run [s].
 _TRIAL_SECONDS = 2.0

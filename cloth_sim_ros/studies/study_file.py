@@ -9,19 +9,20 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from cloth_sim_ros.batch import factors as factor_kinds
-from cloth_sim_ros.batch.errors import StudyError
-from cloth_sim_ros.batch.factors import Factor
-from cloth_sim_ros.batch.sampling import SAMPLINGS, grid_size
-from cloth_sim_ros.batch.study import POLICY, TARGET, Study, parse_target
-from cloth_sim_ros.batch.user_code import Source, load_function, read_source
 from cloth_sim_ros.scene import files as scene_files
-from cloth_sim_ros.scene import input_file, parameter_file, ros_yaml
+from cloth_sim_ros.scene import input_file
 from cloth_sim_ros.scene.config_files import config_file
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters import parameter_file, ros_yaml
+from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.scene.parameters.unknown_parameters import is_ros_parameter, suggestion
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.scene.unknown_parameters import is_ros_parameter, suggestion
 from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
+from cloth_sim_ros.studies import factors as factor_kinds
+from cloth_sim_ros.studies.errors import StudyError
+from cloth_sim_ros.studies.factors import Factor
+from cloth_sim_ros.studies.sampling import SAMPLINGS, grid_size
+from cloth_sim_ros.studies.study import POLICY, TARGET, Study, parse_target
+from cloth_sim_ros.studies.user_code import Source, load_function, read_source
 
 #: Entries of a study, with descriptions.
 ENTRIES = {

@@ -16,17 +16,17 @@ from typing import Any
 import attrs
 import numpy as np
 
-from cloth_sim_ros.batch.errors import FolderError, folder_error
-from cloth_sim_ros.batch.folder import StudyFolder, read_row
-from cloth_sim_ros.batch.outcomes import OutcomeError, OutcomeRecorder
-from cloth_sim_ros.batch.run_recording import RunRecording
-from cloth_sim_ros.batch.study import POLICY, Study
-from cloth_sim_ros.batch.user_code import USER_ERRORS, Observation, as_events, format_error, load_function
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, SetParameters, Target
 from cloth_sim_ros.simulation.script_events import ScriptEvents
 from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.studies.errors import FolderError, folder_error
+from cloth_sim_ros.studies.folder import StudyFolder, read_row
+from cloth_sim_ros.studies.outcomes import OutcomeError, OutcomeRecorder
+from cloth_sim_ros.studies.run_recording import RunRecording
+from cloth_sim_ros.studies.study import POLICY, Study
+from cloth_sim_ros.studies.user_code import USER_ERRORS, Observation, as_events, format_error, load_function
 
 #: Status of a run: successful; failed by its own fault; every worker that executed it was killed.
 OK, FAILED, KILLED = "ok", "failed", "killed"

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any
 
 import attrs
 
-from cloth_sim_ros.batch import cluster
-from cloth_sim_ros.batch.errors import FolderError, StoppedError, StudyError, folder_error
-from cloth_sim_ros.batch.folder import StudyFolder, read_row
-from cloth_sim_ros.batch.study import Study
-from cloth_sim_ros.batch.study_run import FAILED, KILLED, empty_row, perform_all
-from cloth_sim_ros.batch.user_code import format_error
+from cloth_sim_ros.studies import cluster
+from cloth_sim_ros.studies.errors import FolderError, StoppedError, StudyError, folder_error
+from cloth_sim_ros.studies.folder import StudyFolder, read_row
+from cloth_sim_ros.studies.study import Study
+from cloth_sim_ros.studies.study_run import FAILED, KILLED, empty_row, perform_all
+from cloth_sim_ros.studies.user_code import format_error
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -12,15 +12,15 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from cloth_sim_ros.batch import index, study_file
-from cloth_sim_ros.batch.cluster import SchedulerAddress, core_count, local_scheduler
-from cloth_sim_ros.batch.errors import FolderError, StudyError
-from cloth_sim_ros.batch.folder import StudyFolder
-from cloth_sim_ros.batch.study import Study
-from cloth_sim_ros.batch.study_estimate import check_disk_space, estimate_study, format_quantity, sample_and_estimate
-from cloth_sim_ros.batch.study_run import KILLED, OK
-from cloth_sim_ros.batch.study_runner import StudyRunner
 from cloth_sim_ros.scene import input_file
+from cloth_sim_ros.studies import index, study_file
+from cloth_sim_ros.studies.cluster import SchedulerAddress, core_count, local_scheduler
+from cloth_sim_ros.studies.errors import FolderError, StudyError
+from cloth_sim_ros.studies.folder import StudyFolder
+from cloth_sim_ros.studies.study import Study
+from cloth_sim_ros.studies.study_estimate import check_disk_space, estimate_study, format_quantity, sample_and_estimate
+from cloth_sim_ros.studies.study_run import KILLED, OK
+from cloth_sim_ros.studies.study_runner import StudyRunner
 
 #: Limits of a summary: kinds of failure, and runs per kind.
 _MAX_KINDS, _MAX_NAMED_RUNS = 5, 5

@@ -11,15 +11,15 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.errors import StoppedError
-from cloth_sim_ros.batch.run_recording import RunRecording
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.recorded_scene import recorded_values
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.reader import SessionReader, read_frame
 from cloth_sim_ros.simulation.events import Grasp, Target, from_dict
 from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.studies.errors import StoppedError
+from cloth_sim_ros.studies.run_recording import RunRecording
 
 Floats = NDArray[np.float32]
 

@@ -19,8 +19,8 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.errors import StudyError
 from cloth_sim_ros.scene import input_file
+from cloth_sim_ros.studies.errors import StudyError
 
 #: Exceptions of user code. An uncaught `sys.exit` would end a worker silently, and the study would wait for another.
 USER_ERRORS = (Exception, SystemExit)

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from cloth_sim_ros.batch.errors import StudyError
-from cloth_sim_ros.batch.lerobot_stats import QUANTILES, Statistics
-from cloth_sim_ros.batch.trajectories import Trajectory
+from cloth_sim_ros.studies.errors import StudyError
+from cloth_sim_ros.studies.lerobot_stats import QUANTILES, Statistics
+from cloth_sim_ros.studies.trajectories import Trajectory
 
 #: Height and width [pixels].
 HEIGHT, WIDTH = 240, 320

@@ -10,12 +10,12 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cloth_sim_ros.batch import index
-from cloth_sim_ros.batch.errors import StudyError
-from cloth_sim_ros.batch.folder import StudyFolder, read_row
-from cloth_sim_ros.scene.unknown_parameters import suggestion
+from cloth_sim_ros.scene.parameters.unknown_parameters import suggestion
 from cloth_sim_ros.session.child_process import child_environment, module_command
 from cloth_sim_ros.session.output_files import atomic_write
+from cloth_sim_ros.studies import index
+from cloth_sim_ros.studies.errors import StudyError
+from cloth_sim_ros.studies.folder import StudyFolder, read_row
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.batch.errors import StudyError
-from cloth_sim_ros.batch.folder import StudyFolder
-from cloth_sim_ros.batch.trajectories import Trajectory
+from cloth_sim_ros.studies.errors import StudyError
+from cloth_sim_ros.studies.folder import StudyFolder
+from cloth_sim_ros.studies.trajectories import Trajectory
 
 #: Unit and trailing axes of each array, by field of the trajectory; the first axes are run and frame. States have one
 #: more frame.

@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event
 from cloth_sim_ros.simulation.simulation import Simulation

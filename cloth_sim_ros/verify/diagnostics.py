@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import Advance
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import decode
 from cloth_sim_ros.session.errors import SessionError

@@ -9,7 +9,7 @@ record counts dropped messages.
 
 from __future__ import annotations
 
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.session.part import Message, SessionPart
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 from cloth_sim_ros.verify import outputs

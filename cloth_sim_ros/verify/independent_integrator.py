@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.verify.reference_integrator import MotionState
 from cloth_sim_ros.verify.reference_motion import Equations, ReferenceMotion, SimulatedFrame
 

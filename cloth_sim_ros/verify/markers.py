@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import rotation_matrix
-from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
 from cloth_sim_ros.session.cdr import decode, encode, message_class
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.part import Message
-from cloth_sim_ros.simulation.bodies import solids_and_poses
+from cloth_sim_ros.simulation.bodies.bodies import solids_and_poses
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.outputs import same_bytes
 from cloth_sim_ros.verify.verdict import Findings

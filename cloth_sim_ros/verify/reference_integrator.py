@@ -15,12 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cloth_sim_ros.physics.arrays import combine
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.arithmetic.arrays import combine
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import weights
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.runs import Run, RunSummary
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.plan.runs import Run, RunSummary
 
 #: Step counts of the runs of an interval: one run more than the simulation's maximum.
 STEP_COUNTS = (8, 10, 12, 16, 20)

@@ -10,13 +10,13 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.controller_state import ANCHORS_KEY, JAWS_KEY
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import rotation_matrix
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.bodies import carry_over_anchors, change_obstacles
+from cloth_sim_ros.simulation.bodies.bodies import carry_over_anchors, change_obstacles
 from cloth_sim_ros.simulation.events import Reset
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 from cloth_sim_ros.verify.reference_integrator import MotionState
@@ -24,7 +24,7 @@ from cloth_sim_ros.verify.reference_integrator import MotionState
 
 @attrs.frozen(eq=False, kw_only=True)
 class FrameGrasps:
-    """Grips during a frame; arrays as in `physics.forces.grips.Grips`."""
+    """Grips during a frame; arrays as in `physics.model.forces.grips.Grips`."""
 
     paths: Array
     starts: NDArray[np.int64]

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import attrs
 import numpy as np
 
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.verify.reference_integrator import (
     CHECK_STEP_COUNTS,
     STEP_COUNTS,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.recorded_scene import recorded_values
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import decode_cloud

@@ -15,8 +15,8 @@ from benchmarks.contact import obstacles as contact
 from benchmarks.contact import pinch as contact_pinch
 from benchmarks.contact import recovery as contact_starts
 from benchmarks.contact import self_contact as contact_self
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene import ros_yaml
+from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.scene.parameters import ros_yaml
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp
 

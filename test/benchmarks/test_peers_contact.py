@@ -26,8 +26,8 @@ from benchmarks.peers.contact_runs import ContactPeer, EngineRecording
 from benchmarks.peers.contact_scenes import ContactScene
 from benchmarks.peers.jobs import PeerFailed
 from benchmarks.peers.solvers import CONTACT_PEERS
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.sheets.grid import grid_triangles
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.model.sheets.grid import grid_triangles
 from validation.report import Report
 
 TRIANGLE = np.array([[0, 1, 2]])

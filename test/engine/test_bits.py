@@ -49,7 +49,7 @@ def test_bits_are_the_same(as_usual: dict[str, list[str]], configuration: Any) -
 
 
 def test_scenes_use_both_precisions_and_all_integrators(monkeypatch: pytest.MonkeyPatch) -> None:
-    from cloth_sim_ros.physics.plan import Plan
+    from cloth_sim_ros.physics.plan.plan import Plan
     from cloth_sim_ros.simulation.simulation import Simulation
 
     precisions, orders, integrators = set(), set(), set()

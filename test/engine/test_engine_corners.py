@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from support.alone import of_blocks
 
-from cloth_sim_ros.physics.forces.force import Force
-from cloth_sim_ros.physics.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.parts import GridFamily
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.force import Force
+from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.parts import GridFamily
+from cloth_sim_ros.physics.plan.plan import compile
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 
 REST_LENGTHS = {"right": 0.01, "down": 0.01, "diagonal": 0.014, "antidiagonal": 0.014, "right2": 0.02, "down2": 0.02}
@@ -70,10 +70,10 @@ def test_bounds_at_row_start_ignore_padding(columns):
 RUN_ON = """
 import threading
 import numpy as np
-from cloth_sim_ros.physics.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.parts import GridFamily
-from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.parts import GridFamily
+from cloth_sim_ros.physics.plan.plan import compile
 
 family = GridFamily(name="right", stiffness=1.0, rest_length=0.01, damping=0.001)
 plan, other = (compile(Model(np.ones(90_000), [GridSprings(300, 300, [family])])) for _ in range(2))

@@ -13,14 +13,14 @@ from support.alone import of_blocks
 from support.instruction_sets import check_digest
 
 from cloth_sim_ros.engine.instruction_set import libraries
-from cloth_sim_ros.physics.forces.air_panels import AirPanels
-from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
-from cloth_sim_ros.physics.forces.gravity import Gravity
-from cloth_sim_ros.physics.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.parts import GridFamily
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.sheets.surface import grid_cells, grid_hinges
+from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
+from cloth_sim_ros.physics.model.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.model.forces.gravity import Gravity
+from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.parts import GridFamily
+from cloth_sim_ros.physics.model.sheets.surface import grid_cells, grid_hinges
+from cloth_sim_ros.physics.plan.plan import compile
 
 SPACING, MASS = 0.05, 2e-3
 #: The narrowest ones, and rows that end within, with and just before a vector or a cache line.

@@ -11,16 +11,16 @@ import pytest
 from support.instruction_sets import check_digest
 
 from cloth_sim_ros.engine.instruction_set import libraries
-from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
-from cloth_sim_ros.physics.forces.crossed import CrossedSprings
-from cloth_sim_ros.physics.forces.drag import Drag
-from cloth_sim_ros.physics.forces.gravity import Gravity
-from cloth_sim_ros.physics.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.forces.opposite import OppositeSprings
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.parts import GridFamily
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.sheets.surface import grid_hinges
+from cloth_sim_ros.physics.model.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.model.forces.crossed import CrossedSprings
+from cloth_sim_ros.physics.model.forces.drag import Drag
+from cloth_sim_ros.physics.model.forces.gravity import Gravity
+from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model.forces.opposite import OppositeSprings
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.parts import GridFamily
+from cloth_sim_ros.physics.model.sheets.surface import grid_hinges
+from cloth_sim_ros.physics.plan.plan import compile
 
 SPACING = 0.05
 KINDS = ("altitude", "crossed")

@@ -10,14 +10,14 @@ import pytest
 from support.reference_kernel import ReferenceKernel, find_compiler
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
-from cloth_sim_ros.physics.forces.drag import Drag
-from cloth_sim_ros.physics.forces.gravity import Gravity
-from cloth_sim_ros.physics.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.parts import GridFamily
-from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.model.forces.drag import Drag
+from cloth_sim_ros.physics.model.forces.gravity import Gravity
+from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model.forces.grips import Grips
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.parts import GridFamily
+from cloth_sim_ros.physics.plan.plan import compile
 
 # Offsets (rows, columns) of the far end from the near one, written down again so that the engine's own table is under
 # test.

@@ -17,8 +17,8 @@ PROGRAM = """
 from support.contact_scenes import drop, still
 from support.self_scenes import folded
 from cloth_sim_ros.engine.binding import engine_name
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.state.state import State
 
 print(engine_name())
 table = {"obstacles": [Obstacle(name="table", shape="plane")], "paths": [still((0.0, 0.0, -3e-3))]}

@@ -7,11 +7,11 @@ import pytest
 from support import laws
 from support.alone import alone, blocks, force, full, matrix, product
 
-from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
-from cloth_sim_ros.physics.forces.crossed import CrossedSprings
-from cloth_sim_ros.physics.forces.hinge_springs import gradient_squares, signed_lengths
-from cloth_sim_ros.physics.forces.opposite import OppositeSprings
-from cloth_sim_ros.physics.sheets.surface import Surface
+from cloth_sim_ros.physics.model.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.model.forces.crossed import CrossedSprings
+from cloth_sim_ros.physics.model.forces.hinge_springs import gradient_squares, signed_lengths
+from cloth_sim_ros.physics.model.forces.opposite import OppositeSprings
+from cloth_sim_ros.physics.model.sheets.surface import Surface
 
 N = 9
 RNG = np.random.default_rng(7)

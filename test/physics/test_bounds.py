@@ -8,11 +8,11 @@ from scipy.spatial import Delaunay
 from support.alone import blocks, full, matrix, of_blocks
 
 from cloth_sim_ros.engine.binding import check, library
-from cloth_sim_ros.physics.forces.force import Force
-from cloth_sim_ros.physics.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.model.forces.force import Force
+from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.plan import compile
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation

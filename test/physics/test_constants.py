@@ -50,7 +50,10 @@ REASONS = {
     "interval.py": {24.0: "halvings down to a ten thousandth of a microsecond", 3.0: "order of a missed jump's error"},
     "sleep.py": {4.0: "roundings", 53.0: "whole numbers that float64 holds", 16.0: "root of a quadratic equation"},
 }
-FILES = [*sorted((PACKAGE / "physics" / "control").glob("*.py")), PACKAGE / "simulation" / "sleep.py"]
+FILES = [
+    *(path for path in sorted((PACKAGE / "physics" / "control").glob("*.py")) if path.stem != "constants"),
+    PACKAGE / "simulation" / "sleep.py",
+]
 
 
 def numbers(tree: ast.AST) -> set[float]:

@@ -7,11 +7,11 @@ import pytest
 from scipy.integrate import solve_ivp
 from support.contact_scenes import SHAPES, THICKNESS, contact, drop, flat_sheet, still
 
-from cloth_sim_ros.physics.energy_balance import EnergyBalance
+from cloth_sim_ros.physics.accounting.energy_balance import EnergyBalance
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.integrators.base import StepLimitError
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.state.state import State
 
 FRAME = 1.0 / 60.0
 #: Depth of each shape below the origin at which a sheet around the origin first touches it [m].

@@ -7,9 +7,9 @@ import pytest
 from support.contact_scenes import SHAPES, THICKNESS, contact, moving, points_near, still
 from support.laws import pose
 
-from cloth_sim_ros.physics.gripper_path import rigid_velocities
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.gripper_path import rigid_velocities
+from cloth_sim_ros.physics.plan.plan import compile
 
 START, DURATION = 0.02, 0.05
 #: Shallower penetration may be missed: a thousandth of the thickness [m].

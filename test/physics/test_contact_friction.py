@@ -10,12 +10,12 @@ from support import laws
 from support.alone import alone, force, product
 from support.contact_scenes import SHAPES, THICKNESS, contact, drop, flat_sheet, moving, points_near, still
 
-from cloth_sim_ros.physics.controller_state import ANCHORS_KEY
-from cloth_sim_ros.physics.energy_balance import EnergyBalance
-from cloth_sim_ros.physics.forces.gravity import Gravity
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.accounting.energy_balance import EnergyBalance
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.model.forces.gravity import Gravity
+from cloth_sim_ros.physics.plan.plan import compile
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY
+from cloth_sim_ros.physics.state.state import State
 
 FRAME = 1.0 / 60.0
 COUNT = 40

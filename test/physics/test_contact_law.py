@@ -8,10 +8,10 @@ from support import laws
 from support.alone import alone, blocks, force, gradient, matrix, product
 from support.contact_scenes import SHAPES, THICKNESS, contact, moving, points_near, still
 
-from cloth_sim_ros.physics.forces.contact import Contact
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.model.forces.contact import Contact
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.plan import compile
 
 COUNT = 60
 every_shape = pytest.mark.parametrize("shape", SHAPES)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.contact_scenes import SHAPES, contact, flat_sheet, moving
 
-from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.plan.plan import compile
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -14,7 +14,7 @@ from support.alone import alone, blocks, force, gradient, matrix, product
 from support.contact_scenes import SHAPES, THICKNESS, contact, points_near, still
 from support.feature_scenes import SMALL, TIME, facing_scene
 
-from cloth_sim_ros.physics.contact_thickness import (
+from cloth_sim_ros.physics.contact.thickness import (
     LAYER_RECOVERY_SPEED,
     MAX_PUSH,
     RECOVERY_SPEED,
@@ -23,8 +23,8 @@ from cloth_sim_ros.physics.contact_thickness import (
     grown_thickness,
     reduced_thickness,
 )
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.plan import Plan, compile
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan import Plan, compile
 
 COUNT, DAMPING = 40, 10.0
 #: Time for which the thickness has grown, and time of its growth to the full one [s].

@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 from support import laws
 from support.contact_scenes import SHAPES, THICKNESS, contact, drop, flat_sheet, moving, still
 
-from cloth_sim_ros.physics.energy_balance import EnergyBalance
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.accounting.energy_balance import EnergyBalance
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.plan.plan import compile
 
 #: Below the sheet: contact begins at once with the downward motion.
 BELOW = {

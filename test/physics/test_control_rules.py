@@ -12,15 +12,15 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from cloth_sim_ros import Gravity, Model, PairSprings, Scene, Simulation, State, simulate
-from cloth_sim_ros.physics.constants import CONSTANTS
 from cloth_sim_ros.physics.control.automatic import make_integrator
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.error import ErrorRule
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, evaluation_budget, finish_implicitly, work_cap
 from cloth_sim_ros.physics.control.stability import MAX_UNDAMPED_STEPS, UNDAMPED_LIMIT_FRACTIONS, StabilityRule
-from cloth_sim_ros.physics.controller_state import ErrorState, FallbackState, StabilityState
-from cloth_sim_ros.physics.forces.force import Force
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import step_counts, weights
-from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.model.forces.force import Force
+from cloth_sim_ros.physics.plan.plan import compile
+from cloth_sim_ros.physics.state.controller_state import ErrorState, FallbackState, StabilityState
 from cloth_sim_ros.simulation.events import Grasp, Target
 
 #: Allowed growth of an undamped wave per step.

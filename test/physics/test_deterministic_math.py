@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cloth_sim_ros.physics.deterministic_math import dot_products, integer_sum, ordered_sum, power, root
+from cloth_sim_ros.physics.arithmetic.deterministic_math import dot_products, integer_sum, ordered_sum, power, root
 
 PACKAGE = Path(__file__).resolve().parents[2] / "cloth_sim_ros"
 
@@ -26,25 +26,25 @@ FOREIGN = {
 #: Harmless uses of these functions: refusals of meshes and their messages, the side of a mesh of a point, exact
 #: fractions, whole numbers, sums of arrays one by one, and squares, which numpy computes as a product.
 HARMLESS = {
-    ("physics/sheets/meshes.py", "norm"),
-    ("physics/sheets/meshes.py", "sum"),
-    ("physics/sheets/surface.py", "sum"),
-    ("physics/sheets/surface.py", "cumsum"),
+    ("physics/model/sheets/meshes.py", "norm"),
+    ("physics/model/sheets/meshes.py", "sum"),
+    ("physics/model/sheets/surface.py", "sum"),
+    ("physics/model/sheets/surface.py", "cumsum"),
     ("physics/integrators/stage_matrix.py", "sum"),
     ("physics/integrators/stage_matrix.py", "cumsum"),
     ("physics/integrators/extrapolation_tableau.py", "prod"),
-    ("physics/obstacle_mesh.py", "sum"),
-    ("simulation/grippers.py", "sum"),
-    ("physics/obstacle_mesh.py", "arctan2"),
+    ("physics/contact/obstacle_mesh.py", "sum"),
+    ("simulation/bodies/grippers.py", "sum"),
+    ("physics/contact/obstacle_mesh.py", "arctan2"),
     ("physics/integrators/extrapolation_tableau.py", "**"),
-    ("physics/assembly.py", "sum"),
+    ("physics/plan/assembly.py", "sum"),
     ("physics/integrators/extrapolation_tableau.py", "sum"),
     ("physics/control/interval.py", "sum"),
-    ("physics/gripper_path.py", "sum"),
-    ("physics/feature_binding.py", "sum"),
-    ("physics/sheets/hinge_shape.py", "**"),
-    ("physics/sheets/mesh.py", "**"),
-    ("physics/sheets/chain.py", "**"),
+    ("physics/plan/gripper_path.py", "sum"),
+    ("physics/contact/feature_binding.py", "sum"),
+    ("physics/model/sheets/hinge_shape.py", "**"),
+    ("physics/model/sheets/mesh.py", "**"),
+    ("physics/model/sheets/chain.py", "**"),
 }
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau, step_counts, weights
-from cloth_sim_ros.physics.sheets.surface import grid_triangles
+from cloth_sim_ros.physics.model.sheets.surface import grid_triangles
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
@@ -87,7 +87,7 @@ def test_prefetched_runs_change_no_result(values, expected_runs, monkeypatch):
 def test_motion_is_equal_on_one_and_two_threads(values, monkeypatch):
     motions = []
     for threads in (1, 2):
-        monkeypatch.setattr("cloth_sim_ros.physics.plan.available_threads", lambda threads=threads: threads)
+        monkeypatch.setattr("cloth_sim_ros.physics.plan.plan.available_threads", lambda threads=threads: threads)
         concurrencies = []
         simulation = started({**values, "tolerance": 1e-5})
         one_or_two = simulation.plan.concurrent_runs

@@ -9,12 +9,12 @@ from support.alone import blocks, force, gradient, matrix, product
 from support.contact_scenes import still
 from support.feature_scenes import SMALL, THICKNESS, TIME, energy, facing_scene, world_features
 
-from cloth_sim_ros.physics.forces.contact import Contact, ContactSurface
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.obstacle_features import is_covered_by_particles, obstacle_features
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.work_accumulator import BOOKED_NUMBERS
+from cloth_sim_ros.physics.accounting.work_accumulator import BOOKED_NUMBERS
+from cloth_sim_ros.physics.contact.obstacle_features import is_covered_by_particles, obstacle_features
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.model.forces.contact import Contact, ContactSurface
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.plan import compile
 
 every_shape = pytest.mark.parametrize("shape", SMALL)
 each_seed = pytest.mark.parametrize("seed", [0, 1])

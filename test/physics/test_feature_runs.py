@@ -15,10 +15,10 @@ from support.contact_scenes import drop, still
 from support.feature_scenes import BLOCK, CORNER, CORNER_UP, THICKNESS, coarse_scene, intersected_triangles
 
 from cloth_sim_ros.engine.instruction_set import libraries
-from cloth_sim_ros.physics.energy_balance import EnergyBalance
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.accounting.energy_balance import EnergyBalance
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.state.state import State
 
 FRAME = 1.0 / 60.0
 TESTS = Path(__file__).resolve().parent.parent
@@ -218,7 +218,7 @@ _BITS = """
 import numpy as np, trimesh
 from support.contact_scenes import drop, still
 from support.feature_scenes import BLOCK, CORNER, CORNER_UP, coarse_scene
-from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
 
 made = trimesh.creation.box((0.05, 0.05, 0.05))
 coin = Obstacle(name="coin", shape="cylinder", size=(0.03, 0.004))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support import garment
 
-from cloth_sim_ros.physics.sheets.surface import Surface
+from cloth_sim_ros.physics.model.sheets.surface import Surface
 
 
 @pytest.mark.parametrize("vertices", [150, 1460])

@@ -9,8 +9,8 @@ from support import laws
 from support.alone import alone, force
 
 from cloth_sim_ros.engine.binding import check, library
-from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.gripper_path import normalized, planned_paths, rotation_matrix, rotation_vector
+from cloth_sim_ros.physics.model.forces.grips import Grips
+from cloth_sim_ros.physics.plan.gripper_path import normalized, planned_paths, rotation_matrix, rotation_vector
 
 T = 1 / 60
 

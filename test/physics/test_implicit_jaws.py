@@ -5,9 +5,9 @@
 import numpy as np
 import pytest
 
-from cloth_sim_ros.physics import implicit_jaws
-from cloth_sim_ros.physics.forces.contact import Contact
-from cloth_sim_ros.physics.parallel_jaw import ParallelJaw
+from cloth_sim_ros.physics.contact import implicit_jaws
+from cloth_sim_ros.physics.contact.parallel_jaw import ParallelJaw
+from cloth_sim_ros.physics.model.forces.contact import Contact
 
 STEP, STOOD = 0.01, 0.005
 PADS = ParallelJaw(

@@ -11,19 +11,19 @@ from support.raw_sheet import RawSheet
 from support.reference import Reference, reference
 from support.reference_runs import measure
 
-from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator, accumulate
 from cloth_sim_ros.physics.control.automatic import INTEGRATORS, Automatic, make_integrator
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
-from cloth_sim_ros.physics.controller_state import ErrorState, IntegratorChoiceState
-from cloth_sim_ros.physics.forces.force import Array, Force
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.integrators.base import ToleranceMissedError, UnstableError
 from cloth_sim_ros.physics.integrators.implicit import Implicit
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator, accumulate
+from cloth_sim_ros.physics.model.forces.force import Array, Force
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.plan import compile
+from cloth_sim_ros.physics.state.controller_state import ErrorState, IntegratorChoiceState
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp, SetParameters, Target
 from cloth_sim_ros.simulation.simulation import Simulation

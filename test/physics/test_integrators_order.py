@@ -16,8 +16,8 @@ from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.integrators.base import Integrator
 from cloth_sim_ros.physics.integrators.symplectic_euler import SymplecticEuler
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.state import State
 
 DURATION = 0.04
 

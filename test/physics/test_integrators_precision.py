@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from support.raw_sheet import RawSheet
 
-from cloth_sim_ros.physics import thread_limit
-from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.accounting.energy_balance import EnergyBalance
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
-from cloth_sim_ros.physics.controller_state import PrecisionState, RoundingNoiseState, reset_step_control
-from cloth_sim_ros.physics.energy_balance import EnergyBalance
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import amplification
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.plan import thread_limit
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.controller_state import PrecisionState, RoundingNoiseState, reset_step_control
+from cloth_sim_ros.physics.state.state import State
 
 PERIOD = 1 / 60
 

@@ -10,11 +10,11 @@ from support.alone import alone, force, product
 
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.sheets.chain import Chain, SpringLaw, joint
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.sheets.chain import Chain, SpringLaw, joint
+from cloth_sim_ros.physics.plan.plan import compile
+from cloth_sim_ros.physics.state.state import State
 
 LAW = SpringLaw(mass=0.3, rest_length=0.25, stiffness=40.0)
 

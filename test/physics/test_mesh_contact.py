@@ -10,8 +10,8 @@ from support.alone import alone, force, gradient, product
 from support.contact_scenes import contact, drop, moving, still
 from support.feature_scenes import CORNER, CORNER_UP, THICKNESS, coarse_scene, intersected_triangles
 
-from cloth_sim_ros.physics.obstacle_features import obstacle_features
-from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.contact.obstacle_features import obstacle_features
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
 
 FRAME = 1.0 / 60.0
 

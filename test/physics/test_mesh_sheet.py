@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial import Delaunay
 from support.alone import alone
 
-from cloth_sim_ros.physics.sheets.mesh import POISSON_RATIO, SHEAR_OVER_STRETCH, MeshSheet
-from cloth_sim_ros.physics.sheets.surface import Surface, grid_triangles
+from cloth_sim_ros.physics.model.sheets.mesh import POISSON_RATIO, SHEAR_OVER_STRETCH, MeshSheet
+from cloth_sim_ros.physics.model.sheets.surface import Surface, grid_triangles
 
 Y = 1000.0
 

@@ -11,11 +11,11 @@ import pytest
 from support.garment import obj_file, parameters
 
 from cloth_sim_ros.physics.control.automatic import make_integrator
-from cloth_sim_ros.physics.controller_state import MultirateState
-from cloth_sim_ros.physics.forces.force import Force
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.plan import Plan, compile
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.force import Force
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.plan import Plan, compile
+from cloth_sim_ros.physics.state.controller_state import MultirateState
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 

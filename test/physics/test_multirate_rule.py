@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros.physics.control.multirate import MAX_RATIO, MultirateRule
-from cloth_sim_ros.physics.controller_state import MultirateState
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.physics.state.controller_state import MultirateState
 
 #: Squared frequencies of waves along springs, relative to the fastest: many close to it, at the limit of steps.
 WAVES = np.unique([*np.linspace(0.0, 1.0, 61), *np.geomspace(1e-4, 1.0, 30), *(1.0 - np.geomspace(1e-4, 0.1, 20))])

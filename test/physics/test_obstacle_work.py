@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from support.contact_scenes import THICKNESS, contact, drop, flat_sheet, still
 
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.control.fallback import finish_implicitly
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau
 from cloth_sim_ros.physics.integrators.implicit_advance import ImplicitAdvance
 from cloth_sim_ros.physics.integrators.stage_matrix import StageMatrix
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
 
 FRAME = 1.0 / 32.0
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
 
 #: A cube of half edge 1 as a mesh: vertices by the bits of their number, outward triangles.
 CORNERS = np.array([[2.0 * (k >> axis & 1) - 1.0 for axis in range(3)] for k in range(8)])

@@ -8,13 +8,13 @@ from support import laws
 from support.contact_scenes import THICKNESS, contact, still
 from support.pinch_scenes import COLUMNS, FRAME, HELD, MASS, SPACING, close, grasped_sheet, gravity, hanging, make_jaw
 
+from cloth_sim_ros.physics.accounting.energy_balance import EnergyBalance
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.control.automatic import make_integrator
-from cloth_sim_ros.physics.controller_state import ANCHORS_KEY, JAWS_KEY
-from cloth_sim_ros.physics.energy_balance import EnergyBalance
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.plan.plan import compile
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.verify.independent_integrator import dop853
 from cloth_sim_ros.verify.reference_integrator import MotionState
 

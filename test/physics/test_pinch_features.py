@@ -10,14 +10,14 @@ from scipy.spatial.transform import Rotation
 from support.contact_scenes import drop, flat_sheet, still
 from support.feature_scenes import THICKNESS, intersected_triangles
 
+from cloth_sim_ros.physics.accounting.energy_balance import EnergyBalance
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.contact.parallel_jaw import ParallelJaw
 from cloth_sim_ros.physics.control.fallback import finish_implicitly
-from cloth_sim_ros.physics.controller_state import JAWS_KEY
-from cloth_sim_ros.physics.energy_balance import EnergyBalance
-from cloth_sim_ros.physics.forces.contact import Contact, ContactSurface
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.parallel_jaw import ParallelJaw
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.sheets.grid import GridSheet
+from cloth_sim_ros.physics.model.forces.contact import Contact, ContactSurface
+from cloth_sim_ros.physics.model.sheets.grid import GridSheet
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.controller_state import JAWS_KEY
 from cloth_sim_ros.verify.independent_integrator import dop853
 from cloth_sim_ros.verify.reference_integrator import MotionState
 

@@ -13,19 +13,19 @@ from support.alone import of_blocks
 from support.contact_scenes import contact, still
 from support.plan_scenes import FILES, SCENES, listed, stir
 
-from cloth_sim_ros.physics.arrays import combine
-from cloth_sim_ros.physics.assembly import MOVE_OPERATIONS
-from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator, accumulate
+from cloth_sim_ros.physics.arithmetic.arrays import combine
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
-from cloth_sim_ros.physics.forces.air_panels import AirPanels
-from cloth_sim_ros.physics.forces.drag import Drag
-from cloth_sim_ros.physics.forces.gravity import Gravity
-from cloth_sim_ros.physics.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.parts import GridFamily
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator, accumulate
+from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
+from cloth_sim_ros.physics.model.forces.drag import Drag
+from cloth_sim_ros.physics.model.forces.gravity import Gravity
+from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model.forces.grips import Grips
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.parts import GridFamily
+from cloth_sim_ros.physics.plan.assembly import MOVE_OPERATIONS
+from cloth_sim_ros.physics.plan.plan import compile
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp, Reset, Target
 from cloth_sim_ros.simulation.simulation import Simulation

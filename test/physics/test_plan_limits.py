@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS, doubles
-from cloth_sim_ros.physics.forces.gravity import Gravity
-from cloth_sim_ros.physics.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.parts import GridFamily
-from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.model.forces.gravity import Gravity
+from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model.forces.grips import Grips
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.parts import GridFamily
+from cloth_sim_ros.physics.plan.plan import compile
 
 MEGABYTE = 2**20
 

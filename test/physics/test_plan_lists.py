@@ -16,12 +16,12 @@ from support.plan_scenes import FILES, MESH, SCENES, SHEET
 
 from cloth_sim_ros import engine
 from cloth_sim_ros.engine.instruction_set import libraries
-from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
-from cloth_sim_ros.physics.forces.crossed import CrossedSprings
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.ordering import bandwidth, local_order
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.sheets.chain import Chain, SpringLaw, joint
+from cloth_sim_ros.physics.model.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.model.forces.crossed import CrossedSprings
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.ordering import bandwidth, local_order
+from cloth_sim_ros.physics.model.sheets.chain import Chain, SpringLaw, joint
+from cloth_sim_ros.physics.plan.plan import compile
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation

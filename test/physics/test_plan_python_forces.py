@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 from support.plan_scenes import FILES, SCENES, listed, stir
 
-from cloth_sim_ros.physics.assembly import MOVE_OPERATIONS
-from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.accounting.energy_balance import EnergyBalance
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.control.automatic import INTEGRATORS, make_integrator
-from cloth_sim_ros.physics.energy_balance import EnergyBalance
-from cloth_sim_ros.physics.forces.force import Force
-from cloth_sim_ros.physics.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.parts import GridFamily
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.python_forces import PythonForces
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.model.forces.force import Force
+from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.parts import GridFamily
+from cloth_sim_ros.physics.plan.assembly import MOVE_OPERATIONS
+from cloth_sim_ros.physics.plan.plan import compile
+from cloth_sim_ros.physics.plan.python_forces import PythonForces
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation

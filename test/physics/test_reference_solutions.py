@@ -9,9 +9,9 @@ from support.problems import MORE_PROBLEMS, PROBLEMS, chain, problem
 from support.reference import RightSide, reference
 from support.right_side import IndependentRightSide
 
-from cloth_sim_ros.physics.forces.air_panels import AirPanels
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.model import Model
 
 
 @pytest.mark.parametrize("name", [*PROBLEMS, *MORE_PROBLEMS])

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from support import self_scenes as own
 
-from cloth_sim_ros.physics.forces.contact import Contact, ContactSurface
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.model.forces.contact import Contact, ContactSurface
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.plan import compile
 
 THICKNESS = 4e-3
 

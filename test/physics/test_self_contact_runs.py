@@ -9,12 +9,12 @@ from support.contact_scenes import drop, still
 from support.self_scenes import folded
 from test_contact_control import exact, furthest
 
-from cloth_sim_ros.physics.energy_balance import EnergyBalance
-from cloth_sim_ros.physics.forces.force import Force
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.accounting.energy_balance import EnergyBalance
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.model.forces.force import Force
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.plan import compile
+from cloth_sim_ros.physics.state.state import State
 
 FRAME = 1.0 / 60.0
 THICKNESS = 4e-3

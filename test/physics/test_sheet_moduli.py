@@ -8,8 +8,8 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 from support.alone import alone, product
 
-from cloth_sim_ros.physics.sheets.grid import GridSheet
-from cloth_sim_ros.physics.sheets.material import grid_threads
+from cloth_sim_ros.physics.model.sheets.grid import GridSheet
+from cloth_sim_ros.physics.model.sheets.material import grid_threads
 
 LAYOUTS = ["left", "right", "alternating", "both"]
 Y, G = 800.0, 130.0

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.solid_repair import is_closed
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.contact.solid_repair import is_closed
 from cloth_sim_ros.scene import mesh_file
 
 #: A rotation about no coordinate axis: points in the middle of an edge are rounded.

@@ -4,7 +4,7 @@
 
 import pytest
 
-from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators import implicit_advance, stage_matrix
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from cloth_sim_ros.physics.sheets.surface import (
+from cloth_sim_ros.physics.model.sheets.surface import (
     LAYOUTS,
     Surface,
     SurfaceError,

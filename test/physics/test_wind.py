@@ -10,8 +10,8 @@ import pytest
 from support.alone import alone, blocks, force, full, matrix, product
 
 from cloth_sim_ros import Scene, SetParameters, Simulation
-from cloth_sim_ros.physics.forces.air_panels import AirPanels
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 TRIANGLES = [[0, 1, 2], [1, 3, 2], [2, 3, 4], [4, 5, 6], [6, 7, 8], [0, 4, 8]]
 #: A free sheet with springs and the test's forces alone.
@@ -171,7 +171,8 @@ def test_a_scene_without_wind_has_none_of_it():
         "import sys; from cloth_sim_ros import Scene, Simulation;"
         "still = {'cloth.resolution': (4, 4), 'wind.normal_drag': 0.0};"
         "cloth = Simulation(Scene.from_parameters(still)); cloth.advance();"
-        "print(*(force.name for force in cloth.model.forces), 'cloth_sim_ros.physics.forces.air_panels' in sys.modules)"
+        "names = [force.name for force in cloth.model.forces];"
+        "print(*names, 'cloth_sim_ros.physics.model.forces.air_panels' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.split() == ["structural", "shear", "bend", "gravity", "drag", "grips", "False"]

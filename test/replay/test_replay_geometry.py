@@ -11,14 +11,14 @@ import pytest
 from support.random_sessions import random_events, random_scene
 from support.session_maker import SessionMaker
 
-from cloth_sim_ros.physics.sheets.grid import GridSheet
+from cloth_sim_ros.physics.model.sheets.grid import GridSheet
 from cloth_sim_ros.replay.colours import strain_colours
 from cloth_sim_ros.replay.grippers import GripperTracks
 from cloth_sim_ros.replay.opening import read_opening
 from cloth_sim_ros.replay.plots import extra_numbers
 from cloth_sim_ros.replay.pre_scan import round_up
 from cloth_sim_ros.replay.surface_geometry import GridGeometry, MeshGeometry, SurfaceGeometry
-from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.reader import SessionReader

@@ -19,7 +19,6 @@ from support.falsifier import FRAME, Falsification, alter_messages, falsify
 from support.session_maker import SessionMaker
 
 from cloth_sim_ros import Grasp, Scene, Simulation, Target
-from cloth_sim_ros.batch.run_recording import RunRecording
 from cloth_sim_ros.replay.grippers import GripperTracks
 from cloth_sim_ros.replay.opening import read_opening
 from cloth_sim_ros.session.cdr import decode_string, encode_string
@@ -29,6 +28,7 @@ from cloth_sim_ros.session.part import Message
 from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.simulation.events import Event, Pause, Reset, SetParameters, Step
 from cloth_sim_ros.simulation.frame import Frame
+from cloth_sim_ros.studies.run_recording import RunRecording
 from cloth_sim_ros.verify.main import describe
 from cloth_sim_ros.verify.run import verify
 

@@ -12,7 +12,7 @@ import pytest
 from support.rrd import rows
 from support.session_maker import SessionMaker
 
-from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.replay.main import main
 from cloth_sim_ros.replay.obstacle_view import ObstacleView
 from cloth_sim_ros.replay.rows import Moment, Rows
@@ -69,7 +69,7 @@ def test_each_shape_is_drawn_where_it_was(tmp_path: Path) -> None:
 def test_mesh_obstacle_is_drawn_by_its_triangles(tmp_path: Path) -> None:
     import rerun as rr
 
-    from cloth_sim_ros.ros.obstacle_markers import ObstacleMarkers
+    from cloth_sim_ros.ros.io.obstacle_markers import ObstacleMarkers
 
     vertices = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     triangles = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])

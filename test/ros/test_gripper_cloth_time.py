@@ -20,7 +20,8 @@ from std_srvs.srv import SetBool
 from support.clocked_cloth import ClockedCloth
 from support.ros_client import STARTED, Client
 
-from cloth_sim_ros.ros import cloth_clock, gripper_player
+from cloth_sim_ros.ros.client import gripper_player
+from cloth_sim_ros.ros.timing import cloth_clock
 from cloth_sim_ros.simulation.gripper_script import GripperScript
 
 SECOND = 1_000_000_000

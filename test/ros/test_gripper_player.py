@@ -11,7 +11,7 @@ import attrs
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from cloth_sim_ros.ros import gripper_client, gripper_player
+from cloth_sim_ros.ros.client import gripper_client, gripper_player
 from cloth_sim_ros.ros.gripper_main import describe_holds
 from cloth_sim_ros.simulation.gripper_script import GripperScript
 

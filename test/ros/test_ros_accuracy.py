@@ -19,10 +19,10 @@ from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters as SetParametersService
 from support.ros_client import STARTED, Client, start_cloth
 
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.ros.accuracy_monitor import AccuracyMonitor
-from cloth_sim_ros.ros.accuracy_switch import AccuracySwitch
-from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.ros.accuracy.accuracy_monitor import AccuracyMonitor
+from cloth_sim_ros.ros.accuracy.accuracy_switch import AccuracySwitch
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, SetParameters, Target
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -150,7 +150,7 @@ def test_accuracy_off_loads_and_starts_nothing(ros_domain: int, start_process: C
         "import atexit, sys\n"
         "from cloth_sim_ros.ros.main import main\n"
         "def report():\n"
-        "    late = ('cloth_sim_ros.verify', 'cloth_sim_ros.ros.accuracy_monitor')\n"
+        "    late = ('cloth_sim_ros.verify', 'cloth_sim_ros.ros.accuracy.accuracy_monitor')\n"
         "    extra = [name for name in sys.modules if name.startswith(late)]\n"
         "    print('LOADED', extra, flush=True)\n"
         "atexit.register(report)\n"

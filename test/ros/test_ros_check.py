@@ -15,8 +15,8 @@ import pytest
 
 from cloth_sim_ros import Scene, Simulation
 from cloth_sim_ros.ros import main as node_main
-from cloth_sim_ros.ros.step_limiters import describe_step_limiters, find_step_limiters
-from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.ros.check.step_limiters import describe_step_limiters, find_step_limiters
+from cloth_sim_ros.scene.parameters import parameter_file
 
 #: The environment of a machine without ROS.
 WITHOUT_ROS = (

@@ -14,7 +14,7 @@ from std_srvs.srv import SetBool
 from support.ros_client import Client, pose, positions, stamp_of, start_cloth
 
 from cloth_sim_ros import Scene, Simulation
-from cloth_sim_ros.ros.services import FRAME_TIMEOUT
+from cloth_sim_ros.ros.io.services import FRAME_TIMEOUT
 
 SECOND = 1_000_000_000
 

@@ -12,10 +12,10 @@ from support.line_log import LineLog
 
 from cloth_sim_ros import Grasp, Reset, Scene, SetParameters, Simulation, Target
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.ros.event_queue import MAX_QUEUED_EVENTS, EventQueue, EventResult, QueueFullError
-from cloth_sim_ros.ros.log import ThrottledLog
-from cloth_sim_ros.ros.stamps import OldStampError, StampError, StampGate, checked
-from cloth_sim_ros.ros.stepper import Stepper
+from cloth_sim_ros.ros.io.stamps import OldStampError, StampError, StampGate, checked
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
+from cloth_sim_ros.ros.timing.event_queue import MAX_QUEUED_EVENTS, EventQueue, EventResult, QueueFullError
+from cloth_sim_ros.ros.timing.stepper import Stepper
 from cloth_sim_ros.simulation.events import Event, Pause, Step
 from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 

@@ -16,9 +16,9 @@ from rclpy.parameter import Parameter
 from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client
 
-from cloth_sim_ros.physics.contact_thickness import RECOVERY_SPEED, START_GAP
+from cloth_sim_ros.physics.contact.thickness import RECOVERY_SPEED, START_GAP
 from cloth_sim_ros.ros import main as node_main
-from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.parameters import parameter_file
 
 LYING: dict[str, Any] = {
     "cloth.orientation": [0.0, 0.0, 0.0, 1.0],

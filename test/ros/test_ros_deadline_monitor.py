@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-from cloth_sim_ros.ros.deadline_monitor import RECOVERY_WINDOWS, REPORT_WINDOWS, DeadlineMonitor
-from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
+from cloth_sim_ros.ros.timing.deadline_monitor import RECOVERY_WINDOWS, REPORT_WINDOWS, DeadlineMonitor
 
 PERIOD = 1.0 / 60.0
 WINDOW = 120

@@ -15,8 +15,8 @@ from rclpy.node import Node
 from support.ros_client import Client
 
 from cloth_sim_ros import Scene
-from cloth_sim_ros.ros.parameters import describe
-from cloth_sim_ros.scene.parameters import Parameter, ParameterError
+from cloth_sim_ros.ros.io.parameters import describe
+from cloth_sim_ros.scene.parameters.declare import Parameter, ParameterError
 
 DECLARED = {entry.name: entry for entry in Scene.declared(["table"])}
 RANGED = [name for name, entry in DECLARED.items() if entry.kind in ("double", "int")]

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from cloth_sim_ros.ros.environment_checks import EnvironmentFaultError, check_environment, explain
+from cloth_sim_ros.ros.process.environment_checks import EnvironmentFaultError, check_environment, explain
 
 COMMANDS = {"cloth_sim": "cloth_sim_ros.ros.main", "cloth_gripper": "cloth_sim_ros.ros.gripper_main"}
 ROOT = Path(__file__).resolve().parents[2]

@@ -22,11 +22,11 @@ from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client, pose
 
 from cloth_sim_ros.physics.integrators.symplectic_euler import SymplecticEuler
-from cloth_sim_ros.ros.failure import RAISE_VARIABLE
+from cloth_sim_ros.ros.io.outputs import Outputs
+from cloth_sim_ros.ros.io.states import States
 from cloth_sim_ros.ros.node import ClothNode
-from cloth_sim_ros.ros.outputs import Outputs
-from cloth_sim_ros.ros.states import States
-from cloth_sim_ros.simulation.grippers import Grippers
+from cloth_sim_ros.ros.process.failure import RAISE_VARIABLE
+from cloth_sim_ros.simulation.bodies.grippers import Grippers
 from cloth_sim_ros.simulation.simulation import Simulation
 
 pytest.importorskip("mcap")

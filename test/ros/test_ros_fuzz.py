@@ -22,10 +22,10 @@ from std_srvs.srv import Trigger
 from support.ros_client import Client, positions, start_cloth
 
 from cloth_sim_ros import Scene, SetParameters, Simulation
-from cloth_sim_ros.ros.event_queue import EventQueue
-from cloth_sim_ros.ros.feasibility import check_feasibility
-from cloth_sim_ros.ros.parameters import LiveParameters, declare
-from cloth_sim_ros.ros.stepper import Stepper
+from cloth_sim_ros.ros.check.feasibility import check_feasibility
+from cloth_sim_ros.ros.io.parameters import LiveParameters, declare
+from cloth_sim_ros.ros.timing.event_queue import EventQueue
+from cloth_sim_ros.ros.timing.stepper import Stepper
 
 #: Commands of a short run; the long one sends the hundred thousand.
 SHORT, LONG = 3000, 100_000

@@ -19,8 +19,8 @@ from support.line_log import LineLog
 from support.ros_client import Client
 
 from cloth_sim_ros import Grasp, Scene, Simulation, Target
-from cloth_sim_ros.ros.gripper_speed import GripperSpeedMonitor
-from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.reporting.gripper_speed import GripperSpeedMonitor
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
 
 CORNER = np.array([0.5, 0.0, 0.5])
 TWO = {"grippers": ["left", "right"]}

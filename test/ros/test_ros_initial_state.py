@@ -17,8 +17,8 @@ pytest.importorskip("rosbags")
 from support.session_maker import SessionMaker, carried_corner
 
 from cloth_sim_ros import Pause, Scene, SetParameters, Simulation, State
-from cloth_sim_ros.ros.initial_state import session_state
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.ros.recording.initial_state import session_state
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.session.writer import WriterOptions
 from cloth_sim_ros.simulation.events import Event
 

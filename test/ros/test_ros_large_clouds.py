@@ -15,7 +15,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 from support.ros_client import Client, start_cloth
 
-from cloth_sim_ros.ros.transports import segment_bytes
+from cloth_sim_ros.ros.io.transports import segment_bytes
 
 PROFILE = Path(__file__).resolve().parents[2] / "config" / "fastdds_large_clouds.xml"
 VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"

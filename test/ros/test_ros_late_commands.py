@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from cloth_sim_ros.ros.pacer import EXECUTOR_TIMEOUT, FrameTick, WallPacer
+from cloth_sim_ros.ros.timing.pacer import EXECUTOR_TIMEOUT, FrameTick, WallPacer
 
 RATE = 50.0
 

@@ -11,7 +11,7 @@ from geometry_msgs.msg import PoseStamped
 from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client, pose
 
-from cloth_sim_ros.ros.commands import CommandSubscriptions
+from cloth_sim_ros.ros.io.commands import CommandSubscriptions
 
 
 @pytest.fixture

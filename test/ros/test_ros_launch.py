@@ -24,7 +24,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Bool
 from support.ros_client import Client, pose, positions
 
-from cloth_sim_ros.scene.parameter_file import read
+from cloth_sim_ros.scene.parameters.parameter_file import read
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 

@@ -16,15 +16,15 @@ import pytest
 from std_srvs.srv import SetBool, Trigger
 from support.ros_client import Client, start_cloth
 
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.ros.recording import RecordingUnavailableError, SessionRecording
+from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.ros.recording.recording import RecordingUnavailableError, SessionRecording
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
 #: Program that saves a state with a file size limit of 1000 bytes, and is killed when it exceeds the limit.
 SAVE_AND_DIE = """
 import resource, signal, sys
-from cloth_sim_ros.ros.recording import SessionRecording
+from cloth_sim_ros.ros.recording.recording import SessionRecording
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 simulation = Simulation(Scene.from_parameters({"record.folder": sys.argv[1]}))
@@ -102,7 +102,7 @@ def test_saved_states_never_overwrite_each_other(tmp_path: Path, monkeypatch: py
         def now(cls, tz: datetime.tzinfo | None = None) -> Stopped:
             return cls(2026, 11, 26, tzinfo=tz)
 
-    monkeypatch.setattr("cloth_sim_ros.ros.recording.datetime.datetime", Stopped)
+    monkeypatch.setattr("cloth_sim_ros.ros.recording.recording.datetime.datetime", Stopped)
     recording = recording_into(tmp_path)
     paths = {recording.save_state() for _ in range(3)}
     assert len(paths) == 3

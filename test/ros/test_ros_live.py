@@ -16,7 +16,7 @@ import yaml
 from support.ros_client import start_cloth
 
 from cloth_sim_ros import Scene, Simulation, State
-from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.session.cdr import decode, decode_cloud
 from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.simulation import events

@@ -14,8 +14,8 @@ from support.clocked_cloth import ClockedCloth
 from support.line_log import LineLog
 from support.ros_client import Client, pose
 
-from cloth_sim_ros.ros.event_queue import MAX_QUEUED_EVENTS, EventQueue
-from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
+from cloth_sim_ros.ros.timing.event_queue import MAX_QUEUED_EVENTS, EventQueue
 from cloth_sim_ros.simulation.events import Grasp, Target
 
 DEBUG, INFO = 10, 20

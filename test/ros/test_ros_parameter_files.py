@@ -13,8 +13,8 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 
-from cloth_sim_ros.scene import parameter_file
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters import parameter_file
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 #: Parameters that rclpy declares itself.
 _OF_ROS = ("use_sim_time", "start_type_description_service")

@@ -17,8 +17,8 @@ from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client
 
 from cloth_sim_ros import Scene
-from cloth_sim_ros.ros.parameters import declare, describe
-from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.ros.io.parameters import declare, describe
+from cloth_sim_ros.scene.parameters import parameter_file
 
 DECLARED = {entry.name: entry for entry in Scene.declared()}
 #: A value of another type for each type.

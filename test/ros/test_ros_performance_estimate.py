@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from cloth_sim_ros import Scene, SetParameters, Simulation
-from cloth_sim_ros.ros.performance_estimate import (
+from cloth_sim_ros.ros.check.performance_estimate import (
     MAX_LOAD,
     PerformanceEstimator,
     estimate_performance,

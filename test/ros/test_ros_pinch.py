@@ -18,7 +18,7 @@ from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client
 from visualization_msgs.msg import Marker, MarkerArray
 
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.verify.run import verify
 
 LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)

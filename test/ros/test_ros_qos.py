@@ -17,9 +17,9 @@ from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client, pose
 
 from cloth_sim_ros.ros import main as node_main
-from cloth_sim_ros.ros.qos_rules import faults, foreign_owners
-from cloth_sim_ros.scene import parameter_file
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.ros.io.qos_rules import faults, foreign_owners
+from cloth_sim_ros.scene.parameters import parameter_file
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 POINTS = "qos_overrides./cloth_sim/points.publisher"

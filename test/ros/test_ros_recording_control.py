@@ -8,7 +8,7 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
-from cloth_sim_ros.ros.recording_control import RecordingControl
+from cloth_sim_ros.ros.recording.recording_control import RecordingControl
 
 
 class OpeningRecording:

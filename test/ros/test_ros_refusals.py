@@ -14,8 +14,8 @@ from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client, start_cloth
 
 from cloth_sim_ros.ros import main as node_main
-from cloth_sim_ros.scene import parameter_file
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters import parameter_file
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 #: A fault of each kind, and the start of its message.
 FAULTS = {

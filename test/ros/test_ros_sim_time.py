@@ -13,7 +13,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
 from support.ros_client import Client, stamp_of, start_cloth
 
-from cloth_sim_ros.ros.sim_time import ClockSilence
+from cloth_sim_ros.ros.timing.sim_time import ClockSilence
 
 SMALL = "cloth.resolution:=[5, 5]"
 #: A second later than the time at which the first cloud was due [s].

@@ -19,10 +19,10 @@ from std_msgs.msg import Bool
 from support.ros_client import start_cloth
 
 from cloth_sim_ros.ros.node import ClothNode
-from cloth_sim_ros.ros.pacer import FrameTick
-from cloth_sim_ros.ros.shut_down import ignore_errors_after_shutdown
-from cloth_sim_ros.ros.stopping import StopRequestedError, StopSignals
-from cloth_sim_ros.ros.worker_thread import WorkerThread
+from cloth_sim_ros.ros.process.shut_down import ignore_errors_after_shutdown
+from cloth_sim_ros.ros.process.stopping import StopRequestedError, StopSignals
+from cloth_sim_ros.ros.process.worker_thread import WorkerThread
+from cloth_sim_ros.ros.timing.pacer import FrameTick
 
 #: The launch file allows 2 s; the remainder is for a busy machine.
 LIMIT = 10.0
@@ -112,7 +112,7 @@ def test_a_signal_amid_a_frame_of_the_engine(
 
 @pytest.mark.parametrize(
     "loaded",
-    ["cloth_sim_ros.ros.stopping", "rclpy.node", "numpy.linalg", "cloth_sim_ros.simulation.simulation"],
+    ["cloth_sim_ros.ros.process.stopping", "rclpy.node", "numpy.linalg", "cloth_sim_ros.simulation.simulation"],
 )
 def test_a_signal_while_starting_ends_in_order(ros_domain: int, start_process: Callable[..., Any], loaded: str) -> None:
     # Python prints loaded modules: a reproducible moment of the start.

@@ -12,9 +12,9 @@ import numpy as np
 from support.line_log import LineLog
 
 from cloth_sim_ros import Scene, Simulation
-from cloth_sim_ros.ros.first_contact import FirstContact
-from cloth_sim_ros.ros.log import ThrottledLog
-from cloth_sim_ros.ros.obstacles import ObstacleTopics
+from cloth_sim_ros.ros.io.obstacles import ObstacleTopics
+from cloth_sim_ros.ros.reporting.first_contact import FirstContact
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
 
 FALLING: dict[str, Any] = {
     "cloth.resolution": [5, 5],

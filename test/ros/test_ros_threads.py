@@ -19,8 +19,8 @@ from std_srvs.srv import SetBool, Trigger
 from support.ros_client import Client
 
 from cloth_sim_ros import State
+from cloth_sim_ros.ros.io.parameters import LiveParameters, declare
 from cloth_sim_ros.ros.node import ClothNode
-from cloth_sim_ros.ros.parameters import LiveParameters, declare
 from cloth_sim_ros.scene.scene import Scene
 
 

@@ -14,10 +14,10 @@ from support.ros_client import Client
 
 from cloth_sim_ros import Frame, Relax, Scene, SetParameters, Simulation
 from cloth_sim_ros.physics.integrators.base import Advance
-from cloth_sim_ros.ros.log import ThrottledLog
 from cloth_sim_ros.ros.node import ClothNode
-from cloth_sim_ros.ros.pacer import FrameTick
-from cloth_sim_ros.ros.tolerance_governor import MAX_PATIENCE, MIN_FRAMES, MIN_PATIENCE, ToleranceGovernor
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
+from cloth_sim_ros.ros.timing.pacer import FrameTick
+from cloth_sim_ros.ros.timing.tolerance_governor import MAX_PATIENCE, MIN_FRAMES, MIN_PATIENCE, ToleranceGovernor
 
 #: A power of two, so that windows end where they are expected to.
 PERIOD = 1.0 / 64.0

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 import rclpy.utilities
 
-from cloth_sim_ros.ros.command_line_parameters import command_line_parameters
-from cloth_sim_ros.ros.transports import cloud_transports, segment_bytes
+from cloth_sim_ros.ros.io.transports import cloud_transports, segment_bytes
+from cloth_sim_ros.ros.process.command_line_parameters import command_line_parameters
 
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 

@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from cloth_sim_ros import Scene, Simulation
-from cloth_sim_ros.ros.report import start_summary
+from cloth_sim_ros.ros.reporting.report import start_summary
 
 ROOT = Path(__file__).resolve().parents[2]
 

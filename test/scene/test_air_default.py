@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros import Scene, SetParameters, Simulation
-from cloth_sim_ros.physics.forces.air_panels import AirPanels
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 CHAIN = b"positions: [[0, 0, 1], [0, 0, 2]]\nmasses: [1.0, 1.0]\nsprings: [[0, 1]]\nstiffness: 10.0\n"
 SPRINGS: dict[str, Any] = {"cloth.springs": "chain.yaml", "bending.model": "none", "cloth.anchors": ["0"]}

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from cloth_sim_ros.scene import frame_ids, parameter_file
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene import frame_ids
+from cloth_sim_ros.scene.parameters import parameter_file
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 
 WRONG = {"rate": 0.0, "tolerance": -1.0, "cloth.resolution": [1, 1], "ratte": 3.0}

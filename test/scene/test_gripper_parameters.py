@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from cloth_sim_ros import Scene
-from cloth_sim_ros.scene import parameter_file
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters import parameter_file
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 TWO: dict[str, Any] = {"grippers": ["left", "right"], "gripper.frame": "{gripper}_tool"}
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from cloth_sim_ros.physics.sheets.meshes import checked_mesh
-from cloth_sim_ros.physics.sheets.surface import SurfaceError, grid_triangles
+from cloth_sim_ros.physics.model.sheets.meshes import checked_mesh
+from cloth_sim_ros.physics.model.sheets.surface import SurfaceError, grid_triangles
 from cloth_sim_ros.scene import mesh_file
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 
 ROWS, COLUMNS = 4, 5

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from support.session_maker import SessionMaker
 
-from cloth_sim_ros.physics.sheets.merging import clusters
-from cloth_sim_ros.physics.sheets.meshes import checked_mesh
-from cloth_sim_ros.physics.sheets.surface import SurfaceError
+from cloth_sim_ros.physics.model.sheets.merging import clusters
+from cloth_sim_ros.physics.model.sheets.meshes import checked_mesh
+from cloth_sim_ros.physics.model.sheets.surface import SurfaceError
 from cloth_sim_ros.scene import mesh_file
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.verify.run import verify

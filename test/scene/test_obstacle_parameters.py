@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from cloth_sim_ros import Scene
-from cloth_sim_ros.scene import parameter_file
-from cloth_sim_ros.scene.parameter_warnings import ineffective_parameters
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters import parameter_file
+from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.scene.parameters.warnings import ineffective_parameters
 
 BASE: dict[str, Any] = {
     "cloth.resolution": [10, 10],

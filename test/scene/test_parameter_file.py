@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 import yaml
 
-from cloth_sim_ros.scene import parameter_file, ros_sections, ros_yaml
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters import parameter_file, ros_sections, ros_yaml
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 
 

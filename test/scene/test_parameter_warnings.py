@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros import Grasp, Scene, Simulation, Target
-from cloth_sim_ros.scene.parameter_file import dump
-from cloth_sim_ros.scene.parameter_warnings import ineffective_parameters
+from cloth_sim_ros.scene.parameters.parameter_file import dump
+from cloth_sim_ros.scene.parameters.warnings import ineffective_parameters
 
 MESH = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n"
 SPRINGS = "positions: [[0, 0, 0], [1, 0, 0], [1, 1, 0]]\nmasses: 0.1\nsprings: [[0, 1], [1, 2]]\nstiffness: 10.0\n"

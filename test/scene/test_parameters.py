@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 
 

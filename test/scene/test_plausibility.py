@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from cloth_sim_ros.scene.mesh_file import read
-from cloth_sim_ros.scene.parameter_warnings import ineffective_parameters
+from cloth_sim_ros.scene.parameters.warnings import ineffective_parameters
 from cloth_sim_ros.scene.plausibility import cloth_size, implausible_sizes
 from cloth_sim_ros.scene.scene import Scene
 

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from cloth_sim_ros.scene import files
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 
 @pytest.mark.parametrize("parameter", ["cloth.mesh", "cloth.springs", "initial_state", "table.mesh"])

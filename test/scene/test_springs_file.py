@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros.scene import springs_file
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 

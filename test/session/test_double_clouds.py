@@ -14,7 +14,6 @@ pytest.importorskip("mcap")
 pytest.importorskip("rosbags")
 from support.session_maker import NODE, SessionMaker, cloud_bytes
 
-from cloth_sim_ros.batch.run_recording import RunRecording
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import decode_cloud
 from cloth_sim_ros.session.errors import SessionError
@@ -22,6 +21,7 @@ from cloth_sim_ros.session.export import export
 from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.simulation.events import SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation
+from cloth_sim_ros.studies.run_recording import RunRecording
 from cloth_sim_ros.verify.run import verify
 
 #: A cloth at map coordinates, where single precision resolves 1 mm.

@@ -164,7 +164,7 @@ def test_older_state_continues() -> None:
 
 def test_frame_of_older_session_is_an_initial_state() -> None:
     pytest.importorskip("rclpy")
-    from cloth_sim_ros.ros.initial_state import session_state
+    from cloth_sim_ros.ros.recording.initial_state import session_state
 
     name = f"{SESSION}@{SAVED}"
     begun = State.from_bytes(session_state(name)[name])
@@ -174,6 +174,6 @@ def test_frame_of_older_session_is_an_initial_state() -> None:
 
 
 def scene_of(reader: SessionReader) -> Scene:
-    from cloth_sim_ros.scene import parameter_file
+    from cloth_sim_ros.scene.parameters import parameter_file
 
     return Scene.from_parameters(parameter_file.parse(reader.scene_yaml, node=reader.node, source="scene.yaml"))

@@ -14,7 +14,7 @@ pytest.importorskip("rosbags")
 from support.session_maker import SessionMaker
 
 from cloth_sim_ros import Scene
-from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.recorded_scene import recorded_values
 from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.verify.run import verify

@@ -14,7 +14,7 @@ pytest.importorskip("rosbags")
 from support.session_maker import SessionMaker
 
 from cloth_sim_ros import Grasp, Scene, Target
-from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.recorded_scene import LEGACY_VALUES, recorded_values
 from cloth_sim_ros.verify.run import verify
 

@@ -93,7 +93,7 @@ def test_copy_is_summarized_replayed_and_exported(session: Path, tmp_path: Path,
 @pytest.mark.parametrize("variant", ["no chunks", "no chunk indexes"])
 def test_copy_is_an_initial_state(session: Path, tmp_path: Path, variant: str) -> None:
     pytest.importorskip("rclpy")
-    from cloth_sim_ros.ros.initial_state import session_state
+    from cloth_sim_ros.ros.recording.initial_state import session_state
 
     copy = copy_by_tool(session, tmp_path / "copy.mcap", **VARIANTS[variant])
     (state,), (again,) = (session_state(f"{path}@12").values() for path in (session, copy))
@@ -218,7 +218,7 @@ LEFT_OUT = {
 def test_copy_without_opening_is_reported_by_every_command(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], left_out: str, options: dict[str, Any]
 ) -> None:
-    from cloth_sim_ros.batch.fit_main import main as fit_command
+    from cloth_sim_ros.fit.main import main as fit_command
 
     changes, named = LEFT_OUT[left_out]
     copy = copy_by_tool(session, tmp_path / "copy.mcap", **changes, **options)
@@ -241,8 +241,8 @@ def test_copy_without_opening_is_reported_by_replay_and_state(session: Path, tmp
     pytest.importorskip("rerun")
     pytest.importorskip("rclpy")
     from cloth_sim_ros.replay.show import save_recording
-    from cloth_sim_ros.ros.initial_state import session_state
-    from cloth_sim_ros.scene.parameters import ParameterError
+    from cloth_sim_ros.ros.recording.initial_state import session_state
+    from cloth_sim_ros.scene.parameters.declare import ParameterError
 
     copy = copy_by_tool(session, tmp_path / "copy.mcap", attachments=lambda _name: False)
     with pytest.raises(SessionError, match="lacks its opening"):

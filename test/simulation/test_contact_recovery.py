@@ -18,12 +18,12 @@ from support.layer_stacks import stack_geometry
 from support.obstacle_sheets import BORNE, SHEET, THICKNESS
 from support.session_maker import SessionMaker
 
-from cloth_sim_ros.physics.contact_thickness import LAYER_RECOVERY_SPEED, RECOVERY_SPEED, START_GAP
+from cloth_sim_ros.physics.contact.thickness import LAYER_RECOVERY_SPEED, RECOVERY_SPEED, START_GAP
 from cloth_sim_ros.physics.control import explicit
-from cloth_sim_ros.physics.controller_state import THICKNESS_KEY as KEY
-from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.state.controller_state import THICKNESS_KEY as KEY
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Reset, SetParameters, Target

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros import Scene, Simulation
-from cloth_sim_ros.physics.gripper_path import rotation_vector
+from cloth_sim_ros.physics.plan.gripper_path import rotation_vector
 from cloth_sim_ros.scene.gripper_section import MAX_SPEED
 from cloth_sim_ros.simulation.events import Grasp, Reset, SetParameters, Target
 

@@ -9,10 +9,10 @@ import pytest
 from support import layer_stacks as stacks
 from support.self_scenes import folded
 
-from cloth_sim_ros.physics.controller_state import ANCHORS_KEY
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene.parameter_warnings import ineffective_parameters
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY
+from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.scene.parameters.warnings import ineffective_parameters
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros import Scene
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Move, Pause, Reset, SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation

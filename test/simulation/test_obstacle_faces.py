@@ -12,7 +12,7 @@ import pytest
 import trimesh
 from support.session_maker import SessionMaker
 
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Move, SetParameters

@@ -11,8 +11,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cloth_sim_ros import Scene
-from cloth_sim_ros.physics.controller_state import ANCHORS_KEY
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.simulation.events import Move, Reset, SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros import Scene
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.simulation.bodies.kinematic_bodies import MAX_BODY_SPEED
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Move, Reset, SetParameters, from_dict, ordered, to_dict
-from cloth_sim_ros.simulation.kinematic_bodies import MAX_BODY_SPEED
 from cloth_sim_ros.simulation.simulation import Simulation
 
 BASE: dict[str, Any] = {

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros import Grasp, Scene, SetParameters, Simulation, State, Target
-from cloth_sim_ros.physics import assembly
-from cloth_sim_ros.physics.controller_state import STEP_CONTROL_STATES
+from cloth_sim_ros.physics.plan import assembly
+from cloth_sim_ros.physics.state.controller_state import STEP_CONTROL_STATES
 
 GRID: dict[str, Any] = {"cloth.resolution": [9, 8], "wind.velocity": [0.1, 0.0, 0.0]}
 SCENES: dict[str, dict[str, Any]] = {

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros import Scene
-from cloth_sim_ros.physics.controller_state import ANCHORS_KEY, JAWS_AT_REST_KEY, JAWS_KEY
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene.parameter_warnings import ineffective_parameters
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_AT_REST_KEY, JAWS_KEY
+from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.scene.parameters.warnings import ineffective_parameters
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, SetParameters, Target
 from cloth_sim_ros.simulation.simulation import Simulation

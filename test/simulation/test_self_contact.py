@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from support.self_scenes import alone, folded, intersections, sheets
 
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene.parameter_warnings import ineffective_parameters
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.physics.plan.plan import compile
+from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.scene.parameters.warnings import ineffective_parameters
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 

@@ -9,7 +9,7 @@ import pytest
 
 from cloth_sim_ros.physics.control.automatic import INTEGRATORS
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import (

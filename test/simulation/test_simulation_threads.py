@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros import Scene, Simulation, Target
-from cloth_sim_ros.physics.forces.force import Force
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.plan_handle import PlanHandle
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.force import Force
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.plan import compile
+from cloth_sim_ros.physics.plan.plan_handle import PlanHandle
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.simulation.events import Grasp, Pause
 
 THREADS, FRAMES = 4, 40

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation import sleep
 from cloth_sim_ros.simulation.energy_watch import EnergyWatch

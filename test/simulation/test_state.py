@@ -7,8 +7,8 @@ import io
 import numpy as np
 import pytest
 
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation

@@ -13,15 +13,15 @@ import pytest
 from support.contact_scenes import still
 from support.session_maker import SessionMaker
 
-from cloth_sim_ros.physics.controller_state import JAWS_KEY
-from cloth_sim_ros.physics.forces.contact import Contact, ContactSurface
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau
 from cloth_sim_ros.physics.integrators.implicit import Implicit
 from cloth_sim_ros.physics.integrators.stage_matrix import StageMatrix
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.runs import RunSummary
+from cloth_sim_ros.physics.model.forces.contact import Contact, ContactSurface
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.plan import compile
+from cloth_sim_ros.physics.plan.runs import RunSummary
+from cloth_sim_ros.physics.state.controller_state import JAWS_KEY
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Move, SetParameters, Target

@@ -4,8 +4,8 @@
 
 import numpy as np
 
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.plan import compile
 
 
 def alone(*forces, count=None, masses=None):

@@ -15,7 +15,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, SetParameters, Target
 from cloth_sim_ros.simulation.simulation import Simulation

@@ -62,7 +62,7 @@ def options() -> dict[str, Any]:
         for word in _SUBCOMMANDS.get(command, [""]):
             main = getattr(importlib.import_module(module), function)
             contract[f"{command} {word}".strip()] = _described(_parser_of(main, [word] if word else []))
-    from cloth_sim_ros.ros.options import parser
+    from cloth_sim_ros.ros.process.options import parser
 
     contract["cloth_sim"] = _described(parser())
     return contract
@@ -100,7 +100,7 @@ def gymnasium_environments() -> dict[str, Any]:
     """Return the ids that gymnasium knows of this package."""
     import gymnasium
 
-    importlib.import_module("cloth_sim_ros.batch.registered")
+    importlib.import_module("cloth_sim_ros.learning.registered")
     return {
         name: {
             "max_episode_steps": entry.max_episode_steps,

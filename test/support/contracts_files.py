@@ -20,7 +20,7 @@ import numpy as np
 import yaml
 from mcap.reader import make_reader
 
-from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session import frame_record
 from cloth_sim_ros.session.cdr import decode
@@ -99,8 +99,8 @@ def contents(path: Path) -> dict[str, Any]:
 
 def session_file() -> dict[str, Any]:
     """Return the contents of a session, the frame record, and the session's exports."""
-    from cloth_sim_ros.batch.run_recording import RunRecording
     from cloth_sim_ros.simulation.simulation import Simulation
+    from cloth_sim_ros.studies.run_recording import RunRecording
 
     folder = Path(tempfile.mkdtemp())
     # So little work misses the tolerance, which a frame's record tells.
@@ -163,7 +163,7 @@ def certificate() -> dict[str, Any]:
 
 def fit() -> dict[str, Any]:
     """Return the keys of `cloth_fit --json`, and the names of parameters that it takes."""
-    from cloth_sim_ros.batch import fit_parameters
+    from cloth_sim_ros.fit import parameters as fit_parameters
     from support.fit_samples import random_truth, record_swing
 
     folder = Path(tempfile.mkdtemp())
@@ -180,11 +180,11 @@ def fit() -> dict[str, Any]:
 
 def study() -> dict[str, Any]:
     """Return what a study file may have, and what a study's folder and its exports hold."""
-    from cloth_sim_ros.batch import factors, index, outcomes, study_file
-    from cloth_sim_ros.batch.folder import StudyFolder
-    from cloth_sim_ros.batch.sampling import SAMPLINGS
-    from cloth_sim_ros.batch.study_estimate import sample_and_estimate
-    from cloth_sim_ros.batch.study_run import perform
+    from cloth_sim_ros.studies import factors, index, outcomes, study_file
+    from cloth_sim_ros.studies.folder import StudyFolder
+    from cloth_sim_ros.studies.sampling import SAMPLINGS
+    from cloth_sim_ros.studies.study_estimate import sample_and_estimate
+    from cloth_sim_ros.studies.study_run import perform
 
     folder = Path(tempfile.mkdtemp())
     content = {
@@ -221,7 +221,7 @@ def study() -> dict[str, Any]:
 
 def scripts() -> dict[str, Any]:
     """Return the entries of gripper scripts, and the tables of springs files."""
-    from cloth_sim_ros.physics.sheets import raw
+    from cloth_sim_ros.physics.model.sheets import raw
     from cloth_sim_ros.scene import springs_file
 
     step = {"time": 0.0, "position": [0.0, 0.0, 0.0]}

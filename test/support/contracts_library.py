@@ -21,9 +21,10 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros.engine import NUMERICS, binding
-from cloth_sim_ros.physics import controller_state, state_memory
 from cloth_sim_ros.physics.control.automatic import INTEGRATORS
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.state import controller_state
+from cloth_sim_ros.physics.state import memory as state_memory
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation import events
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -37,7 +38,7 @@ _FEWER = {"implicit": 2}
 def api() -> dict[str, Any]:
     """Return the names that the package exports, with signatures, fields, methods and properties."""
     names: dict[str, Any] = {}
-    for package in ("cloth_sim_ros", "cloth_sim_ros.batch"):
+    for package in ("cloth_sim_ros", "cloth_sim_ros.learning", "cloth_sim_ros.batch"):
         module = importlib.import_module(package)
         for name in module.__all__:
             names[f"{package}.{name}"] = _described(getattr(module, name))

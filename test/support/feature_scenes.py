@@ -7,12 +7,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cloth_sim_ros.physics.forces.contact import Contact, ContactSurface
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.obstacle_features import obstacle_features
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.sheets.grid import GridSheet
+from cloth_sim_ros.physics.contact.obstacle_features import obstacle_features
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.model.forces.contact import Contact, ContactSurface
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.sheets.grid import GridSheet
+from cloth_sim_ros.physics.plan.plan import compile
 from support import laws, self_scenes
 from support.contact_scenes import flat_sheet, moving
 from support.self_scenes import U, barrier, on_segment, on_segments, on_triangle

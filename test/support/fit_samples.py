@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import decode_cloud
 from cloth_sim_ros.simulation.events import Event, Grasp, SetParameters, Target

@@ -21,12 +21,12 @@ from cloth_sim_ros.simulation.simulation import Simulation
 MARKERS = {
     "mesh files": ("cloth_sim_ros.scene.mesh_file", "plyfile", "trimesh"),
     "raw springs": ("cloth_sim_ros.scene.springs_file",),
-    "bending springs across hinges": ("cloth_sim_ros.physics.sheets.bending",),
+    "bending springs across hinges": ("cloth_sim_ros.physics.model.sheets.bending",),
     "implicit steps": (
         "cloth_sim_ros.physics.integrators.implicit",
         "cloth_sim_ros.physics.integrators.implicit_advance",
     ),
-    "energy balance": ("cloth_sim_ros.simulation.energy_watch", "cloth_sim_ros.physics.energy_balance"),
+    "energy balance": ("cloth_sim_ros.simulation.energy_watch", "cloth_sim_ros.physics.accounting.energy_balance"),
     "recording": ("cloth_sim_ros.session", "mcap", "rosbags"),
     "ROS": ("rclpy", "sensor_msgs"),
     "plots, viewer": ("matplotlib", "rerun"),

@@ -11,16 +11,16 @@ import numpy as np
 from scipy.linalg import expm_frechet
 from scipy.spatial.transform import Rotation
 
-from cloth_sim_ros.physics.forces.air_panels import AirPanels
-from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
-from cloth_sim_ros.physics.forces.contact import Contact
-from cloth_sim_ros.physics.forces.crossed import CrossedSprings
-from cloth_sim_ros.physics.forces.drag import Drag
-from cloth_sim_ros.physics.forces.gravity import Gravity
-from cloth_sim_ros.physics.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.forces.wind import Wind
+from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
+from cloth_sim_ros.physics.model.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.model.forces.contact import Contact
+from cloth_sim_ros.physics.model.forces.crossed import CrossedSprings
+from cloth_sim_ros.physics.model.forces.drag import Drag
+from cloth_sim_ros.physics.model.forces.gravity import Gravity
+from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model.forces.grips import Grips
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.forces.wind import Wind
 
 
 class Values(NamedTuple):

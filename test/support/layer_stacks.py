@@ -13,20 +13,20 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.controller_state import ANCHORS_KEY, LAYER_SIDES
-from cloth_sim_ros.physics.energy_balance import EnergyBalance
-from cloth_sim_ros.physics.forces.contact import Contact, ContactSurface
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.forces.gravity import Gravity
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.accounting.energy_balance import EnergyBalance
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.integrators.base import Advance
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.sheets.grid import grid_triangles
-from cloth_sim_ros.physics.sheets.mesh import MeshSheet
-from cloth_sim_ros.physics.sheets.surface import Surface
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.model.forces.contact import Contact, ContactSurface
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.forces.gravity import Gravity
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.sheets.grid import grid_triangles
+from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
+from cloth_sim_ros.physics.model.sheets.surface import Surface
+from cloth_sim_ros.physics.plan.plan import compile
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, LAYER_SIDES
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.sections import MaterialParameters
 from support.obstacle_sheets import BORNE, FRAME, THICKNESS

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cloth_sim_ros.physics.forces.contact import Contact
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.integrators.base import Advance
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.plan import compile
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.model.forces.contact import Contact
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.plan import compile
 from cloth_sim_ros.scene.scene import Scene
 from support import garment
 from support.random_meshes import shuffled_mesh

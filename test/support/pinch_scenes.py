@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloth_sim_ros.physics.controller_state import JAWS_KEY
-from cloth_sim_ros.physics.forces.contact import Contact
-from cloth_sim_ros.physics.forces.drag import Drag
-from cloth_sim_ros.physics.forces.gravity import Gravity
-from cloth_sim_ros.physics.parallel_jaw import ParallelJaw, drive_inertia
+from cloth_sim_ros.physics.contact.parallel_jaw import ParallelJaw, drive_inertia
+from cloth_sim_ros.physics.model.forces.contact import Contact
+from cloth_sim_ros.physics.model.forces.drag import Drag
+from cloth_sim_ros.physics.model.forces.gravity import Gravity
+from cloth_sim_ros.physics.state.controller_state import JAWS_KEY
 from support.contact_scenes import THICKNESS, drop, flat_sheet, still
 
 FRAME = 1.0 / 60.0

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial import Delaunay
 
-from cloth_sim_ros.physics.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.simulation.simulation import Simulation
 
 

@@ -11,16 +11,16 @@ import attrs
 import numpy as np
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
-from cloth_sim_ros.physics.forces.drag import Drag
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.forces.gravity import Gravity
-from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings, lecture_damping
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.plan import Plan, compile
-from cloth_sim_ros.physics.sheets.mesh import MeshSheet
-from cloth_sim_ros.physics.sheets.surface import Surface
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.drag import Drag
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.forces.gravity import Gravity
+from cloth_sim_ros.physics.model.forces.grips import Grips
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
+from cloth_sim_ros.physics.model.sheets.surface import Surface
+from cloth_sim_ros.physics.plan.plan import Plan, compile
+from cloth_sim_ros.physics.state.state import State
 from support.raw_sheet import RawSheet
 
 PERIOD = 1.0 / 60.0

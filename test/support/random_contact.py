@@ -12,8 +12,8 @@ from unittest import mock
 
 import numpy as np
 
-from cloth_sim_ros.physics.controller_state import ANCHORS_KEY
-from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 #: Number of sizes by shape of obstacle.

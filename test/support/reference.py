@@ -11,10 +11,10 @@ import attrs
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from cloth_sim_ros.physics.arrays import largest_distance
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.state import State
 from support.problems import PERIOD, Problem
 from support.right_side import IndependentRightSide
 

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import FAMILIES, doubles
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.forces.grid_springs import FAMILY_ENDS, GridSprings
-from cloth_sim_ros.physics.parts import GridFamily
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.forces.grid_springs import FAMILY_ENDS, GridSprings
+from cloth_sim_ros.physics.model.parts import GridFamily
 
 FLAGS = ("-O3", "-march=native", "-ffast-math", "-std=c11", "-fPIC")
 """Flags of the compiler, those of the measurements that the engine is held against."""

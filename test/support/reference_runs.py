@@ -9,8 +9,8 @@ from collections import Counter
 
 import attrs
 
+from cloth_sim_ros.physics.accounting.energy_balance import EnergyBalance
 from cloth_sim_ros.physics.control.automatic import make_integrator
-from cloth_sim_ros.physics.energy_balance import EnergyBalance
 from support.problems import PERIOD, Problem
 from support.reference import Reference
 

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloth_sim_ros.physics.forces.drag import Drag
-from cloth_sim_ros.physics.forces.force import Array, Force
-from cloth_sim_ros.physics.forces.gravity import Gravity
-from cloth_sim_ros.physics.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.forces.wind import Wind
-from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.model.forces.drag import Drag
+from cloth_sim_ros.physics.model.forces.force import Array, Force
+from cloth_sim_ros.physics.model.forces.gravity import Gravity
+from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model.forces.grips import Grips
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.forces.wind import Wind
+from cloth_sim_ros.physics.model.model import Model
 
 
 class IndependentRightSide:

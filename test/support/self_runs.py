@@ -12,10 +12,10 @@ import attrs
 import ipctk
 import numpy as np
 
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene import parameter_file
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.scene.parameters import parameter_file
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
 from cloth_sim_ros.simulation.gripper_script import GripperScript

@@ -9,9 +9,9 @@ from fractions import Fraction
 
 import numpy as np
 
-from cloth_sim_ros.physics.forces.contact import Contact, ContactSurface
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.sheets.grid import GridSheet, grid_triangles
+from cloth_sim_ros.physics.model.forces.contact import Contact, ContactSurface
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.sheets.grid import GridSheet, grid_triangles
 from support.contact_scenes import flat_sheet
 
 U = 35.0

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import encode, encode_string, message_class
 from cloth_sim_ros.session.channel_description import Qos
 from cloth_sim_ros.session.frame_record import FrameRecord
 from cloth_sim_ros.session.writer import SessionSnapshot, SessionWriter, WriterOptions
-from cloth_sim_ros.simulation.bodies import solids_and_poses
+from cloth_sim_ros.simulation.bodies.bodies import solids_and_poses
 from cloth_sim_ros.simulation.environment import environment
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target, to_dict
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
@@ -273,7 +273,7 @@ class SessionMaker:
 
     def _markers(self, now: int) -> bytes:
         """Encode the node's markers of obstacles and pads; needs ROS's messages."""
-        from cloth_sim_ros.ros.obstacle_markers import ObstacleMarkers
+        from cloth_sim_ros.ros.io.obstacle_markers import ObstacleMarkers
 
         solids, poses = solids_and_poses(self.simulation.obstacles, self.simulation.pinching)
         names = [solid.name for solid in solids]

@@ -40,7 +40,6 @@ BANNED_IN_FOLDER = {
     "ros": "shadow tape bell turn due behind",
     "engine": "lay held rough sight felt stand meeting lies crowd",
     "contact": "lay held rough felt",
-    "batch": "conduct conductor ties bend sure",
     "studies": "conduct conductor ties bend sure",
     "learning": "conduct conductor ties bend sure",
     "fit": "conduct conductor ties bend sure",

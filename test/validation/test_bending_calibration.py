@@ -9,17 +9,17 @@ import pytest
 from support.alone import alone
 from support.alone import force as force_of
 
-from cloth_sim_ros.physics.forces.hinge_springs import signed_lengths
-from cloth_sim_ros.physics.forces.opposite import OppositeSprings
-from cloth_sim_ros.physics.sheets.bending import (
+from cloth_sim_ros.physics.model.forces.hinge_springs import signed_lengths
+from cloth_sim_ros.physics.model.forces.opposite import OppositeSprings
+from cloth_sim_ros.physics.model.sheets.bending import (
     added_membrane,
     bending_terms,
     grid_hinge_constants,
     mesh_hinge_constants,
     spring_constants,
 )
-from cloth_sim_ros.physics.sheets.hinge_shape import HingeShape
-from cloth_sim_ros.physics.sheets.surface import Surface, grid_diagonals, grid_hinges, grid_triangles
+from cloth_sim_ros.physics.model.sheets.hinge_shape import HingeShape
+from cloth_sim_ros.physics.model.sheets.surface import Surface, grid_diagonals, grid_hinges, grid_triangles
 from validation.bending.patterns import grid_patch, plate_moduli, triangle_patch
 from validation.bending.recovery import REST_TRIANGLES, rest_shape
 

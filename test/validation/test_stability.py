@@ -13,7 +13,7 @@ import pytest
 
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.integrators.implicit import Implicit
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation import __main__ as validation_command

@@ -14,7 +14,7 @@ import pytest
 from support.random_sessions import make_random_session
 from support.session_maker import NODE, Change, SessionMaker, carried_corner, cloud_bytes
 
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import decode_cloud, decode_string, encode_string
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, Step, Target

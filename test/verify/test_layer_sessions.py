@@ -10,8 +10,8 @@ from support.garment import as_obj
 from support.self_scenes import folded
 from support.session_maker import SessionMaker
 
-from cloth_sim_ros.physics.controller_state import ANCHORS_KEY
-from cloth_sim_ros.physics.sheets.grid import grid_triangles
+from cloth_sim_ros.physics.model.sheets.grid import grid_triangles
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.verify.run import verify
 

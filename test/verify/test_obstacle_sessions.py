@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from support.session_maker import SessionMaker
 
-from cloth_sim_ros.physics.controller_state import ANCHORS_KEY
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.info import Summarizer
 from cloth_sim_ros.session.reader import SessionReader

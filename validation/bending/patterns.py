@@ -13,9 +13,9 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.sheets.bending import grid_hinge_constants, mesh_hinge_constants
-from cloth_sim_ros.physics.sheets.surface import Layout, Surface, grid_hinges, grid_triangles
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.sheets.bending import grid_hinge_constants, mesh_hinge_constants
+from cloth_sim_ros.physics.model.sheets.surface import Layout, Surface, grid_hinges, grid_triangles
 
 
 @attrs.frozen(eq=False, kw_only=True)

@@ -15,9 +15,9 @@ import argparse
 import attrs
 import numpy as np
 
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.sheets.mesh import POISSON_RATIO, SHEAR_OVER_STRETCH, MeshSheet
-from cloth_sim_ros.physics.sheets.surface import Surface
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.sheets.mesh import POISSON_RATIO, SHEAR_OVER_STRETCH, MeshSheet
+from cloth_sim_ros.physics.model.sheets.surface import Surface
 from validation.bending.patterns import Triangulation, periodic_triangulation
 from validation.report import Report, Table
 

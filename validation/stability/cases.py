@@ -14,11 +14,11 @@ from support.problems import irregular_sheet
 
 from cloth_sim_ros.physics.control.energy import leapfrog_energy
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
-from cloth_sim_ros.physics.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation

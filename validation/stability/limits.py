@@ -11,14 +11,14 @@ import attrs
 import numpy as np
 from support.raw_sheet import RawSheet
 
-from cloth_sim_ros.physics.arrays import largest_distance
+from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
-from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.integrators.implicit import Implicit
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.state import State
 from validation.report import Table
 
 #: Largest relative excess of a measured limit over its bound; a limit below its bound is a failure.

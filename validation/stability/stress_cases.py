@@ -10,7 +10,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.simulation.events import Event, Grasp, SetParameters, Target
 
 #: Speed of a gripper that is yanked away [m/s].

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
 from validation.stability.stress_cases import YANK_SPEED, StressCase, StressFrame
 

@@ -16,9 +16,9 @@ from scipy.integrate import solve_ivp
 from support.problems import PERIOD, Problem
 from support.reference import RightSide
 
-from cloth_sim_ros.physics import thread_limit
 from cloth_sim_ros.physics.control.automatic import make_integrator
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan import thread_limit
 from validation.tolerance.jacobian import SparseJacobian
 
 

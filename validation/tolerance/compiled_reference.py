@@ -22,18 +22,18 @@ from numpy.typing import NDArray
 from support.reference_kernel import compiled, find_compiler
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
-from cloth_sim_ros.physics.forces.air_panels import AirPanels
-from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
-from cloth_sim_ros.physics.forces.crossed import CrossedSprings
-from cloth_sim_ros.physics.forces.drag import Drag
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.forces.gravity import Gravity
-from cloth_sim_ros.physics.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.forces.hinge_springs import HingeSprings
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.forces.wind import Wind
-from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
+from cloth_sim_ros.physics.model.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.model.forces.crossed import CrossedSprings
+from cloth_sim_ros.physics.model.forces.drag import Drag
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.forces.gravity import Gravity
+from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model.forces.grips import Grips
+from cloth_sim_ros.physics.model.forces.hinge_springs import HingeSprings
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.forces.wind import Wind
+from cloth_sim_ros.physics.model.model import Model
 
 #: Trajectories side by side: the solution and `LANES` - 1 perturbed ones.
 LANES = 4

@@ -12,7 +12,7 @@ import argparse
 import numpy as np
 from support.problems import MORE_PROBLEMS, PERIOD, PROBLEMS, Problem, problem
 
-from cloth_sim_ros.physics.arrays import largest_distance
+from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from validation.report import Report, Table
 

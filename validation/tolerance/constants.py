@@ -19,9 +19,9 @@ from support.raw_sheet import RawSheet
 from support.reference import Reference, reference
 from support.reference_runs import measure
 
-from cloth_sim_ros.physics.constants import CONSTANTS, Constants
 from cloth_sim_ros.physics.control.automatic import make_integrator
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.control.constants import CONSTANTS, Constants
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation

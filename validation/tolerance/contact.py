@@ -17,10 +17,10 @@ from typing import Any
 import attrs
 import numpy as np
 
-from cloth_sim_ros.physics.arrays import largest_distance
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.independent_integrator import dop853

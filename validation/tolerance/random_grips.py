@@ -10,8 +10,8 @@ import attrs
 import numpy as np
 from support.random_meshes import drawn_alike
 
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import normalized, quaternion_product
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.gripper_path import normalized, quaternion_product
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation

@@ -12,9 +12,9 @@ import attrs
 import numpy as np
 from support.random_meshes import drawn_alike, random_mesh
 
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from validation.tolerance.compiled_reference import ReferenceSystem
 from validation.tolerance.random_grips import RandomGripScript

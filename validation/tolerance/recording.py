@@ -10,8 +10,8 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation.tolerance.compiled_reference import LANES, GripTable, ReferenceSystem
 from validation.tolerance.random_grips import RandomGripPlayer

@@ -15,10 +15,10 @@ from typing import Any
 import attrs
 import numpy as np
 
-from cloth_sim_ros.physics.arrays import largest_distance
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.scene.scene import Scene
 from validation.case_pool import run_cases, show_progress
 from validation.report import Report, Table

@@ -17,7 +17,7 @@ import numpy as np
 from support.random_meshes import drawn_alike
 
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation

@@ -7,9 +7,9 @@ from __future__ import annotations
 import attrs
 import numpy as np
 
-from cloth_sim_ros.physics.arrays import largest_distance
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import rotation_matrix
+from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
 from validation.tolerance.compiled_reference import (
     LANES,
     PERTURBATION,

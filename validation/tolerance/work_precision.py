@@ -13,7 +13,7 @@ from support.problems import MORE_PROBLEMS, PROBLEMS, Problem, problem
 from support.reference import Reference, reference
 from support.reference_runs import measure
 
-from cloth_sim_ros.physics import thread_limit
+from cloth_sim_ros.physics.plan import thread_limit
 from cloth_sim_ros.scene.scene import Scene
 from validation.report import Plot, Report, Table
 from validation.tolerance.baselines import SolverSetting, SolverTimeoutError, library_solvers, product_solvers

@@ -14,12 +14,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cloth_sim_ros.physics.controller_state import JAWS_KEY
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.runs import Run
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.plan.runs import Run
+from cloth_sim_ros.physics.state.controller_state import JAWS_KEY
+from cloth_sim_ros.physics.state.state import State
 
 
 def accumulate_runs(

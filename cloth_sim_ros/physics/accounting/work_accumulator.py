@@ -9,10 +9,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from cloth_sim_ros.engine.binding import BOOKED_NUMBERS
-from cloth_sim_ros.physics.deterministic_math import ordered_sum
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.runs import Run, n_integrals
+from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.plan.runs import Run, n_integrals
 
 
 class WorkAccumulator:

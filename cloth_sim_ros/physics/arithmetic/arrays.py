@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cloth_sim_ros.engine.binding import address, check, doubles, library
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.model.forces.force import Array
 
 
 def largest_distance(x: Array, y: Array) -> float:

@@ -26,17 +26,17 @@ from cloth_sim_ros.engine.binding import (
     library,
     writable,
 )
-from cloth_sim_ros.physics import implicit_jaws, self_contact_binding
-from cloth_sim_ros.physics.arrays import combine
-from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.controller_state import ANCHORS_KEY, JAWS_KEY, LAYER_SIDES, THICKNESS_KEY
-from cloth_sim_ros.physics.feature_binding import FeatureBinding, upload_meshes
-from cloth_sim_ros.physics.forces.contact import Contact
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.plan_handle import PlanHandle
-from cloth_sim_ros.physics.runs import Run
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.uncopyable import Uncopyable
+from cloth_sim_ros.physics.arithmetic.arrays import combine
+from cloth_sim_ros.physics.contact import implicit_jaws, self_contact_binding
+from cloth_sim_ros.physics.contact.feature_binding import FeatureBinding, upload_meshes
+from cloth_sim_ros.physics.control.constants import CONSTANTS
+from cloth_sim_ros.physics.model.forces.contact import Contact
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan_handle import PlanHandle
+from cloth_sim_ros.physics.plan.runs import Run
+from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, LAYER_SIDES, THICKNESS_KEY
+from cloth_sim_ros.physics.state.state import State
 
 #: Operations of a force evaluation: of a particle in reach of an obstacle; of its friction; of a pair in reach. A pair
 #: is a particle or point with a triangle, or two edges.
@@ -363,7 +363,7 @@ class ContactBinding(Uncopyable):
         check(self._library.cloth_predict_contact(self._handle, t, duration, *trust_factors, *addresses))
         energy, n_particles, n_friction, omega2, damping, self_omega2, self_damping, n_pairs = self._out
         if not math.isfinite(energy):
-            from cloth_sim_ros.physics.initial_penetration import check_outside
+            from cloth_sim_ros.physics.contact.initial_penetration import check_outside
 
             check_outside(t, self.force.obstacles, self.obstacle_gaps(t, x)[:, 1].tolist())
         if not math.isfinite(self_omega2):
@@ -533,7 +533,7 @@ class ContactBinding(Uncopyable):
         if self._features is not None:
             self._features.check_initial_penetration(t, x, [obstacle.name for obstacle in self.force.obstacles])
         if self.force.surface is not None:
-            from cloth_sim_ros.physics.initial_penetration import check_initial_penetration
+            from cloth_sim_ros.physics.contact.initial_penetration import check_initial_penetration
 
             check_initial_penetration(self._plan_handle, self.force.surface, self.force.thickness, x)
 

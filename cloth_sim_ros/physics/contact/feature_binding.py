@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import address, check, doubles, library
-from cloth_sim_ros.physics.forces.contact import ContactSurface
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.obstacle_features import is_covered_by_particles, obstacle_features
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.plan_handle import PlanHandle
-from cloth_sim_ros.physics.uncopyable import Uncopyable
+from cloth_sim_ros.physics.contact.obstacle_features import is_covered_by_particles, obstacle_features
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.model.forces.contact import ContactSurface
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan_handle import PlanHandle
+from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
 
 
 class FeatureBinding(Uncopyable):

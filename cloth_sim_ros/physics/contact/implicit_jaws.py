@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.forces.contact import Contact
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.model.forces.contact import Contact
+from cloth_sim_ros.physics.model.forces.force import Array
 
 #: Bisections of the range of the jaw speed, down to its last bit.
 _BISECTIONS = 60

@@ -10,13 +10,13 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from cloth_sim_ros.engine.binding import address, check, doubles, library
-from cloth_sim_ros.physics.contact_thickness import MIN_GAP
-from cloth_sim_ros.physics.deterministic_math import row_sum
-from cloth_sim_ros.physics.forces.contact import ContactSurface
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.obstacle_mesh import nearest_points
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.plan_handle import PlanHandle
+from cloth_sim_ros.physics.arithmetic.deterministic_math import row_sum
+from cloth_sim_ros.physics.contact.obstacle_mesh import nearest_points
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.contact.thickness import MIN_GAP
+from cloth_sim_ros.physics.model.forces.contact import ContactSurface
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan_handle import PlanHandle
 
 #: Least gap of a starting cloth to itself, as a fraction of the thickness.
 MIN_START_GAP = MIN_GAP

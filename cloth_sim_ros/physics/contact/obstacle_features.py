@@ -11,9 +11,9 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.angles import sine_and_cosine
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.arithmetic.angles import sine_and_cosine
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.model.forces.force import Array
 
 #: Largest distance of a cylinder's polygonal rim from the circle, as a fraction of the thickness.
 _MAX_CYLINDER_INSET = 0.05

@@ -7,10 +7,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.deterministic_math import dot_products, ordered_sum
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.sheets.meshes import FLATNESS
-from cloth_sim_ros.physics.sheets.seams import open_seam
+from cloth_sim_ros.physics.arithmetic.deterministic_math import dot_products, ordered_sum
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.sheets.meshes import FLATNESS
+from cloth_sim_ros.physics.model.sheets.seams import open_seam
 
 #: Largest number of point-triangle pairs that are calculated at once.
 _MAX_PRODUCTS = 1 << 18

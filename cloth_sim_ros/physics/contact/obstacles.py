@@ -16,9 +16,9 @@ import attrs
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.obstacle_mesh import check_closed, mesh_distance
-from cloth_sim_ros.physics.obstacle_shapes import MAX_SIZE, SHAPES
+from cloth_sim_ros.physics.contact.obstacle_mesh import check_closed, mesh_distance
+from cloth_sim_ros.physics.contact.obstacle_shapes import MAX_SIZE, SHAPES
+from cloth_sim_ros.physics.model.forces.force import Array
 
 
 def _floats(values: Any) -> tuple[float, ...]:

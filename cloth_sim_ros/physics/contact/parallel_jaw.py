@@ -10,7 +10,7 @@ from typing import Any
 import attrs
 import numpy as np
 
-from cloth_sim_ros.physics.obstacles import Obstacle
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
 
 #: Time in which a drive without load reaches its speed [s].
 DRIVE_LAG = 1e-3

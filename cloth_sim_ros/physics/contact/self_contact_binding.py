@@ -7,9 +7,9 @@ from __future__ import annotations
 import numpy as np
 
 from cloth_sim_ros.engine.binding import address, check, doubles, library
-from cloth_sim_ros.physics.controller_state import ANCHORS_KEY
-from cloth_sim_ros.physics.forces.contact import Contact
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.model.forces.contact import Contact
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY
 
 
 def upload_surface(handle: int, contact: Contact) -> None:

@@ -21,12 +21,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.deterministic_math import dot_products
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.obstacle_mesh import check_closed
-from cloth_sim_ros.physics.sheets.merging import clusters
-from cloth_sim_ros.physics.sheets.meshes import FLATNESS
-from cloth_sim_ros.physics.sheets.seams import near_edges
+from cloth_sim_ros.physics.arithmetic.deterministic_math import dot_products
+from cloth_sim_ros.physics.contact.obstacle_mesh import check_closed
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.sheets.merging import clusters
+from cloth_sim_ros.physics.model.sheets.meshes import FLATNESS
+from cloth_sim_ros.physics.model.sheets.seams import near_edges
 
 #: Largest distance of a vertex that lies on an edge, as a fraction of the edge's length: flat triangles may overlap.
 _ON_EDGE = 4.0 * FLATNESS

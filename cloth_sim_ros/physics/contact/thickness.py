@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.model.forces.force import Array
 
 #: Speeds of recovery of the thickness [m/s], of contacts with obstacles and of the cloth with itself. A surface that
 #: starts to move at a speed u throws a mass at no more than 2 u. Each layer of a stack adds to the speed of the one

@@ -4,5 +4,5 @@
 
 Start with `explicit`: one advance, repeated until all rules hold; `fast_path` serves most frames. The rules are
 `stability`, `error`, `energy` and `fallback`. `precision` selects single precision, `automatic` the integrator. Their
-states are in `physics.controller_state`, their tuned numbers in `physics.constants`.
+states are in `physics.state.controller_state`, their tuned numbers in `constants`.
 """

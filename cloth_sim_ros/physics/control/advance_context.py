@@ -8,17 +8,17 @@ from collections.abc import Callable
 
 import attrs
 
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.control.contact_step_limit import ContactStepLimit
 from cloth_sim_ros.physics.control.energy import EnergyRule, external_work
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, is_implicit_feasible
 from cloth_sim_ros.physics.control.multirate import MultirateRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.step_choice import ExplicitSettings, StepChoice
-from cloth_sim_ros.physics.controller_state import StabilityState
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau, PrecomputedRun
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.controller_state import StabilityState
+from cloth_sim_ros.physics.state.state import State
 
 
 @attrs.define(kw_only=True, eq=False)

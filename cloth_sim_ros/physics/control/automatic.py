@@ -8,16 +8,11 @@ import math
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.control.fallback import is_implicit_feasible
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
-from cloth_sim_ros.physics.controller_state import (
-    IntegratorChoiceState,
-    MultirateState,
-    StabilityState,
-    reset_step_control,
-)
 from cloth_sim_ros.physics.integrators.base import (
     WORK_LIMIT,
     Advance,
@@ -27,9 +22,14 @@ from cloth_sim_ros.physics.integrators.base import (
     refuse_unbounded,
 )
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.controller_state import (
+    IntegratorChoiceState,
+    MultirateState,
+    StabilityState,
+    reset_step_control,
+)
+from cloth_sim_ros.physics.state.state import State
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.integrators.implicit import Implicit

@@ -6,14 +6,14 @@ from __future__ import annotations
 
 import math
 
-from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.step_choice import ExplicitSettings
-from cloth_sim_ros.physics.controller_state import JAWS_KEY, THICKNESS_KEY, ContactState, StabilityState
 from cloth_sim_ros.physics.integrators.base import NoRoomError
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau, max_rates
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.runs import RunSummary
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.plan.runs import RunSummary
+from cloth_sim_ros.physics.state.controller_state import JAWS_KEY, THICKNESS_KEY, ContactState, StabilityState
+from cloth_sim_ros.physics.state.state import State
 
 
 class ContactStepLimit:

@@ -15,13 +15,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloth_sim_ros.physics.arrays import weighted_dot
-from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.controller_state import EnergyState
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.arithmetic.arrays import weighted_dot
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.controller_state import EnergyState
+from cloth_sim_ros.physics.state.state import State
 
 #: Relative rounding error of a sum of energies; rounding error of coordinates of a sheet at rest, in units of epsilon.
 _ROUNDING, _COORDINATE_ROUNDINGS = 1e-12, 8.0

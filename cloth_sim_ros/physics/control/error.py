@@ -15,12 +15,12 @@ from functools import cached_property
 import attrs
 import numpy as np
 
-from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum, power, root
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.stability import StabilityRule
-from cloth_sim_ros.physics.controller_state import ErrorState
-from cloth_sim_ros.physics.deterministic_math import ordered_sum, power, root
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, RATIOS, amplification
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.state.controller_state import ErrorState
+from cloth_sim_ros.physics.state.state import State
 
 #: Rounding error of a run, in units of epsilon times the largest coordinate. A combination amplifies it.
 _COORDINATE_ROUNDINGS = 4.0

@@ -6,9 +6,10 @@ from __future__ import annotations
 
 import math
 
-from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.control import fast_path
 from cloth_sim_ros.physics.control.advance_context import AdvanceContext
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.contact_step_limit import ContactStepLimit
 from cloth_sim_ros.physics.control.energy import EnergyRule
 from cloth_sim_ros.physics.control.error import ErrorRule, is_for_duration
@@ -30,7 +31,16 @@ from cloth_sim_ros.physics.control.step_choice import (
     describe_details,
     limiting_factor,
 )
-from cloth_sim_ros.physics.controller_state import (
+from cloth_sim_ros.physics.integrators.base import (
+    Advance,
+    NoRoomError,
+    UnstableError,
+    refuse_unbounded,
+    refuse_unstable,
+)
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, PrecomputedRun
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.controller_state import (
     ContactState,
     EnergyState,
     ErrorState,
@@ -40,17 +50,7 @@ from cloth_sim_ros.physics.controller_state import (
     RoundingNoiseState,
     StabilityState,
 )
-from cloth_sim_ros.physics.integrators.base import (
-    Advance,
-    NoRoomError,
-    UnstableError,
-    refuse_unbounded,
-    refuse_unstable,
-)
-from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, PrecomputedRun
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.state.state import State
 
 
 def advance(

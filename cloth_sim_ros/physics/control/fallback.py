@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 
-from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.controller_state import FallbackState, reset_step_control
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.controller_state import FallbackState, reset_step_control
+from cloth_sim_ros.physics.state.state import State
 
 #: Force evaluations reserved to finish a frame: ten per step, at most half of the limit.
 FALLBACK_EVALUATIONS = 10.0 * CONSTANTS.implicit_finish_steps

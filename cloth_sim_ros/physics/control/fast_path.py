@@ -9,7 +9,9 @@ cost a fraction of its steps. It makes no decision of its own. A rejected attemp
 
 from __future__ import annotations
 
-from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.accounting.end_corrections import accumulate_runs
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.contact_step_limit import ContactStepLimit
 from cloth_sim_ros.physics.control.error import is_for_duration, predict_single_run_error
 from cloth_sim_ros.physics.control.fallback import evaluation_budget, part_call_work, work_cap
@@ -22,7 +24,11 @@ from cloth_sim_ros.physics.control.step_choice import (
     describe_details,
     limiting_factor,
 )
-from cloth_sim_ros.physics.controller_state import (
+from cloth_sim_ros.physics.integrators.base import Advance
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, PrecomputedRun
+from cloth_sim_ros.physics.integrators.fixed import steps_for
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.controller_state import (
     ContactState,
     EnergyState,
     ErrorState,
@@ -32,13 +38,7 @@ from cloth_sim_ros.physics.controller_state import (
     RoundingNoiseState,
     StabilityState,
 )
-from cloth_sim_ros.physics.end_corrections import accumulate_runs
-from cloth_sim_ros.physics.integrators.base import Advance
-from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, PrecomputedRun
-from cloth_sim_ros.physics.integrators.fixed import steps_for
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.state.state import State
 
 #: Keys of controllers whose state the fast path leaves unchanged.
 _UNCHANGED_KEYS = (PrecisionState.key, EnergyState.key)

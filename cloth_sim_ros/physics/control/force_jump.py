@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloth_sim_ros.physics.arrays import largest_distance
-from cloth_sim_ros.physics.controller_state import JAWS_KEY
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.controller_state import JAWS_KEY
+from cloth_sim_ros.physics.state.state import State
 
 #: Fractions of the half step, measured back from its end, and weights of the fourth difference.
 _DIFFERENCE_WEIGHTS = ((0.25, -4.0), (0.5, 6.0), (0.75, -4.0), (1.0, 1.0))

@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import math
 
-from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.arithmetic.deterministic_math import root
 from cloth_sim_ros.physics.control.advance_context import AdvanceContext
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.error import ErrorRule, ErrorSums
 from cloth_sim_ros.physics.control.force_jump import EVALUATIONS, missed_velocity_change
 from cloth_sim_ros.physics.control.stability import MAX_UNDAMPED_STEPS, StabilityRule
 from cloth_sim_ros.physics.control.step_choice import StepChoice
-from cloth_sim_ros.physics.controller_state import ErrorState
-from cloth_sim_ros.physics.deterministic_math import root
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
     RATIO_SUMS,
@@ -27,7 +26,8 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
     step_counts,
 )
 from cloth_sim_ros.physics.integrators.fixed import steps_for
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.state.controller_state import ErrorState
+from cloth_sim_ros.physics.state.state import State
 
 #: Minimum steps of the first run for halving; with fewer steps the runs of a half would not differ enough.
 _MIN_HALVED_STEPS = 2 * MAX_UNDAMPED_STEPS

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.control import explicit
 from cloth_sim_ros.physics.integrators.base import (
     WORK_LIMIT,
@@ -15,9 +16,8 @@ from cloth_sim_ros.physics.integrators.base import (
 )
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.old_names import with_old_names
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.state import State
 
 
 @with_old_names(columns="n_runs")

@@ -13,14 +13,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.controller_state import MultirateState
-from cloth_sim_ros.physics.deterministic_math import root
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.arithmetic.deterministic_math import root
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.runs import RunSummary
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.plan.runs import RunSummary
+from cloth_sim_ros.physics.state.controller_state import MultirateState
 
 #: Largest ratio: a ninth of the cost of hinges remains.
 MAX_RATIO = 9

@@ -11,15 +11,15 @@ from __future__ import annotations
 
 import math
 
-from cloth_sim_ros.physics.arrays import largest_distance, weighted_dot
-from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.arithmetic.arrays import largest_distance, weighted_dot
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.step_choice import StepChoice
-from cloth_sim_ros.physics.controller_state import PrecisionState, RoundingNoiseState
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import amplification
 from cloth_sim_ros.physics.integrators.fixed import steps_for
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.controller_state import PrecisionState, RoundingNoiseState
+from cloth_sim_ros.physics.state.state import State
 
 #: Relative spacing of single precision; a run changes by at least some tenths of it, relative to the sheet.
 _SPACING = 2.0**-24

@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import math
 
-from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.controller_state import StabilityState
-from cloth_sim_ros.physics.forces.force import Force
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIOS
 from cloth_sim_ros.physics.integrators.fixed import steps_for
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.force import Force
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.controller_state import StabilityState
+from cloth_sim_ros.physics.state.state import State
 
 #: Maximum number of combined runs; one further run estimates their error.
 MAX_COMBINED_RUNS = len(RATIOS) - 1

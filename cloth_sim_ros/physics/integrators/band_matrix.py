@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine import band
-from cloth_sim_ros.physics.forces.force import Array
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.thread_limit import available_threads
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.thread_limit import available_threads
 
 _Index = NDArray[np.int64]
 

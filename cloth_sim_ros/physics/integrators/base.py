@@ -8,10 +8,10 @@ import math
 from abc import ABC, abstractmethod
 from typing import NamedTuple
 
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.old_names import with_old_names
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.state import State
 
 
 class UnstableError(RuntimeError):

@@ -16,14 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cloth_sim_ros.physics.arrays import combine, largest_distance
-from cloth_sim_ros.physics.deterministic_math import ordered_sum
-from cloth_sim_ros.physics.end_corrections import accumulate_runs
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.runs import Run, RunSummary
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.accounting.end_corrections import accumulate_runs
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.arithmetic.arrays import combine, largest_distance
+from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.plan.runs import Run, RunSummary
+from cloth_sim_ros.physics.state.state import State
 
 #: Step counts of the runs, relative to the first. Wider ratios cost more; closer ones amplify rounding and high modes:
 #: the sums of |w| for 1 to 5 runs are 1, 4.6, 17.7, 32 and 70.

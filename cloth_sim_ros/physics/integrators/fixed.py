@@ -9,11 +9,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import Advance, Integrator, NoRoomError, UnstableError, refuse_unstable
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.state import State
 
 #: Maximum number of attempts of an advance, each with a smaller step.
 MAX_ATTEMPTS = 12

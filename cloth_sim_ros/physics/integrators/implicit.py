@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.integrators.base import (
     WORK_LIMIT,
     Advance,
@@ -14,9 +15,8 @@ from cloth_sim_ros.physics.integrators.base import (
     check_tolerance,
     check_work,
 )
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.state import State
 
 
 class Implicit(Integrator):

@@ -10,19 +10,19 @@ from typing import Protocol
 import attrs
 import numpy as np
 
-from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.contact_thickness import relative_growth
-from cloth_sim_ros.physics.controller_state import JAWS_KEY, THICKNESS_KEY
-from cloth_sim_ros.physics.controller_state import ImplicitState as Memory
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import rigid_velocities
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.contact.thickness import relative_growth
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import Advance, ToleranceMissedError, UnstableError
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.integrators.implicit_work import ImplicitStep, accumulate, external_work
 from cloth_sim_ros.physics.integrators.stage_matrix import iteration_cost, stage_matrix
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.gripper_path import rigid_velocities
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.controller_state import JAWS_KEY, THICKNESS_KEY
+from cloth_sim_ros.physics.state.controller_state import ImplicitState as Memory
+from cloth_sim_ros.physics.state.state import State
 
 #: The diagonal coefficient of Alexander's two-stage method: 1 - 1/sqrt(2).
 GAMMA = 1.0 - math.sqrt(0.5)

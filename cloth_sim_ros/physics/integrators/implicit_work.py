@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import attrs
 
-from cloth_sim_ros.physics import work_accumulator as books
-from cloth_sim_ros.physics.deterministic_math import ordered_sum
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import step_displacement
-from cloth_sim_ros.physics.plan import Plan
+from cloth_sim_ros.physics.accounting import work_accumulator as books
+from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.gripper_path import step_displacement
+from cloth_sim_ros.physics.plan.plan import Plan
 
 
 @attrs.frozen

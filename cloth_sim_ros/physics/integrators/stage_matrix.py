@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine import band
-from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.forces.force import Array, Force
-from cloth_sim_ros.physics.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.band_matrix import BandMatrix
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.parts import ElementList
-from cloth_sim_ros.physics.plan import compile
+from cloth_sim_ros.physics.model.forces.force import Array, Force
+from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.parts import ElementList
+from cloth_sim_ros.physics.plan.plan import compile
 
 #: Pairs do not widen the band if their stiffness is below this fraction of the largest one at both ends. Newton's
 #: iteration then converges by about this factor per step.

@@ -8,11 +8,11 @@ import math
 
 import numpy as np
 
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator, accumulate
 from cloth_sim_ros.physics.integrators.base import Advance, Integrator, check_step
 from cloth_sim_ros.physics.integrators.fixed import advance_fixed
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.physics.work_accumulator import WorkAccumulator, accumulate
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.state import State
 
 
 class SymplecticEuler(Integrator):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cloth_sim_ros.engine.band import fixed_sum
-from cloth_sim_ros.physics.forces.force import Array, Force
+from cloth_sim_ros.physics.model.forces.force import Array, Force
 
 
 class Model:

@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import FAMILIES, KINDS, check, library
-from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.forces.force import Array, Force
-from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.parts import ContactPart, ElementList, SpringGrid, min_damping_time
+from cloth_sim_ros.physics.control.constants import CONSTANTS
+from cloth_sim_ros.physics.model.forces.force import Array, Force
+from cloth_sim_ros.physics.model.forces.grips import Grips
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.parts import ContactPart, ElementList, SpringGrid, min_damping_time
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.physics.forces.contact import Contact
+    from cloth_sim_ros.physics.model.forces.contact import Contact
 
 #: Arithmetic operations of a step: to move a particle, of a grid's spring, of an air panel on a grid's cell. They
 #: include gathering. Choices that depend on them are the same on every machine.
@@ -144,7 +144,7 @@ class Assembly:
 
     def _upload_order(self, handle: int) -> None:
         """Upload an order of particles in which neighbours lie close together; it is invisible outside."""
-        from cloth_sim_ros.physics.ordering import local_order
+        from cloth_sim_ros.physics.model.ordering import local_order
 
         count = self.model.particle_count
         order = local_order(count, np.concatenate([_particle_pairs(part.particles) for part in self.element_lists]))

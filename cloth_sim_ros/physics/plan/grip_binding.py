@@ -20,11 +20,11 @@ from cloth_sim_ros.engine.binding import (
     indices,
     library,
 )
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.parts import min_damping_time
-from cloth_sim_ros.physics.plan_handle import PlanHandle
-from cloth_sim_ros.physics.uncopyable import Uncopyable
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.forces.grips import Grips
+from cloth_sim_ros.physics.model.parts import min_damping_time
+from cloth_sim_ros.physics.plan.plan_handle import PlanHandle
+from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
 
 
 class GripBinding(Uncopyable):

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS, address, check, doubles, library
-from cloth_sim_ros.physics.angles import sine_and_cosine
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.arithmetic.angles import sine_and_cosine
+from cloth_sim_ros.physics.model.forces.force import Array
 
 
 def normalized(orientation: ArrayLike) -> Array:

@@ -31,24 +31,24 @@ from cloth_sim_ros.engine.binding import (
     library,
     writable,
 )
-from cloth_sim_ros.physics.assembly import HINGE_KINDS, Assembly
-from cloth_sim_ros.physics.constants import CONSTANTS
-from cloth_sim_ros.physics.forces.force import Array, Force
-from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.grip_binding import GripBinding
-from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.control.constants import CONSTANTS
+from cloth_sim_ros.physics.model.forces.force import Array, Force
+from cloth_sim_ros.physics.model.forces.grips import Grips
+from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.old_names import with_old_names
-from cloth_sim_ros.physics.plan_handle import PlanHandle
-from cloth_sim_ros.physics.python_forces import PythonForces
-from cloth_sim_ros.physics.queries import PlanQueries
-from cloth_sim_ros.physics.reentrancy import non_reentrant
-from cloth_sim_ros.physics.runs import Run, RunSummary, n_integrals
-from cloth_sim_ros.physics.thread_limit import available_threads
-from cloth_sim_ros.physics.uncopyable import Uncopyable
+from cloth_sim_ros.physics.plan.assembly import HINGE_KINDS, Assembly
+from cloth_sim_ros.physics.plan.grip_binding import GripBinding
+from cloth_sim_ros.physics.plan.plan_handle import PlanHandle
+from cloth_sim_ros.physics.plan.python_forces import PythonForces
+from cloth_sim_ros.physics.plan.queries import PlanQueries
+from cloth_sim_ros.physics.plan.reentrancy import non_reentrant
+from cloth_sim_ros.physics.plan.runs import Run, RunSummary, n_integrals
+from cloth_sim_ros.physics.plan.thread_limit import available_threads
+from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.physics.contact_binding import ContactBinding
-    from cloth_sim_ros.physics.state import State
+    from cloth_sim_ros.physics.contact.binding import ContactBinding
+    from cloth_sim_ros.physics.state.state import State
 
 #: End buffers of runs without contact.
 _NO_END_BUFFERS: tuple[Array | None, Array | None] = (None, None)
@@ -128,7 +128,7 @@ class Plan(PlanQueries, Uncopyable):
         self.gripper_count = 0 if self._grip_binding is None else self._grip_binding.count
         self.contact: ContactBinding | None = None
         if assembly.contact is not None:
-            from cloth_sim_ros.physics.contact_binding import ContactBinding
+            from cloth_sim_ros.physics.contact.binding import ContactBinding
 
             self.contact = ContactBinding(self._owner, assembly.contact, count)
         self._python_callback = PythonForces(self._python_forces, self._shape) if self._python_forces else None

@@ -7,8 +7,8 @@ from __future__ import annotations
 import weakref
 
 from cloth_sim_ros.engine.binding import check, library
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.uncopyable import Uncopyable
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
 
 
 class PlanHandle(Uncopyable):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cloth_sim_ros.engine.binding import CALLBACK, CALLED_WELL
-from cloth_sim_ros.physics.forces.force import Force
+from cloth_sim_ros.physics.model.forces.force import Force
 
 
 class PythonForces:

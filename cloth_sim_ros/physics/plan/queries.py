@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cloth_sim_ros.engine.binding import BOOKED_NUMBERS, address, check, doubles, writable
-from cloth_sim_ros.physics.deterministic_math import ordered_sum
-from cloth_sim_ros.physics.forces.force import Array, Force
-from cloth_sim_ros.physics.grip_binding import GripBinding
-from cloth_sim_ros.physics.model import Model
+from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
+from cloth_sim_ros.physics.model.forces.force import Array, Force
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.grip_binding import GripBinding
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.physics.contact_binding import ContactBinding
+    from cloth_sim_ros.physics.contact.binding import ContactBinding
 
 
 class PlanQueries:

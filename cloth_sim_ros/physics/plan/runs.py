@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from cloth_sim_ros.engine.binding import BOOKED_NUMBERS
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.model.forces.force import Array
 
 
 class Run(NamedTuple):

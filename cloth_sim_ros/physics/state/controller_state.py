@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Protocol, Self
 import attrs
 import numpy as np
 
-from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 
 
 class HasMemory(Protocol):

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cloth_sim_ros.physics.controller_state import (
+from cloth_sim_ros.physics.state.controller_state import (
     ANCHORS_KEY,
     JAWS_AT_REST_KEY,
     JAWS_KEY,

@@ -13,7 +13,7 @@ import zlib
 
 import numpy as np
 
-from cloth_sim_ros.physics.deterministic_math import integer_sum
+from cloth_sim_ros.physics.arithmetic.deterministic_math import integer_sum
 
 #: Largest size of all arrays together after decompression [bytes].
 MAX_BYTES = 128 << 20

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cloth_sim_ros.physics import npz, state_memory
-from cloth_sim_ros.physics.controller_state import ANCHORS_KEY, JAWS_KEY, LEGACY_KEYS
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.old_names import with_old_names
+from cloth_sim_ros.physics.state import memory as state_memory
+from cloth_sim_ros.physics.state import npz
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, LEGACY_KEYS
 
 _FRAME = "frame"
 _POSITION = "position"

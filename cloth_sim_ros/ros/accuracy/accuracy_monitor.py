@@ -20,7 +20,7 @@ from typing import IO, Any
 
 import attrs
 
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.child_process import child_environment, module_command
 from cloth_sim_ros.simulation.events import Event

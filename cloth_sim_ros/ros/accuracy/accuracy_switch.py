@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.ros.accuracy_monitor import AccuracyMonitor
+    from cloth_sim_ros.ros.accuracy.accuracy_monitor import AccuracyMonitor
 
 _OFF = {"accuracy": "off"}
 
@@ -34,7 +34,7 @@ class AccuracySwitch:
         """Start or end the monitor by the parameter, and log the monitor's warnings."""
         enabled, monitor = self._simulation.scene.diagnostics.accuracy, self._monitor
         if enabled and monitor is None:
-            from cloth_sim_ros.ros.accuracy_monitor import AccuracyMonitor
+            from cloth_sim_ros.ros.accuracy.accuracy_monitor import AccuracyMonitor
 
             self._monitor = AccuracyMonitor()
         elif monitor is not None:

@@ -12,17 +12,17 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
-from cloth_sim_ros.ros import node_refusals
-from cloth_sim_ros.ros.feasibility import check_feasibility
-from cloth_sim_ros.ros.initial_state import session_state
-from cloth_sim_ros.ros.options import parser
-from cloth_sim_ros.ros.performance_estimate import PerformanceEstimator, measure_step_cost
-from cloth_sim_ros.ros.step_limiters import describe_step_limiters, find_step_limiters
-from cloth_sim_ros.ros.unknown_overrides import unknown_sentences
-from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.ros.check import node_refusals
+from cloth_sim_ros.ros.check.feasibility import check_feasibility
+from cloth_sim_ros.ros.check.performance_estimate import PerformanceEstimator, measure_step_cost
+from cloth_sim_ros.ros.check.step_limiters import describe_step_limiters, find_step_limiters
+from cloth_sim_ros.ros.check.unknown_overrides import unknown_sentences
+from cloth_sim_ros.ros.process.options import parser
+from cloth_sim_ros.ros.recording.initial_state import session_state
 from cloth_sim_ros.scene.mesh_notes import mesh_notes, silence_mesh_log
-from cloth_sim_ros.scene.parameter_warnings import ineffective_parameters
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters import parameter_file
+from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.scene.parameters.warnings import ineffective_parameters
 from cloth_sim_ros.scene.plausibility import cloth_size, implausible_sizes
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.console import escape_unencodable
@@ -30,7 +30,7 @@ from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.simulation.obstacles import Obstacles
+    from cloth_sim_ros.simulation.bodies.obstacles import Obstacles
 
 #: Length of the trial run: simulated time [s], and its limit in wall time [s].
 _TRIAL_TIME, _TRIAL_TIMEOUT = 1.0, 5.0

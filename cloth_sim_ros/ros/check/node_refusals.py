@@ -10,9 +10,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from cloth_sim_ros.ros import qos_rules
+from cloth_sim_ros.ros.io import qos_rules
 from cloth_sim_ros.scene import files, frame_ids
-from cloth_sim_ros.scene.parameters import Faults, ParameterError
+from cloth_sim_ros.scene.parameters.declare import Faults, ParameterError
 from cloth_sim_ros.scene.scene import Scene
 
 _SIM_TIME = "use_sim_time"

@@ -8,14 +8,14 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.forces.drag import Drag
-from cloth_sim_ros.physics.forces.force import Array, Force
-from cloth_sim_ros.physics.forces.gravity import Gravity
-from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.forces.wind import Wind
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.plan import Plan, compile
-from cloth_sim_ros.physics.sheets.mesh import MeshSheet
+from cloth_sim_ros.physics.model.forces.drag import Drag
+from cloth_sim_ros.physics.model.forces.force import Array, Force
+from cloth_sim_ros.physics.model.forces.gravity import Gravity
+from cloth_sim_ros.physics.model.forces.grips import Grips
+from cloth_sim_ros.physics.model.forces.wind import Wind
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
+from cloth_sim_ros.physics.plan.plan import Plan, compile
 from cloth_sim_ros.scene.build import Sheet
 
 #: Largest fraction of the particles that is reported as limiting.

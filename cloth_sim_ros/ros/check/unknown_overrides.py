@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable
 from typing import TYPE_CHECKING
 
-from cloth_sim_ros.ros.qos_rules import Override, foreign_owners, overridable
-from cloth_sim_ros.scene.unknown_parameters import QOS_PREFIX, ROS_PARAMETERS, suggestion
+from cloth_sim_ros.ros.io.qos_rules import Override, foreign_owners, overridable
+from cloth_sim_ros.scene.parameters.unknown_parameters import QOS_PREFIX, ROS_PARAMETERS, suggestion
 
 if TYPE_CHECKING:
     from cloth_sim_ros.scene.scene import Scene

@@ -15,8 +15,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
-from cloth_sim_ros.ros.messages import set_stamp
-from cloth_sim_ros.ros.outputs import LATCHED_QOS
+from cloth_sim_ros.ros.io.messages import set_stamp
+from cloth_sim_ros.ros.io.outputs import LATCHED_QOS
 from cloth_sim_ros.simulation.gripper_script import GripperScript, TimedGrasp
 
 #: Longest wait for the result of a grasp, in the cloth's time [s]. It comes after the frame, or when pads have stopped.

@@ -11,7 +11,7 @@ from typing import Protocol
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from cloth_sim_ros.ros.gripper_client import GripperClient
+from cloth_sim_ros.ros.client.gripper_client import GripperClient
 from cloth_sim_ros.simulation.gripper_script import GripperScript, TimedGrasp
 
 #: Discovery is gradual. A gripper counts as unknown if it appears this much later than other topics of the node [s].

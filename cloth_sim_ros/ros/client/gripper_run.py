@@ -12,12 +12,12 @@ import attrs
 import rclpy
 from rclpy.executors import ExternalShutdownException
 
-from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start, readable
-from cloth_sim_ros.ros.cloth_clock import ClothTime
-from cloth_sim_ros.ros.gripper_player import GripperError, GripperPlayer
-from cloth_sim_ros.ros.gripper_words import describe_holds
-from cloth_sim_ros.ros.sim_time import SimTimeNode
-from cloth_sim_ros.ros.stopping import StopSignals
+from cloth_sim_ros.ros.client.gripper_player import GripperError, GripperPlayer
+from cloth_sim_ros.ros.client.gripper_words import describe_holds
+from cloth_sim_ros.ros.process.arguments import ArgumentsError, read_and_start, readable
+from cloth_sim_ros.ros.process.stopping import StopSignals
+from cloth_sim_ros.ros.timing.cloth_clock import ClothTime
+from cloth_sim_ros.ros.timing.sim_time import SimTimeNode
 from cloth_sim_ros.scene.config_files import config_file
 from cloth_sim_ros.session.command_runner import INTERRUPTED
 from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from cloth_sim_ros.session.plurals import pluralize
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.ros.gripper_client import GraspReport
+    from cloth_sim_ros.ros.client.gripper_client import GraspReport
 
 
 def describe_holds(holds: Sequence[GraspReport]) -> str:

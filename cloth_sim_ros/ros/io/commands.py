@@ -21,18 +21,18 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from std_msgs.msg import Bool
 
-from cloth_sim_ros.ros.event_queue import MAX_QUEUED_EVENTS, EventQueue, EventResult, QueueFullError
-from cloth_sim_ros.ros.log import ThrottledLog
-from cloth_sim_ros.ros.outputs import RecordSink
-from cloth_sim_ros.ros.qos_overrides import OPTIONS, overridden_profile
-from cloth_sim_ros.ros.qos_rules import SUBSCRIPTION
-from cloth_sim_ros.ros.stamps import OldStampError, StampError, StampGate, checked
-from cloth_sim_ros.ros.tf_frames import FrameError, FrameTransformer
+from cloth_sim_ros.ros.io.outputs import RecordSink
+from cloth_sim_ros.ros.io.qos_overrides import OPTIONS, overridden_profile
+from cloth_sim_ros.ros.io.qos_rules import SUBSCRIPTION
+from cloth_sim_ros.ros.io.stamps import OldStampError, StampError, StampGate, checked
+from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
+from cloth_sim_ros.ros.timing.event_queue import MAX_QUEUED_EVENTS, EventQueue, EventResult, QueueFullError
 from cloth_sim_ros.session.plurals import pluralize
+from cloth_sim_ros.simulation.bodies.grippers import GraspResult
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
 from cloth_sim_ros.simulation.frame import Frame
-from cloth_sim_ros.simulation.grippers import GraspResult
 
 #: Best effort, so that any publisher matches; only the newest target counts.
 TARGET_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)

@@ -13,10 +13,10 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import rotation_matrix
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.ros.messages import set_stamp
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
+from cloth_sim_ros.ros.io.messages import set_stamp
 
 #: Width and height of the slab that shows a plane, which is its upper side [m].
 PLANE_SIZE = (10.0, 0.002)

@@ -13,18 +13,18 @@ import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 
-from cloth_sim_ros.ros.commands import CommandSubscriptions
-from cloth_sim_ros.ros.log import ThrottledLog
-from cloth_sim_ros.ros.messages import wrench_message
-from cloth_sim_ros.ros.outputs import LATCHED_QOS, Output, RecordSink
-from cloth_sim_ros.simulation.bodies import solids_and_poses
+from cloth_sim_ros.ros.io.commands import CommandSubscriptions
+from cloth_sim_ros.ros.io.messages import wrench_message
+from cloth_sim_ros.ros.io.outputs import LATCHED_QOS, Output, RecordSink
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
+from cloth_sim_ros.simulation.bodies.bodies import solids_and_poses
 from cloth_sim_ros.simulation.events import Move, Reset, SetParameters, Target
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.physics.forces.force import Array
-    from cloth_sim_ros.physics.obstacles import Obstacle
-    from cloth_sim_ros.ros.obstacle_markers import ObstacleMarkers
+    from cloth_sim_ros.physics.contact.obstacles import Obstacle
+    from cloth_sim_ros.physics.model.forces.force import Array
+    from cloth_sim_ros.ros.io.obstacle_markers import ObstacleMarkers
 
 #: A stop within this simulated time after the previous one is the same stop [s].
 _STOP_REPEAT_TIME = 1.0
@@ -149,7 +149,7 @@ class ObstacleTopics:
         drawn = [solid.name for solid in solids]
         if not drawn and not self._drawn:
             return
-        from cloth_sim_ros.ros.obstacle_markers import MarkerArray, ObstacleMarkers
+        from cloth_sim_ros.ros.io.obstacle_markers import MarkerArray, ObstacleMarkers
 
         self._commands.subscribe_obstacles(names)
         for name in names:

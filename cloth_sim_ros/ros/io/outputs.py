@@ -19,11 +19,11 @@ from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker
 
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.ros.log import ThrottledLog
-from cloth_sim_ros.ros.messages import CloudMessage, SurfaceMarker, mesh_bytes, wrench_message
-from cloth_sim_ros.ros.qos_overrides import OPTIONS, overridden_profile
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.ros.io.messages import CloudMessage, SurfaceMarker, mesh_bytes, wrench_message
+from cloth_sim_ros.ros.io.qos_overrides import OPTIONS, overridden_profile
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 
 #: Reliable, because RViz's displays request it; a subscriber that only needs the newest message requests best effort.

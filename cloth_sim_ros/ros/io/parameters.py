@@ -15,18 +15,18 @@ from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from cloth_sim_ros.ros import qos_rules
-from cloth_sim_ros.ros.initial_state import session_state
-from cloth_sim_ros.ros.qos_rules import Override, overridable
-from cloth_sim_ros.ros.sim_time import SIM_TIME, SimTimeNode, check_sim_time
-from cloth_sim_ros.ros.unknown_overrides import unknown_sentences
+from cloth_sim_ros.ros.check.unknown_overrides import unknown_sentences
+from cloth_sim_ros.ros.io import qos_rules
+from cloth_sim_ros.ros.io.qos_rules import Override, overridable
+from cloth_sim_ros.ros.recording.initial_state import session_state
+from cloth_sim_ros.ros.timing.sim_time import SIM_TIME, SimTimeNode, check_sim_time
 from cloth_sim_ros.scene import frame_ids, gripper_parameters, obstacles
 from cloth_sim_ros.scene.mesh_notes import mesh_notes, silence_mesh_log
-from cloth_sim_ros.scene.parameter_warnings import ineffective_parameters
-from cloth_sim_ros.scene.parameters import Faults, Parameter, ParameterError, read_only
+from cloth_sim_ros.scene.parameters.declare import Faults, Parameter, ParameterError, read_only
+from cloth_sim_ros.scene.parameters.unknown_parameters import QOS_PREFIX, ROS_PARAMETERS, suggestion
+from cloth_sim_ros.scene.parameters.warnings import ineffective_parameters
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.sheet_checks import without_surface
-from cloth_sim_ros.scene.unknown_parameters import QOS_PREFIX, ROS_PARAMETERS, suggestion
 
 _TYPES = {
     "bool": RosParameter.Type.BOOL,

@@ -10,8 +10,8 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from cloth_sim_ros.ros.qos_rules import POLICIES, PUBLISHER, Override, faults
-from cloth_sim_ros.scene.parameters import Faults
+from cloth_sim_ros.ros.io.qos_rules import POLICIES, PUBLISHER, Override, faults
+from cloth_sim_ros.scene.parameters.declare import Faults
 
 #: Policies that rclpy declares as parameters of each topic.
 OPTIONS = QoSOverridingOptions([QoSPolicyKind[policy.upper()] for policy in POLICIES])

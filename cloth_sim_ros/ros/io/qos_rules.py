@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import attrs
 
-from cloth_sim_ros.scene.unknown_parameters import QOS_PREFIX
+from cloth_sim_ros.scene.parameters.unknown_parameters import QOS_PREFIX
 
 if TYPE_CHECKING:
     from cloth_sim_ros.scene.scene import Scene

@@ -18,11 +18,11 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
-from cloth_sim_ros.ros.event_queue import EventQueue, EventResult, QueueFullError
-from cloth_sim_ros.ros.recording import RecordingUnavailableError
+from cloth_sim_ros.ros.recording.recording import RecordingUnavailableError
+from cloth_sim_ros.ros.timing.event_queue import EventQueue, EventResult, QueueFullError
 from cloth_sim_ros.session.plurals import pluralize
+from cloth_sim_ros.simulation.bodies.grippers import GraspResult
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, Step
-from cloth_sim_ros.simulation.grippers import GraspResult
 from cloth_sim_ros.simulation.simulation import Frame
 
 #: Longest wait of a request for its frame [s].

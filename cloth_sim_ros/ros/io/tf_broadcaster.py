@@ -10,9 +10,9 @@ from collections.abc import Iterable, Sequence
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from cloth_sim_ros.ros.messages import CDR, SECOND, aligned
-from cloth_sim_ros.ros.outputs import Output, RecordSink
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.ros.io.messages import CDR, SECOND, aligned
+from cloth_sim_ros.ros.io.outputs import Output, RecordSink
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.simulation.simulation import Simulation
 
 #: The profile of tf2's own broadcaster.

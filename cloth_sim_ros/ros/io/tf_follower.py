@@ -6,8 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from cloth_sim_ros.ros.log import ThrottledLog
-from cloth_sim_ros.ros.tf_frames import FrameError, FrameTransformer
+from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target

@@ -10,8 +10,8 @@ import numpy as np
 from rclpy.node import Node
 from rclpy.time import Time
 
-from cloth_sim_ros.physics.gripper_path import normalized, quaternion_product, rotation_matrix
-from cloth_sim_ros.ros.messages import read_stamp
+from cloth_sim_ros.physics.plan.gripper_path import normalized, quaternion_product, rotation_matrix
+from cloth_sim_ros.ros.io.messages import read_stamp
 from cloth_sim_ros.scene.frame_ids import fault
 
 #: Largest age of the newest transform relative to a command's stamp [ns]: a command comes before its transform.

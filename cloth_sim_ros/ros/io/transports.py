@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from cloth_sim_ros.scene.config_files import config_file
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene
 
 #: Time after which Fast DDS drops a suspended subscriber [s].

@@ -12,7 +12,7 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from cloth_sim_ros.ros.environment_checks import EnvironmentFaultError, check_environment, explain
+from cloth_sim_ros.ros.process.environment_checks import EnvironmentFaultError, check_environment, explain
 
 
 class ArgumentsError(ValueError):

@@ -8,8 +8,8 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from cloth_sim_ros.scene import parameter_file, ros_sections, ros_yaml
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters import parameter_file, ros_sections, ros_yaml
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 _ASSIGN = ":="
 

@@ -12,10 +12,10 @@ from typing import Any
 
 from rclpy.node import Node
 
-from cloth_sim_ros.ros.event_queue import EventQueue
-from cloth_sim_ros.ros.log import ThrottledLog
-from cloth_sim_ros.ros.stepper import Stepper
-from cloth_sim_ros.ros.stopping import StopRequestedError
+from cloth_sim_ros.ros.process.stopping import StopRequestedError
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
+from cloth_sim_ros.ros.timing.event_queue import EventQueue
+from cloth_sim_ros.ros.timing.stepper import Stepper
 from cloth_sim_ros.simulation.events import Reset, SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.simulation.snapshot import Snapshot

@@ -18,18 +18,18 @@ from rclpy.exceptions import (
 )
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
-from cloth_sim_ros.ros.arguments import ArgumentsError, read_and_start, readable
-from cloth_sim_ros.ros.command_line_parameters import command_line_parameters
-from cloth_sim_ros.ros.failure import NodeFailedError
-from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.io.transports import cloud_transports
 from cloth_sim_ros.ros.node import ClothNode
-from cloth_sim_ros.ros.options import parser
-from cloth_sim_ros.ros.recording import RecordingUnavailableError
-from cloth_sim_ros.ros.stopping import StopRequestedError, StopSignals
-from cloth_sim_ros.ros.transports import cloud_transports
-from cloth_sim_ros.ros.unused_files import unused_files
-from cloth_sim_ros.ros.worker_thread import WorkerThread
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.ros.process.arguments import ArgumentsError, read_and_start, readable
+from cloth_sim_ros.ros.process.command_line_parameters import command_line_parameters
+from cloth_sim_ros.ros.process.failure import NodeFailedError
+from cloth_sim_ros.ros.process.options import parser
+from cloth_sim_ros.ros.process.stopping import StopRequestedError, StopSignals
+from cloth_sim_ros.ros.process.unused_files import unused_files
+from cloth_sim_ros.ros.process.worker_thread import WorkerThread
+from cloth_sim_ros.ros.recording.recording import RecordingUnavailableError
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 _BAD_NAMES = (
     InvalidNamespaceException,

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from queue import Empty, SimpleQueue
 from typing import Any, NoReturn, TypeVar
 
-from cloth_sim_ros.ros.stopping import StopRequestedError
+from cloth_sim_ros.ros.process.stopping import StopRequestedError
 
 T = TypeVar("T")
 #: Period at which a waiting thread polls for signals [s].

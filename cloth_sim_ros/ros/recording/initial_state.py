@@ -7,8 +7,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.recorded_scene import recorded_values
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation import events

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation import events
 from cloth_sim_ros.simulation.environment import environment

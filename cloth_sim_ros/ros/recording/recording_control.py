@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 from rclpy.node import Node
 
-from cloth_sim_ros.ros.recording import (
+from cloth_sim_ros.ros.recording.recording import (
     RecordingNotInstalledError,
     RecordingUnavailableError,
     SessionRecording,
     log_end,
 )
-from cloth_sim_ros.ros.rosout_recorder import RosoutRecorder
+from cloth_sim_ros.ros.recording.rosout_recorder import RosoutRecorder
 
 if TYPE_CHECKING:
     from cloth_sim_ros.session.recorder_options import RecorderStatus

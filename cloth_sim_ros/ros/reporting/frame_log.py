@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.simulation.frame import Frame
 
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.simulation.simulation import Simulation
 
 

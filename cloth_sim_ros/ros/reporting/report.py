@@ -12,11 +12,11 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
 
 from cloth_sim_ros.physics.integrators.base import Advance
-from cloth_sim_ros.ros.commands import CommandSubscriptions
-from cloth_sim_ros.ros.diagnostics import FrameTally
-from cloth_sim_ros.ros.outputs import Outputs
-from cloth_sim_ros.ros.recording import SessionRecording
-from cloth_sim_ros.ros.strain import StrainGauge
+from cloth_sim_ros.ros.io.commands import CommandSubscriptions
+from cloth_sim_ros.ros.io.outputs import Outputs
+from cloth_sim_ros.ros.recording.recording import SessionRecording
+from cloth_sim_ros.ros.reporting.diagnostics import FrameTally
+from cloth_sim_ros.ros.reporting.strain import StrainGauge
 from cloth_sim_ros.scene.plausibility import cloth_size, implausible_sizes
 from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation.simulation import Simulation

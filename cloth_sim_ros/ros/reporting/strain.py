@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
 
 #: Largest number of edges that are measured; more would delay frames.

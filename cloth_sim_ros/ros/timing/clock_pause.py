@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from cloth_sim_ros.ros.event_queue import EventQueue
+from cloth_sim_ros.ros.timing.event_queue import EventQueue
 from cloth_sim_ros.simulation.events import Event, Pause
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import statistics
 
-from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.session.plurals import pluralize
 
 #: Smallest length of a window: time [s], and ticks.

@@ -11,8 +11,8 @@ from collections.abc import Callable
 
 import attrs
 
+from cloth_sim_ros.simulation.bodies.grippers import GraspResult
 from cloth_sim_ros.simulation.events import Event, Move, Target
-from cloth_sim_ros.simulation.grippers import GraspResult
 from cloth_sim_ros.simulation.simulation import Frame
 
 #: Capacity of the queue. Above it, new events evict the oldest target; without a target they are refused. Enough for a

@@ -17,7 +17,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.timer import Timer
 
-from cloth_sim_ros.ros.sim_time import ClockSilence, SimTimeNode
+from cloth_sim_ros.ros.timing.sim_time import ClockSilence, SimTimeNode
 
 _SECOND = 1_000_000_000
 #: A difference of stamps and ROS time above this is a jump of the clock, not its drift [ns].

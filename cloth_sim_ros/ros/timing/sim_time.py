@@ -11,9 +11,9 @@ from typing import Any
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
-from cloth_sim_ros.ros.log import ThrottledLog
-from cloth_sim_ros.ros.messages import SECOND, read_stamp
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.ros.io.messages import SECOND, read_stamp
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 #: Name of ROS's parameter.
 SIM_TIME = "use_sim_time"

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.ros.event_queue import EventQueue, EventResult, QueuedEvent
-from cloth_sim_ros.ros.worker_thread import run_inline
+from cloth_sim_ros.ros.process.worker_thread import run_inline
+from cloth_sim_ros.ros.timing.event_queue import EventQueue, EventResult, QueuedEvent
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, SetParameters, Step
 from cloth_sim_ros.simulation.simulation import Frame, Simulation

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import statistics
 
-from cloth_sim_ros.physics.constants import CONSTANTS
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.physics.integrators.fixed import steps_for
-from cloth_sim_ros.ros.log import ThrottledLog
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.simulation.events import Relax
 from cloth_sim_ros.simulation.simulation import Frame, Simulation

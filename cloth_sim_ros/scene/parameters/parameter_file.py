@@ -9,9 +9,10 @@ import pickle
 from pathlib import Path
 from typing import Any
 
-from cloth_sim_ros.scene import input_file, ros_sections, ros_yaml
+from cloth_sim_ros.scene import input_file
 from cloth_sim_ros.scene.input_file import InputFileError
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters import ros_sections, ros_yaml
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 
 def read(path: str | Path, *, node: str = "cloth_sim", strict: bool = False) -> dict[str, Any]:

@@ -13,8 +13,8 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from cloth_sim_ros.scene import ros_yaml
-from cloth_sim_ros.scene.parameters import ParameterError
+from cloth_sim_ros.scene.parameters import ros_yaml
+from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 KEY = "ros__parameters"
 #: Largest number of parts of a parameter's name.

@@ -12,20 +12,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cloth_sim_ros.physics.controller_state import ANCHORS_KEY, JAWS_KEY, LAYER_SIDES, THICKNESS_KEY
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, LAYER_SIDES, THICKNESS_KEY
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.grippers import Grippers
-from cloth_sim_ros.simulation.kinematic_bodies import constant_paths
+from cloth_sim_ros.simulation.bodies.grippers import Grippers
+from cloth_sim_ros.simulation.bodies.kinematic_bodies import constant_paths
 
 if TYPE_CHECKING:
-    from cloth_sim_ros.physics.forces.contact import Contact
-    from cloth_sim_ros.physics.obstacles import Obstacle
-    from cloth_sim_ros.physics.plan import Plan
-    from cloth_sim_ros.physics.work_accumulator import WorkAccumulator
-    from cloth_sim_ros.simulation.obstacles import Obstacles
-    from cloth_sim_ros.simulation.parallel_grippers import ParallelGrippers
+    from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
+    from cloth_sim_ros.physics.contact.obstacles import Obstacle
+    from cloth_sim_ros.physics.model.forces.contact import Contact
+    from cloth_sim_ros.physics.plan.plan import Plan
+    from cloth_sim_ros.simulation.bodies.obstacles import Obstacles
+    from cloth_sim_ros.simulation.bodies.parallel_grippers import ParallelGrippers
 
 
 def build_grippers(scene: Scene, state: State) -> Grippers:
@@ -51,7 +51,7 @@ def build_obstacles(scene: Scene, state: State) -> Obstacles | None:
     """
     if not scene.obstacle_names:
         return None
-    from cloth_sim_ros.simulation.obstacles import Obstacles
+    from cloth_sim_ros.simulation.bodies.obstacles import Obstacles
 
     obstacles = Obstacles(scene.solids, scene.described, state)
     n_poses = len(state.memory["obstacle.pose"])
@@ -76,7 +76,7 @@ def build_parallel_grippers(plan: Plan, grippers: Grippers, state: State) -> Par
                 "pinch, or start from another state"
             )
         return None
-    from cloth_sim_ros.simulation.parallel_grippers import ParallelGrippers
+    from cloth_sim_ros.simulation.bodies.parallel_grippers import ParallelGrippers
 
     return ParallelGrippers(pads, grippers, state)
 
@@ -163,7 +163,7 @@ def change_obstacles(before: Scene, scene: Scene, states: Iterable[State]) -> No
     """Replace obstacles, friction anchors and contact thickness in states by those of another scene."""
     for state in states:
         if before.obstacles != scene.obstacles:
-            from cloth_sim_ros.simulation.obstacles import replace_obstacles
+            from cloth_sim_ros.simulation.bodies.obstacles import replace_obstacles
 
             replace_obstacles(state, before.obstacle_names, scene.obstacle_names, scene.described)
         if ANCHORS_KEY in state.memory:

@@ -15,14 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.forces.grips import Grips
-from cloth_sim_ros.physics.forces.pair_springs import lecture_damping
-from cloth_sim_ros.physics.gripper_path import rotation_matrix
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.forces.grips import Grips
+from cloth_sim_ros.physics.model.forces.pair_springs import lecture_damping
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
+from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.simulation.bodies.kinematic_bodies import (
+    MAX_BODY_SPEED,
+    KinematicBodies,
+    clamp_motion,
+    travel,
+    writable,
+)
 from cloth_sim_ros.simulation.events import Target
-from cloth_sim_ros.simulation.kinematic_bodies import MAX_BODY_SPEED, KinematicBodies, clamp_motion, travel, writable
 
 #: Tolerance for rounding, so that a target exactly at the speed limit is not clamped.
 _ROUNDING_MARGIN = 1.0 + 1e-9

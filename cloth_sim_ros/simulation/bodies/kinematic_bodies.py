@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import PathPlanner, rotated_by, rotation_vector, unit_quaternion
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.gripper_path import PathPlanner, rotated_by, rotation_vector, unit_quaternion
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.simulation.events import Vector
 
 #: Speed limit of surfaces of obstacles and pads, mean over a frame [m/s].

@@ -13,13 +13,18 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import normalized, rotation_matrix
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.gripper_path import normalized, rotation_matrix
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene import sections
+from cloth_sim_ros.simulation.bodies.kinematic_bodies import (
+    MAX_BODY_SPEED,
+    KinematicBodies,
+    clamp_motion,
+    constant_paths,
+)
 from cloth_sim_ros.simulation.events import Move
-from cloth_sim_ros.simulation.kinematic_bodies import MAX_BODY_SPEED, KinematicBodies, clamp_motion, constant_paths
 
 #: Largest lever arm of rotation for the speed limit [m]; it applies to larger obstacles and planes.
 _MAX_LEVER_ARM = 1.0

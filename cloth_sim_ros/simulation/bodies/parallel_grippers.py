@@ -7,15 +7,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.controller_state import JAWS_AT_REST_KEY, JAWS_KEY
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.gripper_path import rotation_matrix
-from cloth_sim_ros.physics.parallel_jaw import ParallelJaw
-from cloth_sim_ros.physics.plan import Plan
-from cloth_sim_ros.physics.state import State
-from cloth_sim_ros.simulation.grippers import GraspResult, Grippers
-from cloth_sim_ros.simulation.kinematic_bodies import writable
-from cloth_sim_ros.simulation.obstacles import gaps
+from cloth_sim_ros.physics.contact.parallel_jaw import ParallelJaw
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.controller_state import JAWS_AT_REST_KEY, JAWS_KEY
+from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.simulation.bodies.grippers import GraspResult, Grippers
+from cloth_sim_ros.simulation.bodies.kinematic_bodies import writable
+from cloth_sim_ros.simulation.bodies.obstacles import gaps
 
 #: Pads are at rest if their speed and residual force are below this fraction of the drive's speed and force.
 _REST_FRACTION = 1e-3

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cloth_sim_ros.engine.binding import finite, indices
-from cloth_sim_ros.physics.forces.force import Array, EngineForce
+from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
+from cloth_sim_ros.physics.model.parts import ElementList, Part
 from cloth_sim_ros.physics.old_names import with_old_names
-from cloth_sim_ros.physics.parts import ElementList, Part
 
 
 @with_old_names(blown="in_wind", common="coefficients")

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from cloth_sim_ros.physics.forces.hinge_springs import HingeSprings
+from cloth_sim_ros.physics.model.forces.hinge_springs import HingeSprings
 
 
 class AltitudeSprings(HingeSprings):

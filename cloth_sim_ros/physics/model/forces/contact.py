@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS, SHAPES, finite, indices
-from cloth_sim_ros.physics.forces.force import Array, EngineForce
-from cloth_sim_ros.physics.obstacles import Obstacle
-from cloth_sim_ros.physics.parallel_jaw import ParallelJaw
-from cloth_sim_ros.physics.parts import ContactPart, Part
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
+from cloth_sim_ros.physics.contact.parallel_jaw import ParallelJaw
+from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
+from cloth_sim_ros.physics.model.parts import ContactPart, Part
 
 
 class ContactSurface:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cloth_sim_ros.engine.binding import indices
-from cloth_sim_ros.physics.forces.hinge_springs import HingeSprings
+from cloth_sim_ros.physics.model.forces.hinge_springs import HingeSprings
 
 
 class CrossedSprings(HingeSprings):

@@ -7,8 +7,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cloth_sim_ros.engine.binding import finite
-from cloth_sim_ros.physics.forces.force import EngineForce
-from cloth_sim_ros.physics.parts import Part, UniformForces
+from cloth_sim_ros.physics.model.forces.force import EngineForce
+from cloth_sim_ros.physics.model.parts import Part, UniformForces
 
 
 class Drag(EngineForce):

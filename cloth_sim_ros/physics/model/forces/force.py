@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.parts import Part
+from cloth_sim_ros.physics.model.parts import Part
 
 Array = NDArray[np.float64]
 

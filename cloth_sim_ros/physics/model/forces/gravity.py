@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from numpy.typing import ArrayLike
 
 from cloth_sim_ros.engine.binding import finite
-from cloth_sim_ros.physics.forces.force import Array, EngineForce
-from cloth_sim_ros.physics.parts import Part, UniformForces
+from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
+from cloth_sim_ros.physics.model.parts import Part, UniformForces
 
 
 class Gravity(EngineForce):

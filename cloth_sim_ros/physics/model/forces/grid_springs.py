@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import FAMILIES, finite
-from cloth_sim_ros.physics.forces.force import Array, EngineForce
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.parts import GridFamily, Part, SpringGrid
 from cloth_sim_ros.physics.old_names import with_old_names
-from cloth_sim_ros.physics.parts import GridFamily, Part, SpringGrid
 
 #: Ends of a family's springs relative to their owner's row and column: (row, column) of each end.
 FAMILY_ENDS = {

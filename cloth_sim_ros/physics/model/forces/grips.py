@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
-from cloth_sim_ros.physics.forces.force import Array, EngineForce
+from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
+from cloth_sim_ros.physics.model.parts import Part
 from cloth_sim_ros.physics.old_names import with_old_names
-from cloth_sim_ros.physics.parts import Part
 
 
 @with_old_names(go_back="restore", move="set_paths", noted="save", owners="gripper_indices")

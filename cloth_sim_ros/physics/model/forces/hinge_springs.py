@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cloth_sim_ros.engine.binding import KINDS, check, doubles, finite, indices, library
-from cloth_sim_ros.physics.forces.force import Array, EngineForce
-from cloth_sim_ros.physics.parts import ElementList, Part
+from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
+from cloth_sim_ros.physics.model.parts import ElementList, Part
 
 
 class HingeSprings(EngineForce):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cloth_sim_ros.engine.binding import finite, indices
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
 
 
 class OppositeSprings(PairSprings):

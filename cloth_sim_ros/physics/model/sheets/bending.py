@@ -34,15 +34,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cloth_sim_ros.engine.band import fixed_sum
-from cloth_sim_ros.physics.angles import sine_and_cosine
-from cloth_sim_ros.physics.forces.altitude import AltitudeSprings
-from cloth_sim_ros.physics.forces.crossed import CrossedSprings
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.forces.hinge_springs import HingeSprings, gradient_squares
-from cloth_sim_ros.physics.forces.opposite import OppositeSprings
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.sheets.hinge_shape import HingeShape
-from cloth_sim_ros.physics.sheets.surface import needs_opposite_spring
+from cloth_sim_ros.physics.arithmetic.angles import sine_and_cosine
+from cloth_sim_ros.physics.model.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.model.forces.crossed import CrossedSprings
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.forces.hinge_springs import HingeSprings, gradient_squares
+from cloth_sim_ros.physics.model.forces.opposite import OppositeSprings
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.sheets.hinge_shape import HingeShape
+from cloth_sim_ros.physics.model.sheets.surface import needs_opposite_spring
 
 BendingModel = Literal["opposite", "crossed", "altitude"]
 

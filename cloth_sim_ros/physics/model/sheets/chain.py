@@ -9,11 +9,11 @@ import math
 import attrs
 import numpy as np
 
-from cloth_sim_ros.physics.forces.force import Array, Force
-from cloth_sim_ros.physics.forces.gravity import Gravity
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings, lecture_damping
-from cloth_sim_ros.physics.model import Model
-from cloth_sim_ros.physics.state import State
+from cloth_sim_ros.physics.model.forces.force import Array, Force
+from cloth_sim_ros.physics.model.forces.gravity import Gravity
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.model.model import Model
+from cloth_sim_ros.physics.state.state import State
 
 
 @attrs.frozen(kw_only=True)

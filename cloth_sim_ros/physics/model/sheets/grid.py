@@ -10,12 +10,12 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.forces.grid_springs import GridSprings
-from cloth_sim_ros.physics.forces.pair_springs import lecture_damping
-from cloth_sim_ros.physics.parts import GridFamily
-from cloth_sim_ros.physics.sheets.material import Threads
-from cloth_sim_ros.physics.sheets.surface import Layout, Surface, grid_triangles
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
+from cloth_sim_ros.physics.model.forces.pair_springs import lecture_damping
+from cloth_sim_ros.physics.model.parts import GridFamily
+from cloth_sim_ros.physics.model.sheets.material import Threads
+from cloth_sim_ros.physics.model.sheets.surface import Layout, Surface, grid_triangles
 
 
 @attrs.frozen(kw_only=True)

@@ -30,8 +30,8 @@ import attrs
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cloth_sim_ros.physics.angles import sine_and_cosine
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.arithmetic.angles import sine_and_cosine
+from cloth_sim_ros.physics.model.forces.force import Array
 
 Length = Literal["crossed", "altitude"]
 #: S8's M² has (this e²)² more than |a × b|²: parallel lines have a distance, too. The same as in engine/laws.hpp.

@@ -17,7 +17,7 @@ import math
 
 import attrs
 
-from cloth_sim_ros.physics.sheets.surface import Layout
+from cloth_sim_ros.physics.model.sheets.surface import Layout
 
 
 @attrs.frozen(kw_only=True)

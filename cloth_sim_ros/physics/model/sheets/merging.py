@@ -16,8 +16,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.deterministic_math import dot_products
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.arithmetic.deterministic_math import dot_products
+from cloth_sim_ros.physics.model.forces.force import Array
 
 #: Fraction of a mesh's extent below which two vertices are copies of one.
 MERGE_FRACTION = 1e-7

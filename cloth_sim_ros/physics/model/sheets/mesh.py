@@ -8,9 +8,9 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings, lecture_damping
-from cloth_sim_ros.physics.sheets.surface import Surface
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.model.sheets.surface import Surface
 
 #: Poisson's ratio and shear modulus over Young's modulus of a network of edge springs on triangles: both follow from
 #: the network.

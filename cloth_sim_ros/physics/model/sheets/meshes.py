@@ -30,11 +30,11 @@ import attrs
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cloth_sim_ros.physics.deterministic_math import ordered_sum, row_sum
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.sheets.merging import MERGE_FRACTION, clusters, merge_limit
-from cloth_sim_ros.physics.sheets.seams import border_edges, open_seam
-from cloth_sim_ros.physics.sheets.surface import Surface, SurfaceError
+from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum, row_sum
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.sheets.merging import MERGE_FRACTION, clusters, merge_limit
+from cloth_sim_ros.physics.model.sheets.seams import border_edges, open_seam
+from cloth_sim_ros.physics.model.sheets.surface import Surface, SurfaceError
 
 #: A triangle whose height over its longest side is below this fraction of that side has no area.
 FLATNESS = 1e-6

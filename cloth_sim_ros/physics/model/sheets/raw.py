@@ -10,9 +10,9 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.deterministic_math import row_sum
-from cloth_sim_ros.physics.forces.force import Array
-from cloth_sim_ros.physics.forces.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.arithmetic.deterministic_math import row_sum
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, lecture_damping
 
 _KEYS = ("positions", "masses", "springs", "rest_lengths", "stiffness", "k_d", "k_d0", "velocities", "triangles")
 

@@ -13,8 +13,8 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.deterministic_math import dot_products, integer_sum
-from cloth_sim_ros.physics.forces.force import Array
+from cloth_sim_ros.physics.arithmetic.deterministic_math import dot_products, integer_sum
+from cloth_sim_ros.physics.model.forces.force import Array
 
 #: Fraction of the local edge length below which two positions of the border look joined.
 SEAM_FRACTION = 0.01

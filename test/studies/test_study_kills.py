@@ -23,11 +23,11 @@ pytest.importorskip("pyarrow")
 pytest.importorskip("mcap")
 pytest.importorskip("rosbags")
 
-from cloth_sim_ros.batch import study_file
-from cloth_sim_ros.batch.folder import StudyFolder
-from cloth_sim_ros.batch.study_estimate import sample_and_estimate
-from cloth_sim_ros.batch.study_run import perform
-from cloth_sim_ros.batch.study_runner import StudyRunner
+from cloth_sim_ros.studies import study_file
+from cloth_sim_ros.studies.folder import StudyFolder
+from cloth_sim_ros.studies.study_estimate import sample_and_estimate
+from cloth_sim_ros.studies.study_run import perform
+from cloth_sim_ros.studies.study_runner import StudyRunner
 
 STUDY = {
     "scene": "cloth_sim.yaml",
@@ -73,7 +73,7 @@ def test_ctrl_c_stops_study_with_one_line(tmp_path: Path) -> None:
     (tmp_path / "slow.py").write_text("import time\n\ndef wait(seen):\n    time.sleep(0.02)\n")
     study = {**STUDY, "scripts": [], "policy": "slow.py:wait", "duration": 0.5, "runs": 100, "clouds": False}
     (tmp_path / "study.yaml").write_text(json.dumps(study))
-    command = [sys.executable, "-m", "cloth_sim_ros.batch.main", "study.yaml", "--out", "out", "--workers", "2"]
+    command = [sys.executable, "-m", "cloth_sim_ros.studies.main", "study.yaml", "--out", "out", "--workers", "2"]
     # The process gets its own group, because a terminal sends the signal to a group.
     command_process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
     try:

@@ -14,10 +14,10 @@ pytest.importorskip("pyarrow")
 pytest.importorskip("mcap")
 pytest.importorskip("rosbags")
 
-from cloth_sim_ros.batch import index
-from cloth_sim_ros.batch.folder import StudyFolder, read_row
-from cloth_sim_ros.batch.main import main
-from cloth_sim_ros.batch.study_run import perform
+from cloth_sim_ros.studies import index
+from cloth_sim_ros.studies.folder import StudyFolder, read_row
+from cloth_sim_ros.studies.main import main
+from cloth_sim_ros.studies.study_run import perform
 
 STUDY = {
     "scene": "cloth_sim.yaml",
@@ -32,8 +32,8 @@ STUDY = {
 @pytest.fixture
 def study_folder(tmp_path: Path) -> StudyFolder:
     """A finished study of two runs."""
-    from cloth_sim_ros.batch import study_file
-    from cloth_sim_ros.batch.study_estimate import sample_and_estimate
+    from cloth_sim_ros.studies import study_file
+    from cloth_sim_ros.studies.study_estimate import sample_and_estimate
 
     (tmp_path / "study.yaml").write_text(json.dumps(STUDY))
     study = study_file.read(tmp_path / "study.yaml")

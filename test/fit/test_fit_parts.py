@@ -12,16 +12,16 @@ import attrs
 import numpy as np
 import pytest
 
-from cloth_sim_ros.batch import fit_solver
-from cloth_sim_ros.batch.fit_information import confounded_directions, correlation
-from cloth_sim_ros.batch.fit_parameters import FitError, FitParameter, choose_parameters, scene_with
-from cloth_sim_ros.batch.fit_recording import FitRecording
-from cloth_sim_ros.batch.fit_runs import FitRun, _interpolate, mean_offset
-from cloth_sim_ros.batch.fit_solver import FitProblem, fisher_information, minimize, standard_deviations
-from cloth_sim_ros.batch.fit_surface import signed_distances
-from cloth_sim_ros.batch.fit_text import _describe_direction
-from cloth_sim_ros.batch.fit_windows import solve_windows
-from cloth_sim_ros.physics.sheets.surface import grid_triangles
+from cloth_sim_ros.fit import solver as fit_solver
+from cloth_sim_ros.fit.information import confounded_directions, correlation
+from cloth_sim_ros.fit.parameters import FitError, FitParameter, choose_parameters, scene_with
+from cloth_sim_ros.fit.recording import FitRecording
+from cloth_sim_ros.fit.runs import FitRun, _interpolate, mean_offset
+from cloth_sim_ros.fit.solver import FitProblem, fisher_information, minimize, standard_deviations
+from cloth_sim_ros.fit.surface import signed_distances
+from cloth_sim_ros.fit.text import _describe_direction
+from cloth_sim_ros.fit.windows import solve_windows
+from cloth_sim_ros.physics.model.sheets.surface import grid_triangles
 from cloth_sim_ros.scene.scene import Scene
 
 

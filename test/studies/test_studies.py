@@ -15,15 +15,15 @@ pytest.importorskip("pyarrow")
 pytest.importorskip("mcap")
 pytest.importorskip("rosbags")
 
-from cloth_sim_ros.batch import index, study_file
-from cloth_sim_ros.batch.errors import FolderError, StudyError
-from cloth_sim_ros.batch.factors import read
-from cloth_sim_ros.batch.folder import StudyFolder
-from cloth_sim_ros.batch.main import main
-from cloth_sim_ros.batch.sampling import sample
-from cloth_sim_ros.batch.study_estimate import sample_and_estimate
-from cloth_sim_ros.batch.study_run import perform, perform_all
 from cloth_sim_ros.session.reader import SessionReader
+from cloth_sim_ros.studies import index, study_file
+from cloth_sim_ros.studies.errors import FolderError, StudyError
+from cloth_sim_ros.studies.factors import read
+from cloth_sim_ros.studies.folder import StudyFolder
+from cloth_sim_ros.studies.main import main
+from cloth_sim_ros.studies.sampling import sample
+from cloth_sim_ros.studies.study_estimate import sample_and_estimate
+from cloth_sim_ros.studies.study_run import perform, perform_all
 from cloth_sim_ros.verify.run import verify
 
 BASE = {

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from cloth_sim_ros.batch import fit_bag, fit_main
+from cloth_sim_ros.fit import bag as fit_bag
+from cloth_sim_ros.fit import main as fit_main
 
 pytest.importorskip("mcap")
 

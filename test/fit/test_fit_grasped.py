@@ -15,11 +15,11 @@ pytest.importorskip("mcap")
 from support.fit_samples import START, cloth, hands, random_truth, write_bag
 from support.session_maker import cloud_bytes
 
-from cloth_sim_ros.batch import fit_main
-from cloth_sim_ros.batch.fit_bag import read_bag
-from cloth_sim_ros.batch.fit_grasped import describe_grasped, find_grasped
-from cloth_sim_ros.batch.fit_parameters import FitError
-from cloth_sim_ros.batch.fit_recording import FitRecording
+from cloth_sim_ros.fit import main as fit_main
+from cloth_sim_ros.fit.bag import read_bag
+from cloth_sim_ros.fit.grasped import describe_grasped, find_grasped
+from cloth_sim_ros.fit.parameters import FitError
+from cloth_sim_ros.fit.recording import FitRecording
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
@@ -145,7 +145,7 @@ def test_poses_away_from_cloth_are_refused(bag: Path) -> None:
 def test_wrong_grasped_particles_are_refused(
     bag: Path, tmp_path: Path, known: str, words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from cloth_sim_ros.scene import parameter_file
+    from cloth_sim_ros.scene.parameters import parameter_file
 
     scene = tmp_path / "scene.yaml"
     scene.write_text(parameter_file.dump(scene_of().parameters()))

@@ -21,7 +21,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv  # noqa: E402
 
 from cloth_sim_ros import Grasp, Scene, Simulation, Target  # noqa: E402
 from cloth_sim_ros.batch import ClothEnv, ClothVectorEnv, Outcome  # noqa: E402
-from cloth_sim_ros.batch.registered import NAME, STEPS  # noqa: E402
+from cloth_sim_ros.learning.registered import NAME, STEPS  # noqa: E402
 
 SCENE = Scene.from_parameters(
     {"cloth.resolution": [5, 6], "tolerance": 1e-3, "rate": 30.0, "material.stretch_modulus": 300.0}
@@ -163,7 +163,7 @@ def test_import_registers_env_name(code: str) -> None:
         [sys.executable, "-W", "error", "-c", code], check=False, capture_output=True, text=True, cwd=ROOT
     )
     assert (done.stdout, done.returncode) == ("ClothVectorEnv\n", 0), done.stderr
-    assert isinstance(gymnasium.make_vec(f"cloth_sim_ros.batch.registered:{NAME}"), ClothVectorEnv)
+    assert isinstance(gymnasium.make_vec(f"cloth_sim_ros.learning.registered:{NAME}"), ClothVectorEnv)
 
 
 def test_each_cloth_has_own_seed(make) -> None:
@@ -183,7 +183,7 @@ def test_reset_restores_snapshot_without_rebuild(make, monkeypatch) -> None:
     fresh = cloths.reset()[0]
     for acts in actions(cloths, 3):
         cloths.step(acts)
-    monkeypatch.setattr("cloth_sim_ros.batch.simulation_pool.Simulation", None)
+    monkeypatch.setattr("cloth_sim_ros.learning.simulation_pool.Simulation", None)
     assert (cloths.reset()[0] == fresh).all()
 
 

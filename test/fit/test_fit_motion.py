@@ -15,10 +15,10 @@ pytest.importorskip("mcap")
 from support.fit_samples import START, cloth, random_truth, write_bag
 from support.session_maker import cloud_bytes
 
-from cloth_sim_ros.batch import fit_main
-from cloth_sim_ros.batch.fit_bag import read_bag
-from cloth_sim_ros.batch.fit_parameters import FitError
-from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.fit import main as fit_main
+from cloth_sim_ros.fit.bag import read_bag
+from cloth_sim_ros.fit.parameters import FitError
+from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.scene import Scene
 
 TRUTH = random_truth(3)

@@ -18,13 +18,13 @@ pytest.importorskip("mcap")
 from support.fit_samples import START, cloth, random_truth, record_swing, write_bag
 from support.session_maker import cloud_bytes
 
-from cloth_sim_ros.batch import fit_main
-from cloth_sim_ros.batch.fit import Fit, fit
-from cloth_sim_ros.batch.fit_bag import read_bag
-from cloth_sim_ros.batch.fit_parameters import FitError
-from cloth_sim_ros.batch.fit_recording import read_session
-from cloth_sim_ros.batch.fit_text import describe
-from cloth_sim_ros.scene import parameter_file
+from cloth_sim_ros.fit import main as fit_main
+from cloth_sim_ros.fit.bag import read_bag
+from cloth_sim_ros.fit.fit import Fit, fit
+from cloth_sim_ros.fit.parameters import FitError
+from cloth_sim_ros.fit.recording import read_session
+from cloth_sim_ros.fit.text import describe
+from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import decode_cloud
 
@@ -302,8 +302,8 @@ def test_unguarded_program_can_fit_in_processes(noisy: Path, tmp_path: Path) -> 
     program = tmp_path / "program.py"
     program.write_text(
         "from pathlib import Path\n"
-        "from cloth_sim_ros.batch.fit import fit\n"
-        "from cloth_sim_ros.batch.fit_recording import read_session\n"
+        "from cloth_sim_ros.fit.fit import fit\n"
+        "from cloth_sim_ros.fit.recording import read_session\n"
         f"found = fit(read_session([Path({str(noisy)!r})]), ['stretch'], workers=2)\n"
         "print('fitted', found.estimates[0].value)\n"
     )

@@ -17,14 +17,14 @@ pytest.importorskip("rosbags")
 
 import pyarrow.parquet as pq
 
-from cloth_sim_ros.batch import study_file
-from cloth_sim_ros.batch.folder import StudyFolder
-from cloth_sim_ros.batch.lerobot_stats import aggregate, statistics
-from cloth_sim_ros.batch.main import main
-from cloth_sim_ros.batch.study_estimate import sample_and_estimate
-from cloth_sim_ros.batch.study_run import perform
 from cloth_sim_ros.session.cdr import decode, decode_cloud
 from cloth_sim_ros.session.reader import SessionReader, read_frame
+from cloth_sim_ros.studies import study_file
+from cloth_sim_ros.studies.folder import StudyFolder
+from cloth_sim_ros.studies.lerobot_stats import aggregate, statistics
+from cloth_sim_ros.studies.main import main
+from cloth_sim_ros.studies.study_estimate import sample_and_estimate
+from cloth_sim_ros.studies.study_run import perform
 from cloth_sim_ros.verify.run import verify
 
 POLICY = """\

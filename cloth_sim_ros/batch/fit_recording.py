@@ -1,0 +1,5 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Old address of `fit.recording`."""
+
+from cloth_sim_ros.fit.recording import *  # noqa: F403
