@@ -73,7 +73,12 @@ SIMULATED_SCENES: dict[str, tuple[dict[str, Any], int, float]] = {
     ),
 }
 #: Upper limits of constants: a fraction can't be doubled beyond the whole.
-_MAX_VALUES = {"safety": 1.0, "share": 1.0, "aim": 1.0, "far": 0.5}
+MAX_VALUES = {
+    "stability_safety": 1.0,
+    "error_budget_fraction": 1.0,
+    "error_target_fraction": 1.0,
+    "low_error_fraction": 0.5,
+}
 
 
 @attrs.frozen
@@ -106,7 +111,7 @@ def run(options: argparse.Namespace) -> Report:
 
     columns = ["name", "value", "meaning"]
     for change in ("half", "double"):
-        columns += [f"{change}: error", "work", "flagged", "gain", "awake", "left out"]
+        columns += [f"{change}: {column}" for column in ("error", "work", "flagged", "gain", "awake", "left out")]
     table = Table("Tuned numbers", columns)
     report = Report("Constants", "python -m validation constants", tables=[table])
     scenes = ConstantsScenes()
@@ -115,8 +120,7 @@ def run(options: argparse.Namespace) -> Report:
         value = float(getattr(CONSTANTS, field.name))
         row: list[object] = [field.name, value, field.metadata["meaning"]]
         for factor in (0.5, 2.0):
-            changed = min(factor * value, _MAX_VALUES.get(field.name, math.inf))
-            with _override(field.name, 1.0 + (value - 1.0) * factor if field.name == "stiffened" else changed):
+            with _override(field.name, scaled_constant(field.name, factor)):
                 row += _cells(scenes.effect(), baseline)
         table.rows.append(row)
     report.notes += [
@@ -129,9 +133,17 @@ def run(options: argparse.Namespace) -> Report:
         "constants, in the scene with the largest change",
         f"scenes: {', '.join(name for name, _, _ in REFERENCE_SCENES)}, {', '.join(SIMULATED_SCENES)}, "
         "an undamped sheet with an inverted cell, a sheet that comes to rest; "
-        "constants for threads or time only (own, call) change none of the columns",
+        "constants for threads or time only (python_force_time, engine_call_time) change none of the columns",
     ]
     return report
+
+
+def scaled_constant(name: str, factor: float) -> float:
+    """Return a constant times a factor, within its upper limit; of a ratio to 1 the excess is scaled."""
+    value: float = getattr(CONSTANTS, name)
+    if name == "energy_check_stiffening":
+        return 1.0 + (value - 1.0) * factor
+    return min(factor * value, MAX_VALUES.get(name, math.inf))
 
 
 def _cells(effect: ConstantsEffect, baseline: ConstantsEffect) -> list[object]:
