@@ -8,16 +8,23 @@ It is written as text, JSON, CSV, PNG and Markdown.
 from __future__ import annotations
 
 import csv
+import datetime
 import importlib.metadata
 import json
+import math
 import os
 import platform
+import re
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import attrs
+
+#: Innermost lists of the tables in indented JSON, and the breaks between their entries.
+_INNER_LIST = re.compile(r"\[\n\s+([^\[\]{}]*?)\n {3,}\]")
+_LINE_BREAK = re.compile(r",\n\s+")
 
 
 @attrs.define
@@ -70,6 +77,11 @@ class Report:
         lines += ["", ", ".join(f"{key} {value}" for key, value in self.environment.items())]
         return "\n".join(lines)
 
+    def json_text(self) -> str:
+        """Return the report as JSON, a line for each row of a table; numbers that are not finite are null."""
+        text = json.dumps(attrs.asdict(self, value_serializer=_finite), indent=1, default=float)
+        return _INNER_LIST.sub(lambda found: f"[{_LINE_BREAK.sub(', ', found[1])}]", text) + "\n"
+
     def write(
         self,
         *,
@@ -80,7 +92,7 @@ class Report:
     ) -> None:
         """Write the report to each file or folder that is given."""
         if json_file is not None:
-            json_file.write_text(json.dumps(attrs.asdict(self), indent=1, default=float) + "\n")
+            json_file.write_text(self.json_text())
         if csv_folder is not None:
             csv_folder.mkdir(parents=True, exist_ok=True)
             for table in self.tables:
@@ -101,8 +113,9 @@ def print_progress(text: str) -> None:
 
 
 def environment() -> dict[str, str]:
-    """Return the machine, the versions of libraries and the commit."""
+    """Return the date, the machine, the versions of libraries and the commit."""
     versions = {
+        "date": datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
         "machine": _processor(),
         "cores": str(len(os.sched_getaffinity(0))),
         "python": platform.python_version(),
@@ -130,6 +143,10 @@ def _commit() -> str:
     except FileNotFoundError:
         return "unknown"
     return done.stdout.strip() or "unknown"
+
+
+def _finite(_owner: type, _attribute: Any, value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _format_cell(value: Any) -> str:

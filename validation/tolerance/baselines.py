@@ -88,8 +88,8 @@ def _product_solver(name: str, tolerance: float, *, single_threaded: bool) -> So
                 evaluations += integrator.advance(plan, state, frame * PERIOD, PERIOD).evaluations
             return SolverRun(state.x, time.perf_counter() - begin, evaluations)
 
-    kind, label = ("alone", f"ours, {name}, one thread") if single_threaded else ("ours", f"ours, {name}")
-    return SolverSetting(label, f"tolerance {tolerance:g}", kind, solve, tolerance)
+    kind, label = ("alone", f"{name}, one thread") if single_threaded else ("ours", name)
+    return SolverSetting(f"cloth_sim_ros, {label}", f"tolerance {tolerance:g}", kind, solve, tolerance)
 
 
 def _fixed_step_leapfrog(limit_fraction: float) -> SolverSetting:

@@ -126,7 +126,7 @@ def _all_runs(points: list[SolverPoint]) -> Table:
 def _comparison(points: list[SolverPoint], report: Report, scene: str) -> Table:
     table = Table(
         "Least time to an error",
-        ["error m", "ours s", "by", "one thread s", "best library s", "by library", "times", "times by one thread"],
+        ["error m", "product s", "by", "one thread s", "best library s", "by library", "times", "times by one thread"],
     )
     for error, min_speedup in MIN_SPEEDUPS.items():
         product = _fastest(points, "ours", error)
