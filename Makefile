@@ -114,7 +114,8 @@ bench: $(DEV) engine
 validate: $(DEV) engine
 	@$(BIN)/python -m validation $(ARGS)
 
-# docs/benchmarks.md anew: an hour or two; ARGS names sections, as in make benchmarks ARGS="speed feature-cost".
+# Rows in docs/data, then docs/benchmarks.md and its figures: an hour or two. ARGS names sections, as in make benchmarks
+# ARGS="speed feature-cost"; ARGS=--draw measures nothing.
 benchmarks: $(DEV) engine
 	@$(BIN)/python scripts/benchmarks_page.py $(ARGS)
 

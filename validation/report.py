@@ -43,6 +43,10 @@ class Table:
         head, *body = ["| " + " | ".join(row) + " |" for row in pad]
         return [head, "|" + "|".join("-" * (width + 2) for width in widths) + "|", *body]
 
+    def records(self) -> list[dict[str, Any]]:
+        """Return each row with the names of its columns."""
+        return [dict(zip(self.columns, row, strict=True)) for row in self.rows]
+
 
 @attrs.define
 class Plot:
@@ -66,6 +70,10 @@ class Report:
     #: Requirements that were not met; any makes the exit status 1.
     failures: list[str] = attrs.field(factory=list)
     environment: dict[str, str] = attrs.field(factory=lambda: environment())
+
+    def table(self, name: str) -> Table:
+        """Return the table whose name begins so."""
+        return next(table for table in self.tables if table.name.startswith(name))
 
     def text(self) -> str:
         """Return the report as Markdown, for the terminal and for documentation."""
