@@ -12,6 +12,7 @@ from validation.command import run_command
 #: Names: the module of each benchmark, and a line about it.
 COMMANDS = {
     "speed": ("benchmarks.speed.overview", "ns per spring against C, simulated seconds per wall second, two threads"),
+    "real-time": ("benchmarks.speed.real_time", "real-time factor by particles, stiffness, tolerance, integrator"),
     "cost-additivity": ("benchmarks.speed.cost_additivity", "cost of each pair of features against the sum of both"),
     "feature-cost": ("benchmarks.speed.feature_cost", "cost of a feature absent, idle and active; counts; start-up"),
     "scale": ("benchmarks.scale.overview", "time per particle and step, and memory, from 10^3 to 10^6 particles"),

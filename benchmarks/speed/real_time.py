@@ -1,0 +1,166 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Real-time factor by particles and stiffness, and cost by tolerance and integrator.
+
+A gripper carries the lower corner of the default cloth on a circle. Times are processor times on one core, because
+other processes have little effect on them. On an idle machine they are wall times.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections import Counter
+from typing import Any
+
+import attrs
+import numpy as np
+
+from benchmarks.speed.cost_additivity import DEFAULT_CLOTH
+from benchmarks.speed.curtain import cores
+from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.scene.parameters import parameter_file
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.events import Event, Grasp, Target
+from cloth_sim_ros.simulation.simulation import Simulation
+from validation.report import Report, Table, print_progress
+
+#: Frames before the timed ones, in which the gripper grasps and step control settles.
+_WARM = 10
+#: Radius [m] and angular speed [rad/s] of the circle.
+_RADIUS, _TURN = 0.1, 3.0
+#: Integrators at tolerances [m]; None is a fixed step at `_STEP_SHARE` of the stability limit.
+CHOICES: tuple[tuple[str, float | None], ...] = (
+    *(("auto", tolerance) for tolerance in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8)),
+    *(("leapfrog", tolerance) for tolerance in (1e-3, 1e-5)),
+    *(("implicit", tolerance) for tolerance in (1e-2, 1e-3)),
+    ("leapfrog", None),
+)
+_STEP_SHARE = 0.5
+#: Wall time after which a cloth is not run again [s].
+_MAX_SECONDS = 10.0
+
+
+@attrs.frozen(kw_only=True)
+class FrameCosts:
+    """Cost of the frames of one cloth."""
+
+    #: Processor time [s] and force evaluations, means over the frames.
+    seconds: float
+    evaluations: float
+    #: Largest error estimate [m]; None without a tolerance.
+    error: float | None
+    #: Fraction of flagged frames.
+    flagged: float
+    #: Most frequent integrator and limiting factor.
+    integrator: str
+    limited_by: str
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--sizes", type=int, nargs="*", default=[16, 32, 64], metavar="N", help="particles a side")
+    parser.add_argument("--moduli", type=float, nargs="+", default=[1e2, 1e3, 1e4, 1e5], help="of stretch [N/m]")
+    parser.add_argument("--choices-size", type=int, default=30, metavar="N", help="particles a side, second table")
+    parser.add_argument("--choices-moduli", type=float, nargs="*", default=[1e3, 1e5], help="of stretch, second table")
+    parser.add_argument("--frames", type=int, default=20, help="timed frames of each cloth")
+    parser.add_argument(
+        "--rounds", type=int, default=3, help="runs of each cloth; the fastest counts; fewer of slow ones"
+    )
+
+
+def run(options: argparse.Namespace) -> Report:
+    """Measure all cloths.
+
+    Raises:
+        ValueError: if there are no frames or no rounds.
+    """
+    if min(options.frames, options.rounds) < 1:
+        raise ValueError("--frames and --rounds must be at least 1")
+    report = Report("Real time by particles and stiffness", "python -m benchmarks real-time")
+    factors = Table("Real-time factor, one core", ["particles", *(f"{modulus:g} N/m" for modulus in options.moduli)])
+    evaluations = Table("Force evaluations a frame", factors.columns)
+    for size in options.sizes:
+        costs = [frame_costs(_values(size, modulus), options) for modulus in options.moduli]
+        period = Scene.from_parameters(_values(size, options.moduli[0])).period
+        factors.rows.append([f"{size} x {size}", *(period / cost.seconds for cost in costs)])
+        evaluations.rows.append([f"{size} x {size}", *(cost.evaluations for cost in costs)])
+        print_progress(f"{size} x {size}")
+    columns = [
+        "stretch N/m",
+        "integrator",
+        "tolerance m",
+        "frame ms",
+        "evaluations",
+        "estimate m",
+        "flagged",
+        "stepped",
+    ]
+    choices = Table(f"Tolerance and integrator, {options.choices_size} x {options.choices_size}", [*columns, "limit"])
+    for modulus in options.choices_moduli:
+        for integrator, tolerance in CHOICES:
+            values = _values(options.choices_size, modulus) | {"integrator": integrator}
+            values |= {"step": _fixed_step(values)} if tolerance is None else {"tolerance": tolerance}
+            cost = frame_costs(values, options)
+            row = [modulus, integrator, "fixed step" if tolerance is None else tolerance, 1e3 * cost.seconds]
+            row += [cost.evaluations, "-" if cost.error is None else cost.error, f"{cost.flagged:.0%}"]
+            choices.rows.append([*row, cost.integrator, cost.limited_by])
+        print_progress(f"integrators at {modulus:g} N/m")
+    report.tables += [factors, evaluations, choices]
+    report.notes.append(
+        f"the cloth of config/cloth_sim.yaml, shear modulus a tenth of the stretch modulus, {options.frames} frames; a "
+        f"gripper carries its corner; processor time on one core, fastest of at most {options.rounds} runs"
+    )
+    return report
+
+
+def frame_costs(values: dict[str, Any], options: argparse.Namespace) -> FrameCosts:
+    """Return the costs of frames of a cloth with these parameters, in the fastest run."""
+    runs: list[FrameCosts] = []
+    begun = time.perf_counter()
+    with cores(one_core=True):
+        while len(runs) < options.rounds and (not runs or time.perf_counter() - begun < _MAX_SECONDS):
+            runs.append(_run(values, options.frames))
+    return min(runs, key=lambda cost: cost.seconds)
+
+
+def _values(size: int, modulus: float) -> dict[str, Any]:
+    values = parameter_file.read(DEFAULT_CLOTH, node="cloth_sim", strict=True)
+    moduli = {"material.stretch_modulus": modulus, "material.shear_modulus": 0.1 * modulus}
+    return {**values, "cloth.resolution": [size, size], **moduli}
+
+
+def _fixed_step(values: dict[str, Any]) -> float:
+    simulation = Simulation(Scene.from_parameters(values))
+    return _STEP_SHARE * leapfrog_limit(*simulation.plan.spectral_bounds(simulation.state.x))
+
+
+def _run(values: dict[str, Any], frames: int) -> FrameCosts:
+    simulation = Simulation(Scene.from_parameters(values))
+    corner, period = simulation.positions[-1], simulation.scene.period
+    seconds, evaluations, flagged, error = 0.0, 0, 0, None
+    integrators, limits = Counter[str](), Counter[str]()
+    for k in range(_WARM + frames):
+        angle = _TURN * period * k
+        at = corner + np.array([_RADIUS * (math.cos(angle) - 1.0), -_RADIUS * math.sin(angle), 0.0])
+        events: list[Event] = [Target("gripper", tuple(at.tolist()))]
+        begun = time.thread_time()
+        advance = simulation.advance([*events, Grasp("gripper", True)] if k == 0 else events).advance
+        if k < _WARM:
+            continue
+        assert advance is not None
+        seconds += time.thread_time() - begun
+        evaluations += advance.evaluations
+        flagged += advance.flagged > 0
+        error = error if advance.error is None else max(advance.error, error or 0.0)
+        integrators[advance.integrator] += 1
+        limits[advance.limited_by] += 1
+    return FrameCosts(
+        seconds=seconds / frames,
+        evaluations=evaluations / frames,
+        error=error,
+        flagged=flagged / frames,
+        integrator=integrators.most_common(1)[0][0],
+        limited_by=limits.most_common(1)[0][0],
+    )
