@@ -21,6 +21,8 @@ source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 html_theme = "sphinx_rtd_theme"
 html_theme_options = {"collapse_navigation": False, "navigation_depth": 2}
 html_show_sourcelink = False
+html_static_path = ["_static"]
+html_css_files = ["tables.css"]
 
 # Links between pages go to headings as GitHub names them.
 myst_heading_anchors = 3
