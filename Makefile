@@ -21,7 +21,7 @@ TESTS ?= test/engine/test_engine_band.py test/engine/test_engine_bad_input.py te
     test/engine/test_grid_bends.py test/physics/test_plan.py test/physics/test_plan_python_forces.py \
     test/physics/test_extrapolation_tableau.py test/physics/test_contact_runs.py test/physics/test_self_contact_law.py
 
-CPP = $(shell find cloth_sim_ros/engine test/engine scripts -name '*.hpp' -o -name '*.cpp')
+CPP = $(shell find cloth_sim_ros/engine test/engine scripts -path '*/doctest' -prune -o \( -name '*.hpp' -o -name '*.cpp' \) -print)
 
 # Each set of packages (extras of setup.py) has a stamp in the environment, written last.
 DEMO := $(VENV)/has_demo

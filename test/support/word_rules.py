@@ -52,7 +52,7 @@ DIALECT = re.compile(
 )
 MAX_SENTENCE_WORDS = 25
 MAX_TEST_NAME = 60
-SKIPPED_FOLDERS = {"build", "install", "log", "generated", "data", "third_party"}
+SKIPPED_FOLDERS = {"build", "install", "log", "generated", "data", "third_party", "doctest"}
 LOG_CALLS = {"info", "warn", "warning", "error", "fatal", "debug", "add_argument"}
 CPP_DECLARATION = re.compile(
     r"\b(?:struct|class|void|double|float|bool|int|auto|Index|std::\w+(?:<[^>]*>)?|T|V|Vec3<\w+>)\s+[&*]?([A-Za-z_]\w*)"
