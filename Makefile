@@ -7,7 +7,7 @@
 # Both make the environment when it is missing, and start at once when it is there.
 #
 # For those who work on it: make docs (the site), check (what CI runs: format, lint, types, tests), docs-check, engine,
-# sanitize, bits, format, soak, bench, validate, benchmarks, screenshots, colcon, clean; CONTRIBUTING.md explains each.
+# sanitize, tidy, bits, format, soak, bench, validate, benchmarks, screenshots, colcon, clean; see CONTRIBUTING.md.
 # Variables: PYTHON (which Python), VENV (where the environment is), CXX (which compiler), ARGS (more arguments), as in
 #   make test ARGS="-k walls"
 #   make check VENV=.venv-3.12 PYTHON=python3.12
@@ -44,7 +44,7 @@ export RMW_IMPLEMENTATION := rmw_fastrtps_cpp
 # A demonstration in a lab must not move somebody's robot: it is heard on this machine alone, unless asked otherwise.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: help run docs docs-check engine engines sanitize bits test check format soak bench validate benchmarks screenshots colcon clean
+.PHONY: help run docs docs-check engine engines sanitize tidy bits test check format soak bench validate benchmarks screenshots colcon clean
 .DEFAULT_GOAL := help
 
 help:
@@ -73,6 +73,11 @@ engine engines:
 # Tests with the engine under the address and the undefined-behaviour sanitizer.
 sanitize: $(DEV)
 	@$(BIN)/python scripts/engine.py --sanitize $(TESTS) $(ARGS)
+
+# clang-tidy on each translation unit of the engine, two at a time; .clang-tidy has the checks.
+tidy: $(DEV)
+	@find cloth_sim_ros/engine -name '*.cpp' | xargs -P 2 -I{} $(BIN)/clang-tidy --quiet {} -- \
+	    -std=c++20 -Icloth_sim_ros/engine -march=native
 
 # The same scenes in ways that bits must not depend on: vectors, C library, numpy, compilers.
 bits: $(DEV) engines

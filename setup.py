@@ -111,6 +111,8 @@ EXTRAS["dev"] = [
     *EXTRAS["test"],
     # Another version would format otherwise.
     "clang-format==23.1.5",
+    # Another version would have other checks.
+    "clang-tidy==23.1.4",
     "ruff>=0.17",
     "mypy>=2.0",
     "types-PyYAML",

@@ -198,7 +198,7 @@ private:
     std::vector<std::unique_ptr<Worker>> threads_;
     /// Runs avoid threads until `backoff_end_`: `backoff_factor_` times the duration of the run before. The factor
     /// doubles, from 1 to at most 1024, with each run that waits too long and halves with each that does not.
-    Clock::time_point backoff_end_{};
+    Clock::time_point backoff_end_;
     int backoff_factor_ = 0;
     pid_t process_ = getpid();
 };

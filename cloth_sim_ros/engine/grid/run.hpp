@@ -38,6 +38,7 @@ public:
         for (int b = 0; b <= bands_; ++b) border_.push_back(grid_.rows * b / bands_);
         if (has_off_grid) {
             std::vector<std::int64_t> particles;
+            particles.reserve(border_.size());
             for (std::int64_t row : border_) particles.push_back(row * grid_.columns);
             off_grid_.allocate(particles);
         }
