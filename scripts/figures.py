@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Draws the figures of docs/bending.md, springs.md and ros.md, and prints the tables of docs/bending.md.
+"""Draws the figures of docs/bending.md, springs.md and node/air.md, and prints the tables of docs/bending.md.
 
 .venv/bin/python scripts/figures.py docs/images [name ...]
 """

@@ -26,6 +26,9 @@ FILES = [
     for folder in ("benchmarks", "cloth_sim_ros", "docs", "examples", "launch", "scripts", "test", "validation")
     for path in (ROOT / folder).rglob("*.*")
 ]
+#: Word limit of a page, and the reference pages without it.
+MAX_WORDS = 2500
+LONG_PAGES = {"benchmarks.md", "troubleshooting.md"}
 LINK = re.compile(r"(?<!!)\[[^\]]*\]\(([^)\s]+)\)")
 #: Questions of a newcomer, and the place of the answer.
 ANSWERS = {
@@ -94,6 +97,11 @@ def test_an_answer_is_less_than_three_clicks_away(question: str) -> None:
 def test_files_that_a_page_names_are_there(path: Path) -> None:
     named = set(re.findall(r"\w[\w./]*\.(?:py|hpp|cpp)\b", path.read_text()))
     assert not {name for name in named if not any(f"/{file}".endswith(f"/{name}") for file in FILES)}
+
+
+@pytest.mark.parametrize("path", WRITTEN, ids=lambda path: str(path.relative_to(ROOT)))
+def test_page_is_short_enough(path: Path) -> None:
+    assert path.name in LONG_PAGES or len(path.read_text().split()) <= MAX_WORDS
 
 
 def test_every_block_of_the_pages_is_run_or_says_why_not(run_docs: ModuleType) -> None:

@@ -259,7 +259,7 @@ def documented(program: str) -> list[list[str]]:
     """Return the commands of a program in the documents."""
     texts = [
         path.read_text()
-        for path in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+        for path in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
     ]
     shown = re.findall(rf"\b({program} (?:\w[\w-]*)(?: +--?[\w-]+| +[\w./]+)*)", "\n".join(texts))
     return [command.split() for command in sorted(set(shown)) if "--" in command]

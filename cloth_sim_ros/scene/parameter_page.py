@@ -21,15 +21,16 @@ prints the same of a running node. Units are SI. A parameter marked *live* may c
 effect with the next frame; any other is read-only after start. A value of the wrong type, outside its range, or that
 makes no cloth is refused with the reason, both at start and by `ros2 param set`.
 
-The same names stand in [parameter files](../ros.md#parameters) and in `Scene.from_parameters`.
+The same names stand in [parameter files](../node/parameters.md#parameter-files) and in `Scene.from_parameters`.
 """
 
 _TAIL = """## Of ROS itself
 
-`use_sim_time`: time is that of `/clock`; set at start ([simulated time](../ros.md#simulated-time)).
+`use_sim_time`: time is that of `/clock`; set at start ([simulated time](../node/time.md#simulated-time)).
 
 `qos_overrides.<topic>.publisher.<policy>` and `qos_overrides.<topic>.subscription.<policy>`: `reliability`,
-`durability`, `history` or `depth` of one topic; set at start ([quality of service](../ros.md#quality-of-service)).
+`durability`, `history` or `depth` of one topic; set at start ([quality of
+service](../node/topics.md#quality-of-service)).
 """
 
 #: Stands for the name of an obstacle.

@@ -87,8 +87,8 @@ def test_accuracy_diagnostics_match_the_windows(monitor: AccuracyMonitor, wait_u
     assert 0.0 < float(entries["accuracy_error_m"]) < 1e-4
     assert float(entries["accuracy_behind_s"]) == pytest.approx(simulation.time - 2.0, abs=1e-3)
     assert monitor.take_warnings() == []
-    page = (Path(__file__).resolve().parents[2] / "docs" / "ros.md").read_text()
-    rows = [line.split("|") for line in page.split("### Accuracy\n")[1].split("\n## ")[0].splitlines()]
+    page = (Path(__file__).resolve().parents[2] / "docs" / "node" / "accuracy.md").read_text()
+    rows = [line.split("|") for line in page.split("## Entries\n")[1].split("\n## ")[0].splitlines()]
     assert set(entries) == {name for row in rows if len(row) > 2 for name in re.findall(r"`(\w+)`", row[1])}
 
 

@@ -294,7 +294,7 @@ def test_everything_may_be_remapped(ros_domain: int, start_process: Callable[...
 
 
 def test_the_documented_process_of_two_cloths(ros_domain: int, start_process: Callable[..., Any]) -> None:
-    page = (ROOT / "docs" / "ros.md").read_text()
+    page = (ROOT / "docs" / "node" / "many_cloths.md").read_text()
     # With rclpy's own signal handlers, which shut everything down before the cloths are closed.
     (script,) = (block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "ClothNode" in block)
     process = start_process([sys.executable, "-c", script])

@@ -175,9 +175,9 @@ def test_frames_of_one_stamp_belong_together(client: Client) -> None:
 
 
 def test_diagnostics_keys_match_the_docs(client: Client) -> None:
-    page = (Path(__file__).resolve().parents[2] / "docs" / "ros.md").read_text()
+    page = (Path(__file__).resolve().parents[2] / "docs" / "node" / "diagnostics.md").read_text()
     # test_ros_accuracy.py tests the entries of the accuracy monitor.
-    section = page.split("## Diagnostics\n")[1].split("\n### ")[0]
+    section = page.split("## Entries\n")[1].split("\n## ")[0]
     cells = [line.split("|") for line in section.splitlines() if line.startswith("| `")]
     documented = {name for cell in cells for name in re.findall(r"`(\w+)`", cell[1])}
     documented |= set(re.findall(r"`(energy_\w+)`", section))
