@@ -301,7 +301,7 @@ def total(model, t, x, v):
 
 
 def leapfrog(model, t, duration, x, v, steps):
-    """Return positions and velocities after the steps of docs/time_stepping.md, with forces by the laws above."""
+    """Return positions and velocities by the steps of docs/derivations/time_stepping.md and the laws above."""
 
     def accelerations(now, places, speeds):
         return total(model, now, places, speeds).force * model.inverse_masses

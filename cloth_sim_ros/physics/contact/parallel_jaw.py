@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parallel grippers: two jaws that a drive closes on the cloth (docs/contact.md)."""
+"""Parallel grippers: two jaws that a drive closes on the cloth (docs/derivations/parallel_jaw.md)."""
 
 from __future__ import annotations
 

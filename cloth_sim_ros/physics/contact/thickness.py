@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reduced contact thickness after events, and its recovery (docs/contact.md)."""
+"""Reduced contact thickness after events, and its recovery (docs/derivations/contact_thickness.md)."""
 
 from __future__ import annotations
 

@@ -5,7 +5,8 @@
 Hinge forces are the most expensive and the slowest. Their impulses are a leapfrog with step m h around that of the
 springs; the order stays 2 (Tuckerman, Berne and Martyna, J. Chem. Phys. 97, 1990, 1992). Impulses may excite waves
 whose phase advances by half a period or more between two impulses. Along springs the damping of such waves must exceed
-this excitation. Across springs there is no damping, so no such waves may exist. Derivation: docs/time_stepping.md.
+this excitation. Across springs there is no damping, so no such waves may exist. Derivation:
+docs/derivations/time_stepping.md.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 The leapfrog's limit follows from bounds of stiffness and damping. A combination of runs has the same limit if damping
 removes fast waves within a frame. Without such damping, runs with different steps diverge too far over many steps. Then
 a frame is divided into parts of a few steps, and the stability function of the combination shortens the steps
-(docs/time_stepping.md).
+(docs/step_control.md).
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 """Extrapolation tableau: leapfrog runs with several step counts, and their combinations.
 
 The predicted midpoint velocity makes the leapfrog's error a series in h^2, h^3, h^4, ... Without damping it is a series
-in h^2, h^4, ... (docs/time_stepping.md). K runs with step counts n_1 < ... < n_K are combined with weights w that
-solve ``sum w = 1`` and ``sum w n^-p = 0``, p = 2 to K. The combination T_K has order K + 1.
+in h^2, h^4, ... (docs/derivations/time_stepping.md). K runs with step counts n_1 < ... < n_K are combined with weights
+w that solve ``sum w = 1`` and ``sum w n^-p = 0``, p = 2 to K. The combination T_K has order K + 1.
 """
 
 from __future__ import annotations
