@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Law of contact between points or edges of an obstacle, with a radius, and triangles or edges of the cloth.
-// docs/contact.md derives it. V is a number or a dual number.
+// docs/derivations/obstacle_features.md derives it. V is a number or a dual number.
 #pragma once
 
 #include "contact/obstacles.hpp"

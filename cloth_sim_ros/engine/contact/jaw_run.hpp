@@ -84,7 +84,7 @@ public:
             run_.jaw_states[k * jaw_state_size] = state.jaws[k].half_opening;
             run_.jaw_states[k * jaw_state_size + 1] = state.jaws[k].speed;
         }
-        // A particle between two jaws, and jaws between particles: docs/contact.md has the bound.
+        // A particle between two jaws, and jaws between particles: docs/derivations/parallel_jaw.md has the bound.
         const double factor = 2.0 + state.mass_ratio + (state.stop_energy > 0.0 ? 1.0 : 0.0);
         const double max_energy = larger(state.stop_energy, jaw_energy);
         return larger(stiffened_energy(law_, contacts_.thickness, max_energy, factor), obstacle_energy);

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Parallel gripper: two jaws with one degree of freedom, moved by a drive and by the cloth between them.
-// docs/contact.md derives it.
+// docs/derivations/parallel_jaw.md derives it.
 #pragma once
 
 #include "laws/contact.hpp"

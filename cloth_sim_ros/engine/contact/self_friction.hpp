@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Friction between layers of the cloth: an anchor spring from each face of a particle to a point of the layer there.
-// docs/contact.md derives it. V is a number or a dual number.
+// docs/derivations/friction.md derives it. V is a number or a dual number.
 #pragma once
 
 #include "contact/self_law.hpp"

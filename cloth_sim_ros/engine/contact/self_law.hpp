@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Law of self-contact: the contact barrier on gaps between a particle and the surface, and between two edges.
-// docs/contact.md derives it. V is a number or a dual number.
+// docs/derivations/self_contact.md derives it. V is a number or a dual number.
 #pragma once
 
 #include "contact/primitives.hpp"

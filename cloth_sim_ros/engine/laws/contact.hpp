@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Contact barrier: acceleration of cloth away from a surface at a gap, per mass, so that it does not depend on the
-// mesh. docs/contact.md derives it.
+// mesh. docs/derivations/contact_law.md derives it.
 #pragma once
 
 #include "core/algebra.hpp"
@@ -86,7 +86,8 @@ private:
 
 /// A contact of reduced thickness d / scale, which grows at a relative rate `growth` [1/s]. It is the law of thickness
 /// d at gaps and speeds multiplied by `scale`, with the acceleration divided by `scale` and the energy by its square.
-/// Therefore squared frequencies and damping rates are those of thickness d. docs/contact.md derives it.
+/// Therefore squared frequencies and damping rates are those of thickness d. docs/derivations/contact_thickness.md
+/// derives it.
 template <class V>
 struct Scaling {
     V scale, growth;

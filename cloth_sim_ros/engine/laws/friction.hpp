@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Coulomb friction by an anchor spring: a spring from the contact to an anchor on the obstacle, limited to the friction
-// cone. docs/contact.md derives it.
+// cone. docs/derivations/friction.md derives it.
 #pragma once
 
 #include "core/algebra.hpp"
