@@ -5,6 +5,7 @@
 import numpy as np
 import pytest
 from support import self_scenes as own
+from support.bounded_loops import rounds_until
 from support.contact_scenes import drop, still
 from support.self_scenes import folded
 from test_contact_control import exact, furthest
@@ -57,7 +58,7 @@ def test_a_run_is_that_of_the_forces(listed):
 def test_no_bit_depends_on_pair_searches_or_threads(listed):
     model, places, velocities = folded(12, listed=listed, **TABLE)
     plan, state, integrator = start(model, places, velocities, tolerance=1e-3)
-    while not plan.contact.self_gaps(state.x)[0]:
+    for _ in rounds_until(lambda: plan.contact.self_gaps(state.x)[0]):
         integrator.advance(plan, state, 0.0, 5e-3)
     start_at, ends = (state.x, state.v), []
     for keeps, threads in ((True, 1), (False, 1), (True, 2), (True, 8)):

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rclpy.parameter import Parameter
+from support.bounded_loops import rounds_until
 from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client
 
@@ -59,7 +60,7 @@ def test_released_anchor_falls() -> None:
 
 def test_a_sheet_that_sleeps_wakes() -> None:
     simulation = Simulation(Scene.from_parameters(GRID | {"gravity": [0.0, 0.0, 0.0]}))
-    while not simulation.asleep:
+    for _ in rounds_until(lambda: simulation.asleep):
         simulation.advance()
     simulation.advance([SetParameters({"gravity": [0.0, 0.0, -9.81], "cloth.anchors": [""]})])
     assert not simulation.asleep

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.bounded_loops import rounds_until
 from support.random_sessions import make_random_session
 from support.session_maker import NODE, Change, SessionMaker, carried_corner, cloud_bytes
 
@@ -307,7 +308,7 @@ def test_certificate_without_tolerance_states_error_only(tmp_path: Path, capsys:
 
 def test_sleeping_frames_are_measured(tmp_path: Path) -> None:
     maker = SessionMaker(tmp_path, Scene.from_parameters(SMALL | {"tolerance": 1e-2, "air.drag": 2.0}))
-    while not maker.simulation.asleep:
+    for _ in rounds_until(lambda: maker.simulation.asleep):
         maker.add([])
     slept = maker.simulation.frame
     for _ in range(70):
