@@ -91,7 +91,7 @@ def run(options: argparse.Namespace) -> Report:
         with cores(one_core=True):
             product_result = evaluate(contact_scene, PRODUCT, peer_contact.run_product(contact_scene, options.seconds))
         table.rows.append(product_result.row())
-        _check_product(product_result, report)
+        check_product(product_result, report)
         for peer in peers:
             if peer.package in absent:
                 table.rows.append(_empty_row(contact_scene, peer, "ABSENT"))
@@ -181,7 +181,7 @@ def _empty_row(contact_scene: ContactScene, peer: ContactPeer, reason: str) -> l
     return [contact_scene.name, peer.name, *["-"] * 6, reason]
 
 
-def _check_product(result: ContactResult, report: Report) -> None:
+def check_product(result: ContactResult, report: Report) -> None:
     """Report guarantees that the product violates."""
     if result.inside > 0.0:
         report.failures.append(

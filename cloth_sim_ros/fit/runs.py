@@ -81,7 +81,7 @@ def simulate_with_misses(recording: FitRecording, parameters: Sequence[FitParame
             n_frames += 1
         x1, v1 = simulation.state.x, simulation.state.v
         s = frame_time - (n_frames - 1)
-        positions[k] = (x1 if n_frames == frame_time else _interpolate(x0, v0, x1, v1, s, period)).T
+        positions[k] = (x1 if n_frames == frame_time else interpolate(x0, v0, x1, v1, s, period)).T
     return positions, n_missed
 
 
@@ -181,7 +181,7 @@ def _drag_events(scene: Scene, frame: int, n_settle_frames: int) -> list[SetPara
     return [SetParameters({"air.drag": scene.air.drag if frame else max(SETTLING_DRAG, scene.air.drag)})]
 
 
-def _interpolate(x0: Array, v0: Array, x1: Array, v1: Array, s: float, period: float) -> Array:
+def interpolate(x0: Array, v0: Array, x1: Array, v1: Array, s: float, period: float) -> Array:
     """Return the cubic Hermite interpolation of positions [m] and velocities [m/s] at a fraction s of a frame."""
     a, b = s * s * (3.0 - 2.0 * s), s * (1.0 - s)
     return np.asarray(x0 + a * (x1 - x0) + period * b * ((1.0 - s) * v0 - s * v1))

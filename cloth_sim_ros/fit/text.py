@@ -74,7 +74,7 @@ def verdict(estimate: Estimate, within: float) -> str:
 def _explanations(fit: Fit) -> Iterator[str]:
     for direction in fit.confounded:
         yield ""
-        yield _describe_direction(direction, fit.within)
+        yield describe_direction(direction, fit.within)
         yield _remedy(direction, fit)
     for estimate in fit.estimates:
         if estimate.is_at_limit:
@@ -98,7 +98,8 @@ def _explanations(fit: Fit) -> Iterator[str]:
         )
 
 
-def _describe_direction(direction: ConfoundedDirection, within: float) -> str:
+def describe_direction(direction: ConfoundedDirection, within: float) -> str:
+    """Format a direction in parameter space that the clouds do not identify, with its bound `within`."""
     names = [parameter.name for parameter in direction.parameters]
     if direction.is_single:
         hardly = "these clouds hardly depend on it; " if direction.bound > 0.5 else ""

@@ -107,7 +107,7 @@ def save_screenshot(rrd: Path, picture: Path, *, at: float | None, size: tuple[i
                 client.set_time(SIM_TIME, duration=at, play_state="paused")
             painted = _settled_picture(client)
         except (ConnectionError, RuntimeError) as error:
-            raise _viewer_error(log, f"gave up painting ({error})") from error
+            raise viewer_error(log, f"gave up painting ({error})") from error
         picture.write_bytes(painted)
 
 
@@ -142,12 +142,12 @@ def _connect(viewer: subprocess.Popen[bytes], port: int, log: Path) -> ViewerCli
     end = time.monotonic() + _VIEWER_TIMEOUT
     while time.monotonic() < end:
         if viewer.poll() is not None:
-            raise _viewer_error(log, f"ended with status {viewer.returncode}")
+            raise viewer_error(log, f"ended with status {viewer.returncode}")
         try:
             return ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
         except ConnectionError:
             time.sleep(0.05)
-    raise _viewer_error(log, f"did not start within {_VIEWER_TIMEOUT:g} s")
+    raise viewer_error(log, f"did not start within {_VIEWER_TIMEOUT:g} s")
 
 
 def _wait_until_loaded(client: ViewerClient, log: Path) -> None:
@@ -156,12 +156,12 @@ def _wait_until_loaded(client: ViewerClient, log: Path) -> None:
         try:
             state = client.get_state()
         except (ConnectionError, RuntimeError) as error:
-            raise _viewer_error(log, f"does not answer ({error})") from error
+            raise viewer_error(log, f"does not answer ({error})") from error
         timelines = {str(getattr(line, "name", line)) for recording in state.recordings for line in recording.timelines}
         if state.active_recording and not state.loading and SIM_TIME in timelines:
             return
         time.sleep(0.1)
-    raise _viewer_error(log, f"did not load the recording within {_VIEWER_TIMEOUT:g} s")
+    raise viewer_error(log, f"did not load the recording within {_VIEWER_TIMEOUT:g} s")
 
 
 def _settled_picture(client: ViewerClient) -> bytes:
@@ -177,7 +177,8 @@ def _settled_picture(client: ViewerClient) -> bytes:
     return picture
 
 
-def _viewer_error(log: Path, problem: str) -> ViewerError:
+def viewer_error(log: Path, problem: str) -> ViewerError:
+    """Return the error of a viewer that failed, with the cause from its log."""
     output = _COLOUR_CODES.sub("", log.read_text(errors="replace"))
     lines = [line.strip() for line in output.splitlines() if not _NOISE_PATTERN.search(line.strip())]
     # A panic has its reason in one line; otherwise the last lines count.

@@ -244,7 +244,7 @@ def _stl(data: bytes) -> _Content:
         data = data[:length]
     if (count if n_facets is None else n_facets) == 0:
         return _Content(points=np.zeros((0, 3)), triangles=np.zeros((0, 3), dtype=np.int64))
-    mesh = _load_with_trimesh(trimesh.load_mesh, io.BytesIO(data), file_type="stl", process=False, validate=False)
+    mesh = load_with_trimesh(trimesh.load_mesh, io.BytesIO(data), file_type="stl", process=False, validate=False)
     if n_facets is not None and len(mesh.faces) != n_facets:
         raise ValueError(f"{len(mesh.faces)} of {n_facets} facets could be read: a vertex is not three numbers")
     return _Content(
@@ -255,7 +255,7 @@ def _stl(data: bytes) -> _Content:
     )
 
 
-def _load_with_trimesh(load: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+def load_with_trimesh(load: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
     """Return the result of one of trimesh's readers.
 
     The exception that a broken file raises depends on the fault; its text names the cause. An exception of the call

@@ -188,7 +188,7 @@ class _Certifier:
         self.certificate.frames.append(accuracy)
         window.add(accuracy)
         self._write(recorded, reference.x)
-        if self._every_sample or (window.frames == 1 + window.number % 7 and _is_sampled(window.number)):
+        if self._every_sample or (window.frames == 1 + window.number % 7 and is_sampled(window.number)):
             self._sample(frame, start, frame_reference, accuracy)
         if frame.t + 1.5 * frame.duration > window.start + WINDOW:
             self._end_window()
@@ -257,6 +257,6 @@ def _max_error(recorded: Array | None, reference: Array) -> float:
     return max_distance(recorded, reference)
 
 
-def _is_sampled(window: int) -> bool:
+def is_sampled(window: int) -> bool:
     """Return True for the first eight windows, then every second, fourth, ...: the cost grows logarithmically."""
     return window % max(1, 1 << max(0, window.bit_length() - 3)) == 0

@@ -196,7 +196,7 @@ def test_product_failures_are_violated_guarantees() -> None:
     contact_scene = peer_scenes.fold(RESOLUTION)
     report = Report("", "")
     frames = np.repeat(contact_scene.start[None], 181, axis=0)
-    peers_contact._check_product(
+    peers_contact.check_product(
         peers_contact.evaluate(contact_scene, "ours", synthetic_recording(contact_scene, frames)), report
     )
     assert report.failures == []
@@ -206,20 +206,20 @@ def test_product_failures_are_violated_guarantees() -> None:
     frames[9, RESOLUTION : 2 * RESOLUTION, 2] += 0.005
     result = peers_contact.evaluate(contact_scene, "ours", synthetic_recording(contact_scene, frames))
     assert (result.depth, result.crossed) == (pytest.approx(1e-4), 1)
-    peers_contact._check_product(result, report)
+    peers_contact.check_product(result, report)
     assert report.failures == [
         "fold: a particle of the product is 0.1 mm inside an obstacle",
         "fold: the product intersects itself in 1 frames",
     ]
     held = attrs.evolve(result, scene="pinch", inside=0.0, crossed=None, creep=0.9e-6)
     for creep, count in ((0.9e-6, 2), (math.nan, 2), (1.1e-6, 3), (-1.1e-6, 4)):
-        peers_contact._check_product(attrs.evolve(held, creep=creep), report)
+        peers_contact.check_product(attrs.evolve(held, creep=creep), report)
         assert len(report.failures) == count
     assert report.failures[2] == "pinch: the product creeps by 1.1 um/s; at most 1"
-    peers_contact._check_product(attrs.evolve(held, outcome="dropped at 1.00 s"), report)
+    peers_contact.check_product(attrs.evolve(held, outcome="dropped at 1.00 s"), report)
     assert report.failures[4] == "pinch: the product is dropped at 1.00 s"
     # On a ball only particles are guaranteed to stay outside; the depth of triangles is only reported.
-    peers_contact._check_product(attrs.evolve(held, scene="drape", depth=1e-3), report)
+    peers_contact.check_product(attrs.evolve(held, scene="drape", depth=1e-3), report)
     assert len(report.failures) == 5
 
 

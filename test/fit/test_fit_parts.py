@@ -16,10 +16,10 @@ from cloth_sim_ros.fit import solver as fit_solver
 from cloth_sim_ros.fit.information import confounded_directions, correlation
 from cloth_sim_ros.fit.parameters import FitError, FitParameter, choose_parameters, scene_with
 from cloth_sim_ros.fit.recording import FitRecording
-from cloth_sim_ros.fit.runs import FitRun, _interpolate, mean_offset
+from cloth_sim_ros.fit.runs import FitRun, interpolate, mean_offset
 from cloth_sim_ros.fit.solver import FitProblem, fisher_information, minimize, standard_deviations
 from cloth_sim_ros.fit.surface import signed_distances
-from cloth_sim_ros.fit.text import _describe_direction
+from cloth_sim_ros.fit.text import describe_direction
 from cloth_sim_ros.fit.windows import solve_windows
 from cloth_sim_ros.physics.model.sheets.surface import grid_triangles
 from cloth_sim_ros.scene.scene import Scene
@@ -148,14 +148,14 @@ def test_confounded_parameters_are_named(sign: float, word: str) -> None:
     fisher[2, 2] = 1e6
     (direction,) = confounded_directions(sought("x", "y", "z"), fisher, 0.025)
     assert {parameter.name for parameter in direction.parameters} == {"x", "y"}
-    assert f"only their {word} is" in _describe_direction(direction, 0.025)
+    assert f"only their {word} is" in describe_direction(direction, 0.025)
     assert not list(confounded_directions(sought("x", "y", "z"), fisher + 1e5 * np.eye(3), 0.025))
 
 
 def test_single_unidentified_parameter_is_alone() -> None:
     (direction,) = confounded_directions(sought("x", "y"), np.diag([1e6, 1.0]), 0.025)
     assert direction.is_single
-    assert "hardly depend" in _describe_direction(direction, 0.025)
+    assert "hardly depend" in describe_direction(direction, 0.025)
 
 
 def test_signed_distance_of_plane_and_sphere() -> None:
@@ -182,7 +182,7 @@ def test_interpolation_is_exact_for_cubics() -> None:
     period, s = 0.02, 0.3
     cubic = np.polynomial.Polynomial([1.0, -2.0, 30.0, 400.0])
     ends = [np.full((3, 1), value) for t in (0.0, period) for value in (cubic(t), cubic.deriv()(t))]
-    assert _interpolate(*ends, s, period)[0, 0] == pytest.approx(cubic(s * period), rel=1e-12)
+    assert interpolate(*ends, s, period)[0, 0] == pytest.approx(cubic(s * period), rel=1e-12)
 
 
 def test_mean_offset_is_mean_of_residuals() -> None:

@@ -280,7 +280,7 @@ def test_unusable_driver_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     if listed:
         driver.write_text("{}")
     monkeypatch.setenv("VK_DRIVER_FILES", str(driver))
-    message = str(viewer._viewer_error(log, "does not answer (transport error)"))
+    message = str(viewer.viewer_error(log, "does not answer (transport error)"))
     assert "apt-get install mesa-vulkan-drivers" in message
     assert ("none is installed here" in message) is not listed
     assert message.endswith("it said: thread 'main' panicked at 'Failed to get render context')")
@@ -309,7 +309,7 @@ def test_other_viewer_failure_is_reported(tmp_path: Path, monkeypatch: pytest.Mo
     driver.write_text("{}")
     monkeypatch.setenv("VK_DRIVER_FILES", str(driver))
     log.write_text("Error: the port is taken\n\nReport bugs: https://...\n")
-    message = str(viewer._viewer_error(log, "ended with status 1"))
+    message = str(viewer.viewer_error(log, "ended with status 1"))
     assert message == "the viewer ended with status 1; it said: Error: the port is taken"
 
 

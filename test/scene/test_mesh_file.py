@@ -350,7 +350,7 @@ def test_program_errors_are_not_reported_as_file_errors(monkeypatch, kind):
 
 def test_wrong_reader_call_is_not_reported_as_broken_file():
     with pytest.raises(TypeError, match="no_such_option"):
-        mesh_file._load_with_trimesh(lambda file: file, b"", no_such_option=True)
+        mesh_file.load_with_trimesh(lambda file: file, b"", no_such_option=True)
 
 
 def test_damaged_mesh_files_raise_only_value_errors():

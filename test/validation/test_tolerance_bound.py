@@ -241,12 +241,10 @@ def test_evaluated_scenes_are_read_from_the_file(held_scene, tmp_path, monkeypat
     assert not result_file.exists()
     monkeypatch.setattr("validation.case_pool.run_cases", lambda *_, **__: [CaseResult(case, evaluation, 1.0)])
     limits = {"workers": 1, "limit": 60.0, "file": result_file, "read": bound._read}
-    first_results = list(run_missing(bound._evaluate_case, [case], **limits))
+    first_results = list(run_missing(bound.evaluate_case, [case], **limits))
     monkeypatch.setattr("validation.case_pool.run_cases", lambda *_, **__: pytest.fail("it runs again"))
     assert (
-        list(run_missing(bound._evaluate_case, [case], **limits))
-        == first_results
-        == [CaseResult(case, evaluation, 1.0)]
+        list(run_missing(bound.evaluate_case, [case], **limits)) == first_results == [CaseResult(case, evaluation, 1.0)]
     )
 
 

@@ -20,7 +20,7 @@ from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.session.cdr import decode_cloud, decode_string, encode_string
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, Step, Target
 from cloth_sim_ros.simulation.simulation import Simulation
-from cloth_sim_ros.verify.accuracy import _is_sampled, certify
+from cloth_sim_ros.verify.accuracy import certify, is_sampled
 from cloth_sim_ros.verify.certificate import AccuracyWindow, Certificate, FrameAccuracy
 from cloth_sim_ros.verify.independent_integrator import dop853, frame_by_dop853
 from cloth_sim_ros.verify.main import BOUND_VIOLATED, main
@@ -323,7 +323,7 @@ def test_sleeping_frames_are_measured(tmp_path: Path) -> None:
 
 
 def test_samples_thin_out_in_long_sessions() -> None:
-    sampled = [window for window in range(3600) if _is_sampled(window)]
+    sampled = [window for window in range(3600) if is_sampled(window)]
     assert sampled[:10] == [0, 1, 2, 3, 4, 5, 6, 7, 8, 10]
     assert len(sampled) < 60
     assert sampled[-1] > 3000

@@ -111,7 +111,7 @@ def _evaluate_random(options: argparse.Namespace) -> Report:
     cases, beyond = select_cases(options)
     report = Report("Error bound", f"python -m validation tolerance --seed {options.seed} --count {options.count}")
     report.notes.append(f"{len(beyond)} draws beyond the cap: {_join_numbers(beyond)}")
-    _add_evaluations(_evaluate_case, cases, options, report)
+    _add_evaluations(evaluate_case, cases, options, report)
     return report
 
 
@@ -170,7 +170,8 @@ def _read(entry: dict[str, Any]) -> CaseResult[_Case, SceneEvaluation]:
     return CaseResult((seed, index, windows), result and SceneEvaluation(**result), entry["seconds"], entry["trouble"])
 
 
-def _evaluate_case(case: _Case) -> SceneEvaluation:
+def evaluate_case(case: _Case) -> SceneEvaluation:
+    """Evaluate a case in a worker process."""
     return evaluate_scene(*case)
 
 
