@@ -135,7 +135,7 @@ colcon: $(DEV)
 
 clean:
 	rm -rf $(VENV) build install log *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
-	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+	find . \( -name __pycache__ -o -name _objects \) -type d -prune -exec rm -rf {} +
 
 .PHONY: anew
 anew:

@@ -48,7 +48,7 @@ def extensions():
         names = engine.names_for()
     except engine.BuildError as error:
         raise SystemExit(str(error)) from None
-    sources = [str(Path(NAME, "engine", engine.UNIT))]
+    sources = [os.path.relpath(path, Path(__file__).absolute().parent) for path in engine.translation_units()]
     return [Extension(f"{ENGINE}.{Path(engine.file_name(name)).stem}", sources=sources) for name in names]
 
 

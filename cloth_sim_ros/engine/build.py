@@ -6,7 +6,8 @@ setup.py and `make` load this file by its path, before anything is installed: th
 of the package. By hand: `python cloth_sim_ros/engine/build.py`, with `--help` for more.
 
 The build id of a library is the fingerprint of its sources, flags and compiler. A library is up to date if its build
-id is the present fingerprint.
+id is the present fingerprint. The name of an object file has the fingerprint of its translation unit, of the
+headers that the unit includes, flags and compiler. It is compiled only if it is missing.
 """
 
 from __future__ import annotations
@@ -16,20 +17,24 @@ import fcntl
 import hashlib
 import os
 import platform
+import re
 import runpy
 import shlex
 import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 
 ENGINE = Path(__file__).resolve().parent
-UNIT = "api/library.cpp"  # the only translation unit
 PATTERNS = ("**/*.cpp", "**/*.hpp", "**/*.map")  # the sources of a library, in every folder below this one
+OBJECTS = "_objects"  # folder of the object files, beside the sources
+MAX_OBJECTS = 3  # kept for each unit of a library: of other compilers, flags and contents
+INCLUDE = re.compile(r'^[ \t]*#[ \t]*include[ \t]*"([^"]+)"', re.MULTILINE)
 MAX_COMPILERS = 2  # running at once: each takes some 500 MB
 COMPILERS = ("g++", "clang++", "c++")
 
@@ -46,11 +51,11 @@ ARITHMETIC = [
     "-fno-trapping-math",
     "-fno-tree-slp-vectorize",
 ]
-LANGUAGE = ["-std=c++20", "-I.", "-fPIC", "-shared", "-pthread", "-fvisibility=hidden", "-fvisibility-inlines-hidden"]
+LANGUAGE = ["-std=c++20", "-I.", "-fPIC", "-pthread", "-fvisibility=hidden", "-fvisibility-inlines-hidden"]
 # -Wno-psabi: GCC notes that it passes vectors differently since GCC 4.6. All these functions are inside one library.
 WARNINGS = ["-Wall", "-Wextra", "-Wno-psabi"]
-LINKED = ["-Wl,--version-script=api/library.map"]
-PLAIN = ["-Werror", "-Wl,-z,defs"]
+LINKED = ["-shared", "-Wl,--version-script=api/library.map"]
+PLAIN = ["-Werror"]
 # The baseline emulates fma and is slow at any level of optimization. -O1 halves the time to compile it.
 OPTIMIZED = {"baseline": "-O1"}
 # Warnings are no errors here, because the code that the sanitizers insert gives false ones. Debugging information has
@@ -100,7 +105,12 @@ def file_name(name: str) -> str:
 def flags(name: str, *, sanitize: bool = False) -> list[str]:
     """Compiler flags of a library; CXXFLAGS is not read, because it could change results."""
     purpose = SANITIZED if sanitize else [OPTIMIZED.get(name, "-O3"), *PLAIN]
-    return [*LANGUAGE, *purpose, *ARITHMETIC, *INSTRUCTION_SETS[name], *WARNINGS, *LINKED]
+    return [*LANGUAGE, *purpose, *ARITHMETIC, *INSTRUCTION_SETS[name], *WARNINGS]
+
+
+def link_flags(name: str, *, sanitize: bool = False) -> list[str]:
+    """Flags that link the objects of a library. The sanitizers leave symbols undefined, which their library has."""
+    return [*flags(name, sanitize=sanitize), *LINKED, *([] if sanitize else ["-Wl,-z,defs"])]
 
 
 def find_compiler(environ: Mapping[str, str] = os.environ) -> list[str]:
@@ -153,10 +163,31 @@ def source_files(sources: Path = ENGINE) -> list[Path]:
     return sorted(path for pattern in PATTERNS for path in sources.glob(pattern))
 
 
-def fingerprint(arguments: Sequence[str], version: str, sources: Path = ENGINE) -> str:
-    """Hash of the sources, the flags and the compiler, 40 hexadecimal digits."""
+def translation_units(sources: Path = ENGINE) -> list[Path]:
+    """The sources that are compiled, sorted by path."""
+    return [path for path in source_files(sources) if path.suffix == ".cpp"]
+
+
+def included_files(unit: Path, sources: Path = ENGINE) -> list[Path]:
+    """A translation unit and all sources that it includes, directly or not, whatever conditions surround them."""
+    files = {unit}
+    waiting = [unit]
+    while waiting:
+        path = waiting.pop()
+        for name in INCLUDE.findall(path.read_text()):
+            for header in (path.parent / name, sources / name):
+                if header.is_file() and header not in files:
+                    files.add(header)
+                    waiting.append(header)
+    return sorted(files)
+
+
+def fingerprint(
+    arguments: Sequence[str], version: str, sources: Path = ENGINE, files: Sequence[Path] | None = None
+) -> str:
+    """Hash of sources, all if `files` is None, of the flags and the compiler, 40 hexadecimal digits."""
     digest = hashlib.sha256("\0".join([*arguments, version]).encode())
-    for path in source_files(sources):
+    for path in source_files(sources) if files is None else files:
         content = path.read_bytes()
         digest.update(f"\0{path.relative_to(sources).as_posix()}\0{len(content)}\0".encode() + content)
     return digest.hexdigest()[:40]
@@ -204,7 +235,7 @@ def build(
     names = names_for() if names is None else names
     compiler = find_compiler()
     version = describe(compiler)
-    prints = {name: fingerprint(flags(name, sanitize=sanitize), version, sources) for name in names}
+    prints = {name: fingerprint(link_flags(name, sanitize=sanitize), version, sources) for name in names}
     libraries = {name: folder / file_name(name) for name in names}
     if all(is_current(libraries[name], prints[name]) for name in names):
         return list(libraries.values())
@@ -218,18 +249,63 @@ def build(
         outdated = [name for name in outdated if name not in ready]
         if outdated:
             on_message(f"building the engine with {compiler[0]}: {', '.join(outdated)} ...")
-
-        def compile_one(name: str) -> None:
-            command = [*compiler, *flags(name, sanitize=sanitize), f"-Wl,--build-id=0x{prints[name]}", UNIT]
-            replace(libraries[name], lambda target: run([*command, "-o", str(target)], name, version, sources))
-
-        with ThreadPoolExecutor(MAX_COMPILERS) as pool:
-            list(pool.map(compile_one, outdated))
+            with ExitStack() as stack:
+                objects = compile_units(stack, compiler, version, outdated, sanitize=sanitize, sources=sources)
+                for name in outdated:
+                    command = [*compiler, *link_flags(name, sanitize=sanitize), f"-Wl,--build-id=0x{prints[name]}"]
+                    command += [str(path) for path in objects[name]]
+                    replace(libraries[name], partial(run, command, name=name, version=version, sources=sources))
     return list(libraries.values())
 
 
+def compile_units(
+    stack: ExitStack, compiler: Sequence[str], version: str, names: Sequence[str], *, sanitize: bool, sources: Path
+) -> dict[str, list[Path]]:
+    """Compile the translation units of libraries unless their objects exist; return the objects of each library.
+
+    The folder of the objects is locked until the stack is closed. Where the sources can't be written it is temporary.
+    """
+    folder = (sources / OBJECTS).absolute()
+    if os.access(folder if folder.exists() else sources, os.W_OK):
+        folder.mkdir(exist_ok=True)
+    else:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+    stack.enter_context(locked(folder))
+    for interrupted in folder.glob("*.new"):
+        interrupted.unlink()
+    objects: dict[str, list[Path]] = {}
+    missing = []
+    for name in names:
+        arguments = flags(name, sanitize=sanitize)
+        for unit in translation_units(sources):
+            relative = unit.relative_to(sources).as_posix()
+            print_of_unit = fingerprint(arguments, version, sources, included_files(unit, sources))
+            target = folder / f"{name}-{relative.replace('/', '-')}-{print_of_unit}.o"
+            objects.setdefault(name, []).append(target)
+            if target.exists():
+                target.touch()  # the latest are kept
+            else:
+                missing.append((target, name, [*compiler, *arguments, "-c", relative]))
+
+    def compile_unit(target: Path, name: str, command: list[str]) -> None:
+        replace(target, partial(run, command, name=name, version=version, sources=sources))
+
+    with ThreadPoolExecutor(MAX_COMPILERS) as pool:
+        try:
+            for done in [pool.submit(compile_unit, *unit) for unit in missing]:
+                done.result()
+        except BuildError:
+            pool.shutdown(cancel_futures=True)
+            raise
+    for target in [target for targets in objects.values() for target in targets]:
+        versions = sorted(folder.glob(f"{target.name[:-42]}*.o"), key=lambda path: path.stat().st_mtime_ns)
+        for outdated in versions[:-MAX_OBJECTS]:
+            outdated.unlink()
+    return objects
+
+
 def replace(library: Path, make: Callable[[Path], object]) -> None:
-    """Build a library under another name, then rename it: a process that has loaded the old one keeps it."""
+    """Make a file under another name, then rename it: a process that has loaded the old library keeps it."""
     target = library.with_name(f"{library.name}.{os.getpid()}.new").absolute()
     try:
         make(target)
@@ -238,12 +314,13 @@ def replace(library: Path, make: Callable[[Path], object]) -> None:
         target.unlink(missing_ok=True)
 
 
-def run(command: list[str], name: str, version: str, sources: Path) -> None:
-    """Run the compiler.
+def run(command: list[str], output: Path, *, name: str, version: str, sources: Path) -> None:
+    """Run the compiler, which writes to `output`.
 
     Raises:
         BuildError: with the compiler's output, if it fails.
     """
+    command = [*command, "-o", str(output)]
     done = subprocess.run(command, cwd=sources, check=False, capture_output=True, text=True, errors="replace")
     if done.returncode:
         raise BuildError(

@@ -10,6 +10,8 @@ import shutil
 import subprocess
 import sys
 import tarfile
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -17,6 +19,7 @@ import pytest
 from cloth_sim_ros.engine import build, instruction_set
 
 ROOT = Path(__file__).resolve().parents[2]
+UNIT = "api/library.cpp"
 V3 = "fpu sse2 ssse3 sse4_1 sse4_2 popcnt cx16 avx avx2 bmi1 bmi2 f16c fma abm movbe"
 V4 = f"{V3} avx512f avx512bw avx512cd avx512dq avx512vl"
 SMALL = """
@@ -45,7 +48,7 @@ CLOTH_PUBLIC int cloth_at(int n)
 
 def write_unit(sources: Path, text: str = SMALL) -> None:
     """Write the translation unit, and the header in a folder that it includes."""
-    for name, content in ((build.UNIT, text), ("core/small.hpp", "inline constexpr int missing = -1;\n")):
+    for name, content in ((UNIT, text), ("core/small.hpp", "inline constexpr int missing = -1;\n")):
         (sources / name).parent.mkdir(parents=True, exist_ok=True)
         (sources / name).write_text(content)
 
@@ -123,6 +126,7 @@ def test_flags_keep_to_ieee_arithmetic(name: str, sanitize: bool) -> None:
     for flag in ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fno-tree-slp-vectorize"):
         assert flags.count(flag) == 1
         assert flags.index(flag) > first
+    assert build.link_flags(name, sanitize=sanitize)[: len(flags)] == flags
     loose = {"-ffast-math", "-Ofast", "-funsafe-math-optimizations", "-fassociative-math", "-freciprocal-math"}
     loose |= {"-ffinite-math-only", "-fno-signed-zeros", "-march=native"}
     assert not loose & set(flags)
@@ -182,7 +186,7 @@ def test_rebuild_only_after_a_change(sources: Path, tmp_path: Path) -> None:
 
     make()
     make()
-    (sources / build.UNIT).touch()
+    (sources / UNIT).touch()
     make()
     assert counts == [1, 1, 1]
     (sources / "law.hpp").write_text("// another law\n")
@@ -196,7 +200,7 @@ def test_rebuild_only_after_a_change(sources: Path, tmp_path: Path) -> None:
 
 def test_every_source_changes_build_id(tmp_path: Path) -> None:
     copy = tmp_path / "engine"
-    shutil.copytree(build.ENGINE, copy, ignore=shutil.ignore_patterns("*.so", "__pycache__"))
+    shutil.copytree(build.ENGINE, copy, ignore=shutil.ignore_patterns("*.so", "__pycache__", build.OBJECTS))
     (copy / "laws" / "air").mkdir(parents=True)
     (copy / "laws" / "air" / "law.hpp").write_text("// a law\n")
     prints = {build.fingerprint([], "", copy)}
@@ -212,12 +216,95 @@ def test_every_source_changes_build_id(tmp_path: Path) -> None:
 
 
 def test_sources_are_those_that_the_compiler_reads(compiler: str) -> None:
-    flags = [flag for flag in build.flags(plainest_library()) if not flag.startswith("-Wl")]
-    done = subprocess.run([compiler, *flags, "-MM", build.UNIT], cwd=build.ENGINE, check=True, capture_output=True)
-    names = done.stdout.decode().replace("\\\n", " ").split()[1:]
-    read = {(build.ENGINE / name).resolve() for name in names}
+    flags = build.flags(plainest_library())
+    all_read = set()
+    for unit in build.translation_units():
+        done = subprocess.run([compiler, *flags, "-MM", unit], cwd=build.ENGINE, check=True, capture_output=True)
+        names = done.stdout.decode().replace("\\\n", " ").split()[1:]
+        read = {(build.ENGINE / name).resolve() for name in names}
+        assert read == {path.resolve() for path in build.included_files(unit)}, unit
+        all_read |= read
     sources = {path.resolve() for path in build.source_files() if path.suffix in (".cpp", ".hpp")}
-    assert read == sources, "what is included is part of the build id, and what is part of it is included"
+    assert all_read == sources, "what is included is part of the build id, and what is part of it is included"
+
+
+def compiled_units(folder: Path, log: Path, sources: Path) -> list[str]:
+    """Build the plainest library with a compiler that logs; return the translation units that it compiled."""
+    log.write_text("")
+    build.build(folder, names=[plainest_library()], sources=sources)
+    return sorted(line for line in log.read_text().split() if line.endswith(".cpp"))
+
+
+@pytest.fixture
+def log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The file to which the compiler writes its arguments."""
+    path = tmp_path / "log"
+    real = shutil.which("g++") or shutil.which("clang++")
+    script = f'echo "$@" >> {path}\nexec {real} "$@"'
+    monkeypatch.setenv("CXX", str(stub_compiler(tmp_path / "bin" / "compiler", script)))
+    return path
+
+
+def test_edit_compiles_units_that_include_it(sources: Path, tmp_path: Path, log: Path) -> None:
+    folder, second = tmp_path / "out", sources / "core" / "second.cpp"
+    second.write_text('#include "inner.hpp"\nint second() { return deep; }\n')
+    (sources / "core" / "inner.hpp").write_text('#if 1\n  # include "deep.hpp"\n#endif\n')
+    (sources / "core" / "deep.hpp").write_text("inline constexpr int deep = 1;\n")
+    assert compiled_units(folder, log, sources) == [UNIT, "core/second.cpp"]
+    (sources / "core" / "deep.hpp").write_text("inline constexpr int deep = 2;\n")
+    assert compiled_units(folder, log, sources) == ["core/second.cpp"]
+    (sources / "core" / "small.hpp").write_text("inline constexpr int missing = -2;\n")
+    assert compiled_units(folder, log, sources) == [UNIT]
+    (sources / "unused.hpp").write_text("// linked again with another build id\n")
+    assert compiled_units(folder, log, sources) == []
+    (sources / "core" / "deep.hpp").write_text("inline constexpr int deep = 1;\n")
+    assert compiled_units(folder, log, sources) == [], "the object of the earlier content is kept"
+    assert ctypes.CDLL(str(folder / build.file_name(plainest_library()))).cloth_at(7) == -2
+
+
+def test_old_objects_are_removed(sources: Path, tmp_path: Path) -> None:
+    for status in range(build.MAX_OBJECTS + 2):
+        (sources / "core/small.hpp").write_text(f"inline constexpr int missing = {status};\n")
+        (library,) = build.build(tmp_path / "out", names=[plainest_library()], sources=sources)
+        assert ctypes.CDLL(str(library.rename(tmp_path / f"{status}.so"))).cloth_at(7) == status
+    objects = list((sources / build.OBJECTS).iterdir())
+    assert len(objects) == build.MAX_OBJECTS
+    assert {path.suffix for path in objects} == {".o"}
+
+
+def test_interrupted_build_leaves_no_partial_object(sources: Path, tmp_path: Path, log: Path) -> None:
+    arguments = "folder=Path(sys.argv[1]), names=sys.argv[2:3], sources=Path(sys.argv[3])"
+    script = f"import sys\nfrom pathlib import Path\nfrom cloth_sim_ros.engine import build\nbuild.build({arguments})"
+    command = [sys.executable, "-c", script, tmp_path / "out", plainest_library(), sources]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    stub = Path(os.environ["CXX"])
+    working = stub.read_text()
+    # The compiler writes the first half of an object, and then its caller is killed.
+    stub_compiler(
+        stub,
+        '[ "$1" = --version ] && exec g++ "$@"\nfor last; do :; done\necho half > "$last"\nkill -9 $PPID',
+    )
+    assert subprocess.run(command, env=environment, check=False).returncode == -9
+    assert [path.suffix for path in (sources / build.OBJECTS).iterdir()] == [".new"]
+    stub.write_text(working)
+    build.build(tmp_path / "out", names=[plainest_library()], sources=sources)
+    assert [path.suffix for path in (sources / build.OBJECTS).iterdir()] == [".o"]
+
+
+def test_builds_at_once_compile_once(sources: Path, tmp_path: Path, log: Path) -> None:
+    with ThreadPoolExecutor(4) as pool:
+        folders = [tmp_path / f"out{k % 2}" for k in range(4)]
+        build_one = partial(build.build, names=[plainest_library()], sources=sources)
+        paths = [path for (path,) in pool.map(build_one, folders)]
+    assert log.read_text().split().count(UNIT) == 1
+    assert [ctypes.CDLL(str(path)).cloth_at(7) for path in paths] == [-1] * 4
+
+
+def test_sources_that_are_read_only_build(sources: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(build.os, "access", lambda path, mode: "bin" in str(path))
+    (library,) = build.build(tmp_path / "out", names=[plainest_library()], sources=sources)
+    assert ctypes.CDLL(str(library)).cloth_at(7) == -1
+    assert not (sources / build.OBJECTS).exists()
 
 
 def test_another_version_of_the_compiler_builds_again(
@@ -293,7 +380,7 @@ def test_setup_fails_with_one_sentence(tmp_path: Path) -> None:
 def project(tmp_path: Path) -> Path:
     """A copy of the project as from a fresh clone, with a small engine that is built at once."""
     folder = tmp_path / "project"
-    built = shutil.ignore_patterns("*.so", "__pycache__", "*.hpp")
+    built = shutil.ignore_patterns("*.so", "__pycache__", "*.cpp", "*.hpp", build.OBJECTS)
     for name in ("cloth_sim_ros", "config", "launch", "resource", "scripts"):
         shutil.copytree(ROOT / name, folder / name, ignore=built)
     for name in ("setup.py", "setup.cfg", "package.xml"):
@@ -302,11 +389,17 @@ def project(tmp_path: Path) -> Path:
     return folder
 
 
-def test_in_place_build_beside_sources(project: Path) -> None:
+def test_in_place_build_beside_sources(project: Path, tmp_path: Path) -> None:
     pytest.importorskip("setuptools")
     subprocess.run([sys.executable, "setup.py", "-q", "build_ext", "--inplace"], cwd=project, check=True)
     names = {path.name for path in (project / "cloth_sim_ros" / "engine").glob("*.so")}
     assert names == {build.file_name(build.names_here()[0])}, "the one that this machine loads, and no other"
+    subprocess.run(
+        [sys.executable, "setup.py", "-q", "build", "--build-base", tmp_path / "build"], cwd=project, check=True
+    )
+    built = [path.name for path in (tmp_path / "build").rglob("*")]
+    assert set(map(build.file_name, build.names_for())) <= set(built)
+    assert not [name for name in built if name.endswith(".o")], "packages are made of this folder"
 
 
 def test_source_distribution_holds_all_sources(project: Path, tmp_path: Path) -> None:
@@ -323,7 +416,7 @@ def test_source_distribution_holds_all_sources(project: Path, tmp_path: Path) ->
         names = {name.partition("/engine/")[2] for name in packed.getnames() if "/engine/" in name}
     assert names >= {"build.py", *(path.relative_to(engine).as_posix() for path in build.source_files(engine))}
     assert names >= {"law.hpp", "laws/law.hpp", "laws/air/law.hpp", "core/small.hpp"}
-    assert not [name for name in names if name.endswith(".so")]
+    assert not [name for name in names if name.endswith((".so", ".o"))]
 
 
 @pytest.mark.parametrize("options", [[], ["--symlink-install"]], ids=["copied", "linked"])
@@ -353,7 +446,7 @@ def test_colcon_builds_the_engine(project: Path, tmp_path: Path, options: list[s
     assert ctypes.CDLL(str(engine / build.file_name(build.names_here()[0]))).cloth_at(1) == 1
     if not options:  # the installed sources build the same library
         relative = [path.relative_to(engine).as_posix() for path in build.source_files(engine)]
-        assert relative == [build.UNIT, "api/library.map", "core/small.hpp"]
+        assert relative == [UNIT, "api/library.map", "core/small.hpp"]
         assert build.build(engine, sources=engine, on_message=pytest.fail)
 
 
@@ -386,7 +479,7 @@ def test_sanitizers_report_write_beyond_array(project: Path) -> None:
     at = subprocess.run([gcc, "-print-file-name=libasan.so"], check=True, capture_output=True, text=True).stdout.strip()
     if not Path(at).is_absolute():
         pytest.skip("g++ is without its sanitizers")
-    with (project / "cloth_sim_ros" / "engine" / build.UNIT).open("a") as unit:
+    with (project / "cloth_sim_ros" / "engine" / UNIT).open("a") as unit:
         unit.write("CLOTH_PUBLIC void cloth_write(double* values, int at) { values[at] = 1.0; }\n")
     (project / "test_writes.py").write_text(
         "import ctypes, os, pytest\n"

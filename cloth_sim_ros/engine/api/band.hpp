@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <new>
 
+#include "api/guard.hpp"
 #include "core/band.hpp"
 #include "core/ordering.hpp"
 

@@ -4,6 +4,11 @@
 // C interface of contact with points and edges of obstacles.
 #pragma once
 
+#include "api/guard.hpp"
+#include "contact/feature_queries.hpp"
+#include "contact/obstacle_prediction.hpp"
+#include "contact/self_queries.hpp"
+
 /// Squared frequency and damping rate of contact on the surface (self-contact, points and edges of obstacles), and the
 /// number of pairs evaluated.
 static void predict_surface_contact(cloth::Plan& plan, double t, double duration, double expected, const double* x,
@@ -55,7 +60,7 @@ CLOTH_API int cloth_plan_faces(cloth::Plan* plan, std::int64_t count, const std:
         }
         if (s.triangles.empty()) return;
         s.build_topology();
-        plan->features = std::move(contact);
+        plan->features = std::make_unique<cloth::FeatureContactModel>(std::move(contact));
     });
 }
 /// Set points (points, 3) [m] and edges (edges, 2) of an obstacle in its own frame, and the radius about them [m]; see
@@ -95,7 +100,7 @@ CLOTH_API int cloth_predict_contact(cloth::Plan* plan, double t, double duration
         out[0] = cloth::predict_contact_energy(*plan, t, duration, x, v, &visits);
         out[1] = static_cast<double>(visits.all);
         out[2] = static_cast<double>(visits.with_friction);
-        const cloth::ContactLimits limits(plan->contacts, energy_factor * out[0]);
+        const cloth::ContactBounds limits = cloth::contact_limits(plan->contacts, energy_factor * out[0]);
         out[3] = limits.omega2;
         out[4] = limits.damping;
         predict_surface_contact(*plan, t, duration, expected, x, v, out + 5);

@@ -9,6 +9,8 @@
 #include "core/fpu_guard.hpp"
 #include "plan/plan.hpp"
 
+#define CLOTH_API extern "C" __attribute__((visibility("default")))
+
 namespace {
 
 enum Status : int { ok = 0, failed = 1, no_memory = 2, callback_failed = 3, not_finite = 4, busy = 5 };

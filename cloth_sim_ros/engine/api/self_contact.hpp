@@ -4,6 +4,9 @@
 // C interface of self-contact.
 #pragma once
 
+#include "api/guard.hpp"
+#include "contact/self_queries.hpp"
+
 /// Set the surface of self-contact: triangles (count, 3), shortest edge at rest [m]. Its thickness is that of
 /// cloth_plan_contact. Particles are ordered by cloth_plan_order.
 CLOTH_API int cloth_plan_self(cloth::Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest) {
@@ -25,7 +28,7 @@ CLOTH_API int cloth_plan_self(cloth::Plan* plan, std::int64_t count, const std::
             s.triangles.push_back({corner(0), corner(1), corner(2)});
         }
         s.build_topology();
-        plan->self = std::move(self);
+        plan->self = std::make_unique<cloth::SelfContact>(std::move(self));
     });
 }
 /// Set the friction coefficients between layers, at rest and in motion. The next cloth_plan_contact allocates the

@@ -44,17 +44,14 @@ inline void for_each_feature_contact(Plan& plan, double t, const double* const (
     }
 }
 
-inline double feature_energy(Plan& plan, double t, const double* x) {
+double feature_energy(Plan& plan, double t, const double* x) {
     double total = 0.0;
     for_each_feature_contact<double>(
         plan, t, {x, nullptr}, {nullptr, nullptr},
         [&](const auto& law, auto, const auto&, const auto& m) { total += law.energy(m); });
     return total;
 }
-/// Add the wrench on each obstacle about its position, the power on the cloth and the dissipation, (obstacles,
-/// record_numbers).
-inline void add_feature_wrenches(Plan& plan, double t, const double* x, const double* v, double weight,
-                                 double* wrenches) {
+void add_feature_wrenches(Plan& plan, double t, const double* x, const double* v, double weight, double* wrenches) {
     for_each_feature_contact<double>(
         plan, t, {x, nullptr}, {v, nullptr},
         [&](const auto& law, std::int64_t k, const FeaturesAt& from, const auto& m) {
@@ -65,17 +62,14 @@ inline void add_feature_wrenches(Plan& plan, double t, const double* x, const do
             to[record_numbers - 1] += weight * law.dissipation(m);
         });
 }
-/// Power of contacts that recover their thickness [W].
-inline double feature_growth_power(Plan& plan, double t, const double* x, const double* v) {
+double feature_growth_power(Plan& plan, double t, const double* x, const double* v) {
     double power = 0.0;
     for_each_feature_contact<double>(
         plan, t, {x, nullptr}, {v, nullptr},
         [&](const auto& law, auto, const auto&, const auto& m) { power += law.growth_power(m); });
     return power;
 }
-/// Add the forces that open the jaws [N], by gripper.
-inline void add_feature_jaw_forces(Plan& plan, double t, const double* x, const double* v,
-                                   std::vector<double>& jaw_forces) {
+void add_feature_jaw_forces(Plan& plan, double t, const double* x, const double* v, std::vector<double>& jaw_forces) {
     const Contacts& contacts = plan.contacts;
     for_each_feature_contact<double>(plan, t, {x, nullptr}, {v, nullptr},
                                      [&](const auto& law, std::int64_t k, const FeaturesAt& from, const auto& m) {
@@ -88,9 +82,7 @@ inline void add_feature_jaw_forces(Plan& plan, double t, const double* x, const 
                                              });
                                      });
 }
-/// Add blocks that bound stiffness and damping: for a gap k |w_c| n n' at corner c. Terms with a negative sign and
-/// fading edges only soften.
-inline void add_feature_bounds(Plan& plan, double t, const double* x, double* stiff, double* damp) {
+void add_feature_bounds(Plan& plan, double t, const double* x, double* stiff, double* damp) {
     std::vector<std::int64_t> particle_of_rank(plan.count);
     for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
     for_each_feature_contact<double>(
@@ -107,9 +99,8 @@ inline void add_feature_bounds(Plan& plan, double t, const double* x, double* st
             }
         });
 }
-/// Add (df/dx) dx + (df/dv) dv to out, by the law on dual numbers.
-inline void add_feature_product(Plan& plan, double t, const double* x, const double* v, const double* dx,
-                                const double* dv, double* out) {
+void add_feature_product(Plan& plan, double t, const double* x, const double* v, const double* dx, const double* dv,
+                         double* out) {
     std::vector<std::int64_t> particle_of_rank(plan.count);
     for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
     for_each_feature_contact<Dual>(plan, t, {x, dx}, {v, dv}, [&](const auto& law, auto, const auto&, const auto& m) {
@@ -123,8 +114,7 @@ inline void add_feature_product(Plan& plan, double t, const double* x, const dou
             [](Index, Vec3<Dual>) {});
     });
 }
-/// Lower the gaps in column 1 of (obstacles, 2) to the least gap of each obstacle's features.
-inline void feature_gaps(Plan& plan, double t, const double* x, double* out) {
+void feature_gaps(Plan& plan, double t, const double* x, double* out) {
     for_each_feature_contact<double>(
         plan, t, {x, nullptr}, {nullptr, nullptr},
         [&](const auto&, std::int64_t k, const auto&, const auto& m) {
@@ -132,9 +122,7 @@ inline void feature_gaps(Plan& plan, double t, const double* x, double* out) {
         },
         true);
 }
-/// Lower the gaps in the last column of (obstacles + 1, n + 1) to the least gap of each obstacle's features within half
-/// the thickness, in units of the full thickness.
-inline void feature_gap_column(Plan& plan, double t, const double* x, double* out) {
+void feature_gap_column(Plan& plan, double t, const double* x, double* out) {
     for_each_feature_contact<double>(
         plan, t, {x, nullptr}, {nullptr, nullptr},
         [&](const auto&, std::int64_t k, const auto&, const auto& m) {
@@ -144,11 +132,8 @@ inline void feature_gap_column(Plan& plan, double t, const double* x, double* ou
         true);
 }
 
-/// Squared frequency and damping rate of contact with features once it has absorbed `expected` times its energy: of
-/// contacts, and of pairs that come into contact within a duration [s] at the present velocities. Infinite if a feature
-/// intersects the cloth or a position is not finite.
-inline ContactBounds predict_feature_contact(Plan& plan, double t, double duration, double expected, const double* x,
-                                             const double* v) {
+ContactBounds predict_feature_contact(Plan& plan, double t, double duration, double expected, const double* x,
+                                      const double* v) {
     FeatureContactModel& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
     // Usually particles alone keep all obstacles out.
@@ -233,8 +218,7 @@ inline bool ccd_obstacle_features(FeatureContactModel& contact, std::int64_t k, 
     }
     return false;
 }
-/// Whether any feature intersects the cloth on the path from x0 at time t to x1, `duration` [s] later.
-inline bool ccd_features(Plan& plan, double t, double duration, const double* x0, const double* x1) {
+bool ccd_features(Plan& plan, double t, double duration, const double* x0, const double* x1) {
     FeatureContactModel& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
     const Array<double> from = quads_of(plan, x0), to = quads_of(plan, x1);
@@ -246,8 +230,7 @@ inline bool ccd_features(Plan& plan, double t, double duration, const double* x0
             return true;
     return false;
 }
-/// For each gripper, whether a jaw intersects the cloth at x while it moves from a half opening [m] to its present one.
-inline void ccd_jaws(Plan& plan, double t, const double* x, const double* half_openings, std::int64_t* out) {
+void ccd_jaws(Plan& plan, double t, const double* x, const double* half_openings, std::int64_t* out) {
     FeatureContactModel& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
     const Array<double> at = quads_of(plan, x);
@@ -262,94 +245,81 @@ inline void ccd_jaws(Plan& plan, double t, const double* x, const double* half_o
     }
 }
 
-/// Excludes features of obstacles that stay away from the cloth from a frame. If a run ends with a larger speed than
-/// assumed, all runs of the frame are repeated with all features.
-class FeatureCulling {
-public:
-    FeatureCulling(Plan& plan, double t, double duration, const double* x0, const double* v0) : plan_(plan) {
-        if (!plan.features) return;
-        FeatureContactModel& contact = *plan.features;
-        const Contacts& contacts = plan.contacts;
-        const Surface& s = contact.surface;
-        std::fill(contact.is_active.begin(), contact.is_active.end(), 0);
-        if (s.triangles.empty() || !contact.has_any(contacts)) return;
-        const double thickness = contact.law(contacts).thickness();
-        speed_limit_ = 2.0 * max_particle_speed(v0) + speed_margin;
-        Array<double> positions;
-        for (std::int64_t k = 0; k < contacts.count(); ++k) {
-            FeatureVerletList& neighbors = contact.obstacles[k];
-            const Features& features = neighbors.features;
-            if (!contact.has(contacts, k)) continue;
-            const double* const path = contacts.path(k);
-            double path_length = 0.0, path_angle = 0.0, power = 1.0;
-            for (int order = 0; order < 3; ++order) {
-                power *= duration;
-                const double *const a = path + 4 + 3 * order, *const r = path + 17 + 3 * order;
-                path_length += power * root(norm2(Vec3<double>{a[0], a[1], a[2]}));
-                path_angle += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
-            }
-            const Pose pose = contacts.obstacle_pose(k, t);
-            // Jaws rotate about their gripper. The cloth may push them back faster than they are driven.
-            const double lever = root(norm2(pose.position - pose_at(path, t).position));
-            if (contacts.jaw_of(k)) path_length += 2.0 * contacts.max_jaw_speed(k) * duration;
-            const double margin = speed_limit_ * duration + path_length + path_angle * (lever + features.reach);
-            if (positions.empty()) {
-                positions = quads_of(plan, x0);
-                measure_cloth(s, positions.data());
-            }
-            // Distance between the bounding balls of cloth and obstacle.
-            const double distance = root(norm2(center_ - pose.position)) - radius_ - features.reach - features.radius;
-            if (distance > thickness + margin) continue;
-            const bool is_valid = neighbors.find(s, positions.data(), pose, thickness, margin);
-            contact.is_active[k] = !is_valid || neighbors.triangles.size() || neighbors.edges.size();
+FeatureCulling::FeatureCulling(Plan& plan, double t, double duration, const double* x0, const double* v0)
+    : plan_(plan) {
+    if (!plan.features) return;
+    FeatureContactModel& contact = *plan.features;
+    const Contacts& contacts = plan.contacts;
+    const Surface& s = contact.surface;
+    std::fill(contact.is_active.begin(), contact.is_active.end(), 0);
+    if (s.triangles.empty() || !contact.has_any(contacts)) return;
+    const double thickness = contact.law(contacts).thickness();
+    speed_limit_ = 2.0 * max_particle_speed(v0) + speed_margin;
+    Array<double> positions;
+    for (std::int64_t k = 0; k < contacts.count(); ++k) {
+        FeatureVerletList& neighbors = contact.obstacles[k];
+        const Features& features = neighbors.features;
+        if (!contact.has(contacts, k)) continue;
+        const double* const path = contacts.path(k);
+        double path_length = 0.0, path_angle = 0.0, power = 1.0;
+        for (int order = 0; order < 3; ++order) {
+            power *= duration;
+            const double *const a = path + 4 + 3 * order, *const r = path + 17 + 3 * order;
+            path_length += power * root(norm2(Vec3<double>{a[0], a[1], a[2]}));
+            path_angle += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
         }
-        for (std::int64_t k = 0; k < contacts.count(); ++k)
-            covers_all_ = covers_all_ && (contact.is_active[k] || !contact.has(contacts, k));
-    }
-    /// Whether a run with end velocities v violates the assumptions.
-    bool is_violated(const double* v) const {
-        return plan_.features && !covers_all_ && !(max_particle_speed(v) <= speed_limit_);
-    }
-    void disable() {
-        if (!plan_.features) return;
-        plan_.features->activate_all(plan_.contacts);
-        covers_all_ = true;
-    }
-
-private:
-    /// Speed that particles may gain [m/s].
-    static constexpr double speed_margin = 0.25;
-
-    /// Compute the bounding ball of the edges of the cloth.
-    void measure_cloth(const Surface& s, const double* x) {
-        const Quads at{x};
-        AxisBox box(at(s.edges[0][0]));
-        for (const auto& e : s.edges) {
-            box.include(at(e[0]));
-            box.include(at(e[1]));
+        const Pose pose = contacts.obstacle_pose(k, t);
+        // Jaws rotate about their gripper. The cloth may push them back faster than they are driven.
+        const double lever = root(norm2(pose.position - pose_at(path, t).position));
+        if (contacts.jaw_of(k)) path_length += 2.0 * contacts.max_jaw_speed(k) * duration;
+        const double margin = speed_limit_ * duration + path_length + path_angle * (lever + features.reach);
+        if (positions.empty()) {
+            positions = quads_of(plan, x0);
+            measure_cloth(s, positions.data());
         }
-        center_ = box.center();
-        radius_ = 0.5 * root(norm2(box.high - box.low));
+        // Distance between the bounding balls of cloth and obstacle.
+        const double distance = root(norm2(center_ - pose.position)) - radius_ - features.reach - features.radius;
+        if (distance > thickness + margin) continue;
+        const bool is_valid = neighbors.find(s, positions.data(), pose, thickness, margin);
+        contact.is_active[k] = !is_valid || neighbors.triangles.size() || neighbors.edges.size();
     }
-    double max_particle_speed(const double* v) const {
-        const std::int64_t n = plan_.count;
-        double square = 0.0;
-        for (std::int64_t i = 0; i < n; ++i) {
-            const double square_i = norm2(Vec3<double>{v[i], v[n + i], v[2 * n + i]});
-            square = square_i <= square ? square : square_i;  // a speed that is NaN is kept
-            if (!(square_i < std::numeric_limits<double>::infinity())) return square_i;
-        }
-        return root(square);
-    }
-    Plan& plan_;
-    Vec3<double> center_{};
-    double speed_limit_ = 0.0, radius_ = 0.0;
-    bool covers_all_ = true;
-};
+    for (std::int64_t k = 0; k < contacts.count(); ++k)
+        covers_all_ = covers_all_ && (contact.is_active[k] || !contact.has(contacts, k));
+}
 
-/// Find an initial intersection at time t, three numbers: the obstacle, and two particles of the edge inside it or of
-/// the triangle that its feature intersects; -1 if there is none.
-inline void find_feature_intersection(Plan& plan, double t, const double* x, std::int64_t* out) {
+void FeatureCulling::disable() {
+    if (!plan_.features) return;
+    plan_.features->activate_all(plan_.contacts);
+    covers_all_ = true;
+}
+
+double FeatureCulling::max_particle_speed(const double* v) const {
+    const std::int64_t n = plan_.count;
+    double square = 0.0;
+    for (std::int64_t i = 0; i < n; ++i) {
+        const double square_i = norm2(Vec3<double>{v[i], v[n + i], v[2 * n + i]});
+        square = square_i <= square ? square : square_i;  // a speed that is NaN is kept
+        if (!(square_i < std::numeric_limits<double>::infinity())) return square_i;
+    }
+    return root(square);
+}
+
+void FeatureCulling::measure_cloth(const Surface& s, const double* x) {
+    const Quads at{x};
+    AxisBox box(at(s.edges[0][0]));
+    for (const auto& e : s.edges) {
+        box.include(at(e[0]));
+        box.include(at(e[1]));
+    }
+    center_ = box.center();
+    radius_ = 0.5 * root(norm2(box.high - box.low));
+}
+
+void activate_features(Plan& plan) {
+    if (plan.features) plan.features->activate_all(plan.contacts);
+}
+
+void find_feature_intersection(Plan& plan, double t, const double* x, std::int64_t* out) {
     const FeatureContactModel& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
     const Surface& s = contact.surface;

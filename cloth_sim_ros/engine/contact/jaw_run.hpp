@@ -4,6 +4,7 @@
 // Jaws over a run: integrated like particles, with the forces of all blocks of particles in the step before.
 #pragma once
 
+#include "contact/jaw_law.hpp"
 #include "plan/plan.hpp"
 
 namespace cloth {

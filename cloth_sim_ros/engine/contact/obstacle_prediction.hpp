@@ -9,16 +9,8 @@
 
 namespace cloth {
 
-/// Number of tests of a particle against an obstacle: of all, and of those with friction.
-struct VisitCounts {
-    std::int64_t all = 0, with_friction = 0;
-};
-
-/// Energy per mass, in U^2/2, that contact may have to absorb within `duration`. A particle in contact counts with its
-/// contact energy and its closing speed. A particle that comes into contact counts with its speed then, field
-/// accelerations included.
-inline double predict_contact_energy(const Plan& plan, double t, double duration, const double* x, const double* v,
-                                     VisitCounts* visits = nullptr) {
+double predict_contact_energy(const Plan& plan, double t, double duration, const double* x, const double* v,
+                              VisitCounts* visits) {
     using V = vec<double>;
     const Contacts& contacts = plan.contacts;
     if (!contacts.count()) return 0.0;

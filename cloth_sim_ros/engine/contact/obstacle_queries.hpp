@@ -5,7 +5,9 @@
 // are (3, n) by component; sums run obstacle by obstacle, particle by particle.
 #pragma once
 
-#include "mesh/queries.hpp"
+#include "contact/jaw_law.hpp"
+#include "contact/queries.hpp"
+#include "laws/friction.hpp"
 #include "plan/plan.hpp"
 
 namespace cloth {
@@ -125,10 +127,8 @@ inline auto friction_force(const Plan& plan, std::int64_t obstacle, std::int64_t
     return law.force(posed.template outward<V>(local - anchor), s.normal, s.slip, push);
 }
 
-/// Combine the anchors after runs, each (obstacles, anchor_numbers, n), at the combined state x and v. Anchors that no
-/// run moved are kept. The others are combined with the weights of the runs, and returned to the cone.
-inline void combine_anchors(const Plan& plan, double t, const double* x, const double* v, std::int64_t runs,
-                            const double* weights, const double* ends, double* out) {
+void combine_anchors(const Plan& plan, double t, const double* x, const double* v, std::int64_t runs,
+                     const double* weights, const double* ends, double* out) {
     const Contacts& contacts = plan.contacts;
     const std::int64_t n = plan.count, size = plan.anchor_count();
     std::fill(out, out + size, 0.0);
@@ -164,7 +164,7 @@ inline void combine_anchors(const Plan& plan, double t, const double* x, const d
     });
 }
 
-inline double contact_energy(const Plan& plan, double t, const double* x) {
+double contact_energy(const Plan& plan, double t, const double* x) {
     const auto law = plan.contacts.law<double>();
     double total = 0.0;
     for_each_contact(plan, t, x, nullptr, [&](const ObstacleContact& contact) {
@@ -178,10 +178,8 @@ inline double contact_energy(const Plan& plan, double t, const double* x) {
     return total;
 }
 
-/// Add the wrench on each obstacle about its position, the power on the cloth and the dissipation, (obstacles,
-/// record_numbers).
-inline void add_contact_wrenches(const Plan& plan, double t, const double* x, const double* v, double weight,
-                                 double* wrenches) {
+void add_contact_wrenches(const Plan& plan, double t, const double* x, const double* v, double weight,
+                          double* wrenches) {
     const auto law = plan.contacts.law<double>();
     for_each_contact(plan, t, x, v, [&](const ObstacleContact& contact) {
         const auto push = contact.force(law);
@@ -202,8 +200,7 @@ inline void add_contact_wrenches(const Plan& plan, double t, const double* x, co
     });
 }
 
-/// Power of contacts that recover their thickness [W].
-inline double contact_growth_power(const Plan& plan, double t, const double* x, const double* v) {
+double contact_growth_power(const Plan& plan, double t, const double* x, const double* v) {
     const auto law = plan.contacts.law<double>();
     double power = 0.0;
     for_each_contact(plan, t, x, v, [&](const ObstacleContact& contact) {
@@ -213,8 +210,7 @@ inline double contact_growth_power(const Plan& plan, double t, const double* x, 
     return power;
 }
 
-/// Add blocks of stiffness and damping across the gap. The curvature of a surface only softens.
-inline void add_contact_bounds(const Plan& plan, double t, const double* x, double* stiff, double* damp) {
+void add_contact_bounds(const Plan& plan, double t, const double* x, double* stiff, double* damp) {
     const auto law = plan.contacts.law<double>();
     for_each_contact(plan, t, x, nullptr, [&](const ObstacleContact& contact) {
         // The anchor spring acts along the surface.
@@ -231,27 +227,23 @@ inline void add_contact_bounds(const Plan& plan, double t, const double* x, doub
     });
 }
 
-/// Squared frequency [1/s^2] and damping rate [1/s] of contact that has absorbed an energy per mass, in U^2/2.
-struct ContactLimits {
-    double omega2 = 0.0, damping = 0.0;
-    ContactLimits(const Contacts& contacts, double energy) {
-        for (const ParallelJaw& jaw : contacts.parallel_jaws)
-            if (jaw.present) damping = larger(2.0 * jaw.force / (jaw.speed * jaw.mass), damping);
-        if (!(energy > 0.0)) return;
-        const auto law = contacts.law<double>();
-        const double gap = stopping_gap(energy) * contacts.thickness;
-        omega2 = law.stiffness(gap);
-        damping = larger(law.damping(gap), damping);
-        if (!contacts.has_friction()) return;
-        omega2 = larger(contacts.frequency * contacts.frequency, omega2);
-        damping = larger(FrictionLaw<double>::damping_per_frequency * contacts.frequency, damping);
-    }
-};
+ContactBounds contact_limits(const Contacts& contacts, double energy) {
+    ContactBounds r;
+    for (const ParallelJaw& jaw : contacts.parallel_jaws)
+        if (jaw.present) r.damping = larger(2.0 * jaw.force / (jaw.speed * jaw.mass), r.damping);
+    if (!(energy > 0.0)) return r;
+    const auto law = contacts.law<double>();
+    const double gap = stopping_gap(energy) * contacts.thickness;
+    r.omega2 = law.stiffness(gap);
+    r.damping = larger(law.damping(gap), r.damping);
+    if (!contacts.has_friction()) return r;
+    r.omega2 = larger(contacts.frequency * contacts.frequency, r.omega2);
+    r.damping = larger(FrictionLaw<double>::damping_per_frequency * contacts.frequency, r.damping);
+    return r;
+}
 
-/// Accelerations [m/s^2] of the half openings at time t, by the cloth and the drives; `jaw_forces` [N] are other
-/// opening forces by gripper.
-inline void jaw_accelerations(const Plan& plan, double t, const double* x, const double* v,
-                              std::vector<double> jaw_forces, double* out) {
+void jaw_accelerations(const Plan& plan, double t, const double* x, const double* v, std::vector<double> jaw_forces,
+                       double* out) {
     const Contacts& contacts = plan.contacts;
     const auto law = contacts.law<double>();
     for_each_contact(plan, t, x, v, [&](const ObstacleContact& contact) {
@@ -272,9 +264,8 @@ inline void jaw_accelerations(const Plan& plan, double t, const double* x, const
     }
 }
 
-/// Add (df/dx) dx + (df/dv) dv to out, by the law on dual numbers.
-inline void add_contact_product(const Plan& plan, double t, const double* x, const double* v, const double* dx,
-                                const double* dv, double* out) {
+void add_contact_product(const Plan& plan, double t, const double* x, const double* v, const double* dx,
+                         const double* dv, double* out) {
     const std::int64_t n = plan.count;
     const ContactLaw<Dual> law(plan.contacts.thickness, plan.contacts.damping);
     for_each_contact(plan, t, x, v, [&](const ObstacleContact& contact) {
@@ -301,8 +292,7 @@ inline void add_contact_product(const Plan& plan, double t, const double* x, con
     });
 }
 
-/// Number of particles in contact with each obstacle, and the least gap to any particle: (obstacles, 2).
-inline void contact_gaps(const Plan& plan, double t, const double* x, double* out) {
+void contact_gaps(const Plan& plan, double t, const double* x, double* out) {
     for (std::int64_t obstacle = 0; obstacle < plan.contacts.count(); ++obstacle) {
         out[2 * obstacle] = 0.0;
         out[2 * obstacle + 1] = std::numeric_limits<double>::infinity();
@@ -314,18 +304,14 @@ inline void contact_gaps(const Plan& plan, double t, const double* x, double* ou
         to[1] = smaller(contact.gap, to[1]);
     });
 }
-/// Gap of each contact [m] in the rows and columns of `ReducedThickness`: obstacles and particles.
-inline void contact_gap_rows(const Plan& plan, double t, const double* x, double* out) {
+void contact_gap_rows(const Plan& plan, double t, const double* x, double* out) {
     const auto any_distance = [](double) { return no_gap<double>; };
     for_each_near(plan, t, x, nullptr, any_distance, [&](const ObstacleContact& contact) {
         out[contact.obstacle * (plan.count + 1) + contact.particle] = contact.gap;
     });
 }
 
-/// Whether a particle intersects an obstacle on its straight path from x0 at time t to x1, `duration` [s] later.
-/// Conservative advancement: a particle cannot reach the surface before its relative motion equals its gap. Each step
-/// along the path is one gap long; then the gap is measured again.
-inline bool ccd_obstacles(const Plan& plan, double t, double duration, const double* x0, const double* x1) {
+bool ccd_obstacles(const Plan& plan, double t, double duration, const double* x0, const double* x1) {
     const std::int64_t n = plan.count;
     const double origin[3] = {}, min_step = 1e-3 * plan.contacts.thickness;
     bool intersects = false;

@@ -6,16 +6,23 @@
 #pragma once
 
 #include "contact/jaw_run.hpp"
+#include "laws/friction.hpp"
 
 namespace cloth {
+
+/// Index of a particle in the blocks of a run: by its rank, or by its row and column in a sheet.
+struct ParticleSlots {
+    const std::int64_t* rank;  ///< null for the rows of a sheet
+    std::int64_t columns, pitch;
+    std::int64_t operator()(std::int64_t i) const { return rank ? rank[i] : i / columns * pitch + i % columns; }
+};
 
 template <class T>
 class ObstacleRun {
 public:
-    /// The particles of consecutive blocks are `pitch` numbers apart; slot_of(particle) is the index of a particle.
-    template <class F>
+    /// The particles of consecutive blocks are `pitch` numbers apart.
     ObstacleRun(Plan& plan, const Run& run, const double* origin, int threads, std::int64_t blocks, std::int64_t pitch,
-                F&& slot_of)
+                const ParticleSlots& slot_of)
         : contacts_(plan.contacts), run_(run), origin_(origin), law_(plan.contacts.template law<V>()), blocks_(blocks),
           pitch_(pitch), jaws_(plan.contacts, run, threads, blocks),
           masses_(plan.workspace<T>(run.workspace).contact_masses) {

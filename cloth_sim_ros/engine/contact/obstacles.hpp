@@ -6,8 +6,8 @@
 
 #include "contact/parallel_jaw.hpp"
 #include "contact/shapes.hpp"
-#include "laws/contact.hpp"
-#include "laws/friction.hpp"
+#include "laws/anchor.hpp"
+#include "laws/scaling.hpp"
 #include "plan/grips.hpp"
 
 #include <algorithm>
@@ -292,5 +292,10 @@ inline BlockScan<T> scan_block(const PosedObstacle<T>& posed, const Vec3<T>& siz
                      load(block.mass + j));
     return scan;
 }
+
+/// Squared frequency [1/s^2] and damping rate [1/s].
+struct ContactBounds {
+    double omega2 = 0.0, damping = 0.0;
+};
 
 }  // namespace cloth

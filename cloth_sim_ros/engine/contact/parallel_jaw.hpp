@@ -5,10 +5,12 @@
 // docs/derivations/parallel_jaw.md derives it.
 #pragma once
 
-#include "laws/contact.hpp"
 #include "plan/grips.hpp"
 
 namespace cloth {
+
+template <class V>
+class ContactLaw;
 
 /// Half the opening between the faces of the jaws [m], and its rate [m/s].
 inline constexpr int jaw_state_size = 2;
@@ -26,22 +28,10 @@ struct ParallelJaw {
     /// barrier stops the jaws at each other when half a thickness is left between their faces, which is closer than
     /// cloth between them allows, and at the full opening when a thickness is left.
     double acceleration(const ContactLaw<double>& law, double thickness, double half_opening, double jaw_speed,
-                        double cloth_force) const {
-        const double drive_force = 2.0 * force * ((closed ? -1.0 : 1.0) - jaw_speed / speed);
-        const double inner = law.push(half_opening + 0.75 * thickness, -jaw_speed),
-                     outer = law.push(max_half_opening + thickness - half_opening, jaw_speed);
-        return (cloth_force + drive_force) / mass + (inner - outer);
-    }
+                        double cloth_force) const;
     /// Energy per mass, in U^2/2, that a stop has to absorb at that rate; zero if no stop is near.
     double stop_energy(const ContactLaw<double>& law, double thickness, double half_opening, double jaw_speed,
-                       double horizon) const {
-        const auto at = [&](double gap, double closing) {
-            const double w = larger(closing, 0.0) / ContactLaw<double>::speed;
-            return gap - horizon * larger(closing, 0.0) < thickness ? w * w + law.shape(gap) : 0.0;
-        };
-        return larger(at(half_opening + 0.75 * thickness, -jaw_speed),
-                      at(max_half_opening + thickness - half_opening, jaw_speed));
-    }
+                       double horizon) const;
 };
 
 /// Pose of the jaw on a side, +1 or -1, of the closing axis y, from the pose of the gripper.
@@ -50,18 +40,6 @@ inline Pose jaw_pose(Pose pose, double jaw_side, double half_opening, double jaw
     pose.position = pose.position + offset;
     pose.velocity = pose.velocity + (jaw_side * jaw_speed) * pose.rotation[1] + cross(pose.spin, offset);
     return pose;
-}
-
-/// Energy per mass, in U^2/2, at which contact is `factor` times as stiff as at `energy`.
-inline double stiffened_energy(const ContactLaw<double>& law, double thickness, double energy, double factor) {
-    if (!(energy > 0.0) || !(factor > 1.0)) return energy;
-    double high = stopping_gap(energy), low = 0.0;
-    const double target = factor * law.stiffness(high * thickness);
-    for (int k = 0; k < 64; ++k) {
-        const double middle = 0.5 * (low + high);
-        (law.stiffness(middle * thickness) < target ? high : low) = middle;
-    }
-    return law.shape(low * thickness);
 }
 
 }  // namespace cloth

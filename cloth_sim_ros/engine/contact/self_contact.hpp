@@ -177,11 +177,6 @@ private:
     std::vector<double> squares_;
 };
 
-/// Squared frequency [1/s^2] and damping rate [1/s].
-struct ContactBounds {
-    double omega2 = 0.0, damping = 0.0;
-};
-
 /// Stiffness bound of self-contact: the energy per mass that it absorbs, in units of U^2/2, for particles and for
 /// edges; and the largest row sum of stiffness over mass relative to a single gap (Gershgorin: a pair's stiffness k g
 /// g' is at most 2 k |g_c| at each of its corners).

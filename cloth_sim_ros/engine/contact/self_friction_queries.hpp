@@ -4,7 +4,7 @@
 // Queries of friction between layers, contact by contact, with the anchors of the plan.
 #pragma once
 
-#include "mesh/queries.hpp"
+#include "contact/self_contact.hpp"
 #include "plan/plan.hpp"
 
 namespace cloth {

@@ -5,6 +5,8 @@
 // Arrays are (3, n) by component.
 #pragma once
 
+#include "contact/culling.hpp"
+#include "contact/queries.hpp"
 #include "contact/self_friction_queries.hpp"
 
 namespace cloth {
@@ -62,7 +64,7 @@ inline void for_each_self_contact(Plan& plan, double t, const double* x, const d
                                   [&](const Contact<double>& m, auto& x_at, auto& v_at) { visit(law, m, x_at, v_at); });
 }
 
-inline double self_energy(Plan& plan, double t, const double* x) {
+double self_energy(Plan& plan, double t, const double* x) {
     double total = 0.0;
     for_each_self_contact(plan, t, x, nullptr,
                           [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
@@ -70,8 +72,7 @@ inline double self_energy(Plan& plan, double t, const double* x) {
                           });
     return total;
 }
-/// Power of damping and friction [W].
-inline double self_dissipation(Plan& plan, double t, const double* x, const double* v) {
+double self_dissipation(Plan& plan, double t, const double* x, const double* v) {
     double dissipation = 0.0;
     for_each_self_contact(plan, t, x, v,
                           [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
@@ -79,8 +80,7 @@ inline double self_dissipation(Plan& plan, double t, const double* x, const doub
                           });
     return dissipation;
 }
-/// Power of friction between layers [W].
-inline double self_friction_power(Plan& plan, double t, const double* x, const double* v) {
+double self_friction_power(Plan& plan, double t, const double* x, const double* v) {
     double dissipation = 0.0;
     for_each_self_contact(plan, t, x, v,
                           [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
@@ -88,17 +88,15 @@ inline double self_friction_power(Plan& plan, double t, const double* x, const d
                           });
     return dissipation;
 }
-/// Power of contacts that recover their thickness [W].
-inline double self_growth_power(Plan& plan, double t, const double* x, const double* v) {
+double self_growth_power(Plan& plan, double t, const double* x, const double* v) {
     double power = 0.0;
     for_each_self_contact(plan, t, x, v, [&](const SelfLaw<double>& law, const Contact<double>& m, auto&, auto&) {
         if (law.reduced()) power += law.growth_power(m);
     });
     return power;
 }
-/// Combine the anchors on layers after runs, see combine_layer_anchors; those of obstacles come before them.
-inline void combine_self_anchors(Plan& plan, double t, const double* x, const double* v, std::int64_t runs,
-                                 const double* weights, const double* ends, double* out) {
+void combine_self_anchors(Plan& plan, double t, const double* x, const double* v, std::int64_t runs,
+                          const double* weights, const double* ends, double* out) {
     if (!plan.has_self_friction()) return;
     const std::int64_t offset = plan.contacts.obstacle_anchors(plan.count);
     for_each_self_contact(plan, t, x, v,
@@ -108,9 +106,7 @@ inline void combine_self_anchors(Plan& plan, double t, const double* x, const do
                           });
 }
 
-/// Add blocks that bound stiffness and damping: for a gap k g g', g = weights times normal, at most 2 k |w_c| n n' at
-/// corner c, because the weights of either side add up to one. Terms with a negative sign only soften.
-inline void add_self_bounds(Plan& plan, double t, const double* x, double* stiff, double* damp) {
+void add_self_bounds(Plan& plan, double t, const double* x, double* stiff, double* damp) {
     std::vector<std::int64_t> particle_of_rank(plan.count);
     for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
     for_each_self_contact(plan, t, x, nullptr,
@@ -132,9 +128,8 @@ inline void add_self_bounds(Plan& plan, double t, const double* x, double* stiff
                           });
 }
 
-/// Add (df/dx) dx + (df/dv) dv to out, by the law on dual numbers.
-inline void add_self_product(Plan& plan, double t, const double* x, const double* v, const double* dx, const double* dv,
-                             double* out) {
+void add_self_product(Plan& plan, double t, const double* x, const double* v, const double* dx, const double* dv,
+                      double* out) {
     const Contacts& contacts = plan.contacts;
     const Array<double> a = quads_of(plan, x), b = quads_of(plan, v), da = quads_of(plan, dx), db = quads_of(plan, dv);
     const Quads at[2] = {{a.data()}, {da.data()}}, velocity[2] = {{b.data()}, {db.data()}};
@@ -166,8 +161,7 @@ inline void for_each_full_contact(Plan& plan, const double* x, F&& visit) {
                                   [&](const Contact<double>& m, auto&, auto&) { visit(m); });
 }
 
-/// Number of particles and pairs of edges in contact, and their least gap [m], infinite if there are none.
-inline void self_gaps(Plan& plan, const double* x, double* out) {
+void self_gaps(Plan& plan, const double* x, double* out) {
     out[0] = 0.0;
     out[1] = std::numeric_limits<double>::infinity();
     for_each_full_contact(plan, x, [&](const Contact<double>& m) {
@@ -175,9 +169,7 @@ inline void self_gaps(Plan& plan, const double* x, double* out) {
         out[1] = smaller(m.min_gap(), out[1]);
     });
 }
-/// Least gap of each particle's contacts [m], in the caller's order: to triangles, edges and particles within the
-/// thickness, and twice that of an edge of the particle with another edge.
-inline void self_gap_row(Plan& plan, const double* x, double* out) {
+void self_gap_row(Plan& plan, const double* x, double* out) {
     std::vector<std::int64_t> particle_of_rank(plan.count);
     for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
     for_each_full_contact(plan, x, [&](const Contact<double>& m) {
@@ -189,11 +181,8 @@ inline void self_gap_row(Plan& plan, const double* x, double* out) {
     });
 }
 
-/// Squared frequency and damping rate of self-contact once it has absorbed `expected` times its energy: of contacts,
-/// and of pairs that come into contact within a duration [s] at the present velocities. Infinite if a position is not
-/// finite.
-inline ContactBounds predict_self_contact(Plan& plan, double t, double duration, double expected, const double* x,
-                                          const double* v) {
+ContactBounds predict_self_contact(Plan& plan, double t, double duration, double expected, const double* x,
+                                   const double* v) {
     SelfContact& self = *plan.self;
     const double d = plan.contacts.thickness;
     const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, v);
@@ -240,9 +229,7 @@ inline ContactBounds predict_self_contact(Plan& plan, double t, double duration,
     return bound.bounds(d, plan.contacts.damping, expected, friction_omega2, frequency);
 }
 
-/// Whether the surface intersects itself on straight paths from x0 to x1, by additive continuous collision detection
-/// (Li et al., Codimensional IPC, 2021): each step along a path is one gap long.
-inline bool ccd_self(Plan& plan, const double* x0, const double* x1) {
+bool ccd_self(Plan& plan, const double* x0, const double* x1) {
     SelfContact& self = *plan.self;
     const double d = plan.contacts.thickness;
     const Array<double> from = quads_of(plan, x0), to = quads_of(plan, x1);
@@ -278,49 +265,31 @@ inline bool ccd_self(Plan& plan, const double* x0, const double* x1) {
     return intersected;
 }
 
-/// Excludes self-contact from a frame in which no part of the cloth can reach another. At the start of the frame no
-/// pair may be nearer than the thickness and the distance covered in the frame at twice the present relative speed,
-/// plus `speed_margin`. If a run ends with a larger relative speed, all runs of the frame are repeated with
-/// self-contact. Cached pairs make no difference, so no bit depends on it.
-class SelfCulling {
-public:
-    SelfCulling(Plan& plan, double duration, const double* x0, const double* v0) : plan_(plan) {
-        plan.self_culled = false;
-        if (!plan.self) return;
-        SelfContact& self = *plan.self;
-        const Array<double> positions = quads_of(plan, x0);
-        speed_limit_ = 2.0 * relative_speed(v0) + speed_margin;
-        const double margin = speed_limit_ * duration;
-        plan.self_culled = plan.contacts.thickness + margin < SelfContact::min_reach * self.surface.shortest &&
-                           self.find(positions.data(), plan.contacts.thickness, margin) && self.triangles.size() == 0 &&
-                           self.edges.size() == 0;
-    }
-    /// Whether a run with end velocities v violates the assumptions.
-    bool is_violated(const double* v) const { return plan_.self_culled && !(relative_speed(v) <= speed_limit_); }
-    void disable() { plan_.self_culled = false; }
+SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const double* v0) : plan_(plan) {
+    plan.self_culled = false;
+    if (!plan.self) return;
+    SelfContact& self = *plan.self;
+    const Array<double> positions = quads_of(plan, x0);
+    speed_limit_ = 2.0 * relative_speed(v0) + speed_margin;
+    const double margin = speed_limit_ * duration;
+    plan.self_culled = plan.contacts.thickness + margin < SelfContact::min_reach * self.surface.shortest &&
+                       self.find(positions.data(), plan.contacts.thickness, margin) && self.triangles.size() == 0 &&
+                       self.edges.size() == 0;
+}
 
-private:
-    /// Speed that particles may gain [m/s].
-    static constexpr double speed_margin = 0.1;
-
-    double relative_speed(const double* v) const {
-        const std::int64_t n = plan_.count;
-        MotionBound bound;
-        for (std::int64_t i = 0; i < n; ++i) bound.include(quad<double>{v[i], v[n + i], v[2 * n + i], 0.0});
-        return bound.diameter();
-    }
-    Plan& plan_;
-    double speed_limit_ = 0.0;
-};
+double SelfCulling::relative_speed(const double* v) const {
+    const std::int64_t n = plan_.count;
+    MotionBound bound;
+    for (std::int64_t i = 0; i < n; ++i) bound.include(quad<double>{v[i], v[n + i], v[2 * n + i], 0.0});
+    return bound.diameter();
+}
 
 /// Six times the signed volume of a tetrahedron.
 inline double volume(Vec3<double> a, Vec3<double> b, Vec3<double> c, Vec3<double> e) {
     return dot(cross(b - a, c - a), e - a);
 }
 
-/// First edge that intersects a triangle: its two particles and those of the triangle, or -1 if there is none. Pairs
-/// with a common corner do not count.
-inline void find_self_intersection(Plan& plan, const double* x, std::int64_t* out) {
+void find_self_intersection(Plan& plan, const double* x, std::int64_t* out) {
     const Surface& s = plan.self->surface;
     const Array<double> positions = quads_of(plan, x);
     const Quads at{positions.data()};

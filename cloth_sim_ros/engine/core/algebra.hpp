@@ -73,6 +73,16 @@ CLOTH_INLINE Sym3<V> outer(V s, Vec3<V> a, V t) {
     return {fma(b.x, a.x, t), fma(b.y, a.y, t), fma(b.z, a.z, t), b.x * a.y, b.x * a.z, b.y * a.z};
 }
 
+/// Add a matrix to block i of n blocks (6, n): xx, yy, zz, xy, xz, yz.
+inline void add_block(double* blocks, std::int64_t n, std::int64_t i, const Sym3<double>& b) {
+    blocks[i] += b.xx;
+    blocks[n + i] += b.yy;
+    blocks[2 * n + i] += b.zz;
+    blocks[3 * n + i] += b.xy;
+    blocks[4 * n + i] += b.xz;
+    blocks[5 * n + i] += b.yz;
+}
+
 /// A number and its derivative along a direction. A law evaluated with these yields its derivative product.
 struct Dual {
     double value, slope;
@@ -101,5 +111,10 @@ template <>
 CLOTH_INLINE Dual splat<Dual>(double a) {
     return {a, 0.0};
 }
+template <class V>
+inline Vec3<Dual> with_slope(Vec3<V> a, Vec3<V> slope) {
+    return {{a.x, slope.x}, {a.y, slope.y}, {a.z, slope.z}};
+}
+inline Vec3<double> slope_of(Vec3<Dual> a) { return {a.x.slope, a.y.slope, a.z.slope}; }
 
 }  // namespace cloth

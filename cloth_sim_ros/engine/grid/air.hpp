@@ -6,7 +6,7 @@
 #pragma once
 
 #include "grid/cells.hpp"
-#include "mesh/forces.hpp"
+#include "laws/panel.hpp"
 
 namespace cloth {
 

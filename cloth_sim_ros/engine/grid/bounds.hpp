@@ -7,6 +7,7 @@
 
 #include "grid/cells.hpp"
 #include "grid/queries.hpp"
+#include "laws/panel.hpp"
 
 namespace cloth {
 

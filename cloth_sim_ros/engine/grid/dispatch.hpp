@@ -4,6 +4,7 @@
 // Choice of the row loop of a sheet by its families of springs and its dependence on velocities.
 #pragma once
 
+#include "grid/row.hpp"
 #include "plan/plan.hpp"
 
 namespace cloth {

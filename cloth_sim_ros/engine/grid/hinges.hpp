@@ -9,7 +9,7 @@
 #pragma once
 
 #include "grid/dispatch.hpp"
-#include "mesh/forces.hpp"
+#include "laws/hinge.hpp"
 
 /// Laws of four corners need more registers than exist. GCC spills fewer values if it may move loads next to their
 /// uses, and the loop is a fifth faster. No bit changes, because the order of loads is no order of sums.
@@ -58,9 +58,10 @@ struct HingeOperands {
 /// Whether an element has a corner in this row and column.
 template <class Law>
 constexpr bool has_corner(int row, int column) {
-    for (int k = 0; k < n_stencils<Law>; ++k)
+    for (int k = 0; k < n_stencils<Law::corners>; ++k)
         for (int c = 0; c < Law::corners; ++c)
-            if (stencil_of<Law>(k).row[c] == row && stencil_of<Law>(k).column[c] == column) return true;
+            if (stencil_of<Law::corners>(k).row[c] == row && stencil_of<Law::corners>(k).column[c] == column)
+                return true;
     return false;
 }
 
@@ -76,7 +77,7 @@ CLOTH_SCHEDULED void accumulate_hinges(const HingeRow<T>& row, PowerSums* powers
     for (std::ptrdiff_t j = 0; j < at.length; j += lanes<T>) {
         Vec3<V> sum[3][3] = {};
         const auto add_stencil = [&]<int K>(std::integral_constant<int, K>) CLOTH_INLINED {
-            constexpr Stencil stencil = stencil_of<Law>(K);
+            constexpr Stencil stencil = stencil_of<Law::corners>(K);
             const HingeOperands<Law, T> operands(at, stencil, K, j, Damped);
             Vec3<V> f[C];
             Law::force(operands.params, operands.d, operands.u, f + 1, Damped);
@@ -106,7 +107,7 @@ CLOTH_SCHEDULED void accumulate_hinges(const HingeRow<T>& row, PowerSums* powers
         };
         [&]<int... K>(std::integer_sequence<int, K...>) CLOTH_INLINED {
             (add_stencil(std::integral_constant<int, K>{}), ...);
-        }(std::make_integer_sequence<int, n_stencils<Law>>{});
+        }(std::make_integer_sequence<int, n_stencils<Law::corners>>{});
         put(std::integral_constant<int, 0>{});
         if constexpr (C == 4) put(std::integral_constant<int, 1>{});
         put(std::integral_constant<int, 2>{});

@@ -6,7 +6,7 @@
 #pragma once
 
 #include "grid/grid.hpp"
-#include "mesh/queries.hpp"
+#include "laws/spring.hpp"
 
 namespace cloth {
 

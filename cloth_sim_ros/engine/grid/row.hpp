@@ -8,57 +8,16 @@
 // its own springs are done, and its particles move at once: a step reads and writes each number once.
 #pragma once
 
-#include "laws/all.hpp"
+#include "grid/grid.hpp"
+#include "laws/spring.hpp"
 
 namespace cloth {
-
-/// Families of springs by their ends (row, column) relative to the owning row and column.
-enum Family : int { right, down, diagonal, antidiagonal, right2, down2 };
-inline constexpr int family_count = 6;
-struct Ends {
-    int row0, column0, row1, column1;
-};
-inline constexpr Ends family_ends[family_count] = {{0, 0, 0, 1}, {0, 0, 1, 0}, {0, 0, 1, 1},
-                                                   {0, 1, 1, 0}, {0, 0, 0, 2}, {0, 0, 2, 0}};
-/// Number of lower rows that a spring reaches at most.
-inline constexpr int row_reach = 2;
-
-/// Components of a padded row: positions, velocities, damping velocities, previous accelerations and, in single
-/// precision, the compensation of rounding (Kahan).
-enum Slot : int { position = 0, velocity = 3, damping_velocity = 6, previous_acceleration = 9, compensation = 12 };
-template <class T>
-inline constexpr int components = sizeof(T) == 4 ? 15 : 12;
-
-/// Slots of a table entry: 1/m, one for free particles, then the weights of the families.
-inline constexpr int inverse_mass = 0, freedom = 1, weights = 2, table_slots = weights + family_count;
-
-/// Dependence of the forces on velocity.
-enum class Mode { position_only, drag, damped };
 
 template <class T>
 struct GridConstants {
     typename Spring::template Params<T> families[family_count];
     T drag, body_acceleration[3];
 };
-/// Factors of one step: v += kick a; damping velocity = v + predict a + predict_previous a_previous; x += drift v.
-template <class T>
-struct StepFactors {
-    T kick, predict, predict_previous, drift;
-};
-
-template <class T>
-struct RowView {
-    T* row[3];
-    T* force_rows[3];
-    const T* entry;
-    /// Distance between components of a row, and number of columns rounded up to whole vectors.
-    std::ptrdiff_t pitch, length;
-    /// Output of accelerations, components `acceleration_pitch` numbers apart, of a row that is only evaluated; null
-    /// for one that moves. In double precision only.
-    T* accelerations = nullptr;
-    std::ptrdiff_t acceleration_pitch = 0;
-};
-
 /// Add the force rows and the forces of the row's own springs, and advance the row by one step if it is `owned`;
 /// otherwise only add the forces on the rows below. Families: a set of bits, one for each that exists.
 template <class T, unsigned Families, Mode M>

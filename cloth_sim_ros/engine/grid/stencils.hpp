@@ -22,38 +22,38 @@ inline constexpr Stencil hinge_stencils[n_hinge_stencils] = {
 /// Springs between the wings of the hinges over an edge.
 inline constexpr Stencil spring_stencils[n_spring_stencils] = {{{0, 0}, {0, 2}}, {{0, 2}, {0, 0}}};
 
-template <class Law>
-inline constexpr int n_stencils = Law::corners == 4 ? n_hinge_stencils : n_spring_stencils;
-template <class Law>
+/// Of elements with this number of corners.
+template <int Corners>
+inline constexpr int n_stencils = Corners == 4 ? n_hinge_stencils : n_spring_stencils;
+template <int Corners>
 constexpr Stencil stencil_of(int k) {
-    return Law::corners == 4 ? hinge_stencils[k] : spring_stencils[k];
+    return Corners == 4 ? hinge_stencils[k] : spring_stencils[k];
 }
 
 /// Slot of each element of a list in tables by rows. Empty if an element matches no stencil, two have the same slot, or
 /// so many slots are free that evaluating all would be slower.
-template <class Law>
+template <int Corners>
 inline std::vector<std::int64_t> row_slots(const Grid& grid, const List& list) {
-    constexpr int C = Law::corners;
     std::vector<std::int64_t> slots;
-    std::vector<char> occupied(grid.count() * n_stencils<Law>, 0), rows(grid.rows * n_stencils<Law>, 0);
+    std::vector<char> occupied(grid.count() * n_stencils<Corners>, 0), rows(grid.rows * n_stencils<Corners>, 0);
     for (std::int64_t e = 0; e < list.count; ++e) {
-        const std::int64_t* const p = list.corners.data() + e * C;
+        const std::int64_t* const p = list.corners.data() + e * Corners;
         std::int64_t top = p[0] / grid.columns, left = p[0] % grid.columns;
-        for (int c = 1; c < C; ++c) {
+        for (int c = 1; c < Corners; ++c) {
             top = std::min(top, p[c] / grid.columns);
             left = std::min(left, p[c] % grid.columns);
         }
         const auto matches = [&](int k) {
-            const Stencil stencil = stencil_of<Law>(k);
-            for (int c = 0; c < C; ++c)
+            const Stencil stencil = stencil_of<Corners>(k);
+            for (int c = 0; c < Corners; ++c)
                 if (p[c] / grid.columns != top + stencil.row[c] || p[c] % grid.columns != left + stencil.column[c])
                     return false;
             return true;
         };
         int k = 0;
-        while (k < n_stencils<Law> && !matches(k)) ++k;
-        if (k == n_stencils<Law>) return {};
-        const std::int64_t row = top * n_stencils<Law> + k, slot = row * grid.columns + left;
+        while (k < n_stencils<Corners> && !matches(k)) ++k;
+        if (k == n_stencils<Corners>) return {};
+        const std::int64_t row = top * n_stencils<Corners> + k, slot = row * grid.columns + left;
         if (occupied[slot]) return {};
         occupied[slot] = rows[row] = 1;
         slots.push_back(slot);

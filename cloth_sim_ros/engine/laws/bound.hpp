@@ -35,4 +35,17 @@ struct Bound {
     V transverse{};
 };
 
+/// Parameters of a law from `numbers` of an element, or from the `common` ones of a list of panels.
+template <class Law, class V>
+inline typename Law::template Params<V> law_params(const V* numbers, const double* common) {
+    using T = scalar<V>;
+    if constexpr (Law::params == 3)
+        return {numbers[0], numbers[1], numbers[2]};
+    else if constexpr (Law::params == 2)
+        return {numbers[0], numbers[1]};
+    else
+        return {splat<V>(T(common[0])), splat<V>(T(common[1])),
+                Vec3<V>{splat<V>(T(common[2])), splat<V>(T(common[3])), splat<V>(T(common[4]))}};
+}
+
 }  // namespace cloth

@@ -5,7 +5,7 @@
 // mesh. docs/derivations/contact_law.md derives it.
 #pragma once
 
-#include "core/algebra.hpp"
+#include "laws/scaling.hpp"
 
 namespace cloth {
 
@@ -83,23 +83,6 @@ private:
 
     V inverse_, strength_, half_damping_, damping_speed_, damping_scale_;
 };
-
-/// A contact of reduced thickness d / scale, which grows at a relative rate `growth` [1/s]. It is the law of thickness
-/// d at gaps and speeds multiplied by `scale`, with the acceleration divided by `scale` and the energy by its square.
-/// Therefore squared frequencies and damping rates are those of thickness d. docs/derivations/contact_thickness.md
-/// derives it.
-template <class V>
-struct Scaling {
-    V scale, growth;
-
-    CLOTH_INLINE V gap(V gap) const { return scale * gap; }
-    /// Closing speed of the scaled gap, by the relative motion [m/s] and by the growth.
-    CLOTH_INLINE V closing(V gap, V speed) const { return scale * fma(growth, gap, speed); }
-};
-template <class V>
-inline Scaling<V> full_thickness() {
-    return {splat<V>(scalar<V>(1.0)), V{}};
-}
 
 /// Gap over thickness at which the barrier is b, that is where it has absorbed b U^2/2 per mass. Never above the exact
 /// value: Newton's iteration on the convex (1 - s)^4 - b s converges from below.

@@ -6,17 +6,9 @@
 #pragma once
 
 #include "core/algebra.hpp"
+#include "laws/anchor.hpp"
 
 namespace cloth {
-
-/// Friction coefficients of a pair of surfaces, at rest and in motion.
-struct FrictionCoefficients {
-    double at_rest = 0.0, sliding = 0.0;
-};
-/// State of a contact: none, sticking or sliding.
-enum Bond : int { no_bond = 0, sticks = 1, slides = 2 };
-/// Numbers of an anchor: its position in the obstacle's frame [m] and its bond.
-inline constexpr int anchor_numbers = 4;
 
 /// Friction at one time: acceleration, stretch of the anchor spring after the return to the cone, whether it slides,
 /// and per mass the dissipated power and the energy whose gradient is the acceleration for a fixed anchor.

@@ -8,23 +8,16 @@
 #include <numeric>
 
 #include "core/storage.hpp"
-#include "laws/all.hpp"
 
 namespace cloth {
 
 enum class Kind : int { spring, joint, crossed, altitude, panel3, panel4 };
-
-/// Call `visit` with the law of a kind.
-template <class F>
-inline auto with_law(Kind kind, F&& visit) {
-    switch (kind) {
-        case Kind::spring: return visit(Spring{});
-        case Kind::joint: return visit(Joint{});
-        case Kind::crossed: return visit(Crossed{});
-        case Kind::altitude: return visit(Altitude{});
-        case Kind::panel3: return visit(Panel<3>{});
-        default: return visit(Panel<4>{});
-    }
+/// Number of particles of an element, and of parameters of its own.
+inline constexpr int corners_of(Kind kind) {
+    return kind == Kind::panel3 ? 3 : kind == Kind::spring || kind == Kind::joint ? 2 : 4;
+}
+inline constexpr int params_of(Kind kind) {
+    return kind == Kind::panel3 || kind == Kind::panel4 ? 0 : kind == Kind::joint ? 2 : 3;
 }
 
 /// Neighbouring elements of a list are evaluated this far apart, so that additions to the force on one particle do not
@@ -43,12 +36,7 @@ struct Elements {
 class List {
 public:
     List(Kind kind, std::int64_t count, const std::int64_t* corners, const double* params, const double* common)
-        : kind(kind), count(count) {
-        with_law(kind, [&](auto law) {
-            using Law = decltype(law);
-            width = Law::corners;
-            numbers = Law::params;
-        });
+        : kind(kind), count(count), width(corners_of(kind)), numbers(params_of(kind)) {
         this->corners.assign(corners, corners + count * width);
         if (numbers) this->params.assign(params, params + count * numbers);
         if (common) std::copy(common, common + 5, this->common);
@@ -110,35 +98,13 @@ public:
     double common[5] = {};
 };
 
-template <class Law, class V>
-inline typename Law::template Params<V> law_params(const V* numbers, const double* common) {
-    using T = scalar<V>;
-    if constexpr (Law::params == 3)
-        return {numbers[0], numbers[1], numbers[2]};
-    else if constexpr (Law::params == 2)
-        return {numbers[0], numbers[1]};
-    else
-        return {splat<V>(T(common[0])), splat<V>(T(common[1])),
-                Vec3<V>{splat<V>(T(common[2])), splat<V>(T(common[3])), splat<V>(T(common[4]))}};
-}
-
-/// Operands of a law for one element of a list at x and v, (3, n) by component.
-template <class Law>
-struct ElementState {
-    Vec3<double> d[Law::corners - 1], u[Law::corners];
-    typename Law::template Params<double> params;
-    ElementState(const List& list, std::int64_t e, const double* x, const double* v, std::int64_t n)
-        : params(law_params<Law, double>(list.params.data() + e * list.numbers, list.common)) {
-        const std::int64_t* const p = list.corners.data() + e * list.width;
-        const auto at = [n](const double* a, std::int64_t i) { return Vec3<double>{a[i], a[n + i], a[2 * n + i]}; };
-        for (int c = 1; c < Law::corners; ++c) {
-            d[c - 1] = at(x, p[c]) - at(x, p[0]);
-            if constexpr (!Law::absolute_velocities)
-                if (v) u[c - 1] = at(v, p[c]) - at(v, p[0]);
-        }
-        if constexpr (Law::absolute_velocities)
-            if (v)
-                for (int c = 0; c < Law::corners; ++c) u[c] = at(v, p[c]);
+/// Dissipated and external power of elements, in 16 partial sums of every sixteenth element, whatever the vector width.
+struct PowerSums {
+    double dissipation[16] = {}, external[16] = {};
+    double sum(const double (&parts)[16]) const {
+        double total = 0.0;
+        for (double part : parts) total += part;
+        return total;
     }
 };
 

@@ -5,19 +5,9 @@
 // after the other, so that sums have one order whatever the vector width.
 #pragma once
 
-#include "mesh/elements.hpp"
+#include "mesh/dispatch.hpp"
 
 namespace cloth {
-
-/// Dissipated and external power of elements, in 16 partial sums of every sixteenth element, whatever the vector width.
-struct PowerSums {
-    double dissipation[16] = {}, external[16] = {};
-    double sum(const double (&parts)[16]) const {
-        double total = 0.0;
-        for (double part : parts) total += part;
-        return total;
-    }
-};
 
 /// Operands of a law for a vector of elements.
 template <class Law, class V>
@@ -199,25 +189,5 @@ private:
     PowerSums* powers_;
     std::int64_t count_;
 };
-
-/// Add the forces of all elements at positions x and velocities v to f, all quads by particle.
-template <class T>
-inline void add_forces(const List& list, const Elements<T>& elements, const T* x, const T* v, T* f, PowerSums* powers) {
-    with_law(list.kind, [&](auto law) {
-        using Law = decltype(law);
-        const auto add = [&](auto damped, auto record) {
-            ForceLoop<Law, T, damped.value, record.value>(elements, list.common, x, v, f, powers).add();
-        };
-        constexpr std::true_type yes;
-        constexpr std::false_type no;
-        const bool damped = Law::absolute_velocities || list.damped;
-        if (powers && damped)
-            add(yes, yes);
-        else if (damped)
-            add(yes, no);
-        else if constexpr (!Law::absolute_velocities)
-            add(no, no);
-    });
-}
 
 }  // namespace cloth

@@ -5,7 +5,7 @@
 // list; positions and velocities are (3, n) by component.
 #pragma once
 
-#include "mesh/elements.hpp"
+#include "mesh/dispatch.hpp"
 
 namespace cloth {
 
@@ -35,15 +35,6 @@ inline void list_power(const List& list, const double* x, const double* v, std::
     });
 }
 
-inline void add_block(double* blocks, std::int64_t n, std::int64_t i, const Sym3<double>& b) {
-    blocks[i] += b.xx;
-    blocks[n + i] += b.yy;
-    blocks[2 * n + i] += b.zz;
-    blocks[3 * n + i] += b.xy;
-    blocks[4 * n + i] += b.xz;
-    blocks[5 * n + i] += b.yz;
-}
-
 /// Add blocks that bound stiffness [N/m] and damping [N s/m], each (6, n), and the transverse part of the stiffness of
 /// springs to `transverse` (n) unless null.
 inline void add_list_bounds(const List& list, const double* x, std::int64_t n, double* stiff, double* damp,
@@ -67,10 +58,7 @@ inline void add_list_bounds(const List& list, const double* x, std::int64_t n, d
     });
 }
 
-/// Blocks B (count, 6) of the stiffness of springs and joints, k dd' without the transverse part of compression, and of
-/// their damping, each with its weight.
-inline void pair_blocks(const List& list, const double* x, std::int64_t n, double stiffness, double damping,
-                        double* blocks) {
+void pair_blocks(const List& list, const double* x, std::int64_t n, double stiffness, double damping, double* blocks) {
     for (std::int64_t e = 0; e < list.count; ++e) {
         Sym3<double> b;
         if (list.kind == Kind::spring) {
@@ -84,12 +72,6 @@ inline void pair_blocks(const List& list, const double* x, std::int64_t n, doubl
         std::copy(numbers, numbers + 6, blocks + 6 * e);
     }
 }
-
-template <class V>
-inline Vec3<Dual> with_slope(Vec3<V> a, Vec3<V> slope) {
-    return {{a.x, slope.x}, {a.y, slope.y}, {a.z, slope.z}};
-}
-inline Vec3<double> slope_of(Vec3<Dual> a) { return {a.x.slope, a.y.slope, a.z.slope}; }
 
 /// Add (df/dx) dx + (df/dv) dv to out (3, n), by the law on dual numbers.
 inline void add_list_product(const List& list, const double* x, const double* v, const double* dx, const double* dv,

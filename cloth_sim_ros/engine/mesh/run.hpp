@@ -138,10 +138,4 @@ private:
     std::vector<T> inverse_, free_;  ///< 1/m, and 1 for free particles
 };
 
-template <class T>
-inline RunStatus run_lists(Plan& plan, const Run& run) {
-    return ListRun<T, false>(plan, run).execute();
-}
-inline RunStatus evaluate_lists(Plan& plan, const Run& run) { return ListRun<double, true>(plan, run).execute(); }
-
 }  // namespace cloth

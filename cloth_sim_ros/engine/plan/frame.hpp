@@ -7,13 +7,12 @@
 
 #include <limits>
 
-#include "contact/feature_queries.hpp"
+#include "contact/culling.hpp"
 #include "contact/obstacle_culling.hpp"
-#include "contact/obstacle_prediction.hpp"
-#include "grid/evaluation.hpp"
-#include "grid/run.hpp"
-#include "mesh/run.hpp"
+#include "contact/queries.hpp"
+#include "core/thread_pool.hpp"
 #include "plan/queries.hpp"
+#include "plan/runs.hpp"
 
 namespace cloth {
 
@@ -22,8 +21,7 @@ inline constexpr int max_runs = 8;
 
 template <class T>
 inline RunStatus execute_run(Plan& plan, const Run& run) {
-    if (plan.grid) return GridRun<T>(plan, run).execute();
-    return run_lists<T>(plan, run);
+    return plan.grid ? run_grid<T>(plan, run) : run_lists<T>(plan, run);
 }
 inline RunStatus execute_run(Plan& plan, const Run& run) {
     return run.single_precision && !plan.is_surface_active() ? execute_run<float>(plan, run)
@@ -211,8 +209,8 @@ inline RunStatus accelerations(Plan& plan, double t, const double* x, const doub
     const Run run{t, 1.0, 0, false, 1, x, v, nullptr, out, nullptr, nullptr};
     plan.contacts.activate_all();
     plan.self_culled = false;
-    if (plan.features) plan.features->activate_all(plan.contacts);
-    return plan.grid ? GridForces(plan, run).execute() : evaluate_lists(plan, run);
+    activate_features(plan);
+    return plan.grid ? evaluate_grid(plan, run) : evaluate_lists(plan, run);
 }
 
 }  // namespace cloth

@@ -4,8 +4,8 @@
 // Grasped particles: joints (S4) between particles and points that move and rotate with the grippers.
 #pragma once
 
+#include "core/algebra.hpp"
 #include "core/storage.hpp"
-#include "laws/all.hpp"
 
 namespace cloth {
 
@@ -87,13 +87,7 @@ struct Grips {
         return p;
     }
     /// Force on the particle of a grip [N].
-    Vec3<double> force(std::int64_t grip, const Point& point, Vec3<double> x, Vec3<double> v) const {
-        const typename Joint::Params<double> params{stiffness[grip], damping[grip]};
-        const Vec3<double> d = x - point.position, u = v - point.velocity;
-        Vec3<double> f;
-        Joint::force(params, &d, &u, &f, true);
-        return f;
-    }
+    Vec3<double> force(std::int64_t grip, const Point& point, Vec3<double> x, Vec3<double> v) const;
     /// Accumulate the record of the force on a grip's particle over dt.
     void accumulate(double* sums, std::int64_t grip, const Point& point, Vec3<double> f, Vec3<double> v,
                     double dt) const {

@@ -4,17 +4,17 @@
 // Forces of a run besides the springs of a sheet: listed elements, forces in Python, grippers, contact.
 #pragma once
 
-#include <limits>
+#include <memory>
 
-#include "contact/feature_run.hpp"
-#include "contact/obstacle_run.hpp"
-#include "contact/self_run.hpp"
-#include "mesh/forces.hpp"
+#include "plan/plan.hpp"
 
 namespace cloth {
 
-/// Powers of the damping of a sheet, of drag and of wind at x and v (3, n), without lists and joints of grippers.
-void grid_and_field_powers(const Plan& plan, const double* x, const double* v, double& dissipation, double& external);
+template <class T>
+class ObstacleRun;
+class SelfRun;
+class FeatureRun;
+struct ParticleSlots;
 
 /// Forces outside the grid loop, with the data that a run keeps between its steps.
 template <class T>
@@ -31,26 +31,12 @@ struct OffGridForces {
     std::vector<PoseCache> poses;                            ///< one per thread
     std::vector<double> grip_sums;                           ///< (grips, record_numbers)
     std::vector<T> quarter_impulse_factors;                  ///< from hinge force to a quarter of the impulse over mass
-    std::optional<ObstacleRun<T>> contact;
-    std::optional<SelfRun> self;
-    std::optional<FeatureRun> features;
+    std::unique_ptr<ObstacleRun<T>> contact;
+    std::unique_ptr<SelfRun> self;
+    std::unique_ptr<FeatureRun> features;
 
-    OffGridForces(Plan& plan, const Run& run)
-        : plan(plan), run(run), multirate(run.multirate > 1 && plan.has_hinges()),
-          has_lists(multirate || plan.has_off_grid_lists()), has_fast_lists(plan.has_fast_off_grid_lists()),
-          x(plan.workspace<T>(run.workspace).quads[0]), v(plan.workspace<T>(run.workspace).quads[1]) {
-        if constexpr (sizeof(T) == 4)
-            for (int c = 0; c < 3; ++c) origin[c] = run.x0[c * plan.count];
-        grip_sums.assign(plan.grips.count() * record_numbers, 0.0);
-        if constexpr (sizeof(T) == 8) {
-            if (plan.is_self_active()) {
-                self.emplace(*plan.self, plan.contacts.thickness, plan.contacts.damping, run.step);
-                if (plan.self->has_friction()) self->enable_friction(plan.contacts.frequency, plan.layer_anchors());
-                if (plan.contacts.reduced.any()) self->reduce(plan, run);
-            }
-            if (plan.is_feature_active()) features.emplace(*plan.features, plan.contacts, run);
-        }
-    }
+    OffGridForces(Plan& plan, const Run& run);
+    ~OffGridForces();
     bool needed() const { return has_lists || is_single_threaded(); }
     /// Whether these forces are needed in a step.
     bool is_active(std::int64_t step) const {
@@ -67,123 +53,17 @@ struct OffGridForces {
         for (int k = 0; plan.grips.count() && k < threads; ++k) poses.emplace_back(plan.grips.paths, run.t, run.step);
     }
     /// Set up contact for the rows of a sheet with a row pitch, or for blocks of particles by rank.
-    void init_contact_by_rows(int threads, std::int64_t pitch) {
-        const std::int64_t columns = plan.grid->columns;
-        const auto slot_of = [&](std::int64_t i) { return i / columns * pitch + i % columns; };
-        init_contact(threads, plan.grid->rows, pitch, slot_of);
-    }
-    void init_contact_by_ranks(int threads) {
-        const std::int64_t blocks = (plan.count + contact_block - 1) / contact_block;
-        const auto slot_of = [&](std::int64_t i) { return plan.rank[i]; };
-        init_contact(threads, blocks, contact_block, slot_of);
-    }
-    template <class F>
-    void init_contact(int threads, std::int64_t blocks, std::int64_t pitch, F&& slot_of) {
-        if (!has_near_obstacles()) return;
-        contact.emplace(plan, run, origin, threads, blocks, pitch, slot_of);
-        if (features) features->set_jaws(contact->jaws());
-    }
-    void allocate(const std::vector<std::int64_t>& borders) {
-        partitions = &plan.partitions<T>(borders, multirate, run.workspace);
-        x.assign(4 * (plan.count + 1), T(0));
-        v.assign(4 * (plan.count + 1), T(0));
-        if (multirate) {
-            for (Array<T>& prediction : plan.workspace<T>(run.workspace).predicted_impulses)
-                prediction.assign(4 * (plan.count + 1), T(0));
-            quarter_impulse_factors.resize(plan.count);
-            for (std::int64_t i = 0; i < plan.count; ++i)
-                quarter_impulse_factors[plan.rank[i]] =
-                    static_cast<T>(0.25 * run.multirate * run.step * plan.inverse[i]);
-            for (Partition<T>& partition : *partitions) {
-                partition.hinge_forces.resize(4 * (plan.count + 1));
-                partition.hinge_velocities.resize(4 * (plan.count + 1));
-            }
-        }
-        if (needs_full_arrays()) {
-            callback_x.resize(3 * plan.count);
-            callback_v.resize(3 * plan.count);
-            callback_f.resize(3 * plan.count);
-        }
-    }
+    void init_contact_by_rows(int threads, std::int64_t pitch);
+    void init_contact_by_ranks(int threads);
+    void init_contact(int threads, std::int64_t blocks, std::int64_t pitch, const ParticleSlots& slot_of);
+    void allocate(const std::vector<std::int64_t>& borders);
     /// Compute the forces of lists and callback on the particles of a partition at a step, and record the powers.
-    RunStatus compute_forces(std::int64_t step, int thread) {
-        Partition<T>& partition = (*partitions)[thread];
-        T* const f = partition.f.data();
-        std::fill(f + 4 * partition.low, f + 4 * partition.high, T(0));
-        std::fill(f + 4 * plan.count, f + 4 * plan.count + 4, T(0));
-        const bool record = run.power_integrals && step >= 0;
-        PowerSums list_powers;
-        for (std::size_t k = 0; k < partition.lists.size(); ++k)
-            if (!(multirate && plan.lists[k].slow))
-                add_forces<T>(plan.lists[k], partition.lists[k], x.data(), v.data(), f,
-                              record ? &list_powers : nullptr);
-        if (multirate && run.evaluates_hinges(step))
-            add_hinge_impulses(step, partition, record ? &list_powers : nullptr);
-        if constexpr (sizeof(T) == 8) {
-            if (self) self->add(step, x.data(), v.data(), f, record ? list_powers.dissipation : nullptr);
-            if (features) features->add(step, x.data(), v.data(), f);
-        }
-        return needs_full_arrays() ? add_callback_forces(step, f, record, list_powers) : RunStatus::ok;
-    }
+    RunStatus compute_forces(std::int64_t step, int thread);
     /// Evaluate hinges in a step that stands for `multirate` steps: their impulse and their dissipation count as often.
     /// The velocity just before such an impulse lacks half of it, but the damping needs the mean velocity. The missing
     /// half is predicted by the mean of the last two, as in every step.
-    void add_hinge_impulses(std::int64_t step, Partition<T>& partition, PowerSums* list_powers) {
-        const std::int64_t evaluation = step < 0 ? 0 : step / run.multirate + 1;
-        auto& predictions = plan.workspace<T>(run.workspace).predicted_impulses;
-        const T* const prediction = predictions[(evaluation + 1) % 2].data();
-        T *const next_prediction = predictions[evaluation % 2].data(), *const previous_quarter = predictions[2].data();
-        for (std::int64_t i = 4 * partition.low; i < 4 * partition.high; i += 4)
-            store4(partition.hinge_velocities.data() + i, quad<T>(load4(v.data() + i) + load4(prediction + i)));
-        std::fill(partition.hinge_forces.begin() + 4 * partition.low,
-                  partition.hinge_forces.begin() + 4 * partition.high, T(0));
-        PowerSums hinge_powers;
-        for (std::size_t k = 0; k < partition.lists.size(); ++k)
-            if (plan.lists[k].slow)
-                add_forces<T>(plan.lists[k], partition.lists[k], x.data(), partition.hinge_velocities.data(),
-                              partition.hinge_forces.data(), list_powers ? &hinge_powers : nullptr);
-        for (int k = 0; list_powers && k < 16; ++k)
-            list_powers->dissipation[k] += static_cast<double>(run.multirate) * hinge_powers.dissipation[k];
-        const T weight = static_cast<T>(step < 0 ? 0 : run.multirate);
-        T* const f = partition.f.data();
-        for (std::int64_t p = partition.first; p < partition.last; ++p) {
-            const quad<T> impulse = load4(partition.hinge_forces.data() + 4 * p),
-                          weights{weight, weight, weight, weight};
-            const quad<T> factor{quarter_impulse_factors[p], quarter_impulse_factors[p], quarter_impulse_factors[p],
-                                 quarter_impulse_factors[p]},
-                quarter_impulse = factor * impulse;
-            store4(f + 4 * p, fma(weights, impulse, load4(f + 4 * p)));
-            store4(next_prediction + 4 * p,
-                   quad<T>(quarter_impulse + (step < 0 ? quarter_impulse : load4(previous_quarter + 4 * p))));
-            store4(previous_quarter + 4 * p, quarter_impulse);
-        }
-    }
-    RunStatus add_callback_forces(std::int64_t step, T* f, bool record, const PowerSums& list_powers) {
-        const std::int64_t n = plan.count;
-        for (int c = 0; c < 3; ++c)
-            for (std::int64_t i = 0; i < n; ++i) {
-                const std::int64_t at = 4 * plan.rank[i] + c;
-                callback_x[c * n + i] = origin[c] + static_cast<double>(x[at]);
-                callback_v[c * n + i] = static_cast<double>(v[at]);
-            }
-        double totals[2] = {list_powers.sum(list_powers.dissipation), list_powers.sum(list_powers.external)};
-        if (plan.callback) {
-            std::fill(callback_f.begin(), callback_f.end(), 0.0);
-            double* const callback_powers = record ? totals : nullptr;
-            if (plan.callback(midpoint_time(run, step), callback_x.data(), callback_v.data(), callback_f.data(),
-                              callback_powers) != callback_ok)
-                return RunStatus::callback_failed;
-        }
-        if (record) {
-            grid_and_field_powers(plan, callback_x.data(), callback_v.data(), totals[0], totals[1]);
-            run.power_integrals[0] += run.step * totals[0];
-            run.power_integrals[1] += run.step * totals[1];
-        }
-        if (!plan.callback) return RunStatus::ok;
-        for (int c = 0; c < 3; ++c)
-            for (std::int64_t i = 0; i < n; ++i) f[4 * plan.rank[i] + c] += static_cast<T>(callback_f[c * n + i]);
-        return RunStatus::ok;
-    }
+    void add_hinge_impulses(std::int64_t step, Partition<T>& partition, PowerSums* list_powers);
+    RunStatus add_callback_forces(std::int64_t step, T* f, bool record, const PowerSums& list_powers);
     /// Copy positions or velocities from a row of the sheet, components `pitch` numbers apart.
     void import_row(Slot slot, std::int64_t row, const T* from, std::int64_t pitch) {
         const std::int64_t columns = plan.grid->columns;
@@ -196,105 +76,20 @@ struct OffGridForces {
         }
     }
     /// Advance the jaws to a step, after all threads have finished the one before.
-    void advance_jaws(int thread, std::int64_t step) {
-        if (contact) contact->advance_jaws(thread, step);
-    }
+    void advance_jaws(int thread, std::int64_t step);
     /// Add contact with obstacles to the particles of a partition.
-    void add_contact(int thread, std::int64_t step, T* f) {
-        const Partition<T>& partition = (*partitions)[thread];
-        for (std::int64_t first = partition.first; contact && first < partition.last; first += contact_block) {
-            const std::int64_t count = std::min(contact_block, partition.last - first);
-            contact->add_quads(thread, first / contact_block, step, x.data() + 4 * first, v.data() + 4 * first,
-                               f + 4 * first, count);
-        }
-    }
+    void add_contact(int thread, std::int64_t step, T* f);
     /// Add the forces of contact, grippers, lists and callback to the force row of a sheet's row.
-    void add_row_forces(int thread, std::int64_t row, std::int64_t step, const RowView<T>& at, bool record) {
-        const std::int64_t columns = plan.grid->columns, first = row * columns, last = first + columns;
-        T* const forces = at.force_rows[0];
-        if (contact)
-            contact->add(thread, row, step, at.row[0] + position * at.pitch, at.row[0] + damping_velocity * at.pitch,
-                         forces, columns, record);
-        const auto& particles = plan.grips.particle;
-        auto grip = particles.empty() ? particles.end() : std::lower_bound(particles.begin(), particles.end(), first);
-        for (; grip != particles.end() && *grip < last; ++grip) {
-            const std::int64_t j = *grip - first;
-            const T *const x = at.row[0] + position * at.pitch + j, *const v =
-                                                                        at.row[0] + damping_velocity * at.pitch + j;
-            const Vec3<T> f = grip_force(thread, grip - particles.begin(), step, {x[0], x[at.pitch], x[2 * at.pitch]},
-                                         {v[0], v[at.pitch], v[2 * at.pitch]}, record);
-            forces[j] += f.x, forces[at.pitch + j] += f.y, forces[2 * at.pitch + j] += f.z;
-        }
-        if (!is_active(step)) return;
-        const T* const from = (*partitions)[thread].f.data() + 4 * first;
-        std::int64_t j = 0;
-        for (; j + lanes<T> <= columns; j += lanes<T>) {
-            quad<T> rows[lanes<T>];
-            for (int k = 0; k < lanes<T>; ++k) rows[k] = load4(from + 4 * (j + k));
-            vec<T> f[3];
-            deinterleave(rows, f[0], f[1], f[2]);
-            for (int c = 0; c < 3; ++c) store_as(forces + c * at.pitch + j, load(forces + c * at.pitch + j) + f[c]);
-        }
-        for (; j < columns; ++j)
-            for (int c = 0; c < 3; ++c) forces[c * at.pitch + j] += from[4 * j + c];
-    }
+    void add_row_forces(int thread, std::int64_t row, std::int64_t step, const RowView<T>& at, bool record);
     /// Force on the particle of a grip at a step, from its position and velocity in the run.
-    Vec3<T> grip_force(int thread, std::int64_t grip, std::int64_t step, Vec3<T> x_, Vec3<T> v_, bool record) {
-        const Grips& grips = plan.grips;
-        const Vec3<double> position{origin[0] + x_.x, origin[1] + x_.y, origin[2] + x_.z};
-        const Vec3<double> velocity{double(v_.x), double(v_.y), double(v_.z)};
-        const auto point = grips.point(poses[thread].at(grips.gripper[grip], step), grip);
-        const Vec3<double> force = grips.force(grip, point, position, velocity);
-        if (record && step >= 0) {
-            // Each grip has its own sum: threads accumulate in any order.
-            grips.accumulate(grip_sums.data() + grip * record_numbers, grip, point, force, velocity, run.step);
-        }
-        return {T(force.x), T(force.y), T(force.z)};
-    }
+    Vec3<T> grip_force(int thread, std::int64_t grip, std::int64_t step, Vec3<T> x_, Vec3<T> v_, bool record);
     /// A run whose surface may have intersected itself or an obstacle has no result.
-    void finish_surface() {
-        const bool features_separate = !features || features->finish(x.data());
-        if ((self && !self->finish(x.data())) || !features_separate) {
-            std::fill(run.x, run.x + 3 * plan.count, std::numeric_limits<double>::quiet_NaN());
-            std::fill(run.v, run.v + 3 * plan.count, std::numeric_limits<double>::quiet_NaN());
-        }
-        if (!run.contact_record) return;
-        double* const summary = run.contact_record + plan.contacts.count() * record_numbers;
-        const ContactBounds self_bounds = self ? self->bounds() : ContactBounds{},
-                            feature_bounds = features ? features->bounds() : ContactBounds{};
-        if (self) summary[1] = smaller(self->gap(), summary[1]);
-        if (features) summary[1] = smaller(features->gap(), summary[1]);
-        summary[ContactSummary::numbers] = self_bounds.omega2 + feature_bounds.omega2;
-        summary[ContactSummary::numbers + 1] = self_bounds.damping + feature_bounds.damping;
-        summary[ContactSummary::numbers + 3] +=
-            (self ? self->growth_work() : 0.0) + (features ? features->growth_work() : 0.0);
-        if (!self) return;
-        summary[ContactSummary::numbers + 2] = self->friction_work();
-        if (run.anchors)
-            self->anchors(run.steps, plan.particle_of_rank.data(),
-                          run.anchors + plan.contacts.obstacle_anchors(plan.count));
-    }
+    void finish_surface()
+        requires(sizeof(T) == 8);
     /// Record that no obstacle was near.
-    void record_no_contact() {
-        const Contacts& contacts = plan.contacts;
-        if (run.contact_record) ContactSummary().write(run.contact_record + contacts.count() * record_numbers);
-    }
+    void record_no_contact();
     /// Sum up the records, in order of the grips and of the blocks.
-    void finish() {
-        // Obstacles without contact keep no anchors.
-        if (run.anchors) std::copy(plan.contacts.anchors.begin(), plan.contacts.anchors.end(), run.anchors);
-        if (contact)
-            contact->finish();
-        else
-            record_no_contact();
-        if constexpr (sizeof(T) == 8)
-            if ((self || features) && run.steps) finish_surface();
-        if (!run.gripper_record) return;
-        for (std::int64_t grip = 0; grip < plan.grips.count(); ++grip)
-            for (int k = 0; k < record_numbers; ++k)
-                run.gripper_record[plan.grips.gripper[grip] * record_numbers + k] +=
-                    grip_sums[grip * record_numbers + k];
-    }
+    void finish();
 };
 
 }  // namespace cloth

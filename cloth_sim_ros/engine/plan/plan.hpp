@@ -6,11 +6,11 @@
 
 #include <array>
 #include <atomic>
+#include <memory>
 #include <optional>
 
-#include "contact/feature_neighbors.hpp"
+#include "contact/layer_anchors.hpp"
 #include "contact/obstacles.hpp"
-#include "contact/self_contact.hpp"
 #include "grid/cells.hpp"
 #include "grid/stencils.hpp"
 #include "mesh/elements.hpp"
@@ -25,7 +25,13 @@ namespace cloth {
 using Callback = int (*)(double t, const double* x, const double* v, double* f, double* powers);
 inline constexpr int callback_ok = 1611516433;  // unlikely to be left behind by a call that did not return
 
+class SelfContact;
+struct FeatureContactModel;
+
 struct Plan {
+    Plan();
+    ~Plan();
+
     std::int64_t count = 0;
     std::vector<double> masses, inverse;
     std::optional<Grid> grid;
@@ -41,11 +47,11 @@ struct Plan {
     Grips grips;
     Contacts contacts;
     /// Self-contact, with the thickness and damping of `contacts`.
-    std::optional<SelfContact> self;
+    std::unique_ptr<SelfContact> self;
     /// Whether runs may skip self-contact, see `SelfCulling`.
     bool self_culled = false;
     /// Contact with points and edges of obstacles, with the thickness and damping of `contacts`.
-    std::optional<FeatureContactModel> features;
+    std::unique_ptr<FeatureContactModel> features;
     Callback callback = nullptr;
     /// Order of particles in runs without a grid: neighbours are close together.
     std::vector<std::int64_t> order, rank;
@@ -65,14 +71,7 @@ struct Plan {
             return single_workspaces[index];
     }
     template <class T>
-    const GridTables<T>& grid_tables() {
-        if constexpr (sizeof(T) == 8) {
-            return tables;
-        } else {
-            if (single_tables.numbers.empty()) single_tables = GridTables<float>(*grid, inverse.data());
-            return single_tables;
-        }
-    }
+    const GridTables<T>& grid_tables();
     void add_list(List list) {
         lists.push_back(std::move(list));
         slots.clear();
@@ -80,37 +79,10 @@ struct Plan {
     }
     /// Assign lists to rows of the grid: hinges, then springs between their wings, then the first list of panels.
     /// Sheets without hinges have their springs in families.
-    void assign_lists() {
-        if (slots.size() == lists.size()) return;
-        std::vector<std::vector<std::int64_t>> list_slots(lists.size());
-        bool hinges = false;
-        for (std::size_t k = 0; grid && k < lists.size(); ++k) {
-            if (lists[k].kind == Kind::crossed) list_slots[k] = row_slots<Crossed>(*grid, lists[k]);
-            if (lists[k].kind == Kind::altitude) list_slots[k] = row_slots<Altitude>(*grid, lists[k]);
-            hinges = hinges || !list_slots[k].empty();
-        }
-        for (std::size_t k = 0; hinges && k < lists.size(); ++k)
-            if (lists[k].kind == Kind::spring) list_slots[k] = row_slots<Spring>(*grid, lists[k]);
-        air_list = -1;
-        for (std::size_t k = 0; grid && air_list < 0 && k < lists.size(); ++k) {
-            if (lists[k].kind == Kind::panel4) list_slots[k] = cell_slots(*grid, lists[k]);
-            if (lists[k].kind == Kind::panel4 && !list_slots[k].empty()) air_list = static_cast<std::int64_t>(k);
-        }
-        slots = std::move(list_slots);
-    }
+    void assign_lists();
     /// Whether lists exist that no row evaluates; and whether any of these are not hinges.
-    bool has_off_grid_lists() {
-        assign_lists();
-        for (std::size_t k = 0; k < lists.size(); ++k)
-            if (slots[k].empty()) return true;
-        return false;
-    }
-    bool has_fast_off_grid_lists() {
-        assign_lists();
-        for (std::size_t k = 0; k < lists.size(); ++k)
-            if (slots[k].empty() && !lists[k].slow) return true;
-        return false;
-    }
+    bool has_off_grid_lists();
+    bool has_fast_off_grid_lists();
     /// Common coefficients of the panels evaluated by rows.
     const double* cells_air() const { return lists[air_list].common; }
     /// Hinges, springs and panels evaluated by rows; stored in the first workspace only.
@@ -123,83 +95,22 @@ struct Plan {
         return workspace_with_tables<T>().cells;
     }
     template <class T>
-    const Workspace<T>& workspace_with_tables() {
-        Workspace<T>& first = workspace<T>();
-        if (first.has_tables) return first;
-        assign_lists();
-        first.tables.clear();
-        for (std::size_t k = 0; k < lists.size(); ++k)
-            if (!slots[k].empty() && static_cast<std::int64_t>(k) != air_list)
-                first.tables.emplace_back(*grid, lists[k], slots[k]);
-        first.cells = air_list < 0 ? CellTable<T>() : CellTable<T>(*grid, slots[air_list]);
-        first.has_tables = true;
-        return first;
-    }
+    const Workspace<T>& workspace_with_tables();
     /// Partition the lists among threads by borders between particles: those that no row evaluates, and all hinges of
     /// `multirate` runs.
     template <class T>
-    std::vector<Partition<T>>& partitions(const std::vector<std::int64_t>& borders, bool multirate, int index) {
-        auto& cached = workspace<T>(index).partitions[multirate][borders.size() > 2];
-        bool is_current = cached.size() + 1 == borders.size();
-        for (std::size_t k = 0; is_current && k < cached.size(); ++k)
-            is_current = cached[k].first == borders[k] && cached[k].last == borders[k + 1] &&
-                         cached[k].lists.size() == lists.size();
-        if (is_current) return cached;
-        assign_lists();
-        // Stored once complete, because memory may run out.
-        std::vector<Partition<T>> fresh(borders.size() - 1);
-        for (std::size_t k = 0; k < fresh.size(); ++k) {
-            Partition<T>& partition = fresh[k];
-            partition.first = partition.low = borders[k];
-            partition.last = partition.high = borders[k + 1];
-            for (const List& list : lists) {
-                partition.lists.emplace_back();
-                if (!slots[partition.lists.size() - 1].empty() && !(multirate && list.slow)) continue;
-                partition.lists.back() = list.template select<T>(rank.data(), count, partition.first, partition.last);
-                const Elements<T>& elements = partition.lists.back();
-                for (int c = 0; c < list.width; ++c)
-                    for (const std::uint32_t corner : elements.corner[c]) {
-                        if (corner / 4 == static_cast<std::uint64_t>(count)) continue;
-                        partition.low = std::min<std::int64_t>(partition.low, corner / 4);
-                        partition.high = std::max<std::int64_t>(partition.high, corner / 4 + 1);
-                    }
-            }
-            partition.f.assign(4 * (count + 1), T(0));
-        }
-        return cached = std::move(fresh);
-    }
+    std::vector<Partition<T>>& partitions(const std::vector<std::int64_t>& borders, bool multirate, int index);
     /// Borders between particles, in the order of runs, that distribute listed elements evenly. Blocks of contact are
     /// not split.
-    std::vector<std::int64_t> even_borders(int threads) const {
-        std::vector<double> work(count, 1.0);
-        double total = static_cast<double>(count);
-        for (const List& list : lists)
-            for (std::int64_t corner : list.corners) {
-                work[rank[corner]] += list.width;
-                total += list.width;
-            }
-        std::vector<std::int64_t> borders{0};
-        double done = 0.0;
-        for (std::int64_t i = 0; i < count; ++i) {
-            done += work[i];
-            const auto next = static_cast<double>(borders.size());
-            if (static_cast<int>(borders.size()) < threads && done >= total * next / threads) borders.push_back(i + 1);
-        }
-        while (static_cast<int>(borders.size()) <= threads) borders.push_back(count);
-        if (contacts.count())
-            for (std::int64_t& border : borders)
-                border = std::min((border + contact_block / 2) / contact_block * contact_block, count);
-        borders.back() = count;
-        return borders;
-    }
+    std::vector<std::int64_t> even_borders(int threads) const;
     /// Whether there are hinges.
     bool has_hinges() const {
         for (const List& list : lists)
             if (list.slow) return true;
         return false;
     }
-    bool has_contact() const { return contacts.count() || self; }
-    bool has_self_friction() const { return self && self->has_friction(); }
+    bool has_contact() const { return contacts.count() || self != nullptr; }
+    bool has_self_friction() const;
     /// Size of all anchors.
     std::int64_t anchor_count() const {
         return contacts.obstacle_anchors(count) + (has_self_friction() ? layer_sides * anchor_numbers * count : 0);
@@ -207,8 +118,8 @@ struct Plan {
     LayerAnchors layer_anchors() const {
         return {contacts.anchors.data() + contacts.obstacle_anchors(count), particle_of_rank.data(), count};
     }
-    bool is_self_active() const { return self && !self_culled; }
-    bool is_feature_active() const { return features && features->any(); }
+    bool is_self_active() const { return self != nullptr && !self_culled; }
+    bool is_feature_active() const;
     /// Whether forces act on triangles and edges of the cloth: in double precision, on one thread.
     bool is_surface_active() const { return is_self_active() || is_feature_active(); }
     double body_acceleration(int axis) const { return gravity[axis] + wind[axis]; }

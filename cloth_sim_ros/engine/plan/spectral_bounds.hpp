@@ -6,7 +6,9 @@
 #pragma once
 
 #include "grid/bounds.hpp"
+#include "mesh/queries.hpp"
 #include "plan/plan.hpp"
+#include "plan/queries.hpp"
 
 namespace cloth {
 
@@ -21,13 +23,12 @@ inline double largest_or_nan(const double* numbers, std::int64_t count) {
     return has_nan ? __builtin_nan("") : max;
 }
 
-/// Add the bounds of stiffness and damping of all parts except grippers, contact and drag to (6, n).
-inline void add_bounds(const Plan& plan, const double* x, double* stiff, double* damp) {
+void add_bounds(const Plan& plan, const double* x, double* stiff, double* damp) {
     if (plan.grid) add_grid_bounds(*plan.grid, plan.tables, x, stiff, damp);
     for (const List& list : plan.lists) add_list_bounds(list, x, plan.count, stiff, damp);
 }
 
-inline void eigenvalues(const double* blocks, std::int64_t n, double* to) {
+void eigenvalues(const double* blocks, std::int64_t n, double* to) {
     for (std::int64_t i = 0; i < n; i += lanes<double>) {
         Array<double> tail(6 * lanes<double>, 0.0);
         const bool whole = i + lanes<double> <= n;
@@ -43,11 +44,6 @@ inline void eigenvalues(const double* blocks, std::int64_t n, double* to) {
     }
 }
 
-struct SpectralBounds {
-    double omega2, damping;
-    /// Of hinges alone, and of the transverse stiffness of springs; zero without hinges.
-    double hinge_omega2 = 0.0, hinge_damping = 0.0, transverse_omega2 = 0.0;
-};
 /// Refined bounds if few particles are outliers, such as the light ones of an irregular mesh. The square of an
 /// element's sum over its corners may be distributed by any positive weights of the particles (laws/bound.hpp). An
 /// outlier gets a larger weight, so its neighbours carry more of the common elements. Perron's iteration finds the best
@@ -236,11 +232,7 @@ inline SpectralBounds hinge_bounds(const Plan& plan, const double* x, double* bl
     return r;
 }
 
-/// Bounds of the squared highest frequency [1/s^2] and the highest damping rate [1/s], without contact. `stiff` [N/m]
-/// and `damp` [N s/m], (6, n) or null: blocks of forces in Python. `hinges`: whether those of hinges alone are
-/// requested.
-inline SpectralBounds spectral_bounds(Plan& plan, const double* x, const double* stiff, const double* damp,
-                                      bool hinges) {
+SpectralBounds spectral_bounds(Plan& plan, const double* x, const double* stiff, const double* damp, bool hinges) {
     const std::int64_t n = plan.count;
     Array<double> k(n), c(n, 0.0), blocks;
     SpectralBounds result{};

@@ -88,7 +88,6 @@ Vec3<V> splat3(Vec3<double> a) {
     return {splat<V>(static_cast<T>(a.x)), splat<V>(static_cast<T>(a.y)), splat<V>(static_cast<T>(a.z))};
 }
 inline Vec3<Dual> dual(Vec3<double> a, Vec3<double> slope) { return {{a.x, slope.x}, {a.y, slope.y}, {a.z, slope.z}}; }
-inline Vec3<double> slope_of(Vec3<Dual> a) { return {a.x.slope, a.y.slope, a.z.slope}; }
 
 /// Check that a is b to a tolerance, relative to |b| + scale.
 inline void check_close(double a, double b, double tolerance, double scale = 0.0) {

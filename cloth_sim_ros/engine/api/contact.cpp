@@ -1,0 +1,179 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// C interface of contact, and translation unit of its queries. See api/library.cpp.
+
+#include "api/features.hpp"
+#include "api/guard.hpp"
+#include "api/self_contact.hpp"
+#include "contact/feature_queries.hpp"
+#include "contact/obstacle_prediction.hpp"
+#include "contact/queries.hpp"
+#include "contact/self_queries.hpp"
+
+using cloth::Plan;
+
+/// Set the obstacles: shapes, dimensions, radii, friction coefficients at rest and in motion as rows of 3, 1 and 2,
+/// paths as those of grippers; thickness [m], damping [s/m], and frequency of anchor springs [1/s]. Clears all anchors.
+CLOTH_API int cloth_plan_contact(Plan* plan, std::int64_t count, const std::int64_t* shapes, const double* sizes,
+                                 const double* radii, const double* frictions, const double* paths, double thickness,
+                                 double damping, double frequency) {
+    return guarded(plan, [&] {
+        cloth::Contacts contacts;
+        for (std::int64_t k = 0; k < count; ++k)
+            contacts.obstacles.push_back({static_cast<cloth::Shape>(shapes[k]),
+                                          {sizes[3 * k], sizes[3 * k + 1], sizes[3 * k + 2]},
+                                          radii[k],
+                                          {frictions[2 * k], frictions[2 * k + 1]}});
+        contacts.paths.assign(paths, paths + count * cloth::path_numbers);
+        contacts.thickness = thickness;
+        contacts.damping = damping;
+        contacts.frequency = frequency;
+        plan->contacts = std::move(contacts);
+        plan->contacts.anchors.assign(plan->anchor_count(), 0.0);
+        if (!plan->features) return;
+        plan->features->obstacles.assign(count, {});
+        plan->features->is_active.assign(count, 0);
+    });
+}
+/// Set the mesh of an obstacle: vertices (vertices, 3) [m] in its own frame, triangles (triangles, 3).
+CLOTH_API int cloth_plan_mesh(Plan* plan, std::int64_t obstacle, std::int64_t vertices, const double* positions,
+                              std::int64_t triangles, const std::int64_t* corners) {
+    return guarded(plan, [&] {
+        plan->contacts.obstacles[obstacle].mesh =
+            std::make_shared<cloth::Mesh>(vertices, positions, triangles, corners);
+    });
+}
+/// Set new paths of the same obstacles.
+CLOTH_API int cloth_plan_contact_paths(Plan* plan, const double* paths) {
+    return guarded(plan,
+                   [&] { plan->contacts.paths.assign(paths, paths + plan->contacts.count() * cloth::path_numbers); });
+}
+
+/// Set the obstacles that are jaws, two per gripper, the one on the positive side of the closing axis first. Numbers
+/// per gripper: present, closed, mass [kg], force [N], speed [m/s], half opening of the open gripper and half thickness
+/// of a jaw [m]. Jaws are open initially.
+CLOTH_API int cloth_plan_jaws(Plan* plan, std::int64_t count, const std::int64_t* pads, const double* numbers) {
+    return guarded(plan, [&] {
+        cloth::Contacts& contacts = plan->contacts;
+        contacts.parallel_jaws.clear();
+        for (std::int64_t k = 0; k < count; ++k) {
+            const double* const a = numbers + 7 * k;
+            contacts.parallel_jaws.push_back({a[0] != 0.0, a[1] != 0.0, a[2], a[3], a[4], a[5], a[6]});
+            for (int k_jaw = 0; k_jaw < 2; ++k_jaw) {
+                cloth::Obstacle& pad = contacts.obstacles[pads[2 * k + k_jaw]];
+                pad.parallel_jaw = k;
+                pad.jaw_side = k_jaw ? -1.0 : 1.0;
+            }
+        }
+        if (contacts.jaw_states.size() == contacts.parallel_jaws.size() * cloth::jaw_state_size) return;
+        contacts.jaw_states.clear();
+        for (const cloth::ParallelJaw& jaw : contacts.parallel_jaws)
+            contacts.jaw_states.insert(contacts.jaw_states.end(), {jaw.max_half_opening, 0.0});
+    });
+}
+/// Set the states of the jaws at the start of runs, (jaws, jaw_state_size).
+CLOTH_API int cloth_plan_jaw_states(Plan* plan, const double* jaw_states) {
+    return guarded(
+        plan, [&] { std::copy_n(jaw_states, plan->contacts.jaw_states.size(), plan->contacts.jaw_states.data()); });
+}
+/// Accelerations of the half openings.
+CLOTH_API int cloth_jaw_accelerations(Plan* plan, double t, const double* x, const double* v, double* out) {
+    return guarded(plan, [&] {
+        std::vector<double> jaw_forces(plan->contacts.parallel_jaws.size(), 0.0);
+        if (plan->features) cloth::add_feature_jaw_forces(*plan, t, x, v, jaw_forces);
+        cloth::jaw_accelerations(*plan, t, x, v, jaw_forces, out);
+    });
+}
+
+/// Add the weighted wrench records of the obstacles to (obstacles, record_numbers).
+CLOTH_API int cloth_contact_wrenches(Plan* plan, double t, const double* x, const double* v, double weight,
+                                     double* out) {
+    return guarded(plan, [&] {
+        cloth::add_contact_wrenches(*plan, t, x, v, weight, out);
+        if (plan->features) cloth::add_feature_wrenches(*plan, t, x, v, weight, out);
+    });
+}
+/// Number of particles in contact and least gap [m] of each obstacle.
+CLOTH_API int cloth_contact_gaps(Plan* plan, double t, const double* x, double* out) {
+    return guarded(plan, [&] {
+        cloth::contact_gaps(*plan, t, x, out);
+        if (plan->features) cloth::feature_gaps(*plan, t, x, out);
+    });
+}
+CLOTH_API int cloth_contact_bounds(Plan* plan, double t, const double* x, double* stiff, double* damp) {
+    return guarded(plan, [&] {
+        cloth::add_contact_bounds(*plan, t, x, stiff, damp);
+        if (plan->features) cloth::add_feature_bounds(*plan, t, x, stiff, damp);
+    });
+}
+/// Energy per mass that contact may have to absorb from time t on, see predict_contact_energy, and the number of tests:
+/// of all obstacles, and of those with friction. Three numbers.
+CLOTH_API int cloth_predict_obstacle_contact(const Plan* plan, double t, double duration, const double* x,
+                                             const double* v, double* out) {
+    return guarded(plan, [&] {
+        cloth::VisitCounts visits;
+        out[0] = cloth::predict_contact_energy(*plan, t, duration, x, v, &visits);
+        out[1] = static_cast<double>(visits.all);
+        out[2] = static_cast<double>(visits.with_friction);
+    });
+}
+/// Set the anchors at the start of runs, as in `Contacts`.
+CLOTH_API int cloth_contact_anchors(Plan* plan, const double* anchors) {
+    return guarded(plan, [&] { plan->contacts.anchors.assign(anchors, anchors + plan->contacts.anchors.size()); });
+}
+/// Combine the anchors at the ends of runs, see combine_anchors.
+CLOTH_API int cloth_combine_anchors(Plan* plan, double t, const double* x, const double* v, std::int64_t runs,
+                                    const double* weights, const double* ends, double* out) {
+    return guarded(plan, [&] {
+        cloth::combine_anchors(*plan, t, x, v, runs, weights, ends, out);
+        cloth::combine_self_anchors(*plan, t, x, v, runs, weights, ends, out);
+    });
+}
+/// Whether a particle intersects an obstacle on its straight path from x0 at time t to x1.
+CLOTH_API int cloth_ccd_obstacles(const Plan* plan, double t, double duration, const double* x0, const double* x1,
+                                  std::int64_t* out) {
+    return guarded(plan, [&] { *out = cloth::ccd_obstacles(*plan, t, duration, x0, x1) ? 1 : 0; });
+}
+/// Set the reduced thickness of contacts at a time, (obstacles + 1, n + 1), and the rates of recovery, see
+/// ReducedThickness. Null clears them. New obstacles have the full thickness.
+CLOTH_API int cloth_contact_thickness(Plan* plan, const double* at_start, const double* rates, double start) {
+    return guarded(plan, [&] {
+        cloth::Contacts& contacts = plan->contacts;
+        contacts.reduced = {};
+        if (!at_start) return;
+        const std::int64_t size = (contacts.count() + 1) * (plan->count + 1);
+        contacts.reduced.at_start.assign(at_start, at_start + size);
+        contacts.reduced.at_start.resize(size + cloth::lanes<double>, contacts.thickness);
+        contacts.reduced.rates.assign(rates, rates + size);
+        contacts.reduced.rates.resize(size + cloth::lanes<double>, 0.0);
+        contacts.reduced.full = contacts.thickness;
+        contacts.reduced.start = start;
+    });
+}
+/// Gap of each contact [m], rows and columns as above; infinite without a contact.
+CLOTH_API int cloth_contact_gap_rows(Plan* plan, double t, const double* x, double* out) {
+    return guarded(plan, [&] {
+        const std::int64_t columns = plan->count + 1, rows = plan->contacts.count() + 1;
+        std::fill(out, out + rows * columns, std::numeric_limits<double>::infinity());
+        cloth::contact_gap_rows(*plan, t, x, out);
+        if (plan->features) cloth::feature_gap_column(*plan, t, x, out);
+        if (plan->self) cloth::self_gap_row(*plan, x, out + (rows - 1) * columns);
+    });
+}
+/// Power of contacts that recover their thickness [W].
+CLOTH_API int cloth_contact_growth_power(Plan* plan, double t, const double* x, const double* v, double* out) {
+    return guarded(plan, [&] {
+        *out = cloth::contact_growth_power(*plan, t, x, v);
+        if (plan->self) *out += cloth::self_growth_power(*plan, t, x, v);
+        if (plan->features) *out += cloth::feature_growth_power(*plan, t, x, v);
+    });
+}
+/// Squared frequency and damping rate of contact that has absorbed an energy.
+CLOTH_API int cloth_contact_limits(const Plan* plan, double energy, double* out) {
+    return guarded(plan, [&] {
+        const cloth::ContactBounds limits = cloth::contact_limits(plan->contacts, energy);
+        out[0] = limits.omega2;
+        out[1] = limits.damping;
+    });
+}

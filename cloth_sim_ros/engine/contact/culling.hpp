@@ -1,0 +1,60 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Culling of self-contact and of features of obstacles in a frame.
+#pragma once
+
+#include "plan/plan.hpp"
+
+namespace cloth {
+
+struct Surface;
+
+/// Excludes self-contact from a frame in which no part of the cloth can reach another. At the start of the frame no
+/// pair may be nearer than the thickness and the distance covered in the frame at twice the present relative speed,
+/// plus `speed_margin`. If a run ends with a larger relative speed, all runs of the frame are repeated with
+/// self-contact. Cached pairs make no difference, so no bit depends on it.
+class SelfCulling {
+public:
+    SelfCulling(Plan& plan, double duration, const double* x0, const double* v0);
+    /// Whether a run with end velocities v violates the assumptions.
+    bool is_violated(const double* v) const { return plan_.self_culled && !(relative_speed(v) <= speed_limit_); }
+    void disable() { plan_.self_culled = false; }
+
+private:
+    /// Speed that particles may gain [m/s].
+    static constexpr double speed_margin = 0.1;
+
+    double relative_speed(const double* v) const;
+    Plan& plan_;
+    double speed_limit_ = 0.0;
+};
+
+/// Excludes features of obstacles that stay away from the cloth from a frame. If a run ends with a larger speed than
+/// assumed, all runs of the frame are repeated with all features.
+class FeatureCulling {
+public:
+    FeatureCulling(Plan& plan, double t, double duration, const double* x0, const double* v0);
+    /// Whether a run with end velocities v violates the assumptions.
+    bool is_violated(const double* v) const {
+        return plan_.features && !covers_all_ && !(max_particle_speed(v) <= speed_limit_);
+    }
+    void disable();
+
+private:
+    /// Speed that particles may gain [m/s].
+    static constexpr double speed_margin = 0.25;
+
+    /// Compute the bounding ball of the edges of the cloth.
+    void measure_cloth(const Surface& s, const double* x);
+    double max_particle_speed(const double* v) const;
+    Plan& plan_;
+    Vec3<double> center_{};
+    double speed_limit_ = 0.0, radius_ = 0.0;
+    bool covers_all_ = true;
+};
+
+/// Let the next runs evaluate contact of all features.
+void activate_features(Plan& plan);
+
+}  // namespace cloth

@@ -1,0 +1,114 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Translation unit of the queries of a scene: laws of springs, joints, hinges and panels.
+
+#include "plan/queries.hpp"
+
+#include "contact/queries.hpp"
+#include "grid/queries.hpp"
+#include "mesh/queries.hpp"
+#include "plan/grip_force.hpp"
+#include "plan/spectral_bounds.hpp"
+
+namespace cloth {
+
+Energy energy_of(Plan& plan, double t, const double* x, const double* v) {
+    const std::int64_t n = plan.count;
+    Energy e;
+    if (plan.grid) e.potential += grid_energy(*plan.grid, plan.tables, x);
+    for (const List& list : plan.lists) e.potential += list_energy(list, x, n);
+    const Vec3<double> gravity{plan.gravity[0], plan.gravity[1], plan.gravity[2]};
+    double weight = 0.0;
+    for (std::int64_t i = 0; i < n; ++i) {
+        if (v) e.kinetic += 0.5 * plan.masses[i] * norm2(particle(v, n, i));
+        weight += plan.masses[i] * dot(gravity, particle(x, n, i));
+    }
+    e.potential -= weight;
+    const Grips& grips = plan.grips;
+    for (std::int64_t grip = 0; grip < grips.count(); ++grip) {
+        const Pose pose = pose_at(grips.paths.data() + grips.gripper[grip] * path_numbers, t);
+        const Vec3<double> d = particle(x, n, grips.particle[grip]) - grips.point(pose, grip).position;
+        const typename Joint::Params<double> params{grips.stiffness[grip], grips.damping[grip]};
+        e.potential += Joint::energy(params, &d);
+    }
+    if (plan.contacts.count()) e.potential += contact_energy(plan, t, x);
+    if (plan.self) e.potential += self_energy(plan, t, x);
+    if (plan.features) e.potential += feature_energy(plan, t, x);
+    return e;
+}
+
+void grid_and_field_powers(const Plan& plan, const double* x, const double* v, double& dissipation, double& external) {
+    const std::int64_t n = plan.count;
+    if (plan.grid) dissipation += grid_dissipation(*plan.grid, plan.tables, x, v);
+    const Vec3<double> wind{plan.wind[0], plan.wind[1], plan.wind[2]};
+    const bool has_wind = norm2(wind) > 0.0;
+    if (plan.drag == 0.0 && !has_wind) return;
+    double drag_sum = 0.0, wind_power = 0.0;
+    for (std::int64_t i = 0; i < n; ++i) {
+        const Vec3<double> u = particle(v, n, i);
+        drag_sum += plan.masses[i] * norm2(u);
+        if (has_wind) wind_power += plan.masses[i] * dot(wind, u);
+    }
+    dissipation += plan.drag * drag_sum;
+    external += wind_power;
+}
+
+void total_powers(Plan& plan, double t, const double* x, const double* v, double& dissipation, double& external) {
+    if (plan.self) dissipation += self_dissipation(plan, t, x, v);
+    for (const List& list : plan.lists) list_power(list, x, v, plan.count, dissipation, external);
+    grid_and_field_powers(plan, x, v, dissipation, external);
+}
+
+void add_grip_wrenches(const Plan& plan, double t, const double* x, const double* v, double* wrenches) {
+    const Grips& grips = plan.grips;
+    for (std::int64_t grip = 0; grip < grips.count(); ++grip) {
+        const Pose pose = pose_at(grips.paths.data() + grips.gripper[grip] * path_numbers, t);
+        const auto point = grips.point(pose, grip);
+        const Vec3<double> position = particle(x, plan.count, grips.particle[grip]);
+        const Vec3<double> velocity = particle(v, plan.count, grips.particle[grip]);
+        grips.accumulate(wrenches + grips.gripper[grip] * record_numbers, grip, point,
+                         grips.force(grip, point, position, velocity), velocity, 1.0);
+    }
+}
+
+void add_product(Plan& plan, double t, const double* x, const double* v, const double* dx, const double* dv,
+                 double* out) {
+    const std::int64_t n = plan.count;
+    if (plan.grid) add_grid_product(*plan.grid, x, v, dx, dv, out);
+    for (const List& list : plan.lists) add_list_product(list, x, v, dx, dv, n, out);
+    if (plan.contacts.count()) add_contact_product(plan, t, x, v, dx, dv, out);
+    if (plan.self) add_self_product(plan, t, x, v, dx, dv, out);
+    if (plan.features) add_feature_product(plan, t, x, v, dx, dv, out);
+    for (int axis = 0; axis < 3; ++axis) {
+        if (plan.drag > 0.0)
+            for (std::int64_t i = 0; i < n; ++i) out[axis * n + i] -= plan.drag * plan.masses[i] * dv[axis * n + i];
+        for (std::int64_t grip = 0; grip < plan.grips.count(); ++grip) {
+            const std::int64_t at = axis * n + plan.grips.particle[grip];
+            out[at] -= plan.grips.stiffness[grip] * dx[at] + plan.grips.damping[grip] * dv[at];
+        }
+    }
+}
+
+void hinge_lengths(const List& list, const double* x, std::int64_t n, double* lengths, double* squares) {
+    const auto evaluate = [&](auto law) {
+        using Law = decltype(law);
+        for (std::int64_t e = 0; e < list.count; ++e) {
+            const ElementState<Law> s(list, e, x, nullptr, n);
+            double square, limit;
+            Vec3<double> area[3];
+            Law::areas(s.d, square, limit, area);
+            const auto l = Law::length(s.d);
+            lengths[e] = square > limit ? l.h : __builtin_nan("");
+            if (!squares) continue;
+            squares[4 * e] = norm2(-(l.gradient[0] + l.gradient[1] + l.gradient[2]));
+            for (int i = 0; i < 3; ++i) squares[4 * e + 1 + i] = norm2(l.gradient[i]);
+        }
+    };
+    if (list.kind == Kind::crossed)
+        evaluate(Crossed{});
+    else
+        evaluate(Altitude{});
+}
+
+}  // namespace cloth

@@ -1,0 +1,25 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Runs of a plan, and the force loop of its lists. Each is compiled once: grid/run.cpp, mesh/run.cpp.
+#pragma once
+
+#include "plan/plan.hpp"
+
+namespace cloth {
+
+/// Execute a run of a regular sheet, or evaluate its forces once at x0 and v0.
+template <class T>
+RunStatus run_grid(Plan& plan, const Run& run);
+RunStatus evaluate_grid(Plan& plan, const Run& run);
+
+/// The same without a grid.
+template <class T>
+RunStatus run_lists(Plan& plan, const Run& run);
+RunStatus evaluate_lists(Plan& plan, const Run& run);
+
+/// Add the forces of all elements at positions x and velocities v to f, all quads by particle.
+template <class T>
+void add_forces(const List& list, const Elements<T>& elements, const T* x, const T* v, T* f, PowerSums* powers);
+
+}  // namespace cloth
