@@ -3,7 +3,7 @@
 """The C++ engine: every force law once, the loops over particles, and whole frames in one call.
 
 Arrays in, arrays out: the engine knows no scene, no file, no clock and no ROS. Begin with `laws/` (the force laws),
-then `grid/row.hpp` (one step of one row of a sheet), `plan/frame.hpp` (a frame) and `api/library.cpp` (the C
+then `grid/row.hpp` (one step of one row of a sheet), `plan/frame.hpp` (a frame) and `api/cloth_sim.hpp` (the C
 interface). `binding` loads the library that fits the machine and checks its arguments. See docs/engine.md.
 """
 

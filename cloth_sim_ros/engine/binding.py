@@ -29,18 +29,18 @@ AT_WORK = (
     "this plan is at work already, for another thread or for a force that asks it while it is asked; compile the model "
     "once more for a second call at the same time"
 )
-#: Maximum number of runs of one frame; see plan/frame.hpp.
+#: Maximum number of runs of one frame; see plan/frame_request.hpp.
 MAX_RUNS = 8
-#: Numbers of the summary of a frame; see `Frame::summary` in plan/frame.hpp.
+#: Numbers of the summary of a frame; see `FrameRequest::summary` in plan/frame_request.hpp.
 SUMMARY_NUMBERS = 9
 #: Numbers of a gripper's path, and of its record of wrench and work; see plan/grips.hpp.
 PATH_NUMBERS, BOOKED_NUMBERS = 26, 8
-#: Shapes of obstacles; see contact/shapes.hpp. Numbers of the contact summary of a run; see plan/frame.hpp.
+#: Shapes of obstacles; see contact/shapes.hpp. Numbers of the contact summary of a run; see plan/frame_request.hpp.
 SHAPES = {"plane": 0, "box": 1, "sphere": 2, "capsule": 3, "cylinder": 4, "mesh": 5}
 CONTACT_SUMMARY_NUMBERS = 7
 #: Numbers of an anchor of friction; see laws/friction.hpp.
 ANCHOR_NUMBERS = 4
-#: Numbers of the state of a gripper's jaws, and of their drive; see contact/parallel_jaw.hpp and api/library.cpp.
+#: Numbers of the state of a gripper's jaws, and of their drive; see contact/parallel_jaw.hpp and api/cloth_sim.hpp.
 PINCH_NUMBERS, DRIVE_NUMBERS = 2, 7
 #: Kinds of listed elements with their particles and parameters; see mesh/elements.hpp.
 KINDS = {
@@ -64,7 +64,7 @@ class EngineError(RuntimeError):
 
 
 class FrameRequest(ctypes.Structure):
-    """Request of a frame; the same layout as in plan/frame.hpp."""
+    """Request of a frame; the same layout as in plan/frame_request.hpp."""
 
     _fields_ = (
         ("t", ctypes.c_double),

@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// C interface of the band matrix and of the ordering. `band.py` checks shapes and types; this file checks indices.
+// C ABI of the band matrix and of the ordering. `band.py` checks shapes and types; this file checks indices.
 #pragma once
 
 #include <cstdint>
@@ -10,17 +10,6 @@
 #include "api/guard.hpp"
 #include "core/band.hpp"
 #include "core/ordering.hpp"
-
-extern "C" {
-
-enum {
-    CLOTH_BAND_OK = 0,
-    CLOTH_BAND_NOT_POSITIVE = 1,
-    CLOTH_BAND_NO_MEMORY = 2,
-    CLOTH_BAND_BAD_SELECTION = 3,  ///< index of a pair out of range
-    CLOTH_BAND_BAD_PARTICLE = 4,   ///< particle out of range
-    CLOTH_BAND_BAD_BLOCK_ROW = 5,  ///< block row out of range, or two rows further apart than the band width
-};
 
 CLOTH_API std::int64_t cloth_band_stride(std::int64_t width) { return cloth::band_stride(width); }
 
@@ -74,7 +63,6 @@ CLOTH_API int cloth_band_join(double* upper, std::int64_t count_upper, double* l
     return CLOTH_BAND_OK;
 }
 
-/// Order the particles so that those of a pair lie close together.
 CLOTH_API int cloth_cuthill_mckee(std::int64_t count, const std::int64_t* pairs, std::int64_t pair_count,
                                   std::int64_t* order) {
     for (std::int64_t e = 0; e < 2 * pair_count; ++e)
@@ -87,10 +75,7 @@ CLOTH_API int cloth_cuthill_mckee(std::int64_t count, const std::int64_t* pairs,
     return CLOTH_BAND_OK;
 }
 
-/// Sum in an order that depends on `count` alone.
 CLOTH_API int cloth_sum(const double* values, std::int64_t count, double* total) {
     *total = cloth::sum(values, count);
     return CLOTH_BAND_OK;
 }
-
-}  // extern "C"

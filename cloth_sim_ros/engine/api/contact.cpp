@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// C interface of contact, and translation unit of its queries. See api/library.cpp.
+// Translation unit of the C ABI of contact, and of its queries.
 
 #include "api/features.hpp"
 #include "api/guard.hpp"
@@ -11,10 +11,6 @@
 #include "contact/queries.hpp"
 #include "contact/self_queries.hpp"
 
-using cloth::Plan;
-
-/// Set the obstacles: shapes, dimensions, radii, friction coefficients at rest and in motion as rows of 3, 1 and 2,
-/// paths as those of grippers; thickness [m], damping [s/m], and frequency of anchor springs [1/s]. Clears all anchors.
 CLOTH_API int cloth_plan_contact(Plan* plan, std::int64_t count, const std::int64_t* shapes, const double* sizes,
                                  const double* radii, const double* frictions, const double* paths, double thickness,
                                  double damping, double frequency) {
@@ -36,7 +32,6 @@ CLOTH_API int cloth_plan_contact(Plan* plan, std::int64_t count, const std::int6
         plan->features->is_active.assign(count, 0);
     });
 }
-/// Set the mesh of an obstacle: vertices (vertices, 3) [m] in its own frame, triangles (triangles, 3).
 CLOTH_API int cloth_plan_mesh(Plan* plan, std::int64_t obstacle, std::int64_t vertices, const double* positions,
                               std::int64_t triangles, const std::int64_t* corners) {
     return guarded(plan, [&] {
@@ -44,15 +39,11 @@ CLOTH_API int cloth_plan_mesh(Plan* plan, std::int64_t obstacle, std::int64_t ve
             std::make_shared<cloth::Mesh>(vertices, positions, triangles, corners);
     });
 }
-/// Set new paths of the same obstacles.
 CLOTH_API int cloth_plan_contact_paths(Plan* plan, const double* paths) {
     return guarded(plan,
                    [&] { plan->contacts.paths.assign(paths, paths + plan->contacts.count() * cloth::path_numbers); });
 }
 
-/// Set the obstacles that are jaws, two per gripper, the one on the positive side of the closing axis first. Numbers
-/// per gripper: present, closed, mass [kg], force [N], speed [m/s], half opening of the open gripper and half thickness
-/// of a jaw [m]. Jaws are open initially.
 CLOTH_API int cloth_plan_jaws(Plan* plan, std::int64_t count, const std::int64_t* pads, const double* numbers) {
     return guarded(plan, [&] {
         cloth::Contacts& contacts = plan->contacts;
@@ -72,12 +63,10 @@ CLOTH_API int cloth_plan_jaws(Plan* plan, std::int64_t count, const std::int64_t
             contacts.jaw_states.insert(contacts.jaw_states.end(), {jaw.max_half_opening, 0.0});
     });
 }
-/// Set the states of the jaws at the start of runs, (jaws, jaw_state_size).
 CLOTH_API int cloth_plan_jaw_states(Plan* plan, const double* jaw_states) {
     return guarded(
         plan, [&] { std::copy_n(jaw_states, plan->contacts.jaw_states.size(), plan->contacts.jaw_states.data()); });
 }
-/// Accelerations of the half openings.
 CLOTH_API int cloth_jaw_accelerations(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
         std::vector<double> jaw_forces(plan->contacts.parallel_jaws.size(), 0.0);
@@ -86,7 +75,6 @@ CLOTH_API int cloth_jaw_accelerations(Plan* plan, double t, const double* x, con
     });
 }
 
-/// Add the weighted wrench records of the obstacles to (obstacles, record_numbers).
 CLOTH_API int cloth_contact_wrenches(Plan* plan, double t, const double* x, const double* v, double weight,
                                      double* out) {
     return guarded(plan, [&] {
@@ -94,7 +82,6 @@ CLOTH_API int cloth_contact_wrenches(Plan* plan, double t, const double* x, cons
         if (plan->features) cloth::add_feature_wrenches(*plan, t, x, v, weight, out);
     });
 }
-/// Number of particles in contact and least gap [m] of each obstacle.
 CLOTH_API int cloth_contact_gaps(Plan* plan, double t, const double* x, double* out) {
     return guarded(plan, [&] {
         cloth::contact_gaps(*plan, t, x, out);
@@ -107,8 +94,6 @@ CLOTH_API int cloth_contact_bounds(Plan* plan, double t, const double* x, double
         if (plan->features) cloth::add_feature_bounds(*plan, t, x, stiff, damp);
     });
 }
-/// Energy per mass that contact may have to absorb from time t on, see predict_contact_energy, and the number of tests:
-/// of all obstacles, and of those with friction. Three numbers.
 CLOTH_API int cloth_predict_obstacle_contact(const Plan* plan, double t, double duration, const double* x,
                                              const double* v, double* out) {
     return guarded(plan, [&] {
@@ -118,11 +103,9 @@ CLOTH_API int cloth_predict_obstacle_contact(const Plan* plan, double t, double 
         out[2] = static_cast<double>(visits.with_friction);
     });
 }
-/// Set the anchors at the start of runs, as in `Contacts`.
 CLOTH_API int cloth_contact_anchors(Plan* plan, const double* anchors) {
     return guarded(plan, [&] { plan->contacts.anchors.assign(anchors, anchors + plan->contacts.anchors.size()); });
 }
-/// Combine the anchors at the ends of runs, see combine_anchors.
 CLOTH_API int cloth_combine_anchors(Plan* plan, double t, const double* x, const double* v, std::int64_t runs,
                                     const double* weights, const double* ends, double* out) {
     return guarded(plan, [&] {
@@ -130,13 +113,10 @@ CLOTH_API int cloth_combine_anchors(Plan* plan, double t, const double* x, const
         cloth::combine_self_anchors(*plan, t, x, v, runs, weights, ends, out);
     });
 }
-/// Whether a particle intersects an obstacle on its straight path from x0 at time t to x1.
 CLOTH_API int cloth_ccd_obstacles(const Plan* plan, double t, double duration, const double* x0, const double* x1,
                                   std::int64_t* out) {
     return guarded(plan, [&] { *out = cloth::ccd_obstacles(*plan, t, duration, x0, x1) ? 1 : 0; });
 }
-/// Set the reduced thickness of contacts at a time, (obstacles + 1, n + 1), and the rates of recovery, see
-/// ReducedThickness. Null clears them. New obstacles have the full thickness.
 CLOTH_API int cloth_contact_thickness(Plan* plan, const double* at_start, const double* rates, double start) {
     return guarded(plan, [&] {
         cloth::Contacts& contacts = plan->contacts;
@@ -151,7 +131,6 @@ CLOTH_API int cloth_contact_thickness(Plan* plan, const double* at_start, const 
         contacts.reduced.start = start;
     });
 }
-/// Gap of each contact [m], rows and columns as above; infinite without a contact.
 CLOTH_API int cloth_contact_gap_rows(Plan* plan, double t, const double* x, double* out) {
     return guarded(plan, [&] {
         const std::int64_t columns = plan->count + 1, rows = plan->contacts.count() + 1;
@@ -161,7 +140,6 @@ CLOTH_API int cloth_contact_gap_rows(Plan* plan, double t, const double* x, doub
         if (plan->self) cloth::self_gap_row(*plan, x, out + (rows - 1) * columns);
     });
 }
-/// Power of contacts that recover their thickness [W].
 CLOTH_API int cloth_contact_growth_power(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
         *out = cloth::contact_growth_power(*plan, t, x, v);
@@ -169,7 +147,6 @@ CLOTH_API int cloth_contact_growth_power(Plan* plan, double t, const double* x, 
         if (plan->features) *out += cloth::feature_growth_power(*plan, t, x, v);
     });
 }
-/// Squared frequency and damping rate of contact that has absorbed an energy.
 CLOTH_API int cloth_contact_limits(const Plan* plan, double energy, double* out) {
     return guarded(plan, [&] {
         const cloth::ContactBounds limits = cloth::contact_limits(plan->contacts, energy);

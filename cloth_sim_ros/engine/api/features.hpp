@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// C interface of contact with points and edges of obstacles.
+// C ABI of contact with points and edges of obstacles.
 #pragma once
 
 #include "api/guard.hpp"
@@ -11,7 +11,7 @@
 
 /// Squared frequency and damping rate of contact on the surface (self-contact, points and edges of obstacles), and the
 /// number of pairs evaluated.
-static void predict_surface_contact(cloth::Plan& plan, double t, double duration, double expected, const double* x,
+static void predict_surface_contact(Plan& plan, double t, double duration, double expected, const double* x,
                                     const double* v, double* out) {
     std::fill(out, out + 3, 0.0);
     const auto add = [&](const cloth::ContactBounds& r, auto&& pairs) {
@@ -34,9 +34,7 @@ static void predict_surface_contact(cloth::Plan& plan, double t, double duration
     });
 }
 
-/// Set the surface for contact with points and edges of obstacles: triangles (count, 3), shortest edge at rest [m].
-/// Particles are ordered by cloth_plan_order.
-CLOTH_API int cloth_plan_faces(cloth::Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest) {
+CLOTH_API int cloth_plan_faces(Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest) {
     return guarded(plan, [&] {
         cloth::FeatureContactModel contact;
         cloth::Surface& s = contact.surface;
@@ -63,11 +61,8 @@ CLOTH_API int cloth_plan_faces(cloth::Plan* plan, std::int64_t count, const std:
         plan->features = std::make_unique<cloth::FeatureContactModel>(std::move(contact));
     });
 }
-/// Set points (points, 3) [m] and edges (edges, 2) of an obstacle in its own frame, and the radius about them [m]; see
-/// Features. Ignored if the cloth has no free surface.
-CLOTH_API int cloth_plan_features(cloth::Plan* plan, std::int64_t obstacle, std::int64_t points,
-                                  const double* positions, std::int64_t edges, const std::int64_t* ends,
-                                  double radius) {
+CLOTH_API int cloth_plan_features(Plan* plan, std::int64_t obstacle, std::int64_t points, const double* positions,
+                                  std::int64_t edges, const std::int64_t* ends, double radius) {
     return guarded(plan, [&] {
         if (!plan->features) return;
         cloth::Features features;
@@ -82,18 +77,14 @@ CLOTH_API int cloth_plan_features(cloth::Plan* plan, std::int64_t obstacle, std:
         plan->features->obstacles[obstacle].features = std::move(features);
     });
 }
-/// Whether runs over a duration may skip features, see FeatureCulling.
-CLOTH_API int cloth_features_culled(cloth::Plan* plan, double t, double duration, const double* x, const double* v,
+CLOTH_API int cloth_features_culled(Plan* plan, double t, double duration, const double* x, const double* v,
                                     std::int64_t* out) {
     return guarded(plan, [&] {
         const cloth::FeatureCulling culling(*plan, t, duration, x, v);
         *out = plan->is_feature_active() ? 0 : 1;
     });
 }
-/// Predict contact within a duration, eight numbers: energy and visits as in cloth_predict_obstacle_contact; squared
-/// frequency and damping rate as in cloth_contact_limits, at `energy_factor` times the energy; and the results of
-/// cloth_predict_surface_contact.
-CLOTH_API int cloth_predict_contact(cloth::Plan* plan, double t, double duration, double energy_factor, double expected,
+CLOTH_API int cloth_predict_contact(Plan* plan, double t, double duration, double energy_factor, double expected,
                                     const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
         cloth::VisitCounts visits;
@@ -106,27 +97,21 @@ CLOTH_API int cloth_predict_contact(cloth::Plan* plan, double t, double duration
         predict_surface_contact(*plan, t, duration, expected, x, v, out + 5);
     });
 }
-/// Predict contact on the surface: squared frequency and damping rate, see predict_self_contact and
-/// predict_feature_contact, and the number of pairs evaluated.
-CLOTH_API int cloth_predict_surface_contact(cloth::Plan* plan, double t, double duration, double expected,
-                                            const double* x, const double* v, double* out) {
+CLOTH_API int cloth_predict_surface_contact(Plan* plan, double t, double duration, double expected, const double* x,
+                                            const double* v, double* out) {
     return guarded(plan, [&] { predict_surface_contact(*plan, t, duration, expected, x, v, out); });
 }
-/// Whether a feature intersects the cloth on the straight path from x0 at time t to x1, a duration later.
-CLOTH_API int cloth_ccd_features(cloth::Plan* plan, double t, double duration, const double* x0, const double* x1,
+CLOTH_API int cloth_ccd_features(Plan* plan, double t, double duration, const double* x0, const double* x1,
                                  std::int64_t* out) {
     return guarded(plan, [&] { *out = plan->features && cloth::ccd_features(*plan, t, duration, x0, x1) ? 1 : 0; });
 }
-/// For each gripper, whether its jaws intersect the cloth, see ccd_jaws.
-CLOTH_API int cloth_ccd_jaws(cloth::Plan* plan, double t, const double* x, const double* half_openings,
-                             std::int64_t* out) {
+CLOTH_API int cloth_ccd_jaws(Plan* plan, double t, const double* x, const double* half_openings, std::int64_t* out) {
     return guarded(plan, [&] {
         std::fill(out, out + plan->contacts.parallel_jaws.size(), std::int64_t{0});
         if (plan->features) cloth::ccd_jaws(*plan, t, x, half_openings, out);
     });
 }
-/// Initial intersection of the cloth with a feature, see find_feature_intersection: three numbers.
-CLOTH_API int cloth_feature_intersection(cloth::Plan* plan, double t, const double* x, std::int64_t* out) {
+CLOTH_API int cloth_feature_intersection(Plan* plan, double t, const double* x, std::int64_t* out) {
     return guarded(plan, [&] {
         std::fill(out, out + 3, std::int64_t{-1});
         if (plan->features) cloth::find_feature_intersection(*plan, t, x, out);

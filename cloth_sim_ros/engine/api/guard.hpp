@@ -6,14 +6,11 @@
 
 #include <new>
 
+#include "api/cloth_sim.hpp"
 #include "core/fpu_guard.hpp"
 #include "plan/plan.hpp"
 
-#define CLOTH_API extern "C" __attribute__((visibility("default")))
-
 namespace {
-
-enum Status : int { ok = 0, failed = 1, no_memory = 2, callback_failed = 3, not_finite = 4, busy = 5 };
 
 template <class F>
 int guarded(F&& call) {

@@ -1,8 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// C interface of the engine, called without the interpreter lock. binding.py checks shapes, types and ranges before.
-// Arrays are (3, n) doubles by component unless stated otherwise. Every call returns a Status.
+// Translation unit of the C ABI, which api/cloth_sim.hpp describes, and of the frame.
 
 #include "api/band.hpp"
 #include "api/guard.hpp"
@@ -11,11 +10,7 @@
 #include "plan/queries.hpp"
 #include "plan/tables.hpp"
 
-using cloth::Plan;
-
-/// Number of this interface. The binding refuses any other.
 CLOTH_API int cloth_engine_abi() { return 15; }
-/// Name of the instruction set of this library.
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)
     return "avx512";
@@ -42,7 +37,6 @@ CLOTH_API Plan* cloth_plan_new(std::int64_t count, const double* masses, const d
 }
 CLOTH_API void cloth_plan_free(Plan* plan) { delete plan; }
 
-/// Set the grid. Families: rows of present, k_s, rest length, damping, border, parity.
 CLOTH_API int cloth_plan_grid(Plan* plan, std::int64_t rows, std::int64_t columns, const double* families) {
     return guarded(plan, [&] {
         cloth::Grid grid;
@@ -67,21 +61,18 @@ CLOTH_API int cloth_plan_uniform(Plan* plan, const double* gravity, const double
         plan->drag = drag;
     });
 }
-/// Set the coefficients and the wind of the panels, the only list with common parameters.
 CLOTH_API int cloth_plan_air(Plan* plan, const double* common) {
     return guarded(plan, [&] {
         for (cloth::List& list : plan->lists)
             if (!list.numbers) std::copy(common, common + 5, list.common);
     });
 }
-/// Set the rank of each particle in runs without a grid.
 CLOTH_API int cloth_plan_order(Plan* plan, const std::int64_t* rank) {
     return guarded(plan, [&] { plan->rank.assign(rank, rank + plan->count); });
 }
-CLOTH_API int cloth_plan_callback(Plan* plan, cloth::Callback callback) {
+CLOTH_API int cloth_plan_callback(Plan* plan, Callback callback) {
     return guarded(plan, [&] { plan->callback = callback; });
 }
-/// Set the grips; cloth_plan_gripper_paths sets their motion.
 CLOTH_API int cloth_plan_grips(Plan* plan, std::int64_t grippers, std::int64_t count, const std::int64_t* particles,
                                const std::int64_t* owners, const double* offsets, const double* stiffness,
                                const double* damping) {
@@ -103,7 +94,6 @@ CLOTH_API int cloth_plan_grips(Plan* plan, std::int64_t grippers, std::int64_t c
     });
 }
 
-/// Set the paths of the grippers, if all their numbers are finite.
 CLOTH_API int cloth_plan_gripper_paths(Plan* plan, const double* paths) {
     int status = ok;
     const int call_status = guarded(plan, [&] {
@@ -116,7 +106,7 @@ CLOTH_API int cloth_plan_gripper_paths(Plan* plan, const double* paths) {
     return call_status ? call_status : status;
 }
 
-CLOTH_API int cloth_frame(Plan* plan, const cloth::Frame* frame) {
+CLOTH_API int cloth_frame(Plan* plan, const FrameRequest* frame) {
     int status = ok;
     const int call_status = guarded(plan, [&] {
         if (cloth::execute_frame(*plan, *frame) != cloth::RunStatus::ok) status = callback_failed;
@@ -131,7 +121,6 @@ CLOTH_API int cloth_accelerations(Plan* plan, double t, const double* x, const d
     return call_status ? call_status : status;
 }
 
-/// Kinetic and potential energy [J], two numbers; v may be null.
 CLOTH_API int cloth_energy(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
         const cloth::Energy e = cloth::energy_of(*plan, t, x, v);
@@ -139,14 +128,12 @@ CLOTH_API int cloth_energy(Plan* plan, double t, const double* x, const double* 
         out[1] = e.potential;
     });
 }
-/// Power of damping and drag, and power of the wind [W], without the joints of grippers.
 CLOTH_API int cloth_powers(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
         out[0] = out[1] = 0.0;
         cloth::total_powers(*plan, t, x, v, out[0], out[1]);
     });
 }
-/// Add the weighted wrench records of the grippers to (grippers, record_numbers).
 CLOTH_API int cloth_grip_wrenches(const Plan* plan, double t, const double* x, const double* v, double weight,
                                   double* out) {
     return guarded(plan, [&] {
@@ -174,14 +161,10 @@ CLOTH_API int cloth_derivative_product(Plan* plan, double t, const double* x, co
                                        const double* dv, double* out) {
     return guarded(plan, [&] { cloth::add_product(*plan, t, x, v, dx, dv, out); });
 }
-/// Blocks of a list of springs or joints, in its own order; see pair_blocks.
 CLOTH_API int cloth_pair_blocks(const Plan* plan, std::int64_t list, const double* x, double stiffness, double damping,
                                 double* out) {
     return guarded(plan, [&] { cloth::pair_blocks(plan->lists[list], x, plan->count, stiffness, damping, out); });
 }
-/// Paths over a frame, see path_to. Input: poses (count, 7), twists (count, 6), displacements and rotations of the
-/// frame before (count, 6), targets (count, 7). Output: paths, twists at their end, displacements and rotations, and
-/// the largest change of the displacement along an axis since the frame before [m].
 CLOTH_API int cloth_paths(std::int64_t count, double t, double duration, const double* poses, const double* twists,
                           const double* previous, const double* targets, double* paths, double* end_twists,
                           double* motions, double* changes) {
@@ -195,11 +178,9 @@ CLOTH_API int cloth_paths(std::int64_t count, double t, double duration, const d
         }
     });
 }
-/// Rotation vector [rad] from one unit quaternion x, y, z, w to another.
 CLOTH_API int cloth_rotation_vector(const double* start, const double* end, double* out) {
     return guarded([&] { cloth::rotation_vector(start, end, out); });
 }
-/// Pose of a gripper on its path, 18 numbers: position, velocity, rotation matrix by rows, angular velocity.
 CLOTH_API int cloth_pose(const double* path, double t, double* out) {
     return guarded([&] {
         const cloth::Pose p = cloth::pose_at(path, t);
@@ -212,16 +193,13 @@ CLOTH_API int cloth_pose(const double* path, double t, double* out) {
     });
 }
 
-/// Weighted sum of arrays.
 CLOTH_API int cloth_combine(std::int64_t arrays, const double* const* from, const double* weights, std::int64_t size,
                             double* out) {
     return guarded([&] { cloth::combine(arrays, from, weights, size, out); });
 }
-/// Largest distance of a particle in two arrays (3, n) [m]; infinite if a number is not finite.
 CLOTH_API int cloth_distance(const double* x, const double* y, std::int64_t n, double* out) {
     return guarded([&] { *out = cloth::largest_distance(x, y, n); });
 }
-/// Sum of m_i a_i . b_i over particles, in order.
 CLOTH_API int cloth_weighted_dot(const double* m, const double* a, const double* b, std::int64_t n, double* out) {
     return guarded([&] {
         double sum = 0.0;
@@ -230,8 +208,6 @@ CLOTH_API int cloth_weighted_dot(const double* m, const double* a, const double*
         *out = sum;
     });
 }
-/// Signed lengths h [m] of hinges (count, 4) of kind crossed or altitude, NaN if undefined, and, unless `squares` is
-/// null, |dh/dx|^2 of their four corners (count, 4).
 CLOTH_API int cloth_hinge_lengths(int kind, std::int64_t count, const std::int64_t* corners, const double* x,
                                   std::int64_t n, double* lengths, double* squares) {
     return guarded([&] {

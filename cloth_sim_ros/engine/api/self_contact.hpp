@@ -1,15 +1,13 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// C interface of self-contact.
+// C ABI of self-contact.
 #pragma once
 
 #include "api/guard.hpp"
 #include "contact/self_queries.hpp"
 
-/// Set the surface of self-contact: triangles (count, 3), shortest edge at rest [m]. Its thickness is that of
-/// cloth_plan_contact. Particles are ordered by cloth_plan_order.
-CLOTH_API int cloth_plan_self(cloth::Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest) {
+CLOTH_API int cloth_plan_self(Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest) {
     return guarded(plan, [&] {
         cloth::SelfContact self;
         cloth::Surface& s = self.surface;
@@ -31,44 +29,34 @@ CLOTH_API int cloth_plan_self(cloth::Plan* plan, std::int64_t count, const std::
         plan->self = std::make_unique<cloth::SelfContact>(std::move(self));
     });
 }
-/// Set the friction coefficients between layers, at rest and in motion. The next cloth_plan_contact allocates the
-/// anchors.
-CLOTH_API int cloth_self_friction(cloth::Plan* plan, double at_rest, double sliding) {
+CLOTH_API int cloth_self_friction(Plan* plan, double at_rest, double sliding) {
     return guarded(plan, [&] {
         plan->self->friction = {at_rest, sliding};
         plan->particle_of_rank.resize(plan->count);
         for (std::int64_t i = 0; i < plan->count; ++i) plan->particle_of_rank[plan->rank[i]] = i;
     });
 }
-/// Power of friction between layers [W].
-CLOTH_API int cloth_self_friction_power(cloth::Plan* plan, double t, const double* x, const double* v, double* out) {
+CLOTH_API int cloth_self_friction_power(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] { *out = cloth::self_friction_power(*plan, t, x, v); });
 }
-/// Whether lists of pairs are kept between evaluations. No bit depends on it.
-CLOTH_API int cloth_self_cache_pairs(cloth::Plan* plan, std::int64_t caches) {
+CLOTH_API int cloth_self_cache_pairs(Plan* plan, std::int64_t caches) {
     return guarded(plan, [&] { plan->self->caches = caches != 0; });
 }
-/// Add blocks that bound stiffness and damping.
-CLOTH_API int cloth_self_bounds(cloth::Plan* plan, double t, const double* x, double* stiff, double* damp) {
+CLOTH_API int cloth_self_bounds(Plan* plan, double t, const double* x, double* stiff, double* damp) {
     return guarded(plan, [&] { cloth::add_self_bounds(*plan, t, x, stiff, damp); });
 }
-/// Number of contacts and the least gap [m].
-CLOTH_API int cloth_self_gaps(cloth::Plan* plan, const double* x, double* out) {
+CLOTH_API int cloth_self_gaps(Plan* plan, const double* x, double* out) {
     return guarded(plan, [&] { cloth::self_gaps(*plan, x, out); });
 }
-/// First edge that intersects a triangle, see find_self_intersection.
-CLOTH_API int cloth_self_intersection(cloth::Plan* plan, const double* x, std::int64_t* out) {
+CLOTH_API int cloth_self_intersection(Plan* plan, const double* x, std::int64_t* out) {
     return guarded(plan, [&] { cloth::find_self_intersection(*plan, x, out); });
 }
-/// Whether runs over a duration may skip self-contact, see SelfCulling.
-CLOTH_API int cloth_self_culled(cloth::Plan* plan, double duration, const double* x, const double* v,
-                                std::int64_t* out) {
+CLOTH_API int cloth_self_culled(Plan* plan, double duration, const double* x, const double* v, std::int64_t* out) {
     return guarded(plan, [&] {
         const cloth::SelfCulling culling(*plan, duration, x, v);
         *out = plan->self_culled ? 1 : 0;
     });
 }
-/// Whether the surface intersects itself on straight paths from x0 to x1.
-CLOTH_API int cloth_ccd_self(cloth::Plan* plan, const double* x0, const double* x1, std::int64_t* out) {
+CLOTH_API int cloth_ccd_self(Plan* plan, const double* x0, const double* x1, std::int64_t* out) {
     return guarded(plan, [&] { *out = cloth::ccd_self(*plan, x0, x1) ? 1 : 0; });
 }

@@ -11,13 +11,11 @@
 #include "contact/obstacle_culling.hpp"
 #include "contact/queries.hpp"
 #include "core/thread_pool.hpp"
+#include "plan/frame_request.hpp"
 #include "plan/queries.hpp"
 #include "plan/runs.hpp"
 
 namespace cloth {
-
-/// Maximum number of runs of one frame.
-inline constexpr int max_runs = 8;
 
 template <class T>
 inline RunStatus execute_run(Plan& plan, const Run& run) {
@@ -49,46 +47,13 @@ inline double largest_distance(const double* x, const double* y, std::int64_t n)
     return not_finite ? std::numeric_limits<double>::infinity() : root(max_square);
 }
 
-/// Request of a frame; the same layout as binding.Frame.
-struct Frame {
-    double t, duration;
-    std::int64_t runs;  ///< number of runs, each with its number of steps
-    const std::int64_t* steps;
-    const double* weights;          ///< of the runs in the combination
-    std::int64_t single_precision;  ///< whether runs use single precision
-    std::int64_t bands;
-    const double *x0, *v0;
-    double* out;     ///< positions and velocities of each run, (runs, 2, 3, n)
-    double* result;  ///< of the combination, (2, 3, n), or null: then the first run is the result
-    /// For each run: the records of the grippers; dissipated and external power. With contact also: the records of the
-    /// obstacles; the `ContactSummary`; squared frequency and damping rate of contact on the surface; friction work
-    /// between layers; work of contacts that recover their thickness [J]. Null if none is requested.
-    double* records;
-    std::int64_t record_powers;  ///< whether powers are recorded
-    /// Nine numbers about the end of the frame, or null. 0: largest change of a particle's velocity over the frame
-    /// [m/s]; infinite if the result is not finite, is beyond the surface of an obstacle, or the cloth may intersect
-    /// itself. 1, 2: bounds of squared frequency [1/s^2] and damping rate [1/s] without contact. 3: energy per mass, in
-    /// U^2/2, that contact with obstacles has to absorb from the end of the frame on. 4, 5: squared frequency [1/s^2]
-    /// and damping rate [1/s] of contact on the surface. 6, 7: bounds of squared frequency [1/s^2] and damping rate
-    /// [1/s] of hinges alone; 8: bound of the squared transverse frequency of springs. Zero without hinges, or if not
-    /// requested.
-    double* summary;
-    std::int64_t bounds_level;      ///< 1: bounds of frequency and damping are requested; 2: those of hinges too
-    std::int64_t record_obstacles;  ///< whether the work of obstacles is recorded
-    double* anchors;                ///< of each run at its end, as in `Contacts`, or null
-    double* jaw_states;             ///< of each run at its end, (runs, jaws, jaw_state_size), or null
-    std::int64_t multirate;         ///< steps per evaluation of hinges
-    std::int64_t combined;          ///< number of the runs in the combination, from the first on
-    std::int64_t concurrency;       ///< maximum number of concurrent runs
-};
-
-/// Size of a run's record of contact, see Frame::records.
+/// Size of a run's record of contact, see FrameRequest::records.
 inline std::int64_t contact_record_size(const Plan& plan) {
     return plan.has_contact() ? plan.contacts.count() * record_numbers + ContactSummary::numbers + 4 : 0;
 }
 
 /// Runs of a frame.
-inline std::vector<Run> runs_of(const Plan& plan, const Frame& frame) {
+inline std::vector<Run> runs_of(const Plan& plan, const FrameRequest& frame) {
     const std::int64_t n = plan.count, size = plan.grips.grippers * record_numbers;
     const std::int64_t contact_size = contact_record_size(plan), size_of_record = size + 2 + contact_size;
     const auto n_jaws = static_cast<std::int64_t>(plan.contacts.parallel_jaws.size());
@@ -107,7 +72,7 @@ inline std::vector<Run> runs_of(const Plan& plan, const Frame& frame) {
 }
 
 /// Execute runs concurrently, each on one thread. They share read-only data and write into workspaces of their own.
-inline void execute_concurrently(Plan& plan, const Frame& frame, std::vector<Run>& runs) {
+inline void execute_concurrently(Plan& plan, const FrameRequest& frame, std::vector<Run>& runs) {
     if (frame.single_precision)
         plan.prepare_tables<float>();
     else
@@ -120,7 +85,7 @@ inline void execute_concurrently(Plan& plan, const Frame& frame, std::vector<Run
     });
 }
 
-inline RunStatus execute_runs(Plan& plan, const Frame& frame) {
+inline RunStatus execute_runs(Plan& plan, const FrameRequest& frame) {
     std::vector<Run> runs = runs_of(plan, frame);
     if (frame.concurrency > 1 && runs.size() > 1 && plan.has_independent_runs()) {
         execute_concurrently(plan, frame, runs);
@@ -148,7 +113,7 @@ inline RunStatus execute_runs(Plan& plan, const Frame& frame) {
     return RunStatus::ok;
 }
 
-inline RunStatus execute_frame(Plan& plan, const Frame& frame) {
+inline RunStatus execute_frame(Plan& plan, const FrameRequest& frame) {
     const std::int64_t n = plan.count;
     const RunStatus done = execute_runs(plan, frame);
     if (done != RunStatus::ok) return done;

@@ -14,16 +14,11 @@
 #include "grid/cells.hpp"
 #include "grid/stencils.hpp"
 #include "mesh/elements.hpp"
+#include "plan/frame_request.hpp"
 #include "plan/grips.hpp"
 #include "plan/workspace.hpp"
 
 namespace cloth {
-
-/// Callback of forces in Python: adds to f at time t [s], positions x [m] and velocities v [m/s], all (3, n), and,
-/// unless `powers` is null, to the dissipated and the external power [W]. A result other than `callback_ok` ends the
-/// run.
-using Callback = int (*)(double t, const double* x, const double* v, double* f, double* powers);
-inline constexpr int callback_ok = 1611516433;  // unlikely to be left behind by a call that did not return
 
 class SelfContact;
 struct FeatureContactModel;
