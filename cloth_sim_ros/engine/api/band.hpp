@@ -11,12 +11,14 @@
 #include "core/band.hpp"
 #include "core/ordering.hpp"
 
-CLOTH_API std::int64_t cloth_band_stride(std::int64_t width) { return cloth::band_stride(width); }
+namespace cloth::api {
+
+CLOTH_API std::int64_t cloth_band_stride(std::int64_t width) { return band_stride(width); }
 
 CLOTH_API int cloth_band_assemble(double* rows, std::int64_t count, std::int64_t width, const std::int64_t* block_rows,
                                   std::int64_t particles, const std::int64_t* pairs, const double* blocks,
                                   std::int64_t pair_count, const std::int64_t* selected, std::int64_t selected_count) {
-    const cloth::Band a{rows, count, width};
+    const Band a{rows, count, width};
     for (std::int64_t k = 0; k < selected_count; ++k) {
         const std::int64_t e = selected[k];
         if (e < 0 || e >= pair_count) return CLOTH_BAND_BAD_SELECTION;
@@ -25,7 +27,7 @@ CLOTH_API int cloth_band_assemble(double* rows, std::int64_t count, std::int64_t
         const std::int64_t i = block_rows[p], j = block_rows[q];
         if (i >= count || j >= count) return CLOTH_BAND_BAD_BLOCK_ROW;
         if (i >= 0 && j >= 0 && (i == j || i - j > width || j - i > width)) return CLOTH_BAND_BAD_BLOCK_ROW;
-        cloth::add_pair(a, i, j, blocks + 6 * e);
+        add_pair(a, i, j, blocks + 6 * e);
     }
     return CLOTH_BAND_OK;
 }
@@ -33,33 +35,33 @@ CLOTH_API int cloth_band_assemble(double* rows, std::int64_t count, std::int64_t
 CLOTH_API int cloth_band_assemble_diagonal(double* rows, std::int64_t count, std::int64_t width,
                                            const std::int64_t* block_rows, std::int64_t particles, const double* masses,
                                            const double* blocks) {
-    const cloth::Band a{rows, count, width};
+    const Band a{rows, count, width};
     for (std::int64_t p = 0; p < particles; ++p) {
         if (block_rows[p] >= count) return CLOTH_BAND_BAD_BLOCK_ROW;
-        if (block_rows[p] >= 0) cloth::add_diagonal(a, block_rows[p], masses[p], blocks + p, particles);
+        if (block_rows[p] >= 0) add_diagonal(a, block_rows[p], masses[p], blocks + p, particles);
     }
     return CLOTH_BAND_OK;
 }
 
 CLOTH_API int cloth_band_factor(double* rows, std::int64_t count, std::int64_t width, std::int64_t inner) {
-    return cloth::factor({rows, count, width}, inner) ? CLOTH_BAND_OK : CLOTH_BAND_NOT_POSITIVE;
+    return factor({rows, count, width}, inner) ? CLOTH_BAND_OK : CLOTH_BAND_NOT_POSITIVE;
 }
 
 CLOTH_API int cloth_band_forward(double* rows, std::int64_t count, std::int64_t width, std::int64_t inner, double* y) {
-    cloth::forward({rows, count, width}, inner, y);
+    forward({rows, count, width}, inner, y);
     return CLOTH_BAND_OK;
 }
 
 CLOTH_API int cloth_band_backward(double* rows, std::int64_t count, std::int64_t width, std::int64_t inner, double* y) {
-    cloth::backward({rows, count, width}, inner, y);
+    backward({rows, count, width}, inner, y);
     return CLOTH_BAND_OK;
 }
 
 CLOTH_API int cloth_band_join(double* upper, std::int64_t count_upper, double* lower, std::int64_t count_lower,
                               std::int64_t width, std::int64_t inner_upper, std::int64_t inner_lower, double* middle,
                               std::int64_t shared, std::int64_t width_middle) {
-    cloth::join({upper, count_upper, width}, {lower, count_lower, width}, inner_upper, inner_lower,
-                {middle, shared, width_middle});
+    join({upper, count_upper, width}, {lower, count_lower, width}, inner_upper, inner_lower,
+         {middle, shared, width_middle});
     return CLOTH_BAND_OK;
 }
 
@@ -68,7 +70,7 @@ CLOTH_API int cloth_cuthill_mckee(std::int64_t count, const std::int64_t* pairs,
     for (std::int64_t e = 0; e < 2 * pair_count; ++e)
         if (pairs[e] < 0 || pairs[e] >= count) return CLOTH_BAND_BAD_PARTICLE;
     try {
-        cloth::CuthillMcKee(count, pairs, pair_count).write_order(order);
+        CuthillMcKee(count, pairs, pair_count).write_order(order);
     } catch (const std::bad_alloc&) {
         return CLOTH_BAND_NO_MEMORY;
     }
@@ -76,6 +78,8 @@ CLOTH_API int cloth_cuthill_mckee(std::int64_t count, const std::int64_t* pairs,
 }
 
 CLOTH_API int cloth_sum(const double* values, std::int64_t count, double* total) {
-    *total = cloth::sum(values, count);
+    *total = sum(values, count);
     return CLOTH_BAND_OK;
 }
+
+}  // namespace cloth::api

@@ -15,12 +15,15 @@
 
 #define CLOTH_API extern "C" __attribute__((visibility("default")))
 
-namespace cloth {
+namespace cloth::plan {
 struct Plan;
 }
-using cloth::Callback;
-using cloth::FrameRequest;
-using cloth::Plan;
+
+namespace cloth::api {
+
+using plan::Callback;
+using plan::FrameRequest;
+using plan::Plan;
 
 enum Status : int { ok = 0, failed = 1, no_memory = 2, callback_failed = 3, not_finite = 4, busy = 5 };
 
@@ -240,3 +243,5 @@ CLOTH_API int cloth_cuthill_mckee(std::int64_t count, const std::int64_t* pairs,
                                   std::int64_t* order);
 /// Sum in an order that depends on `count` alone.
 CLOTH_API int cloth_sum(const double* values, std::int64_t count, double* total);
+
+}  // namespace cloth::api

@@ -11,17 +11,19 @@
 #include "contact/queries.hpp"
 #include "contact/self_queries.hpp"
 
+namespace cloth::api {
+
 CLOTH_API int cloth_plan_contact(Plan* plan, std::int64_t count, const std::int64_t* shapes, const double* sizes,
                                  const double* radii, const double* frictions, const double* paths, double thickness,
                                  double damping, double frequency) {
     return guarded(plan, [&] {
-        cloth::Contacts contacts;
+        contact::Contacts contacts;
         for (std::int64_t k = 0; k < count; ++k)
-            contacts.obstacles.push_back({static_cast<cloth::Shape>(shapes[k]),
+            contacts.obstacles.push_back({static_cast<contact::Shape>(shapes[k]),
                                           {sizes[3 * k], sizes[3 * k + 1], sizes[3 * k + 2]},
                                           radii[k],
                                           {frictions[2 * k], frictions[2 * k + 1]}});
-        contacts.paths.assign(paths, paths + count * cloth::path_numbers);
+        contacts.paths.assign(paths, paths + count * plan::path_numbers);
         contacts.thickness = thickness;
         contacts.damping = damping;
         contacts.frequency = frequency;
@@ -36,30 +38,30 @@ CLOTH_API int cloth_plan_mesh(Plan* plan, std::int64_t obstacle, std::int64_t ve
                               std::int64_t triangles, const std::int64_t* corners) {
     return guarded(plan, [&] {
         plan->contacts.obstacles[obstacle].mesh =
-            std::make_shared<cloth::Mesh>(vertices, positions, triangles, corners);
+            std::make_shared<contact::Mesh>(vertices, positions, triangles, corners);
     });
 }
 CLOTH_API int cloth_plan_contact_paths(Plan* plan, const double* paths) {
     return guarded(plan,
-                   [&] { plan->contacts.paths.assign(paths, paths + plan->contacts.count() * cloth::path_numbers); });
+                   [&] { plan->contacts.paths.assign(paths, paths + plan->contacts.count() * plan::path_numbers); });
 }
 
 CLOTH_API int cloth_plan_jaws(Plan* plan, std::int64_t count, const std::int64_t* pads, const double* numbers) {
     return guarded(plan, [&] {
-        cloth::Contacts& contacts = plan->contacts;
+        contact::Contacts& contacts = plan->contacts;
         contacts.parallel_jaws.clear();
         for (std::int64_t k = 0; k < count; ++k) {
             const double* const a = numbers + 7 * k;
             contacts.parallel_jaws.push_back({a[0] != 0.0, a[1] != 0.0, a[2], a[3], a[4], a[5], a[6]});
             for (int k_jaw = 0; k_jaw < 2; ++k_jaw) {
-                cloth::Obstacle& pad = contacts.obstacles[pads[2 * k + k_jaw]];
+                contact::Obstacle& pad = contacts.obstacles[pads[2 * k + k_jaw]];
                 pad.parallel_jaw = k;
                 pad.jaw_side = k_jaw ? -1.0 : 1.0;
             }
         }
-        if (contacts.jaw_states.size() == contacts.parallel_jaws.size() * cloth::jaw_state_size) return;
+        if (contacts.jaw_states.size() == contacts.parallel_jaws.size() * contact::jaw_state_size) return;
         contacts.jaw_states.clear();
-        for (const cloth::ParallelJaw& jaw : contacts.parallel_jaws)
+        for (const contact::ParallelJaw& jaw : contacts.parallel_jaws)
             contacts.jaw_states.insert(contacts.jaw_states.end(), {jaw.max_half_opening, 0.0});
     });
 }
@@ -70,35 +72,35 @@ CLOTH_API int cloth_plan_jaw_states(Plan* plan, const double* jaw_states) {
 CLOTH_API int cloth_jaw_accelerations(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
         std::vector<double> jaw_forces(plan->contacts.parallel_jaws.size(), 0.0);
-        if (plan->features) cloth::add_feature_jaw_forces(*plan, t, x, v, jaw_forces);
-        cloth::jaw_accelerations(*plan, t, x, v, jaw_forces, out);
+        if (plan->features) contact::add_feature_jaw_forces(*plan, t, x, v, jaw_forces);
+        contact::jaw_accelerations(*plan, t, x, v, jaw_forces, out);
     });
 }
 
 CLOTH_API int cloth_contact_wrenches(Plan* plan, double t, const double* x, const double* v, double weight,
                                      double* out) {
     return guarded(plan, [&] {
-        cloth::add_contact_wrenches(*plan, t, x, v, weight, out);
-        if (plan->features) cloth::add_feature_wrenches(*plan, t, x, v, weight, out);
+        contact::add_contact_wrenches(*plan, t, x, v, weight, out);
+        if (plan->features) contact::add_feature_wrenches(*plan, t, x, v, weight, out);
     });
 }
 CLOTH_API int cloth_contact_gaps(Plan* plan, double t, const double* x, double* out) {
     return guarded(plan, [&] {
-        cloth::contact_gaps(*plan, t, x, out);
-        if (plan->features) cloth::feature_gaps(*plan, t, x, out);
+        contact::contact_gaps(*plan, t, x, out);
+        if (plan->features) contact::feature_gaps(*plan, t, x, out);
     });
 }
 CLOTH_API int cloth_contact_bounds(Plan* plan, double t, const double* x, double* stiff, double* damp) {
     return guarded(plan, [&] {
-        cloth::add_contact_bounds(*plan, t, x, stiff, damp);
-        if (plan->features) cloth::add_feature_bounds(*plan, t, x, stiff, damp);
+        contact::add_contact_bounds(*plan, t, x, stiff, damp);
+        if (plan->features) contact::add_feature_bounds(*plan, t, x, stiff, damp);
     });
 }
 CLOTH_API int cloth_predict_obstacle_contact(const Plan* plan, double t, double duration, const double* x,
                                              const double* v, double* out) {
     return guarded(plan, [&] {
-        cloth::VisitCounts visits;
-        out[0] = cloth::predict_contact_energy(*plan, t, duration, x, v, &visits);
+        contact::VisitCounts visits;
+        out[0] = contact::predict_contact_energy(*plan, t, duration, x, v, &visits);
         out[1] = static_cast<double>(visits.all);
         out[2] = static_cast<double>(visits.with_friction);
     });
@@ -109,24 +111,24 @@ CLOTH_API int cloth_contact_anchors(Plan* plan, const double* anchors) {
 CLOTH_API int cloth_combine_anchors(Plan* plan, double t, const double* x, const double* v, std::int64_t runs,
                                     const double* weights, const double* ends, double* out) {
     return guarded(plan, [&] {
-        cloth::combine_anchors(*plan, t, x, v, runs, weights, ends, out);
-        cloth::combine_self_anchors(*plan, t, x, v, runs, weights, ends, out);
+        contact::combine_anchors(*plan, t, x, v, runs, weights, ends, out);
+        contact::combine_self_anchors(*plan, t, x, v, runs, weights, ends, out);
     });
 }
 CLOTH_API int cloth_ccd_obstacles(const Plan* plan, double t, double duration, const double* x0, const double* x1,
                                   std::int64_t* out) {
-    return guarded(plan, [&] { *out = cloth::ccd_obstacles(*plan, t, duration, x0, x1) ? 1 : 0; });
+    return guarded(plan, [&] { *out = contact::ccd_obstacles(*plan, t, duration, x0, x1) ? 1 : 0; });
 }
 CLOTH_API int cloth_contact_thickness(Plan* plan, const double* at_start, const double* rates, double start) {
     return guarded(plan, [&] {
-        cloth::Contacts& contacts = plan->contacts;
+        contact::Contacts& contacts = plan->contacts;
         contacts.reduced = {};
         if (!at_start) return;
         const std::int64_t size = (contacts.count() + 1) * (plan->count + 1);
         contacts.reduced.at_start.assign(at_start, at_start + size);
-        contacts.reduced.at_start.resize(size + cloth::lanes<double>, contacts.thickness);
+        contacts.reduced.at_start.resize(size + lanes<double>, contacts.thickness);
         contacts.reduced.rates.assign(rates, rates + size);
-        contacts.reduced.rates.resize(size + cloth::lanes<double>, 0.0);
+        contacts.reduced.rates.resize(size + lanes<double>, 0.0);
         contacts.reduced.full = contacts.thickness;
         contacts.reduced.start = start;
     });
@@ -135,22 +137,24 @@ CLOTH_API int cloth_contact_gap_rows(Plan* plan, double t, const double* x, doub
     return guarded(plan, [&] {
         const std::int64_t columns = plan->count + 1, rows = plan->contacts.count() + 1;
         std::fill(out, out + rows * columns, std::numeric_limits<double>::infinity());
-        cloth::contact_gap_rows(*plan, t, x, out);
-        if (plan->features) cloth::feature_gap_column(*plan, t, x, out);
-        if (plan->self) cloth::self_gap_row(*plan, x, out + (rows - 1) * columns);
+        contact::contact_gap_rows(*plan, t, x, out);
+        if (plan->features) contact::feature_gap_column(*plan, t, x, out);
+        if (plan->self) contact::self_gap_row(*plan, x, out + (rows - 1) * columns);
     });
 }
 CLOTH_API int cloth_contact_growth_power(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
-        *out = cloth::contact_growth_power(*plan, t, x, v);
-        if (plan->self) *out += cloth::self_growth_power(*plan, t, x, v);
-        if (plan->features) *out += cloth::feature_growth_power(*plan, t, x, v);
+        *out = contact::contact_growth_power(*plan, t, x, v);
+        if (plan->self) *out += contact::self_growth_power(*plan, t, x, v);
+        if (plan->features) *out += contact::feature_growth_power(*plan, t, x, v);
     });
 }
 CLOTH_API int cloth_contact_limits(const Plan* plan, double energy, double* out) {
     return guarded(plan, [&] {
-        const cloth::ContactBounds limits = cloth::contact_limits(plan->contacts, energy);
+        const contact::ContactBounds limits = contact::contact_limits(plan->contacts, energy);
         out[0] = limits.omega2;
         out[1] = limits.damping;
     });
 }
+
+}  // namespace cloth::api

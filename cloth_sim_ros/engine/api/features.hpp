@@ -9,25 +9,27 @@
 #include "contact/obstacle_prediction.hpp"
 #include "contact/self_queries.hpp"
 
+namespace cloth::api {
+
 /// Squared frequency and damping rate of contact on the surface (self-contact, points and edges of obstacles), and the
 /// number of pairs evaluated.
 static void predict_surface_contact(Plan& plan, double t, double duration, double expected, const double* x,
                                     const double* v, double* out) {
     std::fill(out, out + 3, 0.0);
-    const auto add = [&](const cloth::ContactBounds& r, auto&& pairs) {
+    const auto add = [&](const contact::ContactBounds& r, auto&& pairs) {
         out[0] += r.omega2;
         out[1] += r.damping;
         if (r.omega2 < std::numeric_limits<double>::infinity()) out[2] += static_cast<double>(pairs());
     };
     if (plan.self)
-        add(cloth::predict_self_contact(plan, t, duration, expected, x, v),
+        add(contact::predict_self_contact(plan, t, duration, expected, x, v),
             [&] { return plan.self->triangles.size() + plan.self->edges.size(); });
     if (!plan.features) return;
-    add(cloth::predict_feature_contact(plan, t, duration, expected, x, v), [&] {
+    add(contact::predict_feature_contact(plan, t, duration, expected, x, v), [&] {
         // The lists of an absent obstacle are of an earlier call.
         std::size_t pairs = 0;
         for (std::int64_t k = 0; k < plan.contacts.count(); ++k) {
-            const cloth::FeatureVerletList& neighbors = plan.features->obstacles[k];
+            const contact::FeatureVerletList& neighbors = plan.features->obstacles[k];
             if (plan.features->has(plan.contacts, k)) pairs += neighbors.triangles.size() + neighbors.edges.size();
         }
         return pairs;
@@ -36,8 +38,8 @@ static void predict_surface_contact(Plan& plan, double t, double duration, doubl
 
 CLOTH_API int cloth_plan_faces(Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest) {
     return guarded(plan, [&] {
-        cloth::FeatureContactModel contact;
-        cloth::Surface& s = contact.surface;
+        contact::FeatureContactModel contact;
+        contact::Surface& s = contact.surface;
         s.count = plan->count;
         s.shortest = shortest;
         s.masses.resize(plan->count);
@@ -53,45 +55,45 @@ CLOTH_API int cloth_plan_faces(Plan* plan, std::int64_t count, const std::int64_
         for (std::int64_t t = 0; t < count; ++t) {
             const std::int64_t* const c = triangles + 3 * t;
             if (!(plan->inverse[c[0]] > 0.0 && plan->inverse[c[1]] > 0.0 && plan->inverse[c[2]] > 0.0)) continue;
-            const auto corner = [&](int k) { return static_cast<cloth::Index>(plan->rank[c[k]]); };
+            const auto corner = [&](int k) { return static_cast<contact::Index>(plan->rank[c[k]]); };
             s.triangles.push_back({corner(0), corner(1), corner(2)});
         }
         if (s.triangles.empty()) return;
         s.build_topology();
-        plan->features = std::make_unique<cloth::FeatureContactModel>(std::move(contact));
+        plan->features = std::make_unique<contact::FeatureContactModel>(std::move(contact));
     });
 }
 CLOTH_API int cloth_plan_features(Plan* plan, std::int64_t obstacle, std::int64_t points, const double* positions,
                                   std::int64_t edges, const std::int64_t* ends, double radius) {
     return guarded(plan, [&] {
         if (!plan->features) return;
-        cloth::Features features;
+        contact::Features features;
         features.radius = radius;
         for (std::int64_t k = 0; k < points; ++k) {
             features.points.push_back({positions[3 * k], positions[3 * k + 1], positions[3 * k + 2]});
-            features.reach = cloth::larger(cloth::root(cloth::norm2(features.points.back())), features.reach);
+            features.reach = larger(root(norm2(features.points.back())), features.reach);
         }
         for (std::int64_t k = 0; k < edges; ++k)
             features.edges.push_back(
-                {static_cast<cloth::Index>(ends[2 * k]), static_cast<cloth::Index>(ends[2 * k + 1])});
+                {static_cast<contact::Index>(ends[2 * k]), static_cast<contact::Index>(ends[2 * k + 1])});
         plan->features->obstacles[obstacle].features = std::move(features);
     });
 }
 CLOTH_API int cloth_features_culled(Plan* plan, double t, double duration, const double* x, const double* v,
                                     std::int64_t* out) {
     return guarded(plan, [&] {
-        const cloth::FeatureCulling culling(*plan, t, duration, x, v);
+        const contact::FeatureCulling culling(*plan, t, duration, x, v);
         *out = plan->is_feature_active() ? 0 : 1;
     });
 }
 CLOTH_API int cloth_predict_contact(Plan* plan, double t, double duration, double energy_factor, double expected,
                                     const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
-        cloth::VisitCounts visits;
-        out[0] = cloth::predict_contact_energy(*plan, t, duration, x, v, &visits);
+        contact::VisitCounts visits;
+        out[0] = contact::predict_contact_energy(*plan, t, duration, x, v, &visits);
         out[1] = static_cast<double>(visits.all);
         out[2] = static_cast<double>(visits.with_friction);
-        const cloth::ContactBounds limits = cloth::contact_limits(plan->contacts, energy_factor * out[0]);
+        const contact::ContactBounds limits = contact::contact_limits(plan->contacts, energy_factor * out[0]);
         out[3] = limits.omega2;
         out[4] = limits.damping;
         predict_surface_contact(*plan, t, duration, expected, x, v, out + 5);
@@ -103,17 +105,19 @@ CLOTH_API int cloth_predict_surface_contact(Plan* plan, double t, double duratio
 }
 CLOTH_API int cloth_ccd_features(Plan* plan, double t, double duration, const double* x0, const double* x1,
                                  std::int64_t* out) {
-    return guarded(plan, [&] { *out = plan->features && cloth::ccd_features(*plan, t, duration, x0, x1) ? 1 : 0; });
+    return guarded(plan, [&] { *out = plan->features && contact::ccd_features(*plan, t, duration, x0, x1) ? 1 : 0; });
 }
 CLOTH_API int cloth_ccd_jaws(Plan* plan, double t, const double* x, const double* half_openings, std::int64_t* out) {
     return guarded(plan, [&] {
         std::fill(out, out + plan->contacts.parallel_jaws.size(), std::int64_t{0});
-        if (plan->features) cloth::ccd_jaws(*plan, t, x, half_openings, out);
+        if (plan->features) contact::ccd_jaws(*plan, t, x, half_openings, out);
     });
 }
 CLOTH_API int cloth_feature_intersection(Plan* plan, double t, const double* x, std::int64_t* out) {
     return guarded(plan, [&] {
         std::fill(out, out + 3, std::int64_t{-1});
-        if (plan->features) cloth::find_feature_intersection(*plan, t, x, out);
+        if (plan->features) contact::find_feature_intersection(*plan, t, x, out);
     });
 }
+
+}  // namespace cloth::api

@@ -10,12 +10,12 @@
 #include "core/fpu_guard.hpp"
 #include "plan/plan.hpp"
 
-namespace {
+namespace cloth::api {
 
 template <class F>
 int guarded(F&& call) {
     try {
-        const cloth::FpuGuard rounding;
+        const FpuGuard rounding;
         call();
         return ok;
     } catch (const std::bad_alloc&) {
@@ -26,11 +26,11 @@ int guarded(F&& call) {
 }
 /// A plan is not re-entrant: a second call would overwrite its workspaces.
 template <class F>
-int guarded(const cloth::Plan* plan, F&& call) {
+int guarded(const Plan* plan, F&& call) {
     if (plan->busy.test_and_set(std::memory_order_acquire)) return busy;
     const int status = guarded(call);
     plan->busy.clear(std::memory_order_release);
     return status;
 }
 
-}  // namespace
+}  // namespace cloth::api

@@ -10,6 +10,8 @@
 #include "plan/queries.hpp"
 #include "plan/tables.hpp"
 
+namespace cloth::api {
+
 CLOTH_API int cloth_engine_abi() { return 15; }
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)
@@ -39,20 +41,20 @@ CLOTH_API void cloth_plan_free(Plan* plan) { delete plan; }
 
 CLOTH_API int cloth_plan_grid(Plan* plan, std::int64_t rows, std::int64_t columns, const double* families) {
     return guarded(plan, [&] {
-        cloth::Grid grid;
+        grid::Grid grid;
         grid.rows = rows;
         grid.columns = columns;
-        for (int f = 0; f < cloth::family_count; ++f) {
+        for (int f = 0; f < grid::family_count; ++f) {
             const double* const row = families + 6 * f;
             grid.families[f] = {row[0] != 0.0, row[1], row[2], row[3], row[4], static_cast<int>(row[5])};
         }
         plan->grid = grid;
-        plan->tables = cloth::GridTables<double>(grid, plan->inverse.data());
+        plan->tables = grid::GridTables<double>(grid, plan->inverse.data());
     });
 }
 CLOTH_API int cloth_plan_list(Plan* plan, int kind, std::int64_t count, const std::int64_t* corners,
                               const double* params, const double* common) {
-    return guarded(plan, [&] { plan->add_list({static_cast<cloth::Kind>(kind), count, corners, params, common}); });
+    return guarded(plan, [&] { plan->add_list({static_cast<mesh::Kind>(kind), count, corners, params, common}); });
 }
 CLOTH_API int cloth_plan_uniform(Plan* plan, const double* gravity, const double* wind, double drag) {
     return guarded(plan, [&] {
@@ -63,7 +65,7 @@ CLOTH_API int cloth_plan_uniform(Plan* plan, const double* gravity, const double
 }
 CLOTH_API int cloth_plan_air(Plan* plan, const double* common) {
     return guarded(plan, [&] {
-        for (cloth::List& list : plan->lists)
+        for (mesh::List& list : plan->lists)
             if (!list.numbers) std::copy(common, common + 5, list.common);
     });
 }
@@ -80,9 +82,9 @@ CLOTH_API int cloth_plan_grips(Plan* plan, std::int64_t grippers, std::int64_t c
         std::vector<std::int64_t> order(count);
         std::iota(order.begin(), order.end(), std::int64_t{0});
         std::stable_sort(order.begin(), order.end(), [&](auto a, auto b) { return particles[a] < particles[b]; });
-        cloth::Grips grips;
+        plan::Grips grips;
         grips.grippers = grippers;
-        grips.paths.assign(grippers * cloth::path_numbers, 0.0);
+        grips.paths.assign(grippers * plan::path_numbers, 0.0);
         for (std::int64_t k : order) {
             grips.particle.push_back(particles[k]);
             grips.gripper.push_back(owners[k]);
@@ -97,7 +99,7 @@ CLOTH_API int cloth_plan_grips(Plan* plan, std::int64_t grippers, std::int64_t c
 CLOTH_API int cloth_plan_gripper_paths(Plan* plan, const double* paths) {
     int status = ok;
     const int call_status = guarded(plan, [&] {
-        const double* const end = paths + plan->grips.grippers * cloth::path_numbers;
+        const double* const end = paths + plan->grips.grippers * plan::path_numbers;
         if (std::all_of(paths, end, [](double a) { return std::isfinite(a); }))
             plan->grips.paths.assign(paths, end);
         else
@@ -109,21 +111,21 @@ CLOTH_API int cloth_plan_gripper_paths(Plan* plan, const double* paths) {
 CLOTH_API int cloth_frame(Plan* plan, const FrameRequest* frame) {
     int status = ok;
     const int call_status = guarded(plan, [&] {
-        if (cloth::execute_frame(*plan, *frame) != cloth::RunStatus::ok) status = callback_failed;
+        if (plan::execute_frame(*plan, *frame) != plan::RunStatus::ok) status = callback_failed;
     });
     return call_status ? call_status : status;
 }
 CLOTH_API int cloth_accelerations(Plan* plan, double t, const double* x, const double* v, double* out) {
     int status = ok;
     const int call_status = guarded(plan, [&] {
-        if (cloth::accelerations(*plan, t, x, v, out) != cloth::RunStatus::ok) status = callback_failed;
+        if (plan::accelerations(*plan, t, x, v, out) != plan::RunStatus::ok) status = callback_failed;
     });
     return call_status ? call_status : status;
 }
 
 CLOTH_API int cloth_energy(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
-        const cloth::Energy e = cloth::energy_of(*plan, t, x, v);
+        const plan::Energy e = plan::energy_of(*plan, t, x, v);
         out[0] = e.kinetic;
         out[1] = e.potential;
     });
@@ -131,39 +133,39 @@ CLOTH_API int cloth_energy(Plan* plan, double t, const double* x, const double* 
 CLOTH_API int cloth_powers(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
         out[0] = out[1] = 0.0;
-        cloth::total_powers(*plan, t, x, v, out[0], out[1]);
+        plan::total_powers(*plan, t, x, v, out[0], out[1]);
     });
 }
 CLOTH_API int cloth_grip_wrenches(const Plan* plan, double t, const double* x, const double* v, double weight,
                                   double* out) {
     return guarded(plan, [&] {
-        const std::size_t size = plan->grips.grippers * cloth::record_numbers;
+        const std::size_t size = plan->grips.grippers * plan::record_numbers;
         std::vector<double> wrenches(size, 0.0);
-        cloth::add_grip_wrenches(*plan, t, x, v, wrenches.data());
+        plan::add_grip_wrenches(*plan, t, x, v, wrenches.data());
         for (std::size_t k = 0; k < size; ++k) out[k] += weight * wrenches[k];
     });
 }
 CLOTH_API int cloth_spectral_bounds(Plan* plan, const double* x, const double* stiff, const double* damp,
                                     std::int64_t hinges, double* out) {
     return guarded(plan, [&] {
-        const cloth::SpectralBounds r = cloth::spectral_bounds(*plan, x, stiff, damp, hinges != 0);
+        const plan::SpectralBounds r = plan::spectral_bounds(*plan, x, stiff, damp, hinges != 0);
         const double numbers[5] = {r.omega2, r.damping, r.hinge_omega2, r.hinge_damping, r.transverse_omega2};
         std::copy(numbers, numbers + 5, out);
     });
 }
 CLOTH_API int cloth_bounds(const Plan* plan, const double* x, double* stiff, double* damp) {
-    return guarded(plan, [&] { cloth::add_bounds(*plan, x, stiff, damp); });
+    return guarded(plan, [&] { plan::add_bounds(*plan, x, stiff, damp); });
 }
 CLOTH_API int cloth_eigenvalues(const double* blocks, std::int64_t n, double* out) {
-    return guarded([&] { cloth::eigenvalues(blocks, n, out); });
+    return guarded([&] { plan::eigenvalues(blocks, n, out); });
 }
 CLOTH_API int cloth_derivative_product(Plan* plan, double t, const double* x, const double* v, const double* dx,
                                        const double* dv, double* out) {
-    return guarded(plan, [&] { cloth::add_product(*plan, t, x, v, dx, dv, out); });
+    return guarded(plan, [&] { plan::add_product(*plan, t, x, v, dx, dv, out); });
 }
 CLOTH_API int cloth_pair_blocks(const Plan* plan, std::int64_t list, const double* x, double stiffness, double damping,
                                 double* out) {
-    return guarded(plan, [&] { cloth::pair_blocks(plan->lists[list], x, plan->count, stiffness, damping, out); });
+    return guarded(plan, [&] { plan::pair_blocks(plan->lists[list], x, plan->count, stiffness, damping, out); });
 }
 CLOTH_API int cloth_paths(std::int64_t count, double t, double duration, const double* poses, const double* twists,
                           const double* previous, const double* targets, double* paths, double* end_twists,
@@ -171,20 +173,20 @@ CLOTH_API int cloth_paths(std::int64_t count, double t, double duration, const d
     return guarded([&] {
         for (std::int64_t k = 0; k < count; ++k) {
             const double *const previous_motion = previous + 6 * k, *const motion = motions + 6 * k;
-            cloth::path_to(t, duration, poses + 7 * k, twists + 6 * k, previous_motion, targets + 7 * k,
-                           paths + k * cloth::path_numbers, end_twists + 6 * k, motions + 6 * k);
+            plan::path_to(t, duration, poses + 7 * k, twists + 6 * k, previous_motion, targets + 7 * k,
+                          paths + k * plan::path_numbers, end_twists + 6 * k, motions + 6 * k);
             changes[k] = 0.0;
             for (int i = 0; i < 3; ++i) changes[k] = std::max(changes[k], std::abs(motion[i] - previous_motion[i]));
         }
     });
 }
 CLOTH_API int cloth_rotation_vector(const double* start, const double* end, double* out) {
-    return guarded([&] { cloth::rotation_vector(start, end, out); });
+    return guarded([&] { plan::rotation_vector(start, end, out); });
 }
 CLOTH_API int cloth_pose(const double* path, double t, double* out) {
     return guarded([&] {
-        const cloth::Pose p = cloth::pose_at(path, t);
-        const auto put = [&](int at, cloth::Vec3<double> a) { out[at] = a.x, out[at + 1] = a.y, out[at + 2] = a.z; };
+        const plan::Pose p = plan::pose_at(path, t);
+        const auto put = [&](int at, Vec3<double> a) { out[at] = a.x, out[at + 1] = a.y, out[at + 2] = a.z; };
         put(0, p.position);
         put(3, p.velocity);
         for (int j = 0; j < 3; ++j)
@@ -195,16 +197,15 @@ CLOTH_API int cloth_pose(const double* path, double t, double* out) {
 
 CLOTH_API int cloth_combine(std::int64_t arrays, const double* const* from, const double* weights, std::int64_t size,
                             double* out) {
-    return guarded([&] { cloth::combine(arrays, from, weights, size, out); });
+    return guarded([&] { plan::combine(arrays, from, weights, size, out); });
 }
 CLOTH_API int cloth_distance(const double* x, const double* y, std::int64_t n, double* out) {
-    return guarded([&] { *out = cloth::largest_distance(x, y, n); });
+    return guarded([&] { *out = plan::largest_distance(x, y, n); });
 }
 CLOTH_API int cloth_weighted_dot(const double* m, const double* a, const double* b, std::int64_t n, double* out) {
     return guarded([&] {
         double sum = 0.0;
-        for (std::int64_t i = 0; i < n; ++i)
-            sum += m[i] * cloth::dot(cloth::particle(a, n, i), cloth::particle(b, n, i));
+        for (std::int64_t i = 0; i < n; ++i) sum += m[i] * dot(plan::particle(a, n, i), plan::particle(b, n, i));
         *out = sum;
     });
 }
@@ -212,7 +213,9 @@ CLOTH_API int cloth_hinge_lengths(int kind, std::int64_t count, const std::int64
                                   std::int64_t n, double* lengths, double* squares) {
     return guarded([&] {
         const std::vector<double> params(3 * count, 0.0);
-        const cloth::List list(static_cast<cloth::Kind>(kind), count, corners, params.data(), nullptr);
-        cloth::hinge_lengths(list, x, n, lengths, squares);
+        const mesh::List list(static_cast<mesh::Kind>(kind), count, corners, params.data(), nullptr);
+        plan::hinge_lengths(list, x, n, lengths, squares);
     });
 }
+
+}  // namespace cloth::api

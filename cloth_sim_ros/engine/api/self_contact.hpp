@@ -7,10 +7,12 @@
 #include "api/guard.hpp"
 #include "contact/self_queries.hpp"
 
+namespace cloth::api {
+
 CLOTH_API int cloth_plan_self(Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest) {
     return guarded(plan, [&] {
-        cloth::SelfContact self;
-        cloth::Surface& s = self.surface;
+        contact::SelfContact self;
+        contact::Surface& s = self.surface;
         s.count = plan->count;
         s.shortest = shortest;
         s.masses.resize(plan->count);
@@ -22,11 +24,11 @@ CLOTH_API int cloth_plan_self(Plan* plan, std::int64_t count, const std::int64_t
             s.inverse[plan->rank[i]] = plan->inverse[i];
         }
         for (std::int64_t t = 0; t < count; ++t) {
-            const auto corner = [&](int k) { return static_cast<cloth::Index>(plan->rank[triangles[3 * t + k]]); };
+            const auto corner = [&](int k) { return static_cast<contact::Index>(plan->rank[triangles[3 * t + k]]); };
             s.triangles.push_back({corner(0), corner(1), corner(2)});
         }
         s.build_topology();
-        plan->self = std::make_unique<cloth::SelfContact>(std::move(self));
+        plan->self = std::make_unique<contact::SelfContact>(std::move(self));
     });
 }
 CLOTH_API int cloth_self_friction(Plan* plan, double at_rest, double sliding) {
@@ -37,26 +39,28 @@ CLOTH_API int cloth_self_friction(Plan* plan, double at_rest, double sliding) {
     });
 }
 CLOTH_API int cloth_self_friction_power(Plan* plan, double t, const double* x, const double* v, double* out) {
-    return guarded(plan, [&] { *out = cloth::self_friction_power(*plan, t, x, v); });
+    return guarded(plan, [&] { *out = contact::self_friction_power(*plan, t, x, v); });
 }
 CLOTH_API int cloth_self_cache_pairs(Plan* plan, std::int64_t caches) {
     return guarded(plan, [&] { plan->self->caches = caches != 0; });
 }
 CLOTH_API int cloth_self_bounds(Plan* plan, double t, const double* x, double* stiff, double* damp) {
-    return guarded(plan, [&] { cloth::add_self_bounds(*plan, t, x, stiff, damp); });
+    return guarded(plan, [&] { contact::add_self_bounds(*plan, t, x, stiff, damp); });
 }
 CLOTH_API int cloth_self_gaps(Plan* plan, const double* x, double* out) {
-    return guarded(plan, [&] { cloth::self_gaps(*plan, x, out); });
+    return guarded(plan, [&] { contact::self_gaps(*plan, x, out); });
 }
 CLOTH_API int cloth_self_intersection(Plan* plan, const double* x, std::int64_t* out) {
-    return guarded(plan, [&] { cloth::find_self_intersection(*plan, x, out); });
+    return guarded(plan, [&] { contact::find_self_intersection(*plan, x, out); });
 }
 CLOTH_API int cloth_self_culled(Plan* plan, double duration, const double* x, const double* v, std::int64_t* out) {
     return guarded(plan, [&] {
-        const cloth::SelfCulling culling(*plan, duration, x, v);
+        const contact::SelfCulling culling(*plan, duration, x, v);
         *out = plan->self_culled ? 1 : 0;
     });
 }
 CLOTH_API int cloth_ccd_self(Plan* plan, const double* x0, const double* x1, std::int64_t* out) {
-    return guarded(plan, [&] { *out = cloth::ccd_self(*plan, x0, x1) ? 1 : 0; });
+    return guarded(plan, [&] { *out = contact::ccd_self(*plan, x0, x1) ? 1 : 0; });
 }
+
+}  // namespace cloth::api

@@ -11,7 +11,7 @@
 #include "contact/primitives.hpp"
 #include "contact/surface.hpp"
 
-namespace cloth {
+namespace cloth::contact {
 
 /// Positions as quads.
 struct Quads {
@@ -312,4 +312,4 @@ private:
     static constexpr double fineness = 0.5;
 };
 
-}  // namespace cloth
+}  // namespace cloth::contact

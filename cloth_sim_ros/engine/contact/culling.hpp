@@ -6,7 +6,9 @@
 
 #include "plan/plan.hpp"
 
-namespace cloth {
+namespace cloth::contact {
+
+using plan::Plan;
 
 struct Surface;
 
@@ -57,4 +59,4 @@ private:
 /// Let the next runs evaluate contact of all features.
 void activate_features(Plan& plan);
 
-}  // namespace cloth
+}  // namespace cloth::contact

@@ -8,7 +8,7 @@
 #include "contact/features.hpp"
 #include "contact/self_contact.hpp"
 
-namespace cloth {
+namespace cloth::contact {
 
 /// An axis-aligned box.
 struct AxisBox {
@@ -306,4 +306,4 @@ inline void for_each_feature(const FeatureVerletList& neighbors, P&& point, E&& 
     for (std::size_t k = 0; k < neighbors.edges.size(); ++k) edge(k);
 }
 
-}  // namespace cloth
+}  // namespace cloth::contact

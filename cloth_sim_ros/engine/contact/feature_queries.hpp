@@ -8,7 +8,7 @@
 #include "contact/feature_run.hpp"
 #include "contact/self_queries.hpp"
 
-namespace cloth {
+namespace cloth::contact {
 
 /// Call visit(law, obstacle, from, contact) for each contact at time t, positions x and velocities v, with derivatives
 /// dx and dv if V has them. Positions that are not finite have no contact. With `ignore_reduction` all contacts have
@@ -379,4 +379,4 @@ void find_feature_intersection(Plan& plan, double t, const double* x, std::int64
     }
 }
 
-}  // namespace cloth
+}  // namespace cloth::contact

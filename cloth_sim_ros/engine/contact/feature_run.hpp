@@ -7,7 +7,9 @@
 #include "contact/feature_neighbors.hpp"
 #include "contact/jaw_run.hpp"
 
-namespace cloth {
+namespace cloth::contact {
+
+using plan::record_numbers;
 
 /// Stiffness bound of contact with features: the energy per mass that contact absorbs, in units of U^2/2, and the
 /// largest row sum of stiffness over mass relative to a single gap at a particle. Gershgorin: a gap's stiffness k g g'
@@ -292,4 +294,4 @@ private:
     bool has_previous_ = false, intersected_ = false;
 };
 
-}  // namespace cloth
+}  // namespace cloth::contact

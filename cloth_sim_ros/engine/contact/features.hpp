@@ -9,7 +9,7 @@
 #include "contact/primitives.hpp"
 #include "contact/surface.hpp"
 
-namespace cloth {
+namespace cloth::contact {
 
 /// Points of one obstacle in its own frame, edges between them, and their radius [m]: the centre of a ball, corners and
 /// edges of a box. `reach` [m]: largest distance of a point from the origin of the frame.
@@ -257,4 +257,4 @@ private:
     Scaling<V> scaling_ = full_thickness<V>();
 };
 
-}  // namespace cloth
+}  // namespace cloth::contact

@@ -7,7 +7,9 @@
 #include "contact/parallel_jaw.hpp"
 #include "laws/contact.hpp"
 
-namespace cloth {
+namespace cloth::contact {
+
+using laws::stopping_gap;
 
 inline double ParallelJaw::acceleration(const ContactLaw<double>& law, double thickness, double half_opening,
                                         double jaw_speed, double cloth_force) const {
@@ -38,4 +40,4 @@ inline double stiffened_energy(const ContactLaw<double>& law, double thickness, 
     return law.shape(low * thickness);
 }
 
-}  // namespace cloth
+}  // namespace cloth::contact

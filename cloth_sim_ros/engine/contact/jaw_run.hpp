@@ -7,7 +7,10 @@
 #include "contact/jaw_law.hpp"
 #include "plan/plan.hpp"
 
-namespace cloth {
+namespace cloth::contact {
+
+using grid::StepFactors;
+using plan::Run;
 
 class JawRun {
 public:
@@ -112,4 +115,4 @@ private:
     std::vector<ThreadState> threads_;
 };
 
-}  // namespace cloth
+}  // namespace cloth::contact

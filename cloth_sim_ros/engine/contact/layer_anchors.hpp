@@ -7,7 +7,13 @@
 #include "contact/surface.hpp"
 #include "laws/anchor.hpp"
 
-namespace cloth {
+namespace cloth::contact {
+
+using laws::anchor_numbers;
+using laws::Bond;
+using laws::no_bond;
+using laws::slides;
+using laws::sticks;
 
 /// Faces of a particle: a layer may be in contact with either.
 inline constexpr int layer_sides = 2;
@@ -40,4 +46,4 @@ inline void write_anchor(double* to, std::int64_t count, int face, std::int64_t 
     a[3 * count] = double(anchor.bond);
 }
 
-}  // namespace cloth
+}  // namespace cloth::contact

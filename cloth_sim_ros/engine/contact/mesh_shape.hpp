@@ -12,7 +12,7 @@
 
 #include "contact/primitives.hpp"
 
-namespace cloth {
+namespace cloth::contact {
 
 /// A point is inside according to the normal of the nearest face, edge or vertex: that of an edge is the sum of the
 /// normals of its faces, that of a vertex the sum weighted by angles (J. A. Baerentzen and H. Aanaes, "Signed distance
@@ -177,4 +177,4 @@ private:
     std::vector<Node> nodes_;
 };
 
-}  // namespace cloth
+}  // namespace cloth::contact

@@ -6,7 +6,9 @@
 
 #include "plan/plan.hpp"
 
-namespace cloth {
+namespace cloth::contact {
+
+using plan::Plan;
 
 /// Largest speed of the particles, anchored ones included.
 inline double max_speed(const double* v, std::int64_t n) {
@@ -135,4 +137,4 @@ private:
     bool covers_all_ = true;
 };
 
-}  // namespace cloth
+}  // namespace cloth::contact

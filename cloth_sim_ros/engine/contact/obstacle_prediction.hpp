@@ -7,7 +7,7 @@
 #include "contact/obstacle_culling.hpp"
 #include "contact/obstacle_queries.hpp"
 
-namespace cloth {
+namespace cloth::contact {
 
 double predict_contact_energy(const Plan& plan, double t, double duration, const double* x, const double* v,
                               VisitCounts* visits) {
@@ -117,4 +117,4 @@ double predict_contact_energy(const Plan& plan, double t, double duration, const
     return max_energy;
 }
 
-}  // namespace cloth
+}  // namespace cloth::contact

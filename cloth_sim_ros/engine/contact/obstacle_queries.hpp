@@ -10,7 +10,10 @@
 #include "laws/friction.hpp"
 #include "plan/plan.hpp"
 
-namespace cloth {
+namespace cloth::contact {
+
+using laws::FrictionLaw;
+using plan::record_numbers;
 
 /// A particle near an obstacle.
 struct ObstacleContact {
@@ -355,4 +358,4 @@ bool ccd_obstacles(const Plan& plan, double t, double duration, const double* x0
     return intersects;
 }
 
-}  // namespace cloth
+}  // namespace cloth::contact

@@ -8,7 +8,12 @@
 #include "contact/jaw_run.hpp"
 #include "laws/friction.hpp"
 
-namespace cloth {
+namespace cloth::contact {
+
+using laws::FrictionLaw;
+using plan::Plan;
+using plan::PoseCache;
+using plan::record_numbers;
 
 /// Index of a particle in the blocks of a run: by its rank, or by its row and column in a sheet.
 struct ParticleSlots {
@@ -411,4 +416,4 @@ private:
     std::vector<std::int64_t> slots_;           ///< slot of each particle in the blocks
 };
 
-}  // namespace cloth
+}  // namespace cloth::contact

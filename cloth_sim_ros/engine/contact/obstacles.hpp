@@ -14,7 +14,14 @@
 #include <memory>
 #include <numeric>
 
-namespace cloth {
+namespace cloth::contact {
+
+using laws::anchor_numbers;
+using laws::FrictionCoefficients;
+using laws::full_thickness;
+using laws::Scaling;
+using plan::path_numbers;
+using plan::pose_at;
 
 struct Obstacle {
     Shape shape;
@@ -298,4 +305,4 @@ struct ContactBounds {
     double omega2 = 0.0, damping = 0.0;
 };
 
-}  // namespace cloth
+}  // namespace cloth::contact

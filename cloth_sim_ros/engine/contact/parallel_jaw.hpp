@@ -7,10 +7,15 @@
 
 #include "plan/grips.hpp"
 
-namespace cloth {
-
+namespace cloth::laws {
 template <class V>
 class ContactLaw;
+}
+
+namespace cloth::contact {
+
+using laws::ContactLaw;
+using plan::Pose;
 
 /// Half the opening between the faces of the jaws [m], and its rate [m/s].
 inline constexpr int jaw_state_size = 2;
@@ -42,4 +47,4 @@ inline Pose jaw_pose(Pose pose, double jaw_side, double half_opening, double jaw
     return pose;
 }
 
-}  // namespace cloth
+}  // namespace cloth::contact

@@ -7,7 +7,7 @@
 
 #include "core/algebra.hpp"
 
-namespace cloth {
+namespace cloth::contact {
 
 template <class V>
 CLOTH_INLINE V within_one(V a) {
@@ -91,4 +91,4 @@ CLOTH_INLINE OnSegments<V> near_segments(Vec3<V> a, Vec3<V> b, Vec3<V> c, Vec3<V
     return n;
 }
 
-}  // namespace cloth
+}  // namespace cloth::contact

@@ -7,7 +7,9 @@
 
 #include "plan/plan.hpp"
 
-namespace cloth {
+namespace cloth::contact {
+
+using plan::Plan;
 
 /// Number of tests of a particle against an obstacle: of all, and of those with friction.
 struct VisitCounts {
@@ -116,4 +118,4 @@ void ccd_jaws(Plan& plan, double t, const double* x, const double* half_openings
 /// the triangle that its feature intersects; -1 if there is none.
 void find_feature_intersection(Plan& plan, double t, const double* x, std::int64_t* out);
 
-}  // namespace cloth
+}  // namespace cloth::contact

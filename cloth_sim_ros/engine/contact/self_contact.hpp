@@ -7,7 +7,9 @@
 #include "contact/self_friction.hpp"
 #include "contact/self_gaps.hpp"
 
-namespace cloth {
+namespace cloth::contact {
+
+using laws::stopping_gap;
 
 /// Upper bound of the relative motion of any two particles: diagonal of the bounding box of all displacements. NaN if a
 /// displacement is not finite.
@@ -292,4 +294,4 @@ inline void for_each_neighbor(const SelfContact& self, P&& particle, E&& edge) {
     for (std::size_t k = 0; k < self.edges.size(); ++k) edge(k);
 }
 
-}  // namespace cloth
+}  // namespace cloth::contact

@@ -9,7 +9,10 @@
 #include "contact/self_law.hpp"
 #include "laws/friction.hpp"
 
-namespace cloth {
+namespace cloth::contact {
+
+using laws::FrictionCoefficients;
+using laws::FrictionLaw;
 
 /// Push on one face of a particle, as an acceleration, and the nearest triangle there, -1 for none.
 template <class V>
@@ -308,4 +311,4 @@ private:
     LayerLoad load_;
 };
 
-}  // namespace cloth
+}  // namespace cloth::contact

@@ -7,7 +7,9 @@
 #include "contact/self_contact.hpp"
 #include "plan/plan.hpp"
 
-namespace cloth {
+namespace cloth::contact {
+
+using plan::Plan;
 
 /// Call `visit` with the friction law and the kinematics of each layer in contact.
 template <class V, class X, class U, class F>
@@ -123,4 +125,4 @@ inline void combine_layer_anchors(const Plan& plan, const SelfLaw<double>& law, 
         });
 }
 
-}  // namespace cloth
+}  // namespace cloth::contact

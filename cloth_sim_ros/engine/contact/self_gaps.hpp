@@ -9,7 +9,7 @@
 #include "contact/broad_phase.hpp"
 #include "contact/self_law.hpp"
 
-namespace cloth {
+namespace cloth::contact {
 
 /// Corners of gaps: the particle, then the others. The particle replaces missing corners.
 struct Corners {
@@ -319,4 +319,4 @@ private:
     std::vector<Index> particle_, index_, sum_of_, which_;
 };
 
-}  // namespace cloth
+}  // namespace cloth::contact

@@ -9,7 +9,11 @@
 #include "contact/surface.hpp"
 #include "laws/contact.hpp"
 
-namespace cloth {
+namespace cloth::contact {
+
+using laws::ContactLaw;
+using laws::full_thickness;
+using laws::Scaling;
 
 CLOTH_INLINE double value_of(double a) { return a; }
 CLOTH_INLINE double value_of(Dual a) { return a.value; }
@@ -268,4 +272,4 @@ private:
     const Scaling<double>* scalings_ = nullptr;
 };
 
-}  // namespace cloth
+}  // namespace cloth::contact

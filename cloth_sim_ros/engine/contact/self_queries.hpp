@@ -9,7 +9,7 @@
 #include "contact/queries.hpp"
 #include "contact/self_friction_queries.hpp"
 
-namespace cloth {
+namespace cloth::contact {
 
 /// Convert an array (3, n) to quads in the order of runs.
 inline Array<double> quads_of(const Plan& plan, const double* a) {
@@ -324,4 +324,4 @@ void find_self_intersection(Plan& plan, const double* x, std::int64_t* out) {
     }
 }
 
-}  // namespace cloth
+}  // namespace cloth::contact

@@ -11,7 +11,12 @@
 #include "contact/self_contact.hpp"
 #include "plan/plan.hpp"
 
-namespace cloth {
+namespace cloth::contact {
+
+using plan::midpoint_time;
+using plan::Plan;
+using plan::Run;
+using plan::self_scalings;
 
 /// Whether a pair may have intersected during a step. `square`: squared distance at the end of the step [m^2];
 /// displacement(c): that of a corner [m]. It has not if its relative motion is below that distance. No point of a side
@@ -198,4 +203,4 @@ private:
     bool intersected_ = false;
 };
 
-}  // namespace cloth
+}  // namespace cloth::contact

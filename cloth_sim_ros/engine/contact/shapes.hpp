@@ -7,7 +7,7 @@
 
 #include "contact/mesh_shape.hpp"
 
-namespace cloth {
+namespace cloth::contact {
 
 /// Dimensions [m]: plane none, normal z; box edge lengths along x, y, z; sphere radius; capsule and cylinder radius and
 /// length along z, that of a capsule without its caps; mesh none.
@@ -113,4 +113,4 @@ inline auto with_shape(Shape shape, F&& visit) {
     }
 }
 
-}  // namespace cloth
+}  // namespace cloth::contact

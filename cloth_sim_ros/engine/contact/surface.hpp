@@ -10,7 +10,7 @@
 
 #include "core/storage.hpp"
 
-namespace cloth {
+namespace cloth::contact {
 
 using Index = std::int32_t;
 
@@ -82,4 +82,4 @@ struct Surface {
     }
 };
 
-}  // namespace cloth
+}  // namespace cloth::contact

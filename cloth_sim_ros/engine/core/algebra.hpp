@@ -9,7 +9,7 @@
 
 #include "core/simd.hpp"
 
-namespace cloth {
+namespace cloth::inline core {
 
 template <class V>
 struct Vec3 {
@@ -117,4 +117,4 @@ inline Vec3<Dual> with_slope(Vec3<V> a, Vec3<V> slope) {
 }
 inline Vec3<double> slope_of(Vec3<Dual> a) { return {a.x.slope, a.y.slope, a.z.slope}; }
 
-}  // namespace cloth
+}  // namespace cloth::inline core

@@ -17,7 +17,7 @@
 
 #include "core/simd.hpp"
 
-namespace cloth {
+namespace cloth::inline core {
 
 /// Padding at the end of each row: two vectors of eight and two numbers.
 inline constexpr std::int64_t band_padding = 18;
@@ -291,4 +291,4 @@ inline double sum(const double* values, std::int64_t count) {
     return partial.total();
 }
 
-}  // namespace cloth
+}  // namespace cloth::inline core

@@ -10,7 +10,7 @@
 #include <xmmintrin.h>
 #endif
 
-namespace cloth {
+namespace cloth::inline core {
 
 /// Sets round to nearest and gradual underflow, and restores the caller's state at the end.
 class FpuGuard {
@@ -42,4 +42,4 @@ private:
 #endif
 };
 
-}  // namespace cloth
+}  // namespace cloth::inline core

@@ -10,7 +10,7 @@
 #include <numeric>
 #include <vector>
 
-namespace cloth {
+namespace cloth::inline core {
 
 class CuthillMcKee {
     using Index = std::int64_t;
@@ -101,4 +101,4 @@ private:
     std::vector<char> ordered_;
 };
 
-}  // namespace cloth
+}  // namespace cloth::inline core

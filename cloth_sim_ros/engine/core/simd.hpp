@@ -27,7 +27,7 @@
 /// The same attribute for lambdas.
 #define CLOTH_INLINED __attribute__((always_inline))
 
-namespace cloth {
+namespace cloth::inline core {
 
 template <class T>
 struct SimdVector {
@@ -301,4 +301,4 @@ CLOTH_INLINE void interleave(V x, V y, V z, quad<scalar<V>>* rows) {
     }
 }
 
-}  // namespace cloth
+}  // namespace cloth::inline core

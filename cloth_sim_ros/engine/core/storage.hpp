@@ -9,7 +9,7 @@
 
 #include "core/simd.hpp"
 
-namespace cloth {
+namespace cloth::inline core {
 
 template <class T>
 struct Aligned {
@@ -29,4 +29,4 @@ struct Aligned {
 template <class T>
 using Array = std::vector<T, Aligned<T>>;
 
-}  // namespace cloth
+}  // namespace cloth::inline core

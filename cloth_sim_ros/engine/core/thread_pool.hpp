@@ -19,7 +19,7 @@
 #include "core/fpu_guard.hpp"
 #include "core/storage.hpp"
 
-namespace cloth {
+namespace cloth::inline core {
 
 inline void pause_briefly() {
 #if defined(__x86_64__)
@@ -203,4 +203,4 @@ private:
     pid_t process_ = getpid();
 };
 
-}  // namespace cloth
+}  // namespace cloth::inline core

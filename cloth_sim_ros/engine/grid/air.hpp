@@ -8,7 +8,11 @@
 #include "grid/cells.hpp"
 #include "laws/panel.hpp"
 
-namespace cloth {
+namespace cloth::grid {
+
+using laws::law_params;
+using laws::Panel;
+using mesh::PowerSums;
 
 /// Zeros between the components of a row of cells, and before the first, for reads left of the first cell.
 template <class T>
@@ -108,4 +112,4 @@ inline void add_air_row(const RowView<T>& at, const T* panel_share, const double
         process(std::false_type{});
 }
 
-}  // namespace cloth
+}  // namespace cloth::grid

@@ -9,7 +9,10 @@
 #include "grid/queries.hpp"
 #include "laws/panel.hpp"
 
-namespace cloth {
+namespace cloth::grid {
+
+using laws::law_params;
+using laws::Panel;
 
 template <class T>
 class GridBounds {
@@ -211,4 +214,4 @@ inline V largest_eigenvalue(const Sym3<V>& block) {
     return fma(p, cosine, mean);
 }
 
-}  // namespace cloth
+}  // namespace cloth::grid

@@ -7,7 +7,9 @@
 #include "grid/grid.hpp"
 #include "mesh/elements.hpp"
 
-namespace cloth {
+namespace cloth::grid {
+
+using mesh::List;
 
 /// Cell of each panel of a list, row * columns + column of its upper left particle. Empty if a panel is not a cell, two
 /// cover the same cell, or more than a third of the cells have none.
@@ -58,4 +60,4 @@ private:
     std::vector<std::int64_t> entry_;
 };
 
-}  // namespace cloth
+}  // namespace cloth::grid

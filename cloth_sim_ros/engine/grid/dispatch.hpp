@@ -7,7 +7,9 @@
 #include "grid/row.hpp"
 #include "plan/plan.hpp"
 
-namespace cloth {
+namespace cloth::grid {
+
+using plan::Plan;
 
 template <class T>
 using StepRow = void (*)(const RowView<T>&, const GridConstants<T>&, const StepFactors<T>&, bool);
@@ -51,4 +53,4 @@ inline GridConstants<T> grid_constants(const Plan& plan) {
     return c;
 }
 
-}  // namespace cloth
+}  // namespace cloth::grid

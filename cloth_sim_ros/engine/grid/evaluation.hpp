@@ -9,7 +9,11 @@
 #include "grid/hinges.hpp"
 #include "plan/off_grid_forces.hpp"
 
-namespace cloth {
+namespace cloth::grid {
+
+using plan::OffGridForces;
+using plan::Run;
+using plan::RunStatus;
 
 class GridForces {
     using T = double;
@@ -105,4 +109,4 @@ private:
     const bool uses_velocity_;
 };
 
-}  // namespace cloth
+}  // namespace cloth::grid

@@ -9,7 +9,7 @@
 
 #include "core/storage.hpp"
 
-namespace cloth {
+namespace cloth::grid {
 
 /// Families of springs by their ends (row, column) relative to the owning row and column.
 enum Family : int { right, down, diagonal, antidiagonal, right2, down2 };
@@ -170,4 +170,4 @@ struct PaddedRows {
     const T* at(std::int64_t row, int component) const { return const_cast<PaddedRows*>(this)->at(row, component); }
 };
 
-}  // namespace cloth
+}  // namespace cloth::grid

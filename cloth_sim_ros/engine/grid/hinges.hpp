@@ -19,7 +19,12 @@
 #define CLOTH_SCHEDULED __attribute__((noinline))
 #endif
 
-namespace cloth {
+namespace cloth::grid {
+
+using laws::Altitude;
+using laws::Crossed;
+using laws::law_params;
+using mesh::PowerSums;
 
 /// One row of elements: positions and damping velocities of three rows, and their forces.
 template <class T>
@@ -151,4 +156,4 @@ inline void add_hinge_row(const std::vector<RowTable<T>>& tables, std::int64_t r
         store(at.force_rows[0] + j, load(at.force_rows[0] + j) + load(hinge_rows[0] + j));
 }
 
-}  // namespace cloth
+}  // namespace cloth::grid

@@ -8,7 +8,9 @@
 #include "grid/grid.hpp"
 #include "laws/spring.hpp"
 
-namespace cloth {
+namespace cloth::grid {
+
+using laws::Spring;
 
 /// Call evaluate(family, params, row, column) for vectors of springs, and sum the results with the weights of the
 /// springs.
@@ -92,4 +94,4 @@ inline void add_grid_product(const Grid& grid, const double* x, const double* v,
     }
 }
 
-}  // namespace cloth
+}  // namespace cloth::grid

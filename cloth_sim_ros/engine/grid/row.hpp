@@ -11,7 +11,9 @@
 #include "grid/grid.hpp"
 #include "laws/spring.hpp"
 
-namespace cloth {
+namespace cloth::grid {
+
+using laws::Spring;
 
 template <class T>
 struct GridConstants {
@@ -147,4 +149,4 @@ inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, co
     }
 }
 
-}  // namespace cloth
+}  // namespace cloth::grid

@@ -8,14 +8,14 @@
 #include "grid/evaluation.hpp"
 #include "plan/runs.hpp"
 
-namespace cloth {
+namespace cloth::plan {
 
 template <class T>
 RunStatus run_grid(Plan& plan, const Run& run) {
-    return GridRun<T>(plan, run).execute();
+    return grid::GridRun<T>(plan, run).execute();
 }
 template RunStatus run_grid<float>(Plan&, const Run&);
 template RunStatus run_grid<double>(Plan&, const Run&);
-RunStatus evaluate_grid(Plan& plan, const Run& run) { return GridForces(plan, run).execute(); }
+RunStatus evaluate_grid(Plan& plan, const Run& run) { return grid::GridForces(plan, run).execute(); }
 
-}  // namespace cloth
+}  // namespace cloth::plan

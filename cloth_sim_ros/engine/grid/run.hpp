@@ -12,7 +12,12 @@
 #include "grid/hinges.hpp"
 #include "plan/off_grid_forces.hpp"
 
-namespace cloth {
+namespace cloth::grid {
+
+using plan::final_value;
+using plan::OffGridForces;
+using plan::Run;
+using plan::RunStatus;
 
 template <class T>
 class GridRun {
@@ -311,4 +316,4 @@ private:
     GridConstants<T> constants_;
 };
 
-}  // namespace cloth
+}  // namespace cloth::grid

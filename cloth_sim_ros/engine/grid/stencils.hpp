@@ -8,7 +8,10 @@
 #include "grid/grid.hpp"
 #include "mesh/elements.hpp"
 
-namespace cloth {
+namespace cloth::grid {
+
+using mesh::Kind;
+using mesh::List;
 
 /// Stencil of an element: row and column of each corner relative to the topmost row and the leftmost column.
 struct Stencil {
@@ -94,4 +97,4 @@ private:
     std::vector<char> has_;
 };
 
-}  // namespace cloth
+}  // namespace cloth::grid

@@ -4,7 +4,7 @@
 // Coefficients of friction, and the state of a contact with an anchor spring.
 #pragma once
 
-namespace cloth {
+namespace cloth::laws {
 
 /// Friction coefficients of a pair of surfaces, at rest and in motion.
 struct FrictionCoefficients {
@@ -15,4 +15,4 @@ enum Bond : int { no_bond = 0, sticks = 1, slides = 2 };
 /// Numbers of an anchor: its position in the obstacle's frame [m] and its bond.
 inline constexpr int anchor_numbers = 4;
 
-}  // namespace cloth
+}  // namespace cloth::laws

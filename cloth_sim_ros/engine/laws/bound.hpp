@@ -18,7 +18,7 @@
 
 #include "core/algebra.hpp"
 
-namespace cloth {
+namespace cloth::laws {
 
 /// Added to squared lengths: a spring between coincident ends has no direction and no force, and no division by zero.
 inline constexpr double min_length2 = 1e-30;
@@ -48,4 +48,4 @@ inline typename Law::template Params<V> law_params(const V* numbers, const doubl
                 Vec3<V>{splat<V>(T(common[2])), splat<V>(T(common[3])), splat<V>(T(common[4]))}};
 }
 
-}  // namespace cloth
+}  // namespace cloth::laws

@@ -7,7 +7,7 @@
 
 #include "laws/scaling.hpp"
 
-namespace cloth {
+namespace cloth::laws {
 
 /// Energy per mass U^2/2 b(s), b = (1 - s)^4 / s, s = gap / thickness d. It vanishes from the thickness on, where its
 /// force is C^2, and diverges at gap zero. Acceleration a = U^2/(2 d) |b'|. Damping multiplies it by Q(u) at closing
@@ -96,4 +96,4 @@ inline double stopping_gap(double b) {
     return s;
 }
 
-}  // namespace cloth
+}  // namespace cloth::laws

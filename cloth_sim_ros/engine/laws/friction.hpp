@@ -8,7 +8,7 @@
 #include "core/algebra.hpp"
 #include "laws/anchor.hpp"
 
-namespace cloth {
+namespace cloth::laws {
 
 /// Friction at one time: acceleration, stretch of the anchor spring after the return to the cone, whether it slides,
 /// and per mass the dissipated power and the energy whose gradient is the acceleration for a fixed anchor.
@@ -102,4 +102,4 @@ private:
     V sliding_, static_excess_, stiffness_, damping_;
 };
 
-}  // namespace cloth
+}  // namespace cloth::laws

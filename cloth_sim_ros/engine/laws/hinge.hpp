@@ -6,7 +6,7 @@
 
 #include "laws/bound.hpp"
 
-namespace cloth {
+namespace cloth::laws {
 
 /// S8 and S9: a spring on the signed length h = 6V / M of the tetrahedron of two triangles with a common edge. Corners
 /// 0 and 1 are the edge, 2 and 3 the wings; 6V = d0 . (d1 x d2), positive if the wings rise to the side of the normal.
@@ -183,4 +183,4 @@ struct AltitudeAreas {
 using Crossed = Hinge<CrossedAreas>;
 using Altitude = Hinge<AltitudeAreas>;
 
-}  // namespace cloth
+}  // namespace cloth::laws

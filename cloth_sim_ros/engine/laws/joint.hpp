@@ -6,7 +6,7 @@
 
 #include "laws/bound.hpp"
 
-namespace cloth {
+namespace cloth::laws {
 
 /// S4, a joint: F = -k s - c ds/dt on the far end, s its position relative to the near end.
 struct Joint {
@@ -38,4 +38,4 @@ struct Joint {
     }
 };
 
-}  // namespace cloth
+}  // namespace cloth::laws

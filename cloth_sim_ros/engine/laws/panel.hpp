@@ -6,7 +6,7 @@
 
 #include "laws/bound.hpp"
 
-namespace cloth {
+namespace cloth::laws {
 
 /// Drag of air on a panel of three or four corners in order around it. Area vector N = A n: half the cross product of
 /// two edges, or of the diagonals. F = -((c_n - c_t) (u . N) N / A + c_t A u) / corners on each corner, u its velocity
@@ -106,4 +106,4 @@ struct Panel {
     }
 };
 
-}  // namespace cloth
+}  // namespace cloth::laws

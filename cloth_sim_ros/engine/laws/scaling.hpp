@@ -6,7 +6,7 @@
 
 #include "core/algebra.hpp"
 
-namespace cloth {
+namespace cloth::laws {
 
 /// A contact of reduced thickness d / scale, which grows at a relative rate `growth` [1/s]. It is the law of thickness
 /// d at gaps and speeds multiplied by `scale`, with the acceleration divided by `scale` and the energy by its square.
@@ -25,4 +25,4 @@ inline Scaling<V> full_thickness() {
     return {splat<V>(scalar<V>(1.0)), V{}};
 }
 
-}  // namespace cloth
+}  // namespace cloth::laws

@@ -6,7 +6,7 @@
 
 #include "laws/bound.hpp"
 
-namespace cloth {
+namespace cloth::laws {
 
 /// S1, a damped spring of rest length l0 > 0: F = -k (|d| - l0) d^ - c (u . d^) d^ on the far end, k = k_s / l0.
 struct Spring {
@@ -78,4 +78,4 @@ struct Spring {
     }
 };
 
-}  // namespace cloth
+}  // namespace cloth::laws

@@ -7,7 +7,14 @@
 #include "laws/all.hpp"
 #include "mesh/elements.hpp"
 
-namespace cloth {
+namespace cloth::mesh {
+
+using laws::Altitude;
+using laws::Crossed;
+using laws::Joint;
+using laws::law_params;
+using laws::Panel;
+using laws::Spring;
 
 /// Call `visit` with the law of a kind.
 template <class F>
@@ -50,4 +57,4 @@ struct ElementState {
     }
 };
 
-}  // namespace cloth
+}  // namespace cloth::mesh

@@ -9,7 +9,7 @@
 
 #include "core/storage.hpp"
 
-namespace cloth {
+namespace cloth::mesh {
 
 enum class Kind : int { spring, joint, crossed, altitude, panel3, panel4 };
 /// Number of particles of an element, and of parameters of its own.
@@ -108,4 +108,4 @@ struct PowerSums {
     }
 };
 
-}  // namespace cloth
+}  // namespace cloth::mesh

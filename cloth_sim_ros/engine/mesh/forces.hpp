@@ -7,7 +7,7 @@
 
 #include "mesh/dispatch.hpp"
 
-namespace cloth {
+namespace cloth::mesh {
 
 /// Operands of a law for a vector of elements.
 template <class Law, class V>
@@ -190,4 +190,4 @@ private:
     std::int64_t count_;
 };
 
-}  // namespace cloth
+}  // namespace cloth::mesh

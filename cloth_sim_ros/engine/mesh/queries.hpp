@@ -7,7 +7,9 @@
 
 #include "mesh/dispatch.hpp"
 
-namespace cloth {
+namespace cloth::mesh {
+
+using laws::Bound;
 
 inline double list_energy(const List& list, const double* x, std::int64_t n) {
     return with_law(list.kind, [&](auto law) {
@@ -58,21 +60,6 @@ inline void add_list_bounds(const List& list, const double* x, std::int64_t n, d
     });
 }
 
-void pair_blocks(const List& list, const double* x, std::int64_t n, double stiffness, double damping, double* blocks) {
-    for (std::int64_t e = 0; e < list.count; ++e) {
-        Sym3<double> b;
-        if (list.kind == Kind::spring) {
-            const ElementState<Spring> s(list, e, x, nullptr, n);
-            b = Spring::matrix(s.params, s.d, stiffness, damping);
-        } else {
-            const ElementState<Joint> s(list, e, x, nullptr, n);
-            b = outer(0.0, Vec3<double>{}, stiffness * s.params.k + damping * s.params.c);
-        }
-        const double numbers[6] = {b.xx, b.yy, b.zz, b.xy, b.xz, b.yz};
-        std::copy(numbers, numbers + 6, blocks + 6 * e);
-    }
-}
-
 /// Add (df/dx) dx + (df/dv) dv to out (3, n), by the law on dual numbers.
 inline void add_list_product(const List& list, const double* x, const double* v, const double* dx, const double* dv,
                              std::int64_t n, double* out) {
@@ -104,4 +91,4 @@ inline void add_list_product(const List& list, const double* x, const double* v,
     });
 }
 
-}  // namespace cloth
+}  // namespace cloth::mesh

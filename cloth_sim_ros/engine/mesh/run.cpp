@@ -8,14 +8,14 @@
 #include "mesh/forces.hpp"
 #include "plan/runs.hpp"
 
-namespace cloth {
+namespace cloth::plan {
 
 template <class T>
 void add_forces(const List& list, const Elements<T>& elements, const T* x, const T* v, T* f, PowerSums* powers) {
-    with_law(list.kind, [&](auto law) {
+    mesh::with_law(list.kind, [&](auto law) {
         using Law = decltype(law);
         const auto add = [&](auto damped, auto record) {
-            ForceLoop<Law, T, damped.value, record.value>(elements, list.common, x, v, f, powers).add();
+            mesh::ForceLoop<Law, T, damped.value, record.value>(elements, list.common, x, v, f, powers).add();
         };
         constexpr std::true_type yes;
         constexpr std::false_type no;
@@ -33,10 +33,10 @@ template void add_forces(const List&, const Elements<double>&, const double*, co
 
 template <class T>
 RunStatus run_lists(Plan& plan, const Run& run) {
-    return ListRun<T, false>(plan, run).execute();
+    return mesh::ListRun<T, false>(plan, run).execute();
 }
 template RunStatus run_lists<float>(Plan&, const Run&);
 template RunStatus run_lists<double>(Plan&, const Run&);
-RunStatus evaluate_lists(Plan& plan, const Run& run) { return ListRun<double, true>(plan, run).execute(); }
+RunStatus evaluate_lists(Plan& plan, const Run& run) { return mesh::ListRun<double, true>(plan, run).execute(); }
 
-}  // namespace cloth
+}  // namespace cloth::plan

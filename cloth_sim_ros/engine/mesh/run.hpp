@@ -8,7 +8,15 @@
 #include "core/thread_pool.hpp"
 #include "plan/off_grid_forces.hpp"
 
-namespace cloth {
+namespace cloth::mesh {
+
+using grid::StepFactors;
+using plan::evaluation;
+using plan::final_value;
+using plan::OffGridForces;
+using plan::Plan;
+using plan::Run;
+using plan::RunStatus;
 
 /// With `Evaluate` a single evaluation at x0 and v0, which returns accelerations in place of velocities.
 template <class T, bool Evaluate>
@@ -138,4 +146,4 @@ private:
     std::vector<T> inverse_, free_;  ///< 1/m, and 1 for free particles
 };
 
-}  // namespace cloth
+}  // namespace cloth::mesh

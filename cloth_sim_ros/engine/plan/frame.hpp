@@ -15,7 +15,7 @@
 #include "plan/queries.hpp"
 #include "plan/runs.hpp"
 
-namespace cloth {
+namespace cloth::plan {
 
 template <class T>
 inline RunStatus execute_run(Plan& plan, const Run& run) {
@@ -49,7 +49,7 @@ inline double largest_distance(const double* x, const double* y, std::int64_t n)
 
 /// Size of a run's record of contact, see FrameRequest::records.
 inline std::int64_t contact_record_size(const Plan& plan) {
-    return plan.has_contact() ? plan.contacts.count() * record_numbers + ContactSummary::numbers + 4 : 0;
+    return plan.has_contact() ? plan.contacts.count() * record_numbers + contact::ContactSummary::numbers + 4 : 0;
 }
 
 /// Runs of a frame.
@@ -61,12 +61,12 @@ inline std::vector<Run> runs_of(const Plan& plan, const FrameRequest& frame) {
     for (std::int64_t k = 0; k < frame.runs; ++k) {
         double* const record = frame.records ? frame.records + k * size_of_record : nullptr;
         double* const out = frame.out + k * 6 * n;
-        runs.push_back({frame.t, frame.duration / static_cast<double>(frame.steps[k]), frame.steps[k],
-                        frame.single_precision != 0, static_cast<int>(frame.bands), frame.x0, frame.v0, out,
-                        out + 3 * n, record, frame.record_powers ? record + size : nullptr,
-                        contact_size ? record + size + 2 : nullptr, contact_size && frame.record_obstacles,
-                        frame.anchors ? frame.anchors + k * plan.anchor_count() : nullptr,
-                        frame.jaw_states ? frame.jaw_states + k * n_jaws * jaw_state_size : nullptr, frame.multirate});
+        runs.push_back(
+            {frame.t, frame.duration / static_cast<double>(frame.steps[k]), frame.steps[k], frame.single_precision != 0,
+             static_cast<int>(frame.bands), frame.x0, frame.v0, out, out + 3 * n, record,
+             frame.record_powers ? record + size : nullptr, contact_size ? record + size + 2 : nullptr,
+             contact_size && frame.record_obstacles, frame.anchors ? frame.anchors + k * plan.anchor_count() : nullptr,
+             frame.jaw_states ? frame.jaw_states + k * n_jaws * contact::jaw_state_size : nullptr, frame.multirate});
     }
     return runs;
 }
@@ -93,9 +93,9 @@ inline RunStatus execute_runs(Plan& plan, const FrameRequest& frame) {
     }
     const std::int64_t contact_size = contact_record_size(plan),
                        size = plan.grips.grippers * record_numbers + 2 + contact_size;
-    ObstacleCulling obstacle_culling(plan, frame.duration, frame.x0, frame.v0);
-    SelfCulling self_culling(plan, frame.duration, frame.x0, frame.v0);
-    FeatureCulling feature_culling(plan, frame.t, frame.duration, frame.x0, frame.v0);
+    contact::ObstacleCulling obstacle_culling(plan, frame.duration, frame.x0, frame.v0);
+    contact::SelfCulling self_culling(plan, frame.duration, frame.x0, frame.v0);
+    contact::FeatureCulling feature_culling(plan, frame.t, frame.duration, frame.x0, frame.v0);
     for (std::int64_t k = 0; k < frame.runs; ++k) {
         const Run& run = runs[k];
         const RunStatus done = execute_run(plan, run);
@@ -139,12 +139,12 @@ inline RunStatus execute_frame(Plan& plan, const FrameRequest& frame) {
         } else if (frame.jaw_states) {
             plan.contacts.jaw_states.assign(frame.jaw_states, frame.jaw_states + size);
         }
-        frame.summary[3] = predict_contact_energy(plan, frame.t + frame.duration, 0.0, x, x + 3 * n);
+        frame.summary[3] = contact::predict_contact_energy(plan, frame.t + frame.duration, 0.0, x, x + 3 * n);
         plan.contacts.jaw_states = start;
         if (!(frame.summary[3] < std::numeric_limits<double>::infinity())) frame.summary[0] = frame.summary[3];
     }
     const double* const finest = frame.out + (frame.combined - 1) * 6 * n;
-    const auto include_bounds = [&](ContactBounds r, auto&& intersects) {
+    const auto include_bounds = [&](contact::ContactBounds r, auto&& intersects) {
         frame.summary[4] += r.omega2;
         frame.summary[5] += r.damping;
         const bool unbounded = !(r.omega2 < std::numeric_limits<double>::infinity());
@@ -153,11 +153,11 @@ inline RunStatus execute_frame(Plan& plan, const FrameRequest& frame) {
     frame.summary[4] = frame.summary[5] = 0.0;
     const double end = frame.t + frame.duration;
     if (plan.is_self_active())
-        include_bounds(predict_self_contact(plan, end, 0.0, 1.0, x, x + 3 * n),
-                       [&] { return ccd_self(plan, finest, x); });
+        include_bounds(contact::predict_self_contact(plan, end, 0.0, 1.0, x, x + 3 * n),
+                       [&] { return contact::ccd_self(plan, finest, x); });
     if (plan.is_feature_active())
-        include_bounds(predict_feature_contact(plan, end, 0.0, 1.0, x, x + 3 * n),
-                       [&] { return ccd_features(plan, end, 0.0, finest, x); });
+        include_bounds(contact::predict_feature_contact(plan, end, 0.0, 1.0, x, x + 3 * n),
+                       [&] { return contact::ccd_features(plan, end, 0.0, finest, x); });
     if (frame.bounds_level) {
         const SpectralBounds r = spectral_bounds(plan, x, nullptr, nullptr, frame.bounds_level > 1);
         frame.summary[1] = r.omega2;
@@ -174,8 +174,8 @@ inline RunStatus accelerations(Plan& plan, double t, const double* x, const doub
     const Run run{t, 1.0, 0, false, 1, x, v, nullptr, out, nullptr, nullptr};
     plan.contacts.activate_all();
     plan.self_culled = false;
-    activate_features(plan);
+    contact::activate_features(plan);
     return plan.grid ? evaluate_grid(plan, run) : evaluate_lists(plan, run);
 }
 
-}  // namespace cloth
+}  // namespace cloth::plan

@@ -6,7 +6,7 @@
 
 #include <cstdint>
 
-namespace cloth {
+namespace cloth::plan {
 
 /// Maximum number of runs of one frame.
 inline constexpr int max_runs = 8;
@@ -50,4 +50,4 @@ struct FrameRequest {
     std::int64_t concurrency;       ///< maximum number of concurrent runs
 };
 
-}  // namespace cloth
+}  // namespace cloth::plan

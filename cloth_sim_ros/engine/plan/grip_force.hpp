@@ -7,7 +7,9 @@
 #include "laws/joint.hpp"
 #include "plan/grips.hpp"
 
-namespace cloth {
+namespace cloth::plan {
+
+using laws::Joint;
 
 inline Vec3<double> Grips::force(std::int64_t grip, const Point& point, Vec3<double> x, Vec3<double> v) const {
     const typename Joint::Params<double> params{stiffness[grip], damping[grip]};
@@ -17,4 +19,4 @@ inline Vec3<double> Grips::force(std::int64_t grip, const Point& point, Vec3<dou
     return f;
 }
 
-}  // namespace cloth
+}  // namespace cloth::plan

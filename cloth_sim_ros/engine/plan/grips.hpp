@@ -7,7 +7,7 @@
 #include "core/algebra.hpp"
 #include "core/storage.hpp"
 
-namespace cloth {
+namespace cloth::plan {
 
 /// Numbers of a path: start time t0; position p0 + p1 s + p2 s^2 + p3 s^3, s = t - t0; orientation x, y, z, w at s = 0;
 /// rotation vector r1 s + r2 s^2 + r3 s^3 from there.
@@ -131,4 +131,4 @@ private:
     std::vector<Entry> entries_;
 };
 
-}  // namespace cloth
+}  // namespace cloth::plan

@@ -14,7 +14,12 @@
 #include "plan/queries.hpp"
 #include "plan/runs.hpp"
 
-namespace cloth {
+namespace cloth::plan {
+
+using contact::contact_block;
+using contact::ContactBounds;
+using contact::ContactSummary;
+using grid::damping_velocity;
 
 Plan::Plan() = default;
 Plan::~Plan() = default;
@@ -274,4 +279,4 @@ void OffGridForces<T>::allocate(const std::vector<std::int64_t>& borders) {
 template struct OffGridForces<float>;
 template struct OffGridForces<double>;
 
-}  // namespace cloth
+}  // namespace cloth::plan

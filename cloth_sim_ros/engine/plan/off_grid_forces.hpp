@@ -8,13 +8,24 @@
 
 #include "plan/plan.hpp"
 
-namespace cloth {
-
+namespace cloth::contact {
 template <class T>
 class ObstacleRun;
 class SelfRun;
 class FeatureRun;
 struct ParticleSlots;
+}  // namespace cloth::contact
+
+namespace cloth::plan {
+
+using contact::FeatureRun;
+using contact::ObstacleRun;
+using contact::ParticleSlots;
+using contact::SelfRun;
+using grid::position;
+using grid::RowView;
+using grid::Slot;
+using mesh::PowerSums;
 
 /// Forces outside the grid loop, with the data that a run keeps between its steps.
 template <class T>
@@ -92,4 +103,4 @@ struct OffGridForces {
     void finish();
 };
 
-}  // namespace cloth
+}  // namespace cloth::plan

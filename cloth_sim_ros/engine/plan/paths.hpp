@@ -9,7 +9,7 @@
 
 #include "plan/grips.hpp"
 
-namespace cloth {
+namespace cloth::plan {
 
 /// Angle [rad] of the point (x, y), x >= 0 and not both 0, to a few roundings: three times atan(t) = 2 atan(t / (1 +
 /// sqrt(1 + t^2))), then the power series, accurate to rounding up to tan(pi / 32).
@@ -84,4 +84,4 @@ inline void path_to(double t, double duration, const double* pose, const double*
     cubic_path(motion + 3, twist + 3, previous + 3, duration, path + 17, end_twist + 3);
 }
 
-}  // namespace cloth
+}  // namespace cloth::plan

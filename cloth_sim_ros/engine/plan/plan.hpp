@@ -18,10 +18,26 @@
 #include "plan/grips.hpp"
 #include "plan/workspace.hpp"
 
-namespace cloth {
-
+namespace cloth::contact {
 class SelfContact;
 struct FeatureContactModel;
+}  // namespace cloth::contact
+
+namespace cloth::plan {
+
+using contact::Contacts;
+using contact::FeatureContactModel;
+using contact::layer_sides;
+using contact::LayerAnchors;
+using contact::ReducedThickness;
+using contact::SelfContact;
+using grid::Grid;
+using grid::GridTables;
+using grid::Mode;
+using grid::StepFactors;
+using laws::anchor_numbers;
+using laws::Scaling;
+using mesh::List;
 
 struct Plan {
     Plan();
@@ -193,4 +209,4 @@ inline void self_scalings(const Plan& plan, double t, std::vector<Scaling<double
         out[plan.rank[i]] = reduced.scaling(plan.contacts.count(), i, plan.count + 1, t);
 }
 
-}  // namespace cloth
+}  // namespace cloth::plan

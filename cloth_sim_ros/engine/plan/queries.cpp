@@ -11,7 +11,12 @@
 #include "plan/grip_force.hpp"
 #include "plan/spectral_bounds.hpp"
 
-namespace cloth {
+namespace cloth::plan {
+
+using laws::Altitude;
+using laws::Crossed;
+using laws::Spring;
+using mesh::Kind;
 
 Energy energy_of(Plan& plan, double t, const double* x, const double* v) {
     const std::int64_t n = plan.count;
@@ -32,9 +37,9 @@ Energy energy_of(Plan& plan, double t, const double* x, const double* v) {
         const typename Joint::Params<double> params{grips.stiffness[grip], grips.damping[grip]};
         e.potential += Joint::energy(params, &d);
     }
-    if (plan.contacts.count()) e.potential += contact_energy(plan, t, x);
-    if (plan.self) e.potential += self_energy(plan, t, x);
-    if (plan.features) e.potential += feature_energy(plan, t, x);
+    if (plan.contacts.count()) e.potential += contact::contact_energy(plan, t, x);
+    if (plan.self) e.potential += contact::self_energy(plan, t, x);
+    if (plan.features) e.potential += contact::feature_energy(plan, t, x);
     return e;
 }
 
@@ -55,7 +60,7 @@ void grid_and_field_powers(const Plan& plan, const double* x, const double* v, d
 }
 
 void total_powers(Plan& plan, double t, const double* x, const double* v, double& dissipation, double& external) {
-    if (plan.self) dissipation += self_dissipation(plan, t, x, v);
+    if (plan.self) dissipation += contact::self_dissipation(plan, t, x, v);
     for (const List& list : plan.lists) list_power(list, x, v, plan.count, dissipation, external);
     grid_and_field_powers(plan, x, v, dissipation, external);
 }
@@ -77,9 +82,9 @@ void add_product(Plan& plan, double t, const double* x, const double* v, const d
     const std::int64_t n = plan.count;
     if (plan.grid) add_grid_product(*plan.grid, x, v, dx, dv, out);
     for (const List& list : plan.lists) add_list_product(list, x, v, dx, dv, n, out);
-    if (plan.contacts.count()) add_contact_product(plan, t, x, v, dx, dv, out);
-    if (plan.self) add_self_product(plan, t, x, v, dx, dv, out);
-    if (plan.features) add_feature_product(plan, t, x, v, dx, dv, out);
+    if (plan.contacts.count()) contact::add_contact_product(plan, t, x, v, dx, dv, out);
+    if (plan.self) contact::add_self_product(plan, t, x, v, dx, dv, out);
+    if (plan.features) contact::add_feature_product(plan, t, x, v, dx, dv, out);
     for (int axis = 0; axis < 3; ++axis) {
         if (plan.drag > 0.0)
             for (std::int64_t i = 0; i < n; ++i) out[axis * n + i] -= plan.drag * plan.masses[i] * dv[axis * n + i];
@@ -87,6 +92,21 @@ void add_product(Plan& plan, double t, const double* x, const double* v, const d
             const std::int64_t at = axis * n + plan.grips.particle[grip];
             out[at] -= plan.grips.stiffness[grip] * dx[at] + plan.grips.damping[grip] * dv[at];
         }
+    }
+}
+
+void pair_blocks(const List& list, const double* x, std::int64_t n, double stiffness, double damping, double* blocks) {
+    for (std::int64_t e = 0; e < list.count; ++e) {
+        Sym3<double> b;
+        if (list.kind == Kind::spring) {
+            const ElementState<Spring> s(list, e, x, nullptr, n);
+            b = Spring::matrix(s.params, s.d, stiffness, damping);
+        } else {
+            const ElementState<Joint> s(list, e, x, nullptr, n);
+            b = outer(0.0, Vec3<double>{}, stiffness * s.params.k + damping * s.params.c);
+        }
+        const double numbers[6] = {b.xx, b.yy, b.zz, b.xy, b.xz, b.yz};
+        std::copy(numbers, numbers + 6, blocks + 6 * e);
     }
 }
 
@@ -111,4 +131,4 @@ void hinge_lengths(const List& list, const double* x, std::int64_t n, double* le
         evaluate(Altitude{});
 }
 
-}  // namespace cloth
+}  // namespace cloth::plan

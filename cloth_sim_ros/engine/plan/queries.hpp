@@ -6,7 +6,7 @@
 
 #include "plan/plan.hpp"
 
-namespace cloth {
+namespace cloth::plan {
 
 inline Vec3<double> particle(const double* a, std::int64_t n, std::int64_t i) { return {a[i], a[n + i], a[2 * n + i]}; }
 
@@ -49,4 +49,4 @@ void pair_blocks(const List& list, const double* x, std::int64_t n, double stiff
 /// corners (count, 4).
 void hinge_lengths(const List& list, const double* x, std::int64_t n, double* lengths, double* squares);
 
-}  // namespace cloth
+}  // namespace cloth::plan

@@ -6,7 +6,9 @@
 
 #include "plan/plan.hpp"
 
-namespace cloth {
+namespace cloth::plan {
+
+using mesh::PowerSums;
 
 /// Execute a run of a regular sheet, or evaluate its forces once at x0 and v0.
 template <class T>
@@ -22,4 +24,4 @@ RunStatus evaluate_lists(Plan& plan, const Run& run);
 template <class T>
 void add_forces(const List& list, const Elements<T>& elements, const T* x, const T* v, T* f, PowerSums* powers);
 
-}  // namespace cloth
+}  // namespace cloth::plan

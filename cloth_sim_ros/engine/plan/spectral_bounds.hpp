@@ -10,7 +10,12 @@
 #include "plan/plan.hpp"
 #include "plan/queries.hpp"
 
-namespace cloth {
+namespace cloth::plan {
+
+using grid::GridBounds;
+using grid::largest_eigenvalue;
+using laws::Bound;
+using mesh::ElementState;
 
 /// Largest number of an array, or NaN if it contains one.
 inline double largest_or_nan(const double* numbers, std::int64_t count) {
@@ -283,4 +288,4 @@ SpectralBounds spectral_bounds(Plan& plan, const double* x, const double* stiff,
     return result;
 }
 
-}  // namespace cloth
+}  // namespace cloth::plan

@@ -6,7 +6,10 @@
 
 #include "plan/plan.hpp"
 
-namespace cloth {
+namespace cloth::plan {
+
+using contact::contact_block;
+using mesh::Kind;
 
 template <class T>
 const GridTables<T>& Plan::grid_tables() {
@@ -126,4 +129,4 @@ template const Workspace<double>& Plan::workspace_with_tables();
 template std::vector<Partition<float>>& Plan::partitions(const std::vector<std::int64_t>&, bool, int);
 template std::vector<Partition<double>>& Plan::partitions(const std::vector<std::int64_t>&, bool, int);
 
-}  // namespace cloth
+}  // namespace cloth::plan

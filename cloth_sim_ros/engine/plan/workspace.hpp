@@ -8,7 +8,11 @@
 #include "grid/stencils.hpp"
 #include "mesh/elements.hpp"
 
-namespace cloth {
+namespace cloth::plan {
+
+using grid::CellTable;
+using grid::RowTable;
+using mesh::Elements;
 
 /// Particles of one thread, and the listed elements that touch them. Elements at a border are evaluated on both sides,
 /// so that the sum of each particle has one order.
@@ -38,4 +42,4 @@ struct Workspace {
 /// Maximum number of concurrent runs; each has a workspace of its own.
 inline constexpr int max_concurrency = 2;
 
-}  // namespace cloth
+}  // namespace cloth::plan

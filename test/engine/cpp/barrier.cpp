@@ -8,6 +8,8 @@
 
 namespace cloth::tests {
 
+using namespace laws;
+
 namespace {
 
 constexpr double thickness = 0.004, damping = 0.05;

@@ -11,6 +11,8 @@
 
 namespace cloth::tests {
 
+using namespace contact;
+
 namespace {
 
 using Pairs = std::vector<std::pair<Index, Index>>;

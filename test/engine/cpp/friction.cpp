@@ -8,6 +8,8 @@
 
 namespace cloth::tests {
 
+using namespace laws;
+
 namespace {
 
 constexpr FrictionCoefficients coefficients{0.6, 0.4};

@@ -8,6 +8,8 @@
 
 namespace cloth::tests {
 
+using namespace laws;
+
 namespace {
 
 /// A hinge of rest length 0.01 m, 3 N/m and 0.2 N s/m on two triangles of edges of about 0.1 m.

@@ -9,6 +9,8 @@
 
 namespace cloth::tests {
 
+using laws::Bound;
+
 /// A law with parameters. Setup::params<V>() returns them as numbers V; Setup::shape(random) an element.
 template <class Setup>
 struct LawChecks {

@@ -8,6 +8,8 @@
 
 namespace cloth::tests {
 
+using namespace laws;
+
 namespace {
 
 /// c_n = 1.5 N s/m^3, c_t = 0.2 N s/m^3, in still air or in a wind.

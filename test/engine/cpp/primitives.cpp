@@ -10,6 +10,8 @@
 
 namespace cloth::tests {
 
+using namespace contact;
+
 namespace {
 
 constexpr double tolerance = 1e-10;

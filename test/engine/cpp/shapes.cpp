@@ -8,6 +8,8 @@
 
 namespace cloth::tests {
 
+using namespace contact;
+
 namespace {
 
 /// Dimensions [m] that suit every shape: a box of 0.6 x 0.4 x 0.8, radius 0.3 and length 0.5.

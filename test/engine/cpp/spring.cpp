@@ -9,6 +9,8 @@
 
 namespace cloth::tests {
 
+using namespace laws;
+
 namespace {
 
 /// A spring of rest length 0.05 m, 20 N/m and 0.3 N s/m, from a tenth to three times its rest length.
