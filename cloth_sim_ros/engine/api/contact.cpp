@@ -19,10 +19,10 @@ CLOTH_API int cloth_plan_contact(Plan* plan, std::int64_t count, const std::int6
     return guarded(plan, [&] {
         contact::Contacts contacts;
         for (std::int64_t k = 0; k < count; ++k)
-            contacts.obstacles.push_back({static_cast<contact::Shape>(shapes[k]),
-                                          {sizes[3 * k], sizes[3 * k + 1], sizes[3 * k + 2]},
-                                          radii[k],
-                                          {frictions[2 * k], frictions[2 * k + 1]}});
+            contacts.obstacles.push_back({.shape = static_cast<contact::Shape>(shapes[k]),
+                                          .size = {sizes[3 * k], sizes[3 * k + 1], sizes[3 * k + 2]},
+                                          .radius = radii[k],
+                                          .friction = {.at_rest = frictions[2 * k], .sliding = frictions[2 * k + 1]}});
         contacts.paths.assign(paths, paths + count * plan::path_numbers);
         contacts.thickness = thickness;
         contacts.damping = damping;
@@ -52,7 +52,13 @@ CLOTH_API int cloth_plan_jaws(Plan* plan, std::int64_t count, const std::int64_t
         contacts.parallel_jaws.clear();
         for (std::int64_t k = 0; k < count; ++k) {
             const double* const a = numbers + 7 * k;
-            contacts.parallel_jaws.push_back({a[0] != 0.0, a[1] != 0.0, a[2], a[3], a[4], a[5], a[6]});
+            contacts.parallel_jaws.push_back({.present = a[0] != 0.0,
+                                              .closed = a[1] != 0.0,
+                                              .mass = a[2],
+                                              .force = a[3],
+                                              .speed = a[4],
+                                              .max_half_opening = a[5],
+                                              .half_thickness = a[6]});
             for (int k_jaw = 0; k_jaw < 2; ++k_jaw) {
                 contact::Obstacle& pad = contacts.obstacles[pads[2 * k + k_jaw]];
                 pad.parallel_jaw = k;

@@ -46,7 +46,12 @@ CLOTH_API int cloth_plan_grid(Plan* plan, std::int64_t rows, std::int64_t column
         grid.columns = columns;
         for (int f = 0; f < grid::family_count; ++f) {
             const double* const row = families + 6 * f;
-            grid.families[f] = {row[0] != 0.0, row[1], row[2], row[3], row[4], static_cast<int>(row[5])};
+            grid.families[f] = {.present = row[0] != 0.0,
+                                .stiffness = row[1],
+                                .rest_length = row[2],
+                                .damping = row[3],
+                                .border = row[4],
+                                .parity = static_cast<int>(row[5])};
         }
         plan->grid = grid;
         plan->tables = grid::GridTables<double>(grid, plan->inverse.data());

@@ -61,12 +61,24 @@ inline std::vector<Run> runs_of(const Plan& plan, const FrameRequest& frame) {
     for (std::int64_t k = 0; k < frame.runs; ++k) {
         double* const record = frame.records ? frame.records + k * size_of_record : nullptr;
         double* const out = frame.out + k * 6 * n;
-        runs.push_back(
-            {frame.t, frame.duration / static_cast<double>(frame.steps[k]), frame.steps[k], frame.single_precision != 0,
-             static_cast<int>(frame.bands), frame.x0, frame.v0, out, out + 3 * n, record,
-             frame.record_powers ? record + size : nullptr, contact_size ? record + size + 2 : nullptr,
-             contact_size && frame.record_obstacles, frame.anchors ? frame.anchors + k * plan.anchor_count() : nullptr,
-             frame.jaw_states ? frame.jaw_states + k * n_jaws * contact::jaw_state_size : nullptr, frame.multirate});
+        runs.push_back({
+            .t = frame.t,
+            .step = frame.duration / static_cast<double>(frame.steps[k]),
+            .steps = frame.steps[k],
+            .single_precision = frame.single_precision != 0,
+            .bands = static_cast<int>(frame.bands),
+            .x0 = frame.x0,
+            .v0 = frame.v0,
+            .x = out,
+            .v = out + 3 * n,
+            .gripper_record = record,
+            .power_integrals = frame.record_powers ? record + size : nullptr,
+            .contact_record = contact_size ? record + size + 2 : nullptr,
+            .record_obstacles = contact_size && frame.record_obstacles,
+            .anchors = frame.anchors ? frame.anchors + k * plan.anchor_count() : nullptr,
+            .jaw_states = frame.jaw_states ? frame.jaw_states + k * n_jaws * contact::jaw_state_size : nullptr,
+            .multirate = frame.multirate,
+        });
     }
     return runs;
 }
@@ -171,7 +183,17 @@ inline RunStatus execute_frame(Plan& plan, const FrameRequest& frame) {
 
 /// Evaluate all forces once; accelerations, zero for anchored particles.
 inline RunStatus accelerations(Plan& plan, double t, const double* x, const double* v, double* out) {
-    const Run run{t, 1.0, 0, false, 1, x, v, nullptr, out, nullptr, nullptr};
+    const Run run{.t = t,
+                  .step = 1.0,
+                  .steps = 0,
+                  .single_precision = false,
+                  .bands = 1,
+                  .x0 = x,
+                  .v0 = v,
+                  .x = nullptr,
+                  .v = out,
+                  .gripper_record = nullptr,
+                  .power_integrals = nullptr};
     plan.contacts.activate_all();
     plan.self_culled = false;
     contact::activate_features(plan);
