@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from cloth_sim_ros.session import old_keys
+
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "cloth_sim_ros"
 PAGE = " ".join((ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8").replace("<br>", " ").split())
@@ -71,10 +73,11 @@ def diagnostics_keys() -> set[str]:
     golden = {
         name: json.loads((ROOT / "test" / "golden" / name).read_text()) for name in ("node.json", "live_session.json")
     }
-    return {
+    keys = {
         *golden["node.json"]["diagnostics"],
         *golden["live_session.json"]["recorded"]["keys of statuses"]["/diagnostics"],
     }
+    return keys - old_keys.DIAGNOSTICS.keys()
 
 
 @pytest.mark.parametrize("path", logged_modules(), ids=lambda path: str(path.relative_to(PACKAGE)))

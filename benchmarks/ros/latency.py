@@ -59,7 +59,7 @@ class Latencies:
         low, median, high, highest = (
             float(1e3 * value) for value in np.percentile(self.seconds, [1.0, 50.0, 99.0, 100.0])
         )
-        diagnostic_keys = ("real_time_factor_overall", "late_frames", "load", "longest_frame_ms", "integrator_why")
+        diagnostic_keys = ("real_time_factor_overall", "late_frames", "load", "longest_frame_ms", "integrator_reason")
         return {
             "particles": self.particles,
             "rate_hz": self.rate,

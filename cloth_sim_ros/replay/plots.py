@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.cdr import decode
 
 DIAGNOSTICS_TOPIC = "/diagnostics"
@@ -42,9 +43,10 @@ def diagnostic_numbers(data: bytes) -> Iterator[tuple[str, float]]:
     """Yield entity path and number of each entry in a DiagnosticArray that has a plot."""
     message = decode(data, "diagnostic_msgs/msg/DiagnosticArray")
     for status in message.status:
-        for pair in status.values:
-            match = _NUMBER_PATTERN.match(pair.value)
-            plot_path = _plot_path(pair.key)
+        pairs = ((pair.key, pair.value) for pair in status.values)
+        for key, text in old_keys.current_entries(pairs, old_keys.DIAGNOSTICS):
+            match = _NUMBER_PATTERN.match(text)
+            plot_path = _plot_path(key)
             if match and plot_path:
                 yield plot_path, float(match.group(1))
 

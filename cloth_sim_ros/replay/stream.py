@@ -18,6 +18,7 @@ from cloth_sim_ros.replay.obstacle_view import ObstacleView
 from cloth_sim_ros.replay.plots import DIAGNOSTICS_TOPIC, diagnostic_numbers, extra_numbers
 from cloth_sim_ros.replay.pre_scan import PreScan, check_fit
 from cloth_sim_ros.replay.rows import Moment, Rows
+from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.cdr import decode, decode_cloud
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.frame_record import FrameRecord
@@ -202,12 +203,13 @@ class ReplayStream:
     def _add_gripper_state(self, message: Message) -> None:
         """Correct the count of the newest grasp from the gripper's state, which the node sends after the frame."""
         name = self._states[message.topic]
-        state_texts = {entry.key: entry.value for entry in decode(message.data, _STATUS).values}
-        if state_texts.get("closed") != "true" or not state_texts.get("held", "").isdecimal():
+        pairs = ((pair.key, pair.value) for pair in decode(message.data, _STATUS).values)
+        state_texts = dict(old_keys.current_entries(pairs, old_keys.GRIPPER_STATE))
+        if state_texts.get("closed") != "true" or not state_texts.get("grasped_count", "").isdecimal():
             return  # A reset of the same frame has opened it again.
         for k, (moment, event, _) in reversed(list(enumerate(self._events))):
             if event.get("kind") == "grasp" and event["gripper"] == name:
-                self._events[k] = moment, event, int(state_texts["held"])
+                self._events[k] = moment, event, int(state_texts["grasped_count"])
                 return
 
     def _log_events(self) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.cdr import decode
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.part import Message
@@ -27,12 +28,12 @@ _SUMS = (
     "energy_work_j",
     "energy_wind_j",
     "energy_dissipated_j",
-    "energy_rubbed_j",
+    "energy_friction_j",
     "energy_recovered_j",
     "energy_balance_j",
 )
 #: Texts that another version may word differently.
-_TEXTS = ("integrator", "integrator_why", "halted")
+_TEXTS = ("integrator", "integrator_reason", "stopped_bodies")
 #: Entries that are exact up to printing.
 _EXACT = frozenset({"frame", "simulated_time", "paused"})
 #: Tolerances of printed numbers: they are rounded, and numpy's order of summation depends on the processor.
@@ -93,21 +94,22 @@ class DiagnosticsCheck:
             self._findings.difference("diagnostics message", f"the diagnostics, by {header_error}")
         expected = self._expected(simulation)
         self._findings.compared("diagnostics message")
-        keys = {value.key for value in node_statuses[0].values}
-        unchecked = {f"{key}, which is not there" for key in expected.keys() - keys}
-        for value in node_statuses[0].values:
-            if value.key == "paused" and value.value == "false" != expected["paused"]:
+        # An old key is compared like the current one.
+        recorded = [
+            (old_keys.DIAGNOSTICS.get(pair.key, pair.key), pair.key, pair.value) for pair in node_statuses[0].values
+        ]
+        unchecked = {f"{key}, which is not there" for key in expected.keys() - {key for key, _, _ in recorded}}
+        for key, recorded_key, text in recorded:
+            if key == "paused" and text == "false" != expected["paused"]:
                 # A node also reports a pause by its user.
                 self._findings.not_compared(message.topic, "paused, though not by the user: /clock stands still")
-            elif value.key not in expected or (value.key in _TEXTS and self._findings.verdict.environment):
-                unchecked.add(value.key)
-            elif value.value != expected[value.key] and (
-                value.key in _EXACT or not _is_same_number(value.value, expected[value.key])
-            ):
+            elif key not in expected or (key in _TEXTS and self._findings.verdict.environment):
+                unchecked.add(key)
+            elif text != expected[key] and (key in _EXACT or not _is_same_number(text, expected[key])):
                 self._findings.difference(
                     "diagnostics message",
-                    f"the diagnostics, by {value.key} ({value.value} is recorded, {expected[value.key]} came out)",
-                    rounding=value.key not in _EXACT,
+                    f"the diagnostics, by {recorded_key} ({text} is recorded, {expected[key]} came out)",
+                    rounding=key not in _EXACT,
                 )
                 break
         for key in sorted(unchecked):
@@ -153,7 +155,7 @@ class DiagnosticsCheck:
             # The energy balance is left out: it is rounding of numpy's sums.
             sums = dict(zip(_SUMS[:3], (energy.work, energy.wind, energy.dissipated), strict=True))
             if contact is not None and contact.force.has_self_friction:
-                sums["energy_rubbed_j"] = energy.friction_work
+                sums["energy_friction_j"] = energy.friction_work
             if energy.recovered:
                 sums["energy_recovered_j"] = energy.recovered
             texts |= {key: f"{value:.6g}" for key, value in sums.items()}
@@ -166,7 +168,7 @@ class DiagnosticsCheck:
         return {
             "steps_per_frame": str(advance.steps),
             "integrator": advance.integrator,
-            "integrator_why": advance.reason,
+            "integrator_reason": advance.reason,
             "error_estimate_m": "none" if advance.error is None else f"{advance.error:.3g}",
         }
 
@@ -175,7 +177,7 @@ class DiagnosticsCheck:
         if gaps is not None and len(gaps):
             texts = {"contacts": str(int(gaps[:, 0].sum())), "smallest_gap_m": f"{gaps[:, 1].min():.6g}"}
             if self._stopped is not None:
-                texts["halted"] = ", ".join(sorted(self._stopped)) or "none"
+                texts["stopped_bodies"] = ", ".join(sorted(self._stopped)) or "none"
         if contact is not None and contact.force.surface is not None:
             count, gap = contact.self_gaps(simulation.state.x)
             texts |= {"self_contacts": str(count), "self_smallest_gap_m": f"{gap:.6g}"}

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.cdr import decode
 from cloth_sim_ros.session.errors import SessionError
 from cloth_sim_ros.session.part import Message
@@ -67,7 +68,7 @@ class StateCheck:
 
 
 class GripperStateCheck:
-    """Compares `~/<gripper>/state`: open or closed, and the number of held particles.
+    """Compares `~/<gripper>/state`: open or closed, and the number of grasped particles.
 
     Args:
         node: resolved name of the node.
@@ -103,7 +104,7 @@ class GripperStateCheck:
             self._findings.difference(
                 "gripper state",
                 f"the state of {name}, by its {key} ({recorded.get(key)} is recorded, {expected.get(key)} is due)",
-                rounding=key in ("held", "message", "level"),
+                rounding=key in ("grasped_count", "message", "level"),
             )
 
     def compare_older(self, message: Message, name: str, simulation: Simulation) -> None:
@@ -130,26 +131,32 @@ class GripperStateCheck:
         if len({value.key for value in content.values}) < len(content.values):
             self._findings.difference("gripper state", f"the state of {name}, by a key that is there twice")
             return None
+        entries: dict[str, str] = {}
+        for pair in content.values:
+            current_key = old_keys.GRIPPER_STATE.get(pair.key, pair.key)
+            if entries.setdefault(current_key, pair.value) != pair.value:
+                self._findings.difference("gripper state", f"the state of {name}, by its {pair.key} ({pair.value})")
+                return None
         return {
             "level": _level(content.level),
             "name": content.name,
             "message": content.message,
             "hardware_id": content.hardware_id,
-            **{value.key: value.value for value in content.values},
+            **entries,
         }
 
     def _expected(self, name: str, reason: str, simulation: Simulation) -> dict[str, object]:
         grippers = simulation.grippers
         index = grippers.names.index(name)
-        closed, held = grippers.is_closed(index), simulation.grasped_count(index)
-        summary = f"closed, holds {pluralize(held, 'particle') if held else 'nothing'}" if closed else "open"
+        closed, grasped = grippers.is_closed(index), simulation.grasped_count(index)
+        summary = f"closed, holds {pluralize(grasped, 'particle') if grasped else 'nothing'}" if closed else "open"
         return {
-            "level": _WARN if closed and not held else _OK,
+            "level": _WARN if closed and not grasped else _OK,
             "name": f"{self._prefix}: {name}",
             "message": f"{summary}: {reason}" if reason else summary,
             "hardware_id": "none",
             "closed": str(closed).lower(),
-            "held": str(held),
+            "grasped_count": str(grasped),
             "frame": str(simulation.frame),
             "simulated_time": f"{simulation.time:.6f}",
         }

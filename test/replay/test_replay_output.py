@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 from support.rrd import rows
-from support.session_maker import NODE, SessionMaker, carried_corner, make_grasp
+from support.session_maker import NODE, SessionMaker, carried_corner, make_grasp, status_bytes
 
 from cloth_sim_ros.replay import viewer
 from cloth_sim_ros.replay.main import main
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.session.writer import WriterOptions
 from cloth_sim_ros.simulation.events import Grasp, Reset, SetParameters, Target
@@ -71,6 +72,36 @@ def test_events_are_shown(tmp_path: Path) -> None:
     # After the reset the gripper has no pose and is drawn with size 0.
     _, spheres = rows(out, "/world/grippers/gripper/body", "Ellipsoids3D:half_sizes")
     assert spheres[-1] == [[0.0, 0.0, 0.0]]
+
+
+def test_replay_reads_old_and_current_keys(tmp_path: Path) -> None:
+    current = {"energy_friction_j": "0.25", "energy_work_j": "1.5", "stopped_bodies": "none"}
+    both = old_keys.add_old_keys(current, old_keys.DIAGNOSTICS)
+    old = {key: text for key, text in both.items() if key not in old_keys.DIAGNOSTICS.values()}
+    assert old.keys() == {"energy_rubbed_j", "energy_work_j", "halted"}
+    for name, entries in {"current": current, "both": both, "old": old}.items():
+        (folder := tmp_path / name).mkdir()
+        maker, out = SessionMaker(folder, Scene.from_parameters(SMALL)), folder / "out.rrd"
+        maker.add(diagnostics=entries)
+        assert main([str(maker.finish()), "--save", str(out)]) == 0
+        assert rows(out, "/plots/energy/energy_friction_j", "Scalars:scalars")[1] == [[0.25]]
+        assert rows(out, "/plots/energy/energy_work_j", "Scalars:scalars")[1] == [[1.5]]
+
+
+def test_replay_counts_grasps_by_old_and_current_keys(tmp_path: Path) -> None:
+    for name in ("grasped_count", "held"):
+        (folder := tmp_path / name).mkdir()
+        maker = SessionMaker(folder, Scene.from_parameters(SMALL))
+
+        def alter(topic: str, data: bytes, name: str = name) -> bytes | None:
+            if topic.endswith("/points"):
+                return None  # Without a cloud only the state has the count.
+            return status_bytes("gripper", {"closed": "true", name: "7"}) if topic.endswith("/state") else data
+
+        corner = tuple(maker.simulation.positions[-1].tolist())
+        maker.add()
+        maker.add([Target("gripper", corner, (0.0, 0.0, 0.0, 1.0)), Grasp("gripper", True)], change=alter, states=True)
+        assert messages(maker.finish(), folder / "out.rrd") == ["gripper closes, holds 7 particles"]
 
 
 def messages(session: Path, out: Path) -> list[str]:

@@ -83,9 +83,9 @@ def test_accuracy_diagnostics_match_the_windows(monitor: AccuracyMonitor, wait_u
     entries = monitor.describe(simulation.time)
     assert entries["accuracy"] == "running"
     assert entries["accuracy_window_s"] == "1.000 to 2.000"
-    assert entries["accuracy_windows_left_out"] == "0"
+    assert entries["accuracy_windows_skipped"] == "0"
     assert 0.0 < float(entries["accuracy_error_m"]) < 1e-4
-    assert float(entries["accuracy_behind_s"]) == pytest.approx(simulation.time - 2.0, abs=1e-3)
+    assert float(entries["accuracy_lag_s"]) == pytest.approx(simulation.time - 2.0, abs=1e-3)
     assert monitor.take_warnings() == []
     page = (Path(__file__).resolve().parents[2] / "docs" / "node" / "accuracy.md").read_text()
     rows = [line.split("|") for line in page.split("## Entries\n")[1].split("\n## ")[0].splitlines()]
@@ -130,7 +130,7 @@ def test_whole_windows_are_skipped_when_worker_lags(monitor: AccuracyMonitor, wa
     # None of these calls may wait, or the test would never end.
     for _ in range(30 * 8):
         _frame(monitor, simulation)
-    assert int(monitor.describe(simulation.time)["accuracy_windows_left_out"]) >= 5
+    assert int(monitor.describe(simulation.time)["accuracy_windows_skipped"]) >= 5
     child.send_signal(signal.SIGCONT)
     wait_until(lambda: monitor.describe(simulation.time)["accuracy"] == "running", description="an answer")
     # The newest window waited.
@@ -138,7 +138,7 @@ def test_whole_windows_are_skipped_when_worker_lags(monitor: AccuracyMonitor, wa
         lambda: monitor.describe(simulation.time).get("accuracy_window_s") == "7.000 to 8.000",
         description="the newest window",
     )
-    assert monitor.describe(simulation.time)["accuracy_behind_s"] == "0.000"
+    assert monitor.describe(simulation.time)["accuracy_lag_s"] == "0.000"
     assert monitor.take_warnings() == []
     child.send_signal(signal.SIGSTOP)
     monitor.close()
@@ -195,8 +195,8 @@ def test_node_reports_error_and_survives_worker_death(client: Client, start_proc
     latest = _listen(client)
     process = start_cloth(start_process, *PARAMETERS, "diagnostics.accuracy:=true")
     client.spin_until(lambda: latest().get("accuracy_verdict") == "kept", description="a window that is judged")
-    assert 0.0 < float(latest()["accuracy_error_m"]) < float(latest()["accuracy_allowed_m"])
-    assert float(latest()["accuracy_behind_s"]) >= 0.0
+    assert 0.0 < float(latest()["accuracy_error_m"]) < float(latest()["accuracy_bound_m"])
+    assert float(latest()["accuracy_lag_s"]) >= 0.0
     (child,) = _shadows_of(process.pid)
     child.send_signal(signal.SIGKILL)
     client.spin_until(lambda: "ended by itself (status -9)" in latest().get("accuracy", ""), description="its end told")

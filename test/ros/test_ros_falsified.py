@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,22 @@ import pytest
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 from support.clocked_cloth import ClockedCloth
-from support.falsifier import FRAME, Falsification, falsifications, falsify
+from support.falsifier import (
+    DIAGNOSTICS,
+    FRAME,
+    NODE,
+    Falsification,
+    Messages,
+    alter_messages,
+    edit,
+    falsifications,
+    falsify,
+)
 from support.ros_client import Client, pose
 
 pytest.importorskip("mcap")
 
+from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.reader import SessionReader
 from cloth_sim_ros.verify.main import describe
 from cloth_sim_ros.verify.run import Verdict, verify
@@ -27,6 +39,7 @@ WAYS = {
     for name, alteration in falsifications("left", busy=False).items()
     if alteration.needs != FRAME or name in ("clouds moved and published 1 ns later", "received target inserted")
 }
+STATE_OF_LEFT = f"{NODE}/left/state"
 SECOND = 1_000_000_000
 CORNER = (0.5, 0.0, 0.5)
 SCENE: dict[str, Any] = {
@@ -157,6 +170,29 @@ def test_falsified_session_of_a_node_is_found_or_listed(session: Path, tmp_path:
 
 def test_unaltered_copy_of_a_node_comes_out_the_same(session: Path, tmp_path: Path) -> None:
     check(verify([falsify(session, tmp_path / "copy.mcap", Falsification())]))
+
+
+def test_old_and_current_keys_are_compared_alike(session: Path, tmp_path: Path) -> None:
+    tables = {DIAGNOSTICS: old_keys.DIAGNOSTICS, STATE_OF_LEFT: old_keys.GRIPPER_STATE}
+    both = verify([session])
+    for absent in ("current", "old"):
+
+        def strip(messages: Messages, absent: str = absent) -> Messages:
+            for topic, table in tables.items():
+                removed = set(table if absent == "old" else table.values())
+                messages = alter_messages(topic, edit(functools.partial(remove_keys, removed)))(messages)
+            return messages
+
+        verdict = verify([falsify(session, tmp_path / f"{absent}.mcap", Falsification(strip))])
+        check(verdict)
+        assert (verdict.compared, verdict.not_compared) == (both.compared, both.not_compared)
+
+
+def remove_keys(removed: set[str], content: Any) -> None:
+    for status in getattr(content, "status", [content]):
+        pairs = [pair for pair in status.values if pair.key not in removed]
+        assert len(pairs) < len(status.values)
+        status.values = pairs
 
 
 def test_recording_begun_amid_the_motion_comes_out_the_same(ros_domain: int, tmp_path: Path) -> None:

@@ -196,13 +196,13 @@ def test_crushing_obstacle_is_stopped_with_warning(client: Client, capfd: pytest
         cloth.tick(4)
         assert cloth.simulation.obstacles is not None
         assert cloth.simulation.obstacles.poses()[1, 2] > 0.0
-        assert cloth.node._obstacles.describe()["halted"] == "iron"
+        assert cloth.node._obstacles.describe()["stopped_bodies"] == "iron"
         assert "'iron' is stopped" in capfd.readouterr().err
         frame = cloth.simulation.frame
         cloth.target("iron", (0.0, 0.0, 0.1))
         cloth.tick(4)
         assert cloth.simulation.frame == frame + 4
-        assert cloth.node._obstacles.describe()["halted"] == "none"
+        assert cloth.node._obstacles.describe()["stopped_bodies"] == "none"
         assert cloth.simulation.obstacles.poses()[1, 2] == pytest.approx(0.1)
         refused = change(cloth, contact__thickness=1e-300)
         assert "contact.thickness out of range Min: 1e-06" in refused.reason

@@ -22,6 +22,7 @@ from support.ros_client import Client, positions, stamp_of
 from visualization_msgs.msg import Marker
 
 from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.session import old_keys
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 OBJ = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 2 0 0\nf 1 2 3\nf 1 3 4\nf 2 5 3\n"
@@ -197,8 +198,11 @@ def test_diagnostics_keys_match_the_docs(client: Client) -> None:
         values = {entry.key: entry.value for entry in status.values}
         assert status.name == "cloth_sim: cloth"
         # Entries of a recording and of contact exist only with a recording or contact.
-        contact = {"contacts", "smallest_gap_m", "self_contacts", "self_smallest_gap_m", "halted"}
-        contact |= {"energy_rubbed_j", "energy_recovered_j"}
+        contact = {"contacts", "smallest_gap_m", "self_contacts", "self_smallest_gap_m", "stopped_bodies"}
+        contact |= {"energy_friction_j", "energy_recovered_j"}
+        present = [(old, current) for old, current in old_keys.DIAGNOSTICS.items() if current in values]
+        assert ("integrator_why", "integrator_reason") in present
+        assert [values.pop(old) for old, _ in present] == [values[current] for _, current in present]
         assert set(values) == documented - {"recording_file", "recording_dropped"} - contact
         assert (values["frame"], values["paused"], values["recording"]) == ("30", "false", "off")
         assert (values["commands_received"], values["commands_refused"]) == ("1", "0")

@@ -218,5 +218,5 @@ def check_diagnostics(client: Client) -> None:
     assert values["recording"] == "closed"
     assert 0.0 < float(values["real_time_factor"]) < 1.2
     assert float(values["largest_strain"]) > 0.0
-    assert values["integrator_why"]
+    assert values["integrator_reason"]
     assert int(values["clouds_published"]) >= received

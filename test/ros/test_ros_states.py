@@ -54,7 +54,8 @@ def gripper_state(client: Client, name: str = "gripper") -> LatchedTopic:
 def test_gripper_state_reaches_late_subscribers(client: Client) -> None:
     with ClockedCloth(client, {"grippers": ["left", "right"]}) as cloth:
         first = gripper_state(client, "left")
-        assert first.values == {"closed": "false", "held": "0", "frame": "0", "simulated_time": "0.000000"}
+        counts = {"grasped_count": "0", "held": "0"}
+        assert first.values == {"closed": "false", **counts, "frame": "0", "simulated_time": "0.000000"}
         assert first.messages[-1].message == "open"
         cloth.target("left", CORNER)
         cloth.tick()
@@ -63,7 +64,7 @@ def test_gripper_state_reaches_late_subscribers(client: Client) -> None:
         for topic in (first, gripper_state(client, "left")):
             client.spin_until(lambda topic=topic: topic.values["closed"] == "true", description="the grasp")
             status = topic.messages[-1]
-            assert (topic.values["held"], topic.values["frame"]) == ("1", "2")
+            assert [topic.values[key] for key in ("grasped_count", "held", "frame")] == ["1", "1", "2"]
             assert (status.level, status.message) == (DiagnosticStatus.OK, "closed, holds 1 particle")
             assert (status.name, status.hardware_id) == ("cloth_sim: left", "none")
         assert len(first.messages) == 2, "said once for each grasp, not each frame"

@@ -54,7 +54,7 @@ class Machine:
 
     def in_force(self) -> tuple[str, str, str]:
         entries = self.governor.describe()
-        return entries["tolerance_m"], entries["tolerance_in_force_m"], entries["tolerance_why"]
+        return entries["tolerance_m"], entries["tolerance_effective_m"], entries["tolerance_reason"]
 
 
 def evolve_frame(frame: Frame, advance: Advance, *, moved: bool) -> Frame:
@@ -173,14 +173,14 @@ def test_a_node_relaxes_and_its_session_runs_again(
         )
         cloth.start()
         frames(cloth, 60)
-        assert cloth._governor.describe()["tolerance_in_force_m"] == "1e-07"
+        assert cloth._governor.describe()["tolerance_effective_m"] == "1e-07"
         assert cloth.node.get_parameter("tolerance").value == 1e-8, "what the user set"
         watch.frame = 0.001
         frames(cloth, 150)
         (result,) = cloth.node.set_parameters([Parameter("overload", value="slow")])
         assert result.successful
         frames(cloth, 2)
-        assert cloth._governor.describe()["tolerance_in_force_m"] == "1e-08"
+        assert cloth._governor.describe()["tolerance_effective_m"] == "1e-08"
         assert cloth.close(timeout=30.0)
         cloth.node.destroy_node()
     (path,) = tmp_path.glob("*.mcap")

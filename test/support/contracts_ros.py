@@ -11,6 +11,7 @@ from typing import Any
 from rclpy.parameter import Parameter
 
 from cloth_sim_ros.replay import plots
+from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.verify import diagnostics as verify_diagnostics
 from support.clocked_cloth import ClockedCloth
 from support.contracts_files import contents
@@ -101,9 +102,10 @@ def _qos(profile: Any) -> str:
 
 def _plots(keys: list[str]) -> dict[str, Any]:
     """Return the plot of each key of the diagnostics, as replay reads them."""
+    paths = {key: plots._plot_path(old_keys.DIAGNOSTICS.get(key, key)) for key in keys}
     return {
         "paths": sorted(plots.PLOTS),
-        "of keys": {key: plot_path for key in keys if (plot_path := plots._plot_path(key)) is not None},
+        "of keys": {key: path for key, path in paths.items() if path is not None},
     }
 
 

@@ -362,7 +362,12 @@ def falsifications(gripper: str, *, busy: bool) -> dict[str, Falsification]:
         "states left out": Falsification(drop(STATE), needs=STATE, absent=STATE),
         "gripper state left out": Falsification(renumbered(drop(state, only=[1])), needs=state),
         "gripper states left out": Falsification(drop(state), needs=state, absent=state),
-        "gripper state that holds more": Falsification(alter_messages(state, edit(_value("held", "99"))), needs=state),
+        "gripper state that holds more": Falsification(
+            alter_messages(state, edit(_value("grasped_count", "99"))), needs=state
+        ),
+        "gripper state that holds more by its old key": Falsification(
+            alter_messages(state, edit(_value("held", "99"))), needs=state
+        ),
         "gripper state of other words": Falsification(
             alter_messages(state, edit(_set("message", "open")), only=[1]), needs=state
         ),
@@ -396,6 +401,12 @@ def falsifications(gripper: str, *, busy: bool) -> dict[str, Falsification]:
         ),
         "diagnostics of another integrator": Falsification(
             alter_messages(DIAGNOSTICS, edit(_value("integrator", "other"))), needs=DIAGNOSTICS
+        ),
+        "diagnostics of another reason": Falsification(
+            alter_messages(DIAGNOSTICS, edit(_value("integrator_reason", "other"))), needs=DIAGNOSTICS
+        ),
+        "diagnostics of another reason by its old key": Falsification(
+            alter_messages(DIAGNOSTICS, edit(_value("integrator_why", "other"))), needs=DIAGNOSTICS
         ),
         "diagnostics 1 us later": Falsification(
             alter_messages(DIAGNOSTICS, edit(_value("simulated_time", "0.533334"))), needs=DIAGNOSTICS

@@ -13,6 +13,7 @@ import numpy as np
 
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.cdr import encode, encode_string, message_class
 from cloth_sim_ros.session.channel_description import Qos
 from cloth_sim_ros.session.frame_record import FrameRecord
@@ -235,8 +236,9 @@ class SessionMaker:
             self._write(f"{NODE}/{name}/wrench", _WRENCH, change, wrench_bytes(load, now))
         for grasp in frame.grasps if states else ():
             index = scene.gripper_names.index(grasp.gripper)
-            closed, held = self.simulation.grippers.is_closed(index), self.simulation.grasped_count(index)
-            said = status_bytes(grasp.gripper, {"closed": str(closed).lower(), "held": str(held)})
+            closed, grasped = self.simulation.grippers.is_closed(index), self.simulation.grasped_count(index)
+            entries = {"closed": str(closed).lower(), "grasped_count": str(grasped)}
+            said = status_bytes(grasp.gripper, old_keys.add_old_keys(entries, old_keys.GRIPPER_STATE))
             self._write(f"{NODE}/{grasp.gripper}/state", _STATUS, change, said)
         if scene.tf.publish:
             self._write("/tf", _TRANSFORMS, change, self._transforms(now))

@@ -93,18 +93,18 @@ class AccuracyMonitor:
         values = {
             "accuracy": state,
             "accuracy_windows": str(self._n_windows),
-            "accuracy_windows_not_kept": str(self._n_violated),
-            "accuracy_windows_left_out": str(self._n_skipped),
+            "accuracy_windows_violated": str(self._n_violated),
+            "accuracy_windows_skipped": str(self._n_skipped),
         }
         if latest:
             allowed = latest["allowed"]
             values |= {
                 "accuracy_window_s": f"{latest['start']:.3f} to {latest['end']:.3f}",
                 "accuracy_error_m": f"{latest['error']:.3g}",
-                "accuracy_allowed_m": "none" if allowed is None else f"{allowed:.3g}",
-                "accuracy_own_error_m": f"{latest['own']:.3g}",
+                "accuracy_bound_m": "none" if allowed is None else f"{allowed:.3g}",
+                "accuracy_uncertainty_m": f"{latest['own']:.3g}",
                 "accuracy_verdict": latest["verdict"],
-                "accuracy_behind_s": f"{max(0.0, now - latest['end']):.3f}",
+                "accuracy_lag_s": f"{max(0.0, now - latest['end']):.3f}",
             }
         return values
 

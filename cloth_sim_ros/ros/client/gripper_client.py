@@ -17,6 +17,7 @@ from std_msgs.msg import Bool
 
 from cloth_sim_ros.ros.io.messages import set_stamp
 from cloth_sim_ros.ros.io.outputs import LATCHED_QOS
+from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.simulation.gripper_script import GripperScript, TimedGrasp
 
 #: Longest wait for the result of a grasp, in the cloth's time [s]. It comes after the frame, or when pads have stopped.
@@ -121,7 +122,7 @@ class GripperClient:
             return True
         status = self._status_if(closed=True)
         if status is not None:
-            self.reports.append(GraspReport(int(status["held"]), status["words"]))
+            self.reports.append(GraspReport(int(status["grasped_count"]), status["words"]))
         elif now > self._answer_deadline:
             self.reports.append(GraspReport(None, f"it did not answer within {_ANSWER_TIMEOUT:g} s"))
         else:
@@ -130,8 +131,8 @@ class GripperClient:
         return True
 
     def _on_state(self, status: Any) -> None:
-        values = {entry.key: entry.value for entry in status.values}
-        self._status = values | {"words": str(status.message)}
+        pairs = ((pair.key, pair.value) for pair in status.values)
+        self._status = dict(old_keys.current_entries(pairs, old_keys.GRIPPER_STATE)) | {"words": str(status.message)}
 
     def _status_if(self, *, closed: bool) -> dict[str, str] | None:
         """Return the state since it was last cleared if it is of a closed, or open, gripper; otherwise None."""

@@ -108,7 +108,7 @@ class ObstacleTopics:
         gaps, contact, entries = self._simulation.gaps(), self._simulation.plan.contact, dict[str, str]()
         if gaps is not None and len(gaps):
             entries = {"contacts": str(int(gaps[:, 0].sum())), "smallest_gap_m": f"{gaps[:, 1].min():.6g}"}
-            entries["halted"] = ", ".join(sorted(self._stopped_names)) or "none"
+            entries["stopped_bodies"] = ", ".join(sorted(self._stopped_names)) or "none"
         if contact is not None and contact.force.surface is not None:
             count, gap = contact.self_gaps(self._simulation.state.x)
             entries |= {"self_contacts": str(count), "self_smallest_gap_m": f"{gap:.6g}"}

@@ -10,6 +10,7 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
 from cloth_sim_ros.ros.io.outputs import LATCHED_QOS, Output, RecordSink
+from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation.events import Reset
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
@@ -99,20 +100,23 @@ class States:
     def _status(self, name: str, reason: str) -> DiagnosticStatus:
         grippers, simulation = self._simulation.grippers, self._simulation
         index = grippers.names.index(name)
-        closed, held = grippers.is_closed(index), simulation.grasped_count(index)
-        text = f"closed, holds {pluralize(held, 'particle') if held else 'nothing'}" if closed else "open"
+        closed, grasped = grippers.is_closed(index), simulation.grasped_count(index)
+        text = f"closed, holds {pluralize(grasped, 'particle') if grasped else 'nothing'}" if closed else "open"
         values = {
             "closed": str(closed).lower(),
-            "held": str(held),
+            "grasped_count": str(grasped),
             "frame": str(simulation.frame),
             "simulated_time": f"{simulation.time:.6f}",
         }
         return DiagnosticStatus(
-            level=DiagnosticStatus.WARN if closed and not held else DiagnosticStatus.OK,
+            level=DiagnosticStatus.WARN if closed and not grasped else DiagnosticStatus.OK,
             name=f"{self._name}: {name}",
             message=f"{text}: {reason}" if reason else text,
             hardware_id="none",
-            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+            values=[
+                KeyValue(key=key, value=value)
+                for key, value in old_keys.add_old_keys(values, old_keys.GRIPPER_STATE).items()
+            ],
         )
 
     def _send(self, output: Output, message: object, stamp: int) -> None:

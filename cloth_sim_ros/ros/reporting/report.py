@@ -18,6 +18,7 @@ from cloth_sim_ros.ros.recording.recording import SessionRecording
 from cloth_sim_ros.ros.reporting.diagnostics import FrameTally
 from cloth_sim_ros.ros.reporting.strain import StrainGauge
 from cloth_sim_ros.scene.plausibility import cloth_size, implausible_sizes
+from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation.simulation import Simulation
 
@@ -121,7 +122,7 @@ class DiagnosticsCollector:
             **self._additional(),
             "commands_received": str(self._commands.received),
             "commands_refused": str(self._commands.refused),
-            "commands_outdated": str(self._commands.outdated),
+            "commands_stale": str(self._commands.outdated),
             "clouds_published": str(self._outputs.published),
         }
         status = self._recording.status()
@@ -129,6 +130,7 @@ class DiagnosticsCollector:
         if status is not None:
             values["recording_file"] = str(status.path)
             values["recording_dropped"] = str(status.dropped)
+        values = old_keys.add_old_keys(values, old_keys.DIAGNOSTICS)
         if self._latest.exception:
             return DiagnosticStatus.ERROR, f"failed: {self._latest.exception}", values
         if self._latest.failure:
@@ -162,14 +164,14 @@ class DiagnosticsCollector:
             values["energy_dissipated_j"] = f"{energy.dissipated:.6g}"
             contact = self._simulation.plan.contact
             if contact is not None and contact.force.has_self_friction:
-                values["energy_rubbed_j"] = f"{energy.friction_work:.6g}"
+                values["energy_friction_j"] = f"{energy.friction_work:.6g}"
             if energy.recovered:
                 values["energy_recovered_j"] = f"{energy.recovered:.6g}"
             values["energy_balance_j"] = f"{energy.residual:.3g}"
         if advance is not None:
             values["steps_per_frame"] = str(advance.steps)
             values["integrator"] = advance.integrator
-            values["integrator_why"] = advance.reason
+            values["integrator_reason"] = advance.reason
             values["error_estimate_m"] = "none" if advance.error is None else f"{advance.error:.3g}"
         return values
 

@@ -88,8 +88,8 @@ class ToleranceGovernor:
         reason = self._reason or ("as it was set" if factor == 1.0 else "relaxed: the machine was too slow")
         return {
             "tolerance_m": f"{scene.tolerance:g}" if has_tolerance else "none",
-            "tolerance_in_force_m": f"{in_force:g}" if has_tolerance else "none",
-            "tolerance_why": reason if has_tolerance else "a fixed step holds none" if scene.step else "none is set",
+            "tolerance_effective_m": f"{in_force:g}" if has_tolerance else "none",
+            "tolerance_reason": reason if has_tolerance else "a fixed step holds none" if scene.step else "none is set",
         }
 
     def _begin_window(self) -> None:
