@@ -58,7 +58,7 @@ class _IndependentCheck:
             return
         if self._motion is None or stated.window != self._window:
             self._motion, self._window = ReferenceMotion(starting_state(ran)), stated.window
-        if stated.growth > MAX_AMPLIFICATION:
+        if stated.amplification > MAX_AMPLIFICATION:
             return
         self._motion.apply_grasps(ran)
         plan = self._equations.plan(ran, self._motion)
@@ -113,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with tempfile.TemporaryDirectory() as folder:
             paths = make_random_session(Path(folder), seed, change=lambda k: _millimetre_off if k == CHANGED else None)
             _, certificate = certify(paths)
-        standing_out += sum(frame.stands_out and not frame.exact for frame in certificate.frames)
+        standing_out += sum(frame.violates_bound and not frame.exact for frame in certificate.frames)
         if certificate.altered != 1:
             undetected += 1
             print(f"session {seed}: a frame was changed by a millimetre; {certificate.altered} were found")

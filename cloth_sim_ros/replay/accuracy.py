@@ -32,11 +32,11 @@ _CERTIFIED_STATUSES = (0, 1, 3, 4)
 _MIN_LIMIT = 1e-12
 #: Path, legend and colour of the curve by key of a frame's numbers.
 _CURVES = {
-    "promise": ("plots/accuracy/allowed", "allowed", 0xF0F0F0FF),
+    "error_bound": ("plots/accuracy/allowed", "allowed", 0xF0F0F0FF),
     "tolerance": ("plots/accuracy/tolerance", "tolerance", 0x8A8A8AFF),
     "error": ("plots/accuracy/error", "error", 0xFF5A4AFF),
-    "own": ("plots/accuracy/own_error", "measured to", 0x25C26EFF),
-    "growth": ("plots/growth/growth", "amplification", 0xB48CFFFF),
+    "uncertainty": ("plots/accuracy/own_error", "measured to", 0x25C26EFF),
+    "amplification": ("plots/growth/growth", "amplification", 0xB48CFFFF),
 }
 
 

@@ -135,8 +135,8 @@ class _Certifier:
         The error bound includes the later ones.
         """
         window, self._window = self._window, None
-        if window is not None and window.verdict == "not kept" and not window.standing_out:
-            window.later = later_amplification(self._equations, self._frames)
+        if window is not None and window.verdict == "not kept" and not window.violating_frames:
+            window.later_amplification = later_amplification(self._equations, self._frames)
 
     def _assess(self, frame: SimulatedFrame) -> None:
         start = starting_state(frame)
@@ -147,7 +147,7 @@ class _Certifier:
         # A frame reproduced to the last bit began with the recorded state.
         deviation = 0.0 if frame.reset or self._is_reproduced else self._deviation
         if self._window is None:
-            self._window = AccuracyWindow(number=len(self.certificate.windows), start=frame.t)
+            self._window = AccuracyWindow(index=len(self.certificate.windows), start=frame.t)
             self.certificate.windows.append(self._window)
             self._window_reference, self._amplification, self._frames = (
                 ReferenceSolution(start, seed=frame.index),
@@ -170,25 +170,25 @@ class _Certifier:
         accuracy = FrameAccuracy(
             frame=frame.index,
             time=frame.t + frame.duration,
-            window=window.number,
+            window=window.index,
             tolerance=frame.tolerance,
             flagged=frame.flagged,
             exact=exact,
             error_of_frame=error_of_frame,
-            promise_of_frame=self._frame_error_bound(frame, start, error_of_frame),
+            error_bound_of_frame=self._frame_error_bound(frame, start, error_of_frame),
             error=_max_error(recorded, reference.x),
-            growth=self._amplification,
+            amplification=self._amplification,
             # If the re-run deviates from the recording, this deviation adds to the uncertainty.
-            own=reference.uncertainty + self._start_deviation * max(1.0, self._amplification) + deviation,
+            uncertainty=reference.uncertainty + self._start_deviation * max(1.0, self._amplification) + deviation,
             floor=floor,
             session_error=math.nan if session_reference is None else _max_error(recorded, session_reference.x),
-            session_growth=math.nan if session_reference is None else session_reference.amplification,
-            session_own=math.nan if session_reference is None else session_reference.uncertainty,
+            session_amplification=math.nan if session_reference is None else session_reference.amplification,
+            session_uncertainty=math.nan if session_reference is None else session_reference.uncertainty,
         )
         self.certificate.frames.append(accuracy)
         window.add(accuracy)
         self._write(recorded, reference.x)
-        if self._every_sample or (window.frames == 1 + window.number % 7 and is_sampled(window.number)):
+        if self._every_sample or (window.frames == 1 + window.index % 7 and is_sampled(window.index)):
             self._sample(frame, start, frame_reference, accuracy)
         if frame.t + 1.5 * frame.duration > window.start + WINDOW:
             self._end_window()

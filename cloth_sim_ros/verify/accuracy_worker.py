@@ -82,20 +82,20 @@ def assess_window(scene: Scene, state: State, events: Sequence[Sequence[Event]],
         # The amplification matters only if the error exceeds the tolerance.
         window = _window(simulated, measure_amplification=True)
         if window.verdict == "not kept":
-            window.later = later_amplification(Equations(), simulated)
+            window.later_amplification = later_amplification(Equations(), simulated)
     return {
         "start": window.start,
         "end": window.end,
         "error": window.error,
         "allowed": None if math.isnan(window.error_bound) else window.error_bound,
-        "own": window.own,
+        "uncertainty": window.uncertainty,
         "verdict": window.verdict,
         "seconds": time.perf_counter() - start_time,
     }
 
 
 def _window(frames: Sequence[SimulatedFrame], *, measure_amplification: bool) -> AccuracyWindow:
-    window, equations = AccuracyWindow(number=0, start=frames[0].t), Equations()
+    window, equations = AccuracyWindow(index=0, start=frames[0].t), Equations()
     reference, amplification = (
         ReferenceSolution(frames[0].before, seed=frames[0].index, measure_amplification=measure_amplification),
         0.0,
@@ -116,14 +116,14 @@ def _window(frames: Sequence[SimulatedFrame], *, measure_amplification: bool) ->
                 flagged=frame.flagged,
                 exact=True,
                 error_of_frame=math.nan,
-                promise_of_frame=math.nan,
+                error_bound_of_frame=math.nan,
                 error=max_distance(frame.after.x, result.x),
-                growth=amplification,
-                own=result.uncertainty,
+                amplification=amplification,
+                uncertainty=result.uncertainty,
                 floor=result.rounding_floor,
                 session_error=math.nan,
-                session_growth=math.nan,
-                session_own=math.nan,
+                session_amplification=math.nan,
+                session_uncertainty=math.nan,
             )
         )
     return window

@@ -8,6 +8,8 @@ from typing import Literal
 
 import attrs
 
+from cloth_sim_ros.physics.old_names import with_old_names
+
 #: Amplification above which positions are unpredictable.
 MAX_AMPLIFICATION = 1e3
 #: Maximum uncertainty of the certificate, as a fraction of the tolerance.
@@ -18,6 +20,13 @@ DEFAULT_TOLERANCE = 1e-4
 WindowVerdict = Literal["kept", "flagged", "not kept", "undecided", "no promise"]
 
 
+@with_old_names(
+    growth="amplification",
+    own="uncertainty",
+    promise_of_frame="error_bound_of_frame",
+    session_growth="session_amplification",
+    session_own="session_uncertainty",
+)
 @attrs.frozen(kw_only=True)
 class FrameAccuracy:
     """Accuracy of one frame. Errors are maxima over the particles' positions [m]; nan if unknown."""
@@ -35,40 +44,48 @@ class FrameAccuracy:
     """True if the re-run reproduced the recording to the last bit; otherwise the recorded positions are assessed."""
     error_of_frame: float
     """Error from the simulation's state at the frame's beginning [m]."""
-    promise_of_frame: float
+    error_bound_of_frame: float
     """Bound of `error_of_frame`: the tolerance times the amplification within the frame [m]; nan without a tolerance.
 
     The amplification is measured only if the error exceeds the tolerance; otherwise it counts as 1.
     """
     error: float
     """Error from the simulation's state at the window's beginning; the error bound applies to it [m]."""
-    growth: float
+    amplification: float
     """Maximum amplification of a perturbation of position or velocity since the window's beginning."""
-    own: float
+    uncertainty: float
     """Uncertainty of the certificate [m]."""
     floor: float
     """Effect of rounding, including that of recorded positions [m]."""
     session_error: float
     """Error since the session's beginning or its last reset [m]; nan beyond the horizon."""
-    session_growth: float
-    session_own: float
+    session_amplification: float
+    session_uncertainty: float
 
     @property
     def error_bound(self) -> float:
         """Error bound up to this frame [m]; nan without a tolerance."""
-        return float("nan") if self.tolerance is None else self.tolerance * max(1.0, self.growth)
+        return float("nan") if self.tolerance is None else self.tolerance * max(1.0, self.amplification)
 
     @property
-    def stands_out(self) -> bool:
+    def violates_bound(self) -> bool:
         """True if the error of the frame alone exceeds its bound and the frame is not flagged."""
-        return not self.flagged and self.error_of_frame > self.promise_of_frame + self.own + self.floor
+        return not self.flagged and self.error_of_frame > self.error_bound_of_frame + self.uncertainty + self.floor
 
 
+@with_old_names(
+    growth="amplification",
+    judged="error_known",
+    later="later_amplification",
+    number="index",
+    own="uncertainty",
+    standing_out="violating_frames",
+)
 @attrs.define(kw_only=True)
 class AccuracyWindow:
     """One second of simulated time, from the simulation's state at its beginning; shorter at an end or a reset."""
 
-    number: int
+    index: int
     start: float
     """Simulated time at its beginning [s]."""
     end: float = 0.0
@@ -81,15 +98,15 @@ class AccuracyWindow:
     """Maximum error of its frames [m]."""
     worst: int = 0
     """Index of the frame with the maximum error."""
-    growth: float = 0.0
+    amplification: float = 0.0
     """Amplification of perturbations at its beginning."""
-    later: float = 0.0
+    later_amplification: float = 0.0
     """Amplification of later perturbations; measured if those at its beginning do not explain its error."""
-    own: float = 0.0
+    uncertainty: float = 0.0
     floor: float = 0.0
-    judged: bool = True
+    error_known: bool = True
     """True if the error of every frame is known."""
-    standing_out: int = 0
+    violating_frames: int = 0
     """Number of unflagged frames whose error alone exceeds its bound."""
 
     def add(self, frame: FrameAccuracy) -> None:
@@ -102,31 +119,33 @@ class AccuracyWindow:
             self.tolerance = frame.tolerance
         else:
             self.tolerance = min(frame.tolerance, self.tolerance) if has_tolerances else None  # type: ignore[type-var]
-        self.judged = self.judged and frame.error == frame.error
-        self.standing_out += frame.stands_out
+        self.error_known = self.error_known and frame.error == frame.error
+        self.violating_frames += frame.violates_bound
         if frame.error > self.error or is_first:
             self.error, self.worst = frame.error, frame.frame
-        self.growth = max(self.growth, frame.growth)
-        self.own, self.floor = max(self.own, frame.own), max(self.floor, frame.floor)
+        self.amplification = max(self.amplification, frame.amplification)
+        self.uncertainty, self.floor = max(self.uncertainty, frame.uncertainty), max(self.floor, frame.floor)
 
     @property
     def error_bound(self) -> float:
         """Error bound [m]; nan without a tolerance."""
-        return float("nan") if self.tolerance is None else self.tolerance * max(1.0, self.growth, self.later)
+        if self.tolerance is None:
+            return float("nan")
+        return self.tolerance * max(1.0, self.amplification, self.later_amplification)
 
     @property
     def verdict(self) -> WindowVerdict:
         """Verdict on the error bound. The rounding floor is added to the bound: no error can be smaller."""
         if self.tolerance is None:
             return "no promise"
-        if self.standing_out:
+        if self.violating_frames:
             return "not kept"
         allowed = self.error_bound + self.floor
-        if self.judged and self.error <= allowed:
-            return "kept" if self.own <= MAX_UNCERTAINTY_FRACTION * allowed else "undecided"
+        if self.error_known and self.error <= allowed:
+            return "kept" if self.uncertainty <= MAX_UNCERTAINTY_FRACTION * allowed else "undecided"
         if self.flagged:
             return "flagged"
-        return "not kept" if self.judged and self.error > allowed + self.own else "undecided"
+        return "not kept" if self.error_known and self.error > allowed + self.uncertainty else "undecided"
 
 
 @attrs.frozen(kw_only=True)

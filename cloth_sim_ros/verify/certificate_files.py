@@ -11,6 +11,7 @@ from typing import Any
 
 import attrs
 
+from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.output_files import atomic_write
 from cloth_sim_ros.verify.certificate import Certificate
 from cloth_sim_ros.verify.verdict import Verdict
@@ -34,12 +35,13 @@ def write_json(certificate: Certificate, path: Path, verdict: Verdict) -> None:
         "missing": verdict.missing,
     }
     for entry, window in zip(content["windows"], certificate.windows, strict=True):
-        entry |= {"promise": window.error_bound, "verdict": window.verdict}
+        entry |= {"error_bound": window.error_bound, "verdict": window.verdict}
     for entry, frame in zip(content["frames"], certificate.frames, strict=True):
-        entry["promise"] = frame.error_bound
+        entry["error_bound"] = frame.error_bound
     for entry, sample in zip(content["samples"], certificate.samples, strict=True):
         entry["agrees"] = sample.agrees
-    content["kept"] = certificate.is_satisfied
+    content["satisfied"] = certificate.is_satisfied
+    content = old_keys.add_old_keys(content, old_keys.CERTIFICATE)
     with atomic_write(path) as output:
         output.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
@@ -60,7 +62,7 @@ def write_plot(certificate: Certificate, path: Path) -> None:
         "error since the window's start": ([frame.error for frame in frames], "C3-"),
         "error of the frame alone": ([frame.error_of_frame for frame in frames], "C1-"),
         "error since the beginning": ([frame.session_error for frame in frames], "C0-"),
-        "uncertainty of the certificate": ([frame.own for frame in frames], "C2--"),
+        "uncertainty of the certificate": ([frame.uncertainty for frame in frames], "C2--"),
         "rounding": ([frame.floor for frame in frames], "0.6"),
     }
     for name, (values, style) in lines.items():
@@ -71,9 +73,11 @@ def write_plot(certificate: Certificate, path: Path) -> None:
     flagged = [(frame.time, frame.error) for frame in frames if frame.flagged and frame.error > 0.0]
     if flagged:
         error_axes.semilogy(*zip(*flagged, strict=True), "kx", markersize=5, label="flagged by the simulation")
-    amplification_axes.semilogy(times, [frame.growth for frame in frames], "C4-", linewidth=1.2, label="in the window")
     amplification_axes.semilogy(
-        times, [frame.session_growth for frame in frames], "C0-", linewidth=1.2, label="since the beginning"
+        times, [frame.amplification for frame in frames], "C4-", linewidth=1.2, label="in the window"
+    )
+    amplification_axes.semilogy(
+        times, [frame.session_amplification for frame in frames], "C0-", linewidth=1.2, label="since the beginning"
     )
     error_axes.set(ylabel="position [m]", title=f"{certificate.name}: error of the recording")
     amplification_axes.set(xlabel="simulated time [s]", ylabel="amplification")

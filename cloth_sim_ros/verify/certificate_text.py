@@ -19,7 +19,7 @@ def describe_accuracy(certificate: Certificate) -> str:
     if not certificate.frames:
         return "Accuracy: no time passes in the session; there is nothing to measure."
     windows = sorted(certificate.windows, key=_window_severity, reverse=True)[:_MAX_WINDOWS]
-    listed = sorted(windows, key=lambda window: window.number)
+    listed = sorted(windows, key=lambda window: window.index)
     worst = sorted(certificate.frames, key=_frame_severity, reverse=True)[:_MAX_FRAMES]
     lines = [" ".join(_sentences(certificate)), ""]
     if len(listed) < len(certificate.windows):
@@ -52,7 +52,7 @@ def _sentences(certificate: Certificate) -> list[str]:
         sentences.append(
             f"Undecided, because the certificate is not accurate enough there: {_list_windows(undecided)}."
         )
-    chaotic = sum(window.growth > MAX_AMPLIFICATION for window in windows)
+    chaotic = sum(window.amplification > MAX_AMPLIFICATION for window in windows)
     if chaotic:
         sentences.append(
             f"In {chaotic} a perturbation grows more than {MAX_AMPLIFICATION:g} times: positions there are "
@@ -94,10 +94,10 @@ def _window_row(window: AccuracyWindow) -> dict[str, str]:
         "flagged": f"{window.flagged}/{window.frames}",
         "error [m]": f"{window.error:.2e}",
         "allowed [m]": f"{window.error_bound:.2e}",
-        "growth": f"{max(window.growth, window.later):.3g}",
-        "own error [m]": f"{window.own:.1e}",
+        "growth": f"{max(window.amplification, window.later_amplification):.3g}",
+        "own error [m]": f"{window.uncertainty:.1e}",
         "rounding [m]": f"{window.floor:.1e}",
-        "verdict": window.verdict + (f" in {window.standing_out} alone" if window.standing_out else ""),
+        "verdict": window.verdict + (f" in {window.violating_frames} alone" if window.violating_frames else ""),
     }
 
 
@@ -108,7 +108,7 @@ def _frame_row(frame: FrameAccuracy) -> dict[str, str]:
         "error [m]": f"{frame.error:.2e}",
         "of this frame [m]": f"{frame.error_of_frame:.2e}",
         "allowed [m]": f"{frame.error_bound:.2e}",
-        "growth": f"{frame.growth:.3g}",
+        "growth": f"{frame.amplification:.3g}",
         "since the beginning [m]": f"{frame.session_error:.2e}",
         "flagged": "yes" if frame.flagged else "no",
     }

@@ -33,7 +33,7 @@ def test_curves_and_colours_are_those_of_the_certificate(tmp_path: Path) -> None
     assert times == pytest.approx([frame.time for frame in certificate.frames], abs=2e-9)
     assert np.ravel(errors) == pytest.approx([math.log10(frame.error) for frame in certificate.frames])
     _, growth = rows(out, "/plots/growth/growth", "Scalars:scalars")
-    assert np.ravel(growth) == pytest.approx([math.log10(frame.growth) for frame in certificate.frames])
+    assert np.ravel(growth) == pytest.approx([math.log10(frame.amplification) for frame in certificate.frames])
     measured = measure([session], tmp_path, 72)
     _, painted = rows(out, "/world/cloth", "Mesh3D:vertex_colors")
     expected = np.empty(72, np.uint32)

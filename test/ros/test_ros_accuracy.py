@@ -79,7 +79,7 @@ def test_accuracy_diagnostics_match_the_windows(monitor: AccuracyMonitor, wait_u
     ((length, end),) = ends
     first = assess_window(Scene.from_parameters(SMALL), start, script[:length], end.digest())
     assert first["verdict"] == "kept"
-    assert 0.0 < first["own"] < 0.01 * first["error"]
+    assert 0.0 < first["uncertainty"] < 0.01 * first["error"]
     entries = monitor.describe(simulation.time)
     assert entries["accuracy"] == "running"
     assert entries["accuracy_window_s"] == "1.000 to 2.000"

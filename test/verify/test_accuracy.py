@@ -17,6 +17,7 @@ from support.session_maker import NODE, Change, SessionMaker, carried_corner, cl
 
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.cdr import decode_cloud, decode_string, encode_string
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, Step, Target
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -229,7 +230,7 @@ def test_window_errors_agree_with_independent_integrator(tmp_path: Path) -> None
         motion.apply_grasps(frame)
         motion.state = dop853(equations.plan(frame, motion), frame.t, frame.duration, motion.state)
         error = max_distance(frame.after.x, motion.x)
-        assert stated.error == pytest.approx(error, rel=0.01, abs=2.0 * stated.own + 1e-12)
+        assert stated.error == pytest.approx(error, rel=0.01, abs=2.0 * stated.uncertainty + 1e-12)
         assert stated.session_error == stated.error
     alone = frame_by_dop853(equations, frames[-1], frames[-1].before)
     assert certificate.frames[-1].error_of_frame == pytest.approx(max_distance(frames[-1].after.x, alone), rel=0.01)
@@ -240,7 +241,7 @@ def test_frame_changed_by_a_millimetre_is_found(tmp_path: Path, capsys: pytest.C
     maker = _make(tmp_path, frames=30, change=_moved(scene, 17, 1e-3))
     _, certificate = certify(maker.paths)
     assert certificate.altered == 1
-    assert [frame.frame for frame in certificate.frames if frame.stands_out] == [17]
+    assert [frame.frame for frame in certificate.frames if frame.violates_bound] == [17]
     assert certificate.frames[16].error == pytest.approx(1e-3, rel=0.02)
     assert not certificate.frames[16].exact
     assert not certificate.is_satisfied
@@ -274,13 +275,13 @@ def test_session_of_other_arithmetic_uses_recorded_positions(tmp_path: Path) -> 
 def test_windows_begin_each_second_and_span_files(tmp_path: Path) -> None:
     maker = _make(tmp_path, frames=130, split_at=30)
     _, certificate = certify(maker.paths)
-    assert [(window.frames, window.number) for window in certificate.windows] == [(60, 0), (60, 1), (10, 2)]
+    assert [(window.frames, window.index) for window in certificate.windows] == [(60, 0), (60, 1), (10, 2)]
     assert [window.start for window in certificate.windows] == pytest.approx([0.0, 1.0, 2.0])
     # A window starts from the simulation's state: the error of its first frame is that of this frame alone.
     for first in (0, 60, 120):
         first_frame = certificate.frames[first]
         assert first_frame.error == pytest.approx(first_frame.error_of_frame, rel=1e-3)
-        assert first_frame.growth < 3.0
+        assert first_frame.amplification < 3.0
     assert certificate.frames[60].session_error > 2.0 * certificate.frames[60].error
 
 
@@ -293,7 +294,7 @@ def test_reset_restarts_windows(tmp_path: Path) -> None:
     assert [window.frames for window in certificate.windows] == [25, 15]
     begun = certificate.frames[25]
     assert begun.session_error == begun.error == pytest.approx(begun.error_of_frame, rel=1e-3)
-    assert begun.session_growth < 3.0
+    assert begun.session_amplification < 3.0
 
 
 def test_certificate_without_tolerance_states_error_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -341,7 +342,7 @@ def test_samples_thin_out_in_long_sessions() -> None:
     ],
 )
 def test_verdicts(error: float, uncertainty: float, flagged: int, verdict: str) -> None:
-    window = AccuracyWindow(number=0, start=0.0)
+    window = AccuracyWindow(index=0, start=0.0)
     window.add(_frame(error=error, uncertainty=uncertainty, flagged=flagged > 0))
     assert window.verdict == verdict
     certificate = Certificate(name="", windows=[window])
@@ -357,22 +358,22 @@ def _frame(*, error: float, uncertainty: float, flagged: bool) -> FrameAccuracy:
         flagged=flagged,
         exact=True,
         error_of_frame=1e-6,
-        promise_of_frame=1e-4,
+        error_bound_of_frame=1e-4,
         error=error,
-        growth=2.0,
-        own=uncertainty,
+        amplification=2.0,
+        uncertainty=uncertainty,
         floor=1e-14,
         session_error=error,
-        session_growth=2.0,
-        session_own=uncertainty,
+        session_amplification=2.0,
+        session_uncertainty=uncertainty,
     )
 
 
 def test_later_perturbations_count_for_unexplained_errors() -> None:
-    window = AccuracyWindow(number=0, start=0.0)
+    window = AccuracyWindow(index=0, start=0.0)
     window.add(_frame(error=9e-3, uncertainty=1e-9, flagged=False))
     assert (window.verdict, window.error_bound) == ("not kept", pytest.approx(2e-4))
-    window.later = 100.0
+    window.later_amplification = 100.0
     assert (window.verdict, window.error_bound) == ("kept", pytest.approx(1e-2))
 
 
@@ -404,11 +405,11 @@ def test_window_explained_by_later_perturbations_is_kept(tmp_path: Path, monkeyp
     monkeypatch.setattr(accuracy, "WINDOW", 0.1)
     monkeypatch.setattr(accuracy, "later_amplification", grown)
     # Only the windows matter in this test.
-    monkeypatch.setattr(FrameAccuracy, "stands_out", property(lambda _frame: False))
+    monkeypatch.setattr(FrameAccuracy, "violates_bound", property(lambda _frame: False))
     maker = _make(tmp_path, frames=9, tolerance=1e-6)
     _, certificate = certify(maker.paths)
     assert calls == [list(range(1, 7)), list(range(7, 10))]
-    assert [window.later for window in certificate.windows] == [1e9, 1e9]
+    assert [window.later_amplification for window in certificate.windows] == [1e9, 1e9]
     assert certificate.is_satisfied
 
 
@@ -435,7 +436,8 @@ def test_numbers_are_written_as_json_plot_and_particles(tmp_path: Path) -> None:
     assert main(["--accuracy", str(maker.paths[0]), *options]) == 0
     content = json.loads(files["json"].read_text())
     assert [frame["frame"] for frame in content["frames"]] == list(range(1, 13))
-    assert content["kept"] is True
+    assert content["satisfied"] is True
+    assert old_keys.add_old_keys(content, old_keys.CERTIFICATE) == content
     assert content["windows"][0]["verdict"] == "kept"
     particles = np.fromfile(files["particles"], dtype="<f4").reshape(12, 72)
     assert particles.max(axis=1) == pytest.approx([frame["error"] for frame in content["frames"]], rel=1e-6)

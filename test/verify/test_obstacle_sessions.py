@@ -101,7 +101,7 @@ def test_the_certificate_covers_contact(tmp_path: Path) -> None:
     errors = [frame.error for frame in certificate.frames]
     assert 1e-9 < max(errors) < 1e-4
     # Uncertainty of these errors [m].
-    assert max(frame.own for frame in certificate.frames) < 1e-6
+    assert max(frame.uncertainty for frame in certificate.frames) < 1e-6
 
 
 def test_friction_session_reruns_to_same_bits_from_later_part(tmp_path: Path) -> None:

@@ -102,7 +102,7 @@ class AccuracyMonitor:
                 "accuracy_window_s": f"{latest['start']:.3f} to {latest['end']:.3f}",
                 "accuracy_error_m": f"{latest['error']:.3g}",
                 "accuracy_bound_m": "none" if allowed is None else f"{allowed:.3g}",
-                "accuracy_uncertainty_m": f"{latest['own']:.3g}",
+                "accuracy_uncertainty_m": f"{latest['uncertainty']:.3g}",
                 "accuracy_verdict": latest["verdict"],
                 "accuracy_lag_s": f"{max(0.0, now - latest['end']):.3f}",
             }
