@@ -17,6 +17,7 @@ from cloth_sim_ros.fit.parameters import scene_with
 from cloth_sim_ros.fit.recording import visible
 from cloth_sim_ros.fit.text import verdict
 from cloth_sim_ros.scene.parameters import parameter_file
+from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.output_files import atomic_write
 
 
@@ -24,7 +25,7 @@ def write_json(fit: Fit, path: Path) -> None:
     """Write all numbers of a fit as JSON; numbers that are not finite are null."""
     content: dict[str, Any] = {
         "name": fit.name,
-        "all_told": fit.all_identified,
+        "all_identified": fit.all_identified,
         "parameters": [
             {
                 "name": estimate.parameter.name,
@@ -33,21 +34,21 @@ def write_json(fit: Fit, path: Path) -> None:
                 "start": estimate.parameter.start,
                 "bound": estimate.bound,
                 "interval": estimate.interval if math.isfinite(estimate.bound) else None,
-                "told": estimate.is_identified,
+                "identified": estimate.is_identified,
                 "verdict": verdict(estimate, fit.within),
             }
             for estimate in fit.estimates
         ],
-        "ties": [
+        "confounded": [
             {
                 "parameters": [p.name for p in direction.parameters],
-                "parts": list(direction.components),
+                "components": list(direction.components),
                 "bound": direction.bound,
             }
             for direction in fit.confounded
         ],
         "sigma": fit.sigma,
-        "sigma_given": fit.is_sigma_prescribed,
+        "sigma_prescribed": fit.is_sigma_prescribed,
         "rms": fit.rms,
         "correlation": fit.correlation,
         "clouds": fit.n_clouds,
@@ -57,17 +58,18 @@ def write_json(fit: Fit, path: Path) -> None:
         "shift": fit.shift,
         "reason": fit.reason,
         "doubt": fit.doubt,
-        "lost": fit.recording.unreadable,
+        "unreadable": fit.recording.unreadable,
         "runs": fit.n_runs,
         "tolerance": fit.tolerance,
         "within": fit.within,
-        "held": [attrs.asdict(grasped) for grasped in fit.recording.grasped],
+        "grasped": [attrs.asdict(grasped) for grasped in fit.recording.grasped],
         "by_cloud": {
             "seconds": fit.seconds.tolist(),
             "before": fit.rms_before.tolist(),
             "after": fit.rms_after.tolist(),
         },
     }
+    content = old_keys.add_old_keys(content, old_keys.FIT)
     with atomic_write(path) as output:
         output.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 

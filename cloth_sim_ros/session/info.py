@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.cdr import decode_cloud, decode_mesh
 from cloth_sim_ros.session.part import Message, SessionPart
 from cloth_sim_ros.session.plurals import pluralize
@@ -154,7 +155,9 @@ def to_json(reader: SessionReader, summary: SessionSummary) -> dict[str, Any]:
         "advances": summary.advances,
         "frames": [summary.first_frame, summary.last_frame],
         "simulated_time": summary.simulated,
-        "steps": {"least": summary.steps[0], "most": summary.steps[1], "sum": summary.steps[2]},
+        "steps": old_keys.add_old_keys(
+            dict(zip(("min", "max", "sum"), summary.steps, strict=True)), old_keys.SESSION_SUMMARY
+        ),
         "integrators": dict(summary.integrators),
         "events": dict(summary.events),
         "grid": summary.grid,

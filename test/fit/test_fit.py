@@ -26,6 +26,7 @@ from cloth_sim_ros.fit.recording import read_session
 from cloth_sim_ros.fit.text import describe
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.cdr import decode_cloud
 
 TRUTH = random_truth(3)
@@ -119,8 +120,9 @@ def test_misfit_identifies_no_parameter(tmp_path: Path, capsys: pytest.CaptureFi
     (entry,) = written["parameters"]
     # The bound alone would identify the parameter.
     assert entry["bound"] < 0.025
-    assert not entry["told"]
-    assert not written["all_told"]
+    assert not entry["identified"]
+    assert not written["all_identified"]
+    assert old_keys.add_old_keys(written, old_keys.FIT) == written
     assert status == fit_main.NOT_IDENTIFIED
     assert "NOT IDENTIFIED: the simulated cloth does not follow the recording" in output
     assert "follows only a part of the recording" in written["doubt"]
@@ -204,11 +206,11 @@ def test_command_writes_json_parameters_and_plot(
         ]
     )
     report = json.loads(out["json"].read_text())
-    assert status == (fit_main.IDENTIFIED if report["all_told"] else fit_main.NOT_IDENTIFIED)
+    assert status == (fit_main.IDENTIFIED if report["all_identified"] else fit_main.NOT_IDENTIFIED)
     assert "material.bending_modulus" in capsys.readouterr().out
     written = parameter_file.read(out["yaml"])
     for entry in report["parameters"]:
-        if entry["told"]:
+        if entry["identified"]:
             assert written[entry["name"]] == pytest.approx(entry["value"], rel=1e-5)
     assert out["png"].read_bytes().startswith(b"\x89PNG")
 

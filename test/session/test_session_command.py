@@ -64,6 +64,8 @@ def test_info_prints_json(session: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert content["events"] == {"target": 20, "grasp": 3}
     assert content["topics"][samples.POINTS]["count"] == 60
     assert content["topics"][samples.POINTS]["lost"] == 0
+    assert content["steps"]["min"] == content["steps"]["least"]
+    assert content["steps"]["max"] == content["steps"]["most"]
 
 
 def test_info_of_cut_file_reports_it_and_fails(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
