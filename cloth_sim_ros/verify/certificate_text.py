@@ -93,9 +93,9 @@ def _window_row(window: AccuracyWindow) -> dict[str, str]:
         "to [s]": f"{window.end:.3f}",
         "flagged": f"{window.flagged}/{window.frames}",
         "error [m]": f"{window.error:.2e}",
-        "allowed [m]": f"{window.error_bound:.2e}",
-        "growth": f"{max(window.amplification, window.later_amplification):.3g}",
-        "own error [m]": f"{window.uncertainty:.1e}",
+        "bound [m]": f"{window.error_bound:.2e}",
+        "amplification": f"{max(window.amplification, window.later_amplification):.3g}",
+        "uncertainty [m]": f"{window.uncertainty:.1e}",
         "rounding [m]": f"{window.floor:.1e}",
         "verdict": window.verdict + (f" in {window.violating_frames} alone" if window.violating_frames else ""),
     }
@@ -107,8 +107,8 @@ def _frame_row(frame: FrameAccuracy) -> dict[str, str]:
         "at [s]": f"{frame.time:.3f}",
         "error [m]": f"{frame.error:.2e}",
         "of this frame [m]": f"{frame.error_of_frame:.2e}",
-        "allowed [m]": f"{frame.error_bound:.2e}",
-        "growth": f"{frame.amplification:.3g}",
+        "bound [m]": f"{frame.error_bound:.2e}",
+        "amplification": f"{frame.amplification:.3g}",
         "since the beginning [m]": f"{frame.session_error:.2e}",
         "flagged": "yes" if frame.flagged else "no",
     }
