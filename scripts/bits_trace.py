@@ -141,7 +141,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "cloth_plan_self": ("i", ("h", "i", _argument_size(3, 1), "d")),
     "cloth_self_friction": ("i", ("h", "d", "d")),
     "cloth_self_friction_power": ("i", ("h", "d", _X, _X, _fixed(1))),
-    "cloth_plan_jaw_states": ("i", ("h", _pinches(binding.PINCH_NUMBERS))),
+    "cloth_plan_jaw_states": ("i", ("h", _pinches(binding.JAW_NUMBERS))),
     "cloth_contact_anchors": ("i", ("h", lambda _, plan: _anchors(plan))),
     "cloth_combine_anchors": (
         "i",
@@ -157,7 +157,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
         ),
     ),
     "cloth_jaw_accelerations": ("i", ("h", "d", _X, _X, _pinches(1))),
-    "cloth_contact_wrenches": ("i", ("h", "d", _X, _X, "d", _obstacles(binding.BOOKED_NUMBERS))),
+    "cloth_contact_wrenches": ("i", ("h", "d", _X, _X, "d", _obstacles(binding.RECORD_NUMBERS))),
     "cloth_contact_gaps": ("i", ("h", "d", _X, _obstacles(2))),
     "cloth_contact_bounds": ("i", ("h", "d", _X, _B, _B)),
     "cloth_predict_obstacle_contact": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
@@ -178,7 +178,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "cloth_powers": ("i", ("h", "d", _X, _X, _fixed(2))),
     "cloth_grip_wrenches": (
         "i",
-        ("h", "d", _X, _X, "d", lambda _, plan: binding.BOOKED_NUMBERS * plan["grippers"]),
+        ("h", "d", _X, _X, "d", lambda _, plan: binding.RECORD_NUMBERS * plan["grippers"]),
     ),
     "cloth_spectral_bounds": ("i", ("h", _X, _B, _B, "i", _fixed(5))),
     "cloth_bounds": ("i", ("h", _X, _B, _B)),
@@ -339,10 +339,10 @@ class TracedLibrary:
             "v0": 3 * n,
             "out": 6 * n * runs,
             "result": 6 * n,
-            "records": runs * (binding.BOOKED_NUMBERS * (plan["grippers"] + plan["obstacles"]) + 2 + plan["met"]),
+            "records": runs * (binding.RECORD_NUMBERS * (plan["grippers"] + plan["obstacles"]) + 2 + plan["met"]),
             "summary": binding.SUMMARY_NUMBERS,
             "anchors": runs * _anchors(plan),
-            "jaw_states": runs * binding.PINCH_NUMBERS * plan["pinches"],
+            "jaw_states": runs * binding.JAW_NUMBERS * plan["pinches"],
         }
         names = [name for name, *_ in binding.FrameRequest._fields_]
         raw = bytes(frame)

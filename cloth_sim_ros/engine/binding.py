@@ -25,23 +25,23 @@ ABI = 15
 _ERRORS = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE, _BUSY = 4, 5
 #: Error text of a plan that is not re-entrant.
-AT_WORK = (
-    "this plan is at work already, for another thread or for a force that asks it while it is asked; compile the model "
-    "once more for a second call at the same time"
+REENTRY_REFUSAL = (
+    "the plan is not re-entrant: another call is running, of another thread or of the force that this call evaluates; "
+    "compile the model once per thread"
 )
 #: Maximum number of runs of one frame; see plan/frame_request.hpp.
 MAX_RUNS = 8
 #: Numbers of the summary of a frame; see `FrameRequest::summary` in plan/frame_request.hpp.
 SUMMARY_NUMBERS = 9
 #: Numbers of a gripper's path, and of its record of wrench and work; see plan/grips.hpp.
-PATH_NUMBERS, BOOKED_NUMBERS = 26, 8
+PATH_NUMBERS, RECORD_NUMBERS = 26, 8
 #: Shapes of obstacles; see contact/shapes.hpp. Numbers of the contact summary of a run; see plan/frame_request.hpp.
 SHAPES = {"plane": 0, "box": 1, "sphere": 2, "capsule": 3, "cylinder": 4, "mesh": 5}
 CONTACT_SUMMARY_NUMBERS = 7
 #: Numbers of an anchor of friction; see laws/friction.hpp.
 ANCHOR_NUMBERS = 4
 #: Numbers of the state of a gripper's jaws, and of their drive; see contact/parallel_jaw.hpp and api/cloth_sim.hpp.
-PINCH_NUMBERS, DRIVE_NUMBERS = 2, 7
+JAW_NUMBERS, DRIVE_NUMBERS = 2, 7
 #: Kinds of listed elements with their particles and parameters; see mesh/elements.hpp.
 KINDS = {
     "spring": (0, 2, 3),
@@ -233,7 +233,7 @@ def check(status: int) -> None:
         EngineError: for any other error.
     """
     if status == _BUSY:
-        raise RuntimeError(AT_WORK)
+        raise RuntimeError(REENTRY_REFUSAL)
     if status == 2:
         raise MemoryError("the engine could not get the memory that this cloth needs")
     if status:

@@ -9,7 +9,7 @@ from support.alone import blocks, force, gradient, matrix, product
 from support.contact_scenes import still
 from support.feature_scenes import SMALL, THICKNESS, TIME, energy, facing_scene, world_features
 
-from cloth_sim_ros.physics.accounting.work_accumulator import BOOKED_NUMBERS
+from cloth_sim_ros.physics.accounting.work_accumulator import RECORD_NUMBERS
 from cloth_sim_ros.physics.contact.obstacle_features import is_covered_by_particles, obstacle_features
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.model.forces.contact import Contact, ContactSurface
@@ -68,7 +68,7 @@ def test_recorded_wrench_is_the_force_on_the_cloth(shape, seed):
     terms = np.array([grown, (cloth_force * v).sum(), wrench[6], wrench[7]])
     assert wrench[7] >= 0.0
     assert grown + (cloth_force * v).sum() == pytest.approx(wrench[6] - wrench[7], abs=1e-5 * np.abs(terms).max())
-    assert len(wrench) == BOOKED_NUMBERS
+    assert len(wrench) == RECORD_NUMBERS
 
 
 @every_shape

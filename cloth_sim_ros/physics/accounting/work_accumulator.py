@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cloth_sim_ros.engine.binding import BOOKED_NUMBERS
+from cloth_sim_ros.engine.binding import RECORD_NUMBERS
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
@@ -75,7 +75,7 @@ class WorkAccumulator:
         self._duration += duration
 
     def add_obstacle_work(self, rates: Array) -> None:
-        """Add integrals of obstacles, shape (obstacles, BOOKED_NUMBERS)."""
+        """Add integrals of obstacles, shape (obstacles, RECORD_NUMBERS)."""
         self._sums = self._sums.copy()
         self._obstacle_sums[:] += rates
 
@@ -95,8 +95,8 @@ class WorkAccumulator:
         """Add one quadrature point, already multiplied by its weight [s].
 
         Args:
-            gripper_rates: rates of each gripper, shape (grippers, BOOKED_NUMBERS).
-            obstacle_rates: rates of each obstacle, shape (obstacles, BOOKED_NUMBERS).
+            gripper_rates: rates of each gripper, shape (grippers, RECORD_NUMBERS).
+            obstacle_rates: rates of each obstacle, shape (obstacles, RECORD_NUMBERS).
             powers: dissipation and wind work [J].
             duration: weight of the point [s].
             friction_work: work of friction between layers [J].
@@ -109,15 +109,15 @@ class WorkAccumulator:
 
     @property
     def _gripper_sums(self) -> Array:
-        return self._sums[: BOOKED_NUMBERS * self.gripper_count].reshape(-1, BOOKED_NUMBERS)
+        return self._sums[: RECORD_NUMBERS * self.gripper_count].reshape(-1, RECORD_NUMBERS)
 
     @property
     def _obstacle_sums(self) -> Array:
-        return self._sums[BOOKED_NUMBERS * self.gripper_count + 2 :].reshape(-1, BOOKED_NUMBERS)
+        return self._sums[RECORD_NUMBERS * self.gripper_count + 2 :].reshape(-1, RECORD_NUMBERS)
 
     @property
     def _power_sums(self) -> Array:
-        first = BOOKED_NUMBERS * self.gripper_count
+        first = RECORD_NUMBERS * self.gripper_count
         return self._sums[first : first + 2]
 
     @property
@@ -187,14 +187,14 @@ def accumulate(
         record_obstacles: true to include obstacles and contacts that regain their thickness.
     """
     dissipated, supplied = plan.powers(t, x, v) if accumulator.record_power else (0.0, 0.0)
-    empty = np.zeros((0, BOOKED_NUMBERS))
+    empty = np.zeros((0, RECORD_NUMBERS))
     gripper_rates = plan.grip_wrench_rates(t, x, v, weight) if accumulator.gripper_count else empty
     obstacle_rates = empty
     if plan.contact is not None and accumulator.obstacle_count:
         obstacle_rates = (
             plan.contact.wrench_rates(t, x, v, weight)
             if record_obstacles
-            else np.zeros((accumulator.obstacle_count, BOOKED_NUMBERS))
+            else np.zeros((accumulator.obstacle_count, RECORD_NUMBERS))
         )
     friction_work = recovery_work = 0.0
     if plan.contact is not None and accumulator.record_power:

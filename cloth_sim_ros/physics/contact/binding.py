@@ -15,10 +15,10 @@ import numpy as np
 
 from cloth_sim_ros.engine.binding import (
     ANCHOR_NUMBERS,
-    BOOKED_NUMBERS,
     DRIVE_NUMBERS,
+    JAW_NUMBERS,
     PATH_NUMBERS,
-    PINCH_NUMBERS,
+    RECORD_NUMBERS,
     SHAPES,
     address,
     check,
@@ -137,7 +137,7 @@ class ContactBinding(Uncopyable):
     @property
     def jaws_shape(self) -> tuple[int, int]:
         """Shape of jaw states: pinches; half opening between the faces [m] and jaw speed [m/s]."""
-        return (len(self.force.jaws), PINCH_NUMBERS)
+        return (len(self.force.jaws), JAW_NUMBERS)
 
     def load_state(self, state: State) -> None:
         """Load the anchors, jaws and contact thickness of a state into the engine.
@@ -457,10 +457,10 @@ class ContactBinding(Uncopyable):
 
         Returns:
             Force [N] (3), torque about the obstacle's position [N m] (3), power [W], dissipated power [W], shape
-            (obstacles, BOOKED_NUMBERS).
+            (obstacles, RECORD_NUMBERS).
         """
         self.sync()
-        out = np.zeros((self.count, BOOKED_NUMBERS))
+        out = np.zeros((self.count, RECORD_NUMBERS))
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
         check(self._library.cloth_contact_wrenches(self._handle, t, *addresses, weight, out.ctypes.data))
         return out

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import (
-    BOOKED_NUMBERS,
     NOT_FINITE,
     PATH_NUMBERS,
+    RECORD_NUMBERS,
     address,
     check,
     doubles,
@@ -102,10 +102,10 @@ class GripBinding(Uncopyable):
             weight: factor on the result.
 
         Returns:
-            Force [N] (3), torque [N m] (3), power [W], dissipated power [W], shape (grippers, BOOKED_NUMBERS).
+            Force [N] (3), torque [N m] (3), power [W], dissipated power [W], shape (grippers, RECORD_NUMBERS).
         """
         self.sync()
-        out = np.zeros((self.count, BOOKED_NUMBERS))
+        out = np.zeros((self.count, RECORD_NUMBERS))
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
         check(self._library.cloth_grip_wrenches(self._handle, t, *addresses, weight, out.ctypes.data))
         return out

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cloth_sim_ros.engine.binding import BOOKED_NUMBERS, address, check, doubles, writable
+from cloth_sim_ros.engine.binding import RECORD_NUMBERS, address, check, doubles, writable
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.model.model import Model
@@ -117,10 +117,10 @@ class PlanQueries:
             weight: factor on the result.
 
         Returns:
-            Force [N] (3), torque [N m] (3), power [W], dissipated power [W], shape (grippers, BOOKED_NUMBERS).
+            Force [N] (3), torque [N m] (3), power [W], dissipated power [W], shape (grippers, RECORD_NUMBERS).
         """
         if self._grip_binding is None:
-            return np.zeros((0, BOOKED_NUMBERS))
+            return np.zeros((0, RECORD_NUMBERS))
         return self._grip_binding.wrench_rates(t, x, v, weight)
 
     def dissipation(self, t: float, x: Array, v: Array) -> float:

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable
 from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
-from cloth_sim_ros.engine.binding import AT_WORK
+from cloth_sim_ros.engine.binding import REENTRY_REFUSAL
 
 
 class HasCallLock(Protocol):
@@ -38,7 +38,7 @@ def non_reentrant(
     @functools.wraps(method)
     def alone(self: _Self, *arguments: _Arguments.args, **named: _Arguments.kwargs) -> _Result:
         if not self.call_lock.acquire(False):
-            raise RuntimeError(AT_WORK)
+            raise RuntimeError(REENTRY_REFUSAL)
         try:
             return method(self, *arguments, **named)
         finally:

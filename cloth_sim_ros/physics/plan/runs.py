@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from cloth_sim_ros.engine.binding import BOOKED_NUMBERS
+from cloth_sim_ros.engine.binding import RECORD_NUMBERS
 from cloth_sim_ros.physics.model.forces.force import Array
 
 
@@ -17,8 +17,8 @@ class Run(NamedTuple):
 
     #: Positions [m] and velocities [m/s] at the end, shape (2, 3, n).
     end_state: Array
-    #: Integrals in this order. For each gripper BOOKED_NUMBERS. Powers of damping and of moving air [J]. For each
-    #: obstacle BOOKED_NUMBERS. With contact also: largest energy per mass in obstacle contacts, in U^2/2; least gap
+    #: Integrals in this order. For each gripper RECORD_NUMBERS. Powers of damping and of moving air [J]. For each
+    #: obstacle RECORD_NUMBERS. With contact also: largest energy per mass in obstacle contacts, in U^2/2; least gap
     #: [m]; a number for the engine; spectral bounds of self-contact; friction work between layers [J]; recovery work
     #: [J].
     integrals: Array
@@ -27,7 +27,7 @@ class Run(NamedTuple):
     obstacles: int
     #: Friction anchors at the end; None without friction.
     anchors: Array | None = None
-    #: States of jaws at the end, shape (pinches, PINCH_NUMBERS); None without jaws.
+    #: States of jaws at the end, shape (pinches, JAW_NUMBERS); None without jaws.
     jaw_states: Array | None = None
 
     @property
@@ -44,20 +44,20 @@ class Run(NamedTuple):
 
     @property
     def gripper_integrals(self) -> Array:
-        """Integrals of each gripper, shape (grippers, BOOKED_NUMBERS)."""
-        return self.integrals[: BOOKED_NUMBERS * self.grippers].reshape(-1, BOOKED_NUMBERS)
+        """Integrals of each gripper, shape (grippers, RECORD_NUMBERS)."""
+        return self.integrals[: RECORD_NUMBERS * self.grippers].reshape(-1, RECORD_NUMBERS)
 
     @property
     def power_integrals(self) -> Array:
         """Integrals of the powers of damping and of moving air [J], shape (2,)."""
-        first = BOOKED_NUMBERS * self.grippers
+        first = RECORD_NUMBERS * self.grippers
         return self.integrals[first : first + 2]
 
     @property
     def obstacle_integrals(self) -> Array:
-        """Integrals of each obstacle, shape (obstacles, BOOKED_NUMBERS)."""
-        first = BOOKED_NUMBERS * self.grippers + 2
-        return self.integrals[first : self._base_size].reshape(-1, BOOKED_NUMBERS)
+        """Integrals of each obstacle, shape (obstacles, RECORD_NUMBERS)."""
+        first = RECORD_NUMBERS * self.grippers + 2
+        return self.integrals[first : self._base_size].reshape(-1, RECORD_NUMBERS)
 
     @property
     def encountered_energy(self) -> float:
@@ -106,7 +106,7 @@ class Run(NamedTuple):
 
 def n_integrals(grippers: int, obstacles: int) -> int:
     """Return the number of integrals for some grippers and obstacles, powers included."""
-    return BOOKED_NUMBERS * (grippers + obstacles) + 2
+    return RECORD_NUMBERS * (grippers + obstacles) + 2
 
 
 class RunSummary(NamedTuple):
