@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import abc
 import time
 from collections.abc import Callable
 from typing import Any
@@ -23,7 +24,7 @@ CORNER = np.array([0.5, 0.0, 0.5])
 PATIENCE = 120.0
 
 
-class GripperProbe:
+class GripperProbe(abc.ABC):
     """Publishes targets when they are due, and processes arriving messages.
 
     Args:
@@ -42,24 +43,24 @@ class GripperProbe:
         self._close = self._node.create_client(SetBool, "/cloth_sim/gripper/close")
         self._next = time.monotonic()
 
+    @abc.abstractmethod
     def target_position(self, now: float) -> np.ndarray:
         """Return the position of the target [m], (3,), at a time [s]."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def pause(self) -> float:
         """Return the time until the next target [s]."""
-        raise NotImplementedError
 
-    def before_publish(self, position: tuple[float, ...]) -> None:
+    def before_publish(self, position: tuple[float, ...]) -> None:  # noqa: B027 - a subclass need not override it
         """Called before a target is published."""
 
+    @abc.abstractmethod
     def on_cloud(self, cloud: PointCloud2) -> None:
         """Called with each cloud."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def on_diagnostics(self, values: dict[str, str]) -> None:
         """Called with each diagnostics message of the cloth."""
-        raise NotImplementedError
 
     def close(self) -> None:
         """Destroy the node."""
