@@ -23,7 +23,7 @@ from validation.stability.limits import LARGEST_EXCESS, measure_step_limit, stre
 from validation.stability.scan import MAX_ENERGY_GAIN
 
 
-@pytest.mark.parametrize("case", contact_cases(1, 5), ids=lambda case: case.attack)
+@pytest.mark.parametrize("case", contact_cases(1, 5), ids=lambda case: case.stress_case)
 def test_contact_stress_cases_stay_finite_and_gain_no_energy(case: Case) -> None:
     result = run_case(case)
     assert result.finite, result.trouble
@@ -67,7 +67,7 @@ def test_scan_has_at_least_2000_distinct_cases() -> None:
         # The same with intervals of one frame, each with its own step, beyond the work limit.
         (Case("crossed", "inverted cell", 100.0, 0.0, 60.0, "auto"), "extrapolated"),
     ],
-    ids=lambda value: f"{value.sheet} {value.attack}" if isinstance(value, Case) else value,
+    ids=lambda value: f"{value.sheet} {value.stress_case}" if isinstance(value, Case) else value,
 )
 def test_stress_cases_stay_finite_and_gain_no_energy(case: Case, integrator: str) -> None:
     result = run_case(case)
@@ -126,7 +126,7 @@ def test_case_pool_reports_timeouts_and_dead_processes() -> None:
 def test_random_cases_are_reproducible_and_within_the_scan() -> None:
     cases = random_cases(5, 200)
     assert cases == random_cases(5, 200) != random_cases(6, 200)
-    assert {case.attack for case in cases} == {case.attack for case in all_cases()}
+    assert {case.stress_case for case in cases} == {case.stress_case for case in all_cases()}
     assert {case.sheet for case in cases} == {case.sheet for case in all_cases()}
     assert all(1.0 <= case.stiffness <= 1e6 and 0.0 <= case.damping <= 3.0 for case in cases)
     assert all(30.0 <= case.rate <= 240.0 for case in cases)
@@ -138,7 +138,9 @@ def test_interrupted_scan_resumes_from_its_file(tmp_path: Path, capsys: pytest.C
     first, second = all_cases()[:2]
     lines = []
     for case, gain in ((first, 0.0), (second, 0.5)):
-        entry = {name: getattr(case, name) for name in ("sheet", "attack", "stiffness", "damping", "rate", "stepping")}
+        entry = {
+            name: getattr(case, name) for name in ("sheet", "stress_case", "stiffness", "damping", "rate", "stepping")
+        }
         result = {"integrators": ["leapfrog"], "finite": True, "strain": 0.1, "gain": gain}
         lines.append(json.dumps({"case": entry, "result": result, "seconds": 1.0, "trouble": ""}))
     result_file.write_text("\n".join([*lines, '{"cut off']))

@@ -51,7 +51,7 @@ class Case:
     """One combination of sheet, stress case, material and stepping."""
 
     sheet: str
-    attack: str
+    stress_case: str
     #: Factor of the moduli.
     stiffness: float
     #: k_d0.
@@ -100,8 +100,8 @@ def random_cases(seed: int, count: int) -> list[Case]:
         low, high = np.log10(min(stiffnesses)), np.log10(max(stiffnesses))
         damping = 0.0 if rng.random() < 0.2 else float(rng.uniform(min(dampings), max(dampings)))
         rate = float(rng.integers(round(min(rates)), round(max(rates)) + 1))
-        attack, stepping = str(rng.choice(list(STRESS_CASES))), str(rng.choice(STEPPINGS))
-        cases.append(Case(sheet, attack, float(10.0 ** rng.uniform(low, high)), damping, rate, stepping))
+        stress_case, stepping = str(rng.choice(list(STRESS_CASES))), str(rng.choice(STEPPINGS))
+        cases.append(Case(sheet, stress_case, float(10.0 ** rng.uniform(low, high)), damping, rate, stepping))
     return cases
 
 
@@ -110,10 +110,10 @@ def contact_cases(seed: int, count: int) -> list[Case]:
     rng = np.random.default_rng(seed)
     cases = []
     for k in range(count):
-        attack = list(CONTACT_STRESS_CASES)[k % len(CONTACT_STRESS_CASES)]
+        stress_case = list(CONTACT_STRESS_CASES)[k % len(CONTACT_STRESS_CASES)]
         damping = 0.0 if rng.random() < 0.2 else float(rng.uniform(0.0, 1.0))
         rate = float(rng.integers(round(min(RATES)), round(max(RATES)) + 1))
-        cases.append(Case("grid", attack, float(10.0 ** rng.uniform(0.0, 2.0)), damping, rate, "auto"))
+        cases.append(Case("grid", stress_case, float(10.0 ** rng.uniform(0.0, 2.0)), damping, rate, "auto"))
     return cases
 
 
@@ -123,7 +123,7 @@ def scene(case: Case) -> Scene:
         "rate": case.rate,
         "material.damping": case.damping,
         "gripper.stiffness": 1000.0 * min(case.stiffness, 1e4),
-        "gripper.radius": _ALL_STRESS_CASES[case.attack].radius,
+        "gripper.radius": _ALL_STRESS_CASES[case.stress_case].radius,
         "gripper.max_speed": 0.0,
         "wind.normal_drag": 0.0,
         "tolerance": TOLERANCE,
@@ -137,7 +137,7 @@ def scene(case: Case) -> Scene:
         )
     model = "axial" if case.sheet == "grid" else case.sheet
     parameters |= {"cloth.resolution": [RESOLUTION, RESOLUTION], "bending.model": model}
-    return Scene.from_parameters({**parameters, **_ALL_STRESS_CASES[case.attack].values})
+    return Scene.from_parameters({**parameters, **_ALL_STRESS_CASES[case.stress_case].values})
 
 
 def _moduli(case: Case) -> dict[str, float]:
@@ -229,7 +229,7 @@ class EnergyAccount:
 
 def run_case(case: Case) -> StabilityResult:
     """Run one case to its end."""
-    stress_case = _ALL_STRESS_CASES[case.attack]
+    stress_case = _ALL_STRESS_CASES[case.stress_case]
     case_scene = scene(case)
     start = State(stress_case.start(case_scene.initial_positions(), np.random.default_rng(3)))
     if case.stepping == "fixed":

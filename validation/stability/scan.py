@@ -71,7 +71,10 @@ def _read(entry: dict[str, Any]) -> CaseResult[Case, StabilityResult]:
 
 
 def _add_scan_results(report: Report, results: list[CaseResult[Case, StabilityResult]], n_all_cases: int) -> None:
-    report.tables += [_summary(results, ("sheet", "attack", "stepping")), _summary(results, ("stiffness", "damping"))]
+    report.tables += [
+        _summary(results, ("sheet", "stress_case", "stepping")),
+        _summary(results, ("stiffness", "damping")),
+    ]
     for done in results:
         case, verdict = done.case, done.result
         if verdict is None or not verdict.finite:
@@ -79,7 +82,7 @@ def _add_scan_results(report: Report, results: list[CaseResult[Case, StabilityRe
         elif verdict.gain > MAX_ENERGY_GAIN:
             names = ", ".join(verdict.integrators)
             report.failures.append(f"{case} by {names}: gains {verdict.gain:.2g} of the energy turned over")
-    slowest = Table("Slowest cases", ["sheet", "attack", "moduli x", "k_d0", "rate 1/s", "stepping", "wall s"])
+    slowest = Table("Slowest cases", ["sheet", "stress_case", "moduli x", "k_d0", "rate 1/s", "stepping", "wall s"])
     for done in sorted(results, key=lambda done: -done.seconds)[:_N_SLOWEST]:
         slowest.rows.append([*attrs.astuple(done.case), done.seconds])
     report.tables.append(slowest)
