@@ -60,7 +60,7 @@ def test_each_parameter_is_described_on_the_page(entry) -> None:
     assert entry.check(read) == entry.default
     assert words == entry.description
     assert live == ("live" if entry.live else "")
-    for bound in (entry.least, entry.most, *entry.choices):
+    for bound in (entry.min, entry.max, *entry.choices):
         assert bound is None or str(bound) in limits
 
 

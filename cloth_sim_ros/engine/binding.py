@@ -283,11 +283,11 @@ def writable(name: str, array: Array, shape: tuple[int, ...]) -> int:
     return pointer
 
 
-def finite(name: str, value: Any, shape: tuple[int, ...], *, least: float = -np.inf, one_for_all: bool = True) -> Array:
+def finite(name: str, value: Any, shape: tuple[int, ...], *, lower: float = -np.inf, one_for_all: bool = True) -> Array:
     """Convert to a float64 array of finite numbers; a scalar is broadcast if `one_for_all`.
 
     Raises:
-        ValueError: for another shape, or a number that is not finite or below the least.
+        ValueError: for another shape, or a number that is not finite or below `lower`.
     """
     try:
         values = np.asarray(value, dtype=np.float64)
@@ -297,20 +297,20 @@ def finite(name: str, value: Any, shape: tuple[int, ...], *, least: float = -np.
         single = ", or one number" if shape and one_for_all else ""
         raise ValueError(f"{name} has shape {values.shape}; it must be {shape or 'one number'}{single}")
     array = np.ascontiguousarray(np.broadcast_to(values, shape)).reshape(shape)
-    wrong = np.argwhere(~(np.isfinite(array) & (array >= least)))
+    wrong = np.argwhere(~(np.isfinite(array) & (array >= lower)))
     # The index of a scalar is empty.
     if len(wrong):
         index = tuple(int(i) for i in wrong[0])
-        limit = "finite" if least == -np.inf else f"finite and at least {least:g}"
+        limit = "finite" if lower == -np.inf else f"finite and at least {lower:g}"
         raise ValueError(f"{name}{list(index) if index else ''} is {array[index]}; it must be {limit}")
     return array
 
 
-def indices(name: str, value: Any, columns: int, most: int) -> Indices:
+def indices(name: str, value: Any, columns: int, stop: int) -> Indices:
     """Convert to an int64 array of particle indices, shape (m, columns).
 
     Raises:
-        ValueError: for another shape, numbers that are not whole, or one that is not from 0 to below `most`.
+        ValueError: for another shape, numbers that are not whole, or one that is not from 0 to below `stop`.
     """
     try:
         values = np.asarray(value)
@@ -323,9 +323,9 @@ def indices(name: str, value: Any, columns: int, most: int) -> Indices:
     if values.ndim != 2 or values.shape[1] != columns:
         raise ValueError(f"{name} has shape {values.shape}; it must be (m, {columns})")
     array = np.ascontiguousarray(values, dtype=np.int64)
-    wrong = np.argwhere((array < 0) | (array >= most))
+    wrong = np.argwhere((array < 0) | (array >= stop))
     if wrong.size:
         row, column = wrong[0]
-        known = f"there are {most}," if most < np.iinfo(np.int64).max else "they are"
+        known = f"there are {stop}," if stop < np.iinfo(np.int64).max else "they are"
         raise ValueError(f"row {row} of {name} names particle {values[row, column]}; {known} counted from 0")
     return array

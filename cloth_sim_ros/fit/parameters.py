@@ -134,16 +134,16 @@ def _fit_parameter(scene: Scene, name: str, start: float | None) -> FitParameter
     (entry,) = (entry for entry in scene.entries if entry.name == name)
     current = scene.parameters()[name]
     value = (current[0] if isinstance(current, tuple) else current) if start is None else start
-    _check_effect(scene, name, value if math.isfinite(value) and value > 0.0 else 0.5 * min(entry.most or 1.0, 1.0))
+    _check_effect(scene, name, value if math.isfinite(value) and value > 0.0 else 0.5 * min(entry.max or 1.0, 1.0))
     if not (math.isfinite(value) and value > 0.0):
         raise FitError(
             f"{name} begins at {value:g}; a fit needs a start above 0, within a factor of about ten: "
             f"--start {name}=VALUE"
         )
-    min_value = max(value / SEARCH_FACTOR, entry.least or 0.0)
-    max_value = value * SEARCH_FACTOR if entry.most is None else min(value * SEARCH_FACTOR, entry.most)
+    min_value = max(value / SEARCH_FACTOR, entry.min or 0.0)
+    max_value = value * SEARCH_FACTOR if entry.max is None else min(value * SEARCH_FACTOR, entry.max)
     if not min_value <= value <= max_value:
-        raise FitError(f"{name} begins at {value:g} {entry.unit}; it must be from {entry.least:g} to {entry.most:g}")
+        raise FitError(f"{name} begins at {value:g} {entry.unit}; it must be from {entry.min:g} to {entry.max:g}")
     return FitParameter(name=name, unit=entry.unit, start=value, min_value=min_value, max_value=max_value)
 
 

@@ -32,8 +32,8 @@ class GripperParameters:
         0.05,
         "Distance within which a closing gripper grasps particles",
         unit="m",
-        least=0.0,
-        most=100.0,
+        min=0.0,
+        max=100.0,
         live=True,
         observes=True,
     )
@@ -42,17 +42,17 @@ class GripperParameters:
         1000.0,
         "Stiffness of the zero-length spring that holds a grasped particle; in proportion to mass at borders",
         unit="N/m",
-        least=0.0,
-        most=1e8,
-        open_least=True,
+        min=0.0,
+        max=1e8,
+        excludes_min=True,
         live=True,
     )
     damping: float = parameter(
         "double",
         0.5,
         "Dimensionless damping of that spring; 2 is critical for a free particle",
-        least=0.0,
-        most=10.0,
+        min=0.0,
+        max=10.0,
         live=True,
     )
     timeout: float = parameter(
@@ -60,8 +60,8 @@ class GripperParameters:
         0.0,
         "Time without a target after which a closed gripper opens; 0: never, it keeps its last target",
         unit="s",
-        least=0.0,
-        most=1e6,
+        min=0.0,
+        max=1e6,
         live=True,
         observes=True,
     )
@@ -78,8 +78,8 @@ class GripperParameters:
         "Speed limit of a gripper's grasped particles, mean over a frame; 0: no limit, except "
         f"{MAX_SPEED:g} m/s for pads. <gripper>.max_speed overrides it for one gripper",
         unit="m/s",
-        least=0.0,
-        most=1e6,
+        min=0.0,
+        max=1e6,
         live=True,
         observes=True,
     )
@@ -90,18 +90,18 @@ class GripperParameters:
         "only: pads smaller than a cell of the cloth may miss it",
         unit="m",
         length=3,
-        least=0.0,
-        most=MAX_SIZE,
-        open_least=True,
+        min=0.0,
+        max=MAX_SIZE,
+        excludes_min=True,
     )
     opening: float = parameter(
         "double",
         0.06,
         "In mode pinch: distance between the faces of the open pads",
         unit="m",
-        least=0.0,
-        most=MAX_SIZE,
-        open_least=True,
+        min=0.0,
+        max=MAX_SIZE,
+        excludes_min=True,
         live=True,
     )
     force: float = parameter(
@@ -109,9 +109,9 @@ class GripperParameters:
         5.0,
         "In mode pinch: force of each pad at rest; cloth of weight G slips out if it is below G / (2 friction)",
         unit="N",
-        least=0.0,
-        most=1e4,
-        open_least=True,
+        min=0.0,
+        max=1e4,
+        excludes_min=True,
         live=True,
     )
     speed: float = parameter(
@@ -119,16 +119,16 @@ class GripperParameters:
         0.05,
         "In mode pinch: speed of each pad without contact",
         unit="m/s",
-        least=1e-4,
-        most=10.0,
+        min=1e-4,
+        max=10.0,
         live=True,
     )
     friction: tuple[float, ...] = parameter(
         "double[]",
         (0.6, 0.5),
         "In mode pinch: coefficients of friction between pads and cloth, as those of an obstacle",
-        least=0.0,
-        most=1e3,
+        min=0.0,
+        max=1e3,
         constraint=FRICTION,
         live=True,
     )

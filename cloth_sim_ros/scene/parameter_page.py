@@ -96,9 +96,9 @@ def _range(entry: Parameter) -> str:
         parts.append(", ".join(f"`{choice}`" for choice in entry.choices))
     if entry.length is not None:
         parts.append(f"{entry.length} entries")
-    if entry.least is not None and entry.most is not None:
-        bound = "above " if entry.open_least else ""
-        parts.append(f"{bound}{_bare(entry.least)} to {_bare(entry.most)}")
+    if entry.min is not None and entry.max is not None:
+        bound = "above " if entry.excludes_min else ""
+        parts.append(f"{bound}{_bare(entry.min)} to {_bare(entry.max)}")
     if entry.constraint:
         parts.append(entry.constraint)
     return "; ".join(parts)

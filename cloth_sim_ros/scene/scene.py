@@ -73,7 +73,7 @@ class Scene:
         ParameterError: for an invalid value, or an invalid combination of values.
     """
 
-    rate: float = parameter("double", 60.0, "Frame rate, in simulated time", unit="Hz", least=0.1, most=10000.0)
+    rate: float = parameter("double", 60.0, "Frame rate, in simulated time", unit="Hz", min=0.1, max=10000.0)
     frame_id: str = parameter(
         "string", "world", "Coordinate frame of the cloth and of commands", constraint=f"not empty, {limits.FRAME}"
     )
@@ -89,8 +89,8 @@ class Scene:
         "Gravitational acceleration",
         unit="m/s^2",
         length=3,
-        least=-1e4,
-        most=1e4,
+        min=-1e4,
+        max=1e4,
         live=True,
     )
     air: AirParameters = section(AirParameters)
@@ -122,8 +122,8 @@ class Scene:
         "Frames that exceed their part of the bound are flagged. 0: no bound. At 1e-4 frames of a swung cloth of "
         "30 x 30 in which a fold snaps take longer than 1/60 s on two cores",
         unit="m",
-        least=0.0,
-        most=1.0,
+        min=0.0,
+        max=1.0,
         constraint=f"0.0, or at least {limits.MIN_TOLERANCE}",
         live=True,
     )
@@ -132,8 +132,8 @@ class Scene:
         0.0,
         "Fixed time step, without error control; 0: chosen by tolerance and stability",
         unit="s",
-        least=0.0,
-        most=1.0,
+        min=0.0,
+        max=1.0,
         live=True,
     )
     work_limit: float = parameter(
@@ -141,8 +141,8 @@ class Scene:
         WORK_LIMIT,
         "Work limit of a frame: estimated cost over the frame's real time, counted without a clock. A frame that would "
         "need more misses the tolerance and is flagged with the reason; 0: no limit",
-        least=0.0,
-        most=1e6,
+        min=0.0,
+        max=1e6,
         live=True,
     )
     overload: str = parameter(

@@ -26,16 +26,16 @@ class ClothParameters:
         "Height (along a column) and width (along a row) of the sheet",
         unit="m",
         length=2,
-        least=1e-6,
-        most=100.0,
+        min=1e-6,
+        max=100.0,
     )
     resolution: tuple[int, ...] = parameter(
         "int[]",
         (30, 30),
         "Particles along height and width: rows, columns",
         length=2,
-        least=2,
-        most=4096,
+        min=2,
+        max=4096,
         constraint=f"at most {MAX_PARTICLES} particles",
     )
     mesh: str = parameter("string", "", "Triangle mesh file (OBJ, PLY, STL) instead of size and resolution")
@@ -49,13 +49,13 @@ class ClothParameters:
         "double",
         1.0,
         "Factor from a mesh file's unit to metres, e.g. 0.001 for a file in millimetres",
-        least=0.0,
-        most=1e6,
-        open_least=True,
+        min=0.0,
+        max=1e6,
+        excludes_min=True,
     )
     springs: str = parameter("string", "", "File of raw springs (YAML, npz), for experts, instead of a sheet")
     position: tuple[float, ...] = parameter(
-        "double[]", (0.0, 0.0, 1.0), "Initial position of the sheet's centre", unit="m", length=3, least=-1e4, most=1e4
+        "double[]", (0.0, 0.0, 1.0), "Initial position of the sheet's centre", unit="m", length=3, min=-1e4, max=1e4
     )
     orientation: tuple[float, ...] = parameter(
         "double[]",
@@ -79,35 +79,35 @@ class ClothParameters:
 class MaterialParameters:
     """Physical moduli of the sheet."""
 
-    density: float = parameter("double", 0.2, "Mass per area", unit="kg/m^2", least=1e-9, most=1e3, live=True)
+    density: float = parameter("double", 0.2, "Mass per area", unit="kg/m^2", min=1e-9, max=1e3, live=True)
     stretch_modulus: float = parameter(
         "double",
         1000.0,
         "Young's modulus of the sheet along its threads",
         unit="N/m",
-        least=0.0,
-        most=1e9,
-        open_least=True,
+        min=0.0,
+        max=1e9,
+        excludes_min=True,
         live=True,
     )
     shear_modulus: float = parameter(
-        "double", 100.0, "Shear modulus of the sheet", unit="N/m", least=0.0, most=1e9, live=True
+        "double", 100.0, "Shear modulus of the sheet", unit="N/m", min=0.0, max=1e9, live=True
     )
     bending_modulus: float = parameter(
         "double",
         0.0,
         "Moment per width and curvature; required by crossed and altitude bending, unused by other models",
         unit="N m",
-        least=0.0,
-        most=1e6,
+        min=0.0,
+        max=1e6,
         live=True,
     )
     damping: float = parameter(
         "double",
         0.1,
         "Dimensionless damping k_d0 of every spring; 1 is critical for the shortest wave",
-        least=0.0,
-        most=10.0,
+        min=0.0,
+        max=10.0,
         live=True,
     )
     viscosity: float = parameter(
@@ -116,8 +116,8 @@ class MaterialParameters:
         "Viscosity of the sheet along its threads, instead of damping in stretch and shear: k_d = k_s / l0 viscosity / "
         "stretch_modulus; 0: damping is used",
         unit="N s/m",
-        least=0.0,
-        most=1e4,
+        min=0.0,
+        max=1e4,
         live=True,
     )
 
@@ -138,8 +138,8 @@ class BendingParameters:
         2.0,
         "Stiffness of axial and opposite springs: k_s per thread spacing; it is subtracted from edge springs",
         unit="N/m",
-        least=0.0,
-        most=1e8,
+        min=0.0,
+        max=1e8,
         live=True,
     )
     rest_angle: float = parameter(
@@ -147,8 +147,8 @@ class BendingParameters:
         0.0,
         "Rest angle of every hinge, for opposite, crossed and altitude; 0: the angles of the rest shape",
         unit="rad",
-        least=-3.14,
-        most=3.14,
+        min=-3.14,
+        max=3.14,
     )
 
 
@@ -156,9 +156,7 @@ class BendingParameters:
 class AirParameters:
     """Drag by still air."""
 
-    drag: float = parameter(
-        "double", 0.2, "Linear drag: acceleration -drag v", unit="1/s", least=0.0, most=1e4, live=True
-    )
+    drag: float = parameter("double", 0.2, "Linear drag: acceleration -drag v", unit="1/s", min=0.0, max=1e4, live=True)
 
 
 @attrs.frozen(kw_only=True)
@@ -171,8 +169,8 @@ class WindParameters:
         "Velocity of the air, uniform; it acts through air.drag and the coefficients below",
         unit="m/s",
         length=3,
-        least=-100.0,
-        most=100.0,
+        min=-100.0,
+        max=100.0,
         live=True,
     )
     normal_drag: float = parameter(
@@ -183,8 +181,8 @@ class WindParameters:
         "suffices; beyond that range it is an extrapolation. 0: no drag across the surface. Raw springs have no "
         "surface; their default is 0",
         unit="N s/m^3",
-        least=0.0,
-        most=1e3,
+        min=0.0,
+        max=1e3,
         live=True,
     )
     tangential_drag: float = parameter(
@@ -192,8 +190,8 @@ class WindParameters:
         0.0,
         "Force per area and speed of air along the surface",
         unit="N s/m^3",
-        least=0.0,
-        most=1e3,
+        min=0.0,
+        max=1e3,
         live=True,
     )
 
@@ -213,8 +211,8 @@ class ContactParameters:
         "Distance from an obstacle's surface, or from another part of the cloth, below which contact pushes the "
         "cloth's middle surface away; at most half the shortest edge of the cloth",
         unit="m",
-        least=1e-6,
-        most=1.0,
+        min=1e-6,
+        max=1.0,
         live=True,
     )
     friction: tuple[float, ...] = parameter(
@@ -222,8 +220,8 @@ class ContactParameters:
         (0.0, 0.0),
         "Coefficients of friction between layers of the cloth, with contact.self: static (sliding below 0.01 m/s) and "
         "kinetic (above 0.02 m/s), the latter no larger; one number sets both; 0: no friction",
-        least=0.0,
-        most=1e3,
+        min=0.0,
+        max=1e3,
         constraint=FRICTION,
         live=True,
     )
@@ -232,8 +230,8 @@ class ContactParameters:
         10.0,
         "Damping of contact: impacts faster than 1 / damping lose much of their energy; 0: elastic",
         unit="s/m",
-        least=0.0,
-        most=1e4,
+        min=0.0,
+        max=1e4,
         live=True,
     )
 
@@ -259,9 +257,9 @@ class ObstacleParameters:
         "box: x, y, z; sphere: radius; capsule and cylinder: radius, length (a capsule's without its round ends); "
         "a plane and a mesh have none; changes only while it is not in obstacles",
         unit="m",
-        least=0.0,
-        most=MAX_SIZE,
-        open_least=True,
+        min=0.0,
+        max=MAX_SIZE,
+        excludes_min=True,
         live=True,
     )
     mesh: str = parameter(
@@ -276,9 +274,9 @@ class ObstacleParameters:
         1.0,
         "Factor from its mesh file's unit to metres, e.g. 0.001 for a file in millimetres; changes only while it is "
         "not in obstacles",
-        least=0.0,
-        most=1e6,
-        open_least=True,
+        min=0.0,
+        max=1e6,
+        excludes_min=True,
         live=True,
     )
     position: tuple[float, ...] = parameter(
@@ -287,8 +285,8 @@ class ObstacleParameters:
         "Initial position; changes only while it is not in obstacles; otherwise use ~/<obstacle>/target",
         unit="m",
         length=3,
-        least=-1e4,
-        most=1e4,
+        min=-1e4,
+        max=1e4,
         live=True,
     )
     orientation: tuple[float, ...] = parameter(
@@ -304,8 +302,8 @@ class ObstacleParameters:
         (0.0, 0.0),
         "Coefficients of friction between it and the cloth: static (sliding below 0.01 m/s) and kinetic (above "
         "0.02 m/s), the latter no larger; one number sets both; 0: no friction",
-        least=0.0,
-        most=1e3,
+        min=0.0,
+        max=1e3,
         constraint=FRICTION,
         live=True,
     )
@@ -366,8 +364,8 @@ class RecordParameters:
         0,
         "File size after which the recording continues in a new file; 0: never",
         unit="B",
-        least=0,
-        most=1 << 50,
+        min=0,
+        max=1 << 50,
     )
     compression: str = parameter("string", "lz4", "Compression of the file's chunks", choices=("lz4", "zstd", "none"))
     least_free_space: int = parameter(
@@ -375,8 +373,8 @@ class RecordParameters:
         100_000_000,
         "Free disk space below which the recording ends",
         unit="B",
-        least=0,
-        most=1 << 50,
+        min=0,
+        max=1 << 50,
     )
 
 

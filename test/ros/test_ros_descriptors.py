@@ -89,19 +89,19 @@ def test_values_just_outside_a_range_are_refused(node: Node, name: str) -> None:
 def test_array_bounds_of_descriptor_match_the_check(name: str) -> None:
     entry = DECLARED[name]
     said = describe(entry).additional_constraints
-    if entry.least is None:
+    if entry.min is None:
         assert entry.constraint in said
         return
-    low = f"each above {entry.least} and at most" if entry.open_least else f"each from {entry.least} to"
-    assert f"{low} {entry.most}" in said
+    low = f"each above {entry.min} and at most" if entry.excludes_min else f"each from {entry.min} to"
+    assert f"{low} {entry.max}" in said
     count = entry.length or 1
     kind = type(entry.default[0])
-    assert entry.check([kind(entry.most)] * count)
-    if entry.open_least:
+    assert entry.check([kind(entry.max)] * count)
+    if entry.excludes_min:
         with pytest.raises(ParameterError, match="above"):
-            entry.check([kind(entry.least)] * count)
+            entry.check([kind(entry.min)] * count)
     else:
-        assert entry.check([kind(entry.least)] * count)
+        assert entry.check([kind(entry.min)] * count)
 
 
 def test_limits_without_range_are_in_constraints() -> None:

@@ -116,7 +116,7 @@ def allowed(entry: Any) -> st.SearchStrategy[Any]:
     if entry.choices:
         return st.sampled_from(entry.choices)
     if entry.element == "double":
-        numbers = st.floats(entry.least, entry.most, exclude_min=entry.open_least)
+        numbers = st.floats(entry.min, entry.max, exclude_min=entry.excludes_min)
         # Without a length of its own an array takes any number of entries, or its section refuses it.
         return st.lists(numbers, min_size=entry.length or 0, max_size=entry.length or 3) if entry.is_array else numbers
     if entry.kind == "string[]":

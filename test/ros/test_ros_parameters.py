@@ -49,11 +49,11 @@ def test_descriptor(name: str) -> None:
     if entry.kind in ("double", "int"):
         # Every number must have limits.
         (limits,) = descriptor.floating_point_range if entry.kind == "double" else descriptor.integer_range
-        assert (limits.from_value, limits.to_value) == (entry.min_accepted, entry.most)
+        assert (limits.from_value, limits.to_value) == (entry.min_accepted, entry.max)
         assert limits.step == 0
-    elif entry.least is not None:
-        low = f"above {entry.least} and at most" if entry.open_least else f"from {entry.least} to"
-        assert f"{low} {entry.most}" in descriptor.additional_constraints
+    elif entry.min is not None:
+        low = f"above {entry.min} and at most" if entry.excludes_min else f"from {entry.min} to"
+        assert f"{low} {entry.max}" in descriptor.additional_constraints
 
 
 def test_every_bad_value_is_refused_with_the_reason(client: Client) -> None:
@@ -77,9 +77,9 @@ def bad_values(entry: Any) -> list[Any]:
     if not entry.live or entry.is_array:
         return values
     if entry.kind == "double":
-        values += [math.nan, math.inf, entry.most * 1.1, entry.least - 1.0]
-        if entry.open_least:
-            values.append(entry.least)
+        values += [math.nan, math.inf, entry.max * 1.1, entry.min - 1.0]
+        if entry.excludes_min:
+            values.append(entry.min)
     if entry.choices:
         values.append("nothing of the kind")
     return values
@@ -116,7 +116,7 @@ def other_value(entry: Any, value: Any) -> Any:
         return f"other_{value}"
     if entry.is_array:
         return ("left", "3") if entry.element == "string" else tuple(0.5 * component + 0.25 for component in value)
-    return 0.9 * value if value else 0.001 * entry.most**0.5
+    return 0.9 * value if value else 0.001 * entry.max**0.5
 
 
 def test_use_sim_time_is_fixed_at_start(client: Client) -> None:

@@ -160,9 +160,9 @@ def check_parameters(client: Client) -> None:
     for descriptor, entry in zip(descriptors, declared.values(), strict=True):
         assert descriptor.description
         assert descriptor.read_only == (not entry.live)
-        if entry.kind == "double" and entry.most is not None:
+        if entry.kind == "double" and entry.max is not None:
             (limits,) = descriptor.floating_point_range
-            assert (limits.from_value, limits.to_value) == (entry.min_accepted, entry.most)
+            assert (limits.from_value, limits.to_value) == (entry.min_accepted, entry.max)
     rate = next(descriptor for descriptor in descriptors if descriptor.name == "rate")
     assert rate.description.endswith("[Hz]")
     # Gravity is reversed: the cloth falls up from the next frame on.

@@ -81,9 +81,9 @@ def scene_parameters() -> dict[str, Any]:
                 "type": entry.kind,
                 "default": entry.default,
                 "unit": entry.unit,
-                "min": entry.least,
-                "min is excluded": entry.open_least,
-                "max": entry.most,
+                "min": entry.min,
+                "min is excluded": entry.excludes_min,
+                "max": entry.max,
                 "length": entry.length,
                 "choices": list(entry.choices),
                 "has a further constraint": bool(entry.constraint),
@@ -108,7 +108,7 @@ def memory() -> dict[str, Any]:
     ]
     contract: dict[str, Any] = {
         "records": {
-            record.key: [[field.default, field.metadata["least"]] for field in attrs.fields(typing.cast(Any, record))]
+            record.key: [[field.default, field.metadata["minimum"]] for field in attrs.fields(typing.cast(Any, record))]
             for record in records
         },
         "tables": {

@@ -86,8 +86,8 @@ class GripBinding(Uncopyable):
             )
         coefficients = (
             finite("offsets of grips", grips.offsets, (count, 3)),
-            finite("stiffness of grips", grips.stiffness, (count,), least=0.0),
-            finite("damping of grips", grips.damping, (count,), least=0.0),
+            finite("stiffness of grips", grips.stiffness, (count,), lower=0.0),
+            finite("damping of grips", grips.damping, (count,), lower=0.0),
         )
         # Copies: later writes into the caller's arrays must not change them.
         return tuple(array.copy() for array in (particles, gripper_indices, *coefficients))

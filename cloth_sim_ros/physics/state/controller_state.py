@@ -56,8 +56,8 @@ class ControllerState:
                 f"({len(names)},)"
             )
         for field, value in zip(attrs.fields(cls), array.tolist(), strict=True):  # type: ignore[arg-type]
-            if not math.isfinite(value) or value < field.metadata.get("least", -math.inf):
-                minimum = field.metadata.get("least", -math.inf)
+            if not math.isfinite(value) or value < field.metadata.get("minimum", -math.inf):
+                minimum = field.metadata.get("minimum", -math.inf)
                 bound = "finite" if minimum == -math.inf else f"finite and at least {minimum:g}"
                 raise ValueError(f"memory '{cls.key}': {field.name} is {value}; it must be {bound}")
 
@@ -73,7 +73,7 @@ def _value_getter(rule: Any) -> Callable[[Any], Any]:
 
 def bounded_number(default: float, *, minimum: float = -math.inf) -> Any:
     """Declare a field with its default and its minimum."""
-    return attrs.field(default=default, metadata={"least": minimum})
+    return attrs.field(default=default, metadata={"minimum": minimum})
 
 
 @attrs.define

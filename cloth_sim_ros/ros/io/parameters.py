@@ -117,7 +117,7 @@ class SceneNode(SimTimeNode):
             raise UnknownParametersError(unknown, self.list_parameters([], 0).names)
         for parameter in parameter_list:
             bounds = self.entries.get(parameter.name)
-            if bounds is not None and bounds.kind == "double" and bounds.open_least and parameter.value == bounds.least:
+            if bounds is not None and bounds.kind == "double" and bounds.excludes_min and parameter.value == bounds.min:
                 return SetParametersResult(successful=False, reason=_reason(bounds, parameter.value))
         self.declaring = True
         try:
@@ -210,17 +210,17 @@ def describe(entry: Parameter) -> ParameterDescriptor:
         constraints.append("one of " + ", ".join(entry.choices))
     if entry.length is not None:
         constraints.append(f"{entry.length} entries")
-    limited = entry.least is not None or entry.most is not None
+    limited = entry.min is not None or entry.max is not None
     if limited and entry.kind == "double":
         descriptor.floating_point_range = [FloatingPointRange(**_limits(entry, sys.float_info.max, float))]
     elif limited and entry.kind == "int":
         descriptor.integer_range = [IntegerRange(**_limits(entry, 2**63 - 1, int))]
     elif limited:
         prefix = "each " if entry.is_array else ""
-        low = f"above {entry.least} and at most" if entry.open_least else f"from {entry.least} to"
-        constraints.append(f"{prefix}{low} {entry.most}")
-    if entry.open_least and not entry.is_array:
-        constraints.append(f"above {entry.least}")
+        low = f"above {entry.min} and at most" if entry.excludes_min else f"from {entry.min} to"
+        constraints.append(f"{prefix}{low} {entry.max}")
+    if entry.excludes_min and not entry.is_array:
+        constraints.append(f"above {entry.min}")
     if entry.constraint:
         constraints.append(entry.constraint)
     constraints.append(
@@ -355,7 +355,7 @@ def _warn_of_unknown(node: Node, scene: Scene, known: Sequence[str]) -> None:
 def _limits(entry: Parameter, largest: float, kind: Callable[[float], Any]) -> dict[str, Any]:
     return {
         "from_value": kind(-largest if entry.min_accepted is None else entry.min_accepted),
-        "to_value": kind(largest if entry.most is None else entry.most),
+        "to_value": kind(largest if entry.max is None else entry.max),
     }
 
 

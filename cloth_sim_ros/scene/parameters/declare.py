@@ -102,10 +102,10 @@ class Parameter:
     default: Any
     description: str
     unit: str = ""
-    least: float | None = None
-    most: float | None = None
+    min: float | None = None
+    max: float | None = None
     #: True if the minimum itself is not allowed.
-    open_least: bool = False
+    excludes_min: bool = False
     #: Number of entries of an array, if it is fixed.
     length: int | None = None
     choices: tuple[str, ...] = ()
@@ -128,9 +128,9 @@ class Parameter:
 
         If the minimum 0 is excluded, this is the smallest normal number, because divisions by a smaller one overflow.
         """
-        if self.least is None or not self.open_least:
-            return self.least
-        return math.nextafter(self.least, math.inf) if self.least else sys.float_info.min
+        if self.min is None or not self.excludes_min:
+            return self.min
+        return math.nextafter(self.min, math.inf) if self.min else sys.float_info.min
 
     @property
     def is_array(self) -> bool:
@@ -178,10 +178,10 @@ class Parameter:
         if not math.isfinite(value):
             raise ParameterError(f"{self.name} is {value}; it must be finite")
         if self.min_accepted is not None and value < self.min_accepted:
-            bound = "above" if self.open_least else "at least"
-            raise ParameterError(f"{self.name} is {value}{unit}; it must be {bound} {self.least}{unit}")
-        if self.most is not None and value > self.most:
-            raise ParameterError(f"{self.name} is {value}{unit}; it must be at most {self.most}{unit}")
+            bound = "above" if self.excludes_min else "at least"
+            raise ParameterError(f"{self.name} is {value}{unit}; it must be {bound} {self.min}{unit}")
+        if self.max is not None and value > self.max:
+            raise ParameterError(f"{self.name} is {value}{unit}; it must be at most {self.max}{unit}")
 
 
 def _python_scalar(entry: Any) -> Any:

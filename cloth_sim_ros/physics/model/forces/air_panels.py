@@ -55,8 +55,8 @@ class AirPanels(EngineForce):
         self.panels = indices("panels", panels, corners, np.iinfo(np.int64).max)
         if not len(self.panels):
             raise ValueError("there are no panels; air acts on a surface: give panels of three or four particles")
-        self.normal = float(finite("normal drag", normal, (), least=0.0))
-        self.tangential = float(finite("tangential drag", tangential, (), least=0.0))
+        self.normal = float(finite("normal drag", normal, (), lower=0.0))
+        self.tangential = float(finite("tangential drag", tangential, (), lower=0.0))
         self.wind: Array = finite("wind", wind, (3,), one_for_all=False)
 
     def in_wind(self, wind: ArrayLike) -> AirPanels:

@@ -104,7 +104,7 @@ class Contact(EngineForce):
         self.thickness = float(finite("contact thickness", thickness, ()))
         if self.thickness <= 0.0:
             raise ValueError(f"contact thickness is {thickness} m; it must be above 0")
-        self.damping = float(finite("contact damping", damping, (), least=0.0))
+        self.damping = float(finite("contact damping", damping, (), lower=0.0))
         self.frequency = float(finite("contact frequency", frequency, ()))
         if self.frequency <= 0.0:
             raise ValueError(f"contact frequency is {frequency} 1/s; it must be above 0")

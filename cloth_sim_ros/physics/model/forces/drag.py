@@ -26,7 +26,7 @@ class Drag(EngineForce):
     damps_waves = False
 
     def __init__(self, rate: float) -> None:
-        self.rate = float(finite("drag rate", rate, (), least=0.0))
+        self.rate = float(finite("drag rate", rate, (), lower=0.0))
 
     def parts(self, particle_count: int) -> Sequence[Part]:
         return (UniformForces(drag=self.rate),)

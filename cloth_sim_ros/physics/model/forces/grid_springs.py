@@ -59,7 +59,7 @@ class GridSprings(EngineForce):
                     f"rest length of '{family.name}' is {family.rest_length} m; it must be finite and above 0"
                 )
             for quantity in ("stiffness", "damping", "border"):
-                finite(f"{quantity} of '{family.name}'", getattr(family, quantity), (), least=0.0)
+                finite(f"{quantity} of '{family.name}'", getattr(family, quantity), (), lower=0.0)
             if family.parity not in (None, 0, 1):
                 raise ValueError(f"parity of '{family.name}' is {family.parity}; it must be 0, 1 or None")
         self.rows, self.columns, self.name = int(rows), int(columns), name

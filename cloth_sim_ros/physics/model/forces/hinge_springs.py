@@ -58,8 +58,8 @@ class HingeSprings(EngineForce):
                 f"hinge {wrong[0]} of '{name}' is {self.hinges[wrong[0]].tolist()}; it needs four different particles"
             )
         self.rest_length = finite(f"rest_length of '{name}'", rest_length, (count,))
-        self.stiffness = finite(f"stiffness of '{name}'", stiffness, (count,), least=0.0)
-        self.damping = finite(f"damping of '{name}'", damping, (count,), least=0.0)
+        self.stiffness = finite(f"stiffness of '{name}'", stiffness, (count,), lower=0.0)
+        self.damping = finite(f"damping of '{name}'", damping, (count,), lower=0.0)
         self.damped = bool(np.any(self.damping))
 
     def parts(self, particle_count: int) -> Sequence[Part]:

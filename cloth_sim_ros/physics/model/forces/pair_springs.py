@@ -43,9 +43,9 @@ class PairSprings(EngineForce):
     ) -> None:
         self.pairs: NDArray[np.int64] = indices(f"pairs of '{name}'", pairs, 2, np.iinfo(np.int64).max)
         count = len(self.pairs)
-        self.rest_length = finite(f"rest_length of '{name}'", rest_length, (count,), least=0.0)
-        self.stiffness = finite(f"stiffness of '{name}'", stiffness, (count,), least=0.0)
-        self.damping = finite(f"damping of '{name}'", damping, (count,), least=0.0)
+        self.rest_length = finite(f"rest_length of '{name}'", rest_length, (count,), lower=0.0)
+        self.stiffness = finite(f"stiffness of '{name}'", stiffness, (count,), lower=0.0)
+        self.damping = finite(f"damping of '{name}'", damping, (count,), lower=0.0)
         loops = np.flatnonzero(self.pairs[:, 0] == self.pairs[:, 1])
         if loops.size:
             particle = self.pairs[loops[0], 0]

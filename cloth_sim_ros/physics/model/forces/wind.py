@@ -32,7 +32,7 @@ class Wind(EngineForce):
 
     def __init__(self, velocity: ArrayLike, rate: float) -> None:
         self.velocity: Array = finite("wind", velocity, (3,), one_for_all=False)
-        drag_rate = float(finite("drag rate", rate, (), least=0.0))
+        drag_rate = float(finite("drag rate", rate, (), lower=0.0))
         with np.errstate(over="ignore"):
             #: Acceleration of every particle [m/s^2], shape (3,).
             self.acceleration: Array = finite("push of the wind", drag_rate * self.velocity, (3,))
