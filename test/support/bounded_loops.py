@@ -10,9 +10,9 @@ import pytest
 
 
 def rounds_until(condition: Callable[[], object], max_rounds: int = 600) -> Iterator[int]:
-    """Yield the number of each round until a condition holds; fail after `max_rounds` rounds."""
-    for number in range(max_rounds):
+    """Yield the index of each round until a condition holds; fail after `max_rounds` rounds."""
+    for index in range(max_rounds):
         if condition():
             return
-        yield number
+        yield index
     pytest.fail(f"the condition does not hold after {max_rounds} rounds")
