@@ -16,6 +16,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from cloth_sim_ros.learning import registered as registered
 from cloth_sim_ros.learning.actions import ActionDecoder
 from cloth_sim_ros.learning.outcome import Outcome, OutcomeFunction, evaluate_outcome
 from cloth_sim_ros.learning.rollout import select_particles, store_particles

@@ -155,7 +155,7 @@ def test_registered_envs_pass_gymnasium_checks() -> None:
 
 
 @pytest.mark.parametrize(
-    "code", ["from cloth_sim_ros.batch import ClothVectorEnv", "from cloth_sim_ros.batch import ClothEnv"]
+    "code", ["from cloth_sim_ros.learning import ClothVectorEnv", "from cloth_sim_ros.batch import ClothEnv"]
 )
 def test_import_registers_env_name(code: str) -> None:
     code = f"import gymnasium; {code}; print(type(gymnasium.make_vec({NAME!r}, num_envs=2)).__name__)"
