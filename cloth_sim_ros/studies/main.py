@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import importlib.util
 import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from cloth_sim_ros.session.command_runner import exit_on_signal
 from cloth_sim_ros.session.console import escape_unencodable
 from cloth_sim_ros.studies.errors import StoppedError, StudyError
 
@@ -28,6 +30,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(words if name == "run" else words[1:])
     try:
         _check_libraries()
+        with exit_on_signal("cloth_batch"):
+            # An interrupt during the import of numpy becomes an ImportError.
+            importlib.import_module("numpy")
         status: int = options.run(options)
     except StudyError as error:
         print(f"cloth_batch: {error}", file=sys.stderr)
