@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -75,3 +76,9 @@ def child_process_arguments(module: str, *arguments: str) -> dict[str, Any]:
     paths = [str(Path(__file__).resolve().parents[1]), environment.get("PYTHONPATH", "")]
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
     return {"args": module_command(module, *arguments), "env": environment}
+
+
+def run_module(module: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run a module of this repository in its own process; return its status and output."""
+    process_arguments = child_process_arguments(module, *arguments)
+    return subprocess.run(**process_arguments, check=False, capture_output=True, text=True)

@@ -71,6 +71,14 @@ class Report:
     failures: list[str] = attrs.field(factory=list)
     environment: dict[str, str] = attrs.field(factory=lambda: environment())
 
+    def note(self, text: str) -> None:
+        """Add a note."""
+        self.notes.append(text)
+
+    def fail(self, text: str) -> None:
+        """Add a requirement that was not met."""
+        self.failures.append(text)
+
     def table(self, name: str) -> Table:
         """Return the table whose name begins so."""
         return next(table for table in self.tables if table.name.startswith(name))

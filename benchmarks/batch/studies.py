@@ -35,9 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--runs", type=int, default=8, help="of each study (default: %(default)s)")
     parser.add_argument("--seconds", type=float, default=4.0, help="simulated, of each run (default: %(default)s)")
     parser.add_argument("--workers", type=int, default=2, help="processes (default: %(default)s)")
-    parser.add_argument(
-        "--tasks", type=int, default=3000, help="empty tasks for Dask's own cost (default: %(default)s)"
-    )
+    tasks = "empty tasks for Dask's own cost (default: %(default)s)"
+    parser.add_argument("--tasks", type=int, default=3000, help=tasks)
 
 
 def run(options: argparse.Namespace) -> Report:
@@ -54,10 +53,9 @@ def run(options: argparse.Namespace) -> Report:
             label = f"cloth_batch {'with' if clouds else 'without'} clouds"
             rows.append([label, *_through_cloth_batch(address, attrs.evolve(study, clouds=clouds))])
     simulated = options.runs * options.seconds
-    table = Table(
-        "throughput",
-        ["what", "wall s", "core s", "times real time", "a core", "of plain %", "a core %", "kB a simulated second"],
-    )
+    columns = ["what", "wall s", "core s", "times real time", "a core", "of plain %", "a core %"]
+    columns.append("kB a simulated second")
+    table = Table("throughput", columns)
     _, plain, plain_work, _ = rows[0]
     for label, wall, work, size in rows:
         shares = [simulated / wall, simulated / work, 100.0 * plain / wall, 100.0 * plain_work / work]
@@ -66,7 +64,7 @@ def run(options: argparse.Namespace) -> Report:
     costs = [options.tasks, 1e3 * task[0], 1e3 * task[1]]
     report.tables.append(Table("Dask", ["tasks", "wall ms a task", "core ms of scheduler and client a task"], [costs]))
     report.tables.append(_sizing(options, rows, task[1]))
-    report.notes.append(
+    report.note(
         f"a cloth of {options.resolution} x {options.resolution} particles, a corner carried by a gripper all the "
         f"time, tolerance 1 mm; {options.workers} processes with a thread each. Dask's cost is that of empty tasks "
         "through one scheduler, client and workers on the same cores: an upper bound. Core seconds are the processes' "

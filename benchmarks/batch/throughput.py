@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from collections.abc import Callable
 
 import attrs
 
@@ -30,11 +29,9 @@ PARTS = ("throughput", "threads", "memory", "rollouts", "soak")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parts = ", ".join(PARTS)
     usual = [part for part in PARTS if part != "soak"]
-    parser.add_argument(
-        "--only", nargs="+", choices=PARTS, default=usual, metavar="PART", help=f"of {parts}; all but soak"
-    )
+    parts = f"of {', '.join(PARTS)}; all but soak"
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=usual, metavar="PART", help=parts)
     parser.add_argument("--envs", type=int, default=64, metavar="N", help="cloths of an environment")
     parser.add_argument("--resolution", type=int, default=30, metavar="N", help="particles a side of a cloth")
     parser.add_argument("--rollouts", type=int, default=64, metavar="K", help="number of rollouts")
@@ -49,13 +46,7 @@ def run(options: argparse.Namespace) -> Report:
         if getattr(options, name) < 2:
             raise ValueError(f"--{name.replace('_', '-')} is {getattr(options, name)}; it must be at least 2")
     report = Report("Many cloths", "python -m benchmarks batch")
-    parts: dict[str, Callable[[argparse.Namespace, Report], None]] = {
-        "throughput": _throughput,
-        "threads": _threads,
-        "memory": _memory,
-        "rollouts": _rollouts,
-        "soak": _soak,
-    }
+    parts = {"throughput": _throughput, "threads": _threads, "memory": _memory, "rollouts": _rollouts, "soak": _soak}
     for part in PARTS:
         if part in options.only:
             parts[part](options, report)
@@ -67,16 +58,8 @@ def _cores() -> int:
 
 
 def _throughput(options: argparse.Namespace, report: Report) -> None:
-    columns = [
-        "cloths",
-        "particles",
-        "threads",
-        "x real time",
-        "least",
-        "most",
-        "evaluations a frame",
-        "core ms a frame",
-    ]
+    columns = ["cloths", "particles", "threads", "x real time", "least", "most", "evaluations a frame"]
+    columns.append("core ms a frame")
     table = Table("A vector environment, each cloth carried by a gripper on a circle, tolerance 1e-3 m", columns)
     with batch_cloths.CarriedCloths(options.envs, options.resolution) as carried:
         evaluations = carried.evaluations()
@@ -93,13 +76,13 @@ def _throughput(options: argparse.Namespace, report: Report) -> None:
     table.rows.append(row)
     report.tables.append(table)
     if factor < MIN_THROUGHPUT:
-        report.failures.append(f"{factor:.3g} x real time; target {MIN_THROUGHPUT:g} on two cores")
-    report.notes.append("core ms a frame: processor time of all threads, gymnasium's part included")
+        report.fail(f"{factor:.3g} x real time; target {MIN_THROUGHPUT:g} on two cores")
+    report.note("core ms a frame: processor time of all threads, gymnasium's part included")
 
 
 def _threads(options: argparse.Namespace, report: Report) -> None:
     if _cores() < 2:
-        report.notes.append("one core alone is allowed here: two threads are not timed")
+        report.note("one core alone is allowed here: two threads are not timed")
         return
     columns = ["cloths", "one thread ms", "two ms", "gain", "two processes"]
     table = Table("A step of the vector environment on two threads against one", columns)
@@ -109,21 +92,18 @@ def _threads(options: argparse.Namespace, report: Report) -> None:
         batch_cloths.CarriedCloths(count, options.resolution, threads=2) as two_threads,
         batch_cloths.ProcessPair(count, options.resolution) as apart,
     ):
-        turns = time_interleaved(
-            {"one": one_thread.step, "two": two_threads.step, "apart": apart.step}, seconds=options.seconds
-        )
+        steps = {"one": one_thread.step, "two": two_threads.step, "apart": apart.step}
+        turns = time_interleaved(steps, seconds=options.seconds)
         if one_thread.digests() != two_threads.digests():
-            report.failures.append("two threads gave other bits than one")
+            report.fail("two threads gave other bits than one")
     gain = turns.ratio("one", "two")
     # Two processes step twice as many cloths.
     process_gain = 2.0 * turns.ratio("one", "apart")
     table.rows.append([count, 1e3 * turns.median("one"), 1e3 * turns.median("two"), gain, process_gain])
     report.tables.append(table)
-    report.notes.append("two processes: gain in throughput of two independent processes over one")
+    report.note("two processes: gain in throughput of two independent processes over one")
     if gain < min(MIN_THREAD_GAIN, (1.0 - PROCESS_PAIR_MARGIN) * process_gain):
-        report.failures.append(
-            f"two threads: {gain:.2f} times one; target {MIN_THREAD_GAIN:g} (apart {process_gain:.2f})"
-        )
+        report.fail(f"two threads: {gain:.2f} times one; target {MIN_THREAD_GAIN:g} (apart {process_gain:.2f})")
 
 
 def _memory(options: argparse.Namespace, report: Report) -> None:
@@ -133,7 +113,7 @@ def _memory(options: argparse.Namespace, report: Report) -> None:
     table.rows.append([options.envs, options.resolution**2, state / 1e3, per_cloth / 1e3, per_cloth / state])
     report.tables.append(table)
     if per_cloth > MAX_MEMORY_RATIO * state:
-        report.failures.append(f"a cloth takes {per_cloth / state:.2f} times its state; target {MAX_MEMORY_RATIO:g}")
+        report.fail(f"a cloth takes {per_cloth / state:.2f} times its state; target {MAX_MEMORY_RATIO:g}")
 
 
 def _rollouts(options: argparse.Namespace, report: Report) -> None:
@@ -144,10 +124,8 @@ def _rollouts(options: argparse.Namespace, report: Report) -> None:
         batch = batch_cloths.RolloutBatch(options.rollouts, options.rollout_resolution, self_contact)
         batch.in_processes()  # Warm-up: processes start and import.
         methods[self_contact, "threads"], methods[self_contact, "processes"] = batch.in_threads, batch.in_processes
-    turns = time_interleaved(
-        {f"{self_contact} {by}": run_rollouts for (self_contact, by), run_rollouts in methods.items()},
-        seconds=options.seconds,
-    )
+    runs = {f"{self_contact} {by}": run_rollouts for (self_contact, by), run_rollouts in methods.items()}
+    turns = time_interleaved(runs, seconds=options.seconds)
     for self_contact, by in methods:
         seconds = turns.seconds[f"{self_contact} {by}"]
         row = [options.rollouts, batch.frames, options.rollout_resolution**2, "yes" if self_contact else "no", by]
@@ -155,7 +133,7 @@ def _rollouts(options: argparse.Namespace, report: Report) -> None:
     report.tables.append(table)
     best = min(turns.median("False threads"), turns.median("False processes"))
     if best > MAX_ROLLOUT_TIME:
-        report.failures.append(f"rollouts took {best:.2f} s; target {MAX_ROLLOUT_TIME:g} on two cores")
+        report.fail(f"rollouts took {best:.2f} s; target {MAX_ROLLOUT_TIME:g} on two cores")
 
 
 def _soak(options: argparse.Namespace, report: Report) -> None:
@@ -165,4 +143,4 @@ def _soak(options: argparse.Namespace, report: Report) -> None:
     table.rows.append([*attrs.astuple(done), done.last - done.warm])
     report.tables.append(table)
     if done.last - done.warm > LEAK:
-        report.failures.append(f"memory grew by {done.last - done.warm:.1f} MB over {done.steps} steps")
+        report.fail(f"memory grew by {done.last - done.warm:.1f} MB over {done.steps} steps")

@@ -19,10 +19,8 @@ OFF = 0.02
 
 def layers(report: Report, options: argparse.Namespace) -> None:
     """Measure stacks just below and above the friction angle, resting stacks and sliding stacks."""
-    table = Table(
-        "Layers",
-        ["mu", "particles, above and below", "slides at 0.98 mu N", "at 1.02 mu N", "friction off %"],
-    )
+    columns = ["mu", "particles, above and below", "slides at 0.98 mu N", "at 1.02 mu N", "friction off %"]
+    table = Table("Layers", columns)
     for mu in (0.2, 0.5, 1.0):
         for count, below in ((7, 13), (10, 13), (13, 13), (10, 21)):
             slides_below = is_sliding(stack(count, below, math.degrees(math.atan((1.0 - OFF) * mu)), (mu,)))
@@ -31,9 +29,9 @@ def layers(report: Report, options: argparse.Namespace) -> None:
             name = f"{count}^2 on {below}^2"
             table.rows.append([mu, name, slides_below, slides_above, 100.0 * off])
             if slides_below or not slides_above:
-                report.failures.append(f"mu {mu}, {name}: does not begin to slide at mu N")
+                report.fail(f"mu {mu}, {name}: does not begin to slide at mu N")
             if not abs(off) < OFF:
-                report.failures.append(f"mu {mu}, {name}: friction in motion is {100.0 * off:.2g} % off mu N")
+                report.fail(f"mu {mu}, {name}: friction in motion is {100.0 * off:.2g} % off mu N")
     report.tables.append(table)
     _drift(report, options)
     _energy(report)
@@ -51,16 +49,15 @@ def _drift(report: Report, options: argparse.Namespace) -> None:
     table.rows.append([options.drift / 10.0, 1e6 * drift, moved])
     report.tables.append(table)
     if not drift < 1e-6 or moved:
-        report.failures.append(f"a stack that sticks drifted by {drift:.2g} m, {moved} numbers of anchors changed")
+        report.fail(f"a stack that sticks drifted by {drift:.2g} m, {moved} numbers of anchors changed")
 
 
 def _energy(report: Report) -> None:
     """Measure friction work and energy residual of a sliding stack."""
     balance, worst, least = advance_with_balance(stack(10, 13, 40.0, (0.5, 0.4)), 18)
-    table = Table(
-        "Energy of a stack that slides", ["lost J", "by friction J", "least in a frame J", "residual / turned over"]
-    )
+    columns = ["lost J", "by friction J", "least in a frame J", "residual / turned over"]
+    table = Table("Energy of a stack that slides", columns)
     table.rows.append([balance.dissipation, balance.friction_work, least, worst / balance.energy_turnover])
     report.tables.append(table)
     if not (least >= 0.0 and worst <= 1e-3 * balance.energy_turnover):
-        report.failures.append(f"friction gave energy, or the balance is open: {least:.2g} J, {worst:.2g} J")
+        report.fail(f"friction gave energy, or the balance is open: {least:.2g} J, {worst:.2g} J")

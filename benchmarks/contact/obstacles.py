@@ -27,20 +27,8 @@ from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from validation.report import Report, Table, print_progress
 
-PARTS = (
-    "slopes",
-    "drift",
-    "weight",
-    "capstan",
-    "impacts",
-    "order",
-    "pinch",
-    "layers",
-    "starts",
-    "cost",
-    "folds",
-    "hanging",
-)
+_CONTACT_PARTS = ("slopes", "drift", "weight", "capstan", "impacts", "order", "pinch", "layers", "starts", "cost")
+PARTS = (*_CONTACT_PARTS, "folds", "hanging")
 G = 9.81
 #: Offsets from the friction angle at which a sheet must stick or slip, and at which its acceleration is measured [deg].
 STICTION_MARGIN, SLIDING_MARGIN = 0.1, 5.0
@@ -51,9 +39,8 @@ SLIPPED = 1e-3
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="what to measure (all)")
-    parser.add_argument(
-        "--drift", type=float, default=600.0, metavar="SECONDS", help="that a sheet lies on a slope, and hangs (600)"
-    )
+    drift_help = "that a sheet lies on a slope, and hangs (600)"
+    parser.add_argument("--drift", type=float, default=600.0, metavar="SECONDS", help=drift_help)
     parser.add_argument("--fold", type=float, default=6.5, metavar="SECONDS", help="of the fold that are run (6.5)")
     parser.add_argument("--seconds", type=float, default=20.0, help="that each comparison of costs takes (20)")
 
@@ -69,14 +56,13 @@ def run(options: argparse.Namespace) -> Report:
 
 def _require(report: Report, holds: bool, failure: str) -> None:
     if not holds:
-        report.failures.append(failure)
+        report.fail(failure)
 
 
 def slopes(report: Report, options: argparse.Namespace) -> None:
     """Measure sheets 0.1 degrees below and above the friction angle, and 5 degrees above it."""
-    table = Table(
-        "Slopes", ["mu_s", "mu_k", "sheet", "below: way um", "anchors moved", "above: way mm", "g off at +5 deg %"]
-    )
+    columns = ["mu_s", "mu_k", "sheet", "below: way um", "anchors moved", "above: way mm", "g off at +5 deg %"]
+    table = Table("Slopes", columns)
     for mu in (0.1, 0.3, 0.6, 1.0):
         steep = math.degrees(math.atan(mu))
         for kind in ("grid", "mesh"):
@@ -90,13 +76,12 @@ def slopes(report: Report, options: argparse.Namespace) -> None:
                 slid = downhill(above, steep + STICTION_MARGIN) - start
                 off = _acceleration(kind, count, steep + SLIDING_MARGIN, mu)
                 table.rows.append([mu, 0.8 * mu, name, 1e6 * displacement, moved, 1e3 * slid, 100.0 * off])
-                _require(
-                    report, displacement < SLIPPED and not moved, f"mu {mu}, {name}: slips below the angle of friction"
-                )
+                sticks = displacement < SLIPPED and not moved
+                _require(report, sticks, f"mu {mu}, {name}: slips below the angle of friction")
                 _require(report, slid > SLIPPED, f"mu {mu}, {name}: sticks above the angle of friction")
                 _require(report, abs(off) < 0.01, f"mu {mu}, {name}: accelerates {100.0 * off:.2g} % off")
     report.tables.append(table)
-    report.notes.append("mu_k applies to the last column only; the others use mu_s for both coefficients.")
+    report.note("mu_k applies to the last column only; the others use mu_s for both coefficients.")
 
 
 def _creep_below_friction_angle(kind: str, count: int, degrees: float, mu: float) -> tuple[float, int]:
@@ -133,13 +118,8 @@ def drift(report: Report, options: argparse.Namespace) -> None:
         motion.advance()
     displacement = float(np.abs(motion.state.x - start).max())
     slipped = int((motion.state.memory[ANCHORS_KEY] != start_anchors).sum())
-    report.tables.append(
-        Table(
-            "Drift",
-            ["seconds", "largest way um", "numbers of anchors that changed"],
-            [[options.drift, 1e6 * displacement, slipped]],
-        )
-    )
+    columns = ["seconds", "largest way um", "numbers of anchors that changed"]
+    report.tables.append(Table("Drift", columns, [[options.drift, 1e6 * displacement, slipped]]))
     _require(report, displacement < 1e-6 and not slipped, f"a sheet that sticks drifted by {displacement:.2g} m")
 
 
@@ -163,20 +143,12 @@ def weight(report: Report, options: argparse.Namespace) -> None:
     report.tables.append(table)
 
 
+_FLAT: dict[str, Any] = {"cloth.orientation": [0.0, 0.0, 0.0, 1.0]}
+_BOX: dict[str, Any] = {"it.shape": "box", "it.size": [0.15, 0.15, 0.05], "cloth.position": [0.0, 0.0, 0.03]}
 _SUPPORTS: dict[str, dict[str, Any]] = {
-    "plane": {"it.shape": "plane", "cloth.position": [0.0, 0.0, 0.003], "cloth.orientation": [0.0, 0.0, 0.0, 1.0]},
-    "box, over its edges": {
-        "it.shape": "box",
-        "it.size": [0.15, 0.15, 0.05],
-        "cloth.position": [0.0, 0.0, 0.03],
-        "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
-    },
-    "sphere": {
-        "it.shape": "sphere",
-        "it.size": [0.1],
-        "cloth.position": [0.0, 0.0, 0.105],
-        "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
-    },
+    "plane": {**_FLAT, "it.shape": "plane", "cloth.position": [0.0, 0.0, 0.003]},
+    "box, over its edges": {**_FLAT, **_BOX},
+    "sphere": {**_FLAT, "it.shape": "sphere", "it.size": [0.1], "cloth.position": [0.0, 0.0, 0.105]},
 }
 
 
@@ -199,19 +171,15 @@ def capstan(report: Report, options: argparse.Namespace) -> None:
         table.rows.append([mu, degrees, mu * math.radians(degrees), ratio, expected, 100.0 * off])
         _require(report, abs(off) < 0.03, f"mu {mu} over {degrees:g} degrees: tensions {100.0 * off:.2g} % off")
     report.tables.append(table)
-    report.notes.append("Capstan: means over 1.5 s, from 1 s on; the drum surface slides at 0.2 m/s under the strip.")
+    report.note("Capstan: means over 1.5 s, from 1 s on; the drum surface slides at 0.2 m/s under the strip.")
 
 
 def impacts(report: Report, options: argparse.Namespace) -> None:
     """Drop sheets flat and edge on onto a plane."""
-    table = Table(
-        "Impacts", ["speed m/s", "sheet falls", "deepest gap / thickness", "finest step us", "evaluations", "flagged"]
-    )
+    columns = ["speed m/s", "sheet falls", "deepest gap / thickness", "finest step us", "evaluations", "flagged"]
+    table = Table("Impacts", columns)
     for speed in (1.0, 5.0, 20.0):
-        for name, orientation in (
-            ("flat", [0.0, 0.0, 0.0, 1.0]),
-            ("edge on", [0.7071067811865476, 0.0, 0.0, 0.7071067811865476]),
-        ):
+        for name, orientation in (("flat", [0.0, 0.0, 0.0, 1.0]), ("edge on", contact_self.EDGE_ON)):
             values, _ = sheet("grid", 12)
             values |= {
                 "cloth.position": [0.0, 0.0, 0.01 + (0.15 if name == "edge on" else 0.0)],
@@ -228,16 +196,15 @@ def impacts(report: Report, options: argparse.Namespace) -> None:
                 done = motion.advance()
                 # The frame is repeated in a single run that records the smallest gap.
                 steps = [math.ceil(FRAME / done.step)]
-                (again,), _ = motion.plan.runs(
-                    motion.frames * FRAME - FRAME, FRAME, start, steps, record_obstacles=True
-                )
+                begin = motion.frames * FRAME - FRAME
+                (again,), _ = motion.plan.runs(begin, FRAME, start, steps, record_obstacles=True)
                 deepest = min(deepest, again.min_gap)
                 finest, evaluations = min(finest, done.step), evaluations + done.evaluations
                 flagged += done.flagged
             table.rows.append([speed, name, deepest / THICKNESS, 1e6 * finest, evaluations, flagged])
             _require(report, deepest > 0.0, f"{speed:g} m/s, {name}: through the floor")
     report.tables.append(table)
-    report.notes.append("Impacts: 30 frames after a start 10 mm above; a frame that reaches its work limit is flagged.")
+    report.note("Impacts: 30 frames after a start 10 mm above; a frame that reaches its work limit is flagged.")
 
 
 def order(report: Report, options: argparse.Namespace) -> None:
@@ -245,10 +212,8 @@ def order(report: Report, options: argparse.Namespace) -> None:
     values, _ = sheet("grid", 8)
     position = [0.04, 0.0, 0.11]
     values |= {**_SUPPORTS["sphere"], "obstacles": ["it"], "it.friction": [0.4, 0.3], "cloth.position": position}
-    table = Table(
-        "Sliding over a ball for a third of a second",
-        ["tolerance m", "largest error m", "of the error bound", "evaluations"],
-    )
+    columns = ["tolerance m", "largest error m", "of the error bound", "evaluations"]
+    table = Table("Sliding over a ball for a third of a second", columns)
 
     def end(tolerance: float, perturbation: float = 0.0) -> tuple[Any, int, int]:
         motion = Motion({**values, "tolerance": tolerance, "work_limit": 1e3})
@@ -263,11 +228,10 @@ def order(report: Report, options: argparse.Namespace) -> None:
         x, evaluations, flagged = end(tolerance)
         error = float(np.linalg.norm(x - best, axis=0).max())
         table.rows.append([tolerance, error, error / (tolerance * amplification), evaluations])
-        _require(
-            report, flagged > 0 or error <= tolerance * amplification, f"{tolerance:g} m: {error:.2g} m off, unflagged"
-        )
+        is_covered = flagged > 0 or error <= tolerance * amplification
+        _require(report, is_covered, f"{tolerance:g} m: {error:.2g} m off, unflagged")
     report.tables.append(table)
-    report.notes.append(f"Sliding: a perturbation of 10 um was amplified {amplification:.3g} times.")
+    report.note(f"Sliding: a perturbation of 10 um was amplified {amplification:.3g} times.")
 
 
 def cost(report: Report, options: argparse.Namespace) -> None:
@@ -283,11 +247,7 @@ def cost(report: Report, options: argparse.Namespace) -> None:
             ratio = _cost_ratio(on, free, options.seconds)
             table.rows.append([name, f"{count} x {count}", "floating", ratio, 1.3])
             _require(report, ratio <= 1.3, f"{name}, {count} x {count}: {ratio:.3g} times a free sheet's frame")
-        hung = {
-            **common,
-            "cloth.anchors": ["top"],
-            "cloth.orientation": [0.7071067811865476, 0.0, 0.0, 0.7071067811865476],
-        }
+        hung = {**common, "cloth.anchors": ["top"], "cloth.orientation": contact_self.EDGE_ON}
         ball = {"obstacles": ["it"], "it.shape": "sphere", "it.size": [0.2], "it.position": [3.0, 0.0, 0.0]}
         ratio = _cost_ratio(Motion({**hung, **ball}), Motion(hung), options.seconds)
         table.rows.append(["a ball out of reach", f"{count} x {count}", "none", ratio, 1.02])
@@ -309,9 +269,8 @@ def _cost_ratio(candidate_motion: Motion, baseline: Motion, seconds: float) -> f
 
         return frames
 
-    turns = time_interleaved(
-        {"one": turn(candidate_motion), "other": turn(baseline)}, seconds=seconds, clock=time.process_time
-    )
+    motions = {"one": turn(candidate_motion), "other": turn(baseline)}
+    turns = time_interleaved(motions, seconds=seconds, clock=time.process_time)
     return turns.ratio("one", "other")
 
 

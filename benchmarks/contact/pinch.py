@@ -113,12 +113,8 @@ class PinchedSheet:
 
 def _sheet(kind: str, columns: int) -> tuple[dict[str, Any], dict[str, bytes]]:
     """Return parameters and files of the sheet, which starts in a plane of constant z."""
-    values = {
-        **SHEET,
-        "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
-        "cloth.size": [HEIGHT, WIDTH],
-        "material.density": 0.2,
-    }
+    values = {**SHEET, "cloth.orientation": [0.0, 0.0, 0.0, 1.0], "cloth.size": [HEIGHT, WIDTH]}
+    values["material.density"] = 0.2
     if kind == "grid":
         return {**values, "cloth.resolution": [2 * columns - 1, columns]}, {}
     rest_positions, triangles = shuffled_mesh(2 * columns * columns)
@@ -149,7 +145,7 @@ def _measure_holding_force(report: Report) -> None:
             name = f"{kind} of {pinched.state.particle_count}"
             table.rows.append([mu, name, 1e3 * displacements[0], 1e3 * displacements[1], moved])
             if not (displacements[0] > 1e-3 and displacements[1] < MAX_CREEP and not moved):
-                report.failures.append(
+                report.fail(
                     f"mu {mu}, {name}: it slides {1e3 * displacements[0]:.3g} mm, is held to {displacements[1]:.2g} m"
                 )
     report.tables.append(table)
@@ -165,33 +161,22 @@ def _measure_creep(report: Report, seconds: float) -> None:
     columns = ["seconds", "largest way um", "numbers of anchors that changed"]
     report.tables.append(Table("A pinch at twice that force", columns, [[seconds, 1e6 * displacement, slipped]]))
     if displacement >= MAX_CREEP or slipped:
-        report.failures.append(
-            f"a sheet that is pinched crept by {displacement:.2g} m, {slipped} numbers of anchors changed"
-        )
+        report.fail(f"a sheet that is pinched crept by {displacement:.2g} m, {slipped} numbers of anchors changed")
 
 
 def _measure_carrying(report: Report) -> None:
-    table = Table(
-        "Carried by a pinch at 1 m/s and 2 m/s^2",
-        [
-            "along",
-            "force over m g / (2 mu)",
-            "sheet",
-            "largest excursion in spacings",
-            "left at rest um",
-            "anchors that slipped",
-        ],
-    )
+    columns = ["along", "force over m g / (2 mu)", "sheet", "largest excursion in spacings", "left at rest um"]
+    table = Table("Carried by a pinch at 1 m/s and 2 m/s^2", [*columns, "anchors that slipped"])
     for direction, axis, share in (("sideways, in its plane", 0, 4.0), ("across", 1, 2.0), ("up", 2, 2.0)):
         for kind, count in (("grid", 4), ("grid", 8)):
             excursion, residual, moved = _carry(PinchedSheet(kind, count, 0.5, share), axis)
             table.rows.append([direction, share, f"{kind} {count}", excursion, 1e6 * residual, moved])
             if excursion > MAX_EXCURSION or residual > MAX_CREEP:
-                report.failures.append(
+                report.fail(
                     f"carried {direction}, {kind} {count}: gives by {excursion:.2g} spacings, {residual:.2g} m left"
                 )
     report.tables.append(table)
-    report.notes.append(
+    report.note(
         "a sheet that is carried sideways in its own plane turns about the pads and loads their ends alone: that takes "
         "more than twice the force that bears its weight"
     )
@@ -204,13 +189,11 @@ def _carry(pinched: PinchedSheet, axis: int) -> tuple[float, float, int]:
     along, position, speed, max_excursion = np.eye(3)[axis], 0.0, 0.0, 0.0
     ramp_frames = round(0.5 * CARRY_SPEED / (0.5 * CARRY_ACCELERATION) / FRAME)
     for k in range(4 * ramp_frames):
-        acceleration = (
-            CARRY_ACCELERATION
-            if k < ramp_frames
-            else -CARRY_ACCELERATION
-            if 2 * ramp_frames <= k < 3 * ramp_frames
-            else 0.0
-        )
+        acceleration = 0.0
+        if k < ramp_frames:
+            acceleration = CARRY_ACCELERATION
+        elif 2 * ramp_frames <= k < 3 * ramp_frames:
+            acceleration = -CARRY_ACCELERATION
         pinched.move(position * along, speed * along, acceleration * along)
         pinched.advance()
         position, speed = position + speed * FRAME + 0.5 * acceleration * FRAME**2, speed + acceleration * FRAME

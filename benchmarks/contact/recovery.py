@@ -53,15 +53,14 @@ def starts(report: Report, options: argparse.Namespace) -> None:
             # The margin keeps a start at the smallest gap from being refused by rounding.
             _add(report, table, name, support, make, [max(gap, 0.02 + 1e-6) * THICKNESS for gap in GAPS])
     report.tables.append(table)
-    pressed = Table(
-        "Fastest particle m/s after a press by so many mm", ["on", *(f"{1e3 * depth:g}" for depth in PRESSES), *columns]
-    )
+    columns = ["on", *(f"{1e3 * depth:g}" for depth in PRESSES), *columns]
+    pressed = Table("Fastest particle m/s after a press by so many mm", columns)
     for support in PRESSED_ON:
         rise = _add(report, pressed, "", support, released, PRESSES)
         if support != "sphere" and rise > HIGHEST:
-            report.failures.append(f"released on {support}: a corner rises {1e3 * rise:.3g} mm")
+            report.fail(f"released on {support}: a corner rises {1e3 * rise:.3g} mm")
     report.tables.append(pressed)
-    report.notes.append(
+    report.note(
         f"Speeds and rises in the second after an event, at a tolerance of {COARSE:g} m; residuals of the energy "
         f"balance over what is turned over at {FINE:g} m. Rises of sheets without gravity are drift: on a sphere, on "
         "what became smaller, hovering, and folded."
@@ -73,13 +72,12 @@ def _add(report: Report, table: Table, name: str, support: str, make: _Make, val
     observations = [watch(make(support, value, COARSE)) for value in values]
     left = max(watch(make(support, value, FINE)).left_over for value in values)
     rise = max(observation.rise for observation in observations)
-    table.rows.append(
-        [*filter(None, [name]), support, *(observation.speed for observation in observations), 1e3 * rise, left]
-    )
+    speeds = [observation.speed for observation in observations]
+    table.rows.append([*filter(None, [name]), support, *speeds, 1e3 * rise, left])
     label = f"{name or 'released'}, {support}"
     for value, observation in zip(values, observations, strict=True):
         if observation.speed > FASTEST:
-            report.failures.append(f"{label}, {1e3 * value:.3g} mm: a particle moves at {observation.speed:.3g} m/s")
+            report.fail(f"{label}, {1e3 * value:.3g} mm: a particle moves at {observation.speed:.3g} m/s")
     if left > OPEN:
-        report.failures.append(f"{label}: the energy balance leaves {left:.2g} of what is turned over")
+        report.fail(f"{label}: the energy balance leaves {left:.2g} of what is turned over")
     return rise

@@ -22,6 +22,8 @@ from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation.report import Report, Table
 
+#: Orientation of a sheet that stands on its edge.
+EDGE_ON = [0.7071067811865476, 0.0, 0.0, 0.7071067811865476]
 #: Scene of the fold.
 FOLD_FILE = Path(__file__).resolve().parents[2] / "config" / "fold.yaml"
 #: Poses of grippers over time [s], of config/fold_left.yaml and fold_right.yaml: y and z [m], and the angle about x
@@ -61,10 +63,8 @@ class FoldRecord:
     @property
     def worst(self) -> int:
         """Index of the first frame of the slowest second."""
-        sums = [
-            sum(self.seconds[k : k + FRAMES_PER_SECOND])
-            for k in range(max(1, len(self.seconds) - FRAMES_PER_SECOND + 1))
-        ]
+        n_windows = max(1, len(self.seconds) - FRAMES_PER_SECOND + 1)
+        sums = [sum(self.seconds[k : k + FRAMES_PER_SECOND]) for k in range(n_windows)]
         return int(np.argmax(sums))
 
     def speed(self, first: int = 0, frames: int | None = None) -> float:
@@ -136,18 +136,12 @@ def folds(report: Report, options: argparse.Namespace) -> None:
         first = done.worst
         worst = slice(first, first + FRAMES_PER_SECOND)
         share = float(np.mean(done.contacts[worst])) / done.particles
-        row = [
-            f"{count} x {count}",
-            1e3 * thickness,
-            done.speed(),
-            done.speed(first, FRAMES_PER_SECOND),
-            share,
-            done.contacts[-1],
-        ]
+        speeds = [done.speed(), done.speed(first, FRAMES_PER_SECOND)]
+        row = [f"{count} x {count}", 1e3 * thickness, *speeds, share, done.contacts[-1]]
         means = [float(np.mean(done.evaluations)), float(np.mean(done.evaluations[worst]))]
         table.rows.append([*row, *means])
     report.tables.append(table)
-    report.notes.append("Folding: by processor time of one process; 1 is real time, more is faster.")
+    report.note("Folding: by processor time of one process; 1 is real time, more is faster.")
 
 
 def hanging(report: Report, options: argparse.Namespace) -> None:
@@ -159,7 +153,7 @@ def hanging(report: Report, options: argparse.Namespace) -> None:
             "cloth.size": [1.0, 1.0],
             "cloth.resolution": [count, count],
             "cloth.anchors": ["top"],
-            "cloth.orientation": [0.7071067811865476, 0.0, 0.0, 0.7071067811865476],
+            "cloth.orientation": EDGE_ON,
             "air.drag": 0.5,
             "tolerance": 1e-3,
         }
@@ -178,5 +172,5 @@ def hanging(report: Report, options: argparse.Namespace) -> None:
         ratio = turns.ratio("with", "without")
         table.rows.append([f"{count} x {count}", ratio, 1.1])
         if not ratio <= 1.1:
-            report.failures.append(f"a sheet of {count} x {count} that hangs costs {ratio:.3g} times with contact.self")
+            report.fail(f"a sheet of {count} x {count} that hangs costs {ratio:.3g} times with contact.self")
     report.tables.append(table)

@@ -100,7 +100,7 @@ def run(options: argparse.Namespace) -> Report:
             try:
                 recording = peer_contact.run_peer(peer, contact_scene, options.seconds, environment=folder)
             except PeerFailed as error:
-                report.notes.append(f"FAILED: {contact_scene.name}: {error}")
+                report.note(f"FAILED: {contact_scene.name}: {error}")
                 table.rows.append(_empty_row(contact_scene, peer, "FAILED"))
                 continue
             report.environment |= recording.versions
@@ -114,10 +114,8 @@ def run(options: argparse.Namespace) -> Report:
 def evaluate(contact_scene: ContactScene, engine: str, recording: EngineRecording) -> ContactResult:
     """Evaluate an engine's recording of a scene."""
     frames, pads = recording.frames, recording.pads
-    inside = [
-        contact_measures.depth(frames, solid, position)
-        for solid, position in zip(contact_scene.solids, contact_scene.solid_positions, strict=True)
-    ]
+    solids = zip(contact_scene.solids, contact_scene.solid_positions, strict=True)
+    inside = [contact_measures.depth(frames, solid, position) for solid, position in solids]
     inside += [contact_measures.depth(frames, solid, pads[:, k]) for k, solid in enumerate(contact_scene.pads)]
     result = ContactResult(
         scene=contact_scene.name,
@@ -137,9 +135,8 @@ def _drape(contact_scene: ContactScene, recording: EngineRecording, result: Cont
     n_frames = round(DRAPE_CREEP_TIME / PERIOD) + 1
     creep = math.nan
     if len(recording.frames) >= n_frames:
-        creep = contact_measures.creep_on_ball(
-            recording.frames[-n_frames:], DRAPE_CREEP_TIME, RADIUS, CONTACT_RANGE * THICKNESS
-        )
+        frames, contact_range = recording.frames[-n_frames:], CONTACT_RANGE * THICKNESS
+        creep = contact_measures.creep_on_ball(frames, DRAPE_CREEP_TIME, RADIUS, contact_range)
     return attrs.evolve(result, depth=depth, creep=creep)
 
 
@@ -157,9 +154,8 @@ def _pinch(contact_scene: ContactScene, recording: EngineRecording, result: Cont
         return result
     first = round(PINCH_SETTLING_TIME / PERIOD)
     between = contact_measures.between_pads(contact_scene.start, pad, contact_scene.pad_positions)
-    return attrs.evolve(
-        result, creep=contact_measures.sinking(frames[first:], recording.seen - PINCH_SETTLING_TIME, between)
-    )
+    creep = contact_measures.sinking(frames[first:], recording.seen - PINCH_SETTLING_TIME, between)
+    return attrs.evolve(result, creep=creep)
 
 
 _MEASURES: dict[str, Callable[[ContactScene, EngineRecording, ContactResult], ContactResult]] = {
@@ -184,17 +180,14 @@ def _empty_row(contact_scene: ContactScene, peer: ContactPeer, reason: str) -> l
 def check_product(result: ContactResult, report: Report) -> None:
     """Report guarantees that the product violates."""
     if result.inside > 0.0:
-        report.failures.append(
-            f"{result.scene}: a particle of the product is {1e3 * result.inside:.3g} mm inside an obstacle"
-        )
+        report.fail(f"{result.scene}: a particle of the product is {1e3 * result.inside:.3g} mm inside an obstacle")
     if result.crossed:
-        report.failures.append(f"{result.scene}: the product intersects itself in {result.crossed} frames")
+        report.fail(f"{result.scene}: the product intersects itself in {result.crossed} frames")
     if result.outcome.startswith("dropped"):
-        report.failures.append(f"{result.scene}: the product is {result.outcome}")
+        report.fail(f"{result.scene}: the product is {result.outcome}")
     if result.scene == "pinch" and abs(result.creep) >= MAX_PINCH_CREEP:
-        report.failures.append(
-            f"{result.scene}: the product creeps by {1e6 * result.creep:.3g} um/s; at most {1e6 * MAX_PINCH_CREEP:g}"
-        )
+        excess = f"creeps by {1e6 * result.creep:.3g} um/s; at most {1e6 * MAX_PINCH_CREEP:g}"
+        report.fail(f"{result.scene}: the product {excess}")
 
 
 def _explain(
@@ -229,7 +222,7 @@ def _explain(
     }
     report.notes += [descriptions[contact_scene.name] for contact_scene in contact_scenes]
     for peer in peers:
-        report.notes.append(f"{peer.name}: {peer.differs}")
+        report.note(f"{peer.name}: {peer.differs}")
         for contact_scene in contact_scenes:
             if contact_scene.name in peer.apart:
-                report.notes.append(f"{contact_scene.name}: {peer.name}: {peer.apart[contact_scene.name]}")
+                report.note(f"{contact_scene.name}: {peer.name}: {peer.apart[contact_scene.name]}")

@@ -71,9 +71,8 @@ def crossings(frames: Array, triangles: NDArray[np.int64], rest_positions: Array
     # The thickness does not matter for intersection.
     surface = ContactSurface(triangles, rest_positions, thickness=1e-9)
     self_contact_binding.upload_surface(plan.pointer, Contact(thickness=1e-9, surface=surface))
-    return [
-        index for index, x in enumerate(frames) if find_self_intersection(plan, np.ascontiguousarray(x.T)) is not None
-    ]
+    intersections = (find_self_intersection(plan, np.ascontiguousarray(x.T)) for x in frames)
+    return [index for index, intersection in enumerate(intersections) if intersection is not None]
 
 
 def creep_on_ball(frames: Array, seconds: float, radius: float, contact_range: float) -> float:

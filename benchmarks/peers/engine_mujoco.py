@@ -111,10 +111,8 @@ class MujocoEngine:
     def remarks(self) -> list[str]:
         """Return its warnings."""
         kinds = self._mujoco.mjtWarning
-        warnings = [
-            (kinds(i).name, int(warning.number)) for i, warning in enumerate(self._data.warning) if warning.number
-        ]
-        return [f"warned {name} {count} times" for name, count in warnings]
+        warnings = enumerate(self._data.warning)
+        return [f"warned {kinds(i).name} {int(warning.number)} times" for i, warning in warnings if warning.number]
 
 
 class MujocoContactEngine(MujocoEngine):
@@ -199,10 +197,8 @@ def _solids(sheet: dict[str, Any]) -> str:
     if sheet["kind"] == "fold":
         return '<geom type="plane" size="1 1 0.1"/>'
     size = _numbers(0.5 * sheet["pad_size"])
-    return "".join(
-        _PAD.format(place=_numbers(position), damping=_PAD_DAMPING, size=size, mass=_PAD_MASS)
-        for position in sheet["pad_places"]
-    )
+    settings = {"damping": _PAD_DAMPING, "size": size, "mass": _PAD_MASS}
+    return "".join(_PAD.format(place=_numbers(position), **settings) for position in sheet["pad_places"])
 
 
 def _numbers(values: Any) -> str:

@@ -129,10 +129,8 @@ class NewtonContactEngine(NewtonEngine):
             self._flags = model.particle_flags.numpy()
             self._flags[self._held] &= ~self._active
             self._flags[sheet["anchored"]] &= ~self._active
-            self_contact = {
-                "particle_self_contact_margin": thickness,
-                "particle_self_contact_gap": _FURTHER * thickness,
-            }
+            self_contact = {"particle_self_contact_margin": thickness}
+            self_contact["particle_self_contact_gap"] = _FURTHER * thickness
             solver = newton.solvers.SolverVBD(
                 model,
                 iterations=_ITERATIONS,
@@ -173,9 +171,8 @@ class NewtonContactEngine(NewtonEngine):
             places[:, 1] = np.sign(places[:, 1]) * (float(sheet["thickness"]) - deep + half[1])
             for position in places.tolist():
                 where = warp.transform(warp.vec3(*position), warp.quat_identity())
-                builder.add_shape_box(
-                    -1, xform=where, hx=float(half[0]), hy=float(half[1]), hz=float(half[2]), cfg=solid
-                )
+                hx, hy, hz = half.tolist()
+                builder.add_shape_box(-1, xform=where, hx=hx, hy=hy, hz=hz, cfg=solid)
             return places
         return np.zeros((0, 3))
 

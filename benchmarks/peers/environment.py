@@ -44,16 +44,10 @@ def default_folder() -> Path:
 def add_arguments(parser: argparse.ArgumentParser, packages: Collection[str], seconds: float) -> None:
     """Declare the options of all comparisons with other engines."""
     parser.add_argument("--peers", nargs="*", choices=packages, default=[*packages], help="which engines besides ours")
-    parser.add_argument(
-        "--seconds", type=float, default=seconds, metavar="S", help="wall seconds after which a run ends early"
-    )
-    parser.add_argument(
-        "--environment",
-        type=Path,
-        metavar="FOLDER",
-        default=default_folder(),
-        help="where the peers are installed, from PyPI (%(default)s)",
-    )
+    limit = "wall seconds after which a run ends early"
+    parser.add_argument("--seconds", type=float, default=seconds, metavar="S", help=limit)
+    folder_help = "where the peers are installed, from PyPI (%(default)s)"
+    parser.add_argument("--environment", type=Path, metavar="FOLDER", default=default_folder(), help=folder_help)
 
 
 def clean_variables(**more: str) -> dict[str, str]:
@@ -93,11 +87,8 @@ def prepare(
             _make(folder, on_message)
         present = _installed(folder)
         for peer, packages in requirements.items():
-            missing = [
-                package
-                for package in packages
-                if present.get(package.partition("==")[0].lower()) != package.partition("==")[2]
-            ]
+            versions = [package.partition("==") for package in packages]
+            missing = ["".join(p) for p in versions if present.get(p[0].lower()) != p[2]]
             if not missing:
                 continue
             if _UNREACHABLE in absent.values():
@@ -123,15 +114,17 @@ def lock_folder(folder: Path, on_message: Callable[[str], None]) -> Iterator[Non
         yield
 
 
+def _run(command: list[str]) -> subprocess.CompletedProcess[str]:
+    """Run a command with clean variables."""
+    return subprocess.run(command, env=clean_variables(), capture_output=True, text=True, check=False)
+
+
 def _make(folder: Path, on_message: Callable[[str], None]) -> None:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise EnvironmentUnusable(
-            f"{folder} holds something, but no Python environment; name another folder by --environment, or remove it"
-        )
+        remedy = "name another folder by --environment, or remove it"
+        raise EnvironmentUnusable(f"{folder} holds something, but no Python environment; {remedy}")
     on_message(f"making an environment for the peers in {folder}, once ...")
-    done = subprocess.run(
-        [sys.executable, "-m", "venv", str(folder)], env=clean_variables(), capture_output=True, text=True, check=False
-    )
+    done = _run([sys.executable, "-m", "venv", str(folder)])
     if done.returncode:
         raise EnvironmentUnusable(f"no environment can be made in {folder}: {last_line(done.stderr + done.stdout)}")
 
@@ -143,20 +136,13 @@ def _installed(folder: Path) -> dict[str, str]:
         "print(json.dumps({d.metadata['Name'].lower(): d.version for d in m.distributions()}))"
     )
     try:
-        done = subprocess.run(
-            [str(python_of(folder)), "-I", "-c", script],
-            env=clean_variables(),
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        done = _run([str(python_of(folder)), "-I", "-c", script])
         reason = last_line(done.stderr) if done.returncode else ""
     except OSError as error:
         reason = str(error)
     if reason:
-        raise EnvironmentUnusable(
-            f"the Python in {folder} does not run: {reason}; remove the folder; the next run creates it again"
-        )
+        remedy = "remove the folder; the next run creates it again"
+        raise EnvironmentUnusable(f"the Python in {folder} does not run: {reason}; {remedy}")
     versions: dict[str, str] = json.loads(done.stdout)
     return versions
 
@@ -165,7 +151,7 @@ def _install(folder: Path, packages: tuple[str, ...]) -> str:
     """Install exact versions from wheels; return the cause of a failure, or an empty text."""
     command = [str(python_of(folder)), "-I", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     command += ["--no-input", "--retries", "1", "--only-binary", ":all:", *packages]
-    done = subprocess.run(command, env=clean_variables(), capture_output=True, text=True, check=False)
+    done = _run(command)
     if not done.returncode:
         return ""
     output = done.stderr + done.stdout

@@ -15,58 +15,21 @@ REQUIREMENTS = {
     "pyPBD": ("pyPBD==2.2.2",),
 }
 _NEWTON = "the product's springs with their damping, in single precision; no air drag"
+_NEWTON_10 = f"{_NEWTON}; 10 iterations a step"
+_FLEX = (
+    "an isotropic elastic membrane of the product's modulus along the threads, with the product's damping and drag; "
+    "implicit"
+)
+_BULLET = "springs of one stiffness along a triangulation's edges, others across them; no drag of the air"
+_PBD = "the product's stiffnesses as compliant constraints, one sweep a step; neither damping nor drag"
+#: Name, package, script, variant, difference from the product, and first steps of the search by particles a side.
 PEERS = (
-    Peer(
-        name="Newton semi-implicit",
-        package="newton",
-        script="engine_newton.py",
-        variant="semi_implicit",
-        differs=_NEWTON,
-        first_steps=lambda n: n,
-    ),
-    Peer(
-        name="Newton XPBD",
-        package="newton",
-        script="engine_newton.py",
-        variant="xpbd",
-        differs=f"{_NEWTON}; 10 iterations a step",
-        first_steps=lambda n: n,
-    ),
-    Peer(
-        name="Newton VBD",
-        package="newton",
-        script="engine_newton.py",
-        variant="vbd",
-        differs=f"{_NEWTON}; 10 iterations a step",
-        first_steps=lambda n: max(n // 16, 1),
-    ),
-    Peer(
-        name="MuJoCo flex",
-        package="mujoco",
-        script="engine_mujoco.py",
-        variant="discrete",
-        differs=(
-            "an isotropic elastic membrane of the product's modulus along the threads, with the product's damping and "
-            "drag; implicit"
-        ),
-        first_steps=lambda n: 1,
-    ),
-    Peer(
-        name="PyBullet springs",
-        package="pybullet",
-        script="engine_pybullet.py",
-        variant="springs",
-        differs="springs of one stiffness along a triangulation's edges, others across them; no drag of the air",
-        first_steps=lambda n: n,
-    ),
-    Peer(
-        name="pyPBD XPBD",
-        package="pyPBD",
-        script="engine_pypbd.py",
-        variant="xpbd",
-        differs="the product's stiffnesses as compliant constraints, one sweep a step; neither damping nor drag",
-        first_steps=lambda n: max(n // 8, 1),
-    ),
+    Peer("Newton semi-implicit", "newton", "engine_newton.py", "semi_implicit", _NEWTON, lambda n: n),
+    Peer("Newton XPBD", "newton", "engine_newton.py", "xpbd", _NEWTON_10, lambda n: n),
+    Peer("Newton VBD", "newton", "engine_newton.py", "vbd", _NEWTON_10, lambda n: max(n // 16, 1)),
+    Peer("MuJoCo flex", "mujoco", "engine_mujoco.py", "discrete", _FLEX, lambda n: 1),
+    Peer("PyBullet springs", "pybullet", "engine_pybullet.py", "springs", _BULLET, lambda n: n),
+    Peer("pyPBD XPBD", "pyPBD", "engine_pypbd.py", "xpbd", _PBD, lambda n: max(n // 8, 1)),
 )
 _MEMBRANE = (
     "an isotropic elastic membrane of the product's modulus along the threads, with zero Poisson ratio and the "

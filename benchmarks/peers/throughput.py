@@ -36,9 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     sizes = [*speed_curtain.SCORED_FRAMES]
     parser.add_argument("--resolutions", type=int, nargs="+", metavar="N", default=sizes, help="particles a side")
     parser.add_argument("--duration", type=float, default=1.0, metavar="S", help="simulated seconds of each run")
-    parser.add_argument(
-        "--stretch", type=float, default=1.5, metavar="TIMES", help="an edge longer than this times its rest is torn"
-    )
+    torn = "an edge longer than this times its rest is torn"
+    parser.add_argument("--stretch", type=float, default=1.5, metavar="TIMES", help=torn)
     parser.add_argument("--repeats", type=int, default=3, help="timed rounds with every peer at its longest step")
     parser.add_argument("--peer-threads", type=int, default=1, metavar="N", help="for a peer that can use several")
     peer_environment.add_arguments(parser, REQUIREMENTS, seconds=10.0)
@@ -132,9 +131,8 @@ def measure(options: argparse.Namespace, folder: Path, resolution: int, peers: l
         longest: dict[Peer, EngineEntry] = {}
         for peer in peers:
             try:
-                longest_attempt = peer_jobs.longest_step(
-                    _logged(peer, resolution, attempt), peer.first_steps(resolution)
-                )
+                logged = _logged(peer, resolution, attempt)
+                longest_attempt = peer_jobs.longest_step(logged, peer.first_steps(resolution))
             except PeerFailed as error:
                 field.failed.append(f"N = {resolution}: {error}")
                 continue
@@ -201,11 +199,9 @@ def _comparison(fields: list[SheetComparison]) -> Table:
     for field in fields:
         start = [field.resolution, field.tolerance, field.error, field.scored]
         best = field.fastest
-        end = (
-            [best.name, *(entry.factor / best.factor for entry in (field.product, field.one_core))]
-            if best
-            else ["-"] * 3
-        )
+        end: list[str | float] = ["-"] * 3
+        if best:
+            end = [best.name, field.product.factor / best.factor, field.one_core.factor / best.factor]
         table.rows.append([*start, *end])
     return table
 
@@ -234,22 +230,20 @@ def _plot(fields: list[SheetComparison]) -> Plot:
 def _explain(options: argparse.Namespace, peers: list[Peer], fields: list[SheetComparison], report: Report) -> None:
     versions = {name: text for f in fields for e in f.peers for name, text in e.attempts[0].versions.items()}
     report.environment |= versions
-    report.notes.append(
+    report.note(
         f"a peer's step is the longest, to about a fifth, at which its sheet stays whole for {options.duration:g} s: "
         f"no edge longer than {options.stretch:g} times its rest length at any frame; peers do not report their error"
     )
     threads = "one thread" if options.peer_threads == 1 else f"up to {options.peer_threads} threads"
-    report.notes.append(f"peers have {threads} each; medians of {options.repeats} interleaved rounds")
+    report.note(f"peers have {threads} each; medians of {options.repeats} interleaved rounds")
     report.notes += [f"{peer.name}: {peer.differs}" for peer in peers]
     for field in fields:
         where = f"N = {field.resolution}"
-        report.notes.append(
-            f"{where}: the error's reference is within {field.reference_error:.1g} m of the exact solution"
-        )
+        report.note(f"{where}: the error's reference is within {field.reference_error:.1g} m of the exact solution")
         for entry in field.peers:
             attempt = entry.attempts[0]
             if attempt.simulated < options.duration - PERIOD:
-                report.notes.append(
+                report.note(
                     f"{where}: {entry.name} reached the limit of {options.seconds:g} s: its sheet was whole for "
                     f"{attempt.simulated:.2f} s and may tear later"
                 )
@@ -261,10 +255,8 @@ def _check_targets(fields: list[SheetComparison], report: Report) -> None:
     for field in fields:
         where = f"N = {field.resolution}"
         if field.error > speed_curtain.ACCURATE:
-            report.failures.append(
-                f"{where}: the product is {field.error:.2g} m off; at most {speed_curtain.ACCURATE:g} m"
-            )
+            report.fail(f"{where}: the product is {field.error:.2g} m off; at most {speed_curtain.ACCURATE:g} m")
         best = field.fastest
         if best and field.resolution in RATED_RESOLUTIONS and field.product.factor < MIN_PEER_RATIO * best.factor:
             times = field.product.factor / best.factor
-            report.failures.append(f"{where}: {times:.3g} times as fast as {best.name}; target {MIN_PEER_RATIO:g}")
+            report.fail(f"{where}: {times:.3g} times as fast as {best.name}; target {MIN_PEER_RATIO:g}")

@@ -56,9 +56,8 @@ class Latencies:
 
     def summary(self) -> dict[str, Any]:
         """Return plain values for a table."""
-        low, median, high, highest = (
-            float(1e3 * value) for value in np.percentile(self.seconds, [1.0, 50.0, 99.0, 100.0])
-        )
+        percentiles = np.percentile(self.seconds, [1.0, 50.0, 99.0, 100.0])
+        low, median, high, highest = (1e3 * percentiles).tolist()
         diagnostic_keys = ("real_time_factor_overall", "late_frames", "load", "longest_frame_ms", "integrator_reason")
         return {
             "particles": self.particles,

@@ -86,9 +86,8 @@ class Robot(GripperProbe):
         angular_frequency = 2.0 * np.pi / cycle.carried
 
         def carried(t: float) -> np.ndarray:
-            return CORNER + np.array(
-                [0.0, -0.25 * np.sin(angular_frequency * t), 0.2 * (1.0 - np.cos(angular_frequency * t))]
-            )
+            angle = angular_frequency * t
+            return CORNER + np.array([0.0, -0.25 * np.sin(angle), 0.2 * (1.0 - np.cos(angle))])
 
         self._lead(carried, cycle.carried)
         self._begin("swung")

@@ -210,9 +210,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=20.0, help="of each interval (default: %(default)s)")
     parser.add_argument("--settle", type=float, default=4.0, help="of idle: time before (default: %(default)s)")
     parser.add_argument("--rounds", type=int, default=3, help="of sets: pairs of intervals (default: %(default)s)")
-    parser.add_argument(
-        "--resolution", type=int, default=0, help="particles a side (default: 30 for idle, 64 for sets)"
-    )
+    sides = "particles a side (default: 30 for idle, 64 for sets)"
+    parser.add_argument("--resolution", type=int, default=0, help=sides)
     options = parser.parse_args(arguments)
     if options.seconds <= 0.0 or options.rounds < 1:
         parser.error("--seconds must be above 0, --rounds at least 1")

@@ -14,6 +14,7 @@ from pathlib import Path
 import rclpy
 
 from cloth_sim_ros.session.child_process import child_environment, module_command
+from validation.command import child_process_arguments
 
 
 @contextlib.contextmanager
@@ -48,6 +49,23 @@ def node_process(
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.communicate(timeout=patience)
             process.kill()
+
+
+@contextlib.contextmanager
+def subscriber_process(module: str, topic: str, *arguments: str) -> Iterator[None]:
+    """Run a module of this package as subscriber of a topic, in its own process."""
+    # The subscriber must not inherit standard output: a reader would wait until all writers have closed it.
+    process = subprocess.Popen(
+        **child_process_arguments(module, "--listen", topic, *arguments),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        yield
+    finally:
+        # It has nothing to clean up, and rclpy may hang after a signal.
+        process.kill()
+        process.wait()
 
 
 @contextlib.contextmanager

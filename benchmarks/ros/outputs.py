@@ -14,7 +14,6 @@ import contextlib
 import json
 import os
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -26,12 +25,11 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
-from benchmarks.ros.node_process import ros_context
+from benchmarks.ros.node_process import ros_context, subscriber_process
 from cloth_sim_ros.ros.io.outputs import Outputs
 from cloth_sim_ros.ros.recording.recording import SessionRecording
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
-from validation.command import child_process_arguments
 
 #: Pause after each frame [s], as the rest of a period, for the recorder thread and the subscriber.
 _PAUSE = 0.005
@@ -58,15 +56,10 @@ class Candidate:
         self._simulation = Simulation(scene)
         self._recording = SessionRecording(node_name=self._node.get_fully_qualified_name(), simulation=self._simulation)
         self._outputs = Outputs(self._node, scene, self._recording)
-        self._listener: subprocess.Popen[bytes] | None = None
+        self._subscriber = contextlib.ExitStack()
         topic = f"{self._node.get_fully_qualified_name()}/points"
         if subscribed:
-            # The subscriber must not inherit standard output: a reader would wait until all writers have closed it.
-            self._listener = subprocess.Popen(
-                **child_process_arguments("benchmarks.ros.outputs", "--listen", topic),
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-            )
+            self._subscriber.enter_context(subscriber_process("benchmarks.ros.outputs", topic))
             end = time.monotonic() + _PATIENCE
             while not self._node.count_subscribers(topic):
                 if time.monotonic() > end:
@@ -93,10 +86,7 @@ class Candidate:
 
     def close(self) -> None:
         """Stop the subscriber, the recording and the node."""
-        if self._listener is not None:
-            # It has nothing to clean up, and rclpy may hang after a signal.
-            self._listener.kill()
-            self._listener.wait()
+        self._subscriber.close()
         self._recording.end(reason="measured", timeout=10.0)
         self._node.destroy_node()
 

@@ -91,9 +91,8 @@ def _measure_size(messages: Sequence[Message], folder: Path, rate: float) -> Non
     for compression in names:
         for chunk in (1 << 20, 4 << 20):
             options = WriterOptions(compression=compression, chunk_bytes=chunk, sync_seconds=0)
-            writer = SessionWriter(
-                folder, snapshot=_SNAPSHOT, stem=f"{compression}{chunk}", log_time=0, options=options
-            )
+            stem = f"{compression}{chunk}"
+            writer = SessionWriter(folder, snapshot=_SNAPSHOT, stem=stem, log_time=0, options=options)
             begin = time.thread_time()
             for frame in frames:
                 for message in frame:
@@ -103,22 +102,15 @@ def _measure_size(messages: Sequence[Message], folder: Path, rate: float) -> Non
             size = writer.bytes_written
             writer.path.unlink()
             hour = size / len(frames) * rate * 3600
-            print(
-                f"| {compression} | {chunk >> 20} MiB | {hour / 1e9:.1f} | {raw / size:.2f} | {work * 1e3:.2f} "
-                f"| {work * rate:.1%} |"
-            )
+            settings = f"| {compression} | {chunk >> 20} MiB | {hour / 1e9:.1f} | {raw / size:.2f}"
+            print(f"{settings} | {work * 1e3:.2f} | {work * rate:.1%} |")
 
 
 def _add(writer: SessionWriter, message: Message) -> None:
     if not writer.is_declared(message.topic):
         writer.declare(message.topic, message.type_name)
-    writer.add(
-        message.topic,
-        message.data,
-        log_time=message.log_time,
-        publish_time=message.publish_time,
-        sequence=message.sequence,
-    )
+    times = {"log_time": message.log_time, "publish_time": message.publish_time}
+    writer.add(message.topic, message.data, **times, sequence=message.sequence)
 
 
 def _measure_timer(messages: Sequence[Message], folder: Path, rate: float, seconds: float, rounds: int) -> None:
@@ -165,13 +157,8 @@ def _run_timer(
         handed = time.perf_counter()
         if recorder is not None:
             for message, data in zip(frame, fresh, strict=True):
-                recorder.record(
-                    message.topic,
-                    message.type_name,
-                    data,
-                    log_time=index,
-                    droppable=message.topic.endswith("/points"),
-                )
+                is_cloud = message.topic.endswith("/points")
+                recorder.record(message.topic, message.type_name, data, log_time=index, droppable=is_cloud)
         timing.cost.append(time.perf_counter() - handed)
         timing.late.append(began - deadline)
 

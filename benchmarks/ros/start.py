@@ -63,12 +63,9 @@ def measure_start(index: int, arguments: Sequence[str] = ()) -> Start:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     arrivals: list[float] = []
+    quality = QoSProfile(depth=10)
     node.create_subscription(
-        PointCloud2,
-        "cloth_sim/points",
-        lambda _: arrivals.append(time.monotonic()),
-        QoSProfile(depth=10),
-        raw=True,
+        PointCloud2, "cloth_sim/points", lambda _: arrivals.append(time.monotonic()), quality, raw=True
     )
     question = node.create_client(GetParameters, "cloth_sim/get_parameters")
     pending: list[Future] = []

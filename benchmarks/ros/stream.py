@@ -17,11 +17,10 @@ import gc
 import json
 import os
 import struct
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,9 +33,8 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
-from benchmarks.ros.node_process import ros_context
+from benchmarks.ros.node_process import ros_context, subscriber_process
 from cloth_sim_ros.ros.node import ClothNode
-from validation.command import child_process_arguments
 
 #: A cloth with few steps per frame, and one that also falls asleep.
 _MOVING = {"material.stretch_modulus": 10.0, "material.shear_modulus": 1.0, "bending.model": "none"}
@@ -107,23 +105,6 @@ class Stream:
         }
 
 
-@contextlib.contextmanager
-def subscriber(topic: str, file: Path) -> Iterator[None]:
-    """Run a reliable subscriber in its own process, which records clouds to a file."""
-    # The subscriber must not inherit standard output: a reader would wait until all writers have closed it.
-    process = subprocess.Popen(
-        **child_process_arguments("benchmarks.ros.stream", "--listen", topic, str(file)),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        yield
-    finally:
-        # It has nothing to clean up, and rclpy may hang after a signal.
-        process.kill()
-        process.wait()
-
-
 def measure(resolution: int, *, seconds: float, rate: float, moving: bool = False) -> Stream:
     """Run a node with `resolution` particles a side for some time [s] at a rate [Hz].
 
@@ -140,7 +121,8 @@ def measure(resolution: int, *, seconds: float, rate: float, moving: bool = Fals
             file = Path(folder) / "received"
             file.touch()
             cloth.warm_up()
-            with subscriber(f"{cloth.node.get_fully_qualified_name()}/points", file):
+            topic = f"{cloth.node.get_fully_qualified_name()}/points"
+            with subscriber_process("benchmarks.ros.stream", topic, str(file)):
                 return _stream(cloth, executor, file, seconds=seconds, rate=rate, moving=moving)
     finally:
         cloth.close()
@@ -256,10 +238,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not options.seconds >= least:
         parser.error(f"--seconds is {options.seconds:g}; at least two frames, {least:g} s, are needed")
     with ros_context():
-        streams = [
-            measure(resolution, seconds=options.seconds, rate=options.rate, moving=options.moving)
-            for resolution in options.resolutions
-        ]
+        streams = []
+        for resolution in options.resolutions:
+            streams.append(measure(resolution, seconds=options.seconds, rate=options.rate, moving=options.moving))
     sys.stdout.write(json.dumps([stream.summary() for stream in streams], indent=1) + "\n")
     return 0 if all(stream.met for stream in streams) else 1
 

@@ -6,10 +6,9 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
 from typing import Any
 
-from validation.command import child_process_arguments
+from validation.command import run_module
 from validation.report import Plot, Report, Table
 
 #: Largest ratio of the time per particle and step to that of a sheet of about 10^4 particles.
@@ -42,10 +41,9 @@ def run(options: argparse.Namespace) -> Report:
     report = Report("From a thousand particles to a million", "python -m benchmarks scale")
     columns = ["sheet", "particles", "build s", "frame ms", "ns a particle and step", "to 10^4"]
     times = Table("Time", columns)
-    memory = Table(
-        "Memory, MB",
-        ["sheet", "particles", "most while built", "most while run", "state", "forces", "tables", "run to their sum"],
-    )
+    columns = ["sheet", "particles", "most while built", "most while run", "state", "forces", "tables"]
+    columns.append("run to their sum")
+    memory = Table("Memory, MB", columns)
     for kind in options.kinds:
         sheets = _sheets(kind, options, report)
         if not sheets:
@@ -59,16 +57,14 @@ def run(options: argparse.Namespace) -> Report:
             share = sizes[1] / sum(sizes[2:])
             memory.rows.append([kind, sheet["particles"], *(size / _MEGA for size in sizes), share])
             if sheet["particles"] >= _LARGE and ratio > MAX_TIME_RATIO:
-                report.failures.append(f"{kind} of {sheet['particles']}: {ratio:.2f} times the time of 10^4")
+                report.fail(f"{kind} of {sheet['particles']}: {ratio:.2f} times the time of 10^4")
             if sheet["particles"] >= _LARGE and share > MAX_MEMORY_RATIO:
-                report.failures.append(
-                    f"{kind} of {sheet['particles']}: {share:.2f} times the memory of what it must hold"
-                )
+                report.fail(f"{kind} of {sheet['particles']}: {share:.2f} times the memory of what it must hold")
         points = [(float(sheet["particles"]), float(sheet["least_ns"])) for sheet in sheets]
         report.plots.append(Plot(f"Time, {kind}", "particles", "ns a particle and step", {kind: points}))
     report.tables += [times, memory]
-    report.notes.append("each sheet in separate processes, sizes in turns; shortest median frame of several")
-    report.notes.append("memory beyond that of a process that has run a sheet of 3136 particles of the same kind")
+    report.note("each sheet in separate processes, sizes in turns; shortest median frame of several")
+    report.note("memory beyond that of a process that has run a sheet of 3136 particles of the same kind")
     return report
 
 
@@ -77,15 +73,10 @@ def _sheets(kind: str, options: argparse.Namespace, report: Report) -> list[dict
     for _ in range(options.rounds):
         for size in options.sizes:
             arguments = [kind, str(size), "--seconds", str(options.seconds)]
-            done = subprocess.run(
-                **child_process_arguments("benchmarks.scale.sheet", *arguments),
-                check=False,
-                capture_output=True,
-                text=True,
-            )
+            done = run_module("benchmarks.scale.sheet", *arguments)
             if done.returncode:
                 last = (done.stderr.strip().splitlines() or [f"status {done.returncode}"])[-1]
-                report.failures.append(f"{kind}, {size} a side, could not be run: {last}")
+                report.fail(f"{kind}, {size} a side, could not be run: {last}")
                 continue
             figures = json.loads(done.stdout.splitlines()[-1])
             before = best.get(size)

@@ -61,11 +61,8 @@ def main() -> int:
 def _scene(kind: str, resolution: int) -> Scene:
     # At a fixed rate the largest sheets would need a thousand steps per frame. The rate is set so that each sheet needs
     # `STEPS`. The integrator is the one that `auto` chooses for them at the default tolerance.
-    values: dict[str, Any] = {
-        "cloth.resolution": [resolution, resolution],
-        "integrator": "extrapolated",
-        "wind.normal_drag": 0.0,
-    }
+    values: dict[str, Any] = {"cloth.resolution": [resolution, resolution], "integrator": "extrapolated"}
+    values["wind.normal_drag"] = 0.0
     files = {}
     if kind == "mesh":
         values |= {"cloth.mesh": _MESH, "cloth.anchors": ["0", str(resolution - 1)], "bending.model": "none"}

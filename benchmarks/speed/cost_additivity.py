@@ -98,7 +98,7 @@ def run(options: argparse.Namespace) -> Report:
     report = Report("Costs add up", "python -m benchmarks cost-additivity")
     for sheet in options.sheets:
         add(sheet, measured(sheet, options), report)
-    report.notes.append(
+    report.note(
         "frames with equal fixed steps, processor time, medians of rounds in turns, each round relative to its base; "
         f"at most: {TIMES:g} times the sum of what each adds alone, + {SHARE:.0%} of base"
     )
@@ -136,9 +136,9 @@ def add(sheet: str, cost: Cost, report: Report) -> None:
         holds = both <= most
         together.rows.append([a, b, first, second, both, both / (first + second), most, "yes" if holds else "no"])
         if not holds:
-            report.failures.append(f"{sheet}, {a} and {b}: together {both:.3g} of base more; at most {most:.3g}")
+            report.fail(f"{sheet}, {a} and {b}: together {both:.3g} of base more; at most {most:.3g}")
     report.tables += [alone, together]
-    report.notes.append(f"{sheet}: {cost.steps} steps a frame")
+    report.note(f"{sheet}: {cost.steps} steps a frame")
 
 
 def measured(sheet: str, options: argparse.Namespace) -> Cost:
@@ -154,11 +154,8 @@ def measured(sheet: str, options: argparse.Namespace) -> Cost:
         seconds=options.seconds,
         clock=time.process_time,
     )
-    return Cost(
-        base=turns.median("0") / _FRAMES,
-        steps=steps,
-        times={names: _to_base(turns, k) for k, names in enumerate(feature_sets) if names},
-    )
+    times = {names: _to_base(turns, k) for k, names in enumerate(feature_sets) if names}
+    return Cost(base=turns.median("0") / _FRAMES, steps=steps, times=times)
 
 
 def _to_base(turns: InterleavedTimes, index: int) -> float:
@@ -203,9 +200,8 @@ def turn(configuration: Scene) -> Callable[[], None]:
             return []
         t = (frame + 1) * PERIOD
         half = 0.5 * _TURN * t
-        return [
-            Target("gripper", corner + np.array([0.0, _SPEED * t, 0.0]), (0.0, 0.0, math.sin(half), math.cos(half)))
-        ]
+        orientation = (0.0, 0.0, math.sin(half), math.cos(half))
+        return [Target("gripper", corner + np.array([0.0, _SPEED * t, 0.0]), orientation)]
 
     if configuration.gripper_names:
         done = simulation.advance([Target("gripper", corner), Grasp("gripper", True)])

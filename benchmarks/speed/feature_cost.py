@@ -7,7 +7,6 @@ from __future__ import annotations
 import argparse
 import json
 import statistics
-import subprocess
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -21,7 +20,7 @@ from benchmarks.speed.hand_written_loop import HandWrittenLoop
 from benchmarks.timing import time_interleaved
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
-from validation.command import child_process_arguments
+from validation.command import run_module
 from validation.report import Report, Table
 
 #: Largest ratio of a frame to one of the hand-written loop.
@@ -40,9 +39,8 @@ _SCENES: dict[str, dict[str, Any]] = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument(
-        "--only", nargs="+", choices=PARTS, default=PARTS, metavar="PART", help=f"of {', '.join(PARTS)}"
-    )
+    parts = f"of {', '.join(PARTS)}"
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, metavar="PART", help=parts)
     parser.add_argument("--sizes", type=int, nargs="+", default=[32, 64, 128], metavar="N", help="particles a side")
     parser.add_argument("--copies", type=int, default=3, help="of each candidate; the fastest counts")
     parser.add_argument("--seconds", type=float, default=10.0, help="of timing for each size and table")
@@ -51,19 +49,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Measure the selected parts."""
     report = Report("Cost of features", "python -m benchmarks feature-cost")
-    parts: dict[str, Callable[[argparse.Namespace, Report], None]] = {
-        "hand": _hand,
-        "features": _features,
-        "counts": _counts,
-        "outputs": _outputs,
-        "start": _start,
-    }
+    parts = {"hand": _hand, "features": _features, "counts": _counts, "outputs": _outputs, "start": _start}
     for part in PARTS:
         if part in options.only:
             parts[part](options, report)
-    report.notes.append(
-        "candidates are interleaved on one core and timed by processor time; ratios are medians over the rounds"
-    )
+    timing = "candidates are interleaved on one core and timed by processor time"
+    report.note(f"{timing}; ratios are medians over the rounds")
     return report
 
 
@@ -80,16 +71,15 @@ def _hand(options: argparse.Namespace, report: Report) -> None:
             makers[f"{name}, steps"] = partial(_by_hand, scene, bare=True)
         times = _frame_times(makers, copies=options.copies, seconds=options.seconds)
         for name in scenes:
-            simulated, hand, again, steps = (
-                times[f"{name}{suffix}"] for suffix in ("", ", by hand", ", again", ", steps")
-            )
+            simulated, hand = times[name], times[f"{name}, by hand"]
+            again, steps = times[f"{name}, again"], times[f"{name}, steps"]
             ratio = 0.5 * (_ratio(simulated, hand) + _ratio(simulated, again))
             milliseconds = 1e3 * statistics.median(simulated)
             more = 1e3 * milliseconds * (1.0 - 1.0 / ratio)
             row = [resolution, name, milliseconds, ratio, _ratio(again, hand), _ratio(simulated, steps), more]
             table.rows.append(row)
             if ratio > MAX_HAND_WRITTEN_RATIO:
-                report.failures.append(f"N = {resolution}, {name}: {ratio:.3f} times the loop by hand")
+                report.fail(f"N = {resolution}, {name}: {ratio:.3f} times the loop by hand")
     report.tables.append(table)
 
 
@@ -157,7 +147,7 @@ def _features(options: argparse.Namespace, report: Report) -> None:
             milliseconds = 1e3 * statistics.median(times[variant.name])
             table.rows.append([resolution, variant.feature, variant.presence, milliseconds, ratio])
             if variant.asleep and ratio > MAX_SLEEP_RATIO:
-                report.failures.append(f"N = {resolution}: a frame asleep costs {ratio:.3g} of one that moves")
+                report.fail(f"N = {resolution}: a frame asleep costs {ratio:.3g} of one that moves")
     report.tables.append(table)
 
 
@@ -184,13 +174,11 @@ def _counts(options: argparse.Namespace, report: Report) -> None:
 
 def _run_measurement(module: str, report: Report) -> dict[str, Any] | None:
     """Run a measurement of the node in its own process, because this one must not load ROS; return its output."""
-    done = subprocess.run(
-        **child_process_arguments(f"benchmarks.ros.{module}"), check=False, capture_output=True, text=True
-    )
+    done = run_module(f"benchmarks.ros.{module}")
     try:
         figures: dict[str, Any] = json.loads(done.stdout)
     except ValueError:
-        report.notes.append(f"{module} failed: {(done.stderr.strip().splitlines() or ['no answer'])[-1]}")
+        report.note(f"{module} failed: {(done.stderr.strip().splitlines() or ['no answer'])[-1]}")
         return None
     return figures
 
@@ -199,15 +187,14 @@ def _outputs(_options: argparse.Namespace, report: Report) -> None:
     figures = _run_measurement("outputs", report)
     if figures is None:
         return
-    table = Table(
-        f"Cost of outputs in a frame of {figures['particles']} particles", ["there is", "frame ms", "to nobody"]
-    )
+    columns = ["there is", "frame ms", "to nobody"]
+    table = Table(f"Cost of outputs in a frame of {figures['particles']} particles", columns)
     for name, times in figures["presences"].items():
         table.rows.append([name, times["median_ms"], times["to_nobody"]])
     report.tables.append(table)
     if not figures["met"]:
         ratio = figures["presences"]["both"]["to_nobody"]
-        report.failures.append(f"with recorder and subscriber {ratio:.3f} times the frame; target {figures['goal']:g}")
+        report.fail(f"with recorder and subscriber {ratio:.3f} times the frame; target {figures['goal']:g}")
 
 
 def _start(_options: argparse.Namespace, report: Report) -> None:
@@ -216,11 +203,9 @@ def _start(_options: argparse.Namespace, report: Report) -> None:
         return
     columns = ["start", "least s", "median s", "most s", "processor time s"]
     table = Table("From process start to the first cloud at a subscriber", columns)
-    table.rows.append(["first", figures["first_s"], figures["first_s"], figures["first_s"], "-"])
     warm = figures["warm_s"]
-    table.rows.append(
-        ["warm cache", min(warm), figures["warm_median_s"], max(warm), figures["warm_processor_median_s"]]
-    )
+    row = ["warm cache", min(warm), figures["warm_median_s"], max(warm), figures["warm_processor_median_s"]]
+    table.rows.append(row)
     report.tables.append(table)
     if not figures["met"]:
-        report.failures.append(f"a warm start took {figures['warm_median_s']} s; target {figures['goal_s']} s")
+        report.fail(f"a warm start took {figures['warm_median_s']} s; target {figures['goal_s']} s")

@@ -19,7 +19,7 @@ from support.problems import PERIOD
 from support.raw_sheet import RawSheet
 from support.reference_kernel import ReferenceKernel
 
-from benchmarks.timing import InterleavedTimes, time_interleaved
+from benchmarks.timing import time_interleaved
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
@@ -98,15 +98,12 @@ def kernel_time(resolution: int, dtype: Any, *, compiler: str | None, seconds: f
     turns = time_interleaved(candidates, seconds=seconds, clock=time.thread_time)
     unit = 1e9 / (steps * len(sheet.sheet().pairs))
     # Time of the additional steps of the long run, by round [s].
-    whole = [
-        long_time - short_steps
-        for long_time, short_steps in zip(turns.seconds["many"], turns.seconds["few"], strict=True)
-    ]
+    pairs = zip(turns.seconds["many"], turns.seconds["few"], strict=True)
+    whole = [long_time - short_time for long_time, short_time in pairs]
     ratio = None
     if compiler is not None:
-        ratio = statistics.median(
-            engine_time / c_time for engine_time, c_time in zip(whole, turns.seconds["c"], strict=True)
-        )
+        pairs = zip(whole, turns.seconds["c"], strict=True)
+        ratio = statistics.median(engine_time / c_time for engine_time, c_time in pairs)
     return KernelTime(
         resolution=resolution,
         precision=np.dtype(dtype).name,
@@ -145,9 +142,12 @@ def thread_gain(resolution: int, dtype: Any, *, seconds: float) -> ThreadGain:
             for done in [pool.submit(repeat, independent_plan, 1) for independent_plan in independent_plans]:
                 done.result()
 
-        turns: InterleavedTimes = time_interleaved(
-            {"1": lambda: repeat(plan, 1), "2": lambda: repeat(plan, 2), "apart": apart}, seconds=seconds
-        )
+        runs: dict[str, Callable[[], None]] = {
+            "1": lambda: repeat(plan, 1),
+            "2": lambda: repeat(plan, 2),
+            "apart": apart,
+        }
+        turns = time_interleaved(runs, seconds=seconds)
     return ThreadGain(
         resolution=resolution,
         precision=np.dtype(dtype).name,

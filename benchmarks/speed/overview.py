@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable
 
 import attrs
 import numpy as np
@@ -56,17 +55,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Report:
     """Measure the selected parts."""
     report = Report("Speed", "python -m benchmarks speed")
-    parts: dict[str, Callable[[argparse.Namespace, Report], None]] = {
-        "kernels": _kernels,
-        "plans": _plans,
-        "curtain": _curtains,
-        "stiff": _stiff,
-        "threads": _threads,
-    }
+    parts = {"kernels": _kernels, "plans": _plans, "curtain": _curtains, "stiff": _stiff, "threads": _threads}
     for part in PARTS:
         if part in options.only:
             parts[part](options, report)
-    report.notes.append(
+    report.note(
         "medians of candidates that take turns; ratios are medians over the rounds; ns on one core by their "
         "processor time, all else by the wall clock"
     )
@@ -76,7 +69,7 @@ def run(options: argparse.Namespace) -> Report:
 def _kernels(options: argparse.Namespace, report: Report) -> None:
     compiler = find_compiler()
     if compiler is None:
-        report.notes.append("no C compiler here ($CC, cc, gcc, clang): the engine is timed without a comparison")
+        report.note("no C compiler here ($CC, cc, gcc, clang): the engine is timed without a comparison")
     columns = ["N", "precision", "C forces", "whole step", "to C", "accelerations by themselves"]
     table = Table("Nanoseconds per spring, one core", columns)
     lines: dict[str, list[tuple[float, float]]] = {}
@@ -90,9 +83,8 @@ def _kernels(options: argparse.Namespace, report: Report) -> None:
                 if value is not None:
                     lines.setdefault(f"{name}, {row.precision}", []).append((float(resolution), value))
             if row.ratio is not None and row.ratio > MAX_KERNEL_RATIO:
-                report.failures.append(
-                    f"a step at N = {resolution}, {row.precision}: {row.ratio:.2f} times C; target {MAX_KERNEL_RATIO:g}"
-                )
+                target = f"target {MAX_KERNEL_RATIO:g}"
+                report.fail(f"a step at N = {resolution}, {row.precision}: {row.ratio:.2f} times C; {target}")
     report.tables.append(table)
     report.plots.append(Plot("Time per spring", "particles a side", "ns per spring", lines))
 
@@ -127,15 +119,15 @@ def _curtains(options: argparse.Namespace, report: Report) -> None:
             row += [min(speed.factors), max(speed.factors), speed.evaluations, speed.error, scene.duration]
             table.rows.append(row)
             lines.setdefault(f"tolerance {row[1]:g}, cores: {row[2]}", []).append((float(resolution), speed.factor))
-        report.notes.append(f"curtain N = {resolution}: the reference's own error is {known.error:.1g} m")
+        report.note(f"curtain N = {resolution}: the reference's own error is {known.error:.1g} m")
         best = speed_curtain.loosest_accurate(speeds)
         min_speed = MIN_CURTAIN_SPEEDS.get(resolution, 0.0)
         if best is None:
-            report.failures.append(f"curtain N = {resolution}: no tolerance held {speed_curtain.ACCURATE:g} m")
+            report.fail(f"curtain N = {resolution}: no tolerance held {speed_curtain.ACCURATE:g} m")
             continue
-        report.notes.append(f"curtain N = {resolution} at tolerance {best.tolerance:g} m: {best.reason}")
+        report.note(f"curtain N = {resolution} at tolerance {best.tolerance:g} m: {best.reason}")
         if best.factor < min_speed:
-            report.failures.append(f"curtain N = {resolution}: {best.factor:.3g} x real time; target {min_speed:g}")
+            report.fail(f"curtain N = {resolution}: {best.factor:.3g} x real time; target {min_speed:g}")
     report.tables.append(table)
     report.plots.append(Plot("Scene C", "particles a side", "simulated s per wall s", lines))
 
@@ -153,47 +145,31 @@ def _stiff(options: argparse.Namespace, report: Report) -> None:
             if speed.name != "as shipped":
                 continue
             if speed.factor < 1.0:
-                report.failures.append(f"stiff sheet, N = {resolution}: {speed.factor:.3g} x real time; target 1")
+                report.fail(f"stiff sheet, N = {resolution}: {speed.factor:.3g} x real time; target 1")
             if speed.error > speed_stiff.TOLERANCE:
-                report.failures.append(f"stiff sheet, N = {resolution}: error {speed.error:.2g} m")
-        report.notes.append(f"stiff sheet, N = {resolution}: the reference's own error is {known.error:.1g} m")
+                report.fail(f"stiff sheet, N = {resolution}: error {speed.error:.2g} m")
+        report.note(f"stiff sheet, N = {resolution}: the reference's own error is {known.error:.1g} m")
     report.tables.append(table)
 
 
 def _threads(options: argparse.Namespace, report: Report) -> None:
     if len(os.sched_getaffinity(0)) < 2:
-        report.notes.append("one core alone is allowed here: two threads are not timed")
+        report.note("one core alone is allowed here: two threads are not timed")
         return
     columns = ["N", "precision", "steps a frame", "one thread ms", "two ms", "gain", "two sheets apart", "same bits"]
     table = Table("A frame of 1/60 s on two threads against one", columns)
     for dtype in (np.float32, np.float64):
         for resolution in options.threads:
             row = thread_gain(resolution, dtype, seconds=options.seconds)
-            table.rows.append(
-                [
-                    resolution,
-                    row.precision,
-                    row.steps,
-                    1e3 * row.one_thread,
-                    1e3 * row.two_threads,
-                    row.gain,
-                    row.most,
-                    _yes(row.same_bits),
-                ]
-            )
+            cells = [resolution, row.precision, row.steps, 1e3 * row.one_thread, 1e3 * row.two_threads]
+            table.rows.append([*cells, row.gain, row.most, "yes" if row.same_bits else "no"])
             where = f"two threads at N = {resolution}, {row.precision}"
             if not row.same_bits:
-                report.failures.append(f"{where}: other bits than one thread")
+                report.fail(f"{where}: other bits than one thread")
             if resolution >= THREADS_FROM and row.gain < MIN_THREAD_GAIN:
-                report.failures.append(
-                    f"{where}: {row.gain:.2f} times one; target {MIN_THREAD_GAIN:g} (apart {row.most:.2f})"
-                )
+                report.fail(f"{where}: {row.gain:.2f} times one; target {MIN_THREAD_GAIN:g} (apart {row.most:.2f})")
     report.tables.append(table)
-    report.notes.append(
+    report.note(
         "two sheets apart: gain in throughput of two independent sheets on two threads over one sheet on one thread, "
         "the limit of the machine"
     )
-
-
-def _yes(value: bool) -> str:
-    return "yes" if value else "no"

@@ -51,11 +51,8 @@ def mesh_time(particles: int, *, seconds: float) -> PlanTime:
 
 def bending_time(resolution: int, bending: str, *, seconds: float) -> PlanTime:
     """Time a square grid with a bending model of hinges."""
-    values: dict[str, object] = {
-        "cloth.resolution": [resolution, resolution],
-        "bending.model": bending,
-        "wind.normal_drag": 0.0,
-    }
+    values: dict[str, object] = {"cloth.resolution": [resolution, resolution], "bending.model": bending}
+    values["wind.normal_drag"] = 0.0
     if bending in ("crossed", "altitude"):
         values["material.bending_modulus"] = 1e-5
     simulation = Simulation(Scene.from_parameters(values))
@@ -64,9 +61,8 @@ def bending_time(resolution: int, bending: str, *, seconds: float) -> PlanTime:
 
 def grip_time(resolution: int, *, turning: bool, seconds: float) -> PlanTime:
     """Time a square grid held by a gripper that moves and, if `turning`, rotates."""
-    simulation = Simulation(
-        Scene.from_parameters({"cloth.resolution": [resolution, resolution], "wind.normal_drag": 0.0})
-    )
+    values = {"cloth.resolution": [resolution, resolution], "wind.normal_drag": 0.0}
+    simulation = Simulation(Scene.from_parameters(values))
     name = simulation.scene.gripper_names[0]
     corner = simulation.positions[-1]
     simulation.advance([Target(name, corner)])
@@ -100,10 +96,8 @@ def force_times(resolution: int, *, seconds: float) -> list[tuple[str, PlanTime]
     plain = scene.changed({"wind.normal_drag": 0.0}).plan().model
     with_user_force = compile(Model(plain.masses, [*plain.forces, _Swirl()], anchors=plain.anchors))
     v = np.zeros_like(x)
-    return [
-        (label, _time(plan, 0.0, x, v, seconds=seconds))
-        for label, plan in (("air on its surface", windy), ("a force in numpy", with_user_force))
-    ]
+    plans = (("air on its surface", windy), ("a force in numpy", with_user_force))
+    return [(label, _time(plan, 0.0, x, v, seconds=seconds)) for label, plan in plans]
 
 
 def _time(plan: Plan, t: float, x: Array, v: Array, *, seconds: float) -> PlanTime:
@@ -116,9 +110,8 @@ def _time(plan: Plan, t: float, x: Array, v: Array, *, seconds: float) -> PlanTi
 
         return run
 
-    turns = time_interleaved(
-        {"few": runner(short_steps), "many": runner(short_steps + steps)}, seconds=seconds, clock=time.thread_time
-    )
+    runs = {"few": runner(short_steps), "many": runner(short_steps + steps)}
+    turns = time_interleaved(runs, seconds=seconds, clock=time.thread_time)
     pairs = zip(turns.seconds["many"], turns.seconds["few"], strict=True)
     step = 1e9 / (steps * count) * statistics.median(long_time - short_time for long_time, short_time in pairs)
     return PlanTime(particles=count, step=step, estimate=plan.step_cost)

@@ -65,9 +65,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--choices-size", type=int, default=30, metavar="N", help="particles a side, second table")
     parser.add_argument("--choices-moduli", type=float, nargs="*", default=[1e3, 1e5], help="of stretch, second table")
     parser.add_argument("--frames", type=int, default=20, help="timed frames of each cloth")
-    parser.add_argument(
-        "--rounds", type=int, default=3, help="runs of each cloth; the fastest counts; fewer of slow ones"
-    )
+    rounds = "runs of each cloth; the fastest counts; fewer of slow ones"
+    parser.add_argument("--rounds", type=int, default=3, help=rounds)
 
 
 def run(options: argparse.Namespace) -> Report:
@@ -86,18 +85,9 @@ def run(options: argparse.Namespace) -> Report:
         period = Scene.from_parameters(_values(size, options.moduli[0])).period
         factors.rows.append([f"{size} x {size}", *(period / cost.seconds for cost in costs)])
         evaluations.rows.append([f"{size} x {size}", *(cost.evaluations for cost in costs)])
-        print_progress(f"{size} x {size}")
-    columns = [
-        "stretch N/m",
-        "integrator",
-        "tolerance m",
-        "frame ms",
-        "evaluations",
-        "estimate m",
-        "flagged",
-        "stepped",
-    ]
-    choices = Table(f"Tolerance and integrator, {options.choices_size} x {options.choices_size}", [*columns, "limit"])
+        columns = ["stretch N/m", "integrator", "tolerance m", "frame ms", "evaluations", "estimate m", "flagged"]
+        columns += ["stepped", "limit"]
+        choices = Table(f"Tolerance and integrator, {options.choices_size} x {options.choices_size}", columns)
     for modulus in options.choices_moduli:
         for integrator, tolerance in CHOICES:
             values = _values(options.choices_size, modulus) | {"integrator": integrator}
@@ -108,7 +98,7 @@ def run(options: argparse.Namespace) -> Report:
             choices.rows.append([*row, cost.integrator, cost.limited_by])
         print_progress(f"integrators at {modulus:g} N/m")
     report.tables += [factors, evaluations, choices]
-    report.notes.append(
+    report.note(
         f"the cloth of config/cloth_sim.yaml, shear modulus a tenth of the stretch modulus, {options.frames} frames; a "
         f"gripper carries its corner; processor time on one core, fastest of at most {options.rounds} runs"
     )

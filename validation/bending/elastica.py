@@ -85,12 +85,7 @@ class Strip:
 
 
 def hanging_strip(
-    model: Literal["crossed", "altitude"],
-    exact: Elastica,
-    *,
-    columns: int,
-    rows: int = 3,
-    stretch: float = 1e6,
+    model: Literal["crossed", "altitude"], exact: Elastica, *, columns: int, rows: int = 3, stretch: float = 1e6
 ) -> Strip:
     """Find the equilibrium, under the load of `exact`, of a strip of length 1 m and modulus 1 N m.
 
@@ -130,11 +125,8 @@ def hanging_strip(
     positions = _equilibrium(Model(masses, forces), start, column, 2)
     mean_positions = np.array([positions[column == k].mean(axis=0) for k in range(2, columns)])
     centre = rest_positions[:, 1].mean()
-    return Strip(
-        arc=arc[2:],
-        curve=mean_positions[:, [0, 2]] * (1.0, -1.0),
-        max_lateral_offset=float(np.abs(mean_positions[:, 1] - centre).max()),
-    )
+    max_lateral_offset = float(np.abs(mean_positions[:, 1] - centre).max())
+    return Strip(arc=arc[2:], curve=mean_positions[:, [0, 2]] * (1.0, -1.0), max_lateral_offset=max_lateral_offset)
 
 
 def _equilibrium(model: Model, start: Array, column: NDArray[np.int64], clamped: int) -> Array:
@@ -178,10 +170,8 @@ def _equilibrium(model: Model, start: Array, column: NDArray[np.int64], clamped:
                     row_indices.append(component * free.size + free_index[neighbours])
                     column_indices.append(np.full(neighbours.size, axis * free.size + free_index[p]))
                     values.append(-product[component, neighbours])
-        return csc_array(
-            (np.concatenate(values), (np.concatenate(row_indices), np.concatenate(column_indices))),
-            shape=(n_unknowns, n_unknowns),
-        )
+        indices = (np.concatenate(row_indices), np.concatenate(column_indices))
+        return csc_array((np.concatenate(values), indices), shape=(n_unknowns, n_unknowns))
 
     def move(step: Array) -> None:
         x[:, free] += step.reshape(3, -1)

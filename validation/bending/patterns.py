@@ -65,9 +65,8 @@ def plate_moduli(patch: Patch) -> Plate:
     deflection_folds = np.zeros((len(p), n_particles))
     np.add.at(deflection_folds, (np.arange(len(p))[:, None], patch.periodic_index[patch.hinges]), fold)
     x, y = patch.positions.T
-    curvature_folds = np.stack(
-        [(fold * z[patch.hinges]).sum(axis=1) for z in (0.5 * x * x, 0.5 * y * y, 0.5 * x * y)], axis=1
-    )
+    patterns = (0.5 * x * x, 0.5 * y * y, 0.5 * x * y)
+    curvature_folds = np.stack([(fold * z[patch.hinges]).sum(axis=1) for z in patterns], axis=1)
     root_stiffness = np.sqrt(patch.constants)[:, None]
     relaxed_folds = root_stiffness * (
         curvature_folds

@@ -126,18 +126,14 @@ def simulate_recovery(
     h0 = float(shape.length(model)[0])
     # a quarter of the stability limit: a particle has up to four stiff springs
     step = 0.25 / math.sqrt(edge_stiffness + ratio_second + 1.0)
-    steps, rise = _come_to_rest(
-        x,
-        _Tetrahedra(lengths, stiffness, k_d, h0, ratio_second, damping * math.sqrt(ratio_second), model, len(x)),
-        step,
-        limit,
-    )
+    tetrahedra_damping = damping * math.sqrt(ratio_second)
+    tetrahedra = _Tetrahedra(lengths, stiffness, k_d, h0, ratio_second, tetrahedra_damping, model, len(x))
+    steps, rise = _come_to_rest(x, tetrahedra, step, limit)
     final_lengths = np.linalg.norm(x[:, EDGES[:, 1]] - x[:, EDGES[:, 0]], axis=2)
     final_signed_lengths = signed_lengths(_quads(len(x)), _componentwise(x), kind=model)
     length_tolerance = 1e-3 * float(lengths.max())
-    is_recovered = (np.abs(final_lengths - lengths).max(axis=1) < length_tolerance) & (
-        np.abs(final_signed_lengths - h0) < length_tolerance
-    )
+    is_recovered = np.abs(final_lengths - lengths).max(axis=1) < length_tolerance
+    is_recovered &= np.abs(final_signed_lengths - h0) < length_tolerance
     return RecoveryStatistics(
         starts=len(x),
         missed=int(np.count_nonzero(~is_recovered)),
@@ -163,9 +159,8 @@ class _Tetrahedra:
         self.lengths, self.stiffness, self.h0, self.second, self.kind = lengths, stiffness, h0, second, kind
         self.quads = _quads(count)
         pairs = self.quads[:, EDGES].reshape(-1, 2)
-        edges = PairSprings(
-            pairs, np.tile(lengths, count), np.tile(stiffness * lengths, count), np.tile(damping, count)
-        )
+        tiled = (np.tile(lengths, count), np.tile(stiffness * lengths, count), np.tile(damping, count))
+        edges = PairSprings(pairs, *tiled)
         hinges: HingeSprings
         if kind == "crossed":
             hinges = CrossedSprings(self.quads[:, :2], self.quads[:, 2:], h0, second, second_damping)

@@ -22,11 +22,7 @@ from validation.bending.patterns import Triangulation, periodic_triangulation
 from validation.report import Report, Table
 
 #: Meshes: (square lattice, largest displacement of a vertex in sides); 1 leaves no trace of the lattice.
-MESHES = (
-    *((False, jitter) for jitter in (0.1, 0.2, 0.3, 0.4)),
-    *((True, jitter) for jitter in (0.1, 0.2, 0.3)),
-    (False, 1.0),
-)
+MESHES = (*((False, jitter) for jitter in (0.1, 0.2, 0.3, 0.4)), (True, 0.1), (True, 0.2), (True, 0.3), (False, 1.0))
 
 
 @attrs.frozen(kw_only=True)
@@ -52,10 +48,8 @@ def measure_moduli(mesh: Triangulation, *, relaxed: bool = True) -> Moduli:
     sheet = MeshSheet(rest_positions=flat, surface=Surface.from_triangles(mesh.triangles, particle_count=len(flat)))
     springs = sheet.springs(stretch_modulus=1.0, k_d0=0.0, density=1.0)
     in_period = mesh.in_period(springs.pairs)
-    pairs, root_stiffness = (
-        springs.pairs[in_period],
-        np.sqrt(springs.stiffness[in_period] / springs.rest_length[in_period])[:, None],
-    )
+    pairs = springs.pairs[in_period]
+    root_stiffness = np.sqrt(springs.stiffness[in_period] / springs.rest_length[in_period])[:, None]
     separations = mesh.positions[pairs[:, 1]] - mesh.positions[pairs[:, 0]]
     x, y = (separations / springs.rest_length[in_period, None]).T
     # Stretch of each spring under the unit strains xx, yy and (engineering) xy.
@@ -95,13 +89,10 @@ def run(options: argparse.Namespace) -> Report:
     columns = ["vertices of", "moved by", "modulus", "mean", "standard deviation", "5 %", "95 %", "affine mean"]
     table = Table(f"Moduli over those asked for, {options.patterns} random Delaunay meshes a row", columns)
     for square, jitter in MESHES:
-        meshes = [
-            periodic_triangulation(jitter, size=options.size, seed=seed, square=square)
-            for seed in range(options.patterns)
-        ]
-        relaxed_moduli, affine = (
-            [measure_moduli(mesh, relaxed=relaxed) for mesh in meshes] for relaxed in (True, False)
-        )
+        seeds = range(options.patterns)
+        meshes = [periodic_triangulation(jitter, size=options.size, seed=seed, square=square) for seed in seeds]
+        relaxed_moduli = [measure_moduli(mesh, relaxed=True) for mesh in meshes]
+        affine = [measure_moduli(mesh, relaxed=False) for mesh in meshes]
         for name in ("Young's", "shear", "Poisson's"):
             values, affine_values = _moduli_by_name(name, relaxed_moduli), _moduli_by_name(name, affine)
             percentiles = [float(q) for q in np.quantile(values, (0.05, 0.95))]

@@ -94,9 +94,8 @@ def random_cases(seed: int, count: int) -> list[Case]:
     cases = []
     for _ in range(count):
         sheet = str(rng.choice(["grid", "grid", *MORE_SHEETS]))
-        stiffnesses, dampings, rates = (
-            (STIFFNESSES, DAMPINGS, RATES) if sheet == "grid" else (MORE_STIFFNESSES, MORE_DAMPINGS, MORE_RATES)
-        )
+        grids = (STIFFNESSES, DAMPINGS, RATES)
+        stiffnesses, dampings, rates = grids if sheet == "grid" else (MORE_STIFFNESSES, MORE_DAMPINGS, MORE_RATES)
         low, high = np.log10(min(stiffnesses)), np.log10(max(stiffnesses))
         damping = 0.0 if rng.random() < 0.2 else float(rng.uniform(min(dampings), max(dampings)))
         rate = float(rng.integers(round(min(rates)), round(max(rates)) + 1))
@@ -131,10 +130,8 @@ def scene(case: Case) -> Scene:
     }
     if case.sheet == "mesh":
         mesh, anchors = _mesh()
-        return Scene.from_parameters(
-            {**parameters, "cloth.mesh": "sheet.obj", "cloth.anchors": anchors, "bending.model": "opposite"},
-            files={"sheet.obj": mesh},
-        )
+        parameters = {**parameters, "cloth.mesh": "sheet.obj", "cloth.anchors": anchors, "bending.model": "opposite"}
+        return Scene.from_parameters(parameters, files={"sheet.obj": mesh})
     model = "axial" if case.sheet == "grid" else case.sheet
     parameters |= {"cloth.resolution": [RESOLUTION, RESOLUTION], "bending.model": model}
     return Scene.from_parameters({**parameters, **_ALL_STRESS_CASES[case.stress_case].values})
@@ -172,9 +169,8 @@ class WatchedSimulation(Simulation):
 
     def work_of_parameters(self, events: list[Event]) -> float:
         """Return the energy that a change of parameters will add [J]: same positions, other springs."""
-        values = {
-            name: value for event in events if isinstance(event, SetParameters) for name, value in event.values.items()
-        }
+        settings = [event for event in events if isinstance(event, SetParameters)]
+        values = {name: value for event in settings for name, value in event.values.items()}
         if not values:
             return 0.0
         plan = self.scene.changed(values).plan()
@@ -209,22 +205,17 @@ class EnergyAccount:
         simulation = self._simulation
         energy = modified_energy = simulation.energy()
         if step is not None:
-            modified_energy = leapfrog_energy(
-                simulation.plan, simulation.time, simulation.state.x, simulation.state.v, step
-            )
+            x, v = simulation.state.x, simulation.state.v
+            modified_energy = leapfrog_energy(simulation.plan, simulation.time, x, v, step)
         energy, modified_energy = energy - self._external_work, modified_energy - self._external_work
         kinetic = _kinetic(self._simulation)
         self._energy_turned_over += abs(kinetic - self._kinetic) + abs(work)
         self._energy_turned_over = max(self._energy_turned_over, self._start - energy)
         self._kinetic = kinetic
-        self.gain = max(
-            self.gain,
-            min(energy - self._min_energy, modified_energy - self._min_modified_energy) / self._energy_turned_over,
-        )
-        self._min_energy, self._min_modified_energy = (
-            min(self._min_energy, energy),
-            min(self._min_modified_energy, modified_energy),
-        )
+        gain = min(energy - self._min_energy, modified_energy - self._min_modified_energy)
+        self.gain = max(self.gain, gain / self._energy_turned_over)
+        self._min_energy = min(self._min_energy, energy)
+        self._min_modified_energy = min(self._min_modified_energy, modified_energy)
 
 
 def run_case(case: Case) -> StabilityResult:
@@ -254,12 +245,10 @@ def run_case(case: Case) -> StabilityResult:
             names[advance.integrator] = None
             flagged, rejected = flagged + advance.flagged, rejected + advance.rejected
         has_fixed_step = advance is not None and advance.error is None and advance.integrator == "leapfrog"
-        account.close(
-            parameter_work + simulation.work, advance.step if advance is not None and has_fixed_step else None
-        )
-        max_stretches = (
-            max_stretch(spring_group.pairs, spring_group.rest_length, simulation.state.x) for spring_group in springs
-        )
+        step = advance.step if advance is not None and has_fixed_step else None
+        account.close(parameter_work + simulation.work, step)
+        x = simulation.state.x
+        max_stretches = (max_stretch(spring_group.pairs, spring_group.rest_length, x) for spring_group in springs)
         strain = max(strain, *(stretch - 1.0 for stretch in max_stretches))
     finite = not trouble and bool(np.isfinite(simulation.state.x).all() and np.isfinite(simulation.state.v).all())
     return StabilityResult(tuple(names), finite, strain, account.gain, flagged, rejected, trouble)

@@ -34,10 +34,8 @@ HORIZON = 0.5
 
 def limits() -> tuple[Table, list[str]]:
     """Return measured limits of fixed steps at stretched states, and those that violate their bounds."""
-    table = Table(
-        "Step limit of the leapfrog about stretched states",
-        ["stretch", "k_d0", "bound s", "found s", "found / bound"],
-    )
+    columns = ["stretch", "k_d0", "bound s", "found s", "found / bound"]
+    table = Table("Step limit of the leapfrog about stretched states", columns)
     failures = []
     for stretch, k_d0 in itertools.product(STRETCHES, DAMPINGS):
         plan, x = stretched_sheet(stretch, k_d0)
@@ -83,9 +81,8 @@ class PeerCase:
     step: float
 
 
-PEER_CASES = [
-    PeerCase(*both) for both in itertools.product((1.0, 10.0, 100.0, 1000.0), (1 / 60, 1 / 240, 1 / 1000, 1 / 4000))
-]
+_PEER_PERIODS = (1 / 60, 1 / 240, 1 / 1000, 1 / 4000)
+PEER_CASES = [PeerCase(*both) for both in itertools.product((1.0, 10.0, 100.0, 1000.0), _PEER_PERIODS)]
 
 
 def run_peer_case(case: PeerCase) -> tuple[str, float, float, str]:
@@ -103,20 +100,15 @@ def run_peer_case(case: PeerCase) -> tuple[str, float, float, str]:
     try:
         for frame in range(120):
             integrator.advance(plan, state, frame / 60, 1 / 60)
-            largest_stretch = max(
-                largest_stretch, *(max_stretch(term.pairs, term.rest_length, state.x) for term in sheet.springs()[:2])
-            )
+            stretches = (max_stretch(term.pairs, term.rest_length, state.x) for term in sheet.springs()[:2])
+            largest_stretch = max(largest_stretch, *stretches)
             if frame < HORIZON * 60:
                 reference.advance(plan, reference_state, frame / 60, 1 / 60)
                 error = largest_distance(state.x, reference_state.x)
     except (UnstableError, ValueError) as failure:
         return integrator.name, largest_stretch, error, str(failure)
-    return (
-        integrator.name,
-        largest_stretch,
-        error,
-        "" if largest_stretch <= MAX_INTACT_STRETCH else f"stretched {largest_stretch:.3g} times",
-    )
+    reason = "" if largest_stretch <= MAX_INTACT_STRETCH else f"stretched {largest_stretch:.3g} times"
+    return integrator.name, largest_stretch, error, reason
 
 
 def max_stretch(pairs: np.ndarray, rest_length: Array, x: Array) -> float:

@@ -32,12 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=1, help="seed of random cases (1)")
     parser.add_argument("--only", type=int, metavar="N", help="run the first N of these cases only")
     parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument(
-        "--limit", type=float, default=60.0, metavar="SECONDS", help="wall time limit of a case of the scan"
-    )
-    parser.add_argument(
-        "--resume", type=Path, metavar="FILE", help="append each result to this file, and run only cases without one"
-    )
+    limit = "wall time limit of a case of the scan"
+    parser.add_argument("--limit", type=float, default=60.0, metavar="SECONDS", help=limit)
+    resume = "append each result to this file, and run only cases without one"
+    parser.add_argument("--resume", type=Path, metavar="FILE", help=resume)
 
 
 def run(options: argparse.Namespace) -> Report:
@@ -78,66 +76,47 @@ def _add_scan_results(report: Report, results: list[CaseResult[Case, StabilityRe
     for done in results:
         case, verdict = done.case, done.result
         if verdict is None or not verdict.finite:
-            report.failures.append(f"{case}: {done.trouble or (verdict and verdict.trouble) or 'not finite'}")
+            report.fail(f"{case}: {done.trouble or (verdict and verdict.trouble) or 'not finite'}")
         elif verdict.gain > MAX_ENERGY_GAIN:
             names = ", ".join(verdict.integrators)
-            report.failures.append(f"{case} by {names}: gains {verdict.gain:.2g} of the energy turned over")
+            report.fail(f"{case} by {names}: gains {verdict.gain:.2g} of the energy turned over")
     slowest = Table("Slowest cases", ["sheet", "stress_case", "moduli x", "k_d0", "rate 1/s", "stepping", "wall s"])
     for done in sorted(results, key=lambda done: -done.seconds)[:_N_SLOWEST]:
         slowest.rows.append([*attrs.astuple(done.case), done.seconds])
     report.tables.append(slowest)
     total = sum(done.seconds for done in results)
-    report.notes.append(f"{len(results)} cases of {n_all_cases}, {total:.0f} s of wall time in all processes together")
+    report.note(f"{len(results)} cases of {n_all_cases}, {total:.0f} s of wall time in all processes together")
 
 
 def _summary(results: list[CaseResult[Case, StabilityResult]], keys: tuple[str, ...]) -> Table:
-    table = Table(
-        f"Scan by {', '.join(keys)}",
-        [
-            *keys,
-            "cases",
-            "not finite",
-            "not ended",
-            "largest strain",
-            "largest energy gain",
-            "with flags",
-            "mean wall s",
-            "integrators",
-        ],
-    )
+    columns = [*keys, "cases", "not finite", "not ended", "largest strain", "largest energy gain", "with flags"]
+    table = Table(f"Scan by {', '.join(keys)}", [*columns, "mean wall s", "integrators"])
     groups: dict[tuple[Any, ...], list[CaseResult[Case, StabilityResult]]] = defaultdict(list)
     for done in results:
         groups[tuple(getattr(done.case, key) for key in keys)].append(done)
     for key in sorted(groups):
         group = groups[key]
         verdicts = [done.result for done in group if done.result is not None]
-        table.rows.append(
-            [
-                *key,
-                len(group),
-                sum(not verdict.finite for verdict in verdicts),
-                len(group) - len(verdicts),
-                max((verdict.strain for verdict in verdicts), default=0.0),
-                max((verdict.gain for verdict in verdicts), default=0.0),
-                sum(verdict.flagged > 0 for verdict in verdicts),
-                sum(done.seconds for done in group) / len(group),
-                ", ".join(sorted({name for verdict in verdicts for name in verdict.integrators})),
-            ]
-        )
+        strain = max((verdict.strain for verdict in verdicts), default=0.0)
+        gain = max((verdict.gain for verdict in verdicts), default=0.0)
+        n_not_finite = sum(not verdict.finite for verdict in verdicts)
+        n_flagged = sum(verdict.flagged > 0 for verdict in verdicts)
+        mean_time = sum(done.seconds for done in group) / len(group)
+        integrators = ", ".join(sorted({name for verdict in verdicts for name in verdict.integrators}))
+        row = [*key, len(group), n_not_finite, len(group) - len(verdicts), strain, gain, n_flagged]
+        table.rows.append([*row, mean_time, integrators])
     return table
 
 
 def _peers(report: Report, workers: int) -> Table:
-    table = Table(
-        "Scene A, 16 x 16, 2 s, one step of the stated length",
-        ["moduli x", "step s", "by", "largest stretch", "error at 0.5 s, m"],
-    )
+    columns = ["moduli x", "step s", "by", "largest stretch", "error at 0.5 s, m"]
+    table = Table("Scene A, 16 x 16, 2 s, one step of the stated length", columns)
     rows: dict[PeerCase, list[Any]] = {}
     for done in run_cases(run_peer_case, PEER_CASES, workers=workers, limit=600.0):
         case = done.case
         name, worst, error, trouble = done.result or ("", float("inf"), float("inf"), done.trouble)
         rows[case] = [case.stiffness, case.step, name, worst, error]
         if trouble:
-            report.failures.append(f"scene A, moduli x {case.stiffness:g}, step {case.step:.3g} s: {trouble}")
+            report.fail(f"scene A, moduli x {case.stiffness:g}, step {case.step:.3g} s: {trouble}")
     table.rows += [rows[case] for case in PEER_CASES]
     return table

@@ -61,9 +61,8 @@ def _stretched(rest_positions: Array, random: np.random.Generator) -> Array:
 
 
 def _crumpled(rest_positions: Array, random: np.random.Generator) -> Array:
-    return (
-        rest_positions[0] + 0.2 * (rest_positions - rest_positions[0]) + 0.02 * random.normal(size=rest_positions.shape)
-    )
+    away = rest_positions - rest_positions[0]
+    return rest_positions[0] + 0.2 * away + 0.02 * random.normal(size=rest_positions.shape)
 
 
 def _by_distance_from_centre(rest_positions: Array) -> np.ndarray:
@@ -130,9 +129,7 @@ def _yank(frame: StressFrame) -> list[Event]:
     if frame.is_first_after(0.0):
         return _grasp_corner(frame)
     if frame.t < 0.15:
-        return [
-            Target(_GRIPPER, frame.corner + YANK_SPEED * (frame.t + frame.period) * np.array([0.0, 0.8, 0.6])),
-        ]
+        return [Target(_GRIPPER, frame.corner + YANK_SPEED * (frame.t + frame.period) * np.array([0.0, 0.8, 0.6]))]
     return [Grasp(_GRIPPER, False)] if frame.is_first_after(0.15 + frame.period) else []
 
 
@@ -144,13 +141,8 @@ def _jump(frame: StressFrame) -> list[Event]:
         if frame.is_first_after(jump_time):
             displacement = np.array([0.0, 0.2 if k % 2 else -0.2, 0.05])
             half_angle = 0.25 * np.pi * (k + 1)
-            return [
-                Target(
-                    _GRIPPER,
-                    frame.corner + displacement,
-                    (0.0, 0.0, float(np.sin(half_angle)), float(np.cos(half_angle))),
-                )
-            ]
+            orientation = (0.0, 0.0, float(np.sin(half_angle)), float(np.cos(half_angle)))
+            return [Target(_GRIPPER, frame.corner + displacement, orientation)]
     return []
 
 

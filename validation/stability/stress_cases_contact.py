@@ -48,9 +48,8 @@ def _pinch_and_yank(frame: StressFrame) -> list[Event]:
     if frame.is_first_after(0.0):
         return [Target("gripper", frame.corner), Grasp("gripper", True)]
     if 0.2 <= frame.t < 0.3:
-        return [
-            Target("gripper", frame.corner + YANK_SPEED * (frame.t - 0.2 + frame.period) * np.array([0.0, 0.8, 0.6]))
-        ]
+        displacement = YANK_SPEED * (frame.t - 0.2 + frame.period) * np.array([0.0, 0.8, 0.6])
+        return [Target("gripper", frame.corner + displacement)]
     return []
 
 

@@ -39,30 +39,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     mode.add_argument("--regimes", action="store_true", help="evaluate springs, chains and pendulums of fixed regimes")
     mode.add_argument("--violent", action="store_true", help="evaluate scenes whose grippers jump with each frame")
     mode.add_argument("--contact", action="store_true", help="evaluate sheets that fall on obstacles and on themselves")
-    mode.add_argument(
-        "--only", type=int, metavar="INDEX", help="evaluate this scene of the seed only, window by window"
-    )
+    only = "evaluate this scene of the seed only, window by window"
+    mode.add_argument("--only", type=int, metavar="INDEX", help=only)
     parser.add_argument("--seed", type=int, default=1, help="seed of the scenes (1)")
-    parser.add_argument(
-        "--count", type=int, default=40, help="number of evaluated scenes (40), not counting draws beyond the cap"
-    )
-    parser.add_argument(
-        "--windows", type=int, default=4, help="windows of one second per scene, besides the whole run (4)"
-    )
-    parser.add_argument(
-        "--cap", type=float, default=MAX_COST, metavar="WORK", help=f"largest estimated cost of a scene ({MAX_COST:g})"
-    )
+    count = "number of evaluated scenes (40), not counting draws beyond the cap"
+    parser.add_argument("--count", type=int, default=40, help=count)
+    windows = "windows of one second per scene, besides the whole run (4)"
+    parser.add_argument("--windows", type=int, default=4, help=windows)
+    cap = f"largest estimated cost of a scene ({MAX_COST:g})"
+    parser.add_argument("--cap", type=float, default=MAX_COST, metavar="WORK", help=cap)
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes (one per core)")
-    parser.add_argument(
-        "--resume", type=Path, metavar="FILE", help="append each result to this file, and run only scenes without one"
-    )
-    parser.add_argument(
-        "--limit",
-        type=float,
-        default=1800.0,
-        metavar="SECONDS",
-        help="wall time limit of a scene; a scene that takes longer fails",
-    )
+    resume = "append each result to this file, and run only scenes without one"
+    parser.add_argument("--resume", type=Path, metavar="FILE", help=resume)
+    limit = "wall time limit of a scene; a scene that takes longer fails"
+    parser.add_argument("--limit", type=float, default=1800.0, metavar="SECONDS", help=limit)
 
 
 def run(options: argparse.Namespace) -> Report:
@@ -90,10 +80,8 @@ def _evaluate_single(options: argparse.Namespace) -> Report:
     report.tables.append(_scenes([evaluation]))
     table = _windows("Windows", [evaluation], min_ratio=0.0)
     report.tables.append(table)
-    report.notes += [
-        f"flagged or most expensive frame of the window at {window.first}: {window.reason}"
-        for window in evaluation.windows
-    ]
+    for window in evaluation.windows:
+        report.note(f"flagged or most expensive frame of the window at {window.first}: {window.reason}")
     report.notes += evaluation.unknown
     _add_summary([evaluation], report)
     return report
@@ -110,7 +98,7 @@ def _evaluate_contact(options: argparse.Namespace) -> Report:
 def _evaluate_random(options: argparse.Namespace) -> Report:
     cases, beyond = select_cases(options)
     report = Report("Error bound", f"python -m validation tolerance --seed {options.seed} --count {options.count}")
-    report.notes.append(f"{len(beyond)} draws beyond the cap: {_join_numbers(beyond)}")
+    report.note(f"{len(beyond)} draws beyond the cap: {_join_numbers(beyond)}")
     _add_evaluations(evaluate_case, cases, options, report)
     return report
 
@@ -121,15 +109,13 @@ def _add_evaluations(
     evaluations: list[SceneEvaluation] = []
     for case_result in progress(cases, options, evaluate):
         if case_result.result is None:
-            report.failures.append(f"scene {case_result.case[1]}: {case_result.trouble}")
+            report.fail(f"scene {case_result.case[1]}: {case_result.trouble}")
             continue
         evaluations.append(case_result.result)
     evaluations.sort(key=lambda evaluation: evaluation.index)
-    report.tables += [
-        _scenes(evaluations),
-        _windows(f"Windows above {_LISTED_RATIO} of the error bound", evaluations, min_ratio=_LISTED_RATIO),
-    ]
-    report.notes.append(f"{len(evaluations)} scenes evaluated")
+    title = f"Windows above {_LISTED_RATIO} of the error bound"
+    report.tables += [_scenes(evaluations), _windows(title, evaluations, min_ratio=_LISTED_RATIO)]
+    report.note(f"{len(evaluations)} scenes evaluated")
     _add_summary(evaluations, report)
 
 
@@ -190,23 +176,8 @@ def _line(case_result: CaseResult[_Case, SceneEvaluation]) -> str:
     )
 
 
-_COLUMNS = [
-    "scene",
-    "verdict",
-    "tolerance m",
-    "particles",
-    "windows",
-    "worst unflagged",
-    "its g",
-    "worst flagged",
-    "its g ",
-    "whole",
-    "flagged frames",
-    "evaluations",
-    "engine s",
-    "longest s",
-    "what",
-]
+_COLUMNS = ["scene", "verdict", "tolerance m", "particles", "windows", "worst unflagged", "its g", "worst flagged"]
+_COLUMNS += ["its g ", "whole", "flagged frames", "evaluations", "engine s", "longest s", "what"]
 
 
 def _row(evaluation: SceneEvaluation) -> list[Any]:
@@ -215,20 +186,10 @@ def _row(evaluation: SceneEvaluation) -> list[Any]:
         window = evaluation.worst(flagged=flagged)
         worst += [window.ratio, window.amplification] if window else ["-", "-"]
     whole = evaluation.whole
-    return [
-        evaluation.index,
-        evaluation.verdict,
-        evaluation.tolerance,
-        evaluation.particles,
-        len(evaluation.windows),
-        *worst,
-        whole.ratio if whole and whole.is_known else "-",
-        evaluation.flagged_frames / max(1, evaluation.frames),
-        evaluation.evaluations,
-        evaluation.seconds,
-        evaluation.longest_frame,
-        evaluation.words,
-    ]
+    whole_ratio = whole.ratio if whole and whole.is_known else "-"
+    row: list[Any] = [evaluation.index, evaluation.verdict, evaluation.tolerance, evaluation.particles]
+    row += [len(evaluation.windows), *worst, whole_ratio, evaluation.flagged_frames / max(1, evaluation.frames)]
+    return [*row, evaluation.evaluations, evaluation.seconds, evaluation.longest_frame, evaluation.words]
 
 
 def _scenes(evaluations: list[SceneEvaluation]) -> Table:
@@ -236,19 +197,8 @@ def _scenes(evaluations: list[SceneEvaluation]) -> Table:
 
 
 def _windows(name: str, evaluations: list[SceneEvaluation], *, min_ratio: float) -> Table:
-    columns = [
-        "scene",
-        "from s",
-        "length s",
-        "error m",
-        "tolerance m",
-        "g from start",
-        "g from later",
-        "ratio",
-        "reference m",
-        "flagged",
-        "asleep",
-    ]
+    columns = ["scene", "from s", "length s", "error m", "tolerance m", "g from start", "g from later", "ratio"]
+    columns += ["reference m", "flagged", "asleep"]
     table = Table(name, [*columns, "frames", "evaluations", "reference evaluations", "binds"])
     for evaluation in evaluations:
         whole_runs = [evaluation.whole] if evaluation.whole else []
@@ -259,23 +209,11 @@ def _windows(name: str, evaluations: list[SceneEvaluation], *, min_ratio: float)
 
 
 def _window_row(evaluation: SceneEvaluation, window: Window) -> list[Any]:
-    return [
-        evaluation.index,
-        window.first * evaluation.period,
-        window.frames * evaluation.period,
-        window.error,
-        evaluation.tolerance,
-        window.amplification,
-        window.later_amplification or "-",
-        window.ratio if window.is_known else "unknown",
-        window.reference_error,
-        window.flagged,
-        window.asleep,
-        window.frames,
-        window.evaluations,
-        window.reference_evaluations,
-        window.limited_by,
-    ]
+    first, length = window.first * evaluation.period, window.frames * evaluation.period
+    ratio = window.ratio if window.is_known else "unknown"
+    row: list[Any] = [evaluation.index, first, length, window.error, evaluation.tolerance, window.amplification]
+    row += [window.later_amplification or "-", ratio, window.reference_error, window.flagged, window.asleep]
+    return [*row, window.frames, window.evaluations, window.reference_evaluations, window.limited_by]
 
 
 def _add_summary(evaluations: list[SceneEvaluation], report: Report) -> None:
@@ -287,6 +225,7 @@ def _add_summary(evaluations: list[SceneEvaluation], report: Report) -> None:
     well_conditioned = [window for window in known if window.amplification < CALM_AMPLIFICATION]
     flagged = [window for window in well_conditioned if window.flagged]
     far_violated = [window for window in known if window.ratio > MAX_FLAGGED_RATIO]
+    n_calm_violated = sum(window.amplification < CALM_AMPLIFICATION for window in far_violated)
     n_unknown = len(windows) - len(known) + sum(len(evaluation.unknown) for evaluation in evaluations)
     worst = max((window.ratio for window in known), default=0.0)
     worst_unflagged = max((window.ratio for window in unflagged), default=0.0)
@@ -295,27 +234,23 @@ def _add_summary(evaluations: list[SceneEvaluation], report: Report) -> None:
     n_flagged_frames = sum(evaluation.flagged_frames for evaluation in evaluations)
     report.notes += [
         f"{len(known)} windows evaluated, {n_unknown} that the reference can't follow",
-        f"unflagged: {len(unflagged)}, of which {len(violated)} violate the bound, "
-        f"the worst {worst_unflagged:.3g} "
-        f"times",
+        f"unflagged: {len(unflagged)}, of which {len(violated)} violate the bound, the worst "
+        f"{worst_unflagged:.3g} times",
         f"with perturbations at window starts only: {sum(ratio > 1.0 for ratio in from_start)} of these above it, "
         f"the worst {max(from_start, default=0.0):.3g} times",
-        f"flagged: {len(known) - len(unflagged)}; "
-        f"among the {len(well_conditioned)} windows with g below "
+        f"flagged: {len(known) - len(unflagged)}; among the {len(well_conditioned)} windows with g below "
         f"{CALM_AMPLIFICATION:g}: {len(flagged)}",
         f"worst of all {worst:.3g} times; above {MAX_FLAGGED_RATIO:g} times: {len(far_violated)}, "
-        f"with g below {CALM_AMPLIFICATION:g}: "
-        f"{sum(window.amplification < CALM_AMPLIFICATION for window in far_violated)}",
+        f"with g below {CALM_AMPLIFICATION:g}: {n_calm_violated}",
         f"{n_flagged_frames} of {frames} frames flagged ({n_flagged_frames / max(1, frames):.2%})",
     ]
     if violated:
-        report.failures.append(f"{len(violated)} unflagged windows violate the error bound")
+        report.fail(f"{len(violated)} unflagged windows violate the error bound")
     if far_violated:
-        report.failures.append(f"{len(far_violated)} windows are above {MAX_FLAGGED_RATIO:g} times the error bound")
+        report.fail(f"{len(far_violated)} windows are above {MAX_FLAGGED_RATIO:g} times the error bound")
     if well_conditioned and len(flagged) > MAX_FLAGGED_FRACTION * len(well_conditioned):
-        report.failures.append(
-            f"{len(flagged) / len(well_conditioned):.2%} of windows with g below {CALM_AMPLIFICATION:g} are flagged"
-        )
+        fraction = len(flagged) / len(well_conditioned)
+        report.fail(f"{fraction:.2%} of windows with g below {CALM_AMPLIFICATION:g} are flagged")
     whole_run_violations = [scene.index for scene in evaluations if scene.verdict == "BROKEN, whole"]
     for description, scene_indices in (
         ("that violate the error bound over the whole run", whole_run_violations),
@@ -326,7 +261,7 @@ def _add_summary(evaluations: list[SceneEvaluation], report: Report) -> None:
         ("that stopped", [scene.index for scene in evaluations if scene.trouble]),
     ):
         if scene_indices:
-            report.failures.append(f"scenes {description}: {_join_numbers(scene_indices)}")
+            report.fail(f"scenes {description}: {_join_numbers(scene_indices)}")
 
 
 def _join_numbers(indices: list[int]) -> str:

@@ -210,13 +210,10 @@ class ReferenceSystem:
         is_joint = rest_length == 0.0
         system, is_spring = self._c, ~is_joint
         system.springs, system.joints = int(is_spring.sum()), int(is_joint.sum())
-        system.spring_ends, system.joint_ends = (
-            self._store_array(ends[is_spring], np.int64),
-            self._store_array(ends[is_joint], np.int64),
-        )
-        coefficients = np.stack(
-            [stiffness[is_spring] / rest_length[is_spring], rest_length[is_spring], damping[is_spring]], axis=1
-        )
+        system.spring_ends = self._store_array(ends[is_spring], np.int64)
+        system.joint_ends = self._store_array(ends[is_joint], np.int64)
+        spring_lengths = rest_length[is_spring]
+        coefficients = np.stack([stiffness[is_spring] / spring_lengths, spring_lengths, damping[is_spring]], axis=1)
         system.spring_numbers = self._store_array(coefficients, np.float64)
         system.joint_numbers = self._store_array(np.stack([stiffness[is_joint], damping[is_joint]], axis=1), np.float64)
 

@@ -24,14 +24,9 @@ CHAOTIC_AMPLIFICATION = 1e3
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument(
-        "--scenes",
-        nargs="+",
-        choices=[*PROBLEMS, *MORE_PROBLEMS],
-        metavar="SCENE",
-        default=[*PROBLEMS, "corners16"],
-        help=f"of {', '.join([*PROBLEMS, *MORE_PROBLEMS])}",
-    )
+    known, usual = [*PROBLEMS, *MORE_PROBLEMS], [*PROBLEMS, "corners16"]
+    scenes = f"of {', '.join(known)}"
+    parser.add_argument("--scenes", nargs="+", choices=known, metavar="SCENE", default=usual, help=scenes)
     parser.add_argument("--kicks", type=int, default=2, help="number of random perturbations; the worst counts")
 
 
@@ -55,10 +50,8 @@ def measure_amplification(scene: Problem, *, seed: int) -> list[float]:
 
 def run(options: argparse.Namespace) -> Report:
     """Measure the selected scenes."""
-    table = Table(
-        "Amplification of a perturbation of 1e-9 m",
-        ["scene", "horizon s", "at half", "at the horizon", "largest", "pointwise"],
-    )
+    columns = ["scene", "horizon s", "at half", "at the horizon", "largest", "pointwise"]
+    table = Table("Amplification of a perturbation of 1e-9 m", columns)
     for name in options.scenes:
         scene = problem(name)
         amplifications = [measure_amplification(scene, seed=seed) for seed in range(options.kicks)]

@@ -73,12 +73,8 @@ SIMULATED_SCENES: dict[str, tuple[dict[str, Any], int, float]] = {
     ),
 }
 #: Upper limits of constants: a fraction can't be doubled beyond the whole.
-MAX_VALUES = {
-    "stability_safety": 1.0,
-    "error_budget_fraction": 1.0,
-    "error_target_fraction": 1.0,
-    "low_error_fraction": 0.5,
-}
+MAX_VALUES = {"stability_safety": 1.0, "error_budget_fraction": 1.0, "error_target_fraction": 1.0}
+MAX_VALUES["low_error_fraction"] = 0.5
 
 
 @attrs.frozen
@@ -100,9 +96,8 @@ class ConstantsEffect:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     names = [field.name for field in attrs.fields(Constants)]
-    parser.add_argument(
-        "--only", nargs="+", choices=names, metavar="NAME", default=names, help="constants to vary (all)"
-    )
+    constants = "constants to vary (all)"
+    parser.add_argument("--only", nargs="+", choices=names, metavar="NAME", default=names, help=constants)
 
 
 def run(options: argparse.Namespace) -> Report:
@@ -182,10 +177,8 @@ class ConstantsScenes:
                 flagged += done.flagged
         for name in SIMULATED_SCENES:
             positions, scene_evaluations, scene_flagged = _run_scene(name)
-            error_ratio = (
-                np.linalg.norm(positions - _fine_positions(name), axis=-1).max()
-                / SIMULATED_SCENES[name][0]["tolerance"]
-            )
+            error = np.linalg.norm(positions - _fine_positions(name), axis=-1).max()
+            error_ratio = error / SIMULATED_SCENES[name][0]["tolerance"]
             # Frames that exceed their work limit need not meet the tolerance.
             error = max(error, float(error_ratio) if not scene_flagged else 0.0)
             evaluations.append(scene_evaluations)
@@ -197,15 +190,12 @@ class ConstantsScenes:
 def _run_scene(name: str, **changes: Any) -> tuple[NDArray[np.float64], int, int]:
     """Run a scene that a gripper drives; return positions after each frame, evaluations and flagged frames."""
     values, frames, jump = SIMULATED_SCENES[name]
-    simulation = Simulation(
-        Scene.from_parameters({**values, "gripper.max_speed": 0.0, "wind.normal_drag": 0.0, **changes})
-    )
+    values = {**values, "gripper.max_speed": 0.0, "wind.normal_drag": 0.0, **changes}
+    simulation = Simulation(Scene.from_parameters(values))
     corner, positions, evaluations, flagged = simulation.positions[-1].copy(), [], 0, 0
     for frame in range(frames):
         displacement = np.array([0.0, -1.0, 0.5]) * (jump * frame if jump < 0.1 else jump * (frame % 3))
-        events: list[Event] = [
-            Target("gripper", tuple(float(coordinate) for coordinate in corner + displacement), None)
-        ]
+        events: list[Event] = [Target("gripper", tuple((corner + displacement).tolist()), None)]
         if frame == 0:
             events.append(Grasp("gripper", True))
         done = simulation.advance(events).advance

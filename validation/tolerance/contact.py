@@ -112,11 +112,8 @@ def _obstacle(kind: str, height: float, width: float, rng: np.random.Generator) 
     if kind == "edge":
         # Part of the sheet lies on the box, part hangs over its edge.
         supported_width = float(rng.uniform(0.55, 0.75)) * width
-        return {
-            "thing.shape": "box",
-            "thing.size": [2.0, 2.0, 0.4],
-            "thing.position": [0.5 * width - supported_width + 1.0, 0.0, -0.2],
-        }
+        position = [0.5 * width - supported_width + 1.0, 0.0, -0.2]
+        return {"thing.shape": "box", "thing.size": [2.0, 2.0, 0.4], "thing.position": position}
     return {"thing.shape": "plane", "thing.position": [0.0, 0.0, 0.0]}
 
 
@@ -186,9 +183,8 @@ def integrate_reference(
     for frame in frames:
         motion.apply_grasps(frame)
         plan = equations.plan(frame, motion)
-        motion.state = dop853(
-            plan, frame.t, frame.duration, motion.state, relative_tolerance=local_error, absolute_tolerance=local_error
-        )
+        tolerances = {"relative_tolerance": local_error, "absolute_tolerance": local_error}
+        motion.state = dop853(plan, frame.t, frame.duration, motion.state, **tolerances)
         positions.append(motion.x)
     return positions
 
@@ -233,9 +229,8 @@ def _window(run: ContactRun, first: int, second: int, rng: np.random.Generator) 
     check = integrate_reference(frames, None, ROUGH)
     tolerance, initial_positions = run.draw.scene.tolerance, run.draw.state.x.T
     fields = [rng.normal(size=initial_positions.shape), smooth_field(rng, initial_positions)]
-    perturbations = [
-        PERTURBATION * np.ascontiguousarray(field.T / np.linalg.norm(field, axis=1).max()) for field in fields
-    ]
+    unit_fields = [field.T / np.linalg.norm(field, axis=1).max() for field in fields]
+    perturbations = [PERTURBATION * np.ascontiguousarray(field) for field in unit_fields]
     amplification = max(
         _amplification(frames, exact, perturbation, perturbs_velocity)
         for perturbation in perturbations

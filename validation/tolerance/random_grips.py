@@ -58,13 +58,8 @@ class RandomGripScript:
                     action_name = str(rng.choice(ACTIONS))
                     direction = rng.normal(size=3)
                     reach = {"turn": 2.0, "jump": 0.25 * size}.get(action_name, 0.4 * size)
-                    actions.append(
-                        (
-                            action_frame,
-                            action_name,
-                            pace * rng.uniform(0.1, 1.0) * reach * direction / np.linalg.norm(direction),
-                        )
-                    )
+                    displacement = pace * rng.uniform(0.1, 1.0) * reach * direction / np.linalg.norm(direction)
+                    actions.append((action_frame, action_name, displacement))
                     action_frame += max(2, int(rng.uniform(0.15, 0.8) * rate))
                 stride = int(rng.choice([1, 1, 1, 2, 4]))
                 holds.append(
@@ -127,9 +122,8 @@ class RandomGripPlayer:
         elif action_name == "carry":
             position = position + seconds * vector
         elif action_name == "swing":
-            position = (
-                position + seconds * 4.0 * math.cos(12.0 * (frame - begin) * self._simulation.scene.period) * vector
-            )
+            angle = 12.0 * (frame - begin) * self._simulation.scene.period
+            position = position + seconds * 4.0 * math.cos(angle) * vector
         elif action_name == "turn":
             speed = float(np.linalg.norm(vector))
             half = 0.5 * seconds * speed

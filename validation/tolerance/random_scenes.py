@@ -29,16 +29,8 @@ MAX_COST = 5e9
 #: Steps of the reference per radian of the highest frequency, for the cost estimate.
 _STEPS_PER_RADIAN = 0.8
 _STAGES = 12
-_ANCHORS = (
-    ["top"],
-    ["top_left", "top_right"],
-    ["top", "bottom"],
-    ["left", "right"],
-    ["left"],
-    ["top_left"],
-    ["bottom_right", "top_left"],
-    [""],
-)
+_ANCHORS = [["top"], ["top_left", "top_right"], ["top", "bottom"], ["left", "right"]]
+_ANCHORS += [["left"], ["top_left"], ["bottom_right", "top_left"], [""]]
 #: Number of those that hold a hanging sheet.
 _N_HANGING_ANCHORS = 4
 #: Fraction of calm scenes: damped sheets that hang from their upper edge, with slow grippers. In most other scenes a
@@ -140,10 +132,8 @@ def _values(rng: np.random.Generator, calm: bool) -> tuple[dict[str, Any], dict[
         values["wind.velocity"] = rng.uniform(-4.0, 4.0, 3).tolist()
         words.append("wind")
         if kind != "springs" and rng.random() < 0.6:
-            values |= {
-                "wind.normal_drag": log_uniform(rng, 0.02, 2.0),
-                "wind.tangential_drag": float(rng.uniform(0.0, 0.1)),
-            }
+            values["wind.normal_drag"] = log_uniform(rng, 0.02, 2.0)
+            values["wind.tangential_drag"] = float(rng.uniform(0.0, 0.1))
             words.append("air on panels")
     names = [f"gripper{k}" for k in range(int(rng.choice([0, 1, 2, 3], p=[0.25, 0.4, 0.2, 0.15])))]
     extent = 0.3 * max(values.get("cloth.size", [0.5]))
@@ -202,15 +192,8 @@ def _sheet(rng: np.random.Generator, kind: str, calm: bool) -> tuple[dict[str, A
         anchors = [str(int(k)) for k in chosen] or [""]
         values |= {"cloth.mesh": "sheet.obj", "cloth.anchors": anchors}
     anchor_names = " ".join(anchors) if len(anchors) < 4 else f"{len(anchors)} particles"
-    words = [
-        "calm" if calm else "wild",
-        shape,
-        f"{stretch:.2g} N/m",
-        f"{density:.2g} kg/m2",
-        f"k_d0 {damping:.2g}",
-        model,
-        f"anchors {anchor_names or 'none'}",
-    ]
+    words = ["calm" if calm else "wild", shape, f"{stretch:.2g} N/m", f"{density:.2g} kg/m2", f"k_d0 {damping:.2g}"]
+    words += [model, f"anchors {anchor_names or 'none'}"]
     return values, files, words
 
 
@@ -252,13 +235,8 @@ def _springs(rng: np.random.Generator, calm: bool) -> tuple[bytes, dict[str, Any
     }
     kind_name = "spring" if count == 2 else f"chain of {count}"
     stiffness_text = "joints" if not rest_lengths.any() else f"{rigidity.min():.2g} to {rigidity.max():.2g} N/m"
-    words = [
-        "calm" if calm else "wild",
-        kind_name,
-        stiffness_text,
-        f"k_d0 {damping:.2g}",
-        f"anchors {' '.join(anchors) or 'none'}",
-    ]
+    anchor_names = " ".join(anchors) or "none"
+    words = ["calm" if calm else "wild", kind_name, stiffness_text, f"k_d0 {damping:.2g}", f"anchors {anchor_names}"]
     return json.dumps(tables).encode(), {"cloth.anchors": anchors, "cloth.size": [float(length.sum()), 1e-6]}, words
 
 

@@ -51,12 +51,8 @@ class Regime:
 
 def all_regimes() -> list[Regime]:
     """Return springs without damping and in three regimes of damping, and chains."""
-    regimes = [
-        _spring("undamped", 0.0),
-        _spring("under-damped", 0.3),
-        _spring("critically damped", 2.0),
-        _spring("over-damped", 6.0),
-    ]
+    spring_dampings = {"undamped": 0.0, "under-damped": 0.3, "critically damped": 2.0, "over-damped": 6.0}
+    regimes = [_spring(name, damping) for name, damping in spring_dampings.items()]
     for count in _SIZES:
         for damping in (0.0, 0.3):
             regimes += [_taut(count, damping), _joints(count, damping), _slack(count, damping)]
@@ -127,9 +123,8 @@ def _taut(count: int, damping: float) -> Regime:
     positions[1:, 0] = np.cumsum(rest_lengths + tension / stiffness)
     velocities = np.zeros((count, 3))
     # Small enough that every spring stays taut.
-    velocities[1:-1, 0] = (
-        0.1 * rest_lengths.min() * np.sqrt(stiffness.min() / masses.max()) * rng.uniform(-1.0, 1.0, count - 2)
-    )
+    speed = 0.1 * rest_lengths.min() * np.sqrt(stiffness.min() / masses.max())
+    velocities[1:-1, 0] = speed * rng.uniform(-1.0, 1.0, count - 2)
     return _chain("taut", positions, velocities, masses, rest_lengths, stiffness * rest_lengths, damping, linear=True)
 
 
@@ -153,9 +148,8 @@ def _slack(count: int, damping: float) -> Regime:
     positions[1:, 2] = np.cumsum(sides)
     positions[1:, 1] = 0.1 * positions[1:, 2]
     more = {"linear": False, "gravity": (0.0, 0.0, -9.81)}
-    return _chain(
-        "slack", positions, np.zeros((count, 3)), masses, rest_lengths, stiffness * rest_lengths, damping, **more
-    )
+    rigidity = stiffness * rest_lengths
+    return _chain("slack", positions, np.zeros((count, 3)), masses, rest_lengths, rigidity, damping, **more)
 
 
 def _pendulum(name: str, lengths: list[float], masses: list[float], stiffness: float, *, angle: float) -> Regime:
@@ -270,9 +264,8 @@ def evaluate_regime(case: tuple[Regime, float]) -> RegimeResult:
     for first in (0, frames_per_second // 2, frames_per_second):
         window = evaluate_window(run, first, frames_per_second, seed=first)[0]
         if regime.linear:
-            exact_window = exact_positions(
-                run.system.model, run.positions[first], run.velocities[first], run.period, frames_per_second
-            )
+            start = run.positions[first], run.velocities[first]
+            exact_window = exact_positions(run.system.model, *start, run.period, frames_per_second)
             engine_positions = run.positions[first + 1 : first + 1 + frames_per_second]
             error = max(largest_distance(a, b) for a, b in zip(engine_positions, exact_window, strict=True))
             reference = max(reference, abs(error - window.error))
@@ -291,9 +284,8 @@ def _evaluate_pendulum(run: RecordedRun, tolerance: float, flagged: int) -> Regi
     ]
     amplification, ratio, error, reference = 1.0, 0.0, 0.0, 0.0
     for frame, (coarse_positions, fine_positions) in enumerate(zip(runs[0].positions, runs[1].positions, strict=True)):
-        amplification = max(
-            amplification, *(float(reference_run.amplifications[frame].max()) for reference_run in runs)
-        )
+        amplifications = (float(reference_run.amplifications[frame].max()) for reference_run in runs)
+        amplification = max(amplification, *amplifications)
         distance = largest_distance(run.positions[frame + 1], fine_positions)
         seconds = max(1.0, (frame + 1) * run.period)
         error, ratio = max(error, distance), max(ratio, distance / (seconds * tolerance * amplification))
@@ -313,7 +305,7 @@ def regimes(options: argparse.Namespace) -> Report:
     for case_result in show_progress(done_cases, len(cases), "case"):
         regime, tolerance = case_result.case
         if case_result.result is None:
-            report.failures.append(f"{regime.name} at {tolerance:.0e} m: {case_result.trouble}")
+            report.fail(f"{regime.name} at {tolerance:.0e} m: {case_result.trouble}")
         else:
             results[regime.name, tolerance] = result = case_result.result
             summary = f"{result.ratio:.3g} of the error bound, g {result.growth:.3g}, {result.flagged} frames flagged"
@@ -334,9 +326,8 @@ def regimes(options: argparse.Namespace) -> Report:
                 minutes.rows.append([regime.name, tolerance, *numbers])
     report.tables.append(minutes)
     violated = [(case_key, result) for case_key, result in results.items() if result.ratio > 1.0]
-    risen = [
-        (name, tolerance) for name in names for tolerance in TOLERANCES if not _error_falls(name, tolerance, results)
-    ]
+    points = [(name, tolerance) for name in names for tolerance in TOLERANCES]
+    risen = [point for point in points if not _error_falls(*point, results)]
     report.notes += [
         f"{len(violated)} of {len(results)} violate the error bound, "
         f"{sum(not result.flagged for _, result in violated)} of them without a flagged frame",
@@ -344,18 +335,16 @@ def regimes(options: argparse.Namespace) -> Report:
         f"largest error of the reference {max((result.reference for result in results.values()), default=0.0):.2g} m",
     ]
     if violated:
-        report.failures.append(f"{len(violated)} regimes violate the error bound")
+        report.fail(f"{len(violated)} regimes violate the error bound")
     if risen:
-        report.failures.append(f"in {len(risen)} regimes the error does not fall with the tolerance")
+        report.fail(f"in {len(risen)} regimes the error does not fall with the tolerance")
     return report
 
 
 def _error_falls(name: str, tolerance: float, results: dict[tuple[str, float], RegimeResult]) -> bool:
     """Return true if the error is below one of: that of the next looser tolerance, tolerance / 10, rounding."""
-    result, looser_result = (
-        results.get((name, tolerance)),
-        results.get((name, 10.0 ** (round(np.log10(tolerance)) + 1))),
-    )
+    result = results.get((name, tolerance))
+    looser_result = results.get((name, 10.0 ** (round(np.log10(tolerance)) + 1)))
     return not result or not looser_result or result.error <= max(looser_result.error, 0.1 * tolerance, ROUNDING_ERROR)
 
 

@@ -36,9 +36,8 @@ def run(options: argparse.Namespace) -> Report:
     columns = ["scene", "tolerance m", "achieved m", "achieved / tolerance", "estimate / tolerance", "binds"]
     columns += ["integrator", "evaluations", "rejected", "flagged"] + (["energy residual"] if options.energy else [])
     table = Table("Achieved error", columns)
-    slopes = Table(
-        "Slope of achieved error over tolerance if accuracy limits the step", ["scene", "tolerances", "slope"]
-    )
+    columns = ["scene", "tolerances", "slope"]
+    slopes = Table("Slope of achieved error over tolerance if accuracy limits the step", columns)
     report = Report("Tolerance held", "python -m validation tolerance-sweep", tables=[table, slopes])
     lines: dict[str, list[tuple[float, float]]] = {}
     for name in options.scenes:
@@ -54,15 +53,14 @@ def run(options: argparse.Namespace) -> Report:
             table.rows.append(row + ([run_result.residual] if options.energy else []))
             lines.setdefault(name, []).append((tolerance, max(run_result.error, 1e-16)))
             if error_ratio > 1.0:
-                report.failures.append(f"{name} at {tolerance:g} m: achieved {run_result.error:.3g} m")
+                report.fail(f"{name} at {tolerance:g} m: achieved {run_result.error:.3g} m")
             if run_result.binds["accuracy"] > 0.5 * scene.frames:
                 accurate.append((tolerance, run_result.error))
                 if error_ratio < MIN_ERROR_FRACTION:
-                    report.failures.append(
-                        f"{name} at {tolerance:g} m: accuracy limits the step; error only {error_ratio:.2g} of it"
-                    )
+                    limited = "accuracy limits the step"
+                    report.fail(f"{name} at {tolerance:g} m: {limited}; error only {error_ratio:.2g} of it")
             if options.energy and tolerance <= Scene().tolerance and not run_result.residual <= MAX_RESIDUAL:
-                report.failures.append(f"{name} at {tolerance:g} m: energy residual {run_result.residual:.2g}")
+                report.fail(f"{name} at {tolerance:g} m: energy residual {run_result.residual:.2g}")
         if len(accurate) > 1:
             log_tolerances, log_errors = np.log(accurate).T
             slope = float(np.polyfit(log_tolerances, log_errors, 1)[0])

@@ -157,11 +157,8 @@ def _events(simulation: Simulation, rng: np.random.Generator, frame: int, held: 
         displacement = rng.normal(size=3)
         displacement *= rng.uniform(0.0, size / 3.0) / np.linalg.norm(displacement)
         orientation = rng.normal(size=4) if rng.random() < 0.2 else None
-        events.append(
-            Target(
-                name, drawn_alike(pose[:3] + displacement), None if orientation is None else drawn_alike(orientation)
-            )
-        )
+        target_orientation = None if orientation is None else drawn_alike(orientation)
+        events.append(Target(name, drawn_alike(pose[:3] + displacement), target_orientation))
     return events
 
 
@@ -199,31 +196,20 @@ def violent(options: argparse.Namespace) -> Report:
     """Run the violent scenes of a seed."""
     from tqdm import tqdm
 
-    report = Report(
-        "Violent scenes", f"python -m validation tolerance --violent --seed {options.seed} --count {options.count}"
-    )
+    command = f"python -m validation tolerance --violent --seed {options.seed} --count {options.count}"
+    report = Report("Violent scenes", command)
     cases = [(options.seed, index) for index in range(options.count)]
     results: list[ViolentResult] = []
     pool_limits = {"workers": options.jobs, "limit": options.limit}
     dones = run_missing(run_violent, cases, **pool_limits, file=options.resume, read=_read)
     for done in show_progress(dones, len(cases), "scene"):
         if done.result is None:
-            report.failures.append(f"scene {done.case[1]}: {done.trouble}")
+            report.fail(f"scene {done.case[1]}: {done.trouble}")
         else:
             results.append(done.result)
             tqdm.write(" | ".join(str(cell) for cell in _row(done.result)))
-    columns = [
-        "scene",
-        "what",
-        "gain",
-        "flagged",
-        "most evaluations",
-        "of the cap",
-        "longest s",
-        "all s",
-        "integrators",
-        "trouble",
-    ]
+    columns = ["scene", "what", "gain", "flagged", "most evaluations", "of the cap", "longest s", "all s"]
+    columns += ["integrators", "trouble"]
     chosen = {
         "Most expensive frames": sorted(results, key=lambda result: -result.seconds)[:_N_LISTED],
         "Largest energy gain": sorted(results, key=lambda result: -result.gain)[:_N_LISTED],
@@ -235,9 +221,8 @@ def violent(options: argparse.Namespace) -> Report:
     share = flagged / max(1, frames)
     n_often_flagged = sum(result.flagged > 0.1 * result.frames for result in results)
     report.notes += [
-        f"{len(results)} scenes, {frames} frames, {share:.2%} of them flagged; "
-        f"{n_often_flagged} scenes with more "
-        f"than a tenth",
+        f"{len(results)} scenes, {frames} frames, {share:.2%} of them flagged; {n_often_flagged} scenes with more than "
+        "a tenth",
         f"longest frame {max((result.seconds for result in results), default=0.0):.3g} s, most evaluations "
         f"{max((result.evaluations for result in results), default=0)}, at most "
         f"{max((result.of_cap for result in results), default=0.0):.3g} of the cap; frames above a second in "
@@ -252,9 +237,9 @@ def violent(options: argparse.Namespace) -> Report:
         ),
     ):
         if listed:
-            report.failures.append(f"scenes {description}: {', '.join(str(result.index) for result in listed)}")
+            report.fail(f"scenes {description}: {', '.join(str(result.index) for result in listed)}")
     if share > MAX_FLAGGED_FRAMES:
-        report.failures.append(f"{share:.2%} of all frames are flagged, more than {MAX_FLAGGED_FRAMES:.0%}")
+        report.fail(f"{share:.2%} of all frames are flagged, more than {MAX_FLAGGED_FRAMES:.0%}")
     return report
 
 

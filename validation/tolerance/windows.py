@@ -139,9 +139,8 @@ def evaluate_scene(seed: int, index: int, windows: int) -> SceneEvaluation:
     if not run.mismatch > MAX_FORCE_MISMATCH:
         for start in [0, *window_starts(run, windows)] if count >= frames_per_second else []:
             try:
-                window, whole_window = evaluate_window(
-                    run, start, frames_per_second if start else count, seed=index + start
-                )
+                length = frames_per_second if start else count
+                window, whole_window = evaluate_window(run, start, length, seed=index + start)
                 evaluated.append(window)
                 whole = whole_window or whole
             except ReferenceFailureError as error:
@@ -202,17 +201,17 @@ def evaluate_window(run: RecordedRun, first: int, frames: int, *, seed: int) -> 
     local_error = max(LOCAL_ERROR_FRACTION * tolerance, min_local)
     while True:
         coarse = run_reference(run, first, frames, unit_perturbations(run, seed, second=False), local_error)
-        fine = run_reference(
-            run, first, frames, unit_perturbations(run, seed, second=True), REFINEMENT_FACTOR * local_error
-        )
+        perturbations = unit_perturbations(run, seed, second=True)
+        fine = run_reference(run, first, frames, perturbations, REFINEMENT_FACTOR * local_error)
         window = make_window(run, first, second, coarse, fine, tolerance)
         if window.reference_error <= MAX_REFERENCE_DIFFERENCE * window.error_bound or local_error <= min_local:
             break
         local_error = max(0.01 * local_error, min_local)
     if window.ratio > 1.0:
-        later_amplification = max(
+        amplifications = (
             _later_amplification(run, first, second, part, seed, local_error) for part in range(1, _PARTS)
         )
+        later_amplification = max(amplifications)
         error_bound = tolerance * max(1.0, window.amplification, later_amplification)
         window = attrs.evolve(window, later_amplification=later_amplification, error_bound=error_bound)
     if frames <= second:
@@ -226,16 +225,9 @@ def _later_amplification(run: RecordedRun, first: int, frames: int, part: int, s
     n_passed = part * frames // _PARTS
     if not 0 < n_passed < frames:
         return 0.0
-    reference_runs = (
-        run_reference(
-            run,
-            first + n_passed,
-            frames - n_passed,
-            unit_perturbations(run, seed, second=perturbs_velocity),
-            local_error,
-        )
-        for perturbs_velocity in (False, True)
-    )
+    perturbations = (unit_perturbations(run, seed, second=perturbs_velocity) for perturbs_velocity in (False, True))
+    start, length = first + n_passed, frames - n_passed
+    reference_runs = (run_reference(run, start, length, both, local_error) for both in perturbations)
     return max(float(np.max(reference_run.amplifications)) for reference_run in reference_runs)
 
 

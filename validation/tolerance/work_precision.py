@@ -28,9 +28,8 @@ TOLERANCES = (1e-2, *(digit * 10.0**power for power in range(-4, -12, -1) for di
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     known = [*PROBLEMS, *MORE_PROBLEMS]
-    parser.add_argument(
-        "--scene", choices=known, metavar="SCENE", default="curtain16", help=f"one of {', '.join(known)}"
-    )
+    scenes = f"one of {', '.join(known)}"
+    parser.add_argument("--scene", choices=known, metavar="SCENE", default="curtain16", help=scenes)
     parser.add_argument("--repeats", type=int, default=5, help="timed runs of each solver; the median counts")
     parser.add_argument("--slow", action="store_true", help="also solvers that take minutes")
     parser.add_argument("--limit", type=float, default=60.0, metavar="SECONDS", help="time limit of a library solver")
@@ -83,20 +82,17 @@ def run(options: argparse.Namespace) -> Report:
         for solver, solver_run in first_runs.items()
     ]
     report = Report(f"Work-precision on {scene.name}", f"python -m validation work-precision --scene {scene.name}")
-    report.notes.append(
-        f"{scene.description}; errors at {scene.duration:g} s; "
-        f"the reference's own error is "
-        f"{scene_reference.error:.1g} m"
-    )
+    reference_error = f"the reference's own error is {scene_reference.error:.1g} m"
+    report.note(f"{scene.description}; errors at {scene.duration:g} s; {reference_error}")
     report.notes += timeouts
-    report.notes.append(
+    report.note(
         f"the product may use {thread_limit.available_threads()} threads here: it computes runs of the extrapolation "
         "concurrently; library solvers use one thread, because each of their steps needs the previous one"
     )
     for point in points:
         residual, tolerance = point.residual, point.solver.tolerance
         if residual is not None and tolerance <= Scene().tolerance and not residual <= MAX_RESIDUAL:
-            report.failures.append(f"{point.solver.name} {point.solver.setting}: energy residual {residual:.2g}")
+            report.fail(f"{point.solver.name} {point.solver.setting}: energy residual {residual:.2g}")
     report.tables += [_all_runs(points), _comparison(points, report, scene.name)]
     lines: dict[str, list[tuple[float, float]]] = {}
     for point in points:
@@ -113,9 +109,8 @@ def _residual(solver: SolverSetting, scene: Problem, scene_reference: Reference)
 
 
 def _all_runs(points: list[SolverPoint]) -> Table:
-    table = Table(
-        "All runs", ["solver", "setting", "error m", "wall s", "least s", "most s", "evaluations", "energy residual"]
-    )
+    columns = ["solver", "setting", "error m", "wall s", "least s", "most s", "evaluations", "energy residual"]
+    table = Table("All runs", columns)
     for point in points:
         row = [point.solver.name, point.solver.setting, point.error, point.median]
         table.rows.append([*row, min(point.seconds), max(point.seconds), point.evaluations])
@@ -124,25 +119,21 @@ def _all_runs(points: list[SolverPoint]) -> Table:
 
 
 def _comparison(points: list[SolverPoint], report: Report, scene: str) -> Table:
-    table = Table(
-        "Least time to an error",
-        ["error m", "product s", "by", "one thread s", "best library s", "by library", "times", "times by one thread"],
-    )
+    columns = ["error m", "product s", "by", "one thread s", "best library s", "by library", "times"]
+    table = Table("Least time to an error", [*columns, "times by one thread"])
     for error, min_speedup in MIN_SPEEDUPS.items():
         product = _fastest(points, "ours", error)
         single_thread = _fastest(points, "alone", error)
         library = _fastest(points, "library", error)
         if product is None or single_thread is None or library is None:
-            report.notes.append(f"no comparison at {error:g} m: product or library did not reach it")
+            report.note(f"no comparison at {error:g} m: product or library did not reach it")
             continue
         speedup = library.median / product.median
         names = [f"{point.solver.name} {point.solver.setting}" for point in (product, library)]
         table.rows.append([error, product.median, names[0], single_thread.median, library.median, names[1], speedup])
         table.rows[-1].append(library.median / single_thread.median)
         if scene in ("curtain16", "curtain32") and speedup < min_speedup:
-            report.failures.append(
-                f"speedup over the best library at {error:g} m is {speedup:.2g}; required: {min_speedup:g}"
-            )
+            report.fail(f"speedup over the best library at {error:g} m is {speedup:.2g}; required: {min_speedup:g}")
     return table
 
 
