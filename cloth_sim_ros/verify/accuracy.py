@@ -142,18 +142,15 @@ class _Certifier:
         start = starting_state(frame)
         if frame.reset or frame.before.frame != self._last_index:
             self._end_window()
-            self._begin_session(frame, start)
+            self._session_reference, self._session_start = ReferenceSolution(start, seed=frame.index), frame.t
         self._last_index = frame.index
         # A frame reproduced to the last bit began with the recorded state.
         deviation = 0.0 if frame.reset or self._is_reproduced else self._deviation
         if self._window is None:
             self._window = AccuracyWindow(index=len(self.certificate.windows), start=frame.t)
             self.certificate.windows.append(self._window)
-            self._window_reference, self._amplification, self._frames = (
-                ReferenceSolution(start, seed=frame.index),
-                0.0,
-                [],
-            )
+            self._window_reference = ReferenceSolution(start, seed=frame.index)
+            self._amplification, self._frames = 0.0, []
             self._start_deviation = deviation
         window = self._window
         self._frames.append(frame)
@@ -201,18 +198,14 @@ class _Certifier:
         """Return the relative rounding of the recorded positions."""
         return 2.0**-53 if self._recorded is not None and self._recorded.dtype.itemsize == 8 else _FLOAT32
 
-    def _begin_session(self, frame: SimulatedFrame, start: State) -> None:
-        self._session_reference, self._session_start = ReferenceSolution(start, seed=frame.index), frame.t
-
     def _advance_session(self, frame: SimulatedFrame) -> ReferenceResult | None:
         """Advance the reference from the session's beginning; None beyond the horizon."""
         if self._session_reference is None:
             return None
         reference, certificate = self._session_reference.advance(self._equations, frame), self.certificate
         time = frame.t - self._session_start
-        if reference.amplification <= MAX_AMPLIFICATION and reference.uncertainty <= MAX_UNCERTAINTY_FRACTION * (
-            frame.tolerance or DEFAULT_TOLERANCE
-        ):
+        max_uncertainty = MAX_UNCERTAINTY_FRACTION * (frame.tolerance or DEFAULT_TOLERANCE)
+        if reference.amplification <= MAX_AMPLIFICATION and reference.uncertainty <= max_uncertainty:
             certificate.longest = max(certificate.longest, time + frame.duration)
             return reference
         self._session_reference = None
@@ -225,29 +218,23 @@ class _Certifier:
             return math.nan
         if not error > frame.tolerance:
             return frame.tolerance
-        return frame.tolerance * max(
-            1.0, ReferenceSolution(start, seed=frame.index).advance(self._equations, frame).amplification
-        )
+        reference = ReferenceSolution(start, seed=frame.index).advance(self._equations, frame)
+        return frame.tolerance * max(1.0, reference.amplification)
 
     def _sample(self, frame: SimulatedFrame, start: State, reference: Array, accuracy: FrameAccuracy) -> None:
         independent = frame_by_dop853(self._equations, frame, start)
-        self.certificate.samples.append(
-            Sample(
-                frame=frame.index,
-                stated=max_distance(frame.after.x, reference),
-                independent=max_distance(frame.after.x, independent),
-                difference=max_distance(reference, independent),
-                tolerance=accuracy.tolerance,
-            )
-        )
+        errors = {
+            "stated": max_distance(frame.after.x, reference),
+            "independent": max_distance(frame.after.x, independent),
+            "difference": max_distance(reference, independent),
+        }
+        self.certificate.samples.append(Sample(frame=frame.index, **errors, tolerance=accuracy.tolerance))
 
     def _write(self, recorded: Array | None, reference: Array) -> None:
         if self._particles is not None:
-            errors = (
-                np.full(reference.shape[1], np.nan)
-                if recorded is None
-                else np.sqrt(np.square(recorded - reference).sum(0))
-            )
+            errors = np.full(reference.shape[1], np.nan)
+            if recorded is not None:
+                errors = np.sqrt(np.square(recorded - reference).sum(0))
             self._particles.write(errors.astype("<f4").tobytes())
 
 

@@ -96,15 +96,12 @@ def assess_window(scene: Scene, state: State, events: Sequence[Sequence[Event]],
 
 def _window(frames: Sequence[SimulatedFrame], *, measure_amplification: bool) -> AccuracyWindow:
     window, equations = AccuracyWindow(index=0, start=frames[0].t), Equations()
-    reference, amplification = (
-        ReferenceSolution(frames[0].before, seed=frames[0].index, measure_amplification=measure_amplification),
-        0.0,
-    )
+    start, seed, amplification = frames[0].before, frames[0].index, 0.0
+    reference = ReferenceSolution(start, seed=seed, measure_amplification=measure_amplification)
     for frame in frames:
         if frame.reset:
-            reference = ReferenceSolution(
-                starting_state(frame), seed=frame.index, measure_amplification=measure_amplification
-            )
+            start = starting_state(frame)
+            reference = ReferenceSolution(start, seed=frame.index, measure_amplification=measure_amplification)
         result = reference.advance(equations, frame)
         amplification = max(amplification, result.amplification) if measure_amplification else 0.0
         window.add(

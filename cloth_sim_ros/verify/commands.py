@@ -61,12 +61,9 @@ class CommandCheck:
     def __init__(self, *, node: str, scene: Scene, from_start: bool, findings: Findings) -> None:
         self._findings, self._frame_id, self._node = findings, scene.frame_id, node
         self._grippers = frozenset(scene.gripper_names)
-        self._kinds = {
-            f"{node}/{name}/{leaf}": (name, leaf)
-            for names, leaves in ((scene.gripper_names, _READERS), (scene.described, ("target", "point")))
-            for name in names
-            for leaf in leaves
-        }
+        bodies = [(name, leaf) for name in scene.gripper_names for leaf in _READERS]
+        bodies += [(name, leaf) for name in scene.described for leaf in ("target", "point")]
+        self._kinds = {f"{node}/{name}/{leaf}": (name, leaf) for name, leaf in bodies}
         #: Bodies that are not compared, with the reason: received commands alone do not move them.
         self._untracked = {name: _FOLLOWS for name in scene.gripper_names if scene.of_gripper(name, "frame")}
         self._untracked |= {name: _FOLLOWS for name, obstacle in scene.described.items() if obstacle.frame}
@@ -181,9 +178,8 @@ class CommandCheck:
         candidates = [target for target in waiting if _is_same_pose(pose, target.pose)]
         if not candidates:
             if known:
-                self._findings.difference(
-                    "command", f"{name} moved to {list(event['position'])}, which was not commanded"
-                )
+                reason = f"{name} moved to {list(event['position'])}, which was not commanded"
+                self._findings.difference("command", reason)
             else:
                 self._skip("events", f"{event['kind']} that may have been commanded before the recording began")
             return
@@ -192,9 +188,8 @@ class CommandCheck:
         # targets stamped after it was due; therefore later ones may belong to this frame.
         match = max((target for target in candidates if target.stamp <= stamp), default=min(candidates))
         replaced = [target for target in waiting if target < match]
-        self._waiting[name] = [
-            target._replace(certain=target.certain and target > max(candidates)) for target in waiting if target > match
-        ]
+        newest, later = max(candidates), [target for target in waiting if target > match]
+        self._waiting[name] = [target._replace(certain=target.certain and target > newest) for target in later]
         self._drop(replaced, "replaced by a newer one in the same frame, refused, or too old")
         self._check_overdue(name, stamp, None, known=known)
 
@@ -206,13 +201,11 @@ class CommandCheck:
             return
         self._waiting[name] = [target for target in waiting if target > max(overdue)]
         if known and not (simulation is not None and self._may_be_impossible(name, simulation)):
-            self._findings.difference(
-                "command", f"{name} was commanded to {list(overdue[-1].pose[:3])}, which did not take effect"
-            )
+            position = list(overdue[-1].pose[:3])
+            self._findings.difference("command", f"{name} was commanded to {position}, which did not take effect")
         else:
-            self._drop(
-                [target for target in waiting if target <= max(overdue)], "cleared, or received before the recording"
-            )
+            cleared = [target for target in waiting if target <= max(overdue)]
+            self._drop(cleared, "cleared, or received before the recording")
 
     def _may_be_impossible(self, name: str, simulation: Simulation) -> bool:
         """Return True if the node may have refused the target: its body was removed, or its pads are not placed yet."""
@@ -260,9 +253,8 @@ def _pose(position: Iterable[float], orientation: Iterable[float] | None) -> _Po
 
 
 def _is_same_pose(pose_a: _Pose, pose_b: _Pose) -> bool:
-    return len(pose_a) == len(pose_b) and all(
-        a == b and math.copysign(1.0, a) == math.copysign(1.0, b) for a, b in zip(pose_a, pose_b, strict=True)
-    )
+    signs_a, signs_b = ([math.copysign(1.0, number) for number in pose] for pose in (pose_a, pose_b))
+    return pose_a == pose_b and signs_a == signs_b
 
 
 def _read_pose(message: Any) -> _Pose:

@@ -80,11 +80,9 @@ class CompletenessCheck:
     def is_repeated(self, message: Message) -> bool:
         """Return True if a message repeats the last one of its topic, as at the beginning of a split file."""
         last = self.last(message.topic)
-        return last is not None and (last.data, last.publish_time, last.sequence) == (
-            message.data,
-            message.publish_time,
-            message.sequence,
-        )
+        if last is None or last.data != message.data:
+            return False
+        return last.publish_time == message.publish_time and last.sequence == message.sequence
 
     def add(self, message: Message, *, is_from_node: bool, is_opening: bool = False) -> None:
         """Add a message.
@@ -130,11 +128,8 @@ class CompletenessCheck:
             return
         n_messages = self._counts[True]
         if announced not in (n_messages, n_messages + self._counts[False]):
-            self._findings.difference(
-                "message count",
-                f"the end record of {part.path.name}: it counts {pluralize(announced, 'message')}, {n_messages} are "
-                f"there",
-            )
+            counts = f"it counts {pluralize(announced, 'message')}, {n_messages} are there"
+            self._findings.difference("message count", f"the end record of {part.path.name}: {counts}")
 
     def end(self) -> None:
         """End the session: the missing messages must equal the dropped ones."""
@@ -150,14 +145,10 @@ class CompletenessCheck:
         if self._may_be_incomplete:
             self._findings.missing(f"{pluralize(n_missing, 'message')} of {self._gap_topics()}, dropped or lost")
         else:
-            self._findings.difference(
-                self._topics[name].kind,
-                f"{pluralize(n_missing, 'message')} of {self._gap_topics()} that are missing, where the end record "
-                f"tells of "
-                f"{self._dropped} dropped",
-                position=position,
-                count=n_missing - self._dropped,
-            )
+            kind, count = self._topics[name].kind, n_missing - self._dropped
+            gaps = f"{pluralize(n_missing, 'message')} of {self._gap_topics()} that are missing"
+            reason = f"{gaps}, where the end record tells of {self._dropped} dropped"
+            self._findings.difference(kind, reason, position=position, count=count)
 
     def absent(self, topic: str) -> bool:
         """Return True if frames lack messages of a topic and the session has none."""
@@ -206,17 +197,14 @@ class CompletenessCheck:
             return
         if topic.droppable and gap_size == n_missing:
             self._gaps.append((position, name, gap_size))
-        elif self._is_damaged():
-            self._findings.missing(f"{pluralize(max(gap_size, n_missing), 'message')} of {name}")
+            return
+        count = max(gap_size, n_missing)
+        messages = f"{pluralize(count, 'message')} of {name}"
+        if self._is_damaged():
+            self._findings.missing(messages)
         else:
-            self._findings.difference(
-                topic.kind,
-                f"{pluralize(max(gap_size, n_missing), 'message')} of {name} that "
-                f"{'is' if max(gap_size, n_missing) == 1 else 'are'} "
-                "missing",
-                position=position,
-                count=max(gap_size, n_missing),
-            )
+            reason = f"{messages} that {'is' if count == 1 else 'are'} missing"
+            self._findings.difference(topic.kind, reason, position=position, count=count)
 
     def _is_damaged(self) -> bool:
         part = self._part
@@ -234,17 +222,15 @@ class CompletenessCheck:
         is_late = 0 < message.log_time - message.publish_time < _MAX_REORDERING
         if message.log_time in (expected, message.publish_time) or (is_late and self._may_have_dropped()):
             return
-        self._findings.difference(
-            kind,
-            f"the log time of a message of {message.topic}: {message.log_time} ns is recorded, {expected} expected",
-        )
+        times = f"{message.log_time} ns is recorded, {expected} expected"
+        self._findings.difference(kind, f"the log time of a message of {message.topic}: {times}")
 
     def _may_have_dropped(self) -> bool:
         """Return True if a dropped message may have raised later log times."""
         part = self._part
-        return self._is_damaged() or (
-            part is not None and (not part.end_notes or part.end_notes.get("dropped", "0") != "0" or self._dropped > 0)
-        )
+        if part is None or self._is_damaged():
+            return self._is_damaged()
+        return not part.end_notes or part.end_notes.get("dropped", "0") != "0" or self._dropped > 0
 
 
 def _parse_count(text: str) -> int | None:

@@ -53,9 +53,8 @@ def compare_declarations(part: SessionPart, node: str, topics: frozenset[str], f
         )
         for quantity, recorded, expected in compared:
             if recorded != expected:
-                findings.difference(
-                    "declaration", f"the {quantity} of {topic} ({recorded} is recorded, {expected} is due)"
-                )
+                reason = f"the {quantity} of {topic} ({recorded} is recorded, {expected} is due)"
+                findings.difference("declaration", reason)
                 break
         else:
             if not _is_same_definition(schema.data, expected_type):
@@ -77,6 +76,5 @@ def _is_same_definition(recorded: bytes, type_name: str) -> bool:
         return False
     expected_types = get_types_from_msg(expected, type_name)
     # Only fields are compared: a tool may leave out constants.
-    return {name: fields for name, (_, fields) in recorded_types.items()} == {
-        name: fields for name, (_, fields) in expected_types.items()
-    }
+    recorded_fields = {name: fields for name, (_, fields) in recorded_types.items()}
+    return recorded_fields == {name: fields for name, (_, fields) in expected_types.items()}

@@ -151,9 +151,8 @@ class FrameOutputCheck:
             if topic not in self._received:
                 self._completeness.add_missing(topic)
         if self._states.is_due(self._simulation):
-            self._findings.difference(
-                "state", f"a message of {self._state_topic} that is missing: whether time passes has changed"
-            )
+            reason = f"a message of {self._state_topic} that is missing: whether time passes has changed"
+            self._findings.difference("state", reason)
         self._frame = None
 
     def finish(self) -> None:
@@ -166,11 +165,8 @@ class FrameOutputCheck:
             if topic in self._opening_topics:
                 continue
             if topic == self._topology or self._completeness.is_seen(topic):
-                self._findings.difference(
-                    self._kind(topic),
-                    f"{topic}, of which {self._part.path.name} must begin with a message",
-                    position=self._first,
-                )
+                reason = f"{topic}, of which {self._part.path.name} must begin with a message"
+                self._findings.difference(self._kind(topic), reason, position=self._first)
             else:
                 self._findings.absent(topic)
 
@@ -193,13 +189,8 @@ class FrameOutputCheck:
             return self._clouds.compare(message, simulation, self._stamp)
         if topic in self._expected_wrenches:
             findings.compared("wrench")
-            outputs.compare_wrench(
-                message,
-                self._expected_wrenches[topic],
-                frame_id=simulation.scene.frame_id,
-                stamp=self._stamp,
-                findings=findings,
-            )
+            wrench, frame_id = self._expected_wrenches[topic], simulation.scene.frame_id
+            outputs.compare_wrench(message, wrench, frame_id=frame_id, stamp=self._stamp, findings=findings)
         elif topic in self._grippers and self._grippers[topic] in self._reasons:
             name = self._grippers[topic]
             self._gripper_states.compare(message, name, self._reasons[name], simulation)
@@ -245,9 +236,8 @@ class FrameOutputCheck:
             self._gripper_states.compare_older(message, self._grippers[topic], self._simulation)
 
     def _report_orphan(self, message: Message) -> None:
-        self._findings.difference(
-            self._kind(message.topic), f"a message of {message.topic} that belongs to no frame", position=None
-        )
+        reason = f"a message of {message.topic} that belongs to no frame"
+        self._findings.difference(self._kind(message.topic), reason)
 
     def _kind(self, topic: str) -> str:
         if topic == self._points:

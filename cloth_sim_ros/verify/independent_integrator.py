@@ -53,9 +53,8 @@ def dop853(
         if contact is not None and len(jaws):
             jaw_state = y[2 * n_coordinates :].reshape(jaws.shape)
             contact.set_jaws(jaw_state.copy())
-            out[2 * n_coordinates :] = np.stack(
-                [jaw_state[:, 1], contact.jaw_accelerations(time, x, v)], axis=1
-            ).ravel()
+            jaw_rates = [jaw_state[:, 1], contact.jaw_accelerations(time, x, v)]
+            out[2 * n_coordinates :] = np.stack(jaw_rates, axis=1).ravel()
         plan.accelerations(time, x, v, out[n_coordinates : 2 * n_coordinates].reshape(shape))
         return out
 

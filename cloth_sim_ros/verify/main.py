@@ -49,9 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "3: recorded with other arithmetic, and nothing differs that this does not explain; "
         "4: with --accuracy, a window without flagged frames violates its error bound, or may do so.",
     )
-    parser.add_argument(
-        "session", nargs="+", type=Path, help="session.mcap, one or more; files of a split session together, in order"
-    )
+    files = "session.mcap, one or more; files of a split session together, in order"
+    parser.add_argument("session", nargs="+", type=Path, help=files)
     _add_accuracy(parser)
     options = parser.parse_args(arguments)
     _check_accuracy(parser, options)
@@ -81,16 +80,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _add_accuracy(parser: argparse.ArgumentParser) -> None:
     accuracy = parser.add_argument_group("accuracy")
-    accuracy.add_argument(
-        "--accuracy",
-        action="store_true",
-        help="compare with a reference solution of much smaller steps: error of each frame, verdict on the tolerance",
-    )
+    reference = "compare with a reference solution of much smaller steps: error of each frame, verdict on the tolerance"
+    accuracy.add_argument("--accuracy", action="store_true", help=reference)
     accuracy.add_argument("--json", metavar="OUT.json", type=Path, help="write every frame's numbers")
     accuracy.add_argument("--plot", metavar="OUT.png", type=Path, help="plot them over time; needs matplotlib")
-    accuracy.add_argument(
-        "--particles", metavar="OUT.f32", type=Path, help="write each particle's error [m], float32, frame after frame"
-    )
+    particles = "write each particle's error [m], float32, frame after frame"
+    accuracy.add_argument("--particles", metavar="OUT.f32", type=Path, help=particles)
 
 
 def _outputs(options: argparse.Namespace) -> dict[str, Path]:
@@ -139,18 +134,16 @@ def describe(verdict: Verdict) -> str:
             counts = pluralize(verdict.frames, "frame")
         sentences = [f"{counts} came out the same to the last bit{_format_other_kinds(verdict)} ({speed})."]
     else:
+        verb = "differs" if verdict.different == 1 else "differ"
         sentences = [
             f"it differs from frame {verdict.first_frame} ({verdict.first_time:.3f} s) on, in {verdict.first_reason}.",
-            f"Of {counts}, {pluralize(verdict.different, 'frame')} "
-            f"{'differs' if verdict.different == 1 else 'differ'}; "
+            f"Of {counts}, {pluralize(verdict.different, 'frame')} {verb}; "
             f"the largest deviation of a particle is {verdict.largest_deviation:.3g} m ({speed}).",
             f"What differs: {', '.join(format_counts(verdict.differing))}.",
         ]
     if verdict.other_arithmetic and not verdict.same:
-        sentences.append(
-            f"It was recorded by {verdict.other_arithmetic}, whose arithmetic this version's engine does not repeat to "
-            "the last bit; that is no damage."
-        )
+        cause = "whose arithmetic this version's engine does not repeat to the last bit"
+        sentences.append(f"It was recorded by {verdict.other_arithmetic}, {cause}; that is no damage.")
         if verdict.unexplained:
             sentences.append(f"But arithmetic does not explain {verdict.unexplained}.")
     if verdict.environment:
@@ -169,11 +162,8 @@ def describe(verdict: Verdict) -> str:
 def format_counts(counts: Mapping[str, int]) -> list[str]:
     """Format counts of frames and messages by kind."""
     plurals = {"wrench": "wrenches", "topology": "topologies"}
-    return [
-        f"{count} {plurals[kind]}" if kind in plurals and count != 1 else pluralize(count, kind)
-        for kind, count in sorted(counts.items())
-        if count
-    ]
+    present = [(count, kind) for kind, count in sorted(counts.items()) if count]
+    return [f"{n} {plurals[kind]}" if kind in plurals and n != 1 else pluralize(n, kind) for n, kind in present]
 
 
 def format_omissions(verdict: Verdict) -> list[str]:
@@ -219,9 +209,9 @@ def _certify(paths: Sequence[Path], options: argparse.Namespace) -> tuple[Verdic
         if options.particles is not None:
             output = stack.enter_context(atomic_write(options.particles))
             particles = stack.enter_context(output.open("wb"))
-        bar = stack.enter_context(
-            tqdm(total=_frames_in(paths), unit="frame", desc="accuracy", delay=1.0, disable=None, leave=False)
-        )
+        total = _frames_in(paths)
+        bar = tqdm(total=total, unit="frame", desc="accuracy", delay=1.0, disable=None, leave=False)
+        stack.enter_context(bar)
         return certify(paths, particles=particles, on_frame=bar.update)
 
 
@@ -244,12 +234,9 @@ def _frames_in(paths: Sequence[Path]) -> int | None:
             if part.summary is None or part.summary.statistics is None:
                 return None
             counts = part.summary.statistics.channel_message_counts
-            topics = {channel_id: channel.topic for channel_id, channel in part.summary.channels.items()}
-            count += sum(
-                n_messages
-                for channel_id, n_messages in counts.items()
-                if topics.get(channel_id) == f"{reader.node}/frame"
-            )
+            for channel_id, channel in part.summary.channels.items():
+                if channel.topic == f"{reader.node}/frame":
+                    count += counts.get(channel_id, 0)
     return count
 
 

@@ -97,9 +97,8 @@ class MarkerCheck:
             if self._names or self._deleted:
                 self._findings.difference("marker message", "the markers of obstacles: there is none")
             return
-        deleted_names = tuple(
-            dict.fromkeys(marker.ns.removeprefix(f"{self._node}/") for marker in recorded if marker.action == _DELETE)
-        )
+        deleted = [marker.ns.removeprefix(f"{self._node}/") for marker in recorded if marker.action == _DELETE]
+        deleted_names = tuple(dict.fromkeys(deleted))
         deletion_error = self._deletion_error(deleted_names, changed and not (is_first and not deleted_names))
         if deletion_error:
             self._findings.difference("marker message", f"the markers of obstacles, by {deletion_error}")
@@ -117,9 +116,8 @@ class MarkerCheck:
         if reason == _APPEARANCE and self._findings.verdict.environment:
             self._findings.not_compared(message.topic, "colours, by other code")
         elif reason:
-            self._findings.difference(
-                "marker message", f"the markers of obstacles, by {reason}", rounding=_MOVED in reason
-            )
+            text = f"the markers of obstacles, by {reason}"
+            self._findings.difference("marker message", text, rounding=_MOVED in reason)
 
     def _deletion_error(self, deleted_names: tuple[str, ...], changed: bool) -> str:
         if changed and self._removed is not None and set(deleted_names) != set(self._removed):
@@ -131,9 +129,8 @@ class MarkerCheck:
     def _layout(self, simulation: Simulation, deleted_names: tuple[str, ...]) -> _MarkerLayout:
         if deleted_names not in self._layouts:
             solids, _ = solids_and_poses(simulation.obstacles, simulation.pinching)
-            self._layouts[deleted_names] = _MarkerLayout(
-                solids, frame_id=self._frame_id, node=self._node, deleted_names=deleted_names
-            )
+            names = {"frame_id": self._frame_id, "node": self._node}
+            self._layouts[deleted_names] = _MarkerLayout(solids, **names, deleted_names=deleted_names)
         return self._layouts[deleted_names]
 
 
@@ -141,20 +138,17 @@ class _MarkerLayout:
     """Encoder of visualization_msgs/MarkerArray messages that differ in stamps and poses only."""
 
     def __init__(self, solids: Sequence[Obstacle], *, frame_id: str, node: str, deleted_names: Sequence[str]) -> None:
-        markers = [
-            _marker(ns=f"{node}/{name}", id=marker_index, action=_DELETE)
-            for name in deleted_names
-            for marker_index in range(_MAX_MARKERS)
-        ]
+        markers = []
+        for name in deleted_names:
+            markers += [_marker(ns=f"{node}/{name}", id=k, action=_DELETE) for k in range(_MAX_MARKERS)]
         #: Index of the obstacle of each marker, and the marker's offset in the obstacle's frame [m].
         self._parts: list[tuple[int, NDArray[np.float64]]] = []
         for k, solid in enumerate(solids):
             for marker_index, (fields, offset) in enumerate(_marker_parts(solid)):
                 colour = _GROUND if solid.shape == "plane" else _COLOUR
-                markers.append(
-                    _marker(ns=f"{node}/{solid.name}", id=marker_index, action=_ADD, colour=colour, **fields)
-                )
-                markers[-1].pose.position.x = _MARKED_POSITION * (1 + len(self._parts))
+                marker = _marker(ns=f"{node}/{solid.name}", id=marker_index, action=_ADD, colour=colour, **fields)
+                marker.pose.position.x = _MARKED_POSITION * (1 + len(self._parts))
+                markers.append(marker)
                 self._parts.append((k, offset))
         for marker_index, marker in enumerate(markers):
             marker.header.frame_id = frame_id
@@ -208,9 +202,8 @@ _APPEARANCE, _MOVED = "their looks", "m of its place"
 
 
 def _difference(recorded: Sequence[Any], expected: Sequence[Any]) -> str:
-    if [(marker.ns, marker.id, marker.action) for marker in recorded] != [
-        (marker.ns, marker.id, marker.action) for marker in expected
-    ]:
+    names, expected_names = ([(m.ns, m.id, m.action) for m in markers] for markers in (recorded, expected))
+    if names != expected_names:
         return "their names"
     reason = ""
     for marker, expected_marker in zip(recorded, expected, strict=True):
@@ -219,13 +212,11 @@ def _difference(recorded: Sequence[Any], expected: Sequence[Any]) -> str:
         distance = float(np.abs(_components(marker.pose) - _components(expected_marker.pose)).max())
         if not distance <= _POSITION_TOLERANCE:
             return f"{distance:.3g} {_MOVED}, of {marker.ns}"
-        if marker.type != expected_marker.type or not np.allclose(
-            _components(marker.scale), _components(expected_marker.scale), rtol=0, atol=_POSITION_TOLERANCE
-        ):
+        scale, expected_scale = _components(marker.scale), _components(expected_marker.scale)
+        is_same_size = np.allclose(scale, expected_scale, rtol=0, atol=_POSITION_TOLERANCE)
+        if marker.type != expected_marker.type or not is_same_size:
             return f"the size of {marker.ns}"
-        if [_components(point).tolist() for point in marker.points] != [
-            _components(point).tolist() for point in expected_marker.points
-        ]:
+        if _coordinates(marker.points) != _coordinates(expected_marker.points):
             return f"the mesh of {marker.ns}"
         expected_marker.pose, expected_marker.scale = marker.pose, marker.scale
         if encode(marker, "visualization_msgs/msg/Marker") != encode(expected_marker, "visualization_msgs/msg/Marker"):
@@ -238,6 +229,10 @@ def _components(value: Any) -> NDArray[np.float64]:
     if hasattr(value, "orientation"):
         return np.concatenate([_components(value.position), _components(value.orientation)])
     return np.array([getattr(value, axis) for axis in "xyzw" if hasattr(value, axis)])
+
+
+def _coordinates(points: Sequence[Any]) -> list[list[float]]:
+    return [_components(point).tolist() for point in points]
 
 
 def _marker_parts(solid: Obstacle) -> list[tuple[dict[str, Any], NDArray[np.float64]]]:
@@ -253,13 +248,10 @@ def _marker_parts(solid: Obstacle) -> list[tuple[dict[str, Any], NDArray[np.floa
     if solid.shape in ("cylinder", "capsule"):
         radius, length = solid.size
         width = 2.0 * radius
-        parts: list[tuple[dict[str, Any], NDArray[np.float64]]] = [
-            ({"type": _CYLINDER, "scale": (width, width, length)}, origin)
-        ]
+        parts = [({"type": _CYLINDER, "scale": (width, width, length)}, origin)]
         if solid.shape == "capsule":
-            parts += [
-                ({"type": _SPHERE, "scale": (width,) * 3}, np.array([0.0, 0.0, sign * length])) for sign in (-0.5, 0.5)
-            ]
+            ends = np.array([0.0, 0.0, -0.5 * length]), np.array([0.0, 0.0, 0.5 * length])
+            parts += [({"type": _SPHERE, "scale": (width,) * 3}, end) for end in ends]
         return parts
     assert solid.vertices is not None
     assert solid.triangles is not None
@@ -280,9 +272,8 @@ def _marker(
     message_type, point = message_class, message_class("geometry_msgs/msg/Point")
 
     def header() -> Any:
-        return message_type("std_msgs/msg/Header")(
-            stamp=message_type("builtin_interfaces/msg/Time")(sec=0, nanosec=0), frame_id=""
-        )
+        stamp = message_type("builtin_interfaces/msg/Time")(sec=0, nanosec=0)
+        return message_type("std_msgs/msg/Header")(stamp=stamp, frame_id="")
 
     empty = np.empty(0, dtype=np.uint8)
     return message_type("visualization_msgs/msg/Marker")(

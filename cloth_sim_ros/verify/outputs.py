@@ -48,9 +48,9 @@ def same_content(recorded: bytes, expected: bytes, type_name: str) -> bool:
     """
     if same_bytes(recorded, expected):
         return True
-    return len(recorded) < len(expected) + _PADDING and encode(decode(recorded, type_name), type_name) == encode(
-        decode(expected, type_name), type_name
-    )
+    if len(recorded) >= len(expected) + _PADDING:
+        return False
+    return encode(decode(recorded, type_name), type_name) == encode(decode(expected, type_name), type_name)
 
 
 class CloudCheck:
@@ -74,11 +74,8 @@ class CloudCheck:
         state, fields = simulation.state, simulation.scene.points
         for points in dict.fromkeys((fields, self._first_fields)):
             encoder = self._encoder(points)
-            if self._is_same(
-                message.data,
-                encoder.encode(state.x, stamp, state.v if points.velocity else None),
-                encoder.points_offset,
-            ):
+            expected = encoder.encode(state.x, stamp, state.v if points.velocity else None)
+            if self._is_same(message.data, expected, encoder.points_offset):
                 return True
         try:
             recorded = decode_cloud(message.data)
@@ -93,9 +90,8 @@ class CloudCheck:
         if recorded.velocity is not None and fields.velocity:
             differing = _differing_particles(recorded.velocity, state.v)
             if differing.size:
-                self._findings.difference(
-                    "cloud", f"its cloud, by the velocity of particle {differing[0]}", rounding=True
-                )
+                reason = f"its cloud, by the velocity of particle {differing[0]}"
+                self._findings.difference("cloud", reason, rounding=True)
                 return True
         self._findings.difference("cloud", "its cloud, by the layout of its points")
         return True
@@ -104,15 +100,10 @@ class CloudCheck:
         """Return True if two clouds are equal up to padding before the points, which begin at offset `start`."""
         if same_bytes(recorded, expected):
             return True
-        if (
-            not same_bytes(recorded[start:], expected[start:])
-            or recorded[: _CDR_HEADER_SIZE + _STAMP_SIZE] != expected[: _CDR_HEADER_SIZE + _STAMP_SIZE]
-        ):
+        stamp_end = _CDR_HEADER_SIZE + _STAMP_SIZE
+        if recorded[:stamp_end] != expected[:stamp_end] or not same_bytes(recorded[start:], expected[start:]):
             return False
-        header, expected_header = (
-            recorded[_CDR_HEADER_SIZE + _STAMP_SIZE : start],
-            expected[_CDR_HEADER_SIZE + _STAMP_SIZE : start],
-        )
+        header, expected_header = recorded[stamp_end:start], expected[stamp_end:start]
         if self._equivalent_headers.get(header) == expected_header:
             return True
         try:
@@ -126,9 +117,9 @@ class CloudCheck:
     def _encoder(self, points: PointsParameters) -> messages.CloudEncoder:
         if points not in self._encoders:
             height, width = self._shape
-            self._encoders[points] = messages.CloudEncoder(
-                frame_id=self._frame_id, height=height, width=width, velocity=points.velocity, double=points.double
-            )
+            fields = {"velocity": points.velocity, "double": points.double}
+            encoder = messages.CloudEncoder(frame_id=self._frame_id, height=height, width=width, **fields)
+            self._encoders[points] = encoder
         return self._encoders[points]
 
     def _compare_header(self, cloud: Cloud, stamp: int) -> bool:
@@ -143,9 +134,8 @@ class CloudCheck:
             ("height x width", f"{cloud.height} x {cloud.width}", f"{height} x {width}"),
         ):
             if recorded != expected:
-                self._findings.difference(
-                    "cloud", f"its cloud, by its {name} ({recorded} is recorded, {expected} is due)"
-                )
+                reason = f"its cloud, by its {name} ({recorded} is recorded, {expected} is due)"
+                self._findings.difference("cloud", reason)
                 return False
         return True
 
@@ -155,11 +145,8 @@ class CloudCheck:
         deviation = float(distances[worst]) if math.isfinite(distances[worst]) else math.inf
         verdict = self._findings.verdict
         verdict.largest_deviation = max(verdict.largest_deviation, deviation)
-        self._findings.difference(
-            "cloud",
-            f"its cloud, by {deviation:.3g} m at particle {worst}",
-            rounding=math.isfinite(deviation),
-        )
+        reason = f"its cloud, by {deviation:.3g} m at particle {worst}"
+        self._findings.difference("cloud", reason, rounding=math.isfinite(deviation))
 
 
 def _differing_particles(recorded: NDArray[np.floating], expected: Array) -> NDArray[np.intp]:
@@ -173,10 +160,8 @@ def compare_wrench(message: Message, wrench: Array, *, frame_id: str, stamp: int
     expected = messages.wrench_bytes(wrench, frame_id=frame_id, stamp=stamp)
     # Layout after the stamp: length and text of the frame_id, padding, numbers.
     name_end = _CDR_HEADER_SIZE + _STAMP_SIZE + 4 + len(frame_id.encode()) + 1
-    same_ends = (
-        message.data[:name_end] == expected[:name_end] and message.data[-_WRENCH_SIZE:] == expected[-_WRENCH_SIZE:]
-    )
-    if same_ends and len(message.data) == len(expected):
+    recorded_ends = message.data[:name_end], message.data[-_WRENCH_SIZE:]
+    if recorded_ends == (expected[:name_end], expected[-_WRENCH_SIZE:]) and len(message.data) == len(expected):
         return
     reason = f"the wrench on {message.topic.split('/')[-2]}"
     try:
@@ -206,14 +191,12 @@ def compare_topology(message: Message, scene: Scene, findings: Findings) -> None
     if not np.array_equal(recorded.triangles, triangles):
         findings.difference("topology", "the topology, by its triangles")
     elif recorded.vertices.shape != rest_positions.shape:
-        findings.difference(
-            "topology", f"the topology has {len(recorded.vertices)} points, the cloth {len(rest_positions)}"
-        )
+        counts = f"{len(recorded.vertices)} points, the cloth {len(rest_positions)}"
+        findings.difference("topology", f"the topology has {counts}")
     else:
         worst = float(np.abs(recorded.vertices - rest_positions).max(initial=0.0))
-        findings.difference(
-            "topology", f"the topology, by {worst:.3g} m of its rest shape", rounding=worst < _CENTRE_TOLERANCE
-        )
+        reason = f"the topology, by {worst:.3g} m of its rest shape"
+        findings.difference("topology", reason, rounding=worst < _CENTRE_TOLERANCE)
 
 
 def compare_transforms(message: Message, node: str, simulation: Simulation, stamp: int, findings: Findings) -> None:

@@ -83,12 +83,8 @@ class ReferenceIntegrator:
         """
         state, rates, lengths, elapsed = start, plan.spectral_bounds(start[0]), list[float](), 0.0
         # Below the rounding of the difference of two extrapolations, smaller steps bring no gain.
-        min_error = (
-            4.0
-            * UNIT_ROUNDOFF
-            * float(np.abs(start[0]).max())
-            * (rounding_amplification(STEP_COUNTS) + rounding_amplification(STEP_COUNTS[1:]))
-        )
+        rounding = rounding_amplification(STEP_COUNTS) + rounding_amplification(STEP_COUNTS[1:])
+        min_error = 4.0 * UNIT_ROUNDOFF * float(np.abs(start[0]).max()) * rounding
         min_interval, max_step = _MIN_INTERVAL * duration, 0.5 * step
         if plan.contact is not None and plan.contact.force.has_anchors:
             # Around such a force jump the simulation's steps become arbitrarily small.

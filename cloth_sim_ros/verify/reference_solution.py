@@ -78,26 +78,20 @@ class ReferenceSolution:
             self._perturb(plan.model.inverse_masses > 0.0, self._seed)
             self._seed = None
         self._integrator.rate = reference_error_rate(frame.tolerance)
-        solution.state, lengths = self._integrator.integrate_frame(
-            plan, frame.t, frame.duration, solution.state, frame.step
-        )
+        start = solution.state
+        solution.state, lengths = self._integrator.integrate_frame(plan, frame.t, frame.duration, start, frame.step)
         for motion in perturbed:
             motion.state = integrate_intervals(equations.plan(frame, motion), frame.t, lengths, motion.state)
-        check.state = integrate_intervals(
-            equations.plan(frame, check), frame.t, lengths, check.state, CHECK_STEP_COUNTS
-        )
+        plan = equations.plan(frame, check)
+        check.state = integrate_intervals(plan, frame.t, lengths, check.state, CHECK_STEP_COUNTS)
         self._n_intervals += len(lengths)
-        max_amplification = max(
-            (max_distance(motion.x, solution.x) / PERTURBATION for motion in perturbed), default=math.nan
-        )
+        amplifications = (max_distance(motion.x, solution.x) / PERTURBATION for motion in perturbed)
+        max_amplification = max(amplifications, default=math.nan)
         coordinate = float(np.abs(check.x).max())
         rounding = UNIT_ROUNDOFF * coordinate * rounding_amplification(STEP_COUNTS) * math.sqrt(self._n_intervals)
-        return ReferenceResult(
-            x=check.x,
-            uncertainty=max_distance(solution.x, check.x),
-            rounding_floor=rounding * (max(1.0, max_amplification) if perturbed else 1.0),
-            amplification=max_amplification,
-        )
+        floor = rounding * (max(1.0, max_amplification) if perturbed else 1.0)
+        error = max_distance(solution.x, check.x)
+        return ReferenceResult(x=check.x, uncertainty=error, rounding_floor=floor, amplification=max_amplification)
 
     def _perturb(self, free: np.ndarray, seed: int) -> None:
         if not self._perturbed:

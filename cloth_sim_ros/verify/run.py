@@ -153,9 +153,8 @@ class _SessionRun:
             return self._run_frame(read_frame(message), message)
         if self._frame_outputs.is_compared(topic):
             is_same = self._frame_outputs.compare(message, is_opening=is_opening)
-            self._completeness.add(
-                message, is_from_node=True, is_opening=is_opening and self._frame_outputs.is_latched(topic)
-            )
+            is_opening = is_opening and self._frame_outputs.is_latched(topic)
+            self._completeness.add(message, is_from_node=True, is_opening=is_opening)
             if topic == self._points and is_same is not None:
                 self._observe_cloud(message, is_same)
             return True
@@ -189,16 +188,12 @@ class _SessionRun:
         if part.end_notes.get("reason") not in _CLEAN_END_REASONS and self._verdict.frames:
             missing_topics = self._completeness.forgive_last_frame(position)
             if missing_topics:
-                self._findings.missing(
-                    f"its last frame, {position.frame}, was recorded without {', '.join(missing_topics)}"
-                )
+                topics = ", ".join(missing_topics)
+                self._findings.missing(f"its last frame, {position.frame}, was recorded without {topics}")
         self._frame_outputs.end()
         self._completeness.end()
-        if (
-            "dropped" in part.end_notes
-            and self._verdict.simulated > _DIAGNOSTICS_WITHIN
-            and not self._completeness.is_seen(DIAGNOSTICS)
-        ):
+        needs_diagnostics = "dropped" in part.end_notes and self._verdict.simulated > _DIAGNOSTICS_WITHIN
+        if needs_diagnostics and not self._completeness.is_seen(DIAGNOSTICS):
             self._findings.absent(DIAGNOSTICS)
         self._commands.end()
 
@@ -206,10 +201,8 @@ class _SessionRun:
         topic = message.topic
         is_from_node = topic in _SHARED or topic == "/tf" or topic.startswith(f"{self._node}/")
         self._completeness.add(message, is_from_node=is_from_node)
-        reason = _SHARED.get(topic)
-        self._findings.not_compared(
-            topic, reason or ("an unknown topic of the node" if is_from_node else "not the node's")
-        )
+        default = "an unknown topic of the node" if is_from_node else "not the node's"
+        self._findings.not_compared(topic, _SHARED.get(topic, default))
 
     def _check_snapshot(self) -> None:
         """Compare the snapshot of a split file with the final state of the previous file."""
@@ -225,10 +218,8 @@ class _SessionRun:
         simulation, verdict = self.simulation, self._verdict
         if record.frame > simulation.frame + 1:
             verdict.damaged = True
-            verdict.missing.append(
-                f"{self._part.path.name}: frames {simulation.frame + 1} to {record.frame - 1} are missing; "
-                "what follows them cannot be run"
-            )
+            gap = f"frames {simulation.frame + 1} to {record.frame - 1} are missing"
+            verdict.missing.append(f"{self._part.path.name}: {gap}; what follows them cannot be run")
             return False
         self._findings.position = FramePosition(verdict.frames, record.frame, record.time)
         start_time, scene, before = simulation.time, simulation.scene, simulation.state.shallow_copy()
@@ -266,10 +257,8 @@ class _SessionRun:
         )
         for quantity, recorded, rerun in compared:
             if recorded != rerun:
-                rounding = quantity in _ROUNDING_AFFECTED
-                self._findings.difference(
-                    "frame", f"{quantity} ({recorded} was recorded, {rerun} came out)", rounding=rounding
-                )
+                reason = f"{quantity} ({recorded} was recorded, {rerun} came out)"
+                self._findings.difference("frame", reason, rounding=quantity in _ROUNDING_AFFECTED)
                 return
         self._compare_extras(record, frame)
 
@@ -288,16 +277,14 @@ class _SessionRun:
                 is_wrong = recorded != rerun
             elif key == "energy" and energy is not None:
                 rerun = energy.total
-                is_wrong = not (
-                    isinstance(recorded, float) and math.isclose(recorded, rerun, rel_tol=1e-9, abs_tol=1e-12)
-                )
+                is_number = isinstance(recorded, float)
+                is_wrong = not is_number or not math.isclose(recorded, rerun, rel_tol=1e-9, abs_tol=1e-12)
             else:
                 self._findings.not_compared(self._frame_topic, f"'{key}' of the record")
                 continue
             if is_wrong:
-                self._findings.difference(
-                    "frame", f"its {key} ({recorded} was recorded, {rerun} came out)", rounding=True
-                )
+                reason = f"its {key} ({recorded} was recorded, {rerun} came out)"
+                self._findings.difference("frame", reason, rounding=True)
 
     def _observe_cloud(self, message: Message, is_same: bool) -> None:
         if self._observer is not None:

@@ -101,11 +101,10 @@ class GripperStateCheck:
             self._findings.not_compared(message.topic, "texts, by other code")
         elif differing or unexpected:
             key = (differing or unexpected)[0]
-            self._findings.difference(
-                "gripper state",
-                f"the state of {name}, by its {key} ({recorded.get(key)} is recorded, {expected.get(key)} is due)",
-                rounding=key in ("grasped_count", "message", "level"),
-            )
+            values = f"{recorded.get(key)} is recorded, {expected.get(key)} is due"
+            rounding = key in ("grasped_count", "message", "level")
+            text = f"the state of {name}, by its {key} ({values})"
+            self._findings.difference("gripper state", text, rounding=rounding)
 
     def compare_older(self, message: Message, name: str, simulation: Simulation) -> None:
         """Compare a state from before the beginning of the file, as far as it must still hold."""
