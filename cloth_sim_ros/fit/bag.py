@@ -48,6 +48,11 @@ class _Track:
     #: Stamps [ns] of its grasps, and true if closed.
     grasps: list[tuple[int, bool]] = attrs.field(factory=list)
 
+    def is_closed(self, stamp: int) -> bool:
+        """Return True if it holds particles at a stamp [ns]: closed by its last grasp, or without any grasp."""
+        grasps = [closed for time, closed in self.grasps if time <= stamp]
+        return not grasps or grasps[-1]
+
     def pose_at(self, stamp: float) -> tuple[list[float], list[float]]:
         """Return position [m] and quaternion at a stamp [ns], linear between poses and constant outside them."""
         order = np.argsort(np.array(self.stamps), kind="stable")
@@ -119,40 +124,31 @@ def read_bag(
     if not (np.isfinite(settle_time) and 0.0 <= settle_time <= MAX_DURATION):
         raise FitError(f"--settle is {settle_time:g} s; it must be from 0 to {MAX_DURATION:g}")
     messages_by_topic = _read_messages(paths)
-    cloud_topic = _select_topic(
-        [name for name, (kind, _) in messages_by_topic.items() if kind == _CLOUD],
-        topic,
-        "clouds (PointCloud2)",
-        "--topic NAME",
-    )
+    cloud_topics = [name for name, (kind, _) in messages_by_topic.items() if kind == _CLOUD]
+    cloud_topic = _select_topic(cloud_topics, topic, "clouds (PointCloud2)", "--topic NAME")
     tracks = {name: _read_track(messages_by_topic, name, dict(poses or {}).get(name)) for name in scene.gripper_names}
     unknown = [name for name in poses or {} if name not in tracks]
     if unknown:
         raise FitError(f"--pose names '{unknown[0]}'; the scene's grippers are {', '.join(tracks) or 'none'}")
     count = len(scene.initial_positions())
-    stamped_clouds = sorted(
-        (_read_cloud(data, time, scene, count, matched) for time, data in messages_by_topic[cloud_topic][1]),
-        key=lambda entry: entry[0],
-    )
+    cloud_messages = messages_by_topic[cloud_topic][1]
+    stamped_clouds = [_read_cloud(data, time, scene, count, matched) for time, data in cloud_messages]
+    stamped_clouds.sort(key=lambda entry: entry[0])
     stamps = np.array([stamp for stamp, _ in stamped_clouds], dtype=np.int64)
     if not stamps.size:
         raise FitError(f"{paths[0]} holds no cloud on {cloud_topic}")
-    if not (np.isfinite(first_time) and 0.0 <= first_time <= 1e-9 * (stamps[-1] - stamps[0])):
-        raise FitError(
-            f"--from is {first_time:g} s; it must be from 0 to {1e-9 * (stamps[-1] - stamps[0]):.2f}, the last cloud"
-        )
+    last_time = 1e-9 * (stamps[-1] - stamps[0])
+    if not (np.isfinite(first_time) and 0.0 <= first_time <= last_time):
+        raise FitError(f"--from is {first_time:g} s; it must be from 0 to {last_time:.2f}, the last cloud")
     is_used = stamps >= stamps[0] + round(1e9 * first_time) - 1_000_000
-    stamped_clouds, stamps = (
-        [entry for entry, is_late in zip(stamped_clouds, is_used, strict=True) if is_late],
-        stamps[is_used],
-    )
+    stamped_clouds = [entry for entry, is_late in zip(stamped_clouds, is_used, strict=True) if is_late]
+    stamps = stamps[is_used]
     is_first = np.concatenate([[True], np.diff(stamps) > 0])
     seconds = (stamps[is_first] - stamps[0]) * 1e-9
     clouds = [cloud for (_, cloud), is_new in zip(stamped_clouds, is_first, strict=True) if is_new]
     if seconds[-1] > MAX_DURATION:
-        raise FitError(
-            f"clouds span {seconds[-1]:.0f} s; the limit is {MAX_DURATION:g} s. Stamp all messages by one clock"
-        )
+        span = f"clouds span {seconds[-1]:.0f} s; the limit is {MAX_DURATION:g} s"
+        raise FitError(f"{span}. Stamp all messages by one clock")
     for name, track in tracks.items():
         if min(track.stamps) > stamps[-1] or max(track.stamps) < stamps[0] - 60 * 10**9:
             raise FitError(
@@ -169,23 +165,14 @@ def read_bag(
         raise FitError(f"--held names '{open_grippers[0]}', which is open at the first cloud")
     gripper_paths = {name: _gripper_path(tracks[name], start) for name in closed}
     check_rest(clouds if matched else (), seconds, scene.sheet.positions(), gripper_paths)
-    state, grasped_particles = _initial_state(
-        scene, clouds, seconds, matched, {name: tracks[name] for name in closed}, start, named_particles
-    )
+    closed_tracks = {name: tracks[name] for name in closed}
+    state, grasped_particles = _initial_state(scene, clouds, seconds, matched, closed_tracks, start, named_particles)
+    grasping = [entry.gripper for entry in grasped_particles]
     return FitRecording(
         name=", ".join(Path(path).name for path in paths),
         scene=scene,
         state=state,
-        events=tuple(
-            _events(
-                scene,
-                tracks,
-                start,
-                n_settle_frames,
-                int(np.ceil(frames[-1] - 1e-9)),
-                [entry.gripper for entry in grasped_particles],
-            )
-        ),
+        events=tuple(_events(scene, tracks, start, n_settle_frames, int(np.ceil(frames[-1] - 1e-9)), grasping)),
         frames=frames,
         seconds=seconds,
         clouds=tuple(clouds),
@@ -198,10 +185,7 @@ def read_bag(
 
 def _closed_grippers(scene: Scene, tracks: Mapping[str, _Track], stamp: int) -> list[str]:
     """Return the grippers that hold particles at a stamp [ns]: closed by their last grasp, or without any grasp."""
-    earlier_grasps = {
-        name: [closed for time, closed in track.grasps if time <= stamp] for name, track in tracks.items()
-    }
-    return [name for name, grasps in earlier_grasps.items() if not scene.pinches(name) and (not grasps or grasps[-1])]
+    return [name for name, track in tracks.items() if not scene.pinches(name) and track.is_closed(stamp)]
 
 
 def _read_messages(paths: Sequence[Path]) -> dict[str, tuple[str, list[tuple[int, bytes]]]]:
@@ -221,16 +205,13 @@ def _read_messages(paths: Sequence[Path]) -> dict[str, tuple[str, list[tuple[int
 
 
 def _select_topic(topics: Sequence[str], requested: str | None, description: str, remedy: str) -> str:
+    available = ", ".join(topics) or "none"
     if requested is not None:
         if requested not in topics:
-            raise FitError(
-                f"there is no topic '{requested}' of {description}; available: {', '.join(topics) or 'none'}"
-            )
+            raise FitError(f"there is no topic '{requested}' of {description}; available: {available}")
         return requested
     if len(topics) != 1:
-        raise FitError(
-            f"{len(topics)} topics hold {description}: {', '.join(topics) or 'none'}; select one by {remedy}"
-        )
+        raise FitError(f"{len(topics)} topics hold {description}: {available}; select one by {remedy}")
     return topics[0]
 
 
@@ -265,10 +246,8 @@ def _read_cloud(data: bytes, time: int, scene: Scene, count: int, matched: bool)
 
     cloud = decode_cloud(data)
     if cloud.frame_id not in ("", scene.frame_id):
-        raise FitError(
-            f"a cloud is given in frame '{cloud.frame_id}', the scene in '{scene.frame_id}'; transform it, or set "
-            "frame_id"
-        )
+        frames = f"in frame '{cloud.frame_id}', the scene in '{scene.frame_id}'"
+        raise FitError(f"a cloud is given {frames}; transform it, or set frame_id")
     points = np.array(cloud.xyz, dtype=np.float64)
     if not matched:
         return cloud.stamp or time, points[visible(points)]
@@ -286,9 +265,8 @@ def _read_cloud(data: bytes, time: int, scene: Scene, count: int, matched: bool)
     ).ravel()
     wrong = np.flatnonzero((indices < 0) | (indices >= count))
     if wrong.size:
-        raise FitError(
-            f"a cloud's field '{fields[0].name}' names particle {indices[wrong[0]]}; there are {count}, from index 0"
-        )
+        named = f"field '{fields[0].name}' names particle {indices[wrong[0]]}"
+        raise FitError(f"a cloud's {named}; there are {count}, from index 0")
     ordered = np.full((count, 3), np.nan)
     ordered[indices.astype(np.int64)] = points
     return cloud.stamp or time, ordered
@@ -319,12 +297,11 @@ def _initial_state(
         x = cloud.copy()
         for name, track in tracks.items():
             cloud_indices = _clouds_while_grasped(clouds, seconds, track, stamp)
-            local_poses = [
-                [value for part in track.pose_at(stamp + 1e9 * seconds[k]) for value in part] for k in cloud_indices
-            ]
-            selection, local_positions = find_grasped(
-                scene, name, [clouds[k] for k in cloud_indices], local_poses, named_particles.get(name, ())
-            )
+            grasped_clouds = [clouds[k] for k in cloud_indices]
+            cloud_poses = [track.pose_at(stamp + 1e9 * seconds[k]) for k in cloud_indices]
+            local_poses = [(*position, *turn) for position, turn in cloud_poses]
+            known = named_particles.get(name, ())
+            selection, local_positions = find_grasped(scene, name, grasped_clouds, local_poses, known)
             position, turn = poses[name]
             particles = list(selection.particles)
             x[particles] = np.array(position) + local_positions[particles] @ np.array(rotation_matrix(np.array(turn))).T
@@ -334,11 +311,8 @@ def _initial_state(
         x = _fill_gaps(x, scene.sheet.triangles())
     else:
         grasped = [find_grasped_at_rest(scene, name, poses[name][0], named_particles.get(name, ())) for name in tracks]
-        x = _deform_sheet(
-            rest_positions,
-            seen,
-            {selection.particles[0]: np.array(poses[selection.gripper][0]) for selection in grasped},
-        )
+        positions = {selection.particles[0]: np.array(poses[selection.gripper][0]) for selection in grasped}
+        x = _deform_sheet(rest_positions, seen, positions)
         anchors = scene.anchored_particles()
         x[anchors] = rest_positions[anchors]
     state = State(x, cloth=scene.starting_state().cloth)
@@ -417,14 +391,10 @@ def _events(
         for name, track in tracks.items():
             if not k or k >= n_settle_frames:
                 frame_events.append(Target(name, *track.pose_at(stamp)))
-            earlier_grasps = [closed for time, closed in track.grasps if time <= first_stamp]
-            if not k and name not in grasping and (not earlier_grasps or earlier_grasps[-1]):
+            if not k and name not in grasping and track.is_closed(first_stamp):
                 frame_events.append(Grasp(name, True))
-            frame_events += [
-                Grasp(name, closed)
-                for time, closed in track.grasps
-                if k >= n_settle_frames and stamp - period < time <= stamp
-            ]
+            grasps = track.grasps if k >= n_settle_frames else ()
+            frame_events += [Grasp(name, closed) for time, closed in grasps if stamp - period < time <= stamp]
         events.append(tuple(frame_events))
     return events
 

@@ -151,38 +151,30 @@ def _build_fit(problem: FitProblem, windows: WindowedFit, start_residuals: objec
     r, offsets = last.linearization.r, problem.offsets[: last.n_clouds + 1]
     fisher = fisher_information(last.linearization, last.sigma)
     residual_correlation = correlation(recording, r, last.n_clouds)
-    inflation = (
-        math.sqrt((1.0 + residual_correlation) / (1.0 - residual_correlation))
-        if residual_correlation > MIN_CORRELATION
-        else 1.0
-    )
+    inflation = 1.0
+    if residual_correlation > MIN_CORRELATION:
+        inflation = math.sqrt((1.0 + residual_correlation) / (1.0 - residual_correlation))
     bounds = inflation * standard_deviations(fisher)
     rms = float(np.sqrt(np.square(r).sum() / max(r.size - len(parameters), 1)))
-    run = FitRun(
-        values=tuple(np.exp(last.linearization.theta).tolist()), n_clouds=last.n_clouds, tolerance=last.tolerance
-    )
+    values = tuple(np.exp(last.linearization.theta).tolist())
+    run = FitRun(values=values, n_clouds=last.n_clouds, tolerance=last.tolerance)
     doubt = windows.doubt or _doubt(problem, run, rms)
     estimates = []
     for parameter, theta, bound in zip(parameters, last.linearization.theta.tolist(), bounds.tolist(), strict=True):
         value = math.exp(theta)
         is_at_limit = min(abs(value / parameter.min_value - 1.0), abs(value / parameter.max_value - 1.0)) < 1e-6
         is_identified = bound <= within and not is_at_limit and not doubt
-        estimates.append(
-            Estimate(
-                parameter=parameter,
-                value=value,
-                bound=bound,
-                is_identified=is_identified,
-                is_at_limit=is_at_limit,
-                is_explained=not doubt,
-            )
-        )
+        flags = {"is_identified": is_identified, "is_at_limit": is_at_limit, "is_explained": not doubt}
+        estimates.append(Estimate(parameter=parameter, value=value, bound=bound, **flags))
     n_seen = [int(visible(cloud).sum()) for cloud in recording.clouds[: last.n_clouds]]
     n_points = sum(len(cloud) for cloud in recording.clouds[: last.n_clouds])
     offset = None
     if recording.has_shift:
         unshifted = residuals(attrs.evolve(recording, has_shift=False), parameters, run)
         offset = tuple(mean_offset(unshifted).tolist())
+    rms_before = np.full(last.n_clouds, np.nan)
+    if isinstance(start_residuals, np.ndarray):
+        rms_before = _rms_by_cloud(start_residuals, offsets)
     return Fit(
         name=recording.name,
         estimates=tuple(estimates),
@@ -203,9 +195,7 @@ def _build_fit(problem: FitProblem, windows: WindowedFit, start_residuals: objec
         within=within,
         recording=recording,
         seconds=recording.seconds[: last.n_clouds],
-        rms_before=_rms_by_cloud(start_residuals, offsets)
-        if isinstance(start_residuals, np.ndarray)
-        else np.full(last.n_clouds, np.nan),
+        rms_before=rms_before,
         rms_after=_rms_by_cloud(r, offsets),
     )
 

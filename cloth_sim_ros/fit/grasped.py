@@ -169,12 +169,12 @@ def describe_grasped(grasp: GraspedParticles, scene: Scene) -> str:
     """Return a sentence about a gripper's grasped particles and their distances."""
     names = ", ".join(_particle_name(scene, particle) for particle in grasp.particles[:8])
     more = f" and {len(grasp.particles) - 8} more" if len(grasp.particles) > 8 else ""
-    basis = (
-        "as named" if grasp.is_named else "by its position" if grasp.is_seen else "hidden, by its neighbours' positions"
-    )
-    suffix = (
-        "" if grasp.neighbour is None else f"; the next, {grasp.neighbour}, at {1e3 * grasp.neighbour_distance:.0f} mm"
-    )
+    basis = "by its position" if grasp.is_seen else "hidden, by its neighbours' positions"
+    if grasp.is_named:
+        basis = "as named"
+    suffix = ""
+    if grasp.neighbour is not None:
+        suffix = f"; the next, {grasp.neighbour}, at {1e3 * grasp.neighbour_distance:.0f} mm"
     kind = "particle" if len(grasp.particles) == 1 else "particles"
     return f"Gripper '{grasp.gripper}' holds {kind} {names}{more} ({basis}): {1e3 * grasp.distance:.1f} mm off{suffix}."
 
@@ -193,11 +193,10 @@ def _check_certainty(
     for candidate in free_particles:
         separation = float(np.linalg.norm(positions[candidate] - positions[first]))
         # Distance of the gripper from the bisecting plane of the two particles, positive on the first one's side.
-        margin = (
-            (float(positions[candidate] @ positions[candidate]) - grasped.distance**2) / (2.0 * separation)
-            if separation > 0.0
-            else 0.0
-        )
+        margin = 0.0
+        if separation > 0.0:
+            square = float(positions[candidate] @ positions[candidate])
+            margin = (square - grasped.distance**2) / (2.0 * separation)
         uncertainty = math.hypot(error, 0.5 * float(errors[candidate]) if math.isfinite(errors[candidate]) else 0.0)
         if margin < _CERTAINTY_SIGMAS * uncertainty:
             raise FitError(
@@ -322,7 +321,5 @@ def _check_distinct(particles_by_gripper: Mapping[str, Sequence[int]]) -> None:
     for name, particles in particles_by_gripper.items():
         for particle in particles:
             if gripper_of.setdefault(particle, name) != name:
-                raise FitError(
-                    f"grippers '{gripper_of[particle]}' and '{name}' would both hold particle {particle}; name the "
-                    f"particles of each: --held {name}=PARTICLE"
-                )
+                cause = f"grippers '{gripper_of[particle]}' and '{name}' would both hold particle {particle}"
+                raise FitError(f"{cause}; name the particles of each: --held {name}=PARTICLE")

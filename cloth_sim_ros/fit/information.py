@@ -53,11 +53,9 @@ def confounded_directions(
             return
         components = vector / vector[int(np.argmax(np.abs(vector)))]
         indices = [i for i in np.argsort(-np.abs(components), kind="stable") if abs(components[i]) >= MIN_COMPONENT]
-        yield ConfoundedDirection(
-            parameters=tuple(parameters[i] for i in indices),
-            components=tuple(float(components[i]) for i in indices),
-            bound=float(bound),
-        )
+        confounded = tuple(parameters[i] for i in indices)
+        shares = tuple(float(components[i]) for i in indices)
+        yield ConfoundedDirection(parameters=confounded, components=shares, bound=float(bound))
 
 
 def correlation(recording: FitRecording, r: Array, n_clouds: int) -> float:

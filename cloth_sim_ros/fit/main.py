@@ -43,12 +43,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from cloth_sim_ros.session.errors import SessionError
     from cloth_sim_ros.session.output_files import check_outputs
 
+    outputs = {"--write": options.write, "--json": options.json, "--plot": options.plot}
+    inputs = [path for path in (*options.session, options.scene) if path is not None]
     try:
-        check_outputs(
-            {"--write": options.write, "--json": options.json, "--plot": options.plot},
-            [*options.session, *([] if options.scene is None else [options.scene])],
-            endings={"--plot": ".png"},
-        )
+        check_outputs(outputs, inputs, endings={"--plot": ".png"})
         fit = _fit(options)
         _report(fit, options)
     except (SessionError, FitError, ParameterError) as error:
@@ -65,30 +63,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="cloth_fit", description=_DESCRIPTION)
-    parser.add_argument(
-        "session", nargs="+", type=Path, help="session.mcap, or the files of one in order; or an MCAP of a real cloth"
+    files = "session.mcap, or the files of one in order; or an MCAP of a real cloth"
+    parser.add_argument("session", nargs="+", type=Path, help=files)
+    names = (
+        "stretch, shear, bending, damping, viscosity, density, drag, normal_drag, tangential_drag, friction, or full "
+        "names such as material.stretch_modulus or table.friction"
     )
-    parser.add_argument(
-        "--parameters",
-        required=True,
-        metavar="NAME,NAME",
-        help="stretch, shear, bending, damping, viscosity, density, drag, normal_drag, tangential_drag, friction, or "
-        "full names such as material.stretch_modulus or table.friction",
-    )
+    parser.add_argument("--parameters", required=True, metavar="NAME,NAME", help=names)
     parser.add_argument("--scene", type=Path, metavar="scene.yaml", help="the cloth; replaces the scene of a session")
-    parser.add_argument(
-        "--start", action="append", default=[], metavar="NAME=VALUE", help="starting value (default: the scene's)"
-    )
-    parser.add_argument(
-        "--sigma", type=float, metavar="M", help="deviation of a measured coordinate [m] (default: of the residuals)"
-    )
-    parser.add_argument(
-        "--within",
-        type=float,
-        default=0.025,
-        metavar="PART",
-        help="largest relative standard deviation of an identified parameter (default 0.025)",
-    )
+    start = "starting value (default: the scene's)"
+    parser.add_argument("--start", action="append", default=[], metavar="NAME=VALUE", help=start)
+    sigma = "deviation of a measured coordinate [m] (default: of the residuals)"
+    parser.add_argument("--sigma", type=float, metavar="M", help=sigma)
+    within = "largest relative standard deviation of an identified parameter (default 0.025)"
+    parser.add_argument("--within", type=float, default=0.025, metavar="PART", help=within)
     parser.add_argument("--until", type=float, metavar="S", help="use clouds up to this time from the beginning [s]")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="use every N-th cloud")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one per core)")
@@ -103,39 +91,19 @@ def _parser() -> argparse.ArgumentParser:
 def _add_bag_options(parser: argparse.ArgumentParser) -> None:
     real = parser.add_argument_group("an MCAP that cloth_sim did not record")
     real.add_argument("--topic", metavar="NAME", help="topic of the clouds, if several topics have clouds")
-    real.add_argument(
-        "--pose",
-        action="append",
-        default=[],
-        metavar="GRIPPER=TOPIC",
-        help="topic of a gripper's poses (PoseStamped); default: the one that ends in /GRIPPER/target or /pose",
+    pose = "topic of a gripper's poses (PoseStamped); default: the one that ends in /GRIPPER/target or /pose"
+    real.add_argument("--pose", action="append", default=[], metavar="GRIPPER=TOPIC", help=pose)
+    held = (
+        "particles that a gripper holds at the first cloud: indices (12,13), a corner (top_left) or an edge; default: "
+        "the particle nearest to it in the clouds, with those within gripper.radius"
     )
-    real.add_argument(
-        "--held",
-        action="append",
-        default=[],
-        metavar="GRIPPER=PARTICLES",
-        help="particles that a gripper holds at the first cloud: indices (12,13), a corner (top_left) or an edge; "
-        "default: the particle nearest to it in the clouds, with those within gripper.radius",
-    )
-    real.add_argument(
-        "--from",
-        dest="begin",
-        type=float,
-        metavar="S",
-        help="omit clouds before this time from the first one [s]; the cloth must hang at rest at the first used one",
-    )
-    real.add_argument(
-        "--settle",
-        type=float,
-        metavar="S",
-        help="settling time of the simulated cloth before the first cloud [s] (default 4)",
-    )
-    real.add_argument(
-        "--unordered",
-        action="store_true",
-        help="points carry no particle index: fit their distances from the surface; also for sessions",
-    )
+    real.add_argument("--held", action="append", default=[], metavar="GRIPPER=PARTICLES", help=held)
+    begin = "omit clouds before this time from the first one [s]; the cloth must hang at rest at the first used one"
+    real.add_argument("--from", dest="begin", type=float, metavar="S", help=begin)
+    settle = "settling time of the simulated cloth before the first cloud [s] (default 4)"
+    real.add_argument("--settle", type=float, metavar="S", help=settle)
+    unordered = "points carry no particle index: fit their distances from the surface; also for sessions"
+    real.add_argument("--unordered", action="store_true", help=unordered)
 
 
 def _fit(options: argparse.Namespace) -> Fit:
@@ -151,16 +119,10 @@ def _fit(options: argparse.Namespace) -> Fit:
     names = [name.strip() for name in options.parameters.split(",") if name.strip()]
     start = {name: _parse_number(value, f"--start {name}") for name, value in _pairs(options.start, "--start").items()}
     recording = _recording(options).part(until=options.until, every=options.every)
+    sigma, within, workers = options.sigma, options.within, options.workers
     with tqdm(unit=" simulations", desc="fit", delay=1.0, disable=None, leave=False) as bar:
-        return fit(
-            recording,
-            names,
-            start=start,
-            sigma=options.sigma,
-            within=options.within,
-            workers=options.workers,
-            on_progress=bar.update,
-        )
+        progress = bar.update
+        return fit(recording, names, start=start, sigma=sigma, within=within, workers=workers, on_progress=progress)
 
 
 def _recording(options: argparse.Namespace) -> FitRecording:
@@ -173,18 +135,16 @@ def _recording(options: argparse.Namespace) -> FitRecording:
     scene = None if options.scene is None else Scene.from_file(options.scene)
     poses, grasped = _pairs(options.pose, "--pose"), _pairs(options.held, "--held")
     if is_session(options.session[0]):
-        session_options = [
-            name for name, value in (("--topic", options.topic), ("--pose", poses), ("--held", grasped)) if value
-        ]
+        bag_options = {"--topic": options.topic, "--pose": poses, "--held": grasped}
+        session_options = [name for name, value in bag_options.items() if value]
         session_options += ["--from"] if options.begin is not None else []
         session_options += ["--settle"] if options.settle is not None else []
         if session_options:
             raise FitError(f"{session_options[0]} is for an MCAP that cloth_sim did not record; omit it for a session")
         return read_session(options.session, scene=scene, matched=not options.unordered)
     if scene is None:
-        raise FitError(
-            f"{options.session[0]} was not recorded by cloth_sim and holds no scene; describe the cloth by --scene"
-        )
+        cause = "was not recorded by cloth_sim and holds no scene"
+        raise FitError(f"{options.session[0]} {cause}; describe the cloth by --scene")
     for path in options.session[1:]:
         # `is_session` has checked the first file. Opening a pipe would wait for its writer.
         open_file(path).close()

@@ -141,11 +141,7 @@ def _is_moving(path: GripperPath, start: float) -> bool:
 
 
 def _test_velocity(
-    clouds: Sequence[Array],
-    seconds: NDArray[np.float64],
-    first: int,
-    rest_shape: Array,
-    tested_powers: Sequence[int],
+    clouds: Sequence[Array], seconds: NDArray[np.float64], first: int, rest_shape: Array, tested_powers: Sequence[int]
 ) -> _Velocity | None:
     """Test if noise explains some powers of time in the motion after a cloud; None if there are too few clouds.
 
@@ -185,9 +181,8 @@ def _test_velocity(
         n_tested = len(tested_powers) * count
         coefficients.append(solution[:n_tested])
         blocks.append(inverse[:n_tested, :n_tested])
-        statistic += float(
-            solution[:n_tested] @ np.linalg.pinv(inverse[:n_tested, :n_tested], rcond=1e-10) @ solution[:n_tested]
-        )
+        tested = solution[:n_tested]
+        statistic += float(tested @ np.linalg.pinv(inverse[:n_tested, :n_tested], rcond=1e-10) @ tested)
     if n_free < 30:
         return None
     variance = squares / n_free
@@ -204,9 +199,8 @@ def _linear_modes(rest_shape: Array) -> Array:
     """Return a constant and the in-plane coordinates of the rest shape, in units of its size, shape (n, 3)."""
     centred = rest_shape - rest_shape.mean(axis=0)
     plane_coordinates = centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T
-    return np.column_stack(
-        [np.ones(len(rest_shape)), plane_coordinates / max(float(np.abs(plane_coordinates).max()), 1e-12)]
-    )
+    size = max(float(np.abs(plane_coordinates).max()), 1e-12)
+    return np.column_stack([np.ones(len(rest_shape)), plane_coordinates / size])
 
 
 def _centre(design: Array, values: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array]:

@@ -29,14 +29,8 @@ _SHORT = {
 }
 _BENDING = "bending"
 #: Further full names; each obstacle of the scene adds `<obstacle>.friction`.
-_OTHER_NAMES = (
-    "material.bending_modulus",
-    "bending.stiffness",
-    "contact.damping",
-    "gripper.stiffness",
-    "gripper.damping",
-    "gripper.friction",
-)
+_GRIPPER_NAMES = ("gripper.stiffness", "gripper.damping", "gripper.friction")
+_OTHER_NAMES = ("material.bending_modulus", "bending.stiffness", "contact.damping", *_GRIPPER_NAMES)
 #: Ratio of the search limits to the starting value.
 SEARCH_FACTOR = 100.0
 
@@ -136,10 +130,8 @@ def _fit_parameter(scene: Scene, name: str, start: float | None) -> FitParameter
     value = (current[0] if isinstance(current, tuple) else current) if start is None else start
     _check_effect(scene, name, value if math.isfinite(value) and value > 0.0 else 0.5 * min(entry.max or 1.0, 1.0))
     if not (math.isfinite(value) and value > 0.0):
-        raise FitError(
-            f"{name} begins at {value:g}; a fit needs a start above 0, within a factor of about ten: "
-            f"--start {name}=VALUE"
-        )
+        remedy = f"a fit needs a start above 0, within a factor of about ten: --start {name}=VALUE"
+        raise FitError(f"{name} begins at {value:g}; {remedy}")
     min_value = max(value / SEARCH_FACTOR, entry.min or 0.0)
     max_value = value * SEARCH_FACTOR if entry.max is None else min(value * SEARCH_FACTOR, entry.max)
     if not min_value <= value <= max_value:

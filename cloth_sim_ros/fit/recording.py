@@ -74,11 +74,7 @@ class FitRecording:
         frames = self.frames[:last:every]
         used = self.events if until is None or not frames.size else self.events[: int(np.ceil(frames[-1]))]
         return attrs.evolve(
-            self,
-            events=used,
-            frames=frames,
-            seconds=self.seconds[:last:every],
-            clouds=self.clouds[:last:every],
+            self, events=used, frames=frames, seconds=self.seconds[:last:every], clouds=self.clouds[:last:every]
         )
 
 
@@ -108,9 +104,8 @@ def read_session(paths: Sequence[Path], *, scene: Scene | None = None, matched: 
             raise FitError(f"{paths[0]} holds no scene that this version can run: {error}") from error
         scene = scene or recorded
         if scene.rate != recorded.rate:
-            raise FitError(
-                f"the scene has a rate of {scene.rate:g} Hz, the session {recorded.rate:g} Hz; set the session's rate"
-            )
+            rates = f"{scene.rate:g} Hz, the session {recorded.rate:g} Hz"
+            raise FitError(f"the scene has a rate of {rates}; set the session's rate")
         begin, stamp, gap = state.frame, -1, ""
         for message in reader.messages([f"{node}/frame", f"{node}/points"]):
             if message.topic == f"{node}/frame":
@@ -156,9 +151,8 @@ def check_recording(recording: FitRecording, parameter_names: Sequence[str]) -> 
     scene, clouds = recording.scene, recording.clouds
     if not clouds:
         damage = f" ({recording.unreadable})" if recording.unreadable else ""
-        raise FitError(
-            f"{recording.name} holds no cloud of the cloth in the requested time; there is nothing to fit{damage}"
-        )
+        cause = f"{recording.name} holds no cloud of the cloth in the requested time"
+        raise FitError(f"{cause}; there is nothing to fit{damage}")
     count = len(scene.initial_positions())
     if recording.matched:
         for k, cloud in enumerate(clouds):
@@ -170,10 +164,8 @@ def check_recording(recording: FitRecording, parameter_names: Sequence[str]) -> 
                 )
     has_points = [bool(np.isfinite(cloud).all(axis=1).any()) for cloud in clouds]
     if sum(has_points) < MIN_CLOUDS:
-        raise FitError(
-            f"{sum(has_points)} of {len(clouds)} clouds hold a point with finite coordinates; a fit needs "
-            f"{MIN_CLOUDS} or more"
-        )
+        cause = f"{sum(has_points)} of {len(clouds)} clouds hold a point with finite coordinates"
+        raise FitError(f"{cause}; a fit needs {MIN_CLOUDS} or more")
     n_coordinates = sum(cloud.size for cloud in clouds)
     needed = 8 * n_coordinates * (4 * len(parameter_names) + 4)
     if needed > MAX_BYTES:
@@ -185,10 +177,8 @@ def check_recording(recording: FitRecording, parameter_names: Sequence[str]) -> 
         for event in events:
             for name in parameter_names:
                 if isinstance(event, SetParameters) and name in event.values:
-                    raise FitError(
-                        f"{name} was changed during the recording, at frame {frame}; end before it by --until "
-                        f"{frame * scene.period:.3f}, or omit the parameter"
-                    )
+                    remedy = f"end before it by --until {frame * scene.period:.3f}, or omit the parameter"
+                    raise FitError(f"{name} was changed during the recording, at frame {frame}; {remedy}")
 
 
 def residual_offsets(recording: FitRecording) -> NDArray[np.int64]:

@@ -74,9 +74,8 @@ def simulate_with_misses(recording: FitRecording, parameters: Sequence[FitParame
     for k, frame_time in enumerate(frames):
         while n_frames < frame_time:
             x0, v0 = simulation.state.x, simulation.state.v
-            advance = simulation.advance(
-                [*recording.events[n_frames], *_drag_events(scene, n_frames, recording.n_settle_frames)]
-            ).advance
+            drag_events = _drag_events(scene, n_frames, recording.n_settle_frames)
+            advance = simulation.advance([*recording.events[n_frames], *drag_events]).advance
             n_missed += advance is not None and advance.flagged > 0
             n_frames += 1
         x1, v1 = simulation.state.x, simulation.state.v
@@ -154,20 +153,15 @@ class FitRunPool:
         try:
             from loky.process_executor import BrokenProcessPool, ProcessPoolExecutor
         except ImportError as error:
-            raise FitError(
-                f"{self.workers} processes need loky: pip install 'cloth_sim_ros[batch]', or use --workers 1"
-            ) from error
+            remedy = "pip install 'cloth_sim_ros[batch]', or use --workers 1"
+            raise FitError(f"{self.workers} processes need loky: {remedy}") from error
 
         try:
             with safe_imports():
                 if self._pool is None:
                     # The standard library's processes would run the user's program again at their start.
-                    self._pool = ProcessPoolExecutor(
-                        self.workers,
-                        initializer=_init_worker,
-                        initargs=(self.recording, self.parameters),
-                        env=overrides(),
-                    )
+                    settings = {"initializer": _init_worker, "initargs": (self.recording, self.parameters)}
+                    self._pool = ProcessPoolExecutor(self.workers, **settings, env=overrides())
                 results = self._pool.map(_residuals_in_worker, runs)
             return list(results)
         except BrokenProcessPool as error:

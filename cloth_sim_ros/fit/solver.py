@@ -88,9 +88,9 @@ class FitProblem:
             n_clouds: number of compared clouds.
             tolerance: tolerance of the simulations [m].
         """
-        results = self.pool.compute_residuals(
-            [FitRun(values=tuple(np.exp(theta).tolist()), n_clouds=n_clouds, tolerance=tolerance) for theta in thetas]
-        )
+        values = [tuple(np.exp(theta).tolist()) for theta in thetas]
+        runs = [FitRun(values=point, n_clouds=n_clouds, tolerance=tolerance) for point in values]
+        results = self.pool.compute_residuals(runs)
         self.on_progress(len(thetas))
         return results
 
@@ -131,13 +131,8 @@ class FitProblem:
         residuals = [result for result in results if not isinstance(result, str)]
         centre = residuals.pop() if r is None else r
         up, down = np.array(residuals[0::2]), np.array(residuals[1::2])
-        return Linearization(
-            theta=theta,
-            r=centre,
-            jacobian=(up - down) / (2.0 * steps[:, None]),
-            curvature=(up + down) / 2.0 - centre,
-            steps=steps,
-        )
+        jacobian, curvature = (up - down) / (2.0 * steps[:, None]), (up + down) / 2.0 - centre
+        return Linearization(theta=theta, r=centre, jacobian=jacobian, curvature=curvature, steps=steps)
 
 
 def fisher_information(linearization: Linearization, sigma: float) -> Array:
@@ -177,19 +172,16 @@ def minimize(problem: FitProblem, linearization: Linearization, n_clouds: int, t
     for iteration in range(MAX_ITERATIONS + 1):
         sigma = problem.deviation(linearization.r)
         fisher = fisher_information(linearization, sigma)
-        gradient = linearization.jacobian @ linearization.r / sigma**2 + prior_weight * (
-            linearization.theta - problem.start
-        )
+        prior_gradient = prior_weight * (linearization.theta - problem.start)
+        gradient = linearization.jacobian @ linearization.r / sigma**2 + prior_gradient
         matrix = fisher + prior_weight * identity
         newton = _step(matrix, gradient)
         sigmas = np.sqrt(np.diag(np.linalg.inv(matrix)))
         # A parameter at its limit stays there.
         clamped_step = problem.clamp(linearization.theta + newton) - linearization.theta
         linearization.is_converged = bool(np.all(np.abs(clamped_step) <= np.maximum(sigmas, MIN_DIFFERENCE)))
-        if (
-            np.all(np.abs(newton) <= np.maximum(CONVERGED_FRACTION * sigmas, CONVERGED_STEP))
-            or iteration == MAX_ITERATIONS
-        ):
+        is_small = np.all(np.abs(newton) <= np.maximum(CONVERGED_FRACTION * sigmas, CONVERGED_STEP))
+        if is_small or iteration == MAX_ITERATIONS:
             return linearization
         better = None
         while better is None and damping < MAX_DAMPING:
@@ -199,10 +191,8 @@ def minimize(problem: FitProblem, linearization: Linearization, n_clouds: int, t
             points = [problem.clamp(linearization.theta + _step(damped, gradient)) for damped in weights]
             results = problem.evaluate(points, n_clouds, tolerance)
             current_cost = _cost(problem, linearization.theta, linearization.r, sigma)
-            costs = [
-                math.inf if isinstance(r, str) else _cost(problem, x, r, sigma)
-                for x, r in zip(points, results, strict=True)
-            ]
+            pairs = zip(points, results, strict=True)
+            costs = [math.inf if isinstance(r, str) else _cost(problem, x, r, sigma) for x, r in pairs]
             best = int(np.argmin(costs))
             if costs[best] < current_cost:
                 better, damping = (points[best], results[best]), max(factors[best] / 10.0, 1e-6)

@@ -30,9 +30,8 @@ def signed_distances(points: Array, x: Array, triangles: NDArray[np.integer]) ->
         return np.empty(0)
     corners = np.asarray(triangles, dtype=np.int64)
     _, nearest = cKDTree(x).query(points, k=min(N_NEAREST, len(x)))
-    candidates = _incident_triangles(corners, len(x))[np.asarray(nearest).reshape(len(points), -1)].reshape(
-        len(points), -1
-    )
+    neighbours = np.asarray(nearest).reshape(len(points), -1)
+    candidates = _incident_triangles(corners, len(x))[neighbours].reshape(len(points), -1)
     best, min_square = np.zeros((len(points), 3)), np.full(len(points), np.inf)
     triangle_index = np.zeros(len(points), dtype=np.int64)
     for column in candidates.T:
@@ -98,7 +97,6 @@ def _nearest_weights(p: Array, a: Array, b: Array, c: Array) -> Array:
         ((vb <= 0.0) & (d2 >= 0.0) & (d6 <= 0.0), (1.0 - w_ac, zeros, w_ac)),
         ((va <= 0.0) & (d4 >= d3) & (d5 >= d6), (zeros, 1.0 - w_bc, w_bc)),
     ]
-    chosen = np.select(
-        [condition[:, None] for condition, _ in regions], [np.stack(w, axis=1) for _, w in regions], inside
-    )
+    conditions = [condition[:, None] for condition, _ in regions]
+    chosen = np.select(conditions, [np.stack(w, axis=1) for _, w in regions], inside)
     return np.asarray(np.where((total == 0.0)[:, None] & (chosen == inside), np.array([1.0, 0.0, 0.0]), chosen))

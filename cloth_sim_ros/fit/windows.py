@@ -89,9 +89,8 @@ def solve_windows(problem: FitProblem, seconds: NDArray[np.float64]) -> Windowed
     while True:
         n_clouds = ends[index]
         tolerance = windows[-1].tolerance if windows else TOLERANCES[0]
-        linearization, tolerance = _ensure_accuracy(
-            problem, problem.linearize(theta, steps, n_clouds, tolerance), n_clouds, tolerance
-        )
+        linearization = problem.linearize(theta, steps, n_clouds, tolerance)
+        linearization, tolerance = _ensure_accuracy(problem, linearization, n_clouds, tolerance)
         n_linear = n_clouds if not windows else _linear_range(problem, linearization, windows[-1].sigma)
         reason = ""
         if n_linear < n_clouds:
@@ -104,9 +103,8 @@ def solve_windows(problem: FitProblem, seconds: NDArray[np.float64]) -> Windowed
         sigma = problem.deviation(linearization.r)
         if windows and is_misfit(linearization.r, windows[-1].linearization.r.size, _noise(windows)):
             rms = root_mean_square(linearization.r)
-            return WindowedFit(
-                windows=tuple(windows), reason=_misfit_reason(seconds, n_clouds, rms, windows[-1]), doubt=MISFIT
-            )
+            reason = _misfit_reason(seconds, n_clouds, rms, windows[-1])
+            return WindowedFit(windows=tuple(windows), reason=reason, doubt=MISFIT)
         windows.append(FitWindow(n_clouds=n_clouds, linearization=linearization, sigma=sigma, tolerance=tolerance))
         theta, steps = linearization.theta, difference_steps(fisher_information(linearization, sigma))
         if n_clouds == ends[-1]:
@@ -123,11 +121,9 @@ def _window_ends(problem: FitProblem, seconds: NDArray[np.float64]) -> list[int]
         if (count >= MIN_CLOUDS and enough and (not ends or count > ends[-1])) or count >= last:
             ends.append(min(count, last))
         length *= 2.0
-    if int(problem.offsets[ends[-1]]) <= len(problem.pool.parameters):
-        raise FitError(
-            f"the clouds have {int(problem.offsets[ends[-1]])} coordinates for {len(problem.pool.parameters)} "
-            "parameters; record more clouds"
-        )
+    n_coordinates, n_parameters = int(problem.offsets[ends[-1]]), len(problem.pool.parameters)
+    if n_coordinates <= n_parameters:
+        raise FitError(f"the clouds have {n_coordinates} coordinates for {n_parameters} parameters; record more clouds")
     return ends
 
 
@@ -161,9 +157,8 @@ def _ensure_accuracy(
             break
         # An unidentified parameter needs no more accuracy than one that is barely identified.
         min_derivative = problem.deviation(linearization.r) / (IDENTIFIED_DEVIATION * np.sqrt(linearization.r.size))
-        step_changes = linearization.steps * np.maximum(
-            np.sqrt(np.square(linearization.jacobian).mean(axis=1)), min_derivative
-        )
+        derivatives = np.sqrt(np.square(linearization.jacobian).mean(axis=1))
+        step_changes = linearization.steps * np.maximum(derivatives, min_derivative)
         if root_mean_square(repeated - linearization.r) <= MAX_ERROR_FRACTION * float(step_changes.min()):
             break
         tolerance = tighter
@@ -179,9 +174,8 @@ def _linear_range(problem: FitProblem, linearization: Linearization, sigma: floa
     nonempty = np.flatnonzero(n_coordinates)
     squares = np.add.reduceat(np.square(linearization.curvature), starts[nonempty], axis=1)
     slopes = np.add.reduceat(np.square(linearization.jacobian * linearization.steps[:, None]), starts[nonempty], axis=1)
-    is_curved = (squares > MAX_CURVATURE**2 * slopes) & (
-        squares > MAX_CURVATURE**2 * sigma**2 * n_coordinates[nonempty]
-    )
+    is_curved = squares > MAX_CURVATURE**2 * slopes
+    is_curved &= squares > MAX_CURVATURE**2 * sigma**2 * n_coordinates[nonempty]
     curved = np.flatnonzero(is_curved.any(axis=0))
     return int(nonempty[curved[0]]) if curved.size else len(n_coordinates)
 
