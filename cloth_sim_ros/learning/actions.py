@@ -77,9 +77,8 @@ class ActionDecoder:
             length = np.sqrt((array[..., 3:7].astype(np.float64) ** 2).sum(axis=-1))
             wrong = np.argwhere(length < 1e-6)
             if len(wrong):
-                raise ValueError(
-                    f"actions{wrong[0].tolist()} has a quaternion without length; the identity is 0, 0, 0, 1"
-                )
+                cause = f"actions{wrong[0].tolist()} has a quaternion without length"
+                raise ValueError(f"{cause}; the identity is 0, 0, 0, 1")
         return array
 
     def to_events(self, action: NDArray[Any], simulation: Simulation) -> list[Event]:

@@ -63,10 +63,8 @@ def evaluate_outcome(name: str, function: OutcomeFunction | None, outcome: Outco
     values = np.asarray(function(outcome))
     if values.shape != (count,) or values.dtype.kind not in ("b" if dtype is bool else "biuf"):
         kind = "bool" if dtype is bool else "number"
-        raise ValueError(
-            f"{name} gave an array of shape {values.shape} and type {values.dtype}; it must give one {kind} for each "
-            f"cloth, shape ({count},)"
-        )
+        cause = f"{name} gave an array of shape {values.shape} and type {values.dtype}"
+        raise ValueError(f"{cause}; it must give one {kind} for each cloth, shape ({count},)")
     if dtype is not bool and not np.isfinite(values).all():
         k = int(np.flatnonzero(~np.isfinite(values))[0])
         raise ValueError(f"{name} gave {values[k]} for cloth {k}; it must be finite")

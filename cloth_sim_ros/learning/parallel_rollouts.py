@@ -111,9 +111,5 @@ def _collect(
     for k, (trajectory, frame_wrenches, end) in enumerate(results):
         trajectories[:, k], wrenches[k] = trajectory, frame_wrenches
         ends.append(end)
-    return Trajectories(
-        positions=trajectories[0],
-        velocities=trajectories[1] if request.has_velocities else None,
-        wrenches=wrenches,
-        ends=ends,
-    )
+    velocities = trajectories[1] if request.has_velocities else None
+    return Trajectories(positions=trajectories[0], velocities=velocities, wrenches=wrenches, ends=ends)

@@ -57,10 +57,9 @@ def roll_out_in_processes(
         for task in tasks:
             yield from task.result()
     except TerminatedWorkerError as error:
-        raise RuntimeError(
-            f"one of {processes} rollout processes was killed, possibly out of memory; the next call starts new ones. "
-            "Use fewer processes, or fewer particles"
-        ) from error
+        cause = f"one of {processes} rollout processes was killed, possibly out of memory"
+        remedy = "the next call starts new ones. Use fewer processes, or fewer particles"
+        raise RuntimeError(f"{cause}; {remedy}") from error
     finally:
         for task in tasks:
             task.cancel()

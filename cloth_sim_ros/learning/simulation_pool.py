@@ -82,10 +82,8 @@ class SimulationPool:
         common = {"particles": self.scene.shape, "grippers": self.scene.gripper_names, "rate": self.scene.rate}
         for name, value in properties.items():
             if value != common[name]:
-                raise ValueError(
-                    f"a randomised scene has {name} {value}, the environment's scene {common[name]}; actions and "
-                    "observations of all cloths must be alike"
-                )
+                cause = f"a randomised scene has {name} {value}, the environment's scene {common[name]}"
+                raise ValueError(f"{cause}; actions and observations of all cloths must be alike")
 
     def step(
         self,

@@ -76,9 +76,8 @@ def make_workspace(bounds: ArrayLike | None, start: Array) -> Array:
         return np.array([low - margin, high + margin])
     box = np.asarray(bounds, dtype=np.float64)
     if box.shape != (2, 3) or not np.isfinite(box).all() or not (box[0] < box[1]).all():
-        raise ValueError(
-            f"workspace is {box.tolist()}; give the lowest and the highest corner [m], [[x, y, z], [x, y, z]]"
-        )
+        remedy = "give the lowest and the highest corner [m], [[x, y, z], [x, y, z]]"
+        raise ValueError(f"workspace is {box.tolist()}; {remedy}")
     if np.abs(box).max() > MAX_COORDINATE:
         raise ValueError(f"workspace is {box.tolist()} m; no coordinate may be beyond {MAX_COORDINATE:g} m")
     return box

@@ -190,9 +190,8 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
         reset_indices = np.flatnonzero(self._is_over).tolist() if self.autoreset_mode is AutoresetMode.NEXT_STEP else []
         is_stepped, snapshots = ~self._is_over, self.snapshots
         try:
-            self._simulations.step(
-                np.flatnonzero(is_stepped).tolist(), checked, self._decoder, self._frames_per_step, self._store_step
-            )
+            indices, decoder = np.flatnonzero(is_stepped).tolist(), self._decoder
+            self._simulations.step(indices, checked, decoder, self._frames_per_step, self._store_step)
             outcome = self._outcome(checked, is_stepped)
             rewards = np.where(is_stepped, evaluate_outcome("reward", self._reward, outcome, np.float64), 0.0)
             terminations = evaluate_outcome("terminated", self._terminated, outcome, bool) & is_stepped
@@ -201,10 +200,9 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
             self._observe(range(self.num_envs))
             raise
         self._elapsed = outcome.elapsed
-        truncations = (
-            np.zeros(self.num_envs, dtype=bool) if self._max_steps is None else (self._elapsed >= self._max_steps)
-        )
-        truncations &= is_stepped
+        truncations = np.zeros(self.num_envs, dtype=bool)
+        if self._max_steps is not None:
+            truncations = (self._elapsed >= self._max_steps) & is_stepped
         self._is_over = terminations | truncations
         self._begin(reset_indices)
         infos: dict[str, Any] = {}
@@ -230,10 +228,8 @@ class ClothVectorEnv(Uncopyable, VectorEnv[Any, Any, Any]):
             raise RuntimeError("the cloths have no episode yet: call reset() before the first step()")
         if self.autoreset_mode is AutoresetMode.DISABLED and self._is_over.any():
             over = np.flatnonzero(self._is_over)
-            raise RuntimeError(
-                f"the episode of cloth {over[0]} is over, and autoreset is disabled: start a new one by "
-                'reset(options={"reset_mask": terminations | truncations})'
-            )
+            remedy = 'start a new one by reset(options={"reset_mask": terminations | truncations})'
+            raise RuntimeError(f"the episode of cloth {over[0]} is over, and autoreset is disabled: {remedy}")
         checked = self._decoder.validate(actions, (self.num_envs,), dtype=np.float32)
         low, high = self._action_box.low, self._action_box.high
         outside = np.argwhere((checked < low) | (checked > high))

@@ -140,15 +140,11 @@ def check_workers(client: Client, folder: Path, version: str) -> None:
     """
     for worker, (problem, worker_version) in client.run(probe_folder, str(folder)).items():
         if problem:
-            raise StudyError(
-                f"worker {worker} can't use {folder}: {problem}. Workers on other machines need a shared folder under "
-                "the same name (NFS, Lustre, a persistent volume)"
-            )
+            shared = "a shared folder under the same name (NFS, Lustre, a persistent volume)"
+            raise StudyError(f"worker {worker} can't use {folder}: {problem}. Workers on other machines need {shared}")
         if worker_version != version:
-            raise StudyError(
-                f"worker {worker} has another version of cloth_sim_ros ({worker_version}, here {version}): its bits "
-                "may differ; install the same version there"
-            )
+            difference = f"another version of cloth_sim_ros ({worker_version}, here {version})"
+            raise StudyError(f"worker {worker} has {difference}: its bits may differ; install the same version there")
 
 
 def probe_folder(folder: str) -> tuple[str, str]:
@@ -158,10 +154,8 @@ def probe_folder(folder: str) -> tuple[str, str]:
 
     from cloth_sim_ros.simulation.environment import environment
 
-    environment_record = environment()
-    version = (
-        f"{environment_record['version']}, {environment_record['source']}, numerics {environment_record['numerics']}"
-    )
+    record = environment()
+    version = f"{record['version']}, {record['source']}, numerics {record['numerics']}"
     study_path = Path(folder)
     probe = study_path / f".unfinished-probe-{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(4)}"
     try:

@@ -27,20 +27,20 @@ def to_zarr(folder: Path, out: Path) -> int:
     """Write a zarr v3 group and return exit status 0."""
     from cloth_sim_ros.studies import zarr_export
 
-    return _export(
-        folder, out, lambda study_folder, target, runs, count: zarr_export.write(target, runs(), count, study_folder)
-    )
+    def write(study_folder: StudyFolder, target: Path, runs: TrajectorySource, count: int) -> None:
+        zarr_export.write(target, runs(), count, study_folder)
+
+    return _export(folder, out, write)
 
 
 def to_lerobot(folder: Path, out: Path, *, task: str, video: bool) -> int:
     """Write a LeRobotDataset v3.0 and return exit status 0."""
     from cloth_sim_ros.studies import lerobot_export
 
-    return _export(
-        folder,
-        out,
-        lambda _study_folder, target, runs, _count: lerobot_export.write(target, runs(), task=task, video=video),
-    )
+    def write(_study_folder: StudyFolder, target: Path, runs: TrajectorySource, _count: int) -> None:
+        lerobot_export.write(target, runs(), task=task, video=video)
+
+    return _export(folder, out, write)
 
 
 def to_mcap(folder: Path, out: Path) -> int:

@@ -116,10 +116,8 @@ def read(name: str, content: Any) -> Factor:
         raise StudyError(f"vary: '{name}' is {content!r}; give a list of values, or one of {known}")
     ((kind, entries),) = content.items()
     if kind not in KINDS:
-        raise StudyError(
-            f"vary: '{name}' has the unknown distribution '{kind}'; known are {', '.join(KINDS)}"
-            f"{suggestion(str(kind), KINDS)}"
-        )
+        known = f"{', '.join(KINDS)}{suggestion(str(kind), KINDS)}"
+        raise StudyError(f"vary: '{name}' has the unknown distribution '{kind}'; known are {known}")
     if not isinstance(entries, list) or not entries:
         problem = "is empty" if entries == [] else f"has {entries!r}"
         raise StudyError(f"vary: '{name}' {problem}; {kind} takes {KINDS[kind][0]}")
@@ -145,10 +143,8 @@ def _parse_numbers(name: str, kind: str, entries: list[Any]) -> tuple[Any, ...]:
             raise StudyError(f"vary: '{name}' has the standard deviation {high}; it must be above 0")
         return tuple(entries)
     if not low < high:
-        raise StudyError(
-            f"vary: '{name}' has the empty range from {low} to {high}; the lowest comes first and is below the highest "
-            "(a single value belongs into 'parameters')"
-        )
+        order = "the lowest comes first and is below the highest (a single value belongs into 'parameters')"
+        raise StudyError(f"vary: '{name}' has the empty range from {low} to {high}; {order}")
     if kind == "log_uniform" and low <= 0:
         raise StudyError(f"vary: '{name}' has the lowest value {low}; log_uniform takes {KINDS[kind][0]}")
     if kind == "steps" and not (isinstance(entries[2], int) and 2 <= entries[2] <= MAX_CHOICES):

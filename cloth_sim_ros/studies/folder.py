@@ -121,9 +121,8 @@ class StudyFolder:
         stored, requested = self._read_json(self.study_file, dict), json.loads(self.fingerprint(study))
         differing = [name for name in requested if stored.get(name) != requested[name]]
         if differing:
-            raise StudyError(
-                f"{self.path} holds another study: it differs in {', '.join(differing)}; choose another folder"
-            )
+            names = ", ".join(differing)
+            raise StudyError(f"{self.path} holds another study: it differs in {names}; choose another folder")
 
     @staticmethod
     def fingerprint(study: Study) -> str:
@@ -146,9 +145,8 @@ class StudyFolder:
         except FileNotFoundError as error:
             raise StudyError(f"{self.path} is no study's folder: {Path(error.filename).name} is missing") from None
         except (OSError, ValueError, TypeError, AttributeError, LookupError) as error:
-            raise StudyError(
-                f"{self.path} holds no readable study: {error or type(error).__name__}{_BROKEN}"
-            ) from error
+            cause = error or type(error).__name__
+            raise StudyError(f"{self.path} holds no readable study: {cause}{_BROKEN}") from error
 
     def _file(self, stored_name: str) -> bytes:
         """Return the content of a parameter's file by its stored name, which can't lead out of the folder."""

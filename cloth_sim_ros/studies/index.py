@@ -41,9 +41,9 @@ def table_of(rows: Iterable[dict[str, Any]]) -> pa.Table:
     import pyarrow as pa
 
     ordered = sorted(rows, key=lambda row: row["run"])
-    columns: dict[str, Any] = {
-        name: pa.array([row[name] for row in ordered], type=pa.type_for_alias(kind)) for name, kind in COLUMNS.items()
-    }
+    columns: dict[str, Any] = {}
+    for name, kind in COLUMNS.items():
+        columns[name] = pa.array([row[name] for row in ordered], type=pa.type_for_alias(kind))
     for group, prefix in (("values", ""), ("outcomes", OUTCOME_PREFIX)):
         names = dict.fromkeys(name for row in ordered for name in row[group])
         for name in names:
@@ -83,9 +83,8 @@ def read(study_folder: StudyFolder) -> pa.Table:
             _check_size(study_folder)
             return _check_columns(pq.read_table(study_folder.index_file))
     except (OSError, ValueError, pa.ArrowException) as error:
-        raise StudyError(
-            f"cannot read {study_folder.index_file}: {error} Remove it: it is rebuilt from the rows"
-        ) from error
+        remedy = "Remove it: it is rebuilt from the rows"
+        raise StudyError(f"cannot read {study_folder.index_file}: {error} {remedy}") from error
     return table_of(study_folder.rows())
 
 

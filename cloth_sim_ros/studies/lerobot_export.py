@@ -32,13 +32,8 @@ CAMERA = "observation.images.cloth"
 _CHUNK_FILES, _DATA_MB, _VIDEO_MB = 1000, 100, 200
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 #: Further columns of every dataset and their types.
-_DEFAULTS = {
-    "timestamp": "float32",
-    "frame_index": "int64",
-    "episode_index": "int64",
-    "index": "int64",
-    "task_index": "int64",
-}
+_INDICES = ("frame_index", "episode_index", "index", "task_index")
+_DEFAULTS = {"timestamp": "float32", **dict.fromkeys(_INDICES, "int64")}
 
 
 def write(path: Path, runs: Iterator[Trajectory], *, task: str, video: bool) -> None:
@@ -83,9 +78,8 @@ def features_of(run: Trajectory) -> dict[str, dict[str, Any]]:
         "observation.obstacles": obstacles,
         "action": actions,
     }
-    wide = {
-        name: {"dtype": "float32", "shape": [len(names)], "names": names} for name, names in widths.items() if names
-    }
+    named = {name: names for name, names in widths.items() if names}
+    wide = {name: {"dtype": "float32", "shape": [len(names)], "names": names} for name, names in named.items()}
     return wide | {name: {"dtype": kind, "shape": [1], "names": None} for name, kind in _DEFAULTS.items()}
 
 
@@ -124,10 +118,8 @@ class _Dataset:
     def add(self, run: Trajectory) -> None:
         """Write a run as the next episode."""
         if run.rate != self._fps:
-            raise StudyError(
-                f"rate of run {run.run} is {run.rate} Hz, of the first one {self._fps}; a dataset has one for all "
-                "episodes: remove rate from vary, or export with --mcap"
-            )
+            remedy = "a dataset has one for all episodes: remove rate from vary, or export with --mcap"
+            raise StudyError(f"rate of run {run.run} is {run.rate} Hz, of the first one {self._fps}; {remedy}")
         if features_of(run) != self._features:
             raise StudyError(
                 f"run {run.run} has other grippers, obstacles or particles than the first one; LeRobot has one layout "
@@ -192,23 +184,24 @@ class _Dataset:
             "features": features,
         }
         (self._path / "meta" / "info.json").write_text(json.dumps(info, indent=4))
-        total = {
-            name: {key: values.tolist() for key, values in of.items()} for name, of in aggregate(self._stats).items()
-        }
+        statistics = aggregate(self._stats)
+        total = {name: {key: values.tolist() for key, values in of.items()} for name, of in statistics.items()}
         (self._path / "meta" / "stats.json").write_text(json.dumps(total, indent=4))
+
+    def _data_file(self) -> Path:
+        chunk, file = divmod(self._file, _CHUNK_FILES)
+        return self._path / DATA.format(chunk_index=chunk, file_index=file)
 
     def _write_rows(self, columns: dict[str, np.ndarray]) -> tuple[int, int]:
         """Write an episode's rows as one row group and return the indices of its chunk and file."""
         import pyarrow.parquet as pq
 
         table = _table(columns, self._features)
-        path = self._path / DATA.format(chunk_index=self._file // _CHUNK_FILES, file_index=self._file % _CHUNK_FILES)
+        path = self._data_file()
         if self._writer is not None and path.stat().st_size >= _DATA_MB * 1024**2:
             self.close()
             self._file += 1
-            path = self._path / DATA.format(
-                chunk_index=self._file // _CHUNK_FILES, file_index=self._file % _CHUNK_FILES
-            )
+            path = self._data_file()
         if self._writer is None:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._writer = pq.ParquetWriter(path, table.schema, compression="snappy", use_dictionary=True)
@@ -255,13 +248,7 @@ def _tasks(task: str) -> pa.Table:
     import pyarrow as pa
 
     def column(name: str, kind: str, numpy_kind: str) -> dict[str, Any]:
-        return {
-            "name": name,
-            "field_name": name,
-            "pandas_type": kind,
-            "numpy_type": numpy_kind,
-            "metadata": None,
-        }
+        return {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy_kind, "metadata": None}
 
     pandas = {
         "index_columns": ["task"],

@@ -25,13 +25,8 @@ def statistics(values: NDArray[np.generic]) -> Statistics:
         Arrays of shape (width,); `count` is the number of frames, shape (1,).
     """
     wide = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
-    summary = {
-        "min": wide.min(axis=0),
-        "max": wide.max(axis=0),
-        "mean": wide.mean(axis=0),
-        "std": wide.std(axis=0),
-        "count": np.array([len(wide)]),
-    }
+    summary = {"min": wide.min(axis=0), "max": wide.max(axis=0), "mean": wide.mean(axis=0), "std": wide.std(axis=0)}
+    summary["count"] = np.array([len(wide)])
     quantiles = np.quantile(wide, list(QUANTILES.values()), axis=0)
     return summary | dict(zip(QUANTILES, quantiles, strict=True))
 

@@ -72,27 +72,19 @@ def _run_parser() -> argparse.ArgumentParser:
     parser.add_argument("--resume", action="store_true", help="continue an interrupted study")
     parser.add_argument("--retry-failed", action="store_true", help="with --resume: repeat failed runs")
     destination = parser.add_mutually_exclusive_group()
-    destination.add_argument(
-        "--scheduler", metavar="tcp://HOST:PORT", help="a running Dask cluster, instead of this machine"
-    )
-    destination.add_argument(
-        "--workers", type=_positive, metavar="N", help="local worker processes (default: one per core)"
-    )
-    parser.add_argument(
-        "--wait",
-        type=_seconds,
-        default=300.0,
-        metavar="SECONDS",
-        help="time limit for a lost scheduler to return (default: %(default)g)",
-    )
+    cluster = "a running Dask cluster, instead of this machine"
+    destination.add_argument("--scheduler", metavar="tcp://HOST:PORT", help=cluster)
+    workers = "local worker processes (default: one per core)"
+    destination.add_argument("--workers", type=_positive, metavar="N", help=workers)
+    wait = "time limit for a lost scheduler to return (default: %(default)g)"
+    parser.add_argument("--wait", type=_seconds, default=300.0, metavar="SECONDS", help=wait)
     parser.set_defaults(run=_run)
     return parser
 
 
 def _check_parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="cloth_batch check", description="Checks a study and estimates its cost; runs nothing."
-    )
+    description = "Checks a study and estimates its cost; runs nothing."
+    parser = argparse.ArgumentParser(prog="cloth_batch check", description=description)
     parser.add_argument("study", type=Path, metavar="study.yaml")
     parser.set_defaults(run=_check)
     return parser
@@ -112,9 +104,8 @@ def _view_parser() -> argparse.ArgumentParser:
 
 
 def _export_parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="cloth_batch export", description="Writes the successful runs as a dataset for learning."
-    )
+    description = "Writes the successful runs as a dataset for learning."
+    parser = argparse.ArgumentParser(prog="cloth_batch export", description=description)
     parser.add_argument("folder", type=Path, metavar="FOLDER")
     kind = parser.add_mutually_exclusive_group(required=True)
     kind.add_argument("--zarr", type=Path, metavar="OUT.zarr", help="zarr v3: one chunk per run, float32")

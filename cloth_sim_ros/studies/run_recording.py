@@ -82,9 +82,8 @@ class RunRecording:
         self._cloud: messages.CloudEncoder | None = None
         if clouds:
             rows, columns = scene.shape
-            self._cloud = messages.CloudEncoder(
-                frame_id=self._frame_id, height=rows, width=columns, velocity=self._velocity, double=scene.points.double
-            )
+            fields = {"velocity": self._velocity, "double": scene.points.double}
+            self._cloud = messages.CloudEncoder(frame_id=self._frame_id, height=rows, width=columns, **fields)
 
     @property
     def bytes_written(self) -> int:

@@ -32,10 +32,8 @@ def grid_size(factors: Sequence[Factor]) -> int:
     """
     for factor in factors:
         if factor.count is None:
-            raise StudyError(
-                f"sampling is grid, and '{factor.name}' varies continuously ({factor.kind}); "
-                "give a list, integers or steps, or sample by sobol, latin_hypercube or random"
-            )
+            remedy = "give a list, integers or steps, or sample by sobol, latin_hypercube or random"
+            raise StudyError(f"sampling is grid, and '{factor.name}' varies continuously ({factor.kind}); {remedy}")
     return math.prod(factor.count or 1 for factor in factors)
 
 

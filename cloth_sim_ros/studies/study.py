@@ -74,10 +74,8 @@ class Study:
         content["scripts"] = tuple(_script(entry) for entry in content["scripts"])
         content["policy"] = Source(**content["policy"]) if content["policy"] else None
         content["outcomes"] = tuple(Source(**entry) for entry in content["outcomes"])
-        content["factors"] = tuple(
-            Factor(**{**entry, "values": tuple(_tuple(value) for value in entry["values"])})
-            for entry in content["factors"]
-        )
+        factors = [{**entry, "values": tuple(map(_tuple, entry["values"]))} for entry in content["factors"]]
+        content["factors"] = tuple(Factor(**entry) for entry in factors)
         return cls(**content)
 
     def scene(self, values: Mapping[str, Any]) -> Scene:
@@ -101,9 +99,9 @@ class Study:
             array, index = entry.group(1), int(entry.group(2))
             before = changed.get(array)
             if not isinstance(before, tuple | list) or index >= len(before):
-                problem = (
-                    f"has the entries 0 to {len(before) - 1}" if isinstance(before, tuple | list) else "is no array"
-                )
+                problem = "is no array"
+                if isinstance(before, tuple | list):
+                    problem = f"has the entries 0 to {len(before) - 1}"
                 raise ParameterError(f"unknown parameter '{name}': {array} {problem}")
             changed[array] = (*before[:index], values[name], *before[index + 1 :])
         return Scene.from_parameters(changed, files=self.files)
@@ -134,10 +132,8 @@ def parse_target(name: str, scripts: Sequence[GripperScript]) -> tuple[int, int 
         raise StudyError(f"vary: '{name}' is no target; give target.<gripper>.<x, y or z>, or target.<gripper>.<n>.<x>")
     if parts[0] not in grippers:
         known = ", ".join(grippers) or "none (a policy moves its grippers itself)"
-        raise StudyError(
-            f"vary: '{name}': no script is for a gripper '{parts[0]}'; scripts are for {known}"
-            f"{suggestion(parts[0], grippers)}"
-        )
+        known += suggestion(parts[0], grippers)
+        raise StudyError(f"vary: '{name}': no script is for a gripper '{parts[0]}'; scripts are for {known}")
     script_index = grippers.index(parts[0])
     if len(parts) == 2:
         return script_index, None, _AXES.index(parts[-1])
@@ -148,12 +144,11 @@ def parse_target(name: str, scripts: Sequence[GripperScript]) -> tuple[int, int 
 
 
 def _move_script(script: GripperScript, waypoint_index: int | None, axis: int, offset: float) -> GripperScript:
-    waypoints = [
-        attrs.evolve(waypoint, position=tuple(p + offset if k == axis else p for k, p in enumerate(waypoint.position)))
-        if waypoint_index in (None, index)
-        else waypoint
-        for index, waypoint in enumerate(script.waypoints)
-    ]
+    waypoints = list(script.waypoints)
+    for index, waypoint in enumerate(waypoints):
+        if waypoint_index in (None, index):
+            position = tuple(p + offset if k == axis else p for k, p in enumerate(waypoint.position))
+            waypoints[index] = attrs.evolve(waypoint, position=position)
     return attrs.evolve(script, waypoints=tuple(waypoints))
 
 

@@ -68,10 +68,8 @@ def sample_and_estimate(study: Study, cores: int) -> tuple[list[tuple[Any, ...]]
     if study.runs > MAX_RUNS:
         small_study = attrs.evolve(study, runs=_MAX_TRIALS)
         estimate = estimate_study(study, _draw_samples(small_study))
-        raise StudyError(
-            f"runs is {study.runs}; at most {MAX_RUNS} are possible. They would take "
-            f"{estimate.describe(study.runs, cores)}; split the study, or reduce runs"
-        )
+        cost = f"They would take {estimate.describe(study.runs, cores)}; split the study, or reduce runs"
+        raise StudyError(f"runs is {study.runs}; at most {MAX_RUNS} are possible. {cost}")
     samples = _draw_samples(study)
     _check_extremes(study, samples)
     return samples, estimate_study(study, samples)
@@ -90,10 +88,8 @@ def check_disk_space(folder: Path, study: Study, estimate: StudyEstimate) -> Non
     needed = study.runs * estimate.bytes_per_run
     if needed > free:
         advice = "omit the clouds ('clouds: false'), " if study.clouds else ""
-        raise StudyError(
-            f"{study.runs} runs take about {format_quantity(needed, 'B')}, {folder} has {format_quantity(free, 'B')} "
-            f"left; {advice}reduce runs or use another disk"
-        )
+        cause = f"about {format_quantity(needed, 'B')}, {folder} has {format_quantity(free, 'B')} left"
+        raise StudyError(f"{study.runs} runs take {cause}; {advice}reduce runs or use another disk")
 
 
 def estimate_study(study: Study, samples: Sequence[Sequence[Any]]) -> StudyEstimate:
@@ -160,7 +156,5 @@ def _check_extremes(study: Study, samples: Sequence[Sequence[Any]]) -> None:
             try:
                 study.scene({factor.name: value})
             except ParameterError as error:
-                raise StudyError(
-                    f"vary: '{factor.name}' is {value!r} in run {drawn.index(value)}, of a normal distribution: "
-                    f"{error}; narrow it, or use uniform"
-                ) from error
+                cause = f"{value!r} in run {drawn.index(value)}, of a normal distribution: {error}"
+                raise StudyError(f"vary: '{factor.name}' is {cause}; narrow it, or use uniform") from error

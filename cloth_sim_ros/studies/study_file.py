@@ -75,17 +75,13 @@ def from_dict(content: Any, *, folder: Path) -> Study:
         raise StudyError(f"the study is {str(content)[:40]!r}; it must have entries {', '.join(ENTRIES)}")
     for name in content:
         if name not in ENTRIES:
-            raise StudyError(
-                f"there is no entry '{name}'{suggestion(str(name), ENTRIES)}; a study has {', '.join(ENTRIES)}"
-            )
+            hint = suggestion(str(name), ENTRIES)
+            raise StudyError(f"there is no entry '{name}'{hint}; a study has {', '.join(ENTRIES)}")
     if "scene" not in content:
         raise StudyError(f"'scene' is missing: {ENTRIES['scene']}")
     scene_path = _find_file(str(content["scene"]), "scene", folder)
-    parameters = {
-        name: value
-        for name, value in parameter_file.read(scene_path, strict=True).items()
-        if not is_ros_parameter(name)
-    }
+    contents = parameter_file.read(scene_path, strict=True)
+    parameters = {name: value for name, value in contents.items() if not is_ros_parameter(name)}
     parameters.update(_flatten(content.get("parameters", {}), "parameters"))
     factors = tuple(factor_kinds.read(str(name), entry) for name, entry in _vary(content).items())
     files = _files(parameters, factors, (folder, scene_path.parent))
@@ -165,10 +161,8 @@ def _scripts(value: Any, scene: Scene, folder: Path) -> tuple[GripperScript, ...
         if grippers.count(script.gripper) > 1:
             raise StudyError(f"{grippers.count(script.gripper)} scripts are for the gripper '{script.gripper}'")
         if script.frame_id not in ("", scene.frame_id):
-            raise StudyError(
-                f"script '{name}' has poses in '{script.frame_id}', the cloth is in '{scene.frame_id}'; transform the "
-                "poses, a study has no TF"
-            )
+            frames = f"poses in '{script.frame_id}', the cloth is in '{scene.frame_id}'"
+            raise StudyError(f"script '{name}' has {frames}; transform the poses, a study has no TF")
     return scripts
 
 
@@ -200,9 +194,8 @@ def _duration(value: Any, scripts: Sequence[GripperScript], scene: Scene) -> flo
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise StudyError(f"duration is {value!r}; it must be a number of seconds")
     if not scene.period <= value <= _MAX_DURATION:
-        raise StudyError(
-            f"duration is {value} s; it must be from one frame ({scene.period:g} s) to {_MAX_DURATION:g} s"
-        )
+        limits = f"from one frame ({scene.period:g} s) to {_MAX_DURATION:g} s"
+        raise StudyError(f"duration is {value} s; it must be {limits}")
     return float(value)
 
 

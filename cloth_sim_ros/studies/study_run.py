@@ -56,10 +56,9 @@ def perform_all(folder: str, runs: Sequence[tuple[int, tuple[Any, ...]]]) -> lis
         # The modification time distinguishes a recreated folder from its predecessor in the cache.
         study = _read_study(folder, study_folder.study_file.stat().st_mtime_ns)
     except OSError as error:
-        raise FolderError(
-            f"{socket.gethostname()} can't read the study in {folder}: {error.strerror}. Workers on other machines "
-            "need a shared folder under the same name"
-        ) from error
+        cause = f"{socket.gethostname()} can't read the study in {folder}: {error.strerror}"
+        remedy = "Workers on other machines need a shared folder under the same name"
+        raise FolderError(f"{cause}. {remedy}") from error
     for run, values in runs:
         perform(study_folder, study, run, values)
     return [run for run, _ in runs]
@@ -153,9 +152,8 @@ def _record(study: Study, run: int, factor_values: dict[str, Any], folder: Path)
     except BaseException:
         recording.abandon()
         raise
-    row.update(
-        digest=simulation.state.digest(), frames=outcome_recorder.n_frames, flagged_frames=outcome_recorder.n_flagged
-    )
+    row.update(digest=simulation.state.digest(), frames=outcome_recorder.n_frames)
+    row["flagged_frames"] = outcome_recorder.n_flagged
     row["error_estimate"] = outcome_recorder.error_estimate
     return row, session
 
@@ -204,9 +202,8 @@ class CommandedSimulation:
             raise RunError(f"policy '{study.policy.reference}' raised {format_error(error)}") from error
         policy_values = {name.removeprefix(f"{POLICY}."): value for name, value in factor_values.items()}
         rng = np.random.default_rng(study.seed_of(run))
-        commanded._commands = functools.partial(
-            commanded._query_policy, policy, study.policy.reference, policy_values, rng
-        )
+        reference = study.policy.reference
+        commanded._commands = functools.partial(commanded._query_policy, policy, reference, policy_values, rng)
         return commanded
 
     def advance(self) -> tuple[Sequence[Event], Any]:
@@ -247,11 +244,8 @@ class CommandedSimulation:
             if not isinstance(event, _COMMANDS):
                 known = ", ".join(kind.__name__ for kind in _COMMANDS)
                 raise RunError(f"policy '{reference}' returned {event!r}; it must return a list of {known}")
-            if (
-                isinstance(event, Move)
-                and event.orientation is None
-                and event.obstacle in simulation.scene.obstacle_names
-            ):
+            names = simulation.scene.obstacle_names
+            if isinstance(event, Move) and event.orientation is None and event.obstacle in names:
                 events[index] = attrs.evolve(event, orientation=self._current_orientation(event.obstacle))
         return events
 

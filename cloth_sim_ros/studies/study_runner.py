@@ -97,10 +97,8 @@ class StudyRunner:
             if len(remaining) < n_before:
                 last_progress = time.monotonic()
             elif time.monotonic() - last_progress > wait:
-                raise StoppedError(
-                    f"the connection to the scheduler at {scheduler.address} breaks repeatedly; finished runs are "
-                    "kept; continue with --resume"
-                )
+                cause = f"the connection to the scheduler at {scheduler.address} breaks repeatedly"
+                raise StoppedError(f"{cause}; finished runs are kept; continue with --resume")
 
     def _run_tasks(self, client: Client, runs: Sequence[int]) -> None:
         from distributed import as_completed
@@ -117,13 +115,9 @@ class StudyRunner:
                 while queue and len(pending) < max_pending:
                     batch = queue.popleft()
                     attempts += 1
-                    future = client.submit(
-                        perform_all,
-                        str(self.study_folder.path),
-                        [(run, self.samples[run]) for run in batch],
-                        key=f"cloth_batch-{batch[0]}-{attempts}-{time.time_ns()}",
-                        pure=False,
-                    )
+                    folder, samples = str(self.study_folder.path), [(run, self.samples[run]) for run in batch]
+                    key = f"cloth_batch-{batch[0]}-{attempts}-{time.time_ns()}"
+                    future = client.submit(perform_all, folder, samples, key=key, pure=False)
                     pending[future] = batch
                     completed.add(future)
                 future = next(completed)
@@ -144,10 +138,8 @@ class StudyRunner:
     def _batches(self, runs: Sequence[int], client: Client) -> list[list[int]]:
         """Divide runs into batches, one task each."""
         threads = max(sum(client.nthreads().values()), 1)
-        max_size = min(
-            int(_TASK_SECONDS / max(self.seconds_per_run, 1e-3)), _MAX_RUNS_PER_TASK, len(runs) // (4 * threads)
-        )
-        size = max(max_size, 1)
+        fitting = int(_TASK_SECONDS / max(self.seconds_per_run, 1e-3))
+        size = max(min(fitting, _MAX_RUNS_PER_TASK, len(runs) // (4 * threads)), 1)
         return [list(runs[k : k + size]) for k in range(0, len(runs), size)]
 
     def _collect(self, future: Any, batch: list[int]) -> list[list[int]]:

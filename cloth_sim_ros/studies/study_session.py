@@ -119,10 +119,8 @@ def _finished_rows(
     study_folder.check_same(study)
     rows = {int(row["run"]): row for row in study_folder.rows()}
     if rows and not resume:
-        raise StudyError(
-            f"{study_folder.path} holds {len(rows)} of {study.runs} runs of this study; continue with --resume, or "
-            "start in another folder"
-        )
+        cause = f"{study_folder.path} holds {len(rows)} of {study.runs} runs of this study"
+        raise StudyError(f"{cause}; continue with --resume, or start in another folder")
     repeated = [run for run, row in rows.items() if row["status"] == KILLED or (retry_failed and row["status"] != OK)]
     for run in repeated:
         study_folder.row_file(run).unlink(missing_ok=True)
@@ -143,9 +141,8 @@ def summary(study_folder: StudyFolder, rows: Iterable[dict[str, Any]], seconds: 
     failed = [row for row in all_rows if row["status"] != OK]
     flagged = sum(row["flagged_frames"] > 0 for row in all_rows)
     size = format_quantity(sum(row["bytes"] for row in all_rows), "B")
-    lines = [
-        f"{len(all_rows) - len(failed)} of {len(all_rows)} runs were successful; {n_done} took {seconds:.1f} s; {size}"
-    ]
+    successes = f"{len(all_rows) - len(failed)} of {len(all_rows)} runs were successful"
+    lines = [f"{successes}; {n_done} took {seconds:.1f} s; {size}"]
     if flagged:
         lines.append(f"{flagged} runs have frames that missed the tolerance (flagged_frames in the index)")
     kinds: dict[str, list[dict[str, Any]]] = collections.defaultdict(list)
@@ -153,9 +150,8 @@ def summary(study_folder: StudyFolder, rows: Iterable[dict[str, Any]], seconds: 
         # Texts that differ only in numbers are the same kind of failure.
         kinds[re.sub(r"-?\d+(\.\d+)?(e[-+]?\d+)?", "#", row["error"])].append(row)
     for failures in sorted(kinds.values(), key=len, reverse=True)[:_MAX_KINDS]:
-        run_list = ", ".join(str(row["run"]) for row in failures[:_MAX_NAMED_RUNS]) + (
-            ", ..." if failures[_MAX_NAMED_RUNS:] else ""
-        )
+        named = [str(row["run"]) for row in failures[:_MAX_NAMED_RUNS]]
+        run_list = ", ".join([*named, "..."] if failures[_MAX_NAMED_RUNS:] else named)
         lines.append(f"{len(failures)} failed ({run_list}): {failures[0]['error']}")
     if len(kinds) > _MAX_KINDS:
         lines.append(f"and {len(kinds) - _MAX_KINDS} other kinds of failure (error in the index)")

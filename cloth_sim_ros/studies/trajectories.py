@@ -79,10 +79,8 @@ def read(run: int, session: Path, *, copy_into: Path | None = None) -> Trajector
         events = [from_dict(dict(event)) for event in record.events]
         frame = simulation.advance(events)
         if simulation.state.digest() != record.digest:
-            raise StoppedError(
-                f"run {run} has another digest here from frame {record.frame} on; export it with the version of "
-                "cloth_sim_ros that recorded it (cloth_verify prints it)"
-            )
+            remedy = "export it with the version of cloth_sim_ros that recorded it (cloth_verify prints it)"
+            raise StoppedError(f"run {run} has another digest here from frame {record.frame} on; {remedy}")
         if recording is not None:
             recording.add(events, frame)
         recorder.add(events, frame)
@@ -96,9 +94,8 @@ class _TrajectoryRecorder:
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
-        self._arrays: dict[str, list[Any]] = {
-            name: [] for name in ("positions", "velocities", "poses", "actions", "wrenches", "obstacle_poses")
-        }
+        names = ("positions", "velocities", "poses", "actions", "wrenches", "obstacle_poses")
+        self._arrays: dict[str, list[Any]] = {name: [] for name in names}
         grippers = len(simulation.grippers.names)
         self._action = np.zeros((grippers, 8))
         self._action[:, 6] = 1.0

@@ -118,11 +118,8 @@ def draw_plot(table: pa.Table, name: str, along: str, file: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    pairs = [
-        (x, y)
-        for x, y in zip(table[along].to_pylist(), table[name].to_pylist(), strict=True)
-        if x is not None and y is not None
-    ]
+    columns = zip(table[along].to_pylist(), table[name].to_pylist(), strict=True)
+    pairs = [(x, y) for x, y in columns if x is not None and y is not None]
     if not pairs:
         raise StudyError(f"no run has both {name} and {along}: nothing to draw")
     if not all(isinstance(y, int | float) for _, y in pairs):
@@ -149,10 +146,8 @@ def _open_run(study_folder: StudyFolder, run: int, save: Path | None) -> int:
     if not row["session"]:
         raise StudyError(f"run {run} has no session: {row['error']}")
     if not study_folder.read().clouds:
-        print(
-            "cloth_batch: the sessions hold no clouds; cloth_batch export FOLDER --mcap OUT adds them",
-            file=sys.stderr,
-        )
+        remedy = "cloth_batch export FOLDER --mcap OUT adds them"
+        print(f"cloth_batch: the sessions hold no clouds; {remedy}", file=sys.stderr)
     command = module_command("cloth_sim_ros.replay.main", str(study_folder.path / row["session"]))
     command += ["--save", str(save)] if save else []
     return subprocess.run(command, env=child_environment(), check=False).returncode

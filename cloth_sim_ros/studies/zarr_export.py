@@ -56,10 +56,8 @@ def write(path: Path, runs: Iterator[Trajectory], count: int, study_folder: Stud
         names = names or properties
         for name, value in properties.items():
             if value != names[name]:
-                raise StudyError(
-                    f"{name} of run {run.run} is {value}, of the first one {names[name]}; a dataset has one for all "
-                    f"runs: remove {name} from vary, or export with --mcap"
-                )
+                remedy = f"a dataset has one for all runs: remove {name} from vary, or export with --mcap"
+                raise StudyError(f"{name} of run {run.run} is {value}, of the first one {names[name]}; {remedy}")
         k = len(run_indices)
         triangles.append(unique_triangles.setdefault(run.triangles.tobytes(), run.triangles))
         run_indices.append(run.run)
