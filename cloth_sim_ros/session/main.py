@@ -145,10 +145,7 @@ def _export(options: argparse.Namespace) -> int:
 
     files = _files(options)
     output = options.output or files[0].with_suffix(".npz")
-    with (
-        SessionReader(files) as reader,
-        tqdm(unit=" clouds", desc="reading", delay=1.0, leave=False) as bar,
-    ):
+    with SessionReader(files) as reader, tqdm(unit=" clouds", desc="reading", delay=1.0, leave=False) as bar:
         count = export(
             reader,
             output,

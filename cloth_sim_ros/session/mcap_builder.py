@@ -288,13 +288,7 @@ class McapBuilder:
 
 
 def pack_chunk_record(
-    *,
-    payload: bytes,
-    compression: str,
-    raw_size: int,
-    crc: int,
-    times: tuple[int, int],
-    indexes: dict[int, list[int]],
+    *, payload: bytes, compression: str, raw_size: int, crc: int, times: tuple[int, int], indexes: dict[int, list[int]]
 ) -> PackedChunk:
     """Encode a chunk whose contents are already compressed; `indexes` as in the open chunk."""
     name = compression.encode()

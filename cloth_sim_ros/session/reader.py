@@ -135,11 +135,7 @@ class SessionReader:
         return None
 
     def follow(
-        self,
-        topics: Iterable[str] | None = None,
-        *,
-        poll: float = 0.1,
-        keep_waiting: Callable[[], bool] = lambda: True,
+        self, topics: Iterable[str] | None = None, *, poll: float = 0.1, keep_waiting: Callable[[], bool] = lambda: True
     ) -> Iterator[Message]:
         """Yield the messages of a session during its recording: first the existing ones, then new ones.
 

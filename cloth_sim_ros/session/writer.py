@@ -110,12 +110,7 @@ class SessionWriter:
         folder = Path(folder)
         make_folder(folder)
         remove_leftovers(folder, SUFFIX)
-        metadata = {
-            **snapshot.metadata,
-            "format": FORMAT_VERSION,
-            "session": session or stem,
-            "part": str(part),
-        }
+        metadata = {**snapshot.metadata, "format": FORMAT_VERSION, "session": session or stem, "part": str(part)}
         metadata["checksum"] = metadata_checksum(metadata)
         opening = self._builder.encode_opening(
             library="cloth_sim_ros",
