@@ -109,8 +109,8 @@ def _measure_size(messages: Sequence[Message], folder: Path, rate: float) -> Non
 def _add(writer: SessionWriter, message: Message) -> None:
     if not writer.is_declared(message.topic):
         writer.declare(message.topic, message.type_name)
-    times = {"log_time": message.log_time, "publish_time": message.publish_time}
-    writer.add(message.topic, message.data, **times, sequence=message.sequence)
+    log_time, publish_time = message.log_time, message.publish_time
+    writer.add(message.topic, message.data, log_time=log_time, publish_time=publish_time, sequence=message.sequence)
 
 
 def _measure_timer(messages: Sequence[Message], folder: Path, rate: float, seconds: float, rounds: int) -> None:

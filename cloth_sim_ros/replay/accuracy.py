@@ -90,9 +90,8 @@ def measure(paths: Sequence[Path], folder: Path, particle_count: int) -> Measure
     # Only its progress bar is shown, not its tables.
     process_result = subprocess.run(command, env=child_environment(), stdout=subprocess.DEVNULL, check=False)
     if process_result.returncode not in _CERTIFIED_STATUSES:
-        raise SessionError(
-            f"{paths[0]}: its accuracy cannot be measured (cloth_verify ended with {process_result.returncode})"
-        )
+        cause = f"cloth_verify ended with {process_result.returncode}"
+        raise SessionError(f"{paths[0]}: its accuracy cannot be measured ({cause})")
     frames = json.loads(certificate_file.read_text(encoding="utf-8"))["frames"]
     if not frames:
         raise SessionError(f"{paths[0]} holds no frame in which time passes: there is no accuracy to show")

@@ -38,9 +38,9 @@ def eye_position(scan: PreScan) -> tuple[Floats, Floats]:
     else:
         forward, elevation, distance = facing / np.linalg.norm(facing), _ELEVATION, _DISTANCE
         sheet = scan.opening.positions.mean(axis=0)
-        gripper_side = (
-            float(np.mean((scan.gripper_targets - sheet) @ forward)) if len(scan.gripper_targets) else -forward[1]
-        )
+        gripper_side = -forward[1]
+        if len(scan.gripper_targets):
+            gripper_side = float(np.mean((scan.gripper_targets - sheet) @ forward))
         if gripper_side < 0.0:
             forward = -forward
     azimuth = np.radians(_AZIMUTH)
@@ -58,11 +58,9 @@ def make_blueprint(scan: PreScan, *, following: bool = False, picture: bool = Fa
 
     position, target = eye_position(scan)
     floor = float(np.floor(4.0 * scan.low[2]) / 4.0) if abs(scan.low[2]) > 0.3 else 0.0
-    trail = rrb.VisibleTimeRanges(
-        timeline=SIM_TIME,
-        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-_TRAIL_SECONDS),
-        end=rrb.TimeRangeBoundary.cursor_relative(),
-    )
+    start = rrb.TimeRangeBoundary.cursor_relative(seconds=-_TRAIL_SECONDS)
+    end = rrb.TimeRangeBoundary.cursor_relative()
+    trail = rrb.VisibleTimeRanges(timeline=SIM_TIME, start=start, end=end)
     view = rrb.Spatial3DView(
         origin="/world",
         name=_colouring(scan),

@@ -55,9 +55,8 @@ class GripperView:
 
         for name in self._tracks.tracks:
             path = gripper_path(name)
-            wires = rr.Ellipsoids3D.from_fields(
-                fill_mode=rr.components.FillMode.MajorWireframe, line_radii=[0.0012 * size]
-            )
+            wireframe, line_radii = rr.components.FillMode.MajorWireframe, [0.0012 * size]
+            wires = rr.Ellipsoids3D.from_fields(fill_mode=wireframe, line_radii=line_radii)
             recording.log(f"{path}/body", wires, static=True)
             axes = rr.Arrows3D.from_fields(colors=_AXIS_COLOURS, radii=[0.0018 * size])
             recording.log(f"{path}/axes", axes, static=True)

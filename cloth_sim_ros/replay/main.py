@@ -35,11 +35,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from cloth_sim_ros.session.output_files import check_outputs
 
     try:
-        check_outputs(
-            {"--save": options.save, "--screenshot": options.screenshot},
-            options.session,
-            endings={"--screenshot": ".png"},
-        )
+        outputs = {"--save": options.save, "--screenshot": options.screenshot}
+        check_outputs(outputs, options.session, endings={"--screenshot": ".png"})
         if options.screenshot is not None:
             show.save_picture(
                 options.session,
@@ -81,32 +78,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="cloth_replay",
-        description="Show a recorded cloth session in the Rerun viewer, or save it as a Rerun recording or a picture.",
-    )
+    description = "Show a recorded cloth session in the Rerun viewer, or save it as a Rerun recording or a picture."
+    parser = argparse.ArgumentParser(prog="cloth_replay", description=description)
     parser.add_argument("session", nargs="+", type=Path, help="session.mcap; all files of a split session, in order")
     output = parser.add_mutually_exclusive_group()
     output.add_argument("--save", metavar="OUT.rrd", type=Path, help="write a Rerun recording instead of showing it")
-    output.add_argument(
-        "--screenshot", metavar="OUT.png", type=Path, help="save a picture; needs neither a screen nor a GPU"
-    )
+    screenshot = "save a picture; needs neither a screen nor a GPU"
+    output.add_argument("--screenshot", metavar="OUT.png", type=Path, help=screenshot)
     parser.add_argument("--at", metavar="SECONDS", type=float, help="simulated time of the picture; default: the end")
-    parser.add_argument(
-        "--size", metavar="WxH", type=_size, default=(1600, 900), help="size of the picture; default: 1600x900"
-    )
+    size = "size of the picture; default: 1600x900"
+    parser.add_argument("--size", metavar="WxH", type=_size, default=(1600, 900), help=size)
     parser.add_argument("--every", metavar="N", type=int, default=1, help="show every Nth cloud; default: all")
-    parser.add_argument(
-        "--strain-limit", metavar="PERCENT", type=float, help="strain of the last colour; default: from the session"
-    )
-    parser.add_argument(
-        "--accuracy",
-        action="store_true",
-        help="measure the error like cloth_verify --accuracy; colour the cloth by it, and plot it",
-    )
-    parser.add_argument(
-        "--follow", action="store_true", help="follow a session that is being recorded, until the recording ends"
-    )
+    strain = "strain of the last colour; default: from the session"
+    parser.add_argument("--strain-limit", metavar="PERCENT", type=float, help=strain)
+    accuracy = "measure the error like cloth_verify --accuracy; colour the cloth by it, and plot it"
+    parser.add_argument("--accuracy", action="store_true", help=accuracy)
+    follow = "follow a session that is being recorded, until the recording ends"
+    parser.add_argument("--follow", action="store_true", help=follow)
     return parser
 
 

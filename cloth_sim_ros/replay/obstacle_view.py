@@ -62,17 +62,12 @@ class ObstacleView:
                 continue
             key, shape_bytes = (path, marker.type), b"".join(array.tobytes() for array in geometry.values())
             if self._shown.get(key) != shape_bytes:
-                self._hide(
-                    moment, [shown_key for shown_key in self._shown if shown_key[0] == path and shown_key != key]
-                )
+                self._hide(moment, [shown for shown in self._shown if shown[0] == path and shown != key])
                 self._draw(moment, key, geometry, marker.color)
                 self._shown[key] = shape_bytes
             p, q = marker.pose.position, marker.pose.orientation
-            self._table(path, rr.Transform3D).add(
-                moment,
-                translation=np.array([p.x, p.y, p.z], np.float32),
-                quaternion=np.array([q.x, q.y, q.z, q.w], np.float32),
-            )
+            translation, quaternion = np.array([p.x, p.y, p.z], np.float32), np.array([q.x, q.y, q.z, q.w], np.float32)
+            self._table(path, rr.Transform3D).add(moment, translation=translation, quaternion=quaternion)
 
     def _draw(
         self, moment: Moment, key: tuple[str, int], geometry: dict[str, NDArray[np.float32]], colour: Any

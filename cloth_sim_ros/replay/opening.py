@@ -66,11 +66,9 @@ class Opening:
         """
         grid = np.arange(rows * columns, dtype=np.intp).reshape(rows, columns)
         lines = {"top": grid[0], "bottom": grid[-1], "left": grid[:, 0], "right": grid[:, -1]}
-        corners = {
-            f"{row}_{column_name}": lines[row][[at]]
-            for row in ("top", "bottom")
-            for column_name, at in (("left", 0), ("right", -1))
-        }
+        corners: dict[str, NDArray[np.intp]] = {}
+        for row in ("top", "bottom"):
+            corners |= {f"{row}_left": lines[row][[0]], f"{row}_right": lines[row][[-1]]}
         named_particles = {**lines, **corners}
         particles: set[int] = set()
         for name in self.anchors if anchors is None else anchors:
@@ -87,9 +85,8 @@ def read_opening(scene_yaml: str, state: bytes) -> Opening:
         return _opening(scene_yaml, state)
     except (ValueError, TypeError, LookupError, OverflowError) as error:
         # Either may be intact and hold entries of wrong types or shapes.
-        raise SessionError(
-            f"scene.yaml or state.npz of the session is not one that cloth_sim wrote: {error}"
-        ) from error
+        cause = "scene.yaml or state.npz of the session is not one that cloth_sim wrote"
+        raise SessionError(f"{cause}: {error}") from error
 
 
 def _opening(scene_yaml: str, state: bytes) -> Opening:

@@ -64,17 +64,14 @@ def scan_session(reader: SessionReader, *, strain_limit: float | None = None, is
     opening = read_opening(reader.scene_yaml, reader.state)
     surface = reader.topology()
     if surface is None:
-        raise SessionError(
-            f"{reader.parts[0].path} holds no {reader.node}/topology, therefore its surface is unknown; "
-            "`rerun` itself shows the points"
-        )
+        cause = f"{reader.parts[0].path} holds no {reader.node}/topology, therefore its surface is unknown"
+        raise SessionError(f"{cause}; `rerun` itself shows the points")
     rest_positions = np.asarray(surface.vertices, dtype=np.float64)
     if len(rest_positions) != len(opening.positions) or (
         len(surface.triangles) and int(surface.triangles.max()) >= len(rest_positions)
     ):
-        raise SessionError(
-            f"{reader.parts[0].path}: the topology of {len(rest_positions)} particles does not fit the state"
-        )
+        cause = f"the topology of {len(rest_positions)} particles does not fit the state"
+        raise SessionError(f"{reader.parts[0].path}: {cause}")
     sample = _ScanSample(reader.node)
     geometry: SurfaceGeometry | None = None
     rows, columns = 1, len(rest_positions)
@@ -182,11 +179,8 @@ def _windows(reader: SessionReader, samples: int) -> list[tuple[int | None, int 
     for part in reader.parts:
         if not part.indexed or part.summary is None or not part.summary.chunks:
             return [(None, None)]
-        times += [
-            time
-            for index in part.summary.chunks.values()
-            for time in (index.message_start_time, index.message_end_time)
-        ]
+        for index in part.summary.chunks.values():
+            times += [index.message_start_time, index.message_end_time]
     first, last = min(times), max(times) + 1
     if samples < 2 or last - first < samples:
         return [(None, None)]

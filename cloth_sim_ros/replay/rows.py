@@ -76,8 +76,6 @@ def _indexes(moments: list[Moment]) -> list[rr.TimeColumn]:
 
     sim = np.round(np.array([moment.sim_time for moment in moments]) * 1e9).astype("timedelta64[ns]")
     ros = np.array([moment.ros_time for moment in moments], dtype=np.int64).astype("datetime64[ns]")
-    return [
-        rr.TimeColumn(SIM_TIME, duration=sim),
-        rr.TimeColumn(ROS_TIME, timestamp=ros),
-        rr.TimeColumn(FRAME, sequence=[moment.frame for moment in moments]),
-    ]
+    frames = [moment.frame for moment in moments]
+    times = [rr.TimeColumn(SIM_TIME, duration=sim), rr.TimeColumn(ROS_TIME, timestamp=ros)]
+    return [*times, rr.TimeColumn(FRAME, sequence=frames)]

@@ -108,9 +108,8 @@ class ReplayStream:
     @property
     def topics(self) -> frozenset[str]:
         """Topics that are shown."""
-        return frozenset(
-            {self._points, self._frame, self._obstacles, DIAGNOSTICS_TOPIC, "/rosout", *self._wrenches, *self._states}
-        )
+        fixed = (self._points, self._frame, self._obstacles, DIAGNOSTICS_TOPIC, "/rosout")
+        return frozenset({*fixed, *self._wrenches, *self._states})
 
     @property
     def time(self) -> float:
@@ -171,11 +170,8 @@ class ReplayStream:
         recording.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         recording.log(CLOTH, rr.Mesh3D.from_fields(triangle_indices=self._scan.triangles), static=True)
         size = float(np.linalg.norm(self._scan.high - self._scan.low))
-        recording.log(
-            ANCHORS,
-            rr.Points3D.from_fields(colors=np.array([colours.ANCHOR], np.uint32), radii=[0.0035 * size]),
-            static=True,
-        )
+        anchors = rr.Points3D.from_fields(colors=np.array([colours.ANCHOR], np.uint32), radii=[0.0035 * size])
+        recording.log(ANCHORS, anchors, static=True)
         self._view.start(recording, size)
         if self._accuracy is not None:
             draw_curves(recording)
@@ -281,11 +277,8 @@ class ReplayStream:
         """Return the positions before a frame (n, 3) [m], from the state or the last cloud; None if unknown."""
         if self._recorded_frame is None:
             return self._scan.opening.positions
-        if (
-            self._last_cloud is None
-            or self._cloud_frame != self._recorded_frame
-            or record.frame > self._recorded_frame + 1
-        ):
+        has_gap = self._cloud_frame != self._recorded_frame or record.frame > self._recorded_frame + 1
+        if self._last_cloud is None or has_gap:
             return None
         return decode_cloud(self._last_cloud.data).xyz
 

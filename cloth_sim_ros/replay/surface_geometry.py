@@ -109,10 +109,8 @@ class GridGeometry(SurfaceGeometry):
     ) -> None:
         self._shape = (rows, columns)
         grid = np.ascontiguousarray(rest_positions.T.reshape(3, rows, columns))
-        self._inverse_rest2 = [
-            (1.0 / np.maximum(((heads - tails) ** 2).sum(axis=0), 1e-24)).astype(np.float32)
-            for tails, heads in _edge_families(grid)
-        ]
+        lengths2 = [((heads - tails) ** 2).sum(axis=0) for tails, heads in _edge_families(grid)]
+        self._inverse_rest2 = [(1.0 / np.maximum(length2, 1e-24)).astype(np.float32) for length2 in lengths2]
         start_grid = start.T.reshape(3, rows, columns)
         along, down = np.gradient(start_grid, axis=2), np.gradient(start_grid, axis=1)
         self._sign = np.float32(_light_sign(np.cross(along, down, axis=0).reshape(3, -1)))
@@ -147,9 +145,8 @@ class GridGeometry(SurfaceGeometry):
 
     def _strain(self, x: Floats, out: Floats) -> None:
         out.fill(1.0)
-        for (tails, heads), inverse, (tail_out, head_out) in zip(
-            _edge_families(x), self._inverse_rest2, _edge_families(out), strict=True
-        ):
+        families = zip(_edge_families(x), self._inverse_rest2, _edge_families(out), strict=True)
+        for (tails, heads), inverse, (tail_out, head_out) in families:
             along = heads - tails
             stretch2 = np.einsum("krc,krc->rc", along, along)
             stretch2 *= inverse

@@ -68,9 +68,8 @@ def describe(type_name: str) -> TypeDescription:
     """
     store = standard_types()
     if type_name not in store.fielddefs:
-        raise SessionError(
-            f"message type {type_name!r} is not a standard ROS 2 Jazzy type; a session holds standard types only"
-        )
+        standard = "a standard ROS 2 Jazzy type; a session holds standard types only"
+        raise SessionError(f"message type {type_name!r} is not {standard}")
     definition, _ = store.generate_msgdef(type_name, ros_version=2)
     return TypeDescription(name=type_name, definition=definition, type_hash=store.hash_rihs01(type_name))
 

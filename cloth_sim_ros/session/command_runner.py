@@ -33,12 +33,8 @@ def exit_on_signal(command: str) -> Iterator[None]:
         os.write(2, f"{command}: interrupted\n".encode())
         os._exit(INTERRUPTED)
 
-    signal_numbers = [
-        signal_number for signal_number in _SIGNALS if signal.getsignal(signal_number) not in (signal.SIG_IGN, None)
-    ]
-    previous_handlers = [
-        (signal_number, signal.signal(signal_number, exit_at_once)) for signal_number in signal_numbers
-    ]
+    signal_numbers = [signum for signum in _SIGNALS if signal.getsignal(signum) not in (signal.SIG_IGN, None)]
+    previous_handlers = [(signum, signal.signal(signum, exit_at_once)) for signum in signal_numbers]
     try:
         yield
     finally:

@@ -125,14 +125,9 @@ def read_unchunked(file: BinaryIO, location: RecordLocation) -> Chunk | None:
             # The next call reads this record first, and raises.
             break
         end = next_start
-    return Chunk(
-        location=RecordLocation(location.opcode, location.offset, end - RECORD_HEADER_SIZE),
-        compression="",
-        payload=raw[:end],
-        raw=raw[:end],
-        crc=0,
-        has_checksum=False,
-    )
+    location = RecordLocation(location.opcode, location.offset, end - RECORD_HEADER_SIZE)
+    raw = raw[:end]
+    return Chunk(location=location, compression="", payload=raw, raw=raw, crc=0, has_checksum=False)
 
 
 def check_data_end(file: BinaryIO, location: RecordLocation) -> None:

@@ -37,9 +37,8 @@ def decompress(payload: bytes, compression: str, size: int) -> bytes:
         SessionError: if the library for the method is not installed.
     """
     if size > MAX_CHUNK_BYTES:
-        raise DecompressionError(
-            f"announces {size} bytes, the limit is {MAX_CHUNK_BYTES}; rewrite the file with smaller chunks"
-        )
+        limit = f"the limit is {MAX_CHUNK_BYTES}; rewrite the file with smaller chunks"
+        raise DecompressionError(f"announces {size} bytes, {limit}")
     if compression == "":
         content = payload
     elif compression == "lz4":

@@ -97,13 +97,11 @@ def _frames(
         frame = recorded.frame
         xyz = recorded.cloud.xyz
         if n_points is not None and len(xyz) != n_points:
-            raise SessionError(
-                f"a cloud has {len(xyz)} points, those before {n_points}; export the time spans separately"
-            )
+            counts = f"{len(xyz)} points, those before {n_points}"
+            raise SessionError(f"a cloud has {counts}; export the time spans separately")
         if dtype is not None and xyz.dtype != dtype:
-            raise SessionError(
-                f"a cloud is {xyz.dtype.name}, those before {dtype.name}; export the time spans separately"
-            )
+            types = f"{xyz.dtype.name}, those before {dtype.name}"
+            raise SessionError(f"a cloud is {types}; export the time spans separately")
         n_points, dtype = len(xyz), xyz.dtype
         frame_index, time = (-1, float("nan")) if frame is None else (frame.frame, frame.time)
         yield _Frame(frame_index, time, recorded.log_time, xyz)

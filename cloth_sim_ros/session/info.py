@@ -216,10 +216,8 @@ def _frames(summary: SessionSummary) -> str:
         return "none"
     first, last = summary.simulated
     speed = f", {(last - first) / summary.seconds:.2f} x real time" if summary.seconds > 0 else ""
-    return (
-        f"{summary.first_frame} to {summary.last_frame} ({pluralize(summary.advances, 'record')}), "
-        f"{first:.3f} to {last:.3f} s simulated{speed}"
-    )
+    frames = f"{summary.first_frame} to {summary.last_frame} ({pluralize(summary.advances, 'record')})"
+    return f"{frames}, {first:.3f} to {last:.3f} s simulated{speed}"
 
 
 def _steps(summary: SessionSummary) -> str:

@@ -38,9 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="cloth_session", description="Inspect, repair and export recorded sessions. No ROS needed."
-    )
+    description = "Inspect, repair and export recorded sessions. No ROS needed."
+    parser = argparse.ArgumentParser(prog="cloth_session", description=description)
     commands = parser.add_subparsers(required=True, metavar="{info,recover,export}")
 
     info = commands.add_parser("info", help="summarize sessions", description=_info.__doc__)
@@ -49,25 +48,20 @@ def _parser() -> argparse.ArgumentParser:
     info.add_argument("--json", action="store_true", help="print JSON")
     info.set_defaults(run=_info)
 
-    recover = commands.add_parser(
-        "recover", help="repair a session that was cut off or damaged", description=_recover.__doc__
-    )
+    damage = "repair a session that was cut off or damaged"
+    recover = commands.add_parser("recover", help=damage, description=_recover.__doc__)
     recover.add_argument("file", type=Path, metavar="session.mcap")
-    recover.add_argument(
-        "-o", "--output", type=Path, metavar="repaired.mcap", help="default: <name>_recovered.mcap beside it"
-    )
+    output = "default: <name>_recovered.mcap beside it"
+    recover.add_argument("-o", "--output", type=Path, metavar="repaired.mcap", help=output)
     recover.set_defaults(run=_recover)
 
-    export = commands.add_parser(
-        "export", help="particle trajectories as .npz or .parquet", description=_export.__doc__
-    )
-    export.add_argument(
-        "files", nargs="+", type=Path, metavar="session.mcap", help="one file, or the parts of a session"
-    )
+    formats = "particle trajectories as .npz or .parquet"
+    export = commands.add_parser("export", help=formats, description=_export.__doc__)
+    files = "one file, or the parts of a session"
+    export.add_argument("files", nargs="+", type=Path, metavar="session.mcap", help=files)
     export.add_argument("--all-parts", action="store_true", help="with one file given, read all files of its session")
-    export.add_argument(
-        "-o", "--output", type=Path, metavar="out.npz", help="*.npz or *.parquet; default: <name>.npz beside it"
-    )
+    output = "*.npz or *.parquet; default: <name>.npz beside it"
+    export.add_argument("-o", "--output", type=Path, metavar="out.npz", help=output)
     export.add_argument("--every", type=int, default=1, metavar="N", help="export every N-th cloud")
     export.add_argument("--start", type=float, metavar="S", help="from this simulated time on [s]")
     export.add_argument("--end", type=float, metavar="S", help="up to this simulated time [s]")
@@ -129,10 +123,8 @@ def _recover(options: argparse.Namespace) -> int:
             bar.update(position - bar.n)
 
         recovery = recover(options.file, options.output, on_progress=update_bar)
-    print(
-        f"{recovery.path}: {pluralize(recovery.messages, 'message')}, {recovery.bytes_written / 1e6:,.1f} MB\n"
-        f"what was missing stays missing: {recovery.missing}"
-    )
+    size = f"{pluralize(recovery.messages, 'message')}, {recovery.bytes_written / 1e6:,.1f} MB"
+    print(f"{recovery.path}: {size}\nwhat was missing stays missing: {recovery.missing}")
     return 0
 
 

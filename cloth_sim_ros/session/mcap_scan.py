@@ -191,9 +191,8 @@ def _check_size(file: BinaryIO, location: RecordLocation, limit: int) -> None:
     if location.end > file.seek(0, 2):
         raise DamagedRecordError(f"the record at byte {location.offset} is cut off")
     if location.body_size > limit:
-        raise DamagedRecordError(
-            f"the record at byte {location.offset} has {location.body_size} bytes, the limit is {limit}"
-        )
+        sizes = f"{location.body_size} bytes, the limit is {limit}"
+        raise DamagedRecordError(f"the record at byte {location.offset} has {sizes}")
 
 
 def read_chunk(file: BinaryIO, location: RecordLocation) -> Chunk:
@@ -212,9 +211,8 @@ def read_chunk(file: BinaryIO, location: RecordLocation) -> Chunk:
         raise DamagedRecordError(f"the chunk at byte {location.offset} has no readable head: {error}") from error
     payload = body[start + 8 :]
     if len(payload) != payload_size:
-        raise DamagedRecordError(
-            f"the chunk at byte {location.offset} does not hold the {payload_size} bytes it announces"
-        )
+        announced = f"the {payload_size} bytes it announces"
+        raise DamagedRecordError(f"the chunk at byte {location.offset} does not hold {announced}")
     try:
         raw = decompress(payload, compression, raw_size)
     except DecompressionError as error:
@@ -240,14 +238,11 @@ def chunk_records(chunk: Chunk) -> Iterator[tuple[slice, Schema | Channel | RawM
         if opcode not in _CHUNK_OPCODES:
             raise DamagedRecordError(f"the chunk at byte {chunk.location.offset} holds a record of opcode {opcode}")
         if end > len(raw) or (opcode == Opcode.MESSAGE and size < _MESSAGE.size):
-            raise DamagedRecordError(
-                f"the chunk at byte {chunk.location.offset} holds a record of {size} bytes too many"
-            )
+            cause = f"a record of {size} bytes too many"
+            raise DamagedRecordError(f"the chunk at byte {chunk.location.offset} holds {cause}")
         if len(raw) + size > MAX_CHUNK_BYTES and size > _LARGE_RECORD:
-            raise DamagedRecordError(
-                f"the chunk at byte {chunk.location.offset} has {len(raw)} bytes and a record of {size}; together the "
-                f"limit is {MAX_CHUNK_BYTES}"
-            )
+            sizes = f"{len(raw)} bytes and a record of {size}; together the limit is {MAX_CHUNK_BYTES}"
+            raise DamagedRecordError(f"the chunk at byte {chunk.location.offset} has {sizes}")
         if opcode == Opcode.MESSAGE:
             fields = (*_MESSAGE.unpack_from(raw, start), raw[start + _MESSAGE.size : end])
             yield slice(position, end), RawMessage._make(fields)
@@ -284,9 +279,8 @@ def read_attachment(file: BinaryIO, location: RecordLocation) -> Attachment:
         raise DamagedRecordError(f"the Attachment record at byte {location.offset} does not parse: {error}") from error
     start = position + 8
     if start + size + 4 != location.body_size:
-        raise DamagedRecordError(
-            f"the attachment at byte {location.offset} does not hold the {size} bytes it announces"
-        )
+        announced = f"the {size} bytes it announces"
+        raise DamagedRecordError(f"the attachment at byte {location.offset} does not hold {announced}")
     file.seek(location.offset + RECORD_HEADER_SIZE + start)
     data = file.read(size)
     (crc,) = struct.unpack("<I", file.read(4))
@@ -322,9 +316,8 @@ def read_summary(file: BinaryIO) -> Summary | None:
     if not len(MAGIC) <= footer.summary_start <= size - _FOOTER_SIZE:
         raise DamagedRecordError(f"the footer names byte {footer.summary_start} of a file of {size} bytes")
     if size - footer.summary_start > _MAX_RECORD_BODY:
-        raise DamagedRecordError(
-            f"the indexes at the file's end have {size - footer.summary_start} bytes, the limit is {_MAX_RECORD_BODY}"
-        )
+        sizes = f"{size - footer.summary_start} bytes, the limit is {_MAX_RECORD_BODY}"
+        raise DamagedRecordError(f"the indexes at the file's end have {sizes}")
     file.seek(footer.summary_start)
     raw = file.read(size - _FOOTER_SIZE - footer.summary_start)
     if footer.summary_crc and zlib.crc32(tail[:25], zlib.crc32(raw)) != footer.summary_crc:

@@ -75,10 +75,8 @@ class CloudEncoder:
 
 def mesh_bytes(triangles: ArrayLike, vertices: ArrayLike) -> bytes:
     """Encode a shape_msgs/Mesh: particle indices of the triangles (m, 3), rest positions [m] (n, 3)."""
-    triangle_indices, positions = (
-        np.ascontiguousarray(triangles, dtype="<u4"),
-        np.ascontiguousarray(vertices, dtype="<f8"),
-    )
+    triangle_indices = np.ascontiguousarray(triangles, dtype="<u4")
+    positions = np.ascontiguousarray(vertices, dtype="<f8")
     header = struct.pack("<I", len(triangle_indices)) + triangle_indices.tobytes() + struct.pack("<I", len(positions))
     return _LITTLE + bytes(_pad(bytearray(header), 8)) + positions.tobytes()
 

@@ -39,11 +39,10 @@ MOVED = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the new command on standard error; return 2."""
     name, *options = (sys.argv[1:] if arguments is None else arguments) or [""]
-    commands = [
-        f"make {target} ARGS={shlex.quote(shlex.join([names[name], *options]))}"
-        for target, names in MOVED.items()
-        if name in names
-    ]
+    commands = []
+    for target, names in MOVED.items():
+        if name in names:
+            commands.append(f"make {target} ARGS={shlex.quote(shlex.join([names[name], *options]))}")
     if name == "engine":
         advice = "its comparison with trees from before the engine is deleted"
     else:

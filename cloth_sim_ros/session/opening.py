@@ -57,24 +57,18 @@ def check_header(file: BinaryIO, path: Path) -> int:
 def check_contents(path: Path, metadata: Mapping[str, str], attachments: Container[str]) -> None:
     """Check metadata and attachments of the opening. Raises NotASessionError or DamagedSessionError."""
     if not metadata:
-        raise NotASessionError(
-            f"{path} is an MCAP without the metadata record {METADATA_NAME!r}: cloth_sim did not record it"
-        )
+        cause = f"an MCAP without the metadata record {METADATA_NAME!r}"
+        raise NotASessionError(f"{path} is {cause}: cloth_sim did not record it")
     if metadata.get("checksum") != metadata_checksum(metadata):
         raise DamagedSessionError(f"{path}: the metadata record {METADATA_NAME!r} fails its checksum")
     if metadata.get("format") != FORMAT_VERSION:
-        raise NotASessionError(
-            f"{path} has session format {metadata.get('format')!r}, this version reads {FORMAT_VERSION!r}; "
-            "use the version that recorded it"
-        )
+        formats = f"session format {metadata.get('format')!r}, this version reads {FORMAT_VERSION!r}"
+        raise NotASessionError(f"{path} has {formats}; use the version that recorded it")
     part_text = metadata.get("part", "")
-    if "session" not in metadata or not (
-        part_text.isascii() and part_text.isdecimal() and len(part_text) < _MAX_PART_DIGITS
-    ):
-        raise DamagedSessionError(
-            f"{path}: the metadata record {METADATA_NAME!r} does not tell which file of which session it is: its part "
-            f"is {part_text[:_MAX_PART_DIGITS]!r}"
-        )
+    is_part = part_text.isascii() and part_text.isdecimal() and len(part_text) < _MAX_PART_DIGITS
+    if "session" not in metadata or not is_part:
+        cause = f"does not tell which file of which session it is: its part is {part_text[:_MAX_PART_DIGITS]!r}"
+        raise DamagedSessionError(f"{path}: the metadata record {METADATA_NAME!r} {cause}")
     absent = [name for name in (SCENE_NAME, STATE_NAME) if name not in attachments]
     if absent:
         raise DamagedSessionError(f"{path} lacks its {' and '.join(absent)}: nothing can be run again")

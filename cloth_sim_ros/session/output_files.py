@@ -46,9 +46,8 @@ def check_outputs(
         _check_writable(option, path)
         ending = (endings or {}).get(option)
         if ending is not None and path.suffix.lower() not in ("", ending):
-            raise OutputError(
-                f"{option} is '{path}', but it writes {ending[1:].upper()} only: end the name in {ending}"
-            )
+            kind = ending[1:].upper()
+            raise OutputError(f"{option} is '{path}', but it writes {kind} only: end the name in {ending}")
     for (first_option, path), (second_option, second_path) in itertools.combinations(paths.items(), 2):
         if _is_regular_or_new(path) and os.path.realpath(path) == os.path.realpath(second_path):
             raise OutputError(f"{first_option} and {second_option} both name '{path}': give two names")
@@ -104,18 +103,14 @@ def _check_overwriting(option: str, path: Path, inputs: Sequence[Path]) -> None:
     for source in inputs:
         if _same_file(path, source):
             same_file_note = "" if path == source else f"the same file as '{source}', "
-            raise OutputError(
-                f"{option} is '{path}', {same_file_note}which is read: give the output's own name right after {option}"
-            )
+            remedy = f"give the output's own name right after {option}"
+            raise OutputError(f"{option} is '{path}', {same_file_note}which is read: {remedy}")
     if SUFFIX in (path.suffix.lower(), Path(os.path.realpath(path)).suffix.lower()):
-        raise OutputError(
-            f"{option} is '{path}', but what ends in {SUFFIX} is a session: give the output's own name right after "
-            f"{option}"
-        )
+        remedy = f"give the output's own name right after {option}"
+        raise OutputError(f"{option} is '{path}', but what ends in {SUFFIX} is a session: {remedy}")
     if _is_mcap(path):
-        raise OutputError(
-            f"{option} is '{path}', which holds an MCAP recording and is not overwritten: give the output another name"
-        )
+        cause = "which holds an MCAP recording and is not overwritten"
+        raise OutputError(f"{option} is '{path}', {cause}: give the output another name")
 
 
 def _check_writable(option: str, path: Path) -> None:
@@ -131,9 +126,8 @@ def _check_writable(option: str, path: Path) -> None:
     try:
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
-        raise OutputError(
-            f"{option} is '{path}', but nothing can be written into '{folder}' ({error.strerror}): name another folder"
-        ) from error
+        cause = f"nothing can be written into '{folder}' ({error.strerror})"
+        raise OutputError(f"{option} is '{path}', but {cause}: name another folder") from error
 
 
 def _is_regular_or_new(path: Path) -> bool:

@@ -203,11 +203,9 @@ class SessionPart:
             deficits.append("it is still being recorded")
         elif not self.finished and not self._at_end:
             n_bytes = self.size() - self._position
-            torn = (
-                f" ({n_bytes} bytes of a torn chunk are left out)"
-                if n_bytes and self._position > self._data_start
-                else ""
-            )
+            torn = ""
+            if n_bytes and self._position > self._data_start:
+                torn = f" ({n_bytes} bytes of a torn chunk are left out)"
             deficits.append(f"the recording was cut off, what its last second held is lost{torn}")
         elif not self.finished:
             deficits.append("its indexes are missing, its messages are all there")
@@ -294,9 +292,8 @@ class SessionPart:
                 for location in content_records(self._file, self._data_start):
                     self._read_content(location)
         except DamagedRecordError as error:
-            raise DamagedSessionError(
-                f"{self.path}: {error}; the session cannot be read without this record"
-            ) from error
+            consequence = "the session cannot be read without this record"
+            raise DamagedSessionError(f"{self.path}: {error}; {consequence}") from error
 
     def _read_channels(self) -> dict[str, str]:
         """Return message types by topic, from the indexes or from the first chunks."""
@@ -323,10 +320,8 @@ class SessionPart:
             self.attachments[attachment.name] = attachment
             self._attachment_bytes += len(attachment.data)
             if self._attachment_bytes > MAX_CHUNK_BYTES:
-                raise DamagedRecordError(
-                    f"the attachments up to byte {location.end} have {self._attachment_bytes} bytes, the limit is "
-                    f"{MAX_CHUNK_BYTES}"
-                )
+                sizes = f"{self._attachment_bytes} bytes, the limit is {MAX_CHUNK_BYTES}"
+                raise DamagedRecordError(f"the attachments up to byte {location.end} have {sizes}")
 
     def _read_end_notes(self, record: Metadata, location: RecordLocation) -> None:
         if record.metadata.get("checksum") != metadata_checksum(record.metadata):
@@ -342,9 +337,8 @@ class SessionPart:
             if _is_outside(index.message_start_time, index.message_end_time, start, end):
                 continue
             try:
-                yield read_chunk(
-                    self._file, RecordLocation(int(Opcode.CHUNK), offset, index.chunk_length - RECORD_HEADER_SIZE)
-                )
+                size = index.chunk_length - RECORD_HEADER_SIZE
+                yield read_chunk(self._file, RecordLocation(int(Opcode.CHUNK), offset, size))
             except DamagedRecordError as error:
                 self._report_damage(error)
         self._at_end = True

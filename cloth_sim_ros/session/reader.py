@@ -182,26 +182,20 @@ def pair_clouds(messages: Iterable[Message], node: str) -> Iterator[RecordedClou
             frame = message
         elif message.topic == f"{node}/points":
             is_same_frame = frame is not None and frame.publish_time == message.publish_time
-            yield RecordedCloud(
-                frame=read_frame(frame) if is_same_frame and frame is not None else None,
-                cloud=decode_cloud(message.data),
-                log_time=message.log_time,
-            )
+            frame_record = read_frame(frame) if is_same_frame and frame is not None else None
+            cloud = decode_cloud(message.data)
+            yield RecordedCloud(frame=frame_record, cloud=cloud, log_time=message.log_time)
 
 
 def _check_order(parts: Sequence[SessionPart]) -> None:
     first = parts[0]
     for before, after in itertools.pairwise(parts):
         if after.session != first.session:
-            raise SessionError(
-                f"{after.path} belongs to session {after.session}, {first.path} to {first.session}; "
-                "give the files of one session at a time"
-            )
+            sessions = f"belongs to session {after.session}, {first.path} to {first.session}"
+            raise SessionError(f"{after.path} {sessions}; give the files of one session at a time")
         if after.index != before.index + 1:
-            raise SessionError(
-                f"{after.path} is part {after.index} of its session and follows part {before.index}; "
-                "give all parts, in order"
-            )
+            order = f"is part {after.index} of its session and follows part {before.index}"
+            raise SessionError(f"{after.path} {order}; give all parts, in order")
 
 
 def session_files(path: Path | str) -> list[Path]:

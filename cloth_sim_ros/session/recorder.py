@@ -128,10 +128,8 @@ class Recorder:
             self._thread.start()
         except (RuntimeError, MemoryError) as error:
             reason = str(error) or "no memory is left"
-            raise RecordingError(
-                f"cannot record into {self._folder}: {reason}; end other processes, or raise this one's limits of "
-                "threads and memory (ulimit -u, ulimit -v)"
-            ) from error
+            remedy = "end other processes, or raise this one's limits of threads and memory (ulimit -u, ulimit -v)"
+            raise RecordingError(f"cannot record into {self._folder}: {reason}; {remedy}") from error
 
     def wait_until_open(self, timeout: float = 10.0) -> Path:
         """Wait until the first file exists; return its path. Raises RecordingError with the reason on failure."""
@@ -207,21 +205,17 @@ class Recorder:
 
     def status(self) -> RecorderStatus:
         """Return the current status of the recording."""
-        status = replace(
-            self._status,
-            dropped=self._dropped,
-            queue_depth=self._put_count - self._popped_count,
-            queue_bytes=self._put_bytes - self._popped_bytes,
-        )
+        queue_depth = self._put_count - self._popped_count
+        queue_bytes = self._put_bytes - self._popped_bytes
+        status = replace(self._status, dropped=self._dropped, queue_depth=queue_depth, queue_bytes=queue_bytes)
         if self._failure and status.state != "failed":
             return replace(status, state="failed", error=self._failure)
         if status.state in ("opening", "recording") and not self._thread.is_alive():
             # Read the status again: the thread may have ended properly in between.
             state = self._status.state
             if state in ("opening", "recording"):
-                return replace(
-                    status, state="failed", error="the recorder's thread ended unexpectedly, see its traceback"
-                )
+                cause = "the recorder's thread ended unexpectedly, see its traceback"
+                return replace(status, state="failed", error=cause)
             return self.status()
         return status
 
@@ -245,10 +239,8 @@ class Recorder:
 
     def _fail_on_backlog(self, queued_bytes: int) -> None:
         """End the recording after the queued messages: a shorter recording is better than one with gaps."""
-        self._fail_with(
-            f"{queued_bytes >> 20} MiB waited to be written, the limit is {self._options.backlog_bytes >> 20} MiB: "
-            f"the disk of {self._folder} is stuck or too slow"
-        )
+        backlog = f"{queued_bytes >> 20} MiB waited to be written, the limit is {self._options.backlog_bytes >> 20} MiB"
+        self._fail_with(f"{backlog}: the disk of {self._folder} is stuck or too slow")
 
     def _fail_with(self, reason: str) -> None:
         self._failure = reason
@@ -300,10 +292,8 @@ class Recorder:
         try:
             item = self._queue.popleft()
         except IndexError:
-            seconds_until_due = writer.seconds_until_due()
-            self._wake.wait(
-                _POLL_SECONDS if seconds_until_due is None else min(max(seconds_until_due, 0.0), _POLL_SECONDS)
-            )
+            due = writer.seconds_until_due()
+            self._wake.wait(_POLL_SECONDS if due is None else min(max(due, 0.0), _POLL_SECONDS))
             return None
         self._popped_count += 1
         self._popped_bytes += _memory_bytes(item)
@@ -316,9 +306,8 @@ class Recorder:
                 self._latched[item.topic] = item
         if item.topic in self._latched:
             self._latched[item.topic] = item._replace(qos=self._latched[item.topic].qos)
-        writer.add(
-            item.topic, item.data, log_time=item.log_time, publish_time=item.publish_time, sequence=item.sequence
-        )
+        log_time, publish_time = item.log_time, item.publish_time
+        writer.add(item.topic, item.data, log_time=log_time, publish_time=publish_time, sequence=item.sequence)
 
     def _open_next_file(self, writer: SessionWriter, split: _Split) -> SessionWriter:
         # The new file first: a follower looks for it as soon as the old one ends with the reason "split".

@@ -93,15 +93,9 @@ def _copy(part: SessionPart, file: AppendFile, on_progress: Callable[[int, int],
     from cloth_sim_ros.session.mcap_builder import McapBuilder
 
     builder = McapBuilder(compression="none")
-    file.append(
-        [
-            builder.encode_opening(
-                library="cloth_sim_ros",
-                metadata=[Metadata(name=METADATA_NAME, metadata=dict(part.metadata))],
-                attachments=list(part.attachments.values()),
-            )
-        ]
-    )
+    metadata = [Metadata(name=METADATA_NAME, metadata=dict(part.metadata))]
+    attachments = list(part.attachments.values())
+    file.append([builder.encode_opening(library="cloth_sim_ros", metadata=metadata, attachments=attachments)])
     messages = _copy_chunks(part, file, builder, on_progress)
     schemas, channels = part.declarations()
     builder.set_declarations(schemas, channels)

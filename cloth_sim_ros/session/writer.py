@@ -58,15 +58,11 @@ class WriterOptions:
 
     def __post_init__(self) -> None:
         if self.chunk_bytes < 1 or self.min_free_space < 0:
-            raise RecordingError(
-                f"a chunk of {self.chunk_bytes} bytes with {self.min_free_space} bytes kept free: "
-                "the first must be positive, the second must not be negative"
-            )
+            sizes = f"a chunk of {self.chunk_bytes} bytes with {self.min_free_space} bytes kept free"
+            raise RecordingError(f"{sizes}: the first must be positive, the second must not be negative")
         if not (0 < self.chunk_seconds < 60 and 0 <= self.sync_seconds < 3600):
-            raise RecordingError(
-                f"chunks of {self.chunk_seconds} s, synchronised every {self.sync_seconds} s: "
-                "the first must be within (0, 60), the second within [0, 3600)"
-            )
+            times = f"chunks of {self.chunk_seconds} s, synchronised every {self.sync_seconds} s"
+            raise RecordingError(f"{times}: the first must be within (0, 60), the second within [0, 3600)")
 
 
 class SessionWriter:

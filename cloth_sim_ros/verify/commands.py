@@ -253,7 +253,7 @@ def _pose(position: Iterable[float], orientation: Iterable[float] | None) -> _Po
 
 
 def _is_same_pose(pose_a: _Pose, pose_b: _Pose) -> bool:
-    signs_a, signs_b = ([math.copysign(1.0, number) for number in pose] for pose in (pose_a, pose_b))
+    signs_a, signs_b = ([math.copysign(1.0, component) for component in pose] for pose in (pose_a, pose_b))
     return pose_a == pose_b and signs_a == signs_b
 
 
