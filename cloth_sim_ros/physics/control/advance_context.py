@@ -127,7 +127,6 @@ class AdvanceContext:
             refinement = max(1.0, 0.5 * refinement)
         self.exhausted = True
         reused = reusable if refinement == choice.refinement else 0
-        self.abandoned = (
-            estimate_work(choice.n_runs, refinement) > remaining + reused + FALLBACK_EVALUATIONS and self.has_fallback
-        )
+        work = estimate_work(choice.n_runs, refinement)
+        self.abandoned = work > remaining + reused + FALLBACK_EVALUATIONS and self.has_fallback
         return StepChoice(choice.n_runs, refinement, True)

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from cloth_sim_ros.physics.integrators.implicit import Implicit
 
 _TOLERANCE_MISSED = "implicit steps missed the tolerance"
+_NO_SOLUTION = "implicit steps found no way through this fold"
 #: Integrators by the name that a scene gives.
 INTEGRATORS = ("auto", "leapfrog", "extrapolated", "implicit", "symplectic_euler")
 
@@ -116,11 +117,7 @@ class Automatic(Integrator):
                 if result.flagged and strict:
                     result, failure = None, _TOLERANCE_MISSED
             except UnstableError as error:
-                failure = (
-                    _TOLERANCE_MISSED
-                    if isinstance(error, ToleranceMissedError)
-                    else "implicit steps found no way through this fold"
-                )
+                failure = _TOLERANCE_MISSED if isinstance(error, ToleranceMissedError) else _NO_SOLUTION
                 evaluations = error.evaluations
             if result is None:
                 if plan.contact is not None:
@@ -156,22 +153,19 @@ class Automatic(Integrator):
         self, memory: IntegratorChoiceState, plan: Plan, state: State, t: float, duration: float
     ) -> None:
         """Compare the costs of both methods periodically, and at once if the implicit method becomes expensive."""
-        if memory.frames_until_comparison > 0.0 and not (
-            memory.is_implicit and memory.implicit_cost > CONSTANTS.estimate_trust_factor * memory.explicit_cost
-        ):
+        is_expensive = memory.implicit_cost > CONSTANTS.estimate_trust_factor * memory.explicit_cost
+        if memory.frames_until_comparison > 0.0 and not (memory.is_implicit and is_expensive):
             return
         memory.explicit_cost, memory.explicit_also_failed = _explicit_frame_cost(plan, state, t, duration), 0.0
         if plan.contact is not None and not memory.is_implicit:
             # The contact that made implicit steps expensive may have ended.
             memory.implicit_cost *= 0.5
-        implicit_pays = (
-            memory.explicit_cost > CONSTANTS.error_target_fraction * duration * 1e9 and is_implicit_feasible(plan)
-        )
+        target_cost = CONSTANTS.error_target_fraction * duration * 1e9
+        implicit_pays = memory.explicit_cost > target_cost and is_implicit_feasible(plan)
         if implicit_pays:
             implicit_cost = memory.implicit_cost or _first_implicit_frame_cost(plan)
-            implicit_pays = (
-                implicit_cost <= (CONSTANTS.estimate_trust_factor if memory.is_implicit else 1.0) * memory.explicit_cost
-            )
+            factor = CONSTANTS.estimate_trust_factor if memory.is_implicit else 1.0
+            implicit_pays = implicit_cost <= factor * memory.explicit_cost
         if implicit_pays != bool(memory.is_implicit):
             reset_step_control(state)
         memory.is_implicit, memory.frames_until_comparison = float(implicit_pays), CONSTANTS.max_estimate_period

@@ -80,17 +80,13 @@ class ContactStepLimit:
         return self._options.step_limit(stability.omega2 + omega2, stability.damping + damping)
 
     def limit_at_energy(
-        self,
-        energy: float,
-        self_contact: tuple[float, float],
-        omega2: float | None = None,
-        damping: float | None = None,
+        self, energy: float, rates: tuple[float, float], omega2: float | None = None, damping: float | None = None
     ) -> float:
         """Return the step limit with contact [s].
 
         Args:
             energy: energy per mass that contact with obstacles had to absorb, in U^2/2.
-            self_contact: squared frequency [1/s^2] and damping rate [1/s] of self-contact.
+            rates: squared frequency [1/s^2] and damping rate [1/s] of self-contact.
             omega2: squared frequency of the sheet [1/s^2]; the last bound by default.
             damping: damping rate of the sheet [1/s]; the last bound by default.
         """
@@ -98,15 +94,14 @@ class ContactStepLimit:
         damping = self._stability.damping if damping is None else damping
         if self._plan.contact is not None:
             contact_omega2, contact_damping = self._plan.contact.bounds_at_energy(energy)
-            omega2, damping = omega2 + contact_omega2 + self_contact[0], damping + contact_damping + self_contact[1]
+            omega2, damping = omega2 + contact_omega2 + rates[0], damping + contact_damping + rates[1]
         return self._options.step_limit(omega2, damping)
 
     @staticmethod
     def _encountered(tableau: ExtrapolationTableau, n_runs: int) -> tuple[float, tuple[float, float]]:
         """Return energy per mass at obstacles and rates of self-contact that T_K encountered, K = n_runs."""
-        return max(tableau.encountered_energy(n_runs), tableau.summary(n_runs).contact_energy), tableau.self_contact(
-            n_runs
-        )
+        energy = max(tableau.encountered_energy(n_runs), tableau.summary(n_runs).contact_energy)
+        return energy, tableau.self_contact(n_runs)
 
     def has_contact(self, tableau: ExtrapolationTableau, n_runs: int) -> bool:
         """Return True if T_K encountered contact, K = n_runs."""
@@ -120,19 +115,13 @@ class ContactStepLimit:
         summary = tableau.summary(n_runs)
         if self._plan.contact is None:
             return self._options.step_limit(summary.omega2, summary.damping)
-        energy, self_contact = self._encountered(tableau, n_runs)
-        return self.limit_at_energy(
-            energy, max_rates(self_contact, summary.self_contact), summary.omega2, summary.damping
-        )
+        return self.limit_of_run(tableau.encountered_energy(n_runs), tableau.self_contact(n_runs), summary)
 
     def limit_of_run(self, encountered_energy: float, self_contact: tuple[float, float], summary: RunSummary) -> float:
         """Return the step limit of a run [s]: contact that it encountered, see `Run.contact_summary`, and its end."""
-        return self.limit_at_energy(
-            max(encountered_energy, summary.contact_energy),
-            max_rates(self_contact, summary.self_contact),
-            summary.omega2,
-            summary.damping,
-        )
+        energy = max(encountered_energy, summary.contact_energy)
+        rates = max_rates(self_contact, summary.self_contact)
+        return self.limit_at_energy(energy, rates, summary.omega2, summary.damping)
 
     def should_halve(self, max_step: float, duration: float) -> bool:
         """Return True if an interval should be halved before the first attempt, because an impact is short.
@@ -146,10 +135,8 @@ class ContactStepLimit:
         if self._plan.contact is None or self._options.tolerance is None:
             return False
         sheet_max_step = min(CONSTANTS.stability_safety * self.sheet_limit, duration)
-        return (
-            sheet_max_step > CONSTANTS.estimate_trust_factor * max_step
-            and duration > CONSTANTS.contact_min_interval_steps * max_step
-        )
+        is_shorter = sheet_max_step > CONSTANTS.estimate_trust_factor * max_step
+        return is_shorter and duration > CONSTANTS.contact_min_interval_steps * max_step
 
     def exceeds_known_energy(self, contact_energy: float) -> bool:
         """Return True if the contact energy clearly exceeds that of the last estimate, so its error is unknown."""

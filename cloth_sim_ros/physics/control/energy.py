@@ -43,9 +43,7 @@ class EnergyRule:
         self._plan, self.memory, self._last_refinement = plan, memory, last_refinement
         self._is_first_run = memory.min_omega2 < 0.0
 
-    def must_check(
-        self, omega2_before: float, omega2_after: float, *, has_several_step_sizes: bool, refinement: float
-    ) -> bool:
+    def must_check(self, omega2_before: float, omega2_after: float, steps_differ: bool, refinement: float) -> bool:
         """Return True if the energy of a run with unknown error must be checked.
 
         A single run needs the check only at the start, and after a change of stiffness.
@@ -53,7 +51,7 @@ class EnergyRule:
         Args:
             omega2_before: bound of the squared frequency at its start [1/s^2].
             omega2_after: the same at its end.
-            has_several_step_sizes: True for a combination of runs, or if other intervals of the advance have other
+            steps_differ: True for a combination of runs, or if other intervals of the advance have other
                 step sizes.
             refinement: refinement of its steps.
         """
@@ -61,7 +59,7 @@ class EnergyRule:
         lower, upper = min(omega2_before, omega2_after), max(omega2_before, omega2_after)
         memory.min_omega2 = lower if memory.min_omega2 < 0.0 else min(memory.min_omega2, lower)
         has_stiffened = upper > CONSTANTS.energy_check_stiffening * memory.min_omega2
-        return has_several_step_sizes or self._is_start(refinement) or has_stiffened
+        return steps_differ or self._is_start(refinement) or has_stiffened
 
     def exceeds_gain(self, start: Moment, end: Moment, step: float, work: float, *, refinement: float) -> bool:
         """Add the energy that a run created to the drift; return True if it exceeds the limit.
@@ -78,17 +76,12 @@ class EnergyRule:
         rise = self._leapfrog_energy(end, step) - before - work
         turnover = max(self._kinetic_energy(start), self._kinetic_energy(end)) + abs(work)
         rounding_energy = _ROUNDING * abs(before) + self._rounding_energy(end[1].x)
-        energy_drift, max_drift = (
-            max(0.0, memory.energy_drift + rise),
-            CONSTANTS.max_energy_gain * turnover + rounding_energy,
-        )
+        energy_drift = max(0.0, memory.energy_drift + rise)
+        max_drift = CONSTANTS.max_energy_gain * turnover + rounding_energy
+        max_oscillation = CONSTANTS.max_energy_oscillation * turnover + rounding_energy
         if not np.isfinite(rise):
             return True
-        if (
-            self._is_start(refinement)
-            and self._energy(end) - self._energy(start) - work
-            > CONSTANTS.max_energy_oscillation * turnover + rounding_energy
-        ):
+        if self._is_start(refinement) and self._energy(end) - self._energy(start) - work > max_oscillation:
             return True
         if rise > 0.0 and energy_drift > max_drift:
             return True
@@ -151,20 +144,12 @@ def external_work(plan: Plan, state: State, tableau: ExtrapolationTableau, t: fl
         n_runs: K, the number of combined runs.
     """
     x, v = tableau.combine(n_runs)
-    obstacles_move = plan.contact is not None and not plan.contact.force.steady()
-    if not (obstacles_move or plan.supply(t, state.x, state.v) or plan.supply(t, x, v)):
+    moves = plan.contact is not None and not plan.contact.force.steady()
+    if not (moves or plan.supply(t, state.x, state.v) or plan.supply(t, x, v)):
         return tableau.work(n_runs), 0
     # Runs record the work of air and obstacles on demand alone.
-    single_precision, ratio = tableau.single_precision, tableau.ratio
-    recorded_tableau = ExtrapolationTableau(
-        plan,
-        state,
-        t,
-        tableau.duration,
-        tableau.counts,
-        record_power=True,
-        record_obstacles=obstacles_move,
-        single_precision=single_precision,
-        ratio=ratio,
+    span, counts, ratio, single = tableau.duration, tableau.counts, tableau.ratio, tableau.single_precision
+    recorded = ExtrapolationTableau(
+        plan, state, t, span, counts, record_power=True, record_obstacles=moves, single_precision=single, ratio=ratio
     )
-    return recorded_tableau.work(n_runs), recorded_tableau.evaluations
+    return recorded.work(n_runs), recorded.evaluations

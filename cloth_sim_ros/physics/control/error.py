@@ -75,7 +75,7 @@ class ErrorRule:
     def __init__(
         self, memory: ErrorState, stability: StabilityRule, budget: float, max_runs: int, state: State
     ) -> None:
-        self.memory, self._stability, self.budget, self._max_runs = memory, stability, budget, max_runs
+        self.memory, self.stability, self.budget, self._max_runs = memory, stability, budget, max_runs
         self._x = state.x
 
     def for_interval(self, memory: ErrorState, budget: float, state: State, stability: StabilityRule) -> ErrorRule:
@@ -114,12 +114,10 @@ class ErrorRule:
             errors: of T_1, T_2, ... at the present refinement [m]; that of T_K decreases as h^(K + 1).
             refinement: present refinement.
         """
-        best = (1, refinement, float("inf"))
+        best, target = (1, refinement, float("inf")), CONSTANTS.error_target_fraction * self.budget
         for n_runs, error in enumerate(errors[: self._max_runs], start=1):
-            scale = root(
-                max(error, self.rounding_floor(n_runs)) / (CONSTANTS.error_target_fraction * self.budget), n_runs + 1
-            )
-            required_refinement = max(self._stability.min_refinement(n_runs), refinement * scale)
+            scale = root(max(error, self.rounding_floor(n_runs)) / target, n_runs + 1)
+            required_refinement = max(self.stability.min_refinement(n_runs), refinement * scale)
             work = required_refinement * (RATIO_SUMS[n_runs] + RATIOS[n_runs] / CONSTANTS.max_estimate_period)
             if work < best[2]:
                 best = (n_runs, required_refinement, work)
@@ -143,30 +141,14 @@ class ErrorRule:
         memory.n_runs, memory.refinement, memory.activity = float(next_runs), next_refinement, sums.activity
         memory.error = max(errors[next_runs - 1] * power(step_ratio, next_runs + 1), self.rounding_floor(next_runs))
         if next_runs > 1:
-            previous_error, next_error = errors[next_runs - 2], errors[next_runs - 1]
-            memory.error_ratio = (
-                min(1.0, next_error / previous_error * step_ratio)
-                if previous_error > self.rounding_floor(next_runs - 1)
-                else 1.0
-            )
-            memory.difference = (
-                max(previous_error, self.rounding_floor(next_runs - 1)) * power(step_ratio, next_runs) / sums.n_parts
-            )
-        is_trusted = (
-            is_far_below
-            or (is_comparable and prediction_ratio <= CONSTANTS.estimate_trust_factor)
-            or error <= self.rounding_floor(n_runs)
-        )
-        memory.safety_factor = (
-            1.0
-            if is_far_below
-            else max(1.0, 0.5 * memory.safety_factor, min(prediction_ratio, 1e3) if is_comparable else 1.0)
-        )
-        max_period = (
-            4.0 * CONSTANTS.max_estimate_period
-            if is_far_below and next_refinement == 1.0
-            else CONSTANTS.max_estimate_period
-        )
+            previous, floor = errors[next_runs - 2], self.rounding_floor(next_runs - 1)
+            memory.error_ratio = min(1.0, errors[next_runs - 1] / previous * step_ratio) if previous > floor else 1.0
+            memory.difference = max(previous, floor) * power(step_ratio, next_runs) / sums.n_parts
+        is_confirmed = is_comparable and prediction_ratio <= CONSTANTS.estimate_trust_factor
+        is_trusted = is_far_below or is_confirmed or error <= self.rounding_floor(n_runs)
+        known_ratio = min(prediction_ratio, 1e3) if is_comparable else 1.0
+        memory.safety_factor = 1.0 if is_far_below else max(1.0, 0.5 * memory.safety_factor, known_ratio)
+        max_period = CONSTANTS.max_estimate_period * (4.0 if is_far_below and next_refinement == 1.0 else 1.0)
         memory.estimate_period = min(max_period, 2.0 * memory.estimate_period) if is_trusted else 1.0
         memory.frames_until_estimate = memory.estimate_period
 
@@ -184,9 +166,8 @@ class ErrorRule:
         """Record a refinement that the energy rule required for a fixed step."""
         memory = self.memory
         memory.refinement = refinement
-        memory.frames_until_estimate = memory.estimate_period = min(
-            CONSTANTS.max_estimate_period, 2.0 * memory.estimate_period
-        )
+        memory.estimate_period = min(CONSTANTS.max_estimate_period, 2.0 * memory.estimate_period)
+        memory.frames_until_estimate = memory.estimate_period
 
 
 def predict_single_run_error(memory: ErrorState, activity: float) -> float:

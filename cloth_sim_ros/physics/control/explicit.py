@@ -7,37 +7,18 @@ from __future__ import annotations
 import math
 
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
-from cloth_sim_ros.physics.control import fast_path
+from cloth_sim_ros.physics.control import fallback, fast_path
 from cloth_sim_ros.physics.control.advance_context import AdvanceContext
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.contact_step_limit import ContactStepLimit
 from cloth_sim_ros.physics.control.energy import EnergyRule
 from cloth_sim_ros.physics.control.error import ErrorRule, is_for_duration
-from cloth_sim_ros.physics.control.fallback import (
-    evaluation_budget,
-    finish_implicitly,
-    is_implicit_feasible,
-    part_call_work,
-    work_cap,
-)
 from cloth_sim_ros.physics.control.interval import Interval
 from cloth_sim_ros.physics.control.multirate import MultirateRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.stability import StabilityRule
-from cloth_sim_ros.physics.control.step_choice import (
-    ExplicitSettings,
-    StepChoice,
-    describe_choice,
-    describe_details,
-    limiting_factor,
-)
-from cloth_sim_ros.physics.integrators.base import (
-    Advance,
-    NoRoomError,
-    UnstableError,
-    refuse_unbounded,
-    refuse_unstable,
-)
+from cloth_sim_ros.physics.control.step_choice import ExplicitSettings, StepChoice, describe_details
+from cloth_sim_ros.physics.integrators.base import Advance, NoRoomError, UnstableError, refuse_step, refuse_unbounded
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, PrecomputedRun
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import (
@@ -99,36 +80,32 @@ class ExplicitAdvance:
             # The recorded errors belong to frames of another length.
             error = ErrorState(n_runs=error.n_runs, refinement=error.refinement, duration=duration)
             precision, noise = PrecisionState(), RoundingNoiseState()
-        n_runs, last_refinement = options.n_runs, 0.0
-        if options.tolerance is not None:
+        n_runs, last_refinement, has_tolerance = options.n_runs, 0.0, options.tolerance is not None
+        if has_tolerance:
             n_runs = min(int(error.n_runs), n_runs)
         elif error.frames_until_estimate <= 0.0:
             # Larger steps than the energy rule required are tried periodically.
             last_refinement, error.refinement = error.refinement, max(1.0, 0.5 * error.refinement)
-        estimates_error = options.tolerance is not None and error.frames_until_estimate <= 0.0
-        budget = (
-            math.inf if options.tolerance is None else CONSTANTS.error_budget_fraction * duration * options.tolerance
-        )
+        estimates_error, budget = has_tolerance and error.frames_until_estimate <= 0.0, math.inf
+        if options.tolerance is not None:
+            budget = CONSTANTS.error_budget_fraction * duration * options.tolerance
         # A fixed step of a running simulation was stable at its start.
         proven_step = options.step if options.step is not None and self._has_history else 0.0
         memory.max_step = max(memory.max_step, min(max(limit, proven_step), duration))
         self._fallback_count = FallbackState.load(state).fallback_count
-        allows_multirate = options.tolerance is not None and stability.is_damped
-        contact_limit = ContactStepLimit(
-            options, plan, ContactState() if plan.contact is None else ContactState.load(state), memory
-        )
+        contact = ContactState() if plan.contact is None else ContactState.load(state)
+        contact_limit = ContactStepLimit(options, plan, contact, memory)
         contact_time = contact_limit.predict(t, duration, state)
         # Waves of contact may have any frequency, without damping.
-        multirate = MultirateRule(plan, MultirateState.load(state), allowed=allows_multirate and not contact_time > 0.0)
+        allows_multirate = has_tolerance and stability.is_damped and not contact_time > 0.0
+        multirate = MultirateRule(plan, MultirateState.load(state), allowed=allows_multirate)
         max_step = min(CONSTANTS.stability_safety * limit, duration)
         if estimates_error:
             multirate.choose(state.x, max_step, duration, n_runs)
         else:
             multirate.keep(max_step, duration)
         # The recorded error is valid for the same multirate ratio only.
-        estimates_error = estimates_error or (
-            options.tolerance is not None and multirate.ratio != multirate.memory.ratio
-        )
+        estimates_error = estimates_error or (has_tolerance and multirate.ratio != multirate.memory.ratio)
         self._context = AdvanceContext(
             options=options,
             plan=plan,
@@ -141,21 +118,18 @@ class ExplicitAdvance:
             contact_limit=contact_limit,
             duration=duration,
             max_evaluations=math.inf,
-            part_call_work=part_call_work(plan, contact_time),
+            part_call_work=fallback.part_call_work(plan, contact_time),
             may_touch=contact_time > 0.0,
             precomputed_run=precomputed_run,
         )
         rule = ErrorRule(error, stability, budget, options.n_runs, state)
-        self._stability = stability
-        self._interval = Interval(
-            self._context, t, duration, StepChoice(n_runs, error.refinement, estimates_error), rule, stability
-        )
+        choice = StepChoice(n_runs, error.refinement, estimates_error)
+        self._interval = Interval(self._context, t, duration, choice, rule)
         self._limit = self._interval.limit
         #: Limit of force evaluations of the frame.
-        self._max_evaluations = evaluation_budget(plan, options.work, duration, contact_time, multirate.ratio)
-        work, self._reserve = work_cap(
-            plan, self._max_evaluations, duration, memory.max_step, self._fallback_count, contact_time, self._limit
-        )
+        self._max_evaluations = fallback.evaluation_budget(plan, options.work, duration, contact_time, multirate.ratio)
+        limits = duration, memory.max_step, self._fallback_count, contact_time, self._limit
+        work, self._reserve = fallback.work_cap(plan, self._max_evaluations, *limits)
         self._grant_work(work)
 
     def _grant_work(self, work: float) -> None:
@@ -175,7 +149,7 @@ class ExplicitAdvance:
         """
         options, state, context, interval = self._options, self._state, self._context, self._interval
         if options.step is not None and options.step > self._limit and not self._has_history:
-            refuse_unstable(options.step, self._limit, options.name)
+            refuse_step(options.step, self._limit, options.name)
         # Even the longest stable steps may exceed the work limit of the frame.
         context.abandoned = self._duration / self._sheet_limit > context.max_evaluations and context.has_fallback
         fits = interval.fits_budget(interval.choice.n_runs, interval.choice.refinement)
@@ -185,9 +159,8 @@ class ExplicitAdvance:
             n_runs = interval.choice.n_runs
             while n_runs > 1 and not interval.fits_budget(n_runs, 1.0):
                 n_runs -= 1
-            max_refinement = (
-                context.max_evaluations / interval.estimate_work(n_runs, 1.0) / CONSTANTS.max_refinement_factor
-            )
+            work = interval.estimate_work(n_runs, 1.0)
+            max_refinement = context.max_evaluations / work / CONSTANTS.max_refinement_factor
             interval.choice = StepChoice(n_runs, max(1.0, min(interval.choice.refinement, max_refinement)), True)
         if interval.choice.estimates_error and not context.abandoned:
             if fits:
@@ -213,6 +186,7 @@ class ExplicitAdvance:
         if self._fallback_count or context.in_fallback:
             FallbackState(min(64.0, self._fallback_count + 1.0) if context.in_fallback else 0.0).store(state)
         flagged = int(options.tolerance is not None and error > interval.rule.budget)
+        limited_by = interval.choice.limiting_factor(options, interval.first_run_steps, interval.min_step)
         return Advance(
             steps=interval.steps,
             evaluations=context.evaluations,
@@ -220,9 +194,7 @@ class ExplicitAdvance:
             limit=self._limit,
             rejected=context.rejected,
             integrator=options.name,
-            limited_by="work"
-            if context.exhausted
-            else limiting_factor(options, interval.choice, interval.first_run_steps, interval.min_step),
+            limited_by="work" if context.exhausted else limited_by,
             error=error if options.tolerance is not None else None,
             flagged=flagged,
             reason=self._describe(flagged),
@@ -242,7 +214,7 @@ class ExplicitAdvance:
         except NoRoomError:
             # Moving bodies left the cloth no space within the frame: no step is short enough.
             self._state.restore_motion(interval.start)
-            if not is_implicit_feasible(self._plan):
+            if not fallback.is_implicit_feasible(self._plan):
                 raise
             return None
         except UnstableError:
@@ -256,9 +228,8 @@ class ExplicitAdvance:
         """Integrate by a single run of the longest stable steps, within the reserve; see `_integrate`."""
         context = self._context
         context.in_fallback, context.exhausted, context.abandoned = True, True, False
-        self._interval = Interval(
-            context, self._t, self._duration, StepChoice(1, 1.0, True), self._interval.rule, self._stability
-        )
+        choice, rule = StepChoice(1, 1.0, True), self._interval.rule
+        self._interval = Interval(context, self._t, self._duration, choice, rule)
         self._grant_work(self._reserve)
         return self._integrate()
 
@@ -269,7 +240,7 @@ class ExplicitAdvance:
     def _describe(self, flagged: int) -> str:
         """Return the choice in words."""
         interval, context = self._interval, self._context
-        text = describe_choice(self._options, interval.choice, interval.first_run_steps, interval.min_step)
+        text = interval.choice.describe(self._options, interval.first_run_steps, interval.min_step)
         if interval.n_pieces > 1:
             text += f" in the finest of {interval.n_pieces} stretches"
         text += describe_details(interval.ratio, context.single_precision)
@@ -286,14 +257,10 @@ class ExplicitAdvance:
         self._memory.store(self._state)
         if self._accumulator is not None:
             self._accumulator.reset()
-        result = finish_implicitly(
-            self._plan,
-            self._state,
-            self._t,
-            self._duration,
-            self._accumulator,
-            instead_of=self._options.name,
-            max_evaluations=self._max_evaluations - context.evaluations - context.call_work,
+        plan, state, name = self._plan, self._state, self._options.name
+        remaining = self._max_evaluations - context.evaluations - context.call_work
+        result = fallback.finish_implicitly(
+            plan, state, self._t, self._duration, self._accumulator, instead_of=name, max_evaluations=remaining
         )
         return result._replace(
             evaluations=context.evaluations + result.evaluations,

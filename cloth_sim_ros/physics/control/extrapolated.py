@@ -4,25 +4,14 @@
 
 from __future__ import annotations
 
-from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
-from cloth_sim_ros.physics.control import explicit
+from cloth_sim_ros.physics.control.leapfrog import ExplicitIntegrator
 from cloth_sim_ros.physics.control.stability import MAX_COMBINED_RUNS
-from cloth_sim_ros.physics.integrators.base import (
-    WORK_LIMIT,
-    Advance,
-    Integrator,
-    check_step,
-    check_tolerance,
-    check_work,
-)
-from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.physics.integrators.base import WORK_LIMIT, check_settings
 from cloth_sim_ros.physics.old_names import with_old_arguments, with_old_names
-from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.state.state import State
 
 
 @with_old_names(columns="n_runs")
-class Extrapolated(Integrator):
+class Extrapolated(ExplicitIntegrator):
     """Extrapolation of leapfrog runs: combines runs with several step counts so that leading errors cancel.
 
     One run is the leapfrog itself, of order 2; K combined runs have order K + 1. Runs have the cost and the stable step
@@ -62,19 +51,5 @@ class Extrapolated(Integrator):
     ) -> None:
         if not 1 <= n_runs <= MAX_COMBINED_RUNS:
             raise ValueError(f"columns is {n_runs}; it must be from 1 to {MAX_COMBINED_RUNS}")
-        if tolerance is not None and step is not None:
-            raise ValueError(
-                f"step {step} s and tolerance {tolerance} m are both set: a fixed step holds no tolerance; set one"
-            )
-        self.tolerance = check_tolerance(tolerance)
-        self.step, self.work = check_step(step), check_work(work)
-        self.n_runs = n_runs
-        self.order = n_runs + 1
-
-    def step_limit(self, omega2: float, damping_rate: float) -> float:
-        return leapfrog_limit(omega2, damping_rate)
-
-    def advance(
-        self, plan: Plan, state: State, t: float, duration: float, accumulator: WorkAccumulator | None = None
-    ) -> Advance:
-        return explicit.advance(self, plan, state, t, duration, accumulator)
+        self.step, self.tolerance, self.work = check_settings(step, tolerance, work)
+        self.n_runs, self.order = n_runs, n_runs + 1

@@ -74,17 +74,14 @@ def work_cap(
     min_cap = CONSTANTS.min_work_cap * duration / max_step
     cap = math.ldexp(budget, -int(fallback_count))
     if contact_time:
-        single_run_work = (
-            CONSTANTS.estimate_trust_factor * RATIO_SUMS[2] * duration / (CONSTANTS.stability_safety * limit)
-            if limit
-            else math.inf
-        )
+        step = CONSTANTS.stability_safety * limit
+        single_run_work = CONSTANTS.estimate_trust_factor * RATIO_SUMS[2] * duration / step if limit else math.inf
         reserve = max(min(single_run_work, 0.5 * budget), min_cap)
         return math.ldexp(max(budget - reserve, reserve), -int(fallback_count)), reserve
     # Without implicit steps, explicit ones get all of the work.
-    return max(cap - FALLBACK_EVALUATIONS, 0.5 * cap) if is_implicit_feasible(plan) else max(
-        cap, min_cap
-    ), FALLBACK_EVALUATIONS
+    if is_implicit_feasible(plan):
+        return max(cap - FALLBACK_EVALUATIONS, 0.5 * cap), FALLBACK_EVALUATIONS
+    return max(cap, min_cap), FALLBACK_EVALUATIONS
 
 
 def part_call_work(plan: Plan, contact_time: float = 0.0) -> float:
@@ -130,14 +127,11 @@ def finish_implicitly(
     from cloth_sim_ros.physics.integrators.implicit import Implicit
 
     fallback_count = FallbackState.load(state).fallback_count
-    result = Implicit(duration / CONSTANTS.implicit_finish_steps).advance(
-        plan, state, t, duration, accumulator, max_evaluations=max_evaluations
-    )
+    implicit = Implicit(duration / CONSTANTS.implicit_finish_steps)
+    result = implicit.advance(plan, state, t, duration, accumulator, max_evaluations=max_evaluations)
     # The controller states no longer describe the motion.
     reset_step_control(state)
     FallbackState(min(64.0, fallback_count + 1.0)).store(state)
     explanation = f"{instead_of}: finer steps exceed the frame's work limit"
-    return result._replace(
-        flagged=max(1, result.flagged),
-        reason=f"{explanation}: implicit, order 2, step {result.step:.3g} s for this frame",
-    )
+    reason = f"{explanation}: implicit, order 2, step {result.step:.3g} s for this frame"
+    return result._replace(flagged=max(1, result.flagged), reason=reason)

@@ -17,13 +17,7 @@ from cloth_sim_ros.physics.control.error import is_for_duration, predict_single_
 from cloth_sim_ros.physics.control.fallback import evaluation_budget, part_call_work, work_cap
 from cloth_sim_ros.physics.control.multirate import MultirateRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
-from cloth_sim_ros.physics.control.step_choice import (
-    ExplicitSettings,
-    StepChoice,
-    describe_choice,
-    describe_details,
-    limiting_factor,
-)
+from cloth_sim_ros.physics.control.step_choice import ExplicitSettings, StepChoice, describe_details
 from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, PrecomputedRun
 from cloth_sim_ros.physics.integrators.fixed import steps_for
@@ -87,17 +81,12 @@ def try_advance(
             return None
     steps = -(-steps_for(duration, max_step / max(refinement, min_refinement)) // ratio) * ratio
     stability.max_step = max(stability.max_step, min(sheet_limit, duration))
-    if not _fits_work(
-        options,
-        plan,
-        duration,
-        (sheet_limit, limit),
-        stability.max_step,
-        max(refinement, min_refinement),
-        steps,
-        contact_time,
-        ratio,
-    ):
+    evaluations = evaluation_budget(plan, options.work, duration, contact_time, ratio)
+    cap, _ = work_cap(plan, evaluations, duration, stability.max_step, 0.0, contact_time, limit)
+    work = steps * RATIO_SUMS[2] + (2 + part_call_work(plan, contact_time))
+    # An attempt with an error estimate must fit the work limit of the frame; otherwise `explicit` must decide.
+    fits = work <= cap and duration / sheet_limit <= cap
+    if not (fits and duration * max(refinement, min_refinement) <= cap / RATIO_SUMS[2] * max_step):
         return None
     if contact_limit is not None and contact_limit.should_halve(max_step, duration):
         return None
@@ -127,11 +116,9 @@ def try_advance(
     if contact_limit is None or contact is None:
         limit_after = options.step_limit(summary.omega2, summary.damping)
     else:
-        encountered_energy, min_gap, self_contact = runs[0].contact_summary
-        limit_after, contact_limit.contact_energy = (
-            contact_limit.limit_of_run(encountered_energy, self_contact, summary),
-            contact.contact_energy(min_gap),
-        )
+        energy, min_gap, self_contact = runs[0].contact_summary
+        limit_after = contact_limit.limit_of_run(energy, self_contact, summary)
+        contact_limit.contact_energy = contact.contact_energy(min_gap)
         is_rejected = contact_limit.exceeds_known_energy(contact_limit.contact_energy)
     is_rejected = is_rejected or (ratio > 1 and multirate.exceeds_limit(ratio * step, summary))
     if not summary.is_finite or is_rejected or not predicted_error <= budget or not step <= (limit_after or 0.5 * step):
@@ -149,18 +136,9 @@ def try_advance(
         multirate.memory.store(state)
     stability.store(state)
     error.store(state)
-    return Advance(
-        steps,
-        steps + 1,
-        step,
-        limit,
-        0,
-        options.name,
-        limiting_factor(options, choice, steps, step),
-        predicted_error,
-        0,
-        describe_choice(options, choice, steps, step) + describe_details(ratio, single_precision),
-    )
+    limited_by = choice.limiting_factor(options, steps, step)
+    text = choice.describe(options, steps, step) + describe_details(ratio, single_precision)
+    return Advance(steps, steps + 1, step, limit, 0, options.name, limited_by, predicted_error, 0, text)
 
 
 def _has_history(plan: Plan, state: State) -> bool:
@@ -173,52 +151,8 @@ def _has_history(plan: Plan, state: State) -> bool:
     if plan.contact is not None and ContactState.key not in memory:
         return False
     noise = memory.get(RoundingNoiseState.key)
-    return (noise is None or noise.size > 0) and (
-        FallbackState.key not in memory or FallbackState.load(state).fallback_count == 0.0
-    )
-
-
-def _fits_work(
-    options: ExplicitSettings,
-    plan: Plan,
-    duration: float,
-    limits: tuple[float, float],
-    max_step: float,
-    refinement: float,
-    steps: int,
-    contact_time: float,
-    ratio: int,
-) -> bool:
-    """True if an attempt with an error estimate fits the work limit of the frame; otherwise `explicit` must decide.
-
-    Args:
-        options: settings of the integrator.
-        plan: equations of motion.
-        duration: of the advance [s].
-        limits: longest stable step without and with contact [s].
-        max_step: largest stable step without contact since the last restart [s].
-        refinement: refinement of the steps.
-        steps: number of steps of the attempt.
-        contact_time: estimated time that contact adds to a force evaluation [ns].
-        ratio: multirate ratio.
-    """
-    sheet_limit, limit = limits
-    cap, _ = work_cap(
-        plan,
-        evaluation_budget(plan, options.work, duration, contact_time, ratio),
-        duration,
-        max_step,
-        0.0,
-        contact_time,
-        limit,
-    )
-    contact_max_step = min(CONSTANTS.stability_safety * limit, duration)
-    work = steps * RATIO_SUMS[2] + (2 + part_call_work(plan, contact_time))
-    return (
-        work <= cap
-        and duration / sheet_limit <= cap
-        and duration * refinement <= cap / RATIO_SUMS[2] * contact_max_step
-    )
+    has_fallback = FallbackState.key in memory and FallbackState.load(state).fallback_count != 0.0
+    return (noise is None or noise.size > 0) and not has_fallback
 
 
 def _uses_single_precision(plan: Plan, state: State, duration: float, budget: float, choice: StepChoice) -> bool:
@@ -226,6 +160,5 @@ def _uses_single_precision(plan: Plan, state: State, duration: float, budget: fl
     precision = PrecisionState.load(state)
     if precision.rounding < 0.0:
         return False
-    return PrecisionRule(plan, precision, RoundingNoiseState.load(state), duration, budget).allows_single_precision(
-        state, choice
-    )
+    rule = PrecisionRule(plan, precision, RoundingNoiseState.load(state), duration, budget)
+    return rule.allows_single_precision(state, choice)

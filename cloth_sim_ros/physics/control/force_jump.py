@@ -33,20 +33,15 @@ def missed_velocity_change(plan: Plan, state: State, t: float, half_step: float)
         half_step: length [s].
     """
     x, v, jaws = state.x, state.v, state.memory.get(JAWS_KEY)
-    end_acceleration, earlier_acceleration, difference = np.empty_like(x), np.empty_like(x), np.empty_like(x)
+    a, earlier, difference = np.empty_like(x), np.empty_like(x), np.empty_like(x)
     if plan.contact is not None:
         plan.contact.load_state(state)
-    plan.accelerations(t, x, v, end_acceleration)
-    difference[:] = end_acceleration
+    plan.accelerations(t, x, v, a)
+    difference[:] = a
     for fraction, weight in _DIFFERENCE_WEIGHTS:
-        time_back = fraction * half_step
+        dt = fraction * half_step
         if plan.contact is not None and jaws is not None:
-            plan.contact.set_jaws(np.stack([jaws[:, 0] - time_back * jaws[:, 1], jaws[:, 1]], axis=1))
-        plan.accelerations(
-            t - time_back,
-            x - time_back * v + (0.5 * time_back * time_back) * end_acceleration,
-            v - time_back * end_acceleration,
-            earlier_acceleration,
-        )
-        difference += weight * earlier_acceleration
+            plan.contact.set_jaws(np.stack([jaws[:, 0] - dt * jaws[:, 1], jaws[:, 1]], axis=1))
+        plan.accelerations(t - dt, x - dt * v + (0.5 * dt * dt) * a, v - dt * a, earlier)
+        difference += weight * earlier
     return half_step * largest_distance(difference, np.zeros_like(difference))

@@ -19,12 +19,7 @@ from cloth_sim_ros.physics.control.force_jump import EVALUATIONS, missed_velocit
 from cloth_sim_ros.physics.control.stability import MAX_UNDAMPED_STEPS, StabilityRule
 from cloth_sim_ros.physics.control.step_choice import StepChoice
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
-    RATIO_SUMS,
-    RATIOS,
-    ExtrapolationTableau,
-    step_counts,
-)
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, ExtrapolationTableau, step_counts
 from cloth_sim_ros.physics.integrators.fixed import steps_for
 from cloth_sim_ros.physics.state.controller_state import ErrorState
 from cloth_sim_ros.physics.state.state import State
@@ -43,12 +38,9 @@ class Interval:
         t: time at the start [s].
         duration: length [s].
         choice: first choice of runs and refinement.
-        rule: error rule with the budget of this interval.
-        stability: stability rule for this length.
+        rule: error rule with the budget of this interval, and the stability rule for its length.
         reserved: force evaluations reserved for the rest of the advance.
         n_halvings: number of halvings that led to this interval.
-        max_first_steps: maximum steps of the first run. If it needs more, the interval is halved before the first
-            attempt, because short steps are rarely necessary for long.
     """
 
     def __init__(
@@ -58,20 +50,16 @@ class Interval:
         duration: float,
         choice: StepChoice,
         rule: ErrorRule,
-        stability: StabilityRule,
         *,
         reserved: float = 0.0,
         n_halvings: int = 0,
-        max_first_steps: float = math.inf,
     ) -> None:
         self._context, self._t, self._duration = context, t, duration
-        self.choice, self.rule = choice, rule
-        self._stability, self._reserved, self._n_halvings, self.max_first_steps = (
-            stability,
-            reserved,
-            n_halvings,
-            max_first_steps,
-        )
+        self.choice, self.rule, self._stability = choice, rule, rule.stability
+        self._reserved, self._n_halvings = reserved, n_halvings
+        #: Maximum steps of the first run. If it needs more, the interval is halved before the first attempt, because
+        #: short steps are rarely necessary for long.
+        self.max_first_steps = math.inf
         self.limit, self.start = context.contact_limit.predicted_limit(t, duration, context.state), context.state
         #: Steps of the runs that make up the result, those of the first run, the smallest step [s], and the number of
         #: intervals after halving.
@@ -130,39 +118,24 @@ class Interval:
 
     def _integrate_halves(self, *, was_attempted: bool = False) -> float | None:
         """Integrate both halves, each with its own choice; return as `integrate`."""
-        context, half_duration, error_sum, self.min_step = self._context, 0.5 * self._duration, 0.0, math.inf
-        max_first_steps = (
-            min(self.max_first_steps, self.first_run_steps) if self.first_run_steps else self.max_first_steps
-        )
-        self.steps = self.first_run_steps = self.n_pieces = 0
+        context, choice, half, error_sum = self._context, self.choice, 0.5 * self._duration, 0.0
+        max_first_steps = min(self.max_first_steps, self.first_run_steps or math.inf)
+        self.steps, self.first_run_steps, self.min_step, self.n_pieces = 0, 0, math.inf, 0
         for k in range(2):
             # The second half gets the unused budget of the first one.
             budget = max(0.5 * self.rule.budget, (self.rule.budget - error_sum) * k)
-            stability = StabilityRule(context.plan, context.stability, context.state, half_duration)
-            rule = self.rule.for_interval(ErrorState(duration=half_duration), budget, context.state, stability)
+            stability = StabilityRule(context.plan, context.stability, context.state, half)
+            rule = self.rule.for_interval(ErrorState(duration=half), budget, context.state, stability)
             # Reserve of the other half: its steps may be as long as before, but it takes at least as many as this one.
-            refinement = max(1.0, self.choice.refinement * min(1.0, half_duration / self.max_step))
-            later_steps = refinement * max(
-                1.0, half_duration / (CONSTANTS.stability_safety * context.stability.max_step)
-            )
-            reserved = self._reserved + later_steps * RATIO_SUMS[self.choice.n_runs + 1] * (k == 0)
-            start_time, n_halvings = self._t + k * half_duration, self._n_halvings + 1
-            child = Interval(
-                context,
-                start_time,
-                half_duration,
-                self.choice,
-                rule,
-                stability,
-                reserved=reserved,
-                n_halvings=n_halvings,
-                max_first_steps=max_first_steps,
-            )
+            refinement = max(1.0, choice.refinement * min(1.0, half / self.max_step))
+            later_steps = refinement * max(1.0, half / (CONSTANTS.stability_safety * context.stability.max_step))
+            reserved = self._reserved + later_steps * RATIO_SUMS[choice.n_runs + 1] * (k == 0)
+            t, n_halvings = self._t + k * half, self._n_halvings + 1
+            child = Interval(context, t, half, choice, rule, reserved=reserved, n_halvings=n_halvings)
+            child.max_first_steps = max_first_steps
             # The half starts with the steps that were too long for the whole.
             max_step = min(child.max_step, self.max_step) if was_attempted else child.max_step
-            child.choice = StepChoice(
-                self.choice.n_runs, max(1.0, self.choice.refinement * max_step / self.max_step), True
-            )
+            child.choice = StepChoice(choice.n_runs, max(1.0, choice.refinement * max_step / self.max_step), True)
             error = child.integrate()
             if error is None:
                 return None
@@ -173,11 +146,9 @@ class Interval:
 
     def _attempt(self, start: State) -> float | None:
         """Run all parts; return the sum of their errors [m], or None for a further attempt from the start."""
-        options, choice, rule = self._context.options, self.choice, self.rule
-        max_step = self.max_step
-        self.ratio, self._stability.multirate_refinement = self._context.multirate.ratio_within(
-            max_step, self._duration
-        )
+        context, choice, rule = self._context, self.choice, self.rule
+        options, max_step, contact_limit = context.options, self.max_step, context.contact_limit
+        self.ratio, self._stability.multirate_refinement = context.multirate.ratio_within(max_step, self._duration)
         if options.step is not None:
             max_step = options.step if options.step <= self.limit else min(options.step, max_step)
         required_refinement = 1.0 if options.tolerance is None else self._stability.required_refinement(choice.n_runs)
@@ -195,9 +166,7 @@ class Interval:
             rule.record_estimate(self.choice.n_runs, max(choice.refinement, required_refinement), self._sums)
         else:
             rule.record_prediction(choice.n_runs, self._sums)
-        self._context.contact_limit.contact_energy = max(
-            self._context.contact_limit.contact_energy, self._contact_energy
-        )
+        contact_limit.contact_energy = max(contact_limit.contact_energy, self._contact_energy)
         return self._sums.error
 
     def _n_parts(self, n_runs: int, steps: int) -> int:
@@ -224,11 +193,8 @@ class Interval:
         if not is_finite:
             # Contact did not stop a particle; with finer steps it would not have got that far. If the run ended on a
             # surface, the limit is zero, and the steps were too long.
-            encountered_energy, self_contact = (
-                tableau.encountered_energy(self.choice.n_runs),
-                tableau.self_contact(self.choice.n_runs),
-            )
-            limit = context.contact_limit.limit_at_energy(encountered_energy, self_contact) or 0.5 * self.min_step
+            energy, rates = tableau.encountered_energy(choice.n_runs), tableau.self_contact(choice.n_runs)
+            limit = context.contact_limit.limit_at_energy(energy, rates) or 0.5 * self.min_step
             factor, self.limit = 2.0 if self.min_step <= limit else 1.0, min(self.limit, limit)
             return self._retry(factor, "not finite")
         if not (accepted and self._check_limit(tableau)):
@@ -236,13 +202,11 @@ class Interval:
         choice, summary = self.choice, tableau.summary(self.choice.n_runs)
         omega2_after = math.inf if context.contact_limit.has_contact(tableau, choice.n_runs) else summary.omega2
         # Without a reliable error estimate the steps may create energy.
-        is_error_unknown = options.tolerance is None or self._sums.error > self.rule.budget
-        has_several_step_sizes = choice.n_runs > 1 or self._n_halvings > 0
-        if is_error_unknown and context.energy.must_check(
-            memory.omega2, omega2_after, has_several_step_sizes=has_several_step_sizes, refinement=choice.refinement
-        ):
+        is_unknown = options.tolerance is None or self._sums.error > self.rule.budget
+        steps_differ = choice.n_runs > 1 or self._n_halvings > 0
+        if is_unknown and context.energy.must_check(memory.omega2, omega2_after, steps_differ, choice.refinement):
             # The energy of a combination does not oscillate; a change of step size makes the deviation permanent.
-            step = 0.0 if has_several_step_sizes else self.min_step
+            step = 0.0 if steps_differ else self.min_step
             if context.creates_energy(tableau, choice, (t, t + length), step):
                 return self._retry(2.0, "making energy from nowhere")
         memory.omega2, memory.damping, hinge_bounds = summary.omega2, summary.damping, summary.hinge_bounds
@@ -264,35 +228,29 @@ class Interval:
 
     def _tableau_of_part(self, part: int, t: float, length: float, start: State) -> ExtrapolationTableau:
         """Return the tableau of a part; that of the first part is reused by attempts with the same steps."""
-        context, first_tableau = self._context, self._first_tableau
-        counts = step_counts(self._steps_per_part, len(RATIOS), self.ratio)
+        context, first, accumulator = self._context, self._first_tableau, self._context.accumulator
+        counts = step_counts(self._steps_per_part, ratio=self.ratio)
         error_was_too_large = self._n_rejected + self._n_halvings > 0 and context.plan.threads_per_run(self.ratio) == 1
         if context.options.tolerance is not None:
             # The measured effect belongs to a whole advance, and does not decrease with the interval.
-            context.single_precision = self._n_halvings == 0 and context.precision.allows_single_precision(
-                context.state, self.choice
-            )
-        is_reusable = first_tableau is not None and (
-            first_tableau.counts,
-            first_tableau.duration,
-            first_tableau.ratio,
-        ) == (counts, length, self.ratio)
+            allows = context.precision.allows_single_precision
+            context.single_precision = self._n_halvings == 0 and allows(context.state, self.choice)
         if (
-            is_reusable
+            first is not None
             and part == 0
-            and first_tableau is not None
-            and context.single_precision >= first_tableau.single_precision
+            and (first.counts, first.duration, first.ratio) == (counts, length, self.ratio)
+            and context.single_precision >= first.single_precision
         ):
-            context.single_precision = first_tableau.single_precision
-            return first_tableau
+            context.single_precision = first.single_precision
+            return first
         tableau = ExtrapolationTableau(
             context.plan,
             start if part == 0 else context.state,
             t,
             length,
             counts,
-            record_power=context.accumulator is not None and context.accumulator.record_power,
-            record_obstacles=context.accumulator is not None and context.accumulator.obstacle_count > 0,
+            record_power=accumulator is not None and accumulator.record_power,
+            record_obstacles=accumulator is not None and accumulator.obstacle_count > 0,
             single_precision=context.single_precision,
             omega=self._error_frequency,
             contact_omega=1.0 / context.duration,
@@ -300,7 +258,7 @@ class Interval:
             ratio=self.ratio,
             expected_runs=self.choice.expected_runs(context.options.tolerance, error_was_too_large=error_was_too_large),
         )
-        self._first_tableau = tableau if part == 0 else first_tableau
+        self._first_tableau = tableau if part == 0 else first
         return tableau
 
     def _check_error(self, tableau: ExtrapolationTableau, activity: float, elapsed_fraction: float) -> bool:
@@ -326,9 +284,8 @@ class Interval:
                 return True
             # All parts need an estimate, because one choice applies to the whole interval. Existing runs are reused.
             reusable = tableau.evaluations if tableau is self._first_tableau else 0
-            self.choice = context.clamp(
-                StepChoice(choice.n_runs, choice.refinement, True), self.estimate_work, self._reserved, reusable
-            )
+            choice = StepChoice(choice.n_runs, choice.refinement, True)
+            self.choice = context.clamp(choice, self.estimate_work, self._reserved, reusable)
             return False
         errors = [self._estimate_error(tableau, k) for k in range(1, choice.n_runs + 1)]
         is_accepted = sums.error + errors[-1] <= rule.budget or context.exhausted
@@ -339,11 +296,8 @@ class Interval:
                 is_affordable = context.fits_budget(reserved + tableau.counts[len(errors) + 1])
                 # If runs do not gain on one another, as at a force jump, a further run does not either.
                 is_useless = len(errors) > 1 and errors[-1] > errors[-2]
-                if (
-                    not is_affordable
-                    or is_useless
-                    or (tableau.single_precision and not context.precision.resolves_error(len(errors) + 2))
-                ):
+                resolves_error = not tableau.single_precision or context.precision.resolves_error(len(errors) + 2)
+                if not is_affordable or is_useless or not resolves_error:
                     break
                 errors.append(self._estimate_error(tableau, len(errors) + 1))
         if not is_accepted:
@@ -356,9 +310,8 @@ class Interval:
                 self.choice = choice = StepChoice(sufficient[0], choice.refinement, True)
                 is_accepted = True
         sums.add_estimate(errors, choice.n_runs, predicted, activity)
-        if is_accepted or sums.error <= CONSTANTS.estimate_trust_factor * sums.n_parts * rule.rounding_floor(
-            choice.n_runs
-        ):
+        floor = rule.rounding_floor(choice.n_runs)
+        if is_accepted or sums.error <= CONSTANTS.estimate_trust_factor * sums.n_parts * floor:
             return True  # no step reduces the error below rounding
         refinement = max(choice.refinement, self._stability.multirate_refinement)
         n_runs, next_refinement = rule.choose([error / elapsed_fraction for error in sums.errors], refinement)
@@ -369,12 +322,9 @@ class Interval:
     def _check_end(self, error: float) -> float | None:
         """Return the error of an interval [m] including its last half step; None for a further attempt."""
         context = self._context
-        end = self._t + self._duration
-        missed_error = (
-            missed_velocity_change(context.plan, context.state, end, 0.5 * self.min_step) / self._error_frequency
-        )
+        end, half_step = self._t + self._duration, 0.5 * self.min_step
+        error += missed_velocity_change(context.plan, context.state, end, half_step) / self._error_frequency
         context.evaluations += EVALUATIONS
-        error += missed_error
         if error <= self.rule.budget or context.exhausted or error <= self.rule.rounding_floor(self.choice.n_runs):
             return error
         refinement = self.choice.refinement * root(error / (CONSTANTS.error_target_fraction * self.rule.budget), 3)
@@ -389,10 +339,8 @@ class Interval:
             is_smooth: True if combinations gained on one another, as in a smooth motion.
         """
         self._context.precision.n_misses += 1
-        next_refinement = min(
-            refinement,
-            CONSTANTS.max_refinement_factor * max(self.choice.refinement, self._stability.required_refinement(n_runs)),
-        )
+        present_refinement = max(self.choice.refinement, self._stability.required_refinement(n_runs))
+        next_refinement = min(refinement, CONSTANTS.max_refinement_factor * present_refinement)
         is_affordable = self.fits_budget(n_runs, next_refinement)
         if not is_smooth and (not is_affordable or self._exceeds_order(refinement)) and self._can_halve():
             self._must_halve = True
@@ -415,10 +363,8 @@ class Interval:
 
     def _exceeds_order(self, refinement: float) -> bool:
         """Return True if the last refinement reduced the error less than its order predicts."""
-        return (
-            bool(self._n_halvings + self._n_rejected)
-            and refinement > CONSTANTS.estimate_trust_factor * self.choice.refinement
-        )
+        is_repeated = self._n_halvings + self._n_rejected > 0
+        return is_repeated and refinement > CONSTANTS.estimate_trust_factor * self.choice.refinement
 
     def _can_halve(self) -> bool:
         """Return True if the interval has enough steps for halving, and its halves fit the work limit."""
@@ -453,17 +399,11 @@ class Interval:
         """
         context, choice, options = self._context, self.choice, self._context.options
         refinement = factor * choice.refinement
-        if (
-            options.tolerance is not None
-            and factor > 1.0
-            and self._exceeds_order(2.0 * refinement)
-            and self._can_halve()
-        ):
+        exceeds_order = factor > 1.0 and self._exceeds_order(2.0 * refinement)
+        if options.tolerance is not None and exceeds_order and self._can_halve():
             self._must_halve = True
             return False
-        n_runs = context.reduce_runs(
-            choice.n_runs, lambda count: self._reserved + self.estimate_work(count, refinement)
-        )
+        n_runs = context.reduce_runs(choice.n_runs, lambda n: self._reserved + self.estimate_work(n, refinement))
         if self.fits_budget(n_runs, refinement):
             # The recorded error is valid for the same multirate ratio. Without a tolerance there is no error estimate.
             must_estimate = choice.estimates_error or n_runs < choice.n_runs or self.ratio != context.multirate.ratio

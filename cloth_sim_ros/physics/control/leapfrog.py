@@ -6,22 +6,32 @@ from __future__ import annotations
 
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.control import explicit
-from cloth_sim_ros.physics.integrators.base import (
-    WORK_LIMIT,
-    Advance,
-    Integrator,
-    check_step,
-    check_tolerance,
-    check_work,
-)
+from cloth_sim_ros.physics.integrators.base import WORK_LIMIT, Advance, Integrator, check_settings
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.old_names import with_old_names
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.state import State
 
 
+class ExplicitIntegrator(Integrator):
+    """Runs of the leapfrog, alone or combined."""
+
+    n_runs: int
+    step: float | None
+    tolerance: float | None
+    work: float
+
+    def step_limit(self, omega2: float, damping_rate: float) -> float:
+        return leapfrog_limit(omega2, damping_rate)
+
+    def advance(
+        self, plan: Plan, state: State, t: float, duration: float, accumulator: WorkAccumulator | None = None
+    ) -> Advance:
+        return explicit.advance(self, plan, state, t, duration, accumulator)
+
+
 @with_old_names(columns="n_runs")
-class Leapfrog(Integrator):
+class Leapfrog(ExplicitIntegrator):
     """Drift, kick, drift; velocity-dependent forces use a predicted midpoint velocity, so that the order stays 2.
 
     Drift: ``x_m = x + h/2 v``. Kick: ``a_k = a(t + h/2, x_m, v + h/4 (a_(k-1) + a_(k-2)))``, ``v' = v + h a_k``. Drift:
@@ -48,16 +58,4 @@ class Leapfrog(Integrator):
     n_runs = 1
 
     def __init__(self, step: float | None = None, *, tolerance: float | None = None, work: float = WORK_LIMIT) -> None:
-        if tolerance is not None and step is not None:
-            raise ValueError(
-                f"step {step} s and tolerance {tolerance} m are both set: a fixed step holds no tolerance; set one"
-            )
-        self.step, self.tolerance, self.work = check_step(step), check_tolerance(tolerance), check_work(work)
-
-    def step_limit(self, omega2: float, damping_rate: float) -> float:
-        return leapfrog_limit(omega2, damping_rate)
-
-    def advance(
-        self, plan: Plan, state: State, t: float, duration: float, accumulator: WorkAccumulator | None = None
-    ) -> Advance:
-        return explicit.advance(self, plan, state, t, duration, accumulator)
+        self.step, self.tolerance, self.work = check_settings(step, tolerance, work)

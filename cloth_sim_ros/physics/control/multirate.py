@@ -89,10 +89,14 @@ class MultirateRule:
 
     def _cost(self, ratio: int, max_step: float, duration: float) -> float:
         """Return the estimated cost of an advance by the longest steps; infinite if there would be too few impulses."""
-        steps = steps_for(duration, max_step / max(1.0, self.min_refinement(ratio, max_step)))
+        steps = self._steps(ratio, max_step, duration)
         if ratio > 1 and steps < MIN_IMPULSES * ratio * steps_for(duration, CONSTANTS.max_interval):
             return math.inf
         return self._plan.multirate_step_cost(ratio) * ratio * math.ceil(steps / ratio)
+
+    def _steps(self, ratio: int, max_step: float, duration: float) -> int:
+        """Return the number of the longest steps that cover a duration [s]."""
+        return steps_for(duration, max_step / max(1.0, self.min_refinement(ratio, max_step)))
 
     def ratio_within(self, max_step: float, duration: float) -> tuple[int, float]:
         """Return the ratio within an interval, and the refinement that it requires.
@@ -102,11 +106,7 @@ class MultirateRule:
             duration: of the interval [s].
         """
         ratio, part_duration = self.ratio, min(duration, CONSTANTS.max_interval)
-        while (
-            ratio > 1
-            and steps_for(part_duration, max_step / max(1.0, self.min_refinement(ratio, max_step)))
-            < MIN_IMPULSES * ratio
-        ):
+        while ratio > 1 and self._steps(ratio, max_step, part_duration) < MIN_IMPULSES * ratio:
             ratio -= 2
         return ratio, self.min_refinement(ratio, max_step)
 
@@ -137,7 +137,6 @@ class MultirateRule:
         max_interval = min(fraction * leapfrog_limit(omega2, damping), longitudinal, transverse)
         if damping > 0.0:
             # Delayed damping forces excite such a wave too.
-            max_interval = min(
-                max_interval, math.pi * math.sqrt(fraction * self._min_damping_time / damping), 0.5 * fraction / damping
-            )
+            damped = math.pi * math.sqrt(fraction * self._min_damping_time / damping)
+            max_interval = min(max_interval, damped, 0.5 * fraction / damping)
         return max_interval

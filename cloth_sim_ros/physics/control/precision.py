@@ -64,11 +64,9 @@ class PrecisionRule:
             Force evaluations of the measurement.
         """
         memory, noise, plan = self.memory, self.noise, self._plan
-        if (
-            noise.n_samples >= _MAX_SAMPLES
-            or choice.n_runs > 1
-            or not plan.supports_single_precision(self._duration, state.x, state.v)
-        ):
+        if noise.n_samples >= _MAX_SAMPLES or choice.n_runs > 1:
+            return 0
+        if not plan.supports_single_precision(self._duration, state.x, state.v):
             return 0
         extent = float((state.x.max(axis=1) - state.x.min(axis=1)).max())
         if _SPACING * extent > self._rounding_budget:
@@ -76,45 +74,35 @@ class PrecisionRule:
         # A fraction of the steps is representative: compensated summation of positions leaves a rounding error of the
         # last bit of the sheet's extent for any number of steps.
         steps = max(1, int(steps_for(self._duration, step) // CONSTANTS.single_precision_sample_divisor))
-        sample_duration = steps * step
+        span = steps * step
         runs, energies = [], []
-        for single_precision in (False, True):
+        for single in (False, True):
             if plan.contact is not None:
                 plan.contact.load_state(state)
             (run,), _ = plan.runs(
-                t,
-                sample_duration,
-                (state.x, state.v),
-                [steps],
-                single_precision=single_precision,
-                record_power=True,
-                record_obstacles=True,
+                t, span, (state.x, state.v), [steps], single_precision=single, record_power=True, record_obstacles=True
             )
             accumulator = WorkAccumulator(plan.gripper_count, record_power=True, obstacle_count=plan.obstacle_count)
-            accumulator.add_runs((1.0,), (run,), sample_duration)
+            accumulator.add_runs((1.0,), (run,), span)
             runs.append(run)
             supplied = accumulator.work + accumulator.wind_work + accumulator.recovery_work
-            energies.append(plan.energy(t + sample_duration, run.x, run.v) + accumulator.dissipation - supplied)
+            energies.append(plan.energy(t + span, run.x, run.v) + accumulator.dissipation - supplied)
         # Over a few steps the energy changes by rounding may cancel; the kinetic energy of the difference does not.
-        velocity_difference = runs[1].v - runs[0].v
-        energy_change = max(
-            abs(energies[1] - energies[0]),
-            0.5 * weighted_dot(plan.model.masses, velocity_difference, velocity_difference),
-        )
+        dv = runs[1].v - runs[0].v
+        energy_change = max(abs(energies[1] - energies[0]), 0.5 * weighted_dot(plan.model.masses, dv, dv))
         if math.isfinite(energies[1] - energies[0]):
             noise.n_samples += 1.0
             if memory.rounding < 0.0:
                 memory.rounding = CONSTANTS.estimate_trust_factor * largest_distance(runs[0].x, runs[1].x)
-            noise.power = max(noise.power, CONSTANTS.estimate_trust_factor * energy_change / sample_duration)
+            noise.power = max(noise.power, CONSTANTS.estimate_trust_factor * energy_change / span)
         return 2 * (steps + 1)
 
     def update_kinetic_energy(self, state: State) -> None:
         """Update the kinetic energy for the comparison, in a frame with an error estimate."""
         noise = self.noise
         if noise.power >= 0.0:
-            noise.kinetic_energy = max(
-                0.5 * weighted_dot(self._plan.model.masses, state.v, state.v), 0.5 * noise.kinetic_energy
-            )
+            kinetic_energy = 0.5 * weighted_dot(self._plan.model.masses, state.v, state.v)
+            noise.kinetic_energy = max(kinetic_energy, 0.5 * noise.kinetic_energy)
 
     def allows_single_precision(self, state: State, choice: StepChoice) -> bool:
         """Return True if runs of a choice may use single precision.
@@ -126,10 +114,9 @@ class PrecisionRule:
             choice: runs and refinement.
         """
         rounding = amplification(choice.n_runs) * self.memory.rounding
+        fits = 0.0 <= rounding <= self._rounding_budget
         # An error estimate needs one further run.
-        if self.n_misses > 1 or not (
-            0.0 <= rounding <= self._rounding_budget and self.resolves_error(choice.n_runs + choice.estimates_error)
-        ):
+        if self.n_misses > 1 or not (fits and self.resolves_error(choice.n_runs + choice.estimates_error)):
             return False
         if not 0.0 <= self.noise.power * _COMPARISON_TIME <= CONSTANTS.max_energy_gain * self.noise.kinetic_energy:
             return False

@@ -45,30 +45,25 @@ class StepChoice:
         # Two runs and the estimating run rarely suffice then: a third is combined, or more runs find the next choice.
         return self.n_runs + (2 if error_was_too_large and self.n_runs == 2 else 1)
 
+    def limiting_factor(self, options: ExplicitSettings, steps: int, step: float) -> str:
+        """Return the limiting factor of a first run, one of `base.LIMITING_FACTORS`.
 
-def limiting_factor(options: ExplicitSettings, choice: StepChoice, steps: int, step: float) -> str:
-    """Return the limiting factor of a first run, one of `base.LIMITING_FACTORS`.
+        Args:
+            options: settings of the integrator.
+            steps: number of steps of the run.
+            step: their length [s].
+        """
+        if options.step is not None and step > 0.99 * options.step:
+            return "step"
+        if options.tolerance is not None and self.refinement > 1.0:
+            return "accuracy"
+        return "frame" if steps == 1 else "stability"
 
-    Args:
-        options: settings of the integrator.
-        choice: of the attempt.
-        steps: number of steps of its first run.
-        step: their length [s].
-    """
-    if options.step is not None and step > 0.99 * options.step:
-        return "step"
-    if options.tolerance is not None and choice.refinement > 1.0:
-        return "accuracy"
-    return "frame" if steps == 1 else "stability"
-
-
-def describe_choice(options: ExplicitSettings, choice: StepChoice, steps: int, step: float) -> str:
-    """Return the choice in words, see `limiting_factor`."""
-    limit = limiting_factor(options, choice, steps, step)
-    is_refined = choice.refinement > 1.0
-    return _choice_text(
-        options.name, options.tolerance, options.step, limit, choice.n_runs, is_refined, steps == 1, step
-    )
+    def describe(self, options: ExplicitSettings, steps: int, step: float) -> str:
+        """Return the choice in words, see `limiting_factor`."""
+        limit, is_refined = self.limiting_factor(options, steps, step), self.refinement > 1.0
+        settings = options.name, options.tolerance, options.step
+        return _describe(*settings, limit, self.n_runs, is_refined, steps == 1, step)
 
 
 def describe_details(ratio: int, single_precision: bool) -> str:
@@ -79,7 +74,7 @@ def describe_details(ratio: int, single_precision: bool) -> str:
 
 # Most frames have the choice of the previous one.
 @lru_cache(maxsize=64)
-def _choice_text(
+def _describe(
     name: str,
     tolerance: float | None,
     fixed_step: float | None,

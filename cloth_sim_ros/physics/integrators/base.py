@@ -105,26 +105,24 @@ def check_step(step: float | None) -> float | None:
     return step
 
 
-def check_work(work: float) -> float:
-    """Return a work limit (multiple of real time) unchanged.
+def check_settings(
+    step: float | None, tolerance: float | None, work: float
+) -> tuple[float | None, float | None, float]:
+    """Return fixed step [s], tolerance [m] and work limit (multiple of real time) unchanged.
 
     Raises:
-        ValueError: if it is not finite and at least 0.
+        ValueError: if one is out of range, or step and tolerance are both set.
     """
-    if not (math.isfinite(work) and work >= 0.0):
-        raise ValueError(f"work limit is {work}; it must be finite and at least 0 (0: no limit)")
-    return work
-
-
-def check_tolerance(tolerance: float | None) -> float | None:
-    """Return a tolerance [m] unchanged, None for none.
-
-    Raises:
-        ValueError: if it is not finite and above 0.
-    """
+    if tolerance is not None and step is not None:
+        raise ValueError(
+            f"step {step} s and tolerance {tolerance} m are both set: a fixed step holds no tolerance; set one"
+        )
+    check_step(step)
     if tolerance is not None and not (math.isfinite(tolerance) and tolerance > 0.0):
         raise ValueError(f"tolerance is {tolerance} m; it must be finite and above 0")
-    return tolerance
+    if not (math.isfinite(work) and work >= 0.0):
+        raise ValueError(f"work limit is {work}; it must be finite and at least 0 (0: no limit)")
+    return step, tolerance, work
 
 
 class StepLimitError(UnstableError, ValueError):
@@ -152,7 +150,7 @@ def refuse_unbounded(omega2: float, damping: float) -> None:
         )
 
 
-def refuse_unstable(step: float, limit: float, name: str) -> None:
+def refuse_step(step: float, limit: float, name: str) -> None:
     """Refuse a fixed step above the limit.
 
     Raises:

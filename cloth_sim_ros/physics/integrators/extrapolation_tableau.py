@@ -33,7 +33,7 @@ RATIO_SUMS = tuple(sum(RATIOS[:columns]) for columns in range(len(RATIOS) + 1))
 
 
 @lru_cache(maxsize=256)
-def step_counts(first: int, n_runs: int, ratio: int = 1) -> tuple[int, ...]:
+def step_counts(first: int, n_runs: int = len(RATIOS), ratio: int = 1) -> tuple[int, ...]:
     """Return the step counts of the runs, strictly increasing multiples of the multirate ratio.
 
     Args:
@@ -223,10 +223,8 @@ class ExtrapolationTableau:
         summary = self._contact_summaries.get(n_runs)
         if summary is None:
             self._make_runs(n_runs)
-            encountered_energies, gaps, self_contacts = zip(
-                *(run.contact_summary for run in self._runs[:n_runs]), strict=True
-            )
-            summary = self._contact_summaries[n_runs] = max(encountered_energies), min(gaps), max_rates(*self_contacts)
+            energies, gaps, rates = zip(*(run.contact_summary for run in self._runs[:n_runs]), strict=True)
+            summary = self._contact_summaries[n_runs] = max(energies), min(gaps), max_rates(*rates)
         return summary
 
     def commit(self, n_runs: int, state: State) -> None:
@@ -265,10 +263,8 @@ class ExtrapolationTableau:
             return
         if self._plan.contact is not None:
             self._plan.contact.load_state(self._start)
-        is_first_call = n_existing == 0
-        runs, result = (self._matching_result(self.counts[:n_runs]) if is_first_call else None) or self._request_runs(
-            n_existing, n_runs
-        )
+        matching_result = self._matching_result(self.counts[:n_runs]) if n_existing == 0 else None
+        runs, result = matching_result or self._request_runs(n_existing, n_runs)
         self._runs.extend(runs)
         if result is not None:
             x, v, self._summaries[n_runs] = result
@@ -284,12 +280,9 @@ class ExtrapolationTableau:
         if n_existing and plan.threads_per_run(self.ratio) == 1:
             # If the error is too large, the next two runs are often necessary for the next choice.
             n_expected = n_runs + 1
-        prefetched_steps = self.counts[n_existing : max(n_runs, n_expected)]
-        concurrency = (
-            plan.concurrent_runs(len(prefetched_steps), sum(prefetched_steps), self.ratio)
-            if len(prefetched_steps) > 1
-            else 1
-        )
+        prefetched_steps, concurrency = self.counts[n_existing : max(n_runs, n_expected)], 1
+        if len(prefetched_steps) > 1:
+            concurrency = plan.concurrent_runs(len(prefetched_steps), sum(prefetched_steps), self.ratio)
         return plan.runs(
             self._t,
             self.duration,
@@ -307,13 +300,8 @@ class ExtrapolationTableau:
         self, steps: tuple[int, ...]
     ) -> tuple[list[Run], tuple[Array, Array, RunSummary] | None] | None:
         """Return the result of the precomputed run if it equals the request, else None."""
-        precomputed_run = self._precomputed_run
-        if precomputed_run is None or steps != (precomputed_run.steps,) or precomputed_run.x is not self._start.x:
+        run = self._precomputed_run
+        if run is None or steps != (run.steps,) or run.x is not self._start.x:
             return None
         request = self._t, self.duration, self.single_precision, self.ratio
-        return (
-            precomputed_run.result
-            if (precomputed_run.t, precomputed_run.duration, precomputed_run.single_precision, precomputed_run.ratio)
-            == request
-            else None
-        )
+        return run.result if (run.t, run.duration, run.single_precision, run.ratio) == request else None

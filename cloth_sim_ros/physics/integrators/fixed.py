@@ -11,7 +11,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.control.constants import CONSTANTS
-from cloth_sim_ros.physics.integrators.base import Advance, Integrator, NoRoomError, UnstableError, refuse_unstable
+from cloth_sim_ros.physics.integrators.base import Advance, Integrator, NoRoomError, UnstableError, refuse_step
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.state import State
 
@@ -66,7 +66,7 @@ def advance_fixed(
 
     limit = limit_at(t, duration)
     if step is not None:
-        refuse_unstable(step, limit, integrator.name)
+        refuse_step(step, limit, integrator.name)
     max_step = CONSTANTS.stability_safety * limit if step is None else step
     start = state.shallow_copy()
     state.x, state.v = state.x.copy(), state.v.copy()

@@ -7,14 +7,7 @@ from __future__ import annotations
 import math
 
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
-from cloth_sim_ros.physics.integrators.base import (
-    WORK_LIMIT,
-    Advance,
-    Integrator,
-    check_step,
-    check_tolerance,
-    check_work,
-)
+from cloth_sim_ros.physics.integrators.base import WORK_LIMIT, Advance, Integrator, check_settings
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.state import State
 
@@ -50,12 +43,7 @@ class Implicit(Integrator):
     suits = "any stiffness and damping: sheets too stiff for real time by explicit steps"
 
     def __init__(self, step: float | None = None, *, tolerance: float | None = None, work: float = WORK_LIMIT) -> None:
-        if tolerance is not None and step is not None:
-            raise ValueError(
-                f"step {step} s and tolerance {tolerance} m are both set: a fixed step holds no tolerance; set one"
-            )
-        self.step = check_step(step)
-        self.tolerance, self.work = check_tolerance(tolerance), check_work(work)
+        self.step, self.tolerance, self.work = check_settings(step, tolerance, work)
 
     def step_limit(self, omega2: float, damping_rate: float) -> float:
         return math.inf
