@@ -157,8 +157,7 @@ def _check_counts(elements: list[PlyElement], form: str, length: int) -> None:
             count = str(element.count) if element.count < _MAX_COUNT else f"{_MAX_COUNT} or more"
             raise ValueError(
                 f"its header says {count} {element.plural} of at least {min_bytes} bytes each, and {length} bytes "
-                f"follow: "
-                "it is cut short, or the count is wrong"
+                "follow: it is cut short, or the count is wrong"
             )
 
 

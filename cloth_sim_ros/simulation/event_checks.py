@@ -134,11 +134,9 @@ def _check_stops(scene: Scene, new_scene: Scene, state: State) -> None:
         clearance = min(half_opening + 0.75 * thickness, 0.5 * pads.opening + thickness - half_opening)
         if clearance < _MIN_STOP_CLEARANCE * thickness:
             raise EventError(
-                f"contact.thickness is {thickness:.4g} m; it would leave the pads of '{pads.gripper}' "
-                f"{clearance:.4g} m "
-                f"from their stop, and they need {_MIN_STOP_CLEARANCE * thickness:.4g} m; set it once they are at "
-                f"rest, "
-                "or choose a larger one"
+                f"contact.thickness is {thickness:.4g} m; it would leave the pads of '{pads.gripper}' {clearance:.4g} "
+                f"m from their stop, and they need {_MIN_STOP_CLEARANCE * thickness:.4g} m; set it once they are at "
+                "rest, or choose a larger one"
             )
 
 

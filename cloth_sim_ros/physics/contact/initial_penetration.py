@@ -81,8 +81,7 @@ def check_initial_penetration(plan_handle: PlanHandle, surface: ContactSurface, 
         position = _rounded(0.5 * (x[:, a] + x[:, b]))
         raise ValueError(
             f"the cloth passes through itself at {position}: the edge from particle {a} to {b} goes through the "
-            f"triangle "
-            f"of particles {', '.join(map(str, triangle))}; {_REMEDY}"
+            f"triangle of particles {', '.join(map(str, triangle))}; {_REMEDY}"
         )
     gaps = np.empty(2)
     check(library().cloth_self_gaps(plan_handle.pointer, doubles("x", x, x.shape), address(gaps)))
@@ -90,8 +89,7 @@ def check_initial_penetration(plan_handle: PlanHandle, surface: ContactSurface, 
     if min_gap < MIN_START_GAP * thickness:
         raise ValueError(
             f"the cloth is {min_gap:.3g} m from itself {_describe_nearest(plan_handle, surface, x)}; at the start it "
-            f"must be "
-            f"{MIN_START_GAP * thickness:.3g} m at least, {MIN_START_GAP:g} of contact.thickness: move its "
+            f"must be {MIN_START_GAP * thickness:.3g} m at least, {MIN_START_GAP:g} of contact.thickness: move its "
             f"layers {thickness - min_gap:.3g} m apart, {_REMEDY}"
         )
 

@@ -37,8 +37,7 @@ def check_closed(vertices: Array, triangles: NDArray[np.int64], max_coordinate: 
     if flat.size:
         raise ValueError(
             f"triangle {flat[0]}, of vertices {triangles[flat[0]].tolist()} at {_format_point(a[flat[0]])} m, has no "
-            f"area: "
-            f"its height is at most {FLATNESS:g} of its longest side. To leave it out opens the mesh: merge its "
+            f"area: its height is at most {FLATNESS:g} of its longest side. To leave it out opens the mesh: merge its "
             "vertices, or give the mesh as a file, where such triangles are joined to their neighbours"
         )
     # Every edge of a closed mesh occurs once in each direction.
@@ -49,8 +48,7 @@ def check_closed(vertices: Array, triangles: NDArray[np.int64], max_coordinate: 
         first, second = divmod(int(edge_keys[np.argmax(edge_counts > 1)]), count)
         raise ValueError(
             f"the edge from vertex {first} to {second} runs the same way in {edge_counts.max()} triangles: wind the "
-            f"mesh "
-            "one way, each edge in two triangles"
+            "mesh one way, each edge in two triangles"
         )
     open_edges = edge_keys[~np.isin(edge_keys, half_edges[:, 1] * count + half_edges[:, 0])]
     if open_edges.size:

@@ -76,8 +76,7 @@ class Obstacle:
         if not (math.isfinite(static) and 0.0 <= kinetic <= static):
             raise ValueError(
                 f"{self._label} has friction {static} at rest and {kinetic} in motion; both must be finite and at "
-                f"least "
-                "0, and the one in motion at most the one at rest"
+                "least 0, and the one in motion at most the one at rest"
             )
         if (self.shape == "mesh") != (self.vertices is not None and self.triangles is not None):
             raise ValueError(f"{self._label} is a {self.shape}; a mesh, and nothing else, has vertices and triangles")

@@ -43,9 +43,8 @@ def check_anchors(contact: Contact, anchors: Array) -> None:
         ]
         if len(bad):
             raise ValueError(
-                f"memory '{ANCHORS_KEY}' has an anchor of side {side_index} of the cloth in triangle {bad[0]}; it "
-                f"must be a "
-                f"whole number from 0 to {count - 1}: the state is of another cloth"
+                f"memory '{ANCHORS_KEY}' has an anchor of side {side_index} of the cloth in triangle {bad[0]}; it must "
+                f"be a whole number from 0 to {count - 1}: the state is of another cloth"
             )
 
 

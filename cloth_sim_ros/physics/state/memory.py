@@ -78,8 +78,7 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
             obstacle, particle = bad_bonds[0].tolist()
             raise ValueError(
                 f"memory '{ANCHORS_KEY}' has bond {anchors[obstacle, 3, particle]} of obstacle {obstacle} with "
-                f"particle "
-                f"{particle}; it must be 0 (none), 1 (sticks) or 2 (slides)"
+                f"particle {particle}; it must be 0 (none), 1 (sticks) or 2 (slides)"
             )
         n_jaws = 2 * len(np.atleast_1d(memory.get(JAWS_KEY, ())))
         n_obstacles = (

@@ -153,8 +153,7 @@ class _SectionReader:
             subject = "the wildcard" if "*" in name else "the node name"
             raise self._error(
                 f"{subject} '{name}:'; names are of letters, digits and _, with / between them; * stands for one, ** "
-                f"for "
-                "any number"
+                "for any number"
             )
         section = self._sections.setdefault(name, _Section())
         self._next()

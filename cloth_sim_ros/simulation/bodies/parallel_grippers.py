@@ -127,8 +127,7 @@ def check_first_pose(jaw: ParallelJaw, pose: Array, state: State) -> Array:
             position = [round(c, 6) for c in state.x[:, particle].tolist()]
             raise ValueError(
                 f"{box.name} would be in the cloth: particle {particle} at {position} is {-gap[particle]:.4g} m deep "
-                f"in "
-                "it; begin where the open gripper is clear of the cloth"
+                "in it; begin where the open gripper is clear of the cloth"
             )
     return np.array(pad_poses)
 

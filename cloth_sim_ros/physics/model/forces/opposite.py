@@ -47,7 +47,6 @@ class OppositeSprings(PairSprings):
         if wrong.size:
             raise ValueError(
                 f"rest_length of bending spring {wrong[0]} (particles {pairs[wrong[0]].tolist()}) is "
-                f"{rest_lengths[wrong[0]]}; "
-                "it must be above 0: a pair folded shut at rest has no such spring"
+                f"{rest_lengths[wrong[0]]}; it must be above 0: a pair folded shut at rest has no such spring"
             )
         super().__init__(pairs, rest_lengths, stiffness, damping, name=name)

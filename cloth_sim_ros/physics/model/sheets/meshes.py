@@ -102,8 +102,7 @@ def checked_mesh(
             raise
         raise SurfaceError(
             f"{error} ({_pluralize(n_merged, 'vertex', 'vertices')} closer than {merge_limit:.3g} to another merged "
-            f"with it; "
-            "cloth.merge: false keeps them apart)"
+            "with it; cloth.merge: false keeps them apart)"
         ) from error
     return attrs.evolve(mesh, notes=tuple(notes))
 
@@ -188,9 +187,8 @@ def _merge_vertices(
         copy_index = int(np.argmax(twin != np.arange(len(old_faces))))
         raise SurfaceError(
             f"triangles {old_faces[twin[copy_index]].tolist()} and {old_faces[copy_index].tolist()} lie on one "
-            f"another: their vertices "
-            f"are closer than {limit:.3g}, {limit / extent:.1g} of the mesh's extent. Remove one of them, or, if they "
-            "are two layers of cloth, set cloth.merge: false"
+            f"another: their vertices are closer than {limit:.3g}, {limit / extent:.1g} of the mesh's extent. Remove "
+            "one of them, or, if they are two layers of cloth, set cloth.merge: false"
         )
     notes.append(
         f"{_pluralize(len(moved_rows), 'vertex', 'vertices')} closer than {limit:.3g} to another "
@@ -232,15 +230,13 @@ def triangulated(positions: Array, polygons: Sequence[Sequence[int]]) -> NDArray
         if n_tried > _MAX_FAN_TRIALS:
             raise SurfaceError(
                 f"face {face_index} has {len(polygon)} corners and is concave; too many corners of faces were tried "
-                f"for a fan of triangles (limit {_MAX_FAN_TRIALS}); cut such faces into triangles in the program "
-                f"that made "
-                "them"
+                f"for a fan of triangles (limit {_MAX_FAN_TRIALS}); cut such faces into triangles in the program that "
+                "made them"
             )
         if fan_start is None:
             raise SurfaceError(
-                f"face {face_index}, of vertices {list(polygon)}, at {positions[polygon[0]].tolist()}, is too "
-                f"concave or "
-                "crosses itself: no corner sees all others; cut it into triangles in the program that made it"
+                f"face {face_index}, of vertices {list(polygon)}, at {positions[polygon[0]].tolist()}, is too concave "
+                "or crosses itself: no corner sees all others; cut it into triangles in the program that made it"
             )
         fan = [*polygon[fan_start:], *polygon[:fan_start]]
         triangles.extend((fan[0], fan[k], fan[k + 1]) for k in range(1, len(fan) - 1))
@@ -290,8 +286,7 @@ def _check_size(points: Array, faces: NDArray[np.int64]) -> None:
     if extent < MIN_EXTENT:
         raise SurfaceError(
             f"the whole mesh is {extent:.3g} m across, less than {MIN_EXTENT:g} m; positions are in metres, so scale "
-            f"it "
-            "(cloth.scale)"
+            "it (cloth.scale)"
         )
 
 
@@ -373,8 +368,7 @@ def _check_edges(faces: NDArray[np.int64], points: Array) -> None:
         vertex0, vertex1 = (int(v) for v in unique[bad])
         raise SurfaceError(
             f"the edge of vertices {vertex0} and {vertex1}, at {points[vertex0].tolist()} and "
-            f"{points[vertex1].tolist()}, "
-            f"belongs to {uses[bad]} triangles; a cloth's edge has at most 2"
+            f"{points[vertex1].tolist()}, belongs to {uses[bad]} triangles; a cloth's edge has at most 2"
         )
 
 
