@@ -11,8 +11,7 @@ from support.feature_variants import swinging
 
 from cloth_sim_ros.engine.binding import SUMMARY_NUMBERS, FrameRequest, check, library
 from cloth_sim_ros.physics.control.constants import CONSTANTS
-from cloth_sim_ros.physics.integrators.fixed import steps_for
-from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.physics.integrators.limit import leapfrog_limit, steps_for
 from cloth_sim_ros.scene.scene import Scene
 
 

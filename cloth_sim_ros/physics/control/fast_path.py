@@ -20,7 +20,7 @@ from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.step_choice import ExplicitSettings, StepChoice, describe_details
 from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, PrecomputedRun
-from cloth_sim_ros.physics.integrators.fixed import steps_for
+from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import (
     ContactState,

@@ -20,7 +20,7 @@ from cloth_sim_ros.physics.control.stability import MAX_UNDAMPED_STEPS, Stabilit
 from cloth_sim_ros.physics.control.step_choice import StepChoice
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, ExtrapolationTableau, step_counts
-from cloth_sim_ros.physics.integrators.fixed import steps_for
+from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.state.controller_state import ErrorState
 from cloth_sim_ros.physics.state.state import State
 

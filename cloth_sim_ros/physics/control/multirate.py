@@ -16,8 +16,7 @@ from collections.abc import Sequence
 
 from cloth_sim_ros.physics.arithmetic.deterministic_math import root
 from cloth_sim_ros.physics.control.constants import CONSTANTS
-from cloth_sim_ros.physics.integrators.fixed import steps_for
-from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
+from cloth_sim_ros.physics.integrators.limit import leapfrog_limit, steps_for
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.plan.runs import RunSummary

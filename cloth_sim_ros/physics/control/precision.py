@@ -16,7 +16,7 @@ from cloth_sim_ros.physics.arithmetic.arrays import largest_distance, weighted_d
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.step_choice import StepChoice
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import amplification
-from cloth_sim_ros.physics.integrators.fixed import steps_for
+from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import PrecisionState, RoundingNoiseState
 from cloth_sim_ros.physics.state.state import State

@@ -14,7 +14,7 @@ import math
 
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIOS
-from cloth_sim_ros.physics.integrators.fixed import steps_for
+from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.model.forces.force import Force
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import StabilityState

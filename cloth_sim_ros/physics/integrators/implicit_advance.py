@@ -10,15 +10,15 @@ from typing import Protocol
 import attrs
 import numpy as np
 
-from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator, accumulate
+from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.contact.thickness import relative_growth
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import Advance, ToleranceMissedError, UnstableError
-from cloth_sim_ros.physics.integrators.fixed import steps_for
-from cloth_sim_ros.physics.integrators.implicit_work import ImplicitStep, accumulate, external_work
+from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.integrators.stage_matrix import iteration_cost, stage_matrix
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.plan.gripper_path import rigid_velocities
+from cloth_sim_ros.physics.plan.gripper_path import rigid_velocities, step_displacement
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import JAWS_KEY, THICKNESS_KEY
 from cloth_sim_ros.physics.state.controller_state import ImplicitState as Memory
@@ -68,6 +68,20 @@ class ImplicitSettings(Protocol):
     work: float
 
 
+@attrs.frozen
+class ImplicitStep:
+    """One step: positions [m] and velocities [m/s] at its end, last acceleration [m/s^2], error estimate [m]."""
+
+    x: Array
+    v: Array
+    a: Array
+    error: float
+    #: Times [s], weights [s], positions and velocities of the points at which its forces act.
+    stages: tuple[tuple[float, float, Array, Array], ...]
+    #: True if the contact force of the last point acts during the whole step, while obstacles move and contacts grow.
+    acts_at_end: bool = False
+
+
 class ImplicitAdvance:
     """One advance of a state by a duration."""
 
@@ -111,10 +125,8 @@ class ImplicitAdvance:
         min_steps = 1 if integrator.step is None else steps_for(self._duration, integrator.step)
         contact = self._plan.contact
         if contact is not None and (end_thickness := contact.force.recovery[2]) is not None:
-            min_steps = max(
-                min_steps,
-                math.ceil(relative_growth(state.memory[THICKNESS_KEY], end_thickness) / _MAX_THICKNESS_GROWTH),
-            )
+            growth = relative_growth(state.memory[THICKNESS_KEY], end_thickness)
+            min_steps = max(min_steps, math.ceil(growth / _MAX_THICKNESS_GROWTH))
         is_step_known = memory.step > 0.0 and self._max_evaluations == math.inf
         steps = max(min_steps, steps_for(self._duration, memory.step)) if is_step_known else min_steps
         start, rejected = state.shallow_copy(), 0
@@ -129,9 +141,8 @@ class ImplicitAdvance:
                 break
             factor = 2.0 if error is None else math.sqrt(error / (CONSTANTS.error_target_fraction * self._budget))
             next_steps = max(steps + 1, math.ceil(steps * min(factor, 2.0 * CONSTANTS.max_refinement_factor)))
-            self._exhausted = (
-                self._evaluations + (self._evaluations - evaluations_before) / steps * next_steps > self._work_limit
-            )
+            next_evaluations = (self._evaluations - evaluations_before) / steps * next_steps
+            self._exhausted = self._evaluations + next_evaluations > self._work_limit
             if self._exhausted and error is not None:
                 break
             state.restore(start)
@@ -177,9 +188,8 @@ class ImplicitAdvance:
             return max(min_steps, steps // 2)
         if self._n_unsolved:
             return steps
-        required_steps = math.ceil(
-            steps * math.sqrt(max(error, 1e-30) / (CONSTANTS.error_target_fraction * self._budget))
-        )
+        target = CONSTANTS.error_target_fraction * self._budget
+        required_steps = math.ceil(steps * math.sqrt(max(error, 1e-30) / target))
         # A violent frame does not increase the number of steps of the next one, which may be quiet.
         return max(1, steps // 2, min(required_steps, steps) if self._exhausted else required_steps)
 
@@ -194,9 +204,8 @@ class ImplicitAdvance:
     def _take_steps(self, steps: int) -> float | None:
         """Take equal steps; return the sum of their errors [m], or None if a step has no result."""
         h = self._duration / steps
-        self._convergence_distance = (
-            _CONVERGENCE_FRACTION * self._budget / steps if math.isfinite(self._budget) else CONVERGED_DISTANCE
-        )
+        distance = _CONVERGENCE_FRACTION * self._budget / steps
+        self._convergence_distance = distance if math.isfinite(self._budget) else CONVERGED_DISTANCE
         self._curvature, self._n_unsolved, self._n_steps, self._min_step = math.inf, 0, 0, h
         state, error_sum, contact = self._state, 0.0, self._plan.contact
         guess = np.empty_like(state.x)
@@ -225,9 +234,8 @@ class ImplicitAdvance:
         if self._uses_safe_steps and (step is None or self._creates_energy(t, h, step)):
             if self._is_strict and self._halves_failed_steps:
                 # Such a step would flag the frame, or be halved. Explicit steps replace it.
-                raise self._with_evaluations(
-                    ToleranceMissedError(f"implicit: a step of {h:.3g} s has no solution that can be found")
-                )
+                text = f"implicit: a step of {h:.3g} s has no solution that can be found"
+                raise self._with_evaluations(ToleranceMissedError(text))
             # A descent step is inaccurate, but stable.
             n_unsolved = 1
             step = self._descent_step(t, h, guess)
@@ -240,7 +248,7 @@ class ImplicitAdvance:
             second = None if first is None else self._take_step(t + half_step, half_step, first[1])
             return None if first is None or second is None else (first[0] + second[0], second[1])
         if self._accumulator is not None:
-            accumulate(self._accumulator, self._plan, t, h, step)
+            _accumulate_step(self._accumulator, self._plan, t, h, step)
         state.x, state.v = step.x, step.v
         if contact is not None:
             contact.update_after_step(t + h, h, state)
@@ -301,16 +309,15 @@ class ImplicitAdvance:
 
     def _creates_energy(self, t: float, h: float, step: ImplicitStep) -> bool:
         gain, kinetic = self._energy_gain(t, h, step)
-        return not gain <= _MAX_ENERGY_GAIN * (kinetic + abs(external_work(self._plan, t, h, step)))
+        return not gain <= _MAX_ENERGY_GAIN * (kinetic + abs(_external_work(self._plan, t, h, step)))
 
     def _energy_gain(self, t: float, h: float, step: ImplicitStep) -> tuple[float, float]:
         """Return the energy that a step created, external work subtracted, and the kinetic energy at its end [J]."""
         energy_before = self._plan.energy(t, self._state.x, self._state.v)
         energy_after = self._plan.energy(t + h, step.x, step.v)
         kinetic = self._plan.energies(t + h, step.x, step.v)[0]
-        return energy_after - energy_before - external_work(self._plan, t, h, step) - _ROUNDING * abs(
-            energy_before
-        ), kinetic
+        work = _external_work(self._plan, t, h, step)
+        return energy_after - energy_before - work - _ROUNDING * abs(energy_before), kinetic
 
     def _solve_stage(self, t: float, x: Array, v: Array, d: float, guess: Array) -> tuple[Array, Array] | None:
         """Solve a = a(t, x + d u, u), u = v + d a; return u [m/s] and a [m/s^2], or None without convergence."""
@@ -328,14 +335,11 @@ class ImplicitAdvance:
             if not math.isfinite(size) or (iteration >= _SLOW_FROM and size > _SLOW_RATIO * previous_size):
                 return None
             if previous_size < math.inf:
-                self._curvature = max(
-                    0.5 * self._curvature if self._curvature < math.inf else 0.0, size / (previous_size * previous_size)
-                )
+                previous_curvature = self._curvature if self._curvature < math.inf else 0.0
+                self._curvature = max(0.5 * previous_curvature, size / (previous_size * previous_size))
             # Newton's iteration converges quadratically: the next correction is about curvature * size^2.
-            if (
-                size <= self._convergence_distance
-                or self._curvature * size * size <= _PREDICTION_MARGIN * self._convergence_distance
-            ):
+            predicted_size, limit = self._curvature * size * size, self._convergence_distance
+            if size <= limit or predicted_size <= _PREDICTION_MARGIN * limit:
                 return u, (u - v) / d
             previous_size = size
         return None
@@ -401,12 +405,9 @@ class ImplicitAdvance:
 
         The objective is ``1/2 |u - v|^2_M + E(x + d u) + d/2 u'D u`` while the damping matrix D is nearly constant.
         """
-        fraction, objective_before = 1.0, self._objective(t, x, v, d, u)
-        objective_before += _ROUNDING * abs(objective_before)
-        while (
-            fraction > _MIN_STEP_FRACTION
-            and not self._objective(t, x, v, d, u + fraction * correction) <= objective_before
-        ):
+        fraction, limit = 1.0, self._objective(t, x, v, d, u)
+        limit += _ROUNDING * abs(limit)
+        while fraction > _MIN_STEP_FRACTION and not self._objective(t, x, v, d, u + fraction * correction) <= limit:
             fraction *= 0.5
         return fraction
 
@@ -431,3 +432,68 @@ def error_constant() -> float:
     # R(z) = (1 + (1 - 2 g) z) / (1 - g z)^2 = 1 + z + z^2 / 2 + (4 g^3 + 3 g^2 (1 - 2 g)) z^3 + ...
     third_coefficient = GAMMA * GAMMA * (4.0 * GAMMA + 3.0 * (1.0 - 2.0 * GAMMA))
     return abs(third_coefficient - 1.0 / 6.0)
+
+
+def _obstacle_work_rates(plan: Plan, t: float, h: float, step: ImplicitStep) -> Array:
+    """Return impulse and work of obstacles over a step whose contact force is that at its end.
+
+    The impulse of the implicit Euler method is h f, and the work is f'w with the displacement w of the obstacle. The
+    contact energy is convex; it grows by at most f'(w - h u), and the kinetic energy by at most h f'u. Therefore the
+    step creates no energy for any w. Forces inside the step would belong to gaps that no step has resolved; they are
+    unbounded.
+
+    Args:
+        plan: equations of motion.
+        t: time at the start of the step [s].
+        h: its length [s].
+        step: the step.
+
+    Returns:
+        Rows as of `ContactBinding.wrench_rates`.
+    """
+    contact = plan.contact
+    assert contact is not None
+    end_time, _, x, v = step.stages[-1]
+    rows = contact.wrench_rates(end_time, x, v, h)
+    for row, path in zip(rows, contact.force.paths, strict=True):
+        if row.any():
+            row[6] = -ordered_sum(
+                [a * b / h for a, b in zip(row[:6].tolist(), step_displacement(path, t, h), strict=True)]
+            )
+    return rows
+
+
+def _recovery_work(plan: Plan, h: float, step: ImplicitStep) -> float:
+    """Return the work of contacts that regain their thickness over such a step [J].
+
+    It is the power at the end of the step times its length. The contact energy d_i^2 b(g / d_i) is convex in gap and
+    thickness together, because 2 b b'' > b'^2. Therefore this is an upper bound of the added energy, see
+    `_obstacle_work_rates`.
+    """
+    end_time, _, x, v = step.stages[-1]
+    return 0.0 if plan.contact is None else h * plan.contact.recovery_power(end_time, x, v)
+
+
+def _external_work(plan: Plan, t: float, h: float, step: ImplicitStep) -> float:
+    """Return the work of grippers, obstacles, moving air and growing contacts over a step [J]."""
+    total = 0.0
+    for stage_time, weight, x, v in step.stages:
+        total += weight * plan.supply(stage_time, x, v)
+        if plan.gripper_count:
+            total = ordered_sum(plan.grip_wrench_rates(stage_time, x, v, weight)[:, 6].tolist(), total)
+        if plan.contact is not None and not step.acts_at_end:
+            total = ordered_sum(plan.contact.wrench_rates(stage_time, x, v, weight)[:, 6].tolist(), total)
+            total += weight * plan.contact.recovery_power(stage_time, x, v)
+    if not step.acts_at_end:
+        return total
+    return ordered_sum(_obstacle_work_rates(plan, t, h, step)[:, 6].tolist(), total) + _recovery_work(plan, h, step)
+
+
+def _accumulate_step(accumulator: WorkAccumulator, plan: Plan, t: float, h: float, step: ImplicitStep) -> None:
+    """Accumulate a step of length h [s] that starts at time t [s]."""
+    for stage_time, weight, x, v in step.stages:
+        accumulate(accumulator, plan, stage_time, x, v, weight, record_obstacles=not step.acts_at_end)
+    if step.acts_at_end and accumulator.obstacle_count:
+        accumulator.add_obstacle_work(_obstacle_work_rates(plan, t, h, step))
+    if step.acts_at_end and accumulator.record_power:
+        accumulator.add_recovery_work(_recovery_work(plan, h, step))

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Step limit of the leapfrog."""
+"""Step limit of the leapfrog, and number of equal steps."""
 
 from __future__ import annotations
 
@@ -21,3 +21,8 @@ def leapfrog_limit(omega2: float, damping_rate: float) -> float:
     # This form avoids cancellation.
     half = 0.5 * damping_rate
     return 2.0 / (half + math.sqrt(half * half + omega2))
+
+
+def steps_for(duration: float, step: float) -> int:
+    """Return the smallest number of equal steps of at most ``step`` [s] that cover a duration [s], up to rounding."""
+    return max(1, math.ceil(duration / step * (1.0 - 1e-12)))

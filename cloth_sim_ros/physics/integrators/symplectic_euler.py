@@ -4,15 +4,24 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator, accumulate
-from cloth_sim_ros.physics.integrators.base import Advance, Integrator, check_step
-from cloth_sim_ros.physics.integrators.fixed import advance_fixed
+from cloth_sim_ros.physics.control.constants import CONSTANTS
+from cloth_sim_ros.physics.integrators.base import (
+    Advance,
+    Integrator,
+    NoRoomError,
+    UnstableError,
+    check_step,
+    refuse_step,
+)
+from cloth_sim_ros.physics.integrators.limit import leapfrog_limit, steps_for
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.state import State
+
+#: Maximum number of attempts of an advance, each with a smaller step.
+MAX_ATTEMPTS = 12
 
 
 class SymplecticEuler(Integrator):
@@ -36,27 +45,70 @@ class SymplecticEuler(Integrator):
         self.step = check_step(step)
 
     def step_limit(self, omega2: float, damping_rate: float) -> float:
-        if omega2 == 0.0 and damping_rate == 0.0:
-            return float("inf")
-        half = 0.5 * damping_rate
-        return 2.0 / (half + math.sqrt(half * half + omega2))
+        return leapfrog_limit(omega2, damping_rate)
 
     def advance(
         self, plan: Plan, state: State, t: float, duration: float, accumulator: WorkAccumulator | None = None
     ) -> Advance:
+        limit, step = self._limit_at(plan, state, t, duration), self.step
+        if step is not None:
+            refuse_step(step, limit, self.name)
+        max_step = CONSTANTS.stability_safety * limit if step is None else step
+        start = state.shallow_copy()
+        state.x, state.v = state.x.copy(), state.v.copy()
+        evaluations = rejected = 0
+        while True:
+            steps = steps_for(duration, max_step)
+            h = duration / steps
+            self._take_steps(plan, state, t, h, steps, accumulator)
+            evaluations += steps
+            is_finite = bool(np.isfinite(state.x).all() and np.isfinite(state.v).all())
+            if is_finite and (step is not None or h <= self._limit_at(plan, state, t + duration, 0.0)):
+                break
+            if step is not None:
+                raise UnstableError(
+                    f"the motion became non-finite at a step of {h} s; its limit was {limit:.6g} s at the start"
+                )
+            # The motion stiffened.
+            state.restore(start)
+            max_step = 0.5 * h
+            rejected += 1
+            if rejected == MAX_ATTEMPTS:
+                raise UnstableError(
+                    f"no step down to {h:.3g} s kept the motion within its stability limit; reduce stiffness "
+                    "or damping, or set integrator auto"
+                )
+        limited_by = "step" if step is not None else ("frame" if steps == 1 else "stability")
+        limit_text = f"{CONSTANTS.stability_safety:g} of the stability limit {limit:.3g} s"
+        reason = f"{self.name}: {limit_text if step is None else f'fixed step of {h:.3g} s'}, no tolerance set"
+        return Advance(steps, evaluations, h, limit, rejected, self.name, limited_by, reason=reason)
+
+    def _limit_at(self, plan: Plan, state: State, t: float, lookahead: float) -> float:
+        """Return the step limit at a time [s], including contact predicted over a duration [s]."""
+        if plan.contact is not None:
+            plan.contact.load_state(state)
+        omega2, damping = plan.spectral_bounds(state.x)
+        try:
+            contact_omega2, contact_damping = plan.predict_contact(t, lookahead, state.x, state.v)
+        except ValueError as error:
+            raise NoRoomError(str(error)) from error
+        return self.step_limit(omega2 + contact_omega2, damping + contact_damping)
+
+    @staticmethod
+    def _take_steps(
+        plan: Plan, state: State, t: float, h: float, steps: int, accumulator: WorkAccumulator | None
+    ) -> None:
+        """Take equal steps of h [s] from time t [s]; the accumulator is reset before."""
+        if accumulator is not None:
+            accumulator.reset()
         a = np.empty_like(state.x)
-
-        def run(h: float, steps: int) -> int:
-            for k in range(steps):
-                if plan.contact is not None:
-                    plan.contact.load_state(state)
-                plan.accelerations(t + k * h, state.x, state.v, a)
-                if accumulator is not None:
-                    accumulate(accumulator, plan, t + k * h, state.x, state.v, h)
-                state.v += h * a
-                state.x += h * state.v
-                if plan.contact is not None:
-                    plan.contact.update_after_step(t + (k + 1) * h, h, state)
-            return steps
-
-        return advance_fixed(self, run, plan, state, t, duration, self.step, accumulator)
+        for k in range(steps):
+            if plan.contact is not None:
+                plan.contact.load_state(state)
+            plan.accelerations(t + k * h, state.x, state.v, a)
+            if accumulator is not None:
+                accumulate(accumulator, plan, t + k * h, state.x, state.v, h)
+            state.v += h * a
+            state.x += h * state.v
+            if plan.contact is not None:
+                plan.contact.update_after_step(t + (k + 1) * h, h, state)

@@ -12,7 +12,7 @@ import statistics
 
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import Advance
-from cloth_sim_ros.physics.integrators.fixed import steps_for
+from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.simulation.events import Relax
