@@ -42,22 +42,17 @@ class EnergyBalance:
 
     def close(self, t: float, state: State) -> float:
         """Add an advance that ended at time t [s]; return the residual so far [J]."""
-        dissipation, work, wind_work, recovery_work = (
-            self.accumulator.dissipation,
-            self.accumulator.work,
-            self.accumulator.wind_work,
-            self.accumulator.recovery_work,
-        )
+        sums = self.accumulator
+        dissipation, work, wind_work, recovery_work = sums.dissipation, sums.work, sums.wind_work, sums.recovery_work
         self.dissipation += dissipation
-        self.friction_work += self.accumulator.friction_work
+        self.friction_work += sums.friction_work
         self.work += work
         self.wind_work += wind_work
         self.recovery_work += recovery_work
-        self.accumulator.reset()
+        sums.reset()
         kinetic, potential = self._energies(t, state)
-        self.energy_turnover += (
-            abs(kinetic - self._kinetic) + abs(dissipation) + abs(work) + abs(wind_work) + abs(recovery_work)
-        )
+        turnover = abs(kinetic - self._kinetic) + abs(dissipation) + abs(work)
+        self.energy_turnover += turnover + abs(wind_work) + abs(recovery_work)
         self._kinetic = kinetic
         return kinetic + potential - self._start - self.work - self.wind_work - self.recovery_work + self.dissipation
 

@@ -144,10 +144,8 @@ class WorkAccumulator:
     @property
     def dissipation(self) -> float:
         """Energy that springs, drag, grips and contact dissipated [J]; springs and drag require `record_power`."""
-        return ordered_sum(
-            self._obstacle_sums[:, 7].tolist(),
-            float(self._power_sums[0]) + ordered_sum(self._gripper_sums[:, 7].tolist()),
-        )
+        start = float(self._power_sums[0]) + ordered_sum(self._gripper_sums[:, 7].tolist())
+        return ordered_sum(self._obstacle_sums[:, 7].tolist(), start)
 
     @property
     def friction_work(self) -> float:
@@ -166,19 +164,12 @@ class WorkAccumulator:
 
 
 def accumulate(
-    accumulator: WorkAccumulator,
-    plan: Plan,
-    t: float,
-    x: Array,
-    v: Array,
-    weight: float,
-    *,
-    record_obstacles: bool = True,
+    sums: WorkAccumulator, plan: Plan, t: float, x: Array, v: Array, weight: float, *, record_obstacles: bool = True
 ) -> None:
     """Accumulate one quadrature point.
 
     Args:
-        accumulator: the accumulator.
+        sums: the sums.
         plan: equations of motion.
         t: time [s].
         x: positions [m], shape (3, n).
@@ -186,20 +177,17 @@ def accumulate(
         weight: quadrature weight [s].
         record_obstacles: true to include obstacles and contacts that regain their thickness.
     """
-    dissipated, supplied = plan.powers(t, x, v) if accumulator.record_power else (0.0, 0.0)
+    dissipated, supplied = plan.powers(t, x, v) if sums.record_power else (0.0, 0.0)
     empty = np.zeros((0, RECORD_NUMBERS))
-    gripper_rates = plan.grip_wrench_rates(t, x, v, weight) if accumulator.gripper_count else empty
+    gripper_rates = plan.grip_wrench_rates(t, x, v, weight) if sums.gripper_count else empty
     obstacle_rates = empty
-    if plan.contact is not None and accumulator.obstacle_count:
-        obstacle_rates = (
-            plan.contact.wrench_rates(t, x, v, weight)
-            if record_obstacles
-            else np.zeros((accumulator.obstacle_count, RECORD_NUMBERS))
-        )
+    if plan.contact is not None and sums.obstacle_count:
+        obstacle_rates = np.zeros((sums.obstacle_count, RECORD_NUMBERS))
+        if record_obstacles:
+            obstacle_rates = plan.contact.wrench_rates(t, x, v, weight)
     friction_work = recovery_work = 0.0
-    if plan.contact is not None and accumulator.record_power:
+    if plan.contact is not None and sums.record_power:
         friction_work = weight * plan.contact.friction_power(t, x, v)
         recovery_work = weight * plan.contact.recovery_power(t, x, v) if record_obstacles else 0.0
-    accumulator.add_sample(
-        gripper_rates, obstacle_rates, (weight * dissipated, weight * supplied), weight, friction_work, recovery_work
-    )
+    powers = weight * dissipated, weight * supplied
+    sums.add_sample(gripper_rates, obstacle_rates, powers, weight, friction_work, recovery_work)
