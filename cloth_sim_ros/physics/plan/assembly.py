@@ -111,9 +111,7 @@ class Assembly:
         coefficients = [part.coefficients for part in self.element_lists if part.kind in ("spring", "joint")]
         damping_times = [min_damping_time(numbers[:, -2], numbers[:, -1]) for numbers in coefficients]
         families = () if self.grid is None else self.grid.families
-        damping_times += [
-            min_damping_time(family.stiffness / family.rest_length, family.damping) for family in families
-        ]
+        damping_times += [min_damping_time(f.stiffness / f.rest_length, f.damping) for f in families]
         return min(damping_times, default=math.inf)
 
     def step_cost(self) -> float:
@@ -124,17 +122,12 @@ class Assembly:
             total += GRID_SPRING_OPERATIONS * count * len(self.grid.families)
         total += sum(self._operations(part) for part in self.element_lists)
         # A call of Python takes as long as a hundred particles.
-        return CONSTANTS.operation_time * total / count + CONSTANTS.python_force_time * (count + 100) / count * len(
-            self.python_forces
-        )
+        python_cost = CONSTANTS.python_force_time * (count + 100) / count * len(self.python_forces)
+        return CONSTANTS.operation_time * total / count + python_cost
 
     def hinge_cost(self) -> float:
         """Return the part of `step_cost` that hinges take [ns]."""
-        total = sum(
-            ELEMENT_OPERATIONS[part.kind] * len(part.particles)
-            for part in self.element_lists
-            if part.kind in HINGE_KINDS
-        )
+        total = sum(self._operations(part) for part in self.element_lists if part.kind in HINGE_KINDS)
         return CONSTANTS.operation_time * total / self.model.particle_count
 
     def _operations(self, part: ElementList) -> int:

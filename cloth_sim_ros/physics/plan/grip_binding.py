@@ -9,17 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.engine.binding import (
-    NOT_FINITE,
-    PATH_NUMBERS,
-    RECORD_NUMBERS,
-    address,
-    check,
-    doubles,
-    finite,
-    indices,
-    library,
-)
+from cloth_sim_ros.engine import binding
+from cloth_sim_ros.engine.binding import address, check, doubles, finite, indices, library
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.forces.grips import Grips
 from cloth_sim_ros.physics.model.parts import min_damping_time
@@ -45,7 +36,7 @@ class GripBinding(Uncopyable):
         self._uploaded: tuple[NDArray[Any], ...] | None = None
         #: Number of grippers.
         self.count = grips.gripper_count
-        self._paths_shape = (self.count, PATH_NUMBERS)
+        self._paths_shape = (self.count, binding.PATH_NUMBERS)
 
     def sync(self) -> None:
         """Upload grasped particles and paths if they changed."""
@@ -58,7 +49,7 @@ class GripBinding(Uncopyable):
         if paths.shape != self._paths_shape:
             raise ValueError(f"paths have shape {paths.shape}; they must be {self._paths_shape}")
         status = self._library.cloth_plan_gripper_paths(self._handle, doubles("paths", paths, self._paths_shape))
-        if status == NOT_FINITE:
+        if status == binding.NOT_FINITE:
             raise ValueError(f"paths of grippers are {paths.tolist()}; all numbers must be finite")
         check(status)
         self._grip_revision, self._path_revision = grips.grip_revision, grips.path_revision
@@ -105,7 +96,7 @@ class GripBinding(Uncopyable):
             Force [N] (3), torque [N m] (3), power [W], dissipated power [W], shape (grippers, RECORD_NUMBERS).
         """
         self.sync()
-        out = np.zeros((self.count, RECORD_NUMBERS))
+        out = np.zeros((self.count, binding.RECORD_NUMBERS))
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
         check(self._library.cloth_grip_wrenches(self._handle, t, *addresses, weight, out.ctypes.data))
         return out

@@ -69,9 +69,8 @@ def rotation_vector(start: Sequence[float], end: Sequence[float]) -> list[float]
     """Return the rotation vector [rad], 3 numbers, of the shortest rotation from one unit quaternion to another."""
     out = np.empty(3)
     quaternions = [np.array(orientation, dtype=np.float64) for orientation in (start, end)]
-    check(
-        library().cloth_rotation_vector(*(doubles("orientation", array, (4,)) for array in quaternions), address(out))
-    )
+    addresses = [doubles("orientation", array, (4,)) for array in quaternions]
+    check(library().cloth_rotation_vector(*addresses, address(out)))
     rotation: list[float] = out.tolist()
     return rotation
 
@@ -83,9 +82,8 @@ def rotated_by(orientation: Sequence[float], rotation: Sequence[float]) -> list[
     sine, cosine = sine_and_cosine(0.5 * angle)
     # sin(angle / 2) / angle -> 1/2 as the angle vanishes.
     scale = sine / angle if angle > 1e-12 else 0.5
-    quaternion: list[float] = normalized(
-        quaternion_product((scale * x, scale * y, scale * z, cosine), orientation)
-    ).tolist()
+    product = quaternion_product((scale * x, scale * y, scale * z, cosine), orientation)
+    quaternion: list[float] = normalized(product).tolist()
     return quaternion
 
 
@@ -139,16 +137,12 @@ def rigid_velocities(row: Array, t: float, h: float, x: Array) -> Array:
         x: positions at the start [m], shape (3, n).
     """
     positions, quaternions = _step_poses(row, t, h)
-    (start_matrix, end_matrix), offsets = (
-        (rotation_matrix(np.array(quaternion)) for quaternion in quaternions),
-        x - positions[0][:, None],
-    )
+    start_matrix, end_matrix = (rotation_matrix(np.array(quaternion)) for quaternion in quaternions)
+    offsets = x - positions[0][:, None]
     # Sums by component: a matrix library would choose the order of summation.
-    local_offsets = [sum(start_matrix[i, k] * offsets[i] for i in range(3)) for k in range(3)]
-    end_positions = np.stack(
-        [positions[1][i] + sum(end_matrix[i, k] * local_offsets[k] for k in range(3)) for i in range(3)]
-    )
-    return np.ascontiguousarray((end_positions - x) / h)
+    local = [sum(start_matrix[i, k] * offsets[i] for i in range(3)) for k in range(3)]
+    end = np.stack([positions[1][i] + sum(end_matrix[i, k] * local[k] for k in range(3)) for i in range(3)])
+    return np.ascontiguousarray((end - x) / h)
 
 
 class PathPlanner:
@@ -184,27 +178,17 @@ class PathPlanner:
         pose_shape, twist_shape = (count, 7), (count, 6)
         addresses, last_arrays = self._last_addresses, self._last_arrays
         if not (poses is last_arrays[0] and twists is last_arrays[1] and previous is last_arrays[2]):
-            addresses = (
-                doubles("poses", poses, pose_shape),
-                doubles("twists", twists, twist_shape),
-                doubles("before", previous, twist_shape),
-            )
+            twist_addresses = doubles("twists", twists, twist_shape), doubles("before", previous, twist_shape)
+            addresses = doubles("poses", poses, pose_shape), *twist_addresses
         target_address = doubles("targets", targets, pose_shape)
-        paths, end_motion, changes = np.empty((count, PATH_NUMBERS)), np.empty((2, count, 6)), np.empty(count)
-        paths_address, end_motion_address, changes_address = (
-            (address(paths), address(end_motion), address(changes)) if count else (0, 0, 0)
-        )
-        next_addresses = end_motion_address, end_motion_address + 48 * count
-        check(
-            library().cloth_paths(
-                count, t, duration, *addresses, target_address, paths_address, *next_addresses, changes_address
-            )
-        )
-        end_twists, displacements = end_motion[0], end_motion[1]
-        self._last_arrays, self._last_addresses = (
-            (targets, end_twists, displacements),
-            (target_address, *next_addresses),
-        )
+        paths, motion, changes = np.empty((count, PATH_NUMBERS)), np.empty((2, count, 6)), np.empty(count)
+        outputs = (address(paths), address(motion), address(changes)) if count else (0, 0, 0)
+        next_addresses = outputs[1], outputs[1] + 48 * count
+        inputs = count, t, duration, *addresses, target_address
+        check(library().cloth_paths(*inputs, outputs[0], *next_addresses, outputs[2]))
+        end_twists, displacements = motion[0], motion[1]
+        self._last_arrays = targets, end_twists, displacements
+        self._last_addresses = target_address, *next_addresses
         return paths, end_twists, displacements, changes.tolist()
 
 

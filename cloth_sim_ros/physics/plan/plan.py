@@ -19,18 +19,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy import empty, zeros
 
-from cloth_sim_ros.engine.binding import (
-    CONTACT_SUMMARY_NUMBERS,
-    FRAME,
-    MAX_RUNS,
-    SUMMARY_NUMBERS,
-    FrameRequest,
-    address,
-    check,
-    doubles,
-    library,
-    writable,
-)
+from cloth_sim_ros.engine import binding
+from cloth_sim_ros.engine.binding import FRAME, MAX_RUNS, address, check, doubles, library, writable
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.model.forces.grips import Grips
@@ -93,11 +83,8 @@ class Plan(PlanQueries, Uncopyable):
         self._library = library()
         self._shape = (3, model.particle_count)
         assembly = Assembly.of(model)
-        self._python_forces, self._drag, self._min_damping_time = (
-            assembly.python_forces,
-            assembly.drag,
-            assembly.min_damping_time(),
-        )
+        self._python_forces, self._drag = assembly.python_forces, assembly.drag
+        self._min_damping_time = assembly.min_damping_time()
         #: True if the model has hinges, which multirate runs evaluate less often.
         self.has_hinges = any(elements.kind in HINGE_KINDS for elements in assembly.element_lists)
         #: Estimated time of a step for one particle, and the part of it for hinges [ns].
@@ -108,9 +95,9 @@ class Plan(PlanQueries, Uncopyable):
         self.call_lock = threading.Lock()
         # The engine's request is allocated once; each frame writes into it.
         self._steps, self._weights = (ctypes.c_int64 * MAX_RUNS)(), (ctypes.c_double * MAX_RUNS)()
-        self._summary_out = (ctypes.c_double * SUMMARY_NUMBERS)()
+        self._summary_out = (ctypes.c_double * binding.SUMMARY_NUMBERS)()
         self._steps_address, self._weights_address = addressof(self._steps), addressof(self._weights)
-        self._frame = FrameRequest()
+        self._frame = binding.FrameRequest()
         #: Numbers of steps in the request.
         self._requested_steps: tuple[int, ...] | None = None
         #: The newest combination of runs; the reference keeps its address valid.
@@ -210,12 +197,8 @@ class Plan(PlanQueries, Uncopyable):
         count, grippers, obstacles = len(steps), self.gripper_count, 0
         if steps != self._requested_steps:
             self._request_steps(steps)
-        if multirate != 1 and (
-            type(multirate) is not int
-            or multirate < 1
-            or multirate % 2 == 0
-            or any(n_steps % multirate for n_steps in steps)
-        ):
+        is_odd = type(multirate) is int and multirate > 0 and multirate % 2 == 1
+        if multirate != 1 and (not is_odd or any(n_steps % multirate for n_steps in steps)):
             raise ValueError(
                 f"hinges every {multirate} steps of {list(steps)}; give an odd number that divides each of them"
             )
@@ -227,10 +210,8 @@ class Plan(PlanQueries, Uncopyable):
         result, result_address, summary_address = out[0], 0, 0
         n_contact_numbers, end_buffers, end_addresses = 0, _NO_END_BUFFERS, _NO_ADDRESSES
         if self.contact is not None:
-            obstacles, n_contact_numbers = (
-                self.contact.count,
-                CONTACT_SUMMARY_NUMBERS if self.contact.force.is_active else 0,
-            )
+            obstacles = self.contact.count
+            n_contact_numbers = binding.CONTACT_SUMMARY_NUMBERS if self.contact.force.is_active else 0
             end_buffers = self.contact.end_buffers(count)
             end_addresses = [0 if array is None else address(array) for array in end_buffers]
         integrals = zeros((count, n_integrals(grippers, obstacles) + n_contact_numbers))
@@ -309,9 +290,8 @@ class Plan(PlanQueries, Uncopyable):
         """Return the estimated time [ns] that contact adds to a force evaluation within a duration [s] from time t [s]
         on.
         """
-        return (
-            0.0 if self.contact is None else CONSTANTS.operation_time * self.contact.operation_count(t, duration, state)
-        )
+        contact = self.contact
+        return 0.0 if contact is None else CONSTANTS.operation_time * contact.operation_count(t, duration, state)
 
     def multirate_step_cost(self, multirate: int) -> float:
         """Return the estimated time of a step for one particle [ns] at a multirate ratio."""
@@ -373,6 +353,5 @@ class Plan(PlanQueries, Uncopyable):
 
     def supports_single_precision(self, duration: float, x: Array, v: Array) -> bool:
         """Return true if runs over a duration [s] from a state may calculate in single precision."""
-        return not self._python_forces and (
-            self.contact is None or self.contact.supports_single_precision(duration, x, v)
-        )
+        contact = self.contact
+        return not self._python_forces and (contact is None or contact.supports_single_precision(duration, x, v))

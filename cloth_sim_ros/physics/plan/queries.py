@@ -61,29 +61,22 @@ class PlanQueries:
             squared frequency across springs.
         """
         self._sync()
-        position_address, stiffness_address, damping_address = doubles("x", x, self._shape), None, None
+        addresses: list[int | None] = [doubles("x", x, self._shape), None, None]
         if self._python_forces:
             blocks = np.zeros((2, 6, self.model.particle_count))
             for force in self._python_forces:
                 force.add_stiffness(x, blocks[0])
                 force.add_damping(x, blocks[1])
-            stiffness_address, damping_address = address(blocks[0]), address(blocks[1])
+            addresses[1:] = address(blocks[0]), address(blocks[1])
         out = np.empty(5)
-        check(
-            self._library.cloth_spectral_bounds(
-                self._handle, position_address, stiffness_address, damping_address, hinges, address(out)
-            )
-        )
+        check(self._library.cloth_spectral_bounds(self._handle, *addresses, hinges, address(out)))
         bounds: list[float] = out.tolist()
         return bounds
 
     def min_damping_time(self) -> float:
         """Return the least c / k [s] of springs, joints and grips; 0 if one is undamped."""
-        return (
-            self._min_damping_time
-            if self._grip_binding is None
-            else min(self._min_damping_time, self._grip_binding.min_damping_time())
-        )
+        grips = self._grip_binding
+        return self._min_damping_time if grips is None else min(self._min_damping_time, grips.min_damping_time())
 
     def energies(self, t: float, x: Array, v: Array | None) -> tuple[float, float]:
         """Return kinetic and potential energy [J] at time t [s]; the kinetic energy is 0 without velocities."""
@@ -126,11 +119,9 @@ class PlanQueries:
     def dissipation(self, t: float, x: Array, v: Array) -> float:
         """Return the power that all damping dissipates [W], grips and contact included."""
         dissipated = ordered_sum(self.grip_wrench_rates(t, x, v)[:, 7].tolist(), self.powers(t, x, v)[0])
-        return (
-            dissipated
-            if self.contact is None
-            else ordered_sum(self.contact.wrench_rates(t, x, v)[:, 7].tolist(), dissipated)
-        )
+        if self.contact is None:
+            return dissipated
+        return ordered_sum(self.contact.wrench_rates(t, x, v)[:, 7].tolist(), dissipated)
 
     def supply(self, t: float, x: Array, v: Array) -> float:
         """Return the power of moving air on the cloth [W]."""
@@ -180,11 +171,7 @@ class PlanQueries:
             raise ValueError(
                 f"list {list_index} of {count} springs or joints; the plan has lists of {self._pair_counts}"
             )
-        out = np.empty((count, 6))
-        position_address = doubles("x", x, self._shape)
-        check(
-            self._library.cloth_pair_blocks(
-                self._handle, list_index, position_address, stiffness, damping, out.ctypes.data
-            )
-        )
+        out, x_address = np.empty((count, 6)), doubles("x", x, self._shape)
+        coefficients = stiffness, damping
+        check(self._library.cloth_pair_blocks(self._handle, list_index, x_address, *coefficients, out.ctypes.data))
         return out
