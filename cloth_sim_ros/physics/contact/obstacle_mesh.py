@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.arithmetic.deterministic_math import dot_products, ordered_sum
 from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.sheets.merging import component_labels
 from cloth_sim_ros.physics.model.sheets.meshes import FLATNESS
 from cloth_sim_ros.physics.model.sheets.seams import open_seam
 
@@ -54,9 +55,8 @@ def check_closed(vertices: Array, triangles: NDArray[np.int64], max_coordinate: 
     if open_edges.size:
         first, second = divmod(int(open_edges[0]), count)
         raise ValueError(
-            f"the mesh is open: the edge from vertex {first} to {second}, at {_format_point(vertices[first])} m, is "
-            f"in one "
-            f"triangle alone, as are {open_edges.size - 1} others; "
+            f"the mesh is open: the edge from vertex {first} to {second}, at {_format_point(vertices[first])} m, is in "
+            f"one triangle alone, as are {open_edges.size - 1} others; "
             + _describe_gap(vertices, triangles, np.stack(np.divmod(open_edges, count), axis=1))
             + "close it, or give a solid shape instead"
         )
@@ -108,12 +108,7 @@ def _check_arrays(vertices: Array, triangles: NDArray[np.int64], max_coordinate:
 
 def _connected_pieces(triangles: NDArray[np.int64], count: int) -> list[NDArray[np.int64]]:
     """Return the triangles of each connected piece."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    ends = np.concatenate([triangles[:, :2], triangles[:, 1:]])
-    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    _, label = connected_components(graph, directed=False)
+    label = component_labels(np.concatenate([triangles[:, :2], triangles[:, 1:]]), count)
     piece = label[triangles[:, 0]]
     return [np.flatnonzero(piece == piece_label) for piece_label in np.unique(piece)]
 

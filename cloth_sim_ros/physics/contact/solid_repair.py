@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from cloth_sim_ros.physics.arithmetic.deterministic_math import dot_products
 from cloth_sim_ros.physics.contact.obstacle_mesh import check_closed
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.model.sheets.merging import clusters
-from cloth_sim_ros.physics.model.sheets.meshes import FLATNESS
+from cloth_sim_ros.physics.model.sheets.merging import clusters, component_labels
+from cloth_sim_ros.physics.model.sheets.meshes import FLATNESS, pluralize
 from cloth_sim_ros.physics.model.sheets.seams import near_edges
 
 #: Largest distance of a vertex that lies on an edge, as a fraction of the edge's length: flat triangles may overlap.
@@ -73,7 +73,7 @@ def closed_solid(
     triangles = _remove_duplicates(lowest[triangles])
     notes = []
     if n_merged:
-        notes.append(f"{_pluralize(n_merged, 'vertex', 'vertices')} closer than {limit:.3g} to another merged with it")
+        notes.append(f"{pluralize(n_merged, 'vertex', 'vertices')} closer than {limit:.3g} to another merged with it")
     closed, joined = _join_flat_triangles(vertices, triangles, limit, height=0.0)
     if not is_closed(vertices, closed):
         # Rounding may leave some triangles of a T-junction flat, and others thin.
@@ -101,9 +101,9 @@ def _join_flat_triangles(
             break
     notes = []
     if n_flat:
-        notes.append(f"{_pluralize(n_flat, 'triangle', 'triangles')} without area joined to the neighbours")
+        notes.append(f"{pluralize(n_flat, 'triangle', 'triangles')} without area joined to the neighbours")
     if n_split:
-        notes.append(f"{_pluralize(n_split, 'edge', 'edges')} split at vertices that lie on it")
+        notes.append(f"{pluralize(n_split, 'edge', 'edges')} split at vertices that lie on it")
     return triangles, notes
 
 
@@ -127,10 +127,8 @@ def _is_flat(vertices: Array, triangles: NDArray[np.int64], height: float) -> ND
 
 def _remove_duplicates(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
     """Remove triangles with a repeated corner, pairs that lie back to back, and copies."""
-    first_corner, second_corner, third_corner = triangles.T
-    triangles = triangles[
-        (first_corner != second_corner) & (second_corner != third_corner) & (third_corner != first_corner)
-    ]
+    a, b, c = triangles.T
+    triangles = triangles[(a != b) & (b != c) & (c != a)]
     # Rotated so that the lowest corner comes first.
     first = np.argmin(triangles, axis=1)
     rotated = np.take_along_axis(triangles, (first[:, None] + np.arange(3)) % 3, axis=1)
@@ -156,19 +154,9 @@ def _collapse_needles(vertices: Array, triangles: NDArray[np.int64], height: flo
     begin = np.argmin(sides[is_needle], axis=1)
     row_indices = np.arange(count)
     ends = np.stack((rows[row_indices, begin], rows[row_indices, (begin + 1) % 3]), axis=1)
-    labels = _component_labels(ends, len(vertices))
+    labels = component_labels(ends, len(vertices))
     _, first = np.unique(labels, return_index=True)
     return _remove_duplicates(first[labels].astype(np.int64)[triangles]), count
-
-
-def _component_labels(edges: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """Return a component label of each of `count` vertices, (count,), for edges (e, 2)."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    ones = np.ones(len(edges), dtype=np.int8)
-    graph = coo_array((ones, (edges[:, 0], edges[:, 1])), shape=(count, count))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def _split_edges(vertices: Array, triangles: NDArray[np.int64], limit: float) -> tuple[NDArray[np.int64], int]:
@@ -197,11 +185,10 @@ def _split_edges(vertices: Array, triangles: NDArray[np.int64], limit: float) ->
     foot = offset - fraction[:, None] * sides[edges]
     tolerance = np.maximum(4.0 * limit, _ON_EDGE * lengths[edges])
     lies_on = (dot_products(foot, foot) <= tolerance * tolerance) & (fraction > 0.0) & (fraction < 1.0)
-    lies_on &= (
-        (border_vertices != tails[edges]) & (border_vertices != heads[edges]) & (border_vertices != thirds[edges])
-    )
+    for corners in (tails, heads, thirds):
+        lies_on &= border_vertices != corners[edges]
     # Edge and vertex must be on one border.
-    gap = _component_labels(np.stack((tails, heads), axis=1), len(vertices))
+    gap = component_labels(np.stack((tails, heads), axis=1), len(vertices))
     lies_on &= gap[border_vertices] == gap[tails[edges]]
     cuts: dict[int, list[tuple[float, int]]] = defaultdict(list)
     for edge, position, vertex in zip(edges[lies_on], fraction[lies_on], border_vertices[lies_on], strict=True):
@@ -218,7 +205,3 @@ def _split_edges(vertices: Array, triangles: NDArray[np.int64], limit: float) ->
     if not n_split:
         return triangles, 0
     return np.concatenate((triangles[is_left], np.array(new_triangles, dtype=np.int64))), n_split
-
-
-def _pluralize(count: int, singular: str, plural: str) -> str:
-    return f"{count} {singular if count == 1 else plural}"

@@ -117,25 +117,28 @@ def _linked_lowest(points: Array, limit: float) -> NDArray[np.int64]:
     return lowest
 
 
-def _close_pairs(
-    points: Array, firsts: NDArray[np.int64], seconds: NDArray[np.int64], limit: float
-) -> NDArray[np.int64]:
+def _close_pairs(points: Array, first: NDArray[np.int64], second: NDArray[np.int64], limit: float) -> NDArray[np.int64]:
     """Return those pairs of vertices that are closer than the limit, (p, 2)."""
-    is_close = _squared_distances(points[firsts], points[seconds]) < limit * limit
-    return np.stack((firsts[is_close], seconds[is_close]), axis=1)
+    is_close = _squared_distances(points[first], points[second]) < limit * limit
+    return np.stack((first[is_close], second[is_close]), axis=1)
 
 
 def _merge_links(lowest: NDArray[np.int64], *links: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the lowest vertex that each one is linked to, from those so far, (n,), and further links, (p, 2) each."""
+    count = len(lowest)
+    label = component_labels(np.concatenate((np.stack((np.arange(count), lowest), axis=1), *links)), count)
+    _, first = np.unique(label, return_index=True)
+    return first[label].astype(np.int64)
+
+
+def component_labels(edges: NDArray[np.int64] | NDArray[np.int32], count: int) -> NDArray[np.int64]:
+    """Return the label of the connected component of each of `count` nodes, (count,), for edges (e, 2)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    count = len(lowest)
-    firsts, seconds = np.concatenate((np.stack((np.arange(count), lowest), axis=1), *links)).T
-    graph = coo_array((np.ones(len(firsts), dtype=np.int8), (firsts, seconds)), shape=(count, count))
-    _, label = connected_components(graph, directed=False)
-    _, first = np.unique(label, return_index=True)
-    return first[label].astype(np.int64)
+    ones = np.ones(len(edges), dtype=np.int8)
+    graph = coo_array((ones, (edges[:, 0], edges[:, 1])), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def _shared_cells(key: NDArray[np.uint64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -87,21 +87,20 @@ def checked_mesh(
     notes: list[str] = []
     first_copy, n_copies = _first_copies(points, faces)
     if n_copies:
-        repairs.append(f"{_pluralize(n_copies, 'vertex', 'vertices')} at the place of another made one with it")
+        repairs.append(f"{pluralize(n_copies, 'vertex', 'vertices')} at the place of another made one with it")
     faces = first_copy[faces]
     faces = _remove_repeats(faces, repairs)
     faces, n_merged = _merge_vertices(points, faces, merge_limit, notes)
     if scale != 1.0:
         points = points * scale
+    n_distinct = len(points) - n_copies - n_merged
     try:
-        mesh = _checked_surface(
-            points, faces, allow_pieces, len(points) - n_copies - n_merged, repairs, is_unmerged=not merge_limit
-        )
+        mesh = _checked_surface(points, faces, allow_pieces, n_distinct, repairs, is_unmerged=not merge_limit)
     except SurfaceError as error:
         if not n_merged:
             raise
         raise SurfaceError(
-            f"{error} ({_pluralize(n_merged, 'vertex', 'vertices')} closer than {merge_limit:.3g} to another merged "
+            f"{error} ({pluralize(n_merged, 'vertex', 'vertices')} closer than {merge_limit:.3g} to another merged "
             "with it; cloth.merge: false keeps them apart)"
         ) from error
     return attrs.evolve(mesh, notes=tuple(notes))
@@ -135,7 +134,7 @@ def _checked_surface(
     vertex_indices = np.unique(faces)
     n_loose = n_distinct - len(vertex_indices)
     if n_loose:
-        repairs.append(f"{_pluralize(n_loose, 'vertex', 'vertices')} in no triangle left out")
+        repairs.append(f"{pluralize(n_loose, 'vertex', 'vertices')} in no triangle left out")
     new_index = np.full(len(points), -1)
     new_index[vertex_indices] = np.arange(len(vertex_indices))
     gap = open_seam(points, faces, border_edges(faces))
@@ -191,10 +190,9 @@ def _merge_vertices(
             "one of them, or, if they are two layers of cloth, set cloth.merge: false"
         )
     notes.append(
-        f"{_pluralize(len(moved_rows), 'vertex', 'vertices')} closer than {limit:.3g} to another "
-        f"({limit / extent:.1g} of the "
-        f"mesh's extent) merged with it, the first {used[moved_rows[0]]} with {lowest[moved_rows[0]]}"
-        + (f"; {_pluralize(n_flat, 'triangle')} between them left out" if n_flat else "")
+        f"{pluralize(len(moved_rows), 'vertex', 'vertices')} closer than {limit:.3g} to another ({limit / extent:.1g} "
+        f"of the mesh's extent) merged with it, the first {used[moved_rows[0]]} with {lowest[moved_rows[0]]}"
+        + (f"; {pluralize(n_flat, 'triangle')} between them left out" if n_flat else "")
         + "; particle numbers leave them out; cloth.merge: false keeps them apart"
     )
     return merged[is_proper | repeated], len(moved_rows)
@@ -223,10 +221,9 @@ def triangulated(positions: Array, polygons: Sequence[Sequence[int]]) -> NDArray
             raise SurfaceError(f"face {face_index} is {list(polygon)}; a face has at least 3 corners")
         if min(polygon) < 0 or max(polygon) >= len(positions):
             raise SurfaceError(f"face {face_index} is {list(polygon)}; vertices are 0 to {len(positions) - 1}")
-        fan_start, failures = _fan_corner(
-            positions[list(polygon)], (_MAX_FAN_TRIALS - n_tried) // (len(polygon) + _FAN_TRIAL_COST)
-        )
-        n_tried += failures * (len(polygon) + _FAN_TRIAL_COST)
+        cost = len(polygon) + _FAN_TRIAL_COST
+        fan_start, failures = _fan_corner(positions[list(polygon)], (_MAX_FAN_TRIALS - n_tried) // cost)
+        n_tried += failures * cost
         if n_tried > _MAX_FAN_TRIALS:
             raise SurfaceError(
                 f"face {face_index} has {len(polygon)} corners and is concave; too many corners of faces were tried "
@@ -330,7 +327,7 @@ def _first_copies(points: Array, faces: NDArray[np.int64]) -> tuple[NDArray[np.i
 def _remove_repeats(faces: NDArray[np.int64], repairs: list[str]) -> NDArray[np.int64]:
     _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
     if len(first) < len(faces):
-        repairs.append(f"{_pluralize(len(faces) - len(first), 'triangle')} given more than once kept once")
+        repairs.append(f"{pluralize(len(faces) - len(first), 'triangle')} given more than once kept once")
     return faces[np.sort(first)]
 
 
@@ -338,7 +335,7 @@ def _remove_slivers(points: Array, faces: NDArray[np.int64], repairs: list[str])
     """Remove triangles of fewer than three vertices; refuse thin ones, whose removal would open the surface."""
     is_collapsed = _has_repeated_vertex(faces)
     if np.any(is_collapsed):
-        repairs.append(f"{_pluralize(int(is_collapsed.sum()), 'triangle')} with a repeated vertex left out")
+        repairs.append(f"{pluralize(int(is_collapsed.sum()), 'triangle')} with a repeated vertex left out")
         faces = faces[~is_collapsed]
     a, b, c = (points[faces[:, k]] for k in range(3))
     sides = np.stack([np.linalg.norm(edge, axis=1) for edge in (b - a, c - b, a - c)])
@@ -409,9 +406,10 @@ def _wind_alike(faces: NDArray[np.int64], repairs: list[str]) -> NDArray[np.int6
         if 2 * is_turned[piece].sum() > len(piece):
             is_turned[piece] ^= 1
         count += int(is_turned[piece].sum())
-    repairs.append(f"{_pluralize(count, 'triangle')} wound against the others turned round")
+    repairs.append(f"{pluralize(count, 'triangle')} wound against the others turned round")
     return np.where(is_turned[:, None] == 1, faces[:, ::-1], faces)
 
 
-def _pluralize(count: int, singular: str, plural: str | None = None) -> str:
+def pluralize(count: int, singular: str, plural: str | None = None) -> str:
+    """Return a count with its noun: 1 vertex, 2 vertices."""
     return f"{count} {singular if count == 1 else plural or singular + 's'}"

@@ -24,6 +24,8 @@ import attrs
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cloth_sim_ros.physics.model.sheets.merging import component_labels
+
 Layout = Literal["left", "right", "alternating", "both"]
 LAYOUTS: tuple[Layout, ...] = ("left", "right", "alternating", "both")
 
@@ -117,10 +119,7 @@ class Surface:
         inner = self.hinge_edges
         low, high = self.edges[inner].T[:, :, None]
         first_triangles, second_triangles = (self.triangles[triangles] for triangles in self.edge_triangles[inner].T)
-        wings = [
-            np.sum(np.where((triangles != low) & (triangles != high), triangles, 0), axis=1)
-            for triangles in (first_triangles, second_triangles)
-        ]
+        wings = [np.sum(np.where((t != low) & (t != high), t, 0), axis=1) for t in (first_triangles, second_triangles)]
         # In the direction of the first triangle: it runs from low to high if high follows low.
         runs_along = np.any((first_triangles == low) & (np.roll(first_triangles, -1, axis=1) == high), axis=1)
         first, second = np.where(runs_along, low[:, 0], high[:, 0]), np.where(runs_along, high[:, 0], low[:, 0])
@@ -147,13 +146,7 @@ class Surface:
 
     def pieces(self) -> IndexArray:
         """Return the index of the connected piece of each triangle, in order of appearance, (m,)."""
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
-
-        pairs = self.edge_triangles[self.hinge_edges]
-        count = len(self.triangles)
-        graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-        return connected_components(graph, directed=False)[1].astype(np.int64)
+        return component_labels(self.edge_triangles[self.hinge_edges], len(self.triangles))
 
     def _check_fans(self) -> None:
         """Refuse particles at which two fans of triangles touch without sharing an edge."""
@@ -166,9 +159,6 @@ class Surface:
 
     def _split_particles(self) -> NDArray[np.bool_]:
         """Return a mask of particles whose corners are not all connected through hinges, (particle_count,)."""
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
-
         size = self.triangles.size
         corner_of = np.arange(size).reshape(-1, 3)
         left, right = self.edge_triangles[self.hinge_edges].T
@@ -178,9 +168,7 @@ class Surface:
             particle = edges[:, end][:, None]
             ends_a.append(corner_of[left][self.triangles[left] == particle])
             ends_b.append(corner_of[right][self.triangles[right] == particle])
-        rows, columns = np.concatenate(ends_a), np.concatenate(ends_b)
-        graph = coo_array((np.ones(rows.size), (rows, columns)), shape=(size, size))
-        fans = connected_components(graph, directed=False)[1]
+        fans = component_labels(np.stack((np.concatenate(ends_a), np.concatenate(ends_b)), axis=1), size)
         pairs = np.unique(np.stack((self.triangles.ravel(), fans), axis=1), axis=0)
         return np.bincount(pairs[:, 0], minlength=self.particle_count) > 1
 
