@@ -10,22 +10,12 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
-from cloth_sim_ros.engine.binding import (
-    ANCHOR_NUMBERS,
-    DRIVE_NUMBERS,
-    JAW_NUMBERS,
-    PATH_NUMBERS,
-    RECORD_NUMBERS,
-    SHAPES,
-    address,
-    check,
-    doubles,
-    library,
-    writable,
-)
+from cloth_sim_ros.engine import binding
+from cloth_sim_ros.engine.binding import PATH_NUMBERS, address, check, doubles, library, writable
 from cloth_sim_ros.physics.arithmetic.arrays import combine
 from cloth_sim_ros.physics.contact import implicit_jaws, self_contact_binding
 from cloth_sim_ros.physics.contact.feature_binding import FeatureBinding, upload_meshes
@@ -76,11 +66,8 @@ class ContactBinding(Uncopyable):
     def sync(self) -> None:
         """Upload obstacles, their paths and jaw commands if they changed."""
         force = self.force
-        if (
-            force.obstacle_revision == self._obstacle_revision
-            and force.path_revision == self._path_revision
-            and force.command_revision == self._command_revision
-        ):
+        revisions = force.obstacle_revision, force.path_revision, force.command_revision
+        if revisions == (self._obstacle_revision, self._path_revision, self._command_revision):
             return
         paths = np.array(force.paths, dtype=np.float64)
         if paths.shape != (self.count, PATH_NUMBERS):
@@ -89,7 +76,7 @@ class ContactBinding(Uncopyable):
             raise ValueError(f"paths of obstacles are {paths.tolist()}; all numbers must be finite")
         paths[:, :1] -= self._time_offset
         if force.obstacle_revision != self._obstacle_revision:
-            shapes = np.array([SHAPES[obstacle.shape] for obstacle in force.obstacles], dtype=np.int64)
+            shapes = np.array([binding.SHAPES[obstacle.shape] for obstacle in force.obstacles], dtype=np.int64)
             sizes = np.zeros((self.count, 3))
             for row, obstacle in zip(sizes, force.obstacles, strict=True):
                 row[: len(obstacle.size)] = obstacle.size
@@ -106,19 +93,13 @@ class ContactBinding(Uncopyable):
                 self._features.upload(force.obstacles, force.thickness)
         else:
             check(self._library.cloth_plan_contact_paths(self._handle, paths.ctypes.data))
-        if force.jaws and (force.obstacle_revision, force.command_revision) != (
-            self._obstacle_revision,
-            self._command_revision,
-        ):
+        has_new_obstacles = force.obstacle_revision != self._obstacle_revision
+        if force.jaws and (has_new_obstacles or force.command_revision != self._command_revision):
             boxes = np.arange(force.n_solids, self.count, dtype=np.int64)
             rows = [jaw.engine_row(*flags) for jaw, flags in zip(force.jaws, force.jaw_commands.tolist(), strict=True)]
-            drives = np.array(rows).reshape(len(rows), DRIVE_NUMBERS)
+            drives = np.array(rows).reshape(len(rows), binding.DRIVE_NUMBERS)
             check(self._library.cloth_plan_jaws(self._handle, len(rows), boxes.ctypes.data, drives.ctypes.data))
-        self._obstacle_revision, self._path_revision, self._command_revision = (
-            force.obstacle_revision,
-            force.path_revision,
-            force.command_revision,
-        )
+        self._obstacle_revision, self._path_revision, self._command_revision = revisions
 
     def offset_time(self, duration: float) -> None:
         """Shift obstacle paths and thickness recovery by a duration [s]: at time t they are as at t plus duration."""
@@ -132,12 +113,12 @@ class ContactBinding(Uncopyable):
 
         With friction between layers there are two more rows: triangle, weights of its second and third corner, bond.
         """
-        return (self.count + LAYER_SIDES * self.force.has_self_friction, ANCHOR_NUMBERS, self._shape[1])
+        return (self.count + LAYER_SIDES * self.force.has_self_friction, binding.ANCHOR_NUMBERS, self._shape[1])
 
     @property
     def jaws_shape(self) -> tuple[int, int]:
         """Shape of jaw states: pinches; half opening between the faces [m] and jaw speed [m/s]."""
-        return (len(self.force.jaws), JAW_NUMBERS)
+        return (len(self.force.jaws), binding.JAW_NUMBERS)
 
     def load_state(self, state: State) -> None:
         """Load the anchors, jaws and contact thickness of a state into the engine.
@@ -203,12 +184,9 @@ class ContactBinding(Uncopyable):
 
         Single precision resolves neither the stretch of an anchor's spring nor a gap within the cloth.
         """
-        if (
-            self.force.has_friction
-            or self.force.jaws
-            or self._recovery is not None
-            or not self.is_clear_of_itself(duration, x, v)
-        ):
+        if self.force.has_friction or self.force.jaws or self._recovery is not None:
+            return False
+        if not self.is_clear_of_itself(duration, x, v):
             return False
         start = float(self.force.paths[0, 0]) if self.count else 0.0
         return self._features is None or self._features.is_out_of_reach(start, duration, x, v)
@@ -260,9 +238,8 @@ class ContactBinding(Uncopyable):
         """
         if not self.force.has_memory:
             return
-        for name, array in zip(
-            (ANCHORS_KEY, JAWS_KEY), self.combine_ends(t, state.x, state.v, runs, weights), strict=True
-        ):
+        anchors, jaws = self.combine_ends(t, state.x, state.v, runs, weights)
+        for name, array in ((ANCHORS_KEY, anchors), (JAWS_KEY, jaws)):
             if array is not None:
                 state.memory[name] = array
 
@@ -307,12 +284,9 @@ class ContactBinding(Uncopyable):
         """
         out, weight_array = np.empty(self.anchors_shape), np.array(weights, dtype=np.float64)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
-        other_addresses = (
-            weight_array.ctypes.data,
-            doubles("ends", ends, (len(weights), *self.anchors_shape)),
-            address(out),
-        )
-        check(self._library.cloth_combine_anchors(self._handle, t, *addresses, len(weights), *other_addresses))
+        ends_address = doubles("ends", ends, (len(weights), *self.anchors_shape))
+        weighted_ends = len(weights), weight_array.ctypes.data, ends_address
+        check(self._library.cloth_combine_anchors(self._handle, t, *addresses, *weighted_ends, address(out)))
         return out
 
     def update_after_step(self, t: float, h: float, state: State) -> None:
@@ -324,18 +298,12 @@ class ContactBinding(Uncopyable):
             state: state at the end of the step.
         """
         if self.force.jaws:
-            features = self._features
-            state.memory[JAWS_KEY] = implicit_jaws.step_jaws(
-                self.force,
-                state.memory.get(JAWS_KEY),
-                h,
-                set_jaws=self.set_jaws,
-                accelerations=lambda: self.jaw_accelerations(t, state.x, state.v),
-                find_hits=None
-                if features is None
-                else lambda half_openings: features.ccd_jaw_hits(t, state.x, half_openings),
-            )
-            self.set_jaws(state.memory[JAWS_KEY])
+            jaws, features, set_jaws = state.memory.get(JAWS_KEY), self._features, self.set_jaws
+            loads = partial(self.jaw_accelerations, t, state.x, state.v)
+            hits = None if features is None else partial(features.ccd_jaw_hits, t, state.x)
+            jaws = implicit_jaws.step_jaws(self.force, jaws, h, set_jaws=set_jaws, accelerations=loads, find_hits=hits)
+            state.memory[JAWS_KEY] = jaws
+            self.set_jaws(jaws)
         if self.force.has_anchors and self._anchors is not None:
             state.memory[ANCHORS_KEY] = self.combine_anchors(t, state.x, state.v, self._anchors[None], [1.0])
 
@@ -368,11 +336,8 @@ class ContactBinding(Uncopyable):
             check_outside(t, self.force.obstacles, self.obstacle_gaps(t, x)[:, 1].tolist())
         if not math.isfinite(self_omega2):
             self.check_initial_penetration(t, x)
-        return (
-            omega2 + self_omega2,
-            damping + self_damping,
-            PARTICLE_OPERATIONS * n_particles + FRICTION_OPERATIONS * n_friction + PAIR_OPERATIONS * n_pairs,
-        )
+        operations = PARTICLE_OPERATIONS * n_particles + FRICTION_OPERATIONS * n_friction + PAIR_OPERATIONS * n_pairs
+        return omega2 + self_omega2, damping + self_damping, operations
 
     def predict_surface_contact(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float]:
         """Predict the bounds of contact of the cloth's triangles and edges, with the cloth and with obstacles.
@@ -388,11 +353,8 @@ class ContactBinding(Uncopyable):
         """
         self.set_jaws(state.memory.get(JAWS_KEY))
         _, n_particles, n_friction = self._predict_obstacle_contact(t, duration, state.x, state.v)
-        return (
-            PARTICLE_OPERATIONS * n_particles
-            + FRICTION_OPERATIONS * n_friction
-            + PAIR_OPERATIONS * self._predict_surface_contact(t, duration, state.x, state.v)[2]
-        )
+        n_pairs = self._predict_surface_contact(t, duration, state.x, state.v)[2]
+        return PARTICLE_OPERATIONS * n_particles + FRICTION_OPERATIONS * n_friction + PAIR_OPERATIONS * n_pairs
 
     def _predict_surface_contact(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float, float]:
         """Predict as `predict_surface_contact`; return the number of candidate pairs, too."""
@@ -460,7 +422,7 @@ class ContactBinding(Uncopyable):
             (obstacles, RECORD_NUMBERS).
         """
         self.sync()
-        out = np.zeros((self.count, RECORD_NUMBERS))
+        out = np.zeros((self.count, binding.RECORD_NUMBERS))
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
         check(self._library.cloth_contact_wrenches(self._handle, t, *addresses, weight, out.ctypes.data))
         return out

@@ -42,10 +42,8 @@ class FeatureBinding(Uncopyable):
             feature_set = obstacle_features(obstacle, thickness)
             if feature_set.radius > 0.0 and is_covered_by_particles(feature_set.radius, self._max_edge, thickness):
                 continue
-            points, edges = (
-                np.ascontiguousarray(feature_set.points),
-                np.ascontiguousarray(feature_set.edges, dtype=np.int64),
-            )
+            points = np.ascontiguousarray(feature_set.points)
+            edges = np.ascontiguousarray(feature_set.edges, dtype=np.int64)
             arrays = len(points), points.ctypes.data, len(edges), edges.ctypes.data
             check(self._library.cloth_plan_features(self._handle, k, *arrays, feature_set.radius))
 

@@ -79,11 +79,8 @@ def is_covered_by_particles(radius: float, max_edge: float, thickness: float) ->
         max_edge: longest edge of the cloth at rest [m].
         thickness: contact thickness [m].
     """
-    distance, edge, min_distance = (
-        radius + _MIN_PARTICLE_GAP * thickness,
-        _MAX_EDGE_STRETCH * max_edge,
-        (1.0 - _MAX_DEPTH) * radius,
-    )
+    distance, min_distance = radius + _MIN_PARTICLE_GAP * thickness, (1.0 - _MAX_DEPTH) * radius
+    edge = _MAX_EDGE_STRETCH * max_edge
     return distance * distance - edge * edge / 3.0 >= min_distance * min_distance
 
 
@@ -102,9 +99,8 @@ def _cylinder(radius: float, length: float, thickness: float) -> ObstacleFeature
     circle_points = [sine_and_cosine(math.pi * (2.0 * k / count - 1.0)) for k in range(count)]
     points = [(radius * c, radius * s, rim * length) for rim in (-0.5, 0.5) for s, c in circle_points]
     edges = [(k + rim * count, (k + 1) % count + rim * count) for rim in (0, 1) for k in range(count)]
-    return ObstacleFeatures(
-        np.array(points), np.array([*edges, *((k, k + count) for k in range(count))], dtype=np.int64)
-    )
+    edges += [(k, k + count) for k in range(count)]
+    return ObstacleFeatures(np.array(points), np.array(edges, dtype=np.int64))
 
 
 def _mesh(vertices: Array, triangles: NDArray[np.int64]) -> ObstacleFeatures:
@@ -120,9 +116,8 @@ def _mesh(vertices: Array, triangles: NDArray[np.int64]) -> ObstacleFeatures:
     is_convex = n[:, 0] * direction[:, 0] + n[:, 1] * direction[:, 1] + n[:, 2] * direction[:, 2] < -_FLATNESS_SINE
     edges = ends[first[is_convex]]
     vertex_indices, new_indices = np.unique(edges, return_inverse=True)
-    return ObstacleFeatures(
-        np.ascontiguousarray(vertices[vertex_indices]), np.ascontiguousarray(new_indices.reshape(-1, 2), dtype=np.int64)
-    )
+    new_edges = np.ascontiguousarray(new_indices.reshape(-1, 2), dtype=np.int64)
+    return ObstacleFeatures(np.ascontiguousarray(vertices[vertex_indices]), new_edges)
 
 
 def _cross(a: Array, b: Array) -> Array:

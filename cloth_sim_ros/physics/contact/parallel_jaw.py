@@ -49,14 +49,11 @@ class ParallelJaw:
 
     def __attrs_post_init__(self) -> None:
         """Refuse quantities that are not above 0, and invalid boxes."""
-        for quantity, value, unit in (
-            ("force", self.force, "N"),
-            ("speed", self.speed, "m/s"),
-            ("opening", self.opening, "m"),
-            ("inertia", self.inertia, "kg"),
-        ):
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{quantity} of the pads of '{self.gripper}' is {value} {unit}; it must be above 0")
+        units = {"force": "N", "speed": "m/s", "opening": "m", "inertia": "kg"}
+        for name, unit in units.items():
+            quantity = getattr(self, name)
+            if not (math.isfinite(quantity) and quantity > 0.0):
+                raise ValueError(f"{name} of the pads of '{self.gripper}' is {quantity} {unit}; it must be above 0")
         self.boxes()
 
     def boxes(self) -> tuple[Obstacle, Obstacle]:

@@ -37,10 +37,8 @@ def check_anchors(contact: Contact, anchors: Array) -> None:
         return
     count = len(contact.surface.triangles)
     for side_index, rows in enumerate(anchors[len(contact.obstacles) :]):
-        triangle_indices = rows[0][rows[3] > 0.0]
-        bad = triangle_indices[
-            (triangle_indices < 0.0) | (triangle_indices >= count) | (triangle_indices != np.floor(triangle_indices))
-        ]
+        indices = rows[0][rows[3] > 0.0]
+        bad = indices[(indices < 0.0) | (indices >= count) | (indices != np.floor(indices))]
         if len(bad):
             raise ValueError(
                 f"memory '{ANCHORS_KEY}' has an anchor of side {side_index} of the cloth in triangle {bad[0]}; it must "
@@ -51,7 +49,6 @@ def check_anchors(contact: Contact, anchors: Array) -> None:
 def friction_power(handle: int, t: float, x: Array, v: Array) -> float:
     """Return the power that friction between layers dissipates at time t [W], with the present anchors."""
     out = np.empty(1)
-    check(
-        library().cloth_self_friction_power(handle, t, doubles("x", x, x.shape), doubles("v", v, v.shape), address(out))
-    )
+    addresses = doubles("x", x, x.shape), doubles("v", v, v.shape), address(out)
+    check(library().cloth_self_friction_power(handle, t, *addresses))
     return float(out[0])
