@@ -87,10 +87,5 @@ def simulate(
         now = max(now, end)
         positions.append(state.positions)
         velocities.append(state.velocities)
-    n_saved = len(times)
-    return Motion(
-        times=times,
-        positions=np.array(positions[:n_saved]),
-        velocities=np.array(velocities[:n_saved]),
-        advances=advances,
-    )
+    x, v = np.array(positions[: len(times)]), np.array(velocities[: len(times)])
+    return Motion(times=times, positions=x, velocities=v, advances=advances)

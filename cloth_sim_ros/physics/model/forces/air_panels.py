@@ -73,11 +73,6 @@ class AirPanels(EngineForce):
     def parts(self, particle_count: int) -> Sequence[Part]:
         panels = indices("panels", self.panels, self.panels.shape[1], particle_count)
         kind = "triangle" if panels.shape[1] == 3 else "quad"
-        return (
-            ElementList(
-                kind=kind,
-                particles=panels,
-                coefficients=np.empty((len(panels), 0)),
-                shared_coefficients=self.coefficients,
-            ),
-        )
+        none = np.empty((len(panels), 0))
+        shared = self.coefficients
+        return (ElementList(kind=kind, particles=panels, coefficients=none, shared_coefficients=shared),)

@@ -32,12 +32,7 @@ class ContactSurface:
     """
 
     def __init__(
-        self,
-        triangles: ArrayLike,
-        positions: ArrayLike,
-        *,
-        thickness: float,
-        friction: tuple[float, float] = (0.0, 0.0),
+        self, triangles: ArrayLike, positions: ArrayLike, *, thickness: float, friction: Sequence[float] = (0.0, 0.0)
     ) -> None:
         points = finite("positions of the surface", positions, np.shape(positions))
         self.triangles = indices("triangles of the surface", triangles, 3, len(points))

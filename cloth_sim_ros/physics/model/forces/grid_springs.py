@@ -78,9 +78,7 @@ class GridSprings(EngineForce):
         """List of the springs, built on first use."""
         family_springs = [self._family_springs(family) for family in self.families]
         pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *(pairs for pairs, _ in family_springs)])
-        coefficients = np.concatenate(
-            [np.empty((0, 3)), *(family_coefficients for _, family_coefficients in family_springs)]
-        )
+        coefficients = np.concatenate([np.empty((0, 3)), *(numbers for _, numbers in family_springs)])
         return PairSprings(pairs, coefficients[:, 0], coefficients[:, 1], coefficients[:, 2], name=self.name)
 
     @property
@@ -106,7 +104,5 @@ class GridSprings(EngineForce):
         if across == 0:
             is_border |= (column == 0) | (column == self.columns - 1)
         factor = np.where(is_border, family.border, 1.0)
-        rest_lengths = np.full(len(row), family.rest_length)
-        return pairs.astype(np.int64), np.stack(
-            [rest_lengths, factor * family.stiffness, factor * family.damping], axis=1
-        )
+        coefficients = np.full(len(row), family.rest_length), factor * family.stiffness, factor * family.damping
+        return pairs.astype(np.int64), np.stack(coefficients, axis=1)

@@ -42,14 +42,8 @@ class Grips(EngineForce):
         paths[:, 16] = 1.0
         #: Counters of new grips and new paths; a plan uploads what changed.
         self.grip_revision = self.path_revision = 0
-        self.hold(
-            paths,
-            np.zeros(gripper_count + 1, dtype=np.int64),
-            np.empty(0, dtype=np.int64),
-            np.empty((0, 3)),
-            np.empty(0),
-            np.empty(0),
-        )
+        starts, particles = np.zeros(gripper_count + 1, dtype=np.int64), np.empty(0, dtype=np.int64)
+        self.hold(paths, starts, particles, np.empty((0, 3)), np.empty(0), np.empty(0))
 
     def hold(
         self,

@@ -40,13 +40,7 @@ class HingeSprings(EngineForce):
     kind: ClassVar[str]
 
     def __init__(
-        self,
-        hinges: ArrayLike,
-        rest_length: ArrayLike,
-        stiffness: ArrayLike,
-        damping: ArrayLike = 0.0,
-        *,
-        name: str,
+        self, hinges: ArrayLike, rest_length: ArrayLike, stiffness: ArrayLike, damping: ArrayLike = 0.0, *, name: str
     ) -> None:
         self.name = name
         self.hinges: NDArray[np.int64] = indices(f"hinges of '{name}'", hinges, 4, np.iinfo(np.int64).max)
@@ -96,9 +90,6 @@ def _lengths(hinges: ArrayLike, x: Array, kind: str) -> tuple[Array, Array]:
     quads = indices("hinges", hinges, 4, count)
     lengths, squares = np.empty(len(quads)), np.empty((len(quads), 4))
     address = doubles("x", positions, (3, count))
-    check(
-        library().cloth_hinge_lengths(
-            KINDS[kind][0], len(quads), quads.ctypes.data, address, count, lengths.ctypes.data, squares.ctypes.data
-        )
-    )
+    inputs = KINDS[kind][0], len(quads), quads.ctypes.data, address, count
+    check(library().cloth_hinge_lengths(*inputs, lengths.ctypes.data, squares.ctypes.data))
     return lengths, squares

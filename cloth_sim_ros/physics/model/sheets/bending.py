@@ -48,10 +48,7 @@ BendingModel = Literal["opposite", "crossed", "altitude"]
 
 #: Stiffness ratio ρ of S8 or S9 to S7, the rest fold [rad] above which another ratio holds, and that ratio. Each is the
 #: middle of the range in which a pair finds its rest shape again (docs/bending.md has the map).
-RATIOS = {
-    "crossed": (2.0, math.pi, 2.0),
-    "altitude": (0.5, math.radians(80.0), 1.4),
-}
+RATIOS = {"crossed": (2.0, math.pi, 2.0), "altitude": (0.5, math.radians(80.0), 1.4)}
 
 
 def mesh_hinge_constants(hinges: ArrayLike, positions: ArrayLike, *, bending_modulus: float) -> Array:
@@ -154,11 +151,10 @@ def bending_terms(
     is_altitude = model == "altitude"
     rest_length = shape.length("altitude" if is_altitude else "crossed")
     k_d = _hinge_damping(damping, stiffness, shape, quads, mass, is_altitude)
-    hinge_springs: HingeSprings = (
-        AltitudeSprings(quads, rest_length, stiffness, k_d)
-        if is_altitude
-        else CrossedSprings(quads[:, :2], quads[:, 2:], rest_length, stiffness, k_d)
-    )
+    if is_altitude:
+        hinge_springs: HingeSprings = AltitudeSprings(quads, rest_length, stiffness, k_d)
+    else:
+        hinge_springs = CrossedSprings(quads[:, :2], quads[:, 2:], rest_length, stiffness, k_d)
     return [_opposite_springs(quads, distance, opposite_stiffness * distance, has_spring, damping, mass), hinge_springs]
 
 
@@ -228,19 +224,12 @@ def _opposite_springs(
     quads: np.ndarray, distance: Array, k_s: Array, has_spring: np.ndarray, damping: float, mass: Array
 ) -> OppositeSprings:
     """Return S7 between the wings of the masked hinges; springs of one pair and rest length are merged."""
-    pairs, first_rows, pair_indices = np.unique(
-        np.sort(quads[has_spring][:, 2:], axis=1), axis=0, return_index=True, return_inverse=True
-    )
-    rest_lengths = distance[has_spring][first_rows]
-    pair_indices = pair_indices.ravel()
-    if np.abs(distance[has_spring] - rest_lengths[pair_indices]).max(initial=0.0) > 1e-9 * rest_lengths.max(
-        initial=0.0
-    ):
-        pairs, rest_lengths, pair_indices = (
-            quads[has_spring][:, 2:],
-            distance[has_spring],
-            np.arange(np.count_nonzero(has_spring)),
-        )
+    wings, lengths = quads[has_spring][:, 2:], distance[has_spring]
+    pairs, rows, pair_indices = np.unique(np.sort(wings, axis=1), axis=0, return_index=True, return_inverse=True)
+    rest_lengths, pair_indices = lengths[rows], pair_indices.ravel()
+    max_difference = np.abs(lengths - rest_lengths[pair_indices]).max(initial=0.0)
+    if max_difference > 1e-9 * rest_lengths.max(initial=0.0):
+        pairs, rest_lengths, pair_indices = wings, lengths, np.arange(len(wings))
     stiffness = np.zeros(len(pairs))
     np.add.at(stiffness, pair_indices, k_s[has_spring])
     inverse_masses = 1.0 / mass[pairs[:, 0]] + 1.0 / mass[pairs[:, 1]]
@@ -267,9 +256,8 @@ def _hinge_damping(
     )
     x = np.ascontiguousarray(points.transpose(0, 2, 1).reshape(3, -1))
     kind = "altitude" if is_altitude else "crossed"
-    first, second, third, fourth = (
-        gradient_squares(np.arange(4 * len(quads)).reshape(-1, 4), x, kind=kind) / mass[quads]
-    ).T
+    squares = gradient_squares(np.arange(4 * len(quads)).reshape(-1, 4), x, kind=kind)
+    first, second, third, fourth = (squares / mass[quads]).T
     return damping * np.sqrt(2.0 * stiffness / (first + second + third + fourth))
 
 

@@ -83,13 +83,9 @@ class SpringLaw:
         if dimension not in (1, 2) or factor < 1:
             raise ValueError(f"dimension {dimension} must be 1 or 2, and factor {factor} at least 1")
         share = factor ** (dimension - 1)
-        return attrs.evolve(
-            self,
-            mass=self.mass / factor**dimension,
-            rest_length=self.rest_length / factor,
-            stiffness=self.stiffness / share,
-            viscosity=self.viscosity / share,
-        )
+        mass, l0 = self.mass / factor**dimension, self.rest_length / factor
+        k_s, viscosity = self.stiffness / share, self.viscosity / share
+        return attrs.evolve(self, mass=mass, rest_length=l0, stiffness=k_s, viscosity=viscosity)
 
 
 @attrs.frozen(kw_only=True)
@@ -153,11 +149,8 @@ class Chain:
 
     def refined(self, factor: int = 2) -> Chain:
         """Return the chain with `factor` times as many springs, of the same length and mass."""
-        return attrs.evolve(
-            self,
-            law=self.law.refined(factor=factor),
-            particle_count=(self.particle_count - 1) * factor + 1,
-        )
+        particle_count = (self.particle_count - 1) * factor + 1
+        return attrs.evolve(self, law=self.law.refined(factor=factor), particle_count=particle_count)
 
 
 def joint(pair: tuple[int, int], *, stiffness: float, k_d0: float, mass: float, name: str = "joint") -> PairSprings:

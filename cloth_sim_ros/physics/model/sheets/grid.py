@@ -95,21 +95,14 @@ class GridSheet:
         hx, hy = self.spacing
         mass = density * hx * hy
 
-        def family(
-            name: str, k_s: float, length: float, *, border: float = 1.0, parity: int | None = None
-        ) -> GridFamily:
-            k = k_s / length
+        def family(name: str, k_s: float, l0: float, *, border: float = 1.0, parity: int | None = None) -> GridFamily:
+            k = k_s / l0
             damping = k * retardation or float(lecture_damping(k_d0, k, mass))
-            return GridFamily(
-                name=name, stiffness=k_s, rest_length=length, damping=damping, border=border, parity=parity
-            )
+            return GridFamily(name=name, stiffness=k_s, rest_length=l0, damping=damping, border=border, parity=parity)
 
-        terms = {
-            "structural": [
-                family("right", threads.along_rows, hx, border=0.5),
-                family("down", threads.along_columns, hy, border=0.5),
-            ]
-        }
+        right = family("right", threads.along_rows, hx, border=0.5)
+        down = family("down", threads.along_columns, hy, border=0.5)
+        terms = {"structural": [right, down]}
         if threads.diagonal > 0.0:
             # As in `grid_diagonals`: left runs down to the right; alternating is left if row + column is even.
             parities: dict[Layout, tuple[list[int | None], list[int | None]]] = {
@@ -120,10 +113,8 @@ class GridSheet:
             }
             lefts, rights = parities[self.layout]
             length = math.sqrt(hx * hx + hy * hy)
-            terms["shear"] = [
-                *(family("diagonal", threads.diagonal, length, parity=parity) for parity in lefts),
-                *(family("antidiagonal", threads.diagonal, length, parity=parity) for parity in rights),
-            ]
+            terms["shear"] = [family("diagonal", threads.diagonal, length, parity=parity) for parity in lefts]
+            terms["shear"] += [family("antidiagonal", threads.diagonal, length, parity=parity) for parity in rights]
         bends = []
         if threads.bend_along_rows > 0.0 and self.columns > 2:
             bends.append(family("right2", threads.bend_along_rows, 2.0 * hx, border=0.5))

@@ -94,15 +94,8 @@ class HingeShape:
         # flat: the wings stand on opposite sides, sides[0] = -sides[1]
         sine, cosine = _dot(unit, np.cross(directions[0], directions[1])), -_dot(directions[0], directions[1])
         length = np.sqrt(sine * sine + cosine * cosine)
-        return cls(
-            edge=edge,
-            height0=heights[0],
-            height1=heights[1],
-            foot0=feet[0],
-            foot1=feet[1],
-            cosine=cosine / length,
-            sine=sine / length,
-        )
+        (foot0, foot1), (height0, height1), cosine, sine = feet, heights, cosine / length, sine / length
+        return cls(edge=edge, height0=height0, height1=height1, foot0=foot0, foot1=foot1, cosine=cosine, sine=sine)
 
     def at(self, angle: ArrayLike) -> HingeShape:
         """Return the same triangles folded by `angle` [rad], one number or shape (m,), between -π and π."""
@@ -154,11 +147,8 @@ class HingeShape:
         return self.edge * self.height0 * self.height1
 
     def _distance2(self, t: ArrayLike) -> Array:
-        height_part = (
-            self.height0 * self.height0
-            + self.height1 * self.height1
-            + 2.0 * self.height0 * self.height1 * np.asarray(t)
-        )
+        h0, h1 = self.height0, self.height1
+        height_part = h0 * h0 + h1 * h1 + 2.0 * h0 * h1 * np.asarray(t)
         return np.maximum(height_part + (self.foot1 - self.foot0) ** 2, 0.0)
 
     def _areas(self, kind: Length) -> tuple[Array, Array, Array]:
@@ -171,10 +161,8 @@ class HingeShape:
         b = np.zeros_like(a)
         for end in (np.zeros_like(self.edge), self.edge):
             offset0, offset1 = self.foot0 - end, self.foot1 - end
-            a = (
-                a
-                + (offset0 * offset0 + self.height0 * self.height0) * (offset1 * offset1 + self.height1 * self.height1)
-                - (offset0 * offset1) ** 2
-            )
+            square0 = offset0 * offset0 + self.height0 * self.height0
+            square1 = offset1 * offset1 + self.height1 * self.height1
+            a = a + square0 * square1 - (offset0 * offset1) ** 2
             b = b + 2.0 * product * offset0 * offset1
         return a, b, -2.0 * product * product

@@ -68,9 +68,8 @@ def grid_threads(
         axial_x = axial_y = stretch_modulus
         poisson = 0.0
     else:
-        axial = 0.5 * (
-            stretch_modulus + math.sqrt(stretch_modulus * stretch_modulus + 4.0 * (shear_modulus * shear_modulus))
-        )
+        root = math.sqrt(stretch_modulus * stretch_modulus + 4.0 * (shear_modulus * shear_modulus))
+        axial = 0.5 * (stretch_modulus + root)
         axial_x = axial - shear_modulus * (hx / hy * (hx / hy))
         axial_y = axial - shear_modulus * (hy / hx * (hy / hx))
         poisson = shear_modulus / axial

@@ -68,12 +68,8 @@ class MeshSheet:
             name: the force's name in a model.
         """
         a, b = self.surface.edges.T
-        edge_vectors = self.rest_positions[b] - self.rest_positions[a]
-        square = (
-            edge_vectors[:, 0] * edge_vectors[:, 0]
-            + edge_vectors[:, 1] * edge_vectors[:, 1]
-            + edge_vectors[:, 2] * edge_vectors[:, 2]
-        )
+        x, y, z = (self.rest_positions[b] - self.rest_positions[a]).T
+        square = x * x + y * y + z * z
         areas = np.append(self.areas(), 0.0)  # edge_triangles has -1 for no triangle
         first, second = areas[self.surface.edge_triangles].T
         stiffness = stretch_modulus * (first + second) / square

@@ -77,11 +77,8 @@ class RawSprings:
                     f"there are {count}, counted from 0"
                 )
         spring_vectors = positions[pairs[:, 1]] - positions[pairs[:, 0]]
-        rest_lengths = _per_row(
-            "rest_lengths",
-            tables.get("rest_lengths", np.sqrt(row_sum((spring_vectors * spring_vectors).T))),
-            len(pairs),
-        )
+        lengths = np.sqrt(row_sum((spring_vectors * spring_vectors).T))
+        rest_lengths = _per_row("rest_lengths", tables.get("rest_lengths", lengths), len(pairs))
         k_s = _per_row("stiffness", tables["stiffness"], len(pairs))
         stiffness = k_s / np.where(rest_lengths > 0.0, rest_lengths, 1.0)
         if "k_d" in tables and "k_d0" in tables:

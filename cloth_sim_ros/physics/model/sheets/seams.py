@@ -109,15 +109,13 @@ def _edge_distances(
     """Return distances of border vertices from the middle part of near border edges of other triangles [m]."""
     distances = np.full(len(vertices), np.inf)
     edges, vertex_rows = near_edges(points, border, tree, lengths)
-    begin, edge_vectors = points[border[edges, 0]], points[border[edges, 1]] - points[border[edges, 0]]
-    fraction = dot_products(points[vertices[vertex_rows]] - begin, edge_vectors) / dot_products(
-        edge_vectors, edge_vectors
-    )
-    foot = points[vertices[vertex_rows]] - begin - fraction[:, None] * edge_vectors
+    begin, along = points[border[edges, 0]], points[border[edges, 1]] - points[border[edges, 0]]
+    offset = points[vertices[vertex_rows]] - begin
+    fraction = dot_products(offset, along) / dot_products(along, along)
+    foot = offset - fraction[:, None] * along
     edge_gaps = np.sqrt(dot_products(foot, foot))
-    inside = (
-        (fraction > SEAM_FRACTION) & (fraction < 1.0 - SEAM_FRACTION) & (edge_gaps <= SEAM_FRACTION * lengths[edges])
-    )
+    inside = (fraction > SEAM_FRACTION) & (fraction < 1.0 - SEAM_FRACTION)
+    inside &= edge_gaps <= SEAM_FRACTION * lengths[edges]
     # The third corner of a thin triangle lies near its own edge.
     opposite = _opposite_corners(triangles, border)
     inside &= opposite[edges] != vertices[vertex_rows]
