@@ -8,23 +8,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from cloth_sim_ros.physics.state.controller_state import (
-    ANCHORS_KEY,
-    JAWS_AT_REST_KEY,
-    JAWS_KEY,
-    LAYER_SIDES,
-    SLEEP_KEYS,
-    SLEEP_VELOCITIES_KEY,
-    STEP_CONTROL_STATES,
-    THICKNESS_KEY,
-    ControllerState,
-    SleepState,
-)
+from cloth_sim_ros.physics.state import controller_state
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, THICKNESS_KEY, SleepState
+
+#: Type and shape of arrays by name; a letter of a shape stands for a number that other arrays give.
+_Table = Mapping[str, tuple[np.dtype, tuple[str | int, ...]]]
 
 _FLOAT, _INT, _BOOL = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.bool_)
 
 #: Arrays of grippers and grips: type and shape; g is the number of grippers, m that of grasped particles.
-_GRIPPERS: dict[str, tuple[np.dtype, tuple[str | int, ...]]] = {
+_GRIPPERS: _Table = {
     "gripper.pose": (_FLOAT, ("g", 7)),
     "gripper.target": (_FLOAT, ("g", 7)),
     "gripper.twist": (_FLOAT, ("g", 6)),
@@ -36,7 +29,7 @@ _GRIPPERS: dict[str, tuple[np.dtype, tuple[str | int, ...]]] = {
     "grip.starts": (_INT, ("g+1",)),
 }
 #: Arrays of obstacles; o is their number.
-_OBSTACLES: dict[str, tuple[np.dtype, tuple[str | int, ...]]] = {
+_OBSTACLES: _Table = {
     "obstacle.pose": (_FLOAT, ("o", 7)),
     "obstacle.target": (_FLOAT, ("o", 7)),
     "obstacle.twist": (_FLOAT, ("o", 6)),
@@ -65,10 +58,10 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
         _check_array("relaxed", memory["relaxed"], _FLOAT, (1,))
         if not memory["relaxed"][0] >= 1.0:
             raise ValueError(f"memory 'relaxed' is {memory['relaxed'][0]}; it must be at least 1")
-    for name in SLEEP_KEYS:
+    for name in controller_state.SLEEP_KEYS:
         if name in memory:
             _check_array(name, memory[name], _FLOAT, (3, particle_count))
-    if SLEEP_VELOCITIES_KEY in memory and SleepState.key not in memory:
+    if controller_state.SLEEP_VELOCITIES_KEY in memory and SleepState.key not in memory:
         raise ValueError(f"memory '{SleepState.key}' is missing; a state that sleeps has it")
     if ANCHORS_KEY in memory:
         anchors = memory[ANCHORS_KEY]
@@ -85,11 +78,10 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
             len(np.atleast_1d(memory["obstacle.pose"])) if "obstacle.pose" in memory else len(anchors) - n_jaws
         )
         # Two more rows if layers of the cloth have friction.
-        if len(anchors) - n_obstacles - n_jaws not in (0, LAYER_SIDES):
-            description = (
-                f"obstacles and pads, 'obstacle.pose' of {n_obstacles} and '{JAWS_KEY}' of {n_jaws}" if n_jaws else ""
-            )
-            description = description or f"obstacles, 'obstacle.pose' of {n_obstacles}"
+        if len(anchors) - n_obstacles - n_jaws not in (0, controller_state.LAYER_SIDES):
+            description = f"obstacles, 'obstacle.pose' of {n_obstacles}"
+            if n_jaws:
+                description = f"obstacles and pads, 'obstacle.pose' of {n_obstacles} and '{JAWS_KEY}' of {n_jaws}"
             raise ValueError(f"memory '{ANCHORS_KEY}' is of {len(anchors)} {description}")
     if THICKNESS_KEY in memory:
         reduced = memory[THICKNESS_KEY]
@@ -97,10 +89,13 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
         if not (reduced > 0.0).all():
             raise ValueError(f"memory '{THICKNESS_KEY}' holds {reduced.min()}; it must be above 0")
     n_pinches = len(np.atleast_1d(memory.get(JAWS_KEY, ())))
-    for name, (dtype, length) in {JAWS_KEY: (_FLOAT, (n_pinches, 2)), JAWS_AT_REST_KEY: (_BOOL, (n_pinches,))}.items():
+    for name, (dtype, length) in {
+        JAWS_KEY: (_FLOAT, (n_pinches, 2)),
+        controller_state.JAWS_AT_REST_KEY: (_BOOL, (n_pinches,)),
+    }.items():
         if name in memory:
             _check_array(name, memory[name], dtype, length)
-    rules: list[type[ControllerState]] = [*STEP_CONTROL_STATES, SleepState]
+    rules: list[type[controller_state.ControllerState]] = [*controller_state.STEP_CONTROL_STATES, SleepState]
     for rule in rules:
         if rule.key in memory:
             rule.check(memory[rule.key])
@@ -121,10 +116,7 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
 
 
 def _check_table(
-    contents: str,
-    memory: Mapping[str, np.ndarray],
-    table: Mapping[str, tuple[np.dtype, tuple[str | int, ...]]],
-    length_arrays: Mapping[str, str],
+    contents: str, memory: Mapping[str, np.ndarray], table: _Table, length_arrays: Mapping[str, str]
 ) -> bool:
     """Check arrays that occur together, or none of them; return whether they occur.
 

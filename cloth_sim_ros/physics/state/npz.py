@@ -71,8 +71,7 @@ def _check_sizes(data: bytes) -> None:
     size = integer_sum(entry.file_size for entry in entries)
     if size > MAX_BYTES:
         raise ValueError(f"its arrays have {size} bytes, the limit is {MAX_BYTES}")
-    unsupported = [
-        entry.filename for entry in entries if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-    ]
+    supported = zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED
+    unsupported = [entry.filename for entry in entries if entry.compress_type not in supported]
     if unsupported:
         raise ValueError(f"its entry '{unsupported[0]}' is compressed otherwise than numpy does")

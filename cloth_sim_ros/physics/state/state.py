@@ -116,11 +116,7 @@ class State:
         Code that moves a state replaces its arrays and never writes into them.
         """
         twin = object.__new__(State)
-        twin.x, twin.v = self.x, self.v
-        twin.frame = self.frame
-        twin.cloth, twin.thickness = self.cloth, self.thickness
-        twin.dropped_memory = self.dropped_memory
-        twin.memory = dict(self.memory)
+        twin.assign(self)
         return twin
 
     def assign(self, source: State) -> None:
