@@ -115,13 +115,7 @@ class GripperParameters:
         live=True,
     )
     speed: float = parameter(
-        "double",
-        0.05,
-        "In mode pinch: speed of each pad without contact",
-        unit="m/s",
-        min=1e-4,
-        max=10.0,
-        live=True,
+        "double", 0.05, "In mode pinch: speed of each pad without contact", unit="m/s", min=1e-4, max=10.0, live=True
     )
     friction: tuple[float, ...] = parameter(
         "double[]",

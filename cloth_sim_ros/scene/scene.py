@@ -27,14 +27,7 @@ from cloth_sim_ros.scene import files as scene_files
 from cloth_sim_ros.scene import gripper_pads as scene_pinch
 from cloth_sim_ros.scene import gripper_parameters, limits, relaxation, sections
 from cloth_sim_ros.scene import obstacles as scene_obstacles
-from cloth_sim_ros.scene.build import (
-    Sheet,
-    anchored_particles,
-    build_model,
-    build_plan,
-    build_sheet,
-    grid_threads_of,
-)
+from cloth_sim_ros.scene.build import Sheet, anchored_particles, build_model, build_plan, build_sheet, grid_threads_of
 from cloth_sim_ros.scene.gripper_section import PINCH
 from cloth_sim_ros.scene.parameters import declare as parameters
 from cloth_sim_ros.scene.parameters import parameter_file
@@ -108,11 +101,7 @@ class Scene:
     )
     contact: ContactParameters = section(ContactParameters)
     integrator: str = parameter(
-        "string",
-        "auto",
-        "Time integrator; auto chooses by stiffness and tolerance",
-        choices=INTEGRATORS,
-        live=True,
+        "string", "auto", "Time integrator; auto chooses by stiffness and tolerance", choices=INTEGRATORS, live=True
     )
     tolerance: float = parameter(
         "double",

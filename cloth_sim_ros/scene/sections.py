@@ -186,13 +186,7 @@ class WindParameters:
         live=True,
     )
     tangential_drag: float = parameter(
-        "double",
-        0.0,
-        "Force per area and speed of air along the surface",
-        unit="N s/m^3",
-        min=0.0,
-        max=1e3,
-        live=True,
+        "double", 0.0, "Force per area and speed of air along the surface", unit="N s/m^3", min=0.0, max=1e3, live=True
     )
 
 
@@ -201,9 +195,7 @@ class ContactParameters:
     """Contact of the cloth with obstacles and with itself."""
 
     self_: bool = parameter(
-        "bool",
-        False,
-        "Contact of the cloth with itself: layers keep the thickness and do not intersect",
+        "bool", False, "Contact of the cloth with itself: layers keep the thickness and do not intersect"
     )
     thickness: float = parameter(
         "double",
@@ -308,12 +300,7 @@ class ObstacleParameters:
         live=True,
     )
     frame: str = parameter(
-        "string",
-        "",
-        "TF frame that it follows; empty: none. Needs tf2_ros",
-        constraint=FRAME,
-        live=True,
-        observes=True,
+        "string", "", "TF frame that it follows; empty: none. Needs tf2_ros", constraint=FRAME, live=True, observes=True
     )
 
 
@@ -360,21 +347,11 @@ class RecordParameters:
         observes=True,
     )
     split: int = parameter(
-        "int",
-        0,
-        "File size after which the recording continues in a new file; 0: never",
-        unit="B",
-        min=0,
-        max=1 << 50,
+        "int", 0, "File size after which the recording continues in a new file; 0: never", unit="B", min=0, max=1 << 50
     )
     compression: str = parameter("string", "lz4", "Compression of the file's chunks", choices=("lz4", "zstd", "none"))
     least_free_space: int = parameter(
-        "int",
-        100_000_000,
-        "Free disk space below which the recording ends",
-        unit="B",
-        min=0,
-        max=1 << 50,
+        "int", 100_000_000, "Free disk space below which the recording ends", unit="B", min=0, max=1 << 50
     )
 
 
