@@ -149,12 +149,10 @@ def contact_recovery(plan: Plan, state: State) -> ContactRecovery | None:
     thickness = contact.force.thickness
     is_reduced = reduced < thickness
     names = [*_names(contact.force), ""]
-    return ContactRecovery(
-        names=tuple(name for name, row in zip(names, is_reduced, strict=True) if row.any()),
-        particles=int(np.count_nonzero(is_reduced[:, :-1].any(axis=0))),
-        lift=thickness - float(reduced.min()),
-        duration=recovery_time(reduced, thickness),
-    )
+    in_contact = tuple(name for name, row in zip(names, is_reduced, strict=True) if row.any())
+    particles = int(np.count_nonzero(is_reduced[:, :-1].any(axis=0)))
+    lift, duration = thickness - float(reduced.min()), recovery_time(reduced, thickness)
+    return ContactRecovery(names=in_contact, particles=particles, lift=lift, duration=duration)
 
 
 def pad_rows(plan: Plan, gripper: str) -> NDArray[np.bool_]:

@@ -61,13 +61,10 @@ class EnergyWatch:
     def end(self, state: State, t: float, accumulator: WorkAccumulator) -> EnergyReport:
         """Add the frame that ended at time t [s] and return the sums."""
         kinetic, potential = self._energies(state, t)
-        dissipation, work, wind, recovered = (
-            accumulator.dissipation,
-            accumulator.work,
-            accumulator.wind_work,
-            accumulator.recovery_work,
-        )
-        sums = self._sums
+        dissipation, work = accumulator.dissipation, accumulator.work
+        wind, recovered, sums = accumulator.wind_work, accumulator.recovery_work, self._sums
+        residual = kinetic + potential - ordered_sum(self._before) - work - wind - recovered + dissipation
+        turned_over = sums.turned_over + abs(kinetic - self._before[0]) + abs(dissipation)
         self._sums = EnergyReport(
             total=kinetic + potential,
             work=sums.work + work,
@@ -75,14 +72,8 @@ class EnergyWatch:
             dissipated=sums.dissipated + dissipation,
             friction_work=sums.friction_work + accumulator.friction_work,
             recovered=sums.recovered + recovered,
-            residual=sums.residual
-            + (kinetic + potential - ordered_sum(self._before) - work - wind - recovered + dissipation),
-            turned_over=sums.turned_over
-            + abs(kinetic - self._before[0])
-            + abs(dissipation)
-            + abs(work)
-            + abs(wind)
-            + abs(recovered),
+            residual=sums.residual + residual,
+            turned_over=turned_over + abs(work) + abs(wind) + abs(recovered),
         )
         return self._sums
 

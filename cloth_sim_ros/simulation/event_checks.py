@@ -19,7 +19,7 @@ from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.gripper_pads import pads_of
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.bodies.bodies import change_obstacles
-from cloth_sim_ros.simulation.events import Event, Grasp, Move, Relax, Reset, SetParameters, Target
+from cloth_sim_ros.simulation.events import Event, Grasp, Move, Relax, Reset, SetParameters, Target, ordered
 
 #: Largest coordinate of a target [m]; anything beyond it is a mistake.
 MAX_COORDINATE = 1e4
@@ -34,14 +34,16 @@ class EventError(ValueError):
     """An event that can't take effect; the message gives the reason."""
 
 
-def check_all(events: Sequence[Event], scene: Scene, state: State, initial: State) -> None:
-    """Refuse the events of one frame if one of them can't take effect after those before it; see `check`."""
-    for event in events:
+def check_all(events: Sequence[Event], scene: Scene, state: State, initial: State) -> list[Event]:
+    """Return the events of one frame in their order; refuse one that cannot take effect after the others."""
+    in_order = ordered(list(events))
+    for event in in_order:
         after = check(event, scene, state, initial)
         if after.obstacles != scene.obstacles:
             state, initial = state.shallow_copy(), initial.shallow_copy()
             change_obstacles(scene, after, (state, initial))
         scene = after
+    return in_order
 
 
 def check(event: Event, scene: Scene, state: State, initial: State) -> Scene:
@@ -128,9 +130,8 @@ def _check_stops(scene: Scene, new_scene: Scene, state: State) -> None:
     thickness = new_scene.contact.thickness
     if thickness == scene.contact.thickness:
         return
-    for pads, (half_opening, _) in zip(
-        pads_of(new_scene, 1.0), state.memory.get(JAWS_KEY, np.empty((0, 2))).tolist(), strict=False
-    ):
+    jaws = state.memory.get(JAWS_KEY, np.empty((0, 2))).tolist()
+    for pads, (half_opening, _) in zip(pads_of(new_scene, 1.0), jaws, strict=False):
         clearance = min(half_opening + 0.75 * thickness, 0.5 * pads.opening + thickness - half_opening)
         if clearance < _MIN_STOP_CLEARANCE * thickness:
             raise EventError(

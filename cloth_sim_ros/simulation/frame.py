@@ -72,7 +72,6 @@ class Frame:
 
     def repeated(self, index: int, time: float) -> Frame:
         """Return the frame that a sleeping cloth repeats, at another index and time [s], without events."""
-        repeated_frame = attrs.evolve(self, index=index, time=time, events=(), grasps=(), pinches=(), recovery=None)
-        return attrs.evolve(
-            repeated_frame, moved=True, wrenches=self.wrenches.copy(), obstacle_wrenches=self.obstacle_wrenches.copy()
-        )
+        frame = attrs.evolve(self, index=index, time=time, events=(), grasps=(), pinches=(), recovery=None)
+        wrenches, obstacle_wrenches = self.wrenches.copy(), self.obstacle_wrenches.copy()
+        return attrs.evolve(frame, moved=True, wrenches=wrenches, obstacle_wrenches=obstacle_wrenches)

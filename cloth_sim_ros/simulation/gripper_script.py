@@ -101,13 +101,8 @@ class GripperScript:
         for first, second in itertools.pairwise(waypoints):
             if second.time <= first.time:
                 raise ScriptError(f"two positions are at {second.time} s; a gripper is in one place at a time")
-        return cls(
-            gripper=str(entries.get("gripper", "gripper")),
-            frame_id=str(entries.get("frame_id", "")),
-            rate=rate,
-            waypoints=tuple(waypoints),
-            grasps=tuple(grasps),
-        )
+        gripper, frame_id = str(entries.get("gripper", "gripper")), str(entries.get("frame_id", ""))
+        return cls(gripper=gripper, frame_id=frame_id, rate=rate, waypoints=tuple(waypoints), grasps=tuple(grasps))
 
     @property
     def duration(self) -> float:
@@ -136,14 +131,9 @@ class GripperScript:
         if upper == len(times):
             return start.position, start.orientation
         end = self.waypoints[upper]
-        relative_time = (time - start.time) / (end.time - start.time)
+        s = (time - start.time) / (end.time - start.time)
         # Minimum jerk from rest to rest (Flash and Hogan 1985).
-        fraction = (
-            relative_time
-            * relative_time
-            * relative_time
-            * (10.0 - 15.0 * relative_time + 6.0 * relative_time * relative_time)
-        )
+        fraction = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
         position = tuple(a + fraction * (b - a) for a, b in zip(start.position, end.position, strict=True))
         return position, _interpolated_orientation(start.orientation, end.orientation, fraction)
 
@@ -198,11 +188,9 @@ def _read_numbers(value: Any, count: int, name: str) -> Vector:
 
 def _interpolated_orientation(start: Vector, end: Vector, fraction: float) -> Vector:
     """Return the orientation at a fraction of the shortest rotation from one to another."""
-    return (
-        start
-        if start == end
-        else tuple(rotated_by(start, [fraction * angle for angle in _rotation_between(start, end)]))
-    )
+    if start == end:
+        return start
+    return tuple(rotated_by(start, [fraction * angle for angle in _rotation_between(start, end)]))
 
 
 @functools.lru_cache(maxsize=64)

@@ -41,11 +41,9 @@ def is_small_change(names: Collection[str], before: Scene, scene: Scene, v: Arra
     panel_drag_rate = (scene.wind.normal_drag + scene.wind.tangential_drag) / scene.material.density
     speeds = np.abs(v).max(axis=1).tolist() if drag_change else (0.0, 0.0, 0.0)
     components = zip(scene.gravity, before.gravity, scene.wind.velocity, before.wind.velocity, speeds, strict=True)
-    return all(
-        abs(new - old)
-        + abs(scene.air.drag * wind - before.air.drag * old_wind)
-        + panel_drag_rate * abs(wind - old_wind)
-        + drag_change * speed
-        <= MAX_VELOCITY_CHANGE / scene.period
-        for new, old, wind, old_wind, speed in components
-    )
+    for new, old, wind, old_wind, speed in components:
+        change = abs(new - old) + abs(scene.air.drag * wind - before.air.drag * old_wind)
+        change = change + panel_drag_rate * abs(wind - old_wind) + drag_change * speed
+        if not change <= MAX_VELOCITY_CHANGE / scene.period:
+            return False
+    return True

@@ -22,47 +22,18 @@ from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene import relaxation
 from cloth_sim_ros.scene.plan_cache import PlanCache
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.bodies.bodies import (
-    build_grippers,
-    build_obstacles,
-    build_parallel_grippers,
-    change_obstacles,
-    frame_wrenches,
-    plan_paths,
-    set_constant_paths,
-    stop_bodies,
-)
+from cloth_sim_ros.simulation import contact_recovery as recoveries
+from cloth_sim_ros.simulation.bodies import bodies
 from cloth_sim_ros.simulation.bodies.grippers import GraspResult
-from cloth_sim_ros.simulation.contact_recovery import (
-    ContactRecovery,
-    begin_recovery,
-    compressed_rows,
-    contact_recovery,
-    end_recovery,
-    pad_rows,
-    particles_in_contact,
-    reduce_contacts,
-    relieved_particles,
-)
+from cloth_sim_ros.simulation.contact_recovery import ContactRecovery, contact_recovery, pad_rows, reduce_contacts
 from cloth_sim_ros.simulation.event_checks import check, check_all, check_new_scene
-from cloth_sim_ros.simulation.events import (
-    Event,
-    Grasp,
-    Move,
-    Pause,
-    Relax,
-    Reset,
-    SetParameters,
-    Step,
-    Target,
-    ordered,
-)
+from cloth_sim_ros.simulation.events import Event, Grasp, Move, Pause, Relax, Reset, SetParameters, Step, Target
 from cloth_sim_ros.simulation.exclusive import ExclusiveAccess, between_frames, exclusive
 from cloth_sim_ros.simulation.frame import Frame
 from cloth_sim_ros.simulation.initial_state import apply_grasp, starting_states, stop_anchored, stop_particles
 from cloth_sim_ros.simulation.parameter_change import MAX_VELOCITY_CHANGE, is_small_change
 from cloth_sim_ros.simulation.sleep import SleepRule, is_asleep, sleeps_until, wake
-from cloth_sim_ros.simulation.snapshot import Snapshot, restore_parts, take_snapshot
+from cloth_sim_ros.simulation.snapshot import Snapshot
 
 if TYPE_CHECKING:
     from cloth_sim_ros.simulation.energy_watch import EnergyReport, EnergyWatch
@@ -90,8 +61,8 @@ class Simulation(ExclusiveAccess):
     def __init__(self, scene: Scene, state: State | None = None) -> None:
         super().__init__()
         self._initial, self.state = starting_states(scene, state)
-        self.grippers = build_grippers(scene, self.state)
-        self.obstacles = build_obstacles(scene, self.state)
+        self.grippers = bodies.build_grippers(scene, self.state)
+        self.obstacles = bodies.build_obstacles(scene, self.state)
         if state is None and self.obstacles is not None:
             try:
                 self.obstacles.check_outside(self.obstacles.names, scene.anchored_particles())
@@ -223,8 +194,7 @@ class Simulation(ExclusiveAccess):
             self.state.frame += 1
             return self._repeatable_frame.repeated(self.frame, self.time)
         self._repeatable_frame = None
-        in_order = ordered(list(events))
-        check_all(in_order, self._scene, self.state, self._initial)
+        in_order = check_all(events, self._scene, self.state, self._initial)
         before = self._snapshot()
         try:
             return self._advance(in_order)
@@ -240,15 +210,15 @@ class Simulation(ExclusiveAccess):
         return self._snapshot()
 
     def _snapshot(self) -> Snapshot:
-        return take_snapshot(
+        contact, accumulator, watch = self.plan.contact, self._accumulator, self._energy_watch
+        return Snapshot(
             scene=self._scene,
-            state=self.state,
+            state=self.state.shallow_copy(),
             initial=self._initial,
-            plan=self.plan,
-            gripper_set=self.grippers,
-            accumulator=self._accumulator,
-            balance=self._energy_watch,
-            report=self.energy_report,
+            grips=self.grippers.save(self.plan.grips),
+            contact=None if contact is None else (contact.force.paths, contact.force.jaw_commands),
+            accumulator=None if accumulator is None else accumulator.save(),
+            energy=None if watch is None else (watch.save(), self.energy_report),
             sleep=(self._is_rest_verified, self._repeatable_frame),
         )
 
@@ -300,9 +270,8 @@ class Simulation(ExclusiveAccess):
         pinches = self.pinching.report_rested(self.plan, self.time) if is_moved and self.pinching is not None else []
         stopped = self._stopped if is_moved else ()
         is_lagging = is_moved and (stopped or self.grippers.speed_limited)
-        wrenches, obstacle_wrenches = frame_wrenches(
-            self._accumulator if is_moved else None, self.plan, self.grippers, self.pinching
-        )
+        sums = self._accumulator if is_moved else None
+        wrenches, obstacle_wrenches = bodies.frame_wrenches(sums, self.plan, self.grippers, self.pinching)
         frame = Frame(
             index=self.frame,
             time=self.time,
@@ -329,20 +298,21 @@ class Simulation(ExclusiveAccess):
             # Poses come from the state: a path's end rounds differently, and a run from a saved state has no path.
             self._place_bodies()
         if self.pinching is not None and gripper in self.pinching.names:
-            return particles_in_contact(self.plan, self.state, self.time, pad_rows(self.plan, gripper).tolist()[:-1])
+            rows = pad_rows(self.plan, gripper).tolist()[:-1]
+            return recoveries.particles_in_contact(self.plan, self.state, self.time, rows)
         return self.grippers.grasped_particles(self.grippers.names.index(gripper))
 
     def _set_parameters(self, values: dict[str, Any]) -> None:
         before, scene, anchors = self._scene, self._scene.changed(values), self.model.anchors
         if self.plan.contact is not None:
             self._place_bodies()  # see `_grasped_particles`
-        relieved = relieved_particles(self.plan, self.state, self.time, before, scene)
+        relieved = recoveries.relieved_particles(self.plan, self.state, self.time, before, scene)
         affects_no_motion = all(entry.observes for entry in scene.entries if entry.name in values)
         # A motion that was already beyond the fixed step is not caused by the parameters.
         is_step_stable = affects_no_motion or self._is_step_stable()
         self._initial = self._initial.shallow_copy()  # snapshots share the old one
-        change_obstacles(before, scene, (self.state, self._initial))
-        self.obstacles = build_obstacles(scene, self.state)
+        bodies.change_obstacles(before, scene, (self.state, self._initial))
+        self.obstacles = bodies.build_obstacles(scene, self.state)
         self._apply_scene(scene)
         if affects_no_motion:
             return
@@ -351,7 +321,7 @@ class Simulation(ExclusiveAccess):
         wake(self.state)
         stop_particles(self.state, np.setdiff1d(self.model.anchors, anchors))
         self.state.thickness = None if self.plan.contact is None else scene.contact.thickness
-        rows = compressed_rows(before, scene)
+        rows = recoveries.compressed_rows(before, scene)
         if rows.any() or relieved.size:
             reduce_contacts(self.plan, self.state, self.time, "the cloth", rows=rows, relieved=relieved)
 
@@ -375,7 +345,7 @@ class Simulation(ExclusiveAccess):
             except UnstableError:
                 if before is not None:
                     state.restore(before)
-                    self._stopped = stop_bodies(self.obstacles, self.grippers)
+                    self._stopped = bodies.stop_bodies(self.obstacles, self.grippers)
                 if not self._stopped:
                     raise
                 # With stopped bodies a solution always exists: the cloth at rest.
@@ -384,14 +354,11 @@ class Simulation(ExclusiveAccess):
             if self._energy_watch is not None and self._accumulator is not None:
                 self.energy_report = self._energy_watch.end(state, start + period, self._accumulator)
             state_before_sleep = None if self._energy_watch is None else state.shallow_copy()
-            if (
-                self._sleep.update(state, start + period)
-                and self._energy_watch is not None
-                and state_before_sleep is not None
-            ):
+            falls_asleep = self._sleep.update(state, start + period)
+            if falls_asleep and self._energy_watch is not None and state_before_sleep is not None:
                 self.energy_report = self._energy_watch.stop(state_before_sleep)
         state.frame += 1
-        end_recovery(self.plan, state, self.time)
+        recoveries.end_recovery(self.plan, state, self.time)
         return done
 
     @property
@@ -401,8 +368,8 @@ class Simulation(ExclusiveAccess):
 
     def _plan_paths(self, t: float) -> None:
         """Upload the paths of grippers and obstacles over the frame that starts at time t [s]."""
-        change = plan_paths(self.plan, self._scene, self.obstacles, self.pinching, self.grippers, t)
-        begin_recovery(self.plan, self.state, t, self._period)
+        change = bodies.plan_paths(self.plan, self._scene, self.obstacles, self.pinching, self.grippers, t)
+        recoveries.begin_recovery(self.plan, self.state, t, self._period)
         if change > MAX_VELOCITY_CHANGE * self._period:
             reset_step_control(self.state)
 
@@ -427,8 +394,8 @@ class Simulation(ExclusiveAccess):
         relaxation.set_factor(self.state, factor)
         self.state.frame = frame
         self.state.memory["paused"] = np.array([paused])
-        self.grippers = build_grippers(self._scene, self.state)
-        self.obstacles = build_obstacles(self._scene, self.state)
+        self.grippers = bodies.build_grippers(self._scene, self.state)
+        self.obstacles = bodies.build_obstacles(self._scene, self.state)
         self._place_bodies()
         reduce_contacts(self.plan, self.state, self.time, "the cloth as it starts")
 
@@ -441,9 +408,9 @@ class Simulation(ExclusiveAccess):
     def _place_bodies(self) -> None:
         """Place obstacles and pads at their present poses for contact, until the next frame moves them."""
         #: Pinching grippers; None without any.
-        self.pinching = build_parallel_grippers(self.plan, self.grippers, self.state)
+        self.pinching = bodies.build_parallel_grippers(self.plan, self.grippers, self.state)
         if self.plan.contact is not None:
-            set_constant_paths(self.plan.contact.force, self.obstacles, self.pinching, self.grippers, self.time)
+            bodies.set_constant_paths(self.plan.contact.force, self.obstacles, self.pinching, self.grippers, self.time)
 
     def _apply_scene(self, scene: Scene) -> None:
         self._scene, self._period = scene, scene.period
@@ -451,12 +418,9 @@ class Simulation(ExclusiveAccess):
         self.model = self.plan.model
         is_energy_watched = scene.diagnostics.energy
         grippers, obstacles = self.plan.gripper_count, self.plan.obstacle_count
-        needs_accumulator = grippers or obstacles or is_energy_watched
-        self._accumulator = (
-            WorkAccumulator(grippers, record_power=is_energy_watched, obstacle_count=obstacles)
-            if needs_accumulator
-            else None
-        )
+        self._accumulator: WorkAccumulator | None = None
+        if grippers or obstacles or is_energy_watched:
+            self._accumulator = WorkAccumulator(grippers, record_power=is_energy_watched, obstacle_count=obstacles)
         self._place_bodies()
         self._energy_watch: EnergyWatch | None = None
         if is_energy_watched:
@@ -476,9 +440,8 @@ class Simulation(ExclusiveAccess):
         scene, self._relaxation_factor = self._scene, relaxation.factor_of(self.state)
         self._integrator = scene.build_integrator(factor=self._relaxation_factor)
         #: Tolerance in force [m]; None if the step is fixed or no tolerance is set.
-        self._tolerance = (
-            (relaxation.relaxed_tolerance(scene.tolerance, self._relaxation_factor) or None) if not scene.step else None
-        )
+        tolerance = relaxation.relaxed_tolerance(scene.tolerance, self._relaxation_factor)
+        self._tolerance = None if scene.step else tolerance or None
         self._sleep = SleepRule(self.plan, tolerance=self._tolerance, period=scene.period)
         self._is_rest_verified, self._repeatable_frame = False, None
 
@@ -487,18 +450,17 @@ class Simulation(ExclusiveAccess):
         self.state.assign(snapshot.state)
         self._initial = snapshot.initial
         if scene is not self._scene and scene != self._scene:
-            self.obstacles = build_obstacles(scene, self.state)
+            self.obstacles = bodies.build_obstacles(scene, self.state)
             self._apply_scene(scene)
         elif relaxation.factor_of(self.state) != self._relaxation_factor:
             self._apply_tolerance()
         self._scene = scene
-        restore_parts(
-            snapshot,
-            plan=self.plan,
-            gripper_set=self.grippers,
-            accumulator=self._accumulator,
-            balance=self._energy_watch,
-        )
+        self.grippers.restore(snapshot.grips, self.plan.grips)
+        if self.plan.contact is not None and snapshot.contact is not None:
+            self.plan.contact.force.restore(*snapshot.contact, snapshot.time)
+        if self._accumulator is not None and snapshot.accumulator is not None:
+            self._accumulator.restore(snapshot.accumulator)
         if self._energy_watch is not None and snapshot.energy is not None:
-            self.energy_report = snapshot.energy[1]
+            balance, self.energy_report = snapshot.energy
+            self._energy_watch.restore(balance)
         self._is_rest_verified, self._repeatable_frame = snapshot.sleep

@@ -70,11 +70,8 @@ class SleepRule:
         if memory.quiet_frames < self._watch_frames:
             memory.store(state)
             return False
-        drift_rate = (
-            largest_distance(state.x, state.memory.pop(FROM))
-            * CONSTANTS.sleep_quiet_time
-            / (memory.quiet_frames * self._period)
-        )
+        distance = largest_distance(state.x, state.memory.pop(FROM))
+        drift_rate = distance * CONSTANTS.sleep_quiet_time / (memory.quiet_frames * self._period)
         memory.drift_used += 2.0 * max(drift_rate, memory.max_displacement) * memory.sleep_time
         memory.sleep_time, memory.max_displacement, memory.quiet_frames = 0.0, drift_rate, 0.0
         frames = self._max_sleep_frames(drift_rate, self._max_drift - memory.drift_used)
@@ -132,16 +129,9 @@ class SleepRule:
 
     def frame(self, integrator: str) -> Advance:
         """Return the summary of a frame that was slept through."""
-        return Advance(
-            steps=0,
-            evaluations=0,
-            step=0.0,
-            limit=math.inf,
-            integrator=integrator,
-            limited_by="rest",
-            error=self._max_drift * self._period / CONSTANTS.sleep_quiet_time,
-            reason=f"asleep: at rest within the tolerance {self._tolerance:g} m until something touches the cloth",
-        )
+        error = self._max_drift * self._period / CONSTANTS.sleep_quiet_time
+        reason = f"asleep: at rest within the tolerance {self._tolerance:g} m until something touches the cloth"
+        return Advance(0, 0, 0.0, math.inf, integrator=integrator, limited_by="rest", error=error, reason=reason)
 
     def _is_steady(self) -> bool:
         return self._plan.steady()

@@ -14,18 +14,15 @@ import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.bodies import grippers
-from cloth_sim_ros.simulation.bodies.grippers import Grippers
 from cloth_sim_ros.simulation.frame import Frame
 
 if TYPE_CHECKING:
     from cloth_sim_ros.simulation import energy_watch
-    from cloth_sim_ros.simulation.energy_watch import EnergyReport, EnergyWatch
+    from cloth_sim_ros.simulation.energy_watch import EnergyReport
 
 
 # Without slots: then attrs sets a frozen class's members in half the time.
@@ -78,11 +75,9 @@ class Snapshot:
         for name in (name for name in snapshot_values if name not in live):
             current, recorded = current_values.get(name), snapshot_values[name]
             if current != recorded or self._content(self.scene, recorded) != self._content(scene, current):
-                mismatch = (
-                    "its file has other content"
-                    if current == recorded
-                    else f"{name} is {recorded!r} there, {current!r} here"
-                )
+                mismatch = f"{name} is {recorded!r} there, {current!r} here"
+                if current == recorded:
+                    mismatch = "its file has other content"
                 raise ValueError(
                     f"the snapshot is of another scene: {mismatch}; restore it in a simulation of its own scene"
                 )
@@ -90,64 +85,3 @@ class Snapshot:
     @staticmethod
     def _content(scene: Scene, name: Any) -> bytes | None:
         return scene.files.get(name) if isinstance(name, str) else None
-
-
-def take_snapshot(
-    *,
-    scene: Scene,
-    state: State,
-    initial: State,
-    plan: Plan,
-    gripper_set: Grippers,
-    accumulator: WorkAccumulator | None,
-    balance: EnergyWatch | None,
-    report: EnergyReport | None,
-    sleep: tuple[bool, Frame | None],
-) -> Snapshot:
-    """Take a snapshot from the parts of a simulation.
-
-    Args:
-        scene: configuration in force.
-        state: present state.
-        initial: state that a reset restores.
-        plan: compiled model.
-        gripper_set: grippers.
-        accumulator: wrench and work integrals of the last frame; None without.
-        balance: energy watch; None if it is off.
-        report: last energy report; None without.
-        sleep: True if rest was verified, and the frame that a sleeping cloth repeats.
-    """
-    contact = plan.contact
-    return Snapshot(
-        scene=scene,
-        state=state.shallow_copy(),
-        initial=initial,
-        grips=gripper_set.save(plan.grips),
-        contact=None if contact is None else (contact.force.paths, contact.force.jaw_commands),
-        accumulator=None if accumulator is None else accumulator.save(),
-        energy=None if balance is None else (balance.save(), report),
-        sleep=sleep,
-    )
-
-
-def restore_parts(
-    snapshot: Snapshot,
-    *,
-    plan: Plan,
-    gripper_set: Grippers,
-    accumulator: WorkAccumulator | None,
-    balance: EnergyWatch | None,
-) -> None:
-    """Restore the inputs and integrals of a snapshot in a simulation of the same scene. The state must be restored
-    before.
-    """
-    gripper_set.restore(snapshot.grips, plan.grips)
-    if plan.contact is not None and snapshot.contact is not None:
-        paths, driven = snapshot.contact
-        plan.contact.force.set_paths(paths)
-        plan.contact.force.set_jaw_commands(driven)
-        plan.contact.force.start_recovery(snapshot.time)
-    if accumulator is not None and snapshot.accumulator is not None:
-        accumulator.restore(snapshot.accumulator)
-    if balance is not None and snapshot.energy is not None:
-        balance.restore(snapshot.energy[0])

@@ -211,6 +211,6 @@ def carry_over_anchors(anchors: Array, before: Scene, scene: Scene) -> Array | N
         return carried_over
     # Anchors of layers follow those of obstacles.
     layer_anchors = anchors[len(old_names) :]
-    return np.concatenate(
-        [carried_over, layer_anchors if len(layer_anchors) else np.zeros((LAYER_SIDES, *anchors.shape[1:]))]
-    )
+    if not len(layer_anchors):
+        layer_anchors = np.zeros((LAYER_SIDES, *anchors.shape[1:]))
+    return np.concatenate([carried_over, layer_anchors])

@@ -77,14 +77,11 @@ class Grippers:
         pose = np.zeros((count, 7))
         pose[:, 6] = 1.0
         self._bodies = KinematicBodies("gripper", pose, state)
-        for name, array in (
-            ("gripper.placed", np.zeros(count, dtype=bool)),
-            ("gripper.closed", np.zeros(count, dtype=bool)),
-            ("grip.starts", np.zeros(count + 1, dtype=np.int64)),
-            ("grip.particles", np.empty(0, dtype=np.int64)),
-            ("grip.offsets", np.empty((0, 3))),
-        ):
-            state.memory.setdefault(name, array)
+        for name in ("gripper.placed", "gripper.closed"):
+            state.memory.setdefault(name, np.zeros(count, dtype=bool))
+        state.memory.setdefault("grip.starts", np.zeros(count + 1, dtype=np.int64))
+        state.memory.setdefault("grip.particles", np.empty(0, dtype=np.int64))
+        state.memory.setdefault("grip.offsets", np.empty((0, 3)))
 
     def poses(self) -> Array:
         """Return present poses: position [m] and quaternion x, y, z, w, shape (gripper_count, 7)."""
@@ -166,12 +163,8 @@ class Grippers:
         if not memory["gripper.placed"][g]:
             return GraspResult(name, True, 0, "it has had no target yet, so it is nowhere")
         pose = memory["gripper.pose"][g]
-        displacements = self._state.x - pose[:3, None]
-        distance = np.sqrt(
-            displacements[0] * displacements[0]
-            + displacements[1] * displacements[1]
-            + displacements[2] * displacements[2]
-        )
+        x, y, z = self._state.x - pose[:3, None]
+        distance = np.sqrt(x * x + y * y + z * z)
         is_in_reach = distance <= radius
         particles = np.flatnonzero(is_in_reach & (model.inverse_masses > 0.0))
         self.attach(name, particles)
@@ -179,9 +172,8 @@ class Grippers:
             return GraspResult(name, True, int(particles.size))
         if is_in_reach.any():
             return GraspResult(name, True, 0, f"all {int(is_in_reach.sum())} particles within {radius} m are anchored")
-        return GraspResult(
-            name, True, 0, f"no particle within {radius} m of it; the nearest is {float(distance.min()):.3g} m away"
-        )
+        reason = f"no particle within {radius} m of it; the nearest is {float(distance.min()):.3g} m away"
+        return GraspResult(name, True, 0, reason)
 
     def attach(self, name: str, particles: NDArray[np.int64]) -> None:
         """Close a placed gripper and attach particles at their present positions."""

@@ -120,9 +120,8 @@ class Obstacles:
 
     def _end_pose(self, duration: float, k: int, pose: Sequence[float], target: Sequence[float]) -> Sequence[float]:
         """Return an obstacle's pose at a frame's end: its target, or as close to it as the speed limit permits."""
-        return clamp_motion(
-            pose, target, min(self.solids[k].bounding_radius, _MAX_LEVER_ARM), MAX_BODY_SPEED * duration
-        )
+        lever_arm = min(self.solids[k].bounding_radius, _MAX_LEVER_ARM)
+        return clamp_motion(pose, target, lever_arm, MAX_BODY_SPEED * duration)
 
 
 def replace_obstacles(
@@ -160,9 +159,8 @@ def gaps(solid: Obstacle, pose: Array, x: Array, *, max_distance: float = math.i
     Beyond `max_distance` [m] from the bounding sphere the distance from that sphere is returned, a lower bound.
     """
     offsets = x - pose[:3, None]
-    distances: Array = (
-        np.sqrt(offsets[0] * offsets[0] + offsets[1] * offsets[1] + offsets[2] * offsets[2]) - solid.bounding_radius
-    )
+    squares = offsets[0] * offsets[0] + offsets[1] * offsets[1] + offsets[2] * offsets[2]
+    distances: Array = np.sqrt(squares) - solid.bounding_radius
     nearby = np.flatnonzero(distances <= max_distance)
     rotation = rotation_matrix(pose[3:])
     x_, y_, z_ = offsets[:, nearby]

@@ -70,9 +70,8 @@ class ParallelGrippers:
         """Add the wrenches on pads, the last rows, to those of their grippers; return the wrenches on obstacles."""
         n_obstacles = len(obstacle_wrenches) - len(self.boxes)
         for k, index in enumerate(self._indices):
-            gripper_wrenches[index] += (
-                obstacle_wrenches[n_obstacles + 2 * k] + obstacle_wrenches[n_obstacles + 2 * k + 1]
-            )
+            left, right = obstacle_wrenches[n_obstacles + 2 * k : n_obstacles + 2 * k + 2]
+            gripper_wrenches[index] += left + right
         return obstacle_wrenches[:n_obstacles]
 
     def await_rest(self, name: str) -> None:
@@ -98,10 +97,8 @@ class ParallelGrippers:
         for k, (jaw, (_, jaw_speed)) in enumerate(zip(self.pads, self._state.memory[JAWS_KEY].tolist(), strict=True)):
             if is_rested[k] or not is_driven[k].all():
                 continue
-            if (
-                abs(jaw_speed) > _REST_FRACTION * jaw.speed
-                or abs(accelerations[k]) * jaw.inertia > _REST_FRACTION * 2.0 * jaw.force
-            ):
+            is_moving = abs(jaw_speed) > _REST_FRACTION * jaw.speed
+            if is_moving or abs(accelerations[k]) * jaw.inertia > _REST_FRACTION * 2.0 * jaw.force:
                 continue
             writable(self._state, JAWS_AT_REST_KEY)[k] = True
             n_grasped = self.grasped_count(plan, t, jaw.gripper)

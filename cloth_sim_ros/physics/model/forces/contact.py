@@ -146,6 +146,12 @@ class Contact(EngineForce):
         self.paths = paths
         self.path_revision += 1
 
+    def restore(self, paths: Array, commands: NDArray[np.bool_], t: float) -> None:
+        """Restore paths and jaw commands of a snapshot at time t [s]; no thickness grows until the next frame."""
+        self.set_paths(paths)
+        self.set_jaw_commands(commands)
+        self.start_recovery(t)
+
     def start_recovery(self, t: float, duration: float = 0.0, thickness: Array | None = None) -> None:
         """Start the recovery of a reduced contact thickness.
 
