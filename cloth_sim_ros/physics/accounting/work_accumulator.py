@@ -83,26 +83,16 @@ class WorkAccumulator:
         """Add work [J] of contacts that regain their thickness."""
         self._recovery_work += work
 
-    def add_sample(
-        self,
-        gripper_rates: Array,
-        obstacle_rates: Array,
-        powers: tuple[float, float],
-        duration: float,
-        friction_work: float = 0.0,
-        recovery_work: float = 0.0,
-    ) -> None:
+    def add_sample(self, integrals: Array, duration: float, friction_work: float, recovery_work: float) -> None:
         """Add one quadrature point, already multiplied by its weight [s].
 
         Args:
-            gripper_rates: rates of each gripper, shape (grippers, RECORD_NUMBERS).
-            obstacle_rates: rates of each obstacle, shape (obstacles, RECORD_NUMBERS).
-            powers: dissipation and wind work [J].
+            integrals: numbers of grippers, dissipation and wind work, numbers of obstacles, as in `Run.integrals`.
             duration: weight of the point [s].
             friction_work: work of friction between layers [J].
             recovery_work: work of contacts that regain their thickness [J].
         """
-        self._sums = self._sums + np.concatenate([gripper_rates.ravel(), powers, obstacle_rates.ravel()])
+        self._sums = self._sums + integrals
         self._friction_work += friction_work
         self._recovery_work += recovery_work
         self._duration += duration
@@ -190,4 +180,5 @@ def accumulate(
         friction_work = weight * plan.contact.friction_power(t, x, v)
         recovery_work = weight * plan.contact.recovery_power(t, x, v) if record_obstacles else 0.0
     powers = weight * dissipated, weight * supplied
-    sums.add_sample(gripper_rates, obstacle_rates, powers, weight, friction_work, recovery_work)
+    integrals = np.concatenate([gripper_rates.ravel(), powers, obstacle_rates.ravel()])
+    sums.add_sample(integrals, weight, friction_work, recovery_work)

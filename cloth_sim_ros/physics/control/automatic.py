@@ -13,22 +13,12 @@ from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.control.fallback import is_implicit_feasible
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
-from cloth_sim_ros.physics.integrators.base import (
-    WORK_LIMIT,
-    Advance,
-    Integrator,
-    ToleranceMissedError,
-    UnstableError,
-    refuse_unbounded,
-)
+from cloth_sim_ros.physics.integrators import base
+from cloth_sim_ros.physics.integrators.base import WORK_LIMIT, Advance, Integrator
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.state.controller_state import (
-    IntegratorChoiceState,
-    MultirateState,
-    StabilityState,
-    reset_step_control,
-)
+from cloth_sim_ros.physics.state import controller_state
+from cloth_sim_ros.physics.state.controller_state import IntegratorChoiceState, MultirateState, StabilityState
 from cloth_sim_ros.physics.state.state import State
 
 if TYPE_CHECKING:
@@ -116,8 +106,8 @@ class Automatic(Integrator):
                 evaluations = result.evaluations
                 if result.flagged and strict:
                     result, failure = None, _TOLERANCE_MISSED
-            except UnstableError as error:
-                failure = _TOLERANCE_MISSED if isinstance(error, ToleranceMissedError) else _NO_SOLUTION
+            except base.UnstableError as error:
+                failure = _TOLERANCE_MISSED if isinstance(error, base.ToleranceMissedError) else _NO_SOLUTION
                 evaluations = error.evaluations
             if result is None:
                 if plan.contact is not None:
@@ -167,7 +157,7 @@ class Automatic(Integrator):
             factor = CONSTANTS.estimate_trust_factor if memory.is_implicit else 1.0
             implicit_pays = implicit_cost <= factor * memory.explicit_cost
         if implicit_pays != bool(memory.is_implicit):
-            reset_step_control(state)
+            controller_state.reset_step_control(state)
         memory.is_implicit, memory.frames_until_comparison = float(implicit_pays), CONSTANTS.max_estimate_period
 
 
@@ -179,7 +169,7 @@ def _explicit_frame_cost(plan: Plan, state: State, t: float, duration: float) ->
     """
     stability = StabilityState.load(state)
     bounds = (stability.omega2, stability.damping) if stability.omega2 >= 0.0 else plan.spectral_bounds(state.x)
-    refuse_unbounded(*bounds)
+    base.refuse_unbounded(*bounds)
     steps = max(1.0, duration / (CONSTANTS.stability_safety * leapfrog_limit(*bounds)))
     cost = steps * plan.multirate_step_cost(int(MultirateState.load(state).ratio)) * plan.model.particle_count
     return cost + steps * plan.contact_cost(t, duration, state)

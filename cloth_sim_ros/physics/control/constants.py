@@ -23,35 +23,45 @@ class Constants:
 
     # Stability.
     stability_safety: float = _constant(
-        0.96, "fraction of the step limit that explicit steps take; a margin for stretching"
+        0.96, "fraction of the step limit that explicit steps take; the rest is a margin for stretching"
     )
-    damped_wave_decay: float = _constant(2.0, "decay of the fastest waves over a frame that counts as damped")
+    damped_wave_decay: float = _constant(
+        2.0, "decay of the fastest waves over a frame above which they count as damped"
+    )
     max_interval: float = _constant(0.04, "longest interval that is extrapolated at once [s]")
 
     # Error.
     error_budget_fraction: float = _constant(0.6, "fraction of the tolerance that the errors of one second may use")
     error_target_fraction: float = _constant(
-        0.5, "target of a frame, as a fraction of its error budget or of real time"
+        0.5, "fraction of its error budget, or of real time by explicit steps, that a frame aims at"
     )
     max_estimate_period: float = _constant(
-        16.0, "most frames between two error estimates; four times that if it is low"
+        16.0, "most frames between two error estimates; four times as many if the error is low"
     )
     low_error_fraction: float = _constant(0.05, "fraction of the budget below which an error is low")
-    estimate_trust_factor: float = _constant(2.0, "factor by which an estimate may be wrong before it is renewed")
+    estimate_trust_factor: float = _constant(
+        2.0, "factor by which an estimate may be wrong before it is renewed or acted upon"
+    )
     max_refinement_factor: float = _constant(4.0, "largest refinement by one rejection")
-    min_work_cap: float = _constant(8.0, "least work limit with a large sheet or contact, in runs of the longest steps")
+    min_work_cap: float = _constant(
+        8.0, "least work limit of a frame with a large sheet or contact, in runs with the longest stable steps"
+    )
 
     # Contact.
     contact_min_interval_steps: float = _constant(200.0, "least number of steps of an interval that contact may halve")
 
     # Single precision.
     single_precision_budget_fraction: float = _constant(0.02, "fraction of the error budget for single precision")
-    single_precision_sample_divisor: float = _constant(8.0, "steps of an interval over those of the sample run")
-    single_precision_min_motion: float = _constant(1e3, "least largest displacement, in changes by rounding")
+    single_precision_sample_divisor: float = _constant(
+        8.0, "steps of an interval over the steps of the sample run that measures single precision"
+    )
+    single_precision_min_motion: float = _constant(
+        1e3, "least displacement of the fastest particle in a frame, in changes by single precision"
+    )
 
     # Energy.
     max_energy_gain: float = _constant(
-        2e-3, "fraction of the moved energy that steps, or a second of rounding, may add"
+        2e-3, "fraction of the moved energy that steps, or single precision in a second, may add"
     )
     max_energy_oscillation: float = _constant(5e-3, "fraction of the moved energy that a first frame may add")
     energy_check_stiffening: float = _constant(1.02, "relative stiffening above which energy is checked")

@@ -51,8 +51,7 @@ class EnergyRule:
         Args:
             omega2_before: bound of the squared frequency at its start [1/s^2].
             omega2_after: the same at its end.
-            steps_differ: True for a combination of runs, or if other intervals of the advance have other
-                step sizes.
+            steps_differ: True for a combination of runs, or if other intervals of the advance have other step sizes.
             refinement: refinement of its steps.
         """
         memory = self.memory
@@ -144,12 +143,12 @@ def external_work(plan: Plan, state: State, tableau: ExtrapolationTableau, t: fl
         n_runs: K, the number of combined runs.
     """
     x, v = tableau.combine(n_runs)
-    moves = plan.contact is not None and not plan.contact.force.steady()
-    if not (moves or plan.supply(t, state.x, state.v) or plan.supply(t, x, v)):
+    moving = plan.contact is not None and not plan.contact.force.steady()
+    if not (moving or plan.supply(t, state.x, state.v) or plan.supply(t, x, v)):
         return tableau.work(n_runs), 0
     # Runs record the work of air and obstacles on demand alone.
     span, counts, ratio, single = tableau.duration, tableau.counts, tableau.ratio, tableau.single_precision
     recorded = ExtrapolationTableau(
-        plan, state, t, span, counts, record_power=True, record_obstacles=moves, single_precision=single, ratio=ratio
+        plan, state, t, span, counts, record_power=True, record_obstacles=moving, single_precision=single, ratio=ratio
     )
     return recorded.work(n_runs), recorded.evaluations

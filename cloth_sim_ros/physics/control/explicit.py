@@ -21,16 +21,8 @@ from cloth_sim_ros.physics.control.step_choice import ExplicitSettings, StepChoi
 from cloth_sim_ros.physics.integrators.base import Advance, NoRoomError, UnstableError, refuse_step, refuse_unbounded
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, PrecomputedRun
 from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.state.controller_state import (
-    ContactState,
-    EnergyState,
-    ErrorState,
-    FallbackState,
-    MultirateState,
-    PrecisionState,
-    RoundingNoiseState,
-    StabilityState,
-)
+from cloth_sim_ros.physics.state import controller_state
+from cloth_sim_ros.physics.state.controller_state import ContactState, ErrorState, FallbackState, StabilityState
 from cloth_sim_ros.physics.state.state import State
 
 
@@ -75,11 +67,12 @@ class ExplicitAdvance:
         refuse_unbounded(memory.omega2, memory.damping)
         #: Longest stable step without contact [s].
         self._sheet_limit = limit = options.step_limit(memory.omega2, memory.damping)
-        error, precision, noise = ErrorState.load(state), PrecisionState.load(state), RoundingNoiseState.load(state)
+        error, precision = ErrorState.load(state), controller_state.PrecisionState.load(state)
+        noise = controller_state.RoundingNoiseState.load(state)
         if not is_for_duration(error, duration):
             # The recorded errors belong to frames of another length.
             error = ErrorState(n_runs=error.n_runs, refinement=error.refinement, duration=duration)
-            precision, noise = PrecisionState(), RoundingNoiseState()
+            precision, noise = controller_state.PrecisionState(), controller_state.RoundingNoiseState()
         n_runs, last_refinement, has_tolerance = options.n_runs, 0.0, options.tolerance is not None
         if has_tolerance:
             n_runs = min(int(error.n_runs), n_runs)
@@ -98,7 +91,7 @@ class ExplicitAdvance:
         contact_time = contact_limit.predict(t, duration, state)
         # Waves of contact may have any frequency, without damping.
         allows_multirate = has_tolerance and stability.is_damped and not contact_time > 0.0
-        multirate = MultirateRule(plan, MultirateState.load(state), allowed=allows_multirate)
+        multirate = MultirateRule(plan, controller_state.MultirateState.load(state), allowed=allows_multirate)
         max_step = min(CONSTANTS.stability_safety * limit, duration)
         if estimates_error:
             multirate.choose(state.x, max_step, duration, n_runs)
@@ -112,7 +105,7 @@ class ExplicitAdvance:
             state=state,
             accumulator=accumulator,
             stability=memory,
-            energy=EnergyRule(plan, EnergyState.load(state), last_refinement),
+            energy=EnergyRule(plan, controller_state.EnergyState.load(state), last_refinement),
             precision=PrecisionRule(plan, precision, noise, duration, budget),
             multirate=multirate,
             contact_limit=contact_limit,
@@ -180,7 +173,7 @@ class ExplicitAdvance:
         if self._plan.has_hinges:
             context.multirate.memory.ratio = float(context.multirate.ratio)
             context.multirate.memory.store(state)
-        if context.precision.noise.power >= 0.0 or RoundingNoiseState.key in state.memory:
+        if context.precision.noise.power >= 0.0 or controller_state.RoundingNoiseState.key in state.memory:
             context.precision.noise.store(state)
         context.contact_limit.store(state, has_estimate=interval.choice.estimates_error or interval.n_pieces > 1)
         if self._fallback_count or context.in_fallback:

@@ -22,20 +22,12 @@ from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, PrecomputedRun
 from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.state.controller_state import (
-    ContactState,
-    EnergyState,
-    ErrorState,
-    FallbackState,
-    MultirateState,
-    PrecisionState,
-    RoundingNoiseState,
-    StabilityState,
-)
+from cloth_sim_ros.physics.state import controller_state
+from cloth_sim_ros.physics.state.controller_state import ContactState, ErrorState, FallbackState, StabilityState
 from cloth_sim_ros.physics.state.state import State
 
 #: Keys of controllers whose state the fast path leaves unchanged.
-_UNCHANGED_KEYS = (PrecisionState.key, EnergyState.key)
+_UNCHANGED_KEYS = (controller_state.PrecisionState.key, controller_state.EnergyState.key)
 
 
 def try_advance(
@@ -71,7 +63,7 @@ def try_advance(
         return None
     refinement = error.refinement
     ratio, min_refinement = 1, 1.0
-    multirate_state = MultirateState.load(state) if plan.has_hinges else None
+    multirate_state = controller_state.MultirateState.load(state) if plan.has_hinges else None
     if multirate_state is not None and multirate_state.ratio > 1.0:
         # The damping of the fastest waves is relevant to combinations alone.
         multirate = MultirateRule(plan, multirate_state, allowed=not contact_time > 0.0)
@@ -150,15 +142,15 @@ def _has_history(plan: Plan, state: State) -> bool:
             return False
     if plan.contact is not None and ContactState.key not in memory:
         return False
-    noise = memory.get(RoundingNoiseState.key)
+    noise = memory.get(controller_state.RoundingNoiseState.key)
     has_fallback = FallbackState.key in memory and FallbackState.load(state).fallback_count != 0.0
     return (noise is None or noise.size > 0) and not has_fallback
 
 
 def _uses_single_precision(plan: Plan, state: State, duration: float, budget: float, choice: StepChoice) -> bool:
     """True if the run uses single precision."""
-    precision = PrecisionState.load(state)
+    precision = controller_state.PrecisionState.load(state)
     if precision.rounding < 0.0:
         return False
-    rule = PrecisionRule(plan, precision, RoundingNoiseState.load(state), duration, budget)
+    rule = PrecisionRule(plan, precision, controller_state.RoundingNoiseState.load(state), duration, budget)
     return rule.allows_single_precision(state, choice)

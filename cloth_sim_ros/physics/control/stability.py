@@ -52,9 +52,8 @@ class StabilityRule:
         self.omega = math.sqrt(memory.omega2)
         #: Refinement that the multirate ratio requires.
         self.multirate_refinement = 1.0
-        self.is_damped = memory.omega2 == 0.0 or (
-            memory.damping * duration >= CONSTANTS.damped_wave_decay and any(map(_damps_waves, plan.model.forces))
-        )
+        decays = memory.damping * duration >= CONSTANTS.damped_wave_decay
+        self.is_damped = memory.omega2 == 0.0 or (decays and any(map(_damps_waves, plan.model.forces)))
 
     def min_refinement(self, n_runs: int) -> float:
         """Return the minimum refinement of a combination relative to the stable step of one run."""

@@ -241,9 +241,8 @@ class ExtrapolationTableau:
 
         It is the work of grippers, and, if recorded, of obstacles, moving air and growing contact thickness.
         """
-        accumulator = WorkAccumulator(
-            self._plan.gripper_count, record_power=self._record_power, obstacle_count=self._plan.obstacle_count
-        )
+        grippers, obstacles = self._plan.gripper_count, self._plan.obstacle_count
+        accumulator = WorkAccumulator(grippers, record_power=self._record_power, obstacle_count=obstacles)
         self.accumulate(n_runs, accumulator)
         return accumulator.work + accumulator.wind_work + accumulator.recovery_work
 

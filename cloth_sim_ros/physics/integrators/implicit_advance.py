@@ -457,9 +457,8 @@ def _obstacle_work_rates(plan: Plan, t: float, h: float, step: ImplicitStep) -> 
     rows = contact.wrench_rates(end_time, x, v, h)
     for row, path in zip(rows, contact.force.paths, strict=True):
         if row.any():
-            row[6] = -ordered_sum(
-                [a * b / h for a, b in zip(row[:6].tolist(), step_displacement(path, t, h), strict=True)]
-            )
+            displacement = step_displacement(path, t, h)
+            row[6] = -ordered_sum([a * b / h for a, b in zip(row[:6].tolist(), displacement, strict=True)])
     return rows
 
 

@@ -107,9 +107,8 @@ def iteration_cost(model: Model) -> float:
     """Return the estimated cost of one iteration of the implicit method [ns]."""
     rows, width = stage_matrix(model).size
     # Symmetry halves the products of 3 x 3 blocks in the band.
-    return (
-        CONSTANTS.factorization_time * 4.5 * rows * width * width + CONSTANTS.python_force_time * model.particle_count
-    )
+    factorization_cost = CONSTANTS.factorization_time * 4.5 * rows * width * width
+    return factorization_cost + CONSTANTS.python_force_time * model.particle_count
 
 
 def _split_forces(model: Model) -> tuple[list[Force], list[Force]]:

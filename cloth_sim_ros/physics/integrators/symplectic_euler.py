@@ -8,14 +8,8 @@ import numpy as np
 
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator, accumulate
 from cloth_sim_ros.physics.control.constants import CONSTANTS
-from cloth_sim_ros.physics.integrators.base import (
-    Advance,
-    Integrator,
-    NoRoomError,
-    UnstableError,
-    check_step,
-    refuse_step,
-)
+from cloth_sim_ros.physics.integrators import base
+from cloth_sim_ros.physics.integrators.base import Advance, Integrator, UnstableError, check_step
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit, steps_for
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.state import State
@@ -52,7 +46,7 @@ class SymplecticEuler(Integrator):
     ) -> Advance:
         limit, step = self._limit_at(plan, state, t, duration), self.step
         if step is not None:
-            refuse_step(step, limit, self.name)
+            base.refuse_step(step, limit, self.name)
         max_step = CONSTANTS.stability_safety * limit if step is None else step
         start = state.shallow_copy()
         state.x, state.v = state.x.copy(), state.v.copy()
@@ -91,7 +85,7 @@ class SymplecticEuler(Integrator):
         try:
             contact_omega2, contact_damping = plan.predict_contact(t, lookahead, state.x, state.v)
         except ValueError as error:
-            raise NoRoomError(str(error)) from error
+            raise base.NoRoomError(str(error)) from error
         return self.step_limit(omega2 + contact_omega2, damping + contact_damping)
 
     @staticmethod

@@ -9,7 +9,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from cloth_sim_ros.physics.state import controller_state
-from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, THICKNESS_KEY, SleepState
+from cloth_sim_ros.physics.state.controller_state import (
+    ANCHORS_KEY,
+    JAWS_AT_REST_KEY,
+    JAWS_KEY,
+    THICKNESS_KEY,
+    SleepState,
+)
 
 #: Type and shape of arrays by name; a letter of a shape stands for a number that other arrays give.
 _Table = Mapping[str, tuple[np.dtype, tuple[str | int, ...]]]
@@ -91,7 +97,7 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
     n_pinches = len(np.atleast_1d(memory.get(JAWS_KEY, ())))
     for name, (dtype, length) in {
         JAWS_KEY: (_FLOAT, (n_pinches, 2)),
-        controller_state.JAWS_AT_REST_KEY: (_BOOL, (n_pinches,)),
+        JAWS_AT_REST_KEY: (_BOOL, (n_pinches,)),
     }.items():
         if name in memory:
             _check_array(name, memory[name], dtype, length)
