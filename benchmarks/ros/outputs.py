@@ -26,7 +26,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
 from benchmarks.ros.node_process import ros_context, subscriber_process
-from cloth_sim_ros.ros.io.outputs import Outputs
+from cloth_sim_ros.ros.io.outputs import ClothTopics
 from cloth_sim_ros.ros.recording.recording import SessionRecording
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -55,7 +55,7 @@ class Candidate:
         self._node = Node(name)
         self._simulation = Simulation(scene)
         self._recording = SessionRecording(node_name=self._node.get_fully_qualified_name(), simulation=self._simulation)
-        self._outputs = Outputs(self._node, scene, self._recording)
+        self._outputs = ClothTopics(self._node, scene, self._recording)
         self._subscriber = contextlib.ExitStack()
         topic = f"{self._node.get_fully_qualified_name()}/points"
         if subscribed:

@@ -19,7 +19,7 @@ from cloth_sim_ros.ros.check.performance_estimate import PerformanceEstimator, m
 from cloth_sim_ros.ros.io import parameters
 from cloth_sim_ros.ros.io.commands import CommandSubscriptions
 from cloth_sim_ros.ros.io.obstacles import ObstacleTopics
-from cloth_sim_ros.ros.io.outputs import Outputs
+from cloth_sim_ros.ros.io.outputs import ClothTopics
 from cloth_sim_ros.ros.io.services import Services
 from cloth_sim_ros.ros.io.states import States
 from cloth_sim_ros.ros.io.tf_broadcaster import TfBroadcaster
@@ -108,7 +108,7 @@ class ClothNode:
             simulation=self._simulation,
             settings=lambda: self._parameters.accepted.record,
         )
-        self._outputs = Outputs(self.node, scene, self._recording)
+        self._outputs = ClothTopics(self.node, scene, self._recording)
         self._cloth_clock = ClothClock(self.node, self._recording)
         self._states = States(self.node, self._simulation, self._recording)
         self._broadcaster = TfBroadcaster(self.node, self._simulation, self._recording)

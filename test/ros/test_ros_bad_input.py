@@ -21,7 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 from support.ros_client import Client, pose, positions, start_cloth
 
 from cloth_sim_ros import Scene, Simulation
-from cloth_sim_ros.ros.io.outputs import LATCHED_QOS
+from cloth_sim_ros.ros.io.output import LATCHED_QOS
 
 TARGET = "/cloth_sim/gripper/target"
 

@@ -22,7 +22,7 @@ from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client, pose
 
 from cloth_sim_ros.physics.integrators.symplectic_euler import SymplecticEuler
-from cloth_sim_ros.ros.io.outputs import Outputs
+from cloth_sim_ros.ros.io.outputs import ClothTopics
 from cloth_sim_ros.ros.io.states import States
 from cloth_sim_ros.ros.node import ClothNode
 from cloth_sim_ros.ros.process.failure import RAISE_VARIABLE
@@ -42,7 +42,7 @@ PLACES = {
     "integrate": (SymplecticEuler, "advance"),
     "event": (Grippers, "set_target"),
     "record": (Recorder, "record"),
-    "publish": (Outputs, "send"),
+    "publish": (ClothTopics, "send"),
     "state": (States, "show"),
 }
 
@@ -178,7 +178,7 @@ def check_it_is_reported(client: Client, witness: Witness, cloth: ClothNode, fol
 def test_parameters_of_a_failed_frame_are_set_back(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     witness = Witness(client)
     with running(client) as cloth:
-        monkeypatch.setattr(Outputs, "send", broken)
+        monkeypatch.setattr(ClothTopics, "send", broken)
         cloth.node.set_parameters([Parameter("gravity", value=[0.0, 0.0, -1.0])])
         witness.wait_for_label("failed")
         client.spin_until(lambda: cloth.node.get_parameter("gravity").value[2] == -9.81, description="the old gravity")
@@ -200,7 +200,7 @@ def test_exception_without_motion_is_a_failure_too(client: Client, monkeypatch: 
         else:
             client.spin_until(lambda: cloth.simulation.will_stay_asleep, description="sleep")
         with monkeypatch.context() as patch:
-            patch.setattr(Outputs, "send", broken)
+            patch.setattr(ClothTopics, "send", broken)
             witness.wait_for_label("failed")
         frame = cloth.simulation.frame
         assert client.call(Trigger, "/cloth_sim/reset").success

@@ -22,7 +22,7 @@ from support.line_log import LineLog
 from support.ros_client import Client, stamp_of, start_cloth
 from visualization_msgs.msg import Marker
 
-from cloth_sim_ros.ros.io.outputs import Output
+from cloth_sim_ros.ros.io.output import Output
 from cloth_sim_ros.session.reader import SessionReader
 
 SUBSCRIBER = Path(__file__).resolve().parents[1] / "support" / "stalling_subscriber.py"

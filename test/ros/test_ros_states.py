@@ -21,7 +21,7 @@ from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client
 
 from cloth_sim_ros import Scene
-from cloth_sim_ros.ros.io.outputs import LATCHED_QOS
+from cloth_sim_ros.ros.io.output import LATCHED_QOS
 from cloth_sim_ros.ros.io.tf_broadcaster import transforms_bytes
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 

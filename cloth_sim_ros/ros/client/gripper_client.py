@@ -16,7 +16,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 
 from cloth_sim_ros.ros.io.messages import set_stamp
-from cloth_sim_ros.ros.io.outputs import LATCHED_QOS
+from cloth_sim_ros.ros.io.output import LATCHED_QOS
 from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.simulation.gripper_script import GripperScript, TimedGrasp
 

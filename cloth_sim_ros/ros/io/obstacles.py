@@ -15,7 +15,7 @@ from rclpy.node import Node
 
 from cloth_sim_ros.ros.io.commands import CommandSubscriptions
 from cloth_sim_ros.ros.io.messages import wrench_message
-from cloth_sim_ros.ros.io.outputs import LATCHED_QOS, Output, RecordSink
+from cloth_sim_ros.ros.io.output import LATCHED_QOS, Output, RecordSink
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.simulation.bodies.bodies import solids_and_poses
 from cloth_sim_ros.simulation.events import Move, Reset, SetParameters, Target

@@ -7,131 +7,19 @@ Messages are built only for subscribers or a recording, and serialized once for 
 
 from __future__ import annotations
 
-import time
-from typing import Any, Protocol
-
 from geometry_msgs.msg import WrenchStamped
-from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker
 
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.ros.io.messages import CloudMessage, SurfaceMarker, mesh_bytes, wrench_message
-from cloth_sim_ros.ros.io.qos_overrides import OPTIONS, overridden_profile
-from cloth_sim_ros.ros.reporting.log import ThrottledLog
-from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.ros.io.output import LATCHED_QOS, NEWEST_QOS, Output, RecordSink
 from cloth_sim_ros.scene.scene import Scene
 
-#: Reliable, because RViz's displays request it; a subscriber that only needs the newest message requests best effort.
-STREAM_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-#: For large messages: only the newest unread cloud is kept for a slow subscriber.
-NEWEST_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
-#: For messages that are published once: late subscribers receive them (transient local).
-LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-#: Longest wait at the node's end until subscribers have received the last messages.
-_FLUSH_TIMEOUT = Duration(seconds=0.2)
-#: A publication that takes longer than the first is warned of, at most once in the second [s].
-_SLOW_PUBLICATION, _WARNING_PERIOD = 0.5, 60.0
 
-
-class RecordSink(Protocol):
-    """A consumer that records messages."""
-
-    @property
-    def running(self) -> bool:
-        """True while messages are recorded."""
-
-    def add(self, topic: str, kind: Any, data: bytes, *, stamp: int, qos: QoSProfile, droppable: bool) -> None:
-        """Record a message's bytes at a ROS time [ns]; droppable ones may be dropped if the disk is too slow."""
-
-
-class Output:
-    """One published topic.
-
-    Raises:
-        ParameterError: if the overrides of its quality of service form no valid profile.
-    """
-
-    def __init__(
-        self,
-        node: Node,
-        kind: Any,
-        topic: str,
-        sink: RecordSink,
-        *,
-        qos: QoSProfile = STREAM_QOS,
-        droppable: bool = False,
-    ) -> None:
-        self._kind, self._node = kind, node
-        self._sink = sink
-        self._droppable = droppable
-        self._log = ThrottledLog(node.get_logger(), seconds=_WARNING_PERIOD)
-        profile = overridden_profile(node, topic, qos)
-        try:
-            self._publisher = node.create_publisher(
-                kind,
-                topic,
-                profile,
-                qos_overriding_options=OPTIONS,
-                # The subscriber's side reports incompatible profiles. An event of the publisher would cost time in
-                # each spin of the executor.
-                event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
-            )
-        except RuntimeError as error:
-            name = node.resolve_topic_name(topic)
-            raise ParameterError(
-                f"qos_overrides.{name}.publisher: {error}; the middleware takes no such profile"
-            ) from error
-        #: Topic name below the node's name, before remapping, so that sessions do not depend on remappings.
-        self.topic = node.resolve_topic_name(topic, only_expand=True)
-
-    @property
-    def has_subscribers(self) -> bool:
-        """True if the topic has subscribers."""
-        return bool(self._publisher.get_subscription_count())
-
-    @property
-    def has_consumers(self) -> bool:
-        """True if the topic has subscribers or a recording runs."""
-        return self._sink.running or self.has_subscribers
-
-    def publish(self, data: bytes) -> None:
-        """Publish bytes, and warn if the middleware blocks the node for more than 0.5 s."""
-        begun = time.monotonic()
-        self._publisher.publish(data)
-        if (elapsed := time.monotonic() - begun) > _SLOW_PUBLICATION:
-            self._log.warn(
-                "slow",
-                f"{self.topic}: publishing took {elapsed:.2g} s, and the frame waited for the middleware: a subscriber "
-                f"starts, is suspended, or was killed; if this repeats, resume or end it",
-            )
-
-    def send(self, data: bytes, stamp: int) -> None:
-        """Publish and record bytes at a ROS time [ns]."""
-        self.publish(data)
-        self.record(data, stamp)
-
-    def flush(self) -> None:
-        """Wait at most 0.2 s until reliable subscribers have received the messages."""
-        self._publisher.wait_for_all_acked(_FLUSH_TIMEOUT)
-
-    def close(self) -> None:
-        """Remove the topic."""
-        self._node.destroy_publisher(self._publisher)
-
-    def record(self, data: bytes, stamp: int) -> None:
-        """Record bytes at a ROS time [ns] if a recording runs."""
-        if self._sink.running:
-            self._sink.add(
-                self.topic, self._kind, data, stamp=stamp, qos=self._publisher.qos_profile, droppable=self._droppable
-            )
-
-
-class Outputs:
+class ClothTopics:
     """Points, topology, mesh and wrenches of one cloth."""
 
     def __init__(self, node: Node, scene: Scene, sink: RecordSink) -> None:

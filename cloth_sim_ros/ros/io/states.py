@@ -9,7 +9,7 @@ from lifecycle_msgs.msg import State
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
-from cloth_sim_ros.ros.io.outputs import LATCHED_QOS, Output, RecordSink
+from cloth_sim_ros.ros.io.output import LATCHED_QOS, Output, RecordSink
 from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation.events import Reset

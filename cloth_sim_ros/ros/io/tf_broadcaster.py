@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from cloth_sim_ros.ros.io.messages import CDR, SECOND, aligned
-from cloth_sim_ros.ros.io.outputs import Output, RecordSink
+from cloth_sim_ros.ros.io.output import Output, RecordSink
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.simulation.simulation import Simulation
 

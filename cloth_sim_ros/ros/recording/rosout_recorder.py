@@ -13,7 +13,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_parameter_events
 from rclpy.serialization import deserialize_message
 
-from cloth_sim_ros.ros.io.outputs import RecordSink
+from cloth_sim_ros.ros.io.output import RecordSink
 
 _ROSOUT_QOS = QoSProfile(depth=1000)
 

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
 from cloth_sim_ros.ros.io.messages import set_stamp
-from cloth_sim_ros.ros.io.outputs import Output, RecordSink
+from cloth_sim_ros.ros.io.output import Output, RecordSink
 
 PERIOD = 1.0
 #: Below this real-time factor the cloth can't keep up.

@@ -13,7 +13,7 @@ from rclpy.node import Node
 
 from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.ros.io.commands import CommandSubscriptions
-from cloth_sim_ros.ros.io.outputs import Outputs
+from cloth_sim_ros.ros.io.outputs import ClothTopics
 from cloth_sim_ros.ros.recording.recording import SessionRecording
 from cloth_sim_ros.ros.reporting.diagnostics import FrameTally
 from cloth_sim_ros.ros.reporting.strain import StrainGauge
@@ -87,7 +87,7 @@ class DiagnosticsCollector:
         *,
         tally: FrameTally,
         commands: CommandSubscriptions,
-        outputs: Outputs,
+        outputs: ClothTopics,
         recording: SessionRecording,
         additional: Callable[[], dict[str, str]] = dict,
         user_paused: Callable[[], bool],

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
 from cloth_sim_ros.ros.io.messages import SECOND, read_stamp, set_stamp
-from cloth_sim_ros.ros.io.outputs import LATCHED_QOS, STREAM_QOS, Output, RecordSink
+from cloth_sim_ros.ros.io.output import LATCHED_QOS, STREAM_QOS, Output, RecordSink
 
 #: Name of the topic below the node's name.
 TOPIC = "clock"
