@@ -75,7 +75,7 @@ class Candidate:
         begun = time.perf_counter()
         self._recording.before_frame(stamp)
         frame = self._simulation.advance()
-        self._recording.add_frame(frame, stamp, {})
+        self._recording.add_frame(frame, stamp)
         self._outputs.send(self._simulation.state.x, frame.wrenches, stamp)
         return time.perf_counter() - begun
 

@@ -160,11 +160,11 @@ def _stream(
     sent, got = cloth.published, received()
     # Frames due during the pause are not counted: the measured interval begins later.
     spin_to_next(time.monotonic() + _FIRST)
-    late, busy, begun = cloth.tally.late, cloth.tally.busy, time.monotonic()
+    late, busy, begun = cloth.timing.tally.late, cloth.timing.tally.busy, time.monotonic()
     spin_to_next(begun + seconds)
     ended = time.monotonic()
-    load = (cloth.tally.busy - busy) / (ended - begun)
-    late = cloth.tally.late - late
+    load = (cloth.timing.tally.busy - busy) / (ended - begun)
+    late = cloth.timing.tally.late - late
     sent = cloth.published - sent
     _wait_until_quiet(received, enough=got + sent)
     lines = np.frombuffer(file.read_bytes(), dtype="<i8").reshape(-1, 2)[got:]

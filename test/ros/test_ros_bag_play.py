@@ -65,7 +65,7 @@ def end(client: Client, cloth: ClothNode) -> Run:
         description="the gripper at its last target",
     )
     run = Run(
-        path=Path(cloth._recording.status().path),  # type: ignore[union-attr]
+        path=Path(cloth.recording.session.status().path),  # type: ignore[union-attr]
         held=cloth.simulation.grippers.grasped_particles(0).tolist(),
         position=cloth.simulation.grippers.poses()[0],
         corner=cloth.simulation.positions[CORNER],

@@ -17,10 +17,19 @@ from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.ros.timing.event_queue import MAX_QUEUED_EVENTS, EventQueue, EventResult, QueueFullError
 from cloth_sim_ros.ros.timing.stepper import Stepper
 from cloth_sim_ros.simulation.events import Event, Pause, Step
+from cloth_sim_ros.simulation.frame import Frame
 from cloth_sim_ros.simulation.gripper_script import GripperScript, ScriptError
 
 SECOND = 1_000_000_000
 NOW = 1000 * SECOND
+
+
+def run_frame(stepper: Stepper) -> Frame:
+    """Compute a frame with the waiting events, and answer them."""
+    frame = stepper.advance(0)
+    assert frame is not None
+    stepper.answer()
+    return frame
 
 
 def test_stamps() -> None:
@@ -80,7 +89,7 @@ def test_queued_grasps_are_answered_after_their_frame() -> None:
     queue.put(Grasp("gripper", True), answer=results.append)
     queue.put(Target("gripper", (0.5, 0.0, 0.5)))
     queue.put(Grasp("gripper", False), answer=results.append)
-    stepper.step(0)
+    run_frame(stepper)
     assert [(outcome.grasp.closed, outcome.grasp.grasped_count) for outcome in results if outcome.grasp] == [
         (True, 1),
         (False, 0),
@@ -99,7 +108,7 @@ def test_unstable_motion_stops_time_and_keeps_the_commands(monkeypatch: pytest.M
     with monkeypatch.context() as patch:
         patch.setattr(simulation, "_advance_time", fail)
         queue.put(Target("gripper", (0.5, 0.0, 0.5)))
-        frame = stepper.step(0)
+        frame = run_frame(stepper)
     assert not frame.moved
     assert simulation.paused
     assert stepper.trouble == "the motion became non-finite"
@@ -119,12 +128,12 @@ def test_stopped_time_is_answered_with_the_reason(monkeypatch: pytest.MonkeyPatc
 
     with monkeypatch.context() as patch:
         patch.setattr(simulation, "_advance_time", fail)
-        stepper.step(0)
+        run_frame(stepper)
         # The node must survive any number of such requests.
         for _ in range(2):
             queue.put(event, answer=results.append)
             queue.put(Grasp("gripper", True), answer=results.append)
-            frame = stepper.step(0)
+            frame = run_frame(stepper)
             assert not frame.moved
             assert simulation.paused
             assert stepper.trouble == "the motion became non-finite"
@@ -132,7 +141,7 @@ def test_stopped_time_is_answered_with_the_reason(monkeypatch: pytest.MonkeyPatc
     assert reasons == [(True, "time is stopped: the motion became non-finite")] * 2
     assert sum(outcome.grasp is not None for outcome in results) == 2
     queue.put(event, answer=results.append)
-    assert stepper.step(0).moved
+    assert run_frame(stepper).moved
     assert stepper.trouble == ""
     assert results[-1].frame is not None
 
@@ -143,7 +152,7 @@ def test_refused_parameters_leave_other_events_in_effect() -> None:
     stepper = Stepper(simulation, queue)
     queue.put(SetParameters({"step": 0.5}))
     queue.put(Target("gripper", (0.5, 0.0, 0.5)))
-    frame = stepper.step(0)
+    frame = run_frame(stepper)
     assert "stability limit" in stepper.refused_parameters
     assert frame.moved
     assert simulation.scene.step == 0.0
@@ -163,7 +172,7 @@ def test_bad_parameters_and_unstable_motion_in_one_frame(monkeypatch: pytest.Mon
 
     monkeypatch.setattr(simulation, "_advance_time", fail)
     queue.put(SetParameters({"step": 0.5}))
-    assert not stepper.step(0).moved
+    assert not run_frame(stepper).moved
     assert "stability limit" in stepper.refused_parameters
     assert stepper.trouble == "the motion became non-finite"
     assert simulation.paused

@@ -155,7 +155,7 @@ def check_it_is_reported(client: Client, witness: Witness, cloth: ClothNode, fol
     """Check reports, answers, the state of the last good frame, and that no clouds are published."""
     assert witness.states[-1].id == State.TRANSITION_STATE_ERRORPROCESSING
     witness.wait_for_report(DiagnosticStatus.ERROR, f"failed: {REASON}")
-    client.spin_until(lambda: not cloth._recording.busy, description="the end of the recording")
+    client.spin_until(lambda: not cloth.recording.session.busy, description="the end of the recording")
     newest = max(folder.glob("*.mcap"), key=lambda path: path.stat().st_mtime_ns)
     with SessionReader(newest, strict=True) as reader:
         *_, record = reader.frames()
@@ -221,7 +221,7 @@ def test_waiting_requests_are_answered_when_a_frame_fails(client: Client, monkey
             caller = client.node.create_client(kind, f"/cloth_sim/{name}")
             client.spin_until(caller.service_is_ready, description=name)
             requests.append(caller.call_async(request))
-        client.spin_until(lambda: len(cloth.node._queue) == 3, description="three requests that wait")
+        client.spin_until(lambda: len(cloth.node.stepper.queue) == 3, description="three requests that wait")
         cloth.publish_clock(cloth.now)
         client.spin_until(lambda: all(request.done() for request in requests), description="answers", limit=4.0)
         assert {request.result().message for request in requests} == {f"failed: {REASON}; call ~/reset"}

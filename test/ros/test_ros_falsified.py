@@ -71,9 +71,9 @@ def call(cloth: ClockedCloth, kind: Any, name: str, request: Any = None) -> None
     answer = cloth.client.node.create_client(kind, f"/cloth_sim/{name}")
     cloth.client.spin_until(answer.service_is_ready, description=name)
     future = answer.call_async(request or kind.Request())
-    waiting = len(cloth.node._queue)
+    waiting = len(cloth.node.stepper.queue)
     cloth.client.spin_until(
-        lambda: len(cloth.node._queue) > waiting or future.done(), description=f"{name} to be taken"
+        lambda: len(cloth.node.stepper.queue) > waiting or future.done(), description=f"{name} to be taken"
     )
 
 
@@ -131,7 +131,7 @@ def act(cloth: ClockedCloth) -> None:
     cloth.tick(2)
     call(cloth, Trigger, "reset")
     cloth.tick(3)
-    cloth.node._diagnostics.send()
+    cloth.node.reporting.diagnostics.send()
     cloth.tick(2)
 
 
@@ -244,7 +244,7 @@ def test_split_recording_comes_out_the_same(ros_domain: int, tmp_path: Path) -> 
     values = {**SCENE, "record.enabled": True, "record.folder": str(tmp_path), "record.split": 20_000}
     with Client() as client, ClockedCloth(client, values) as cloth:
         act(cloth)
-        recorder = cloth.node._recording._recorder
+        recorder = cloth.node.recording.session._recorder
         assert recorder is not None
         client.spin_until(lambda: recorder.wants_split, description="the file to be large enough")
         act(cloth)

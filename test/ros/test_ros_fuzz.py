@@ -168,7 +168,8 @@ def test_random_parameters(running: Any, changes: list[tuple[Any, Any]]) -> None
         (result,) = node.set_parameters([parameter])
         if not result.successful:
             assert result.reason
-    stepper.step(0)
+    stepper.advance(0)
+    stepper.answer()
     if stepper.refused_parameters:
         live.return_to(simulation.scene)
     assert np.isfinite(simulation.positions).all()

@@ -158,7 +158,7 @@ def test_block_bears_the_cloth_and_publishes_wrench(client: Client) -> None:
         force = wrenches[-1].wrench.force
         assert force.z == pytest.approx(-0.2 * 9.81, rel=1e-3)
         assert abs(force.x) + abs(force.y) < 1e-3
-        values = cloth.node._obstacles.describe()
+        values = cloth.node.outputs.obstacles.describe()
         assert values["contacts"] == "42"
         assert 0.002 < float(values["smallest_gap_m"]) < 0.003
 
@@ -196,13 +196,13 @@ def test_crushing_obstacle_is_stopped_with_warning(client: Client, capfd: pytest
         cloth.tick(4)
         assert cloth.simulation.obstacles is not None
         assert cloth.simulation.obstacles.poses()[1, 2] > 0.0
-        assert cloth.node._obstacles.describe()["stopped_bodies"] == "iron"
+        assert cloth.node.outputs.obstacles.describe()["stopped_bodies"] == "iron"
         assert "'iron' is stopped" in capfd.readouterr().err
         frame = cloth.simulation.frame
         cloth.target("iron", (0.0, 0.0, 0.1))
         cloth.tick(4)
         assert cloth.simulation.frame == frame + 4
-        assert cloth.node._obstacles.describe()["stopped_bodies"] == "none"
+        assert cloth.node.outputs.obstacles.describe()["stopped_bodies"] == "none"
         assert cloth.simulation.obstacles.poses()[1, 2] == pytest.approx(0.1)
         refused = change(cloth, contact__thickness=1e-300)
         assert "contact.thickness out of range Min: 1e-06" in refused.reason

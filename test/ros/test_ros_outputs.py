@@ -45,17 +45,19 @@ def profile(client: Client, topic: str) -> Any:
 
 def test_surface_marker_is_built_for_subscribers_only(client: Client) -> None:
     with ClockedCloth(client, {"frame_id": "map"}) as cloth:
-        marker = cloth.node._outputs._marker
+        marker = cloth.node.outputs.cloth.marker
         stamps, make = [], marker.serialized
         marker.serialized = lambda x, stamp: stamps.append(stamp) or make(x, stamp)
         clouds: list[PointCloud2] = []
         client.node.create_subscription(PointCloud2, "/cloth_sim/points", clouds.append, 100)
-        client.spin_until(lambda: cloth.node._outputs._points.has_subscribers, description="the subscriber of points")
+        client.spin_until(
+            lambda: cloth.node.outputs.cloth.points.has_subscribers, description="the subscriber of points"
+        )
         cloth.tick(5)
         assert stamps == [], "nobody looks"
         markers: list[Marker] = []
         looking = client.node.create_subscription(Marker, "/cloth_sim/mesh", markers.append, 100)
-        client.spin_until(lambda: cloth.node._outputs._mesh.has_subscribers, description="the subscriber of mesh")
+        client.spin_until(lambda: cloth.node.outputs.cloth.mesh.has_subscribers, description="the subscriber of mesh")
         cloth.tick(3)
         client.spin_until(lambda: len(markers) == 3 and len(clouds) >= 8, description="three markers")
         triangles = cloth.simulation.scene.sheet.triangles()
@@ -72,7 +74,7 @@ def test_surface_marker_is_built_for_subscribers_only(client: Client) -> None:
         # One surface per node, which each new one replaces.
         assert {(message.ns, message.id) for message in markers} == {("/cloth_sim", 0)}
         client.node.destroy_subscription(looking)
-        client.spin_until(lambda: not cloth.node._outputs._mesh.has_subscribers, description="the subscriber gone")
+        client.spin_until(lambda: not cloth.node.outputs.cloth.mesh.has_subscribers, description="the subscriber gone")
         count = len(stamps)
         cloth.tick(3)
         assert len(stamps) == count
@@ -102,7 +104,7 @@ def test_a_mesh_is_published_in_its_own_order(client: Client, tmp_path: Path) ->
         client.node.create_subscription(PointCloud2, "/cloth_sim/points", clouds.append, 10)
         client.node.create_subscription(Mesh, "/cloth_sim/topology", meshes.append, LATCHED)
         client.spin_until(
-            lambda: cloth.node._outputs._points.has_subscribers and meshes, description="the topology of a mesh"
+            lambda: cloth.node.outputs.cloth.points.has_subscribers and meshes, description="the topology of a mesh"
         )
         cloth.tick()
         client.spin_until(lambda: clouds, description="a cloud of a mesh")
@@ -116,7 +118,7 @@ def test_profiles_are_reliable_and_overridable_one_by_one(client: Client) -> Non
     points = "qos_overrides./cloth_sim/points.publisher"
     with ClockedCloth(client, {f"{points}.reliability": "best_effort", f"{points}.depth": 3}) as cloth:
         assert profile(client, "/cloth_sim/points").reliability == ReliabilityPolicy.BEST_EFFORT
-        assert cloth.node._outputs._points._publisher.qos_profile.depth == 3
+        assert cloth.node.outputs.cloth.points._publisher.qos_profile.depth == 3
         for topic in ("mesh", "topology", "gripper/wrench"):
             assert profile(client, f"/cloth_sim/{topic}").reliability == ReliabilityPolicy.RELIABLE, topic
         assert profile(client, "/diagnostics").reliability == ReliabilityPolicy.RELIABLE
@@ -126,7 +128,7 @@ def test_profiles_are_reliable_and_overridable_one_by_one(client: Client) -> Non
         effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
         client.node.create_subscription(PointCloud2, "/cloth_sim/points", best.append, effort)
         client.node.create_subscription(PointCloud2, "/cloth_sim/points", all_of_them.append, 10)
-        client.spin_until(lambda: cloth.node._outputs._points.has_subscribers, description="a subscriber")
+        client.spin_until(lambda: cloth.node.outputs.cloth.points.has_subscribers, description="a subscriber")
         cloth.tick(3)
         client.spin_until(lambda: best, description="a cloud by best effort")
         assert all_of_them == []
@@ -165,9 +167,9 @@ def test_frames_of_one_stamp_belong_together(client: Client) -> None:
         wrenches: list[WrenchStamped] = []
         client.node.create_subscription(PointCloud2, "/cloth_sim/points", clouds.append, 100)
         client.node.create_subscription(WrenchStamped, "/cloth_sim/gripper/wrench", wrenches.append, 100)
-        outputs = cloth.node._outputs
+        outputs = cloth.node.outputs.cloth
         client.spin_until(
-            lambda: outputs._points.has_subscribers and outputs._wrenches[0].has_subscribers,
+            lambda: outputs.points.has_subscribers and outputs.wrenches[0].has_subscribers,
             description="both subscribers",
         )
         cloth.tick(10)
@@ -188,12 +190,13 @@ def test_diagnostics_keys_match_the_docs(client: Client) -> None:
             DiagnosticArray, "/diagnostics", lambda message: seen.extend(message.status), 10
         )
         client.spin_until(
-            lambda: cloth.node._diagnostics._output.has_subscribers, description="the subscriber of diagnostics"
+            lambda: cloth.node.reporting.diagnostics._output.has_subscribers,
+            description="the subscriber of diagnostics",
         )
         cloth.target("gripper", (0.5, 0.0, 0.5))
         cloth.tick(30)
         seen.clear()
-        cloth.node._diagnostics.send()
+        cloth.node.reporting.diagnostics.send()
         status = client.spin_until(lambda: seen and seen[0], description="diagnostics")
         values = {entry.key: entry.value for entry in status.values}
         assert status.name == "cloth_sim: cloth"
@@ -214,7 +217,7 @@ def test_diagnostics_keys_match_the_docs(client: Client) -> None:
 
 def test_strain_is_measured_for_subscribers_only(client: Client) -> None:
     with ClockedCloth(client, {"cloth.resolution": [6, 6], "cloth.size": [1.0, 2.0]}) as cloth:
-        gauge = cloth.node._diagnostics._collect._gauge
+        gauge = cloth.node.reporting.collector.gauge
         x = cloth.simulation.state.x.copy()
         assert gauge.largest(x) == pytest.approx(0.0, abs=1e-12)
         away = np.linalg.norm(x[:, 1] - x[:, 0])
@@ -222,14 +225,15 @@ def test_strain_is_measured_for_subscribers_only(client: Client) -> None:
         assert away > 0.0
         assert gauge.largest(x) == pytest.approx(0.5)
         measured: list[bool] = []
-        cloth.node._diagnostics._collect._gauge.largest = lambda x: measured.append(True)
-        cloth.node._diagnostics.send()
+        cloth.node.reporting.collector.gauge.largest = lambda x: measured.append(True)
+        cloth.node.reporting.diagnostics.send()
         assert not measured
         client.node.create_subscription(DiagnosticArray, "/diagnostics", lambda message: None, 10)
         client.spin_until(
-            lambda: cloth.node._diagnostics._output.has_subscribers, description="the subscriber of diagnostics"
+            lambda: cloth.node.reporting.diagnostics._output.has_subscribers,
+            description="the subscriber of diagnostics",
         )
-        cloth.node._diagnostics.send()
+        cloth.node.reporting.diagnostics.send()
         assert measured
 
 

@@ -57,7 +57,7 @@ def calling(client: Client, service: str, request: Any) -> Any:
 def close_to_the_end(cloth: ClockedCloth, client: Client, *, closed: bool = True) -> tuple[Any, int]:
     """Call ~/gripper/close and run frames until it answers; return the answer and the frames."""
     future = calling(client, "/cloth_sim/gripper/close", SetBool.Request(data=closed))
-    client.spin_until(lambda: len(cloth.node._queue), description="the event")
+    client.spin_until(lambda: len(cloth.node.stepper.queue), description="the event")
     frames = 0
     while not future.done() and frames < 60:
         cloth.tick()
@@ -116,7 +116,7 @@ def test_interrupted_closing_is_answered(client: Client, instead: str) -> None:
         cloth.target("gripper", CORNER)
         cloth.tick()
         future = calling(client, "/cloth_sim/gripper/close", SetBool.Request(data=True))
-        client.spin_until(lambda: len(cloth.node._queue), description="the event")
+        client.spin_until(lambda: len(cloth.node.stepper.queue), description="the event")
         cloth.tick(3)
         assert not future.done()
         if instead == "opened":
@@ -125,7 +125,7 @@ def test_interrupted_closing_is_answered(client: Client, instead: str) -> None:
             reset = client.node.create_client(Trigger, "/cloth_sim/reset")
             client.spin_until(reset.service_is_ready, description="~/reset")
             reset.call_async(Trigger.Request())
-            client.spin_until(lambda: len(cloth.node._queue), description="the event")
+            client.spin_until(lambda: len(cloth.node.stepper.queue), description="the event")
         cloth.tick()
         client.spin_until(future.done, description="an answer")
         assert not future.result().success

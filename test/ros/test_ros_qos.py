@@ -79,7 +79,7 @@ def test_inputs_may_be_overridden(client: Client, capfd: pytest.CaptureFixture[s
         publisher = client.node.create_publisher(PoseStamped, "/cloth_sim/gripper/target", LATCHED)
         client.spin_until(publisher.get_subscription_count, description="the subscription of targets")
         publisher.publish(pose(0.5, 0.0, 0.5))
-        client.spin_until(lambda: cloth.node._commands.received == 1, description="a target")
+        client.spin_until(lambda: cloth.node.inputs.commands.received == 1, description="a target")
         # An incompatible publisher is warned of, with the policy that it lacks.
         lacks = QoSProfile(depth=1)
         client.node.create_publisher(PoseStamped, "/cloth_sim/gripper/target", lacks)
@@ -98,7 +98,7 @@ def test_latched_target_is_heard_by_a_node_that_starts_later(client: Client) -> 
     publisher.publish(pose(0.5, 0.0, 0.5))
     values = {f"{TARGET}.reliability": "reliable", f"{TARGET}.durability": "transient_local"}
     with ClockedCloth(client, values) as cloth:
-        client.spin_until(lambda: cloth.node._commands.received == 1, description="the target of before")
+        client.spin_until(lambda: cloth.node.inputs.commands.received == 1, description="the target of before")
 
 
 @pytest.mark.parametrize(

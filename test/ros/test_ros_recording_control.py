@@ -36,6 +36,10 @@ class OpeningRecording:
         """Call a listener at the next state."""
         self._listeners.append(listener)
 
+    def poll(self) -> str:
+        """Report no error."""
+        return ""
+
     def become(self, state: str) -> None:
         """Set a state and call the listeners."""
         self.busy = state == "recording"
@@ -50,17 +54,18 @@ def test_failure_of_an_opening_recording_is_resumed() -> None:
     clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=0))
     node: Any = SimpleNamespace(get_logger=lambda: logger, get_clock=lambda: clock)
     recording: Any = OpeningRecording()
-    control = RecordingControl(node, recording, SimpleNamespace(), latched=(), refusal=lambda: "")  # type: ignore[arg-type]
+    rosout: Any = SimpleNamespace(update=lambda: None)
+    control = RecordingControl(node, recording, rosout, record_latched=lambda _: None, refusal=lambda: "")
     recording.begin(0)
     for _ in range(2):
         control.fail("ValueError: first", 0)
         recording.become("closed")
         # After the reset a recording starts; the next failure comes before its file is open.
-        control.resume()
+        control.update()
     assert (recording.begun, recording.running) == (3, True)
     control.fail("ValueError: again", 0)
     recording.become("closed")
-    control.resume()
+    control.update()
     recording.become("recording")
     assert not errors
     assert (recording.begun, recording.running) == (4, True)

@@ -77,7 +77,7 @@ def test_gripper_state_reaches_late_subscribers(client: Client) -> None:
         reset = client.node.create_client(Trigger, "/cloth_sim/reset")
         client.spin_until(reset.service_is_ready, description="reset")
         future = reset.call_async(Trigger.Request())
-        client.spin_until(lambda: len(cloth.node._queue) == 1, description="the reset to wait")
+        client.spin_until(lambda: len(cloth.node.stepper.queue) == 1, description="the reset to wait")
         cloth.tick()
         client.spin_until(lambda: first.values["closed"] == "false", description="what the reset let go")
         client.spin_until(future.done, description="the reset's answer")
@@ -115,7 +115,7 @@ def test_node_state_follows_managed_node_ids(client: Client) -> None:
         service = client.node.create_client(SetBool, "/cloth_sim/pause")
         client.spin_until(service.service_is_ready, description="pause")
         service.call_async(SetBool.Request(data=True))
-        client.spin_until(lambda: len(cloth.node._queue) == 1, description="the pause to wait")
+        client.spin_until(lambda: len(cloth.node.stepper.queue) == 1, description="the pause to wait")
         cloth.publish_clock(cloth.now)
         client.spin_until(lambda: len(topic.messages) == 2, description="inactive")
         assert topic.messages[-1].label == "inactive"
@@ -131,7 +131,7 @@ def test_states_are_recorded_from_the_beginning_of_a_recording(client: Client, t
 
     with ClockedCloth(client, {"record.folder": str(tmp_path)}) as cloth:
         cloth.tick(5)
-        cloth.node._record(True, lambda *_: None)
+        cloth.node.recording.switch(True, lambda *_: None)
         cloth.tick(2)
     (path,) = tmp_path.glob("*.mcap")
     with SessionReader(path) as reader:
@@ -200,7 +200,7 @@ def test_grippers_and_cloth_are_frames(client: Client, tf2_msgs: type) -> None:
         # Off again: no further messages.
         cloth.node.node.set_parameters([Parameter("tf.publish", value=False)])
         cloth.tick()
-        sent = cloth.node._broadcaster._output
+        sent = cloth.node.outputs.transforms.output
         assert sent is not None
         sent.send = lambda *_: pytest.fail("sent though it is off")
         cloth.tick(2)
@@ -219,7 +219,7 @@ def test_missing_tf2_is_logged_and_node_goes_on(
 def test_tf2_is_not_loaded_unless_requested(client: Client) -> None:
     with ClockedCloth(client) as cloth:
         cloth.tick(2)
-        assert cloth.node._broadcaster._output is None
+        assert cloth.node.outputs.transforms.output is None
         assert "tf2_msgs" not in sys.modules
 
 

@@ -19,7 +19,7 @@ from std_msgs.msg import Bool
 from support.ros_client import start_cloth
 
 from cloth_sim_ros.ros.node import ClothNode
-from cloth_sim_ros.ros.process.shut_down import ignore_errors_after_shutdown
+from cloth_sim_ros.ros.process.failure import ignore_errors_after_shutdown
 from cloth_sim_ros.ros.process.stopping import StopRequestedError, StopSignals
 from cloth_sim_ros.ros.process.worker_thread import WorkerThread
 from cloth_sim_ros.ros.timing.pacer import FrameTick

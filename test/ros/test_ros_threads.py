@@ -64,7 +64,7 @@ def test_a_service_waits_for_the_frame_under_way(
     done: list[str] = []
     requested, saved = threading.Event(), threading.Event()
     with threaded(client, {"cloth.resolution": [5, 5], "record.folder": str(tmp_path)}) as cloth:
-        advance, save = cloth.simulation.advance, cloth._services._save_state
+        advance, save = cloth.simulation.advance, cloth.recording.session.save_state
 
         def slow(*arguments: Any) -> Any:
             if not requested.is_set():
@@ -82,7 +82,7 @@ def test_a_service_waits_for_the_frame_under_way(
             return save()
 
         monkeypatch.setattr(cloth.simulation, "advance", slow)
-        monkeypatch.setattr(cloth._services, "_save_state", record_save)
+        monkeypatch.setattr(cloth.recording.session, "save_state", record_save)
         service = client.node.create_client(Trigger, "/cloth_sim/save_state")
         client.spin_until(service.service_is_ready, description="the service")
         requested.set()

@@ -157,7 +157,7 @@ def test_a_node_relaxes_and_its_session_runs_again(
     from cloth_sim_ros.verify.run import verify
 
     watch = SlowWatch()
-    monkeypatch.setattr("cloth_sim_ros.ros.node.WallPacer", HandPacer)
+    monkeypatch.setattr("cloth_sim_ros.ros.timing.frame_timing.WallPacer", HandPacer)
     monkeypatch.setattr("cloth_sim_ros.ros.node.time", watch)
     expected = {
         "overload": "relax",
@@ -173,14 +173,14 @@ def test_a_node_relaxes_and_its_session_runs_again(
         )
         cloth.start()
         frames(cloth, 60)
-        assert cloth._governor.describe()["tolerance_effective_m"] == "1e-07"
+        assert cloth.timing.governor.describe()["tolerance_effective_m"] == "1e-07"
         assert cloth.node.get_parameter("tolerance").value == 1e-8, "what the user set"
         watch.frame = 0.001
         frames(cloth, 150)
         (result,) = cloth.node.set_parameters([Parameter("overload", value="slow")])
         assert result.successful
         frames(cloth, 2)
-        assert cloth._governor.describe()["tolerance_effective_m"] == "1e-08"
+        assert cloth.timing.governor.describe()["tolerance_effective_m"] == "1e-08"
         assert cloth.close(timeout=30.0)
         cloth.node.destroy_node()
     (path,) = tmp_path.glob("*.mcap")
@@ -226,4 +226,4 @@ def frames(cloth: ClothNode, count: int) -> None:
     """Run frames that are due now."""
     for _ in range(count):
         stamp = cloth.node.get_clock().now().nanoseconds
-        cloth._pacer.on_tick(FrameTick(stamp=stamp, lateness=0, skipped=0, now=stamp))  # type: ignore[union-attr]
+        cloth.timing.pacer.on_tick(FrameTick(stamp=stamp, lateness=0, skipped=0, now=stamp))  # type: ignore[union-attr]

@@ -80,7 +80,7 @@ class ClockedCloth:
         """Publish a command, and wait until the node has received it."""
         kind = type(message)
         publisher = self.client.publisher(kind, f"{self.node.node.get_fully_qualified_name()}/{leaf}")
-        commands = self.node._commands
+        commands = self.node.inputs.commands
         publisher.publish(message)
         self._sent += 1
         self.client.spin_until(
@@ -117,7 +117,7 @@ class ClockedCloth:
     @property
     def refused(self) -> tuple[int, int]:
         """Numbers of refused commands, and of commands older than the newest."""
-        return self.node._commands.refused, self.node._commands.outdated
+        return self.node.inputs.commands.refused, self.node.inputs.commands.outdated
 
     def _index(self, gripper: str) -> int:
         return self.simulation.grippers.names.index(gripper)

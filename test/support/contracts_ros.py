@@ -39,7 +39,7 @@ def graph() -> dict[str, Any]:
             for name, types in node.get_service_names_and_types_by_node(*node_name)
             if not name.endswith(_OF_RCLPY)
         }
-        keys = list(cloth.node._report(True)[2])
+        keys = list(cloth.node.reporting.collector(True)[2])
     return {"topics": topics, "services": services, "diagnostics": keys}
 
 
@@ -77,7 +77,7 @@ def live_session() -> dict[str, Any]:
         while "accuracy_verdict" not in keys:
             assert cloth.simulation.frame < _MAX_FRAMES, "the accuracy of no window was reported"
             cloth.tick(2)
-            keys |= set(cloth.node._report(True)[2])
+            keys |= set(cloth.node.reporting.collector(True)[2])
         # /clock goes far ahead, then back: a frame's record tells either.
         for jump in (1000, -2000):
             cloth._tick_index += jump

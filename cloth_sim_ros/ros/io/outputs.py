@@ -7,6 +7,8 @@ Messages are built only for subscribers or a recording, and serialized once for 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
@@ -15,8 +17,17 @@ from visualization_msgs.msg import Marker
 
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.ros.io.messages import CloudMessage, SurfaceMarker, mesh_bytes, wrench_message
+from cloth_sim_ros.ros.io.obstacles import ObstacleTopics
 from cloth_sim_ros.ros.io.output import LATCHED_QOS, NEWEST_QOS, Output, RecordSink
+from cloth_sim_ros.ros.io.states import States
+from cloth_sim_ros.ros.io.tf_broadcaster import TfBroadcaster
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
+from cloth_sim_ros.ros.timing.cloth_clock import ClothClock
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
+
+#: Publication period of a paused cloth [s]: late subscribers receive it, and recordings stay small.
+_PAUSED_PERIOD = 1.0
 
 
 class ClothTopics:
@@ -29,11 +40,11 @@ class ClothTopics:
         self._frame_id = scene.frame_id
         # By velocity and double precision; built on first use.
         self._clouds: dict[tuple[bool, bool], CloudMessage] = {}
-        self._marker = SurfaceMarker(frame_id=scene.frame_id, name=node.get_fully_qualified_name(), triangles=triangles)
-        self._points = Output(node, PointCloud2, "~/points", sink, qos=NEWEST_QOS, droppable=True)
-        self._mesh = Output(node, Marker, "~/mesh", sink, qos=NEWEST_QOS, droppable=True)
+        self.marker = SurfaceMarker(frame_id=scene.frame_id, name=node.get_fully_qualified_name(), triangles=triangles)
+        self.points = Output(node, PointCloud2, "~/points", sink, qos=NEWEST_QOS, droppable=True)
+        self.mesh = Output(node, Marker, "~/mesh", sink, qos=NEWEST_QOS, droppable=True)
         self._topology = Output(node, Mesh, "~/topology", sink, qos=LATCHED_QOS)
-        self._wrenches = [
+        self.wrenches = [
             Output(node, WrenchStamped, f"~/{name}/wrench", sink, droppable=True) for name in scene.gripper_names
         ]
         self._topology_bytes = mesh_bytes(triangles, sheet.positions())
@@ -59,14 +70,14 @@ class ClothTopics:
             velocities: velocities [m/s], shape (3, n), if the cloud has velocity fields.
             double: true for a cloud in double precision.
         """
-        if self._points.has_consumers:
+        if self.points.has_consumers:
             cloud = self._cloud(velocity=velocities is not None, double=double)
-            self._points.send(cloud.serialized(x, stamp, velocities), stamp)
+            self.points.send(cloud.serialized(x, stamp, velocities), stamp)
             self.published += 1
         # Not recorded, because it is large and follows from points and topology.
-        if self._mesh.has_subscribers:
-            self._mesh.publish(self._marker.serialized(x, stamp))
-        for output, wrench in zip(self._wrenches, wrenches, strict=True):
+        if self.mesh.has_subscribers:
+            self.mesh.publish(self.marker.serialized(x, stamp))
+        for output, wrench in zip(self.wrenches, wrenches, strict=True):
             if output.has_consumers:
                 output.send(wrench_message(wrench, frame_id=self._frame_id, stamp=stamp), stamp)
 
@@ -81,4 +92,62 @@ class ClothTopics:
 
     def flush(self) -> None:
         """Wait at most 0.2 s until subscribers have received the last points."""
-        self._points.flush()
+        self.points.flush()
+
+
+class Outputs:
+    """Output part of the node: publishes and records frames.
+
+    Args:
+        node: the node.
+        simulation: the cloth.
+        sink: records the messages.
+        log: receives warnings of obstacles.
+        subscribe_obstacles: subscribes to the targets of the obstacles with given names, and of no others.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        simulation: Simulation,
+        sink: RecordSink,
+        log: ThrottledLog,
+        subscribe_obstacles: Callable[[list[str]], None],
+    ) -> None:
+        self._simulation = simulation
+        self.cloth = ClothTopics(node, simulation.scene, sink)
+        self.clock = ClothClock(node, sink)
+        self.states = States(node, simulation, sink)
+        self.transforms = TfBroadcaster(node, simulation, sink)
+        self.obstacles = ObstacleTopics(node, simulation, subscribe_obstacles, sink, log)
+        #: Steady time of the last frame that was due [s]; None before the first.
+        self._last_published: float | None = None
+
+    def start(self, stamp: int) -> None:
+        """Publish topology and obstacles at a ROS time [ns], and subscribe to the targets of obstacles."""
+        self.cloth.start(stamp)
+        self.obstacles.start(stamp)
+
+    def is_due(self, frame: Frame, now: float) -> bool:
+        """Return true if a frame is to be published at a steady time [s]: if it differs, or once a second."""
+        is_recent = self._last_published is not None and now - self._last_published < _PAUSED_PERIOD
+        if not frame.moved and not frame.events and is_recent:
+            return False
+        self._last_published = now
+        return True
+
+    def send(self, frame: Frame, stamp: int) -> None:
+        """Publish and record a frame that was due at a ROS time [ns]."""
+        state, points = self._simulation.state, self._simulation.scene.points
+        velocities = state.v if points.velocity else None
+        self.cloth.send(state.x, frame.wrenches, stamp, velocities=velocities, double=points.double)
+        self.states.show(frame, stamp)
+        self.clock.send(frame.time)
+        self.obstacles.send(frame, stamp)
+        self.transforms.send(stamp)
+
+    def record_latched(self, stamp: int) -> None:
+        """Record the latched messages at the start of a recording, at a ROS time [ns]."""
+        self.cloth.record_topology(stamp)
+        self.obstacles.record(stamp)
+        self.states.record(stamp)

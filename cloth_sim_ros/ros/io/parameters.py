@@ -12,8 +12,10 @@ from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import ParameterNotDeclaredException
+from rclpy.logging_service import LoggingService
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
+from rclpy.parameter_service import ParameterService
 
 from cloth_sim_ros.ros.check.unknown_overrides import unknown_sentences
 from cloth_sim_ros.ros.io import qos_rules
@@ -52,19 +54,31 @@ class UnknownParametersError(ParameterNotDeclaredException):
 
 
 class SceneNode(SimTimeNode):
-    """rclpy's node with error messages that name the parameter."""
+    """rclpy's node with error messages that name the parameter; `serve` creates its services."""
 
-    def __init__(self, name: str, **options: Any) -> None:
+    def __init__(
+        self, name: str, *, start_parameter_services: bool = True, enable_logger_service: bool = True, **options: Any
+    ) -> None:
         """Create rclpy's node, and declare the overrides.
 
         Raises:
             ParameterError: for an empty list, which has no type in ROS, or a use_sim_time that is not a bool.
         """
-        super().__init__(name, automatically_declare_parameters_from_overrides=True, **options)
+        self._serves_parameters, self._serves_log_levels = start_parameter_services, enable_logger_service
+        super().__init__(
+            name, start_parameter_services=False, automatically_declare_parameters_from_overrides=True, **options
+        )
         #: True while parameters are being declared; callbacks for changes ignore these.
         self.declaring = False
         #: Declarations of the scene's parameters, by name.
         self.entries: dict[str, Parameter] = {}
+
+    def serve(self) -> None:
+        """Create rclpy's services for parameters and log levels, unless the options exclude them."""
+        if self._serves_parameters:
+            ParameterService(self)
+        if self._serves_log_levels:
+            LoggingService(self)
 
     def destroy_node(self) -> None:
         """Destroy rclpy's node, and clear its parameter callbacks so that their objects can be freed."""

@@ -8,9 +8,8 @@ Requests that change the cloth are queued as events and answered after their fra
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+import time
 from contextlib import AbstractContextManager
-from pathlib import Path
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -18,7 +17,10 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
+from cloth_sim_ros.ros.process.failure import FailureGuard
 from cloth_sim_ros.ros.recording.recording import RecordingUnavailableError
+from cloth_sim_ros.ros.recording.recording_control import RecordingControl
+from cloth_sim_ros.ros.timing.clock_pause import ClockPause
 from cloth_sim_ros.ros.timing.event_queue import EventQueue, EventResult, QueueFullError
 from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation.bodies.grippers import GraspResult
@@ -38,36 +40,24 @@ class Services:
         node: the node.
         grippers: names of the grippers.
         queue: receives the events.
-        paused: returns true while time is paused.
-        record: starts (True) or ends a recording, and calls a function with success and a message.
-        save_state: writes the state and returns its file, or raises RecordingUnavailableError.
-        seconds: monotonic clock [s].
+        clock_pause: knows whether the user paused the cloth.
+        recording: starts and ends recordings, and saves states.
+        failure: gives the reason why only a reset is possible.
         lock: protects the cloth; with several executor threads, services run concurrently with frames.
-        refusal: returns why only a reset is possible; empty if all requests are.
     """
 
     def __init__(
         self,
         node: Node,
-        *,
         grippers: list[str],
         queue: EventQueue,
-        paused: Callable[[], bool],
-        record: Callable[[bool, Callable[[bool, str], None]], None],
-        save_state: Callable[[], Path],
-        seconds: Callable[[], float],
+        clock_pause: ClockPause,
+        recording: RecordingControl,
+        failure: FailureGuard,
         lock: AbstractContextManager[Any],
-        refusal: Callable[[], str] = str,
     ) -> None:
-        self._node = node
-        self._refusal = refusal
-        self._grippers = grippers
-        self._queue = queue
-        self._paused = paused
-        self._record = record
-        self._save_state = save_state
-        self._seconds = seconds
-        self._lock = lock
+        self._node, self._grippers, self._queue, self._clock_pause = node, grippers, queue, clock_pause
+        self._recording, self._failure, self._lock = recording, failure, lock
         self._pending: list[tuple[float, Future]] = []
         #: Grippers whose pads are closing: name, start time [s], and the future of the result.
         self._closing: list[tuple[str, float, Future]] = []
@@ -91,7 +81,7 @@ class Services:
 
     def expire_requests(self) -> None:
         """Answer requests that have waited too long. Call it periodically."""
-        now = self._seconds()
+        now = time.monotonic()
         for start, future in self._pending:
             if now - start > FRAME_TIMEOUT and not future.done():
                 future.set_result(
@@ -142,19 +132,19 @@ class Services:
 
         def answer(outcome: EventResult) -> None:
             if pads_result is not None and outcome.grasp is not None and outcome.grasp.pending:
-                self._closing.append((outcome.grasp.gripper, self._seconds(), pads_result))
+                self._closing.append((outcome.grasp.gripper, time.monotonic(), pads_result))
             if not future.done():
                 future.set_result(outcome)
 
         with self._lock:
-            refusal = "" if isinstance(event, Reset) else self._refusal()
+            refusal = "" if isinstance(event, Reset) else self._failure.refusal
             if refusal:
                 return EventResult(frame=None, reason=refusal)
             try:
                 self._queue.put(event, answer=answer)
             except QueueFullError as error:
                 return EventResult(frame=None, reason=str(error))
-            self._pending.append((self._seconds(), future))
+            self._pending.append((time.monotonic(), future))
         result: EventResult = await future
         return result
 
@@ -167,7 +157,9 @@ class Services:
 
     async def _on_step(self, _request: Any, response: Any) -> Any:
         with self._lock:
-            refusal = self._refusal() or ("" if self._paused() else "the cloth is running; pause it first")
+            refusal = self._failure.refusal or (
+                "" if self._clock_pause.user_paused else "the cloth is running; pause it first"
+            )
         if refusal:
             response.success, response.message = False, refusal
             return response
@@ -191,14 +183,14 @@ class Services:
     async def _on_record(self, request: Any, response: Any) -> Any:
         future: Future = Future()
         with self._lock:
-            self._record(bool(request.data), lambda success, message: future.set_result((success, message)))
+            self._recording.switch(bool(request.data), lambda success, message: future.set_result((success, message)))
         response.success, response.message = await future
         return response
 
     def _on_save_state(self, _request: Any, response: Any) -> Any:
         try:
             with self._lock:
-                response.message = str(self._save_state())
+                response.message = str(self._recording.session.save_state())
         except RecordingUnavailableError as error:
             response.success, response.message = False, f"cannot save the state: {error}"
         else:

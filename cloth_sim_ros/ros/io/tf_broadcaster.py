@@ -35,7 +35,7 @@ class TfBroadcaster:
         self._simulation = simulation
         self._sink = sink
         self._prefix = node.get_fully_qualified_name().strip("/")
-        self._output: Output | None = None
+        self.output: Output | None = None
         self._was_enabled = False
 
     def send(self, stamp: int) -> None:
@@ -44,13 +44,13 @@ class TfBroadcaster:
         if enabled and not self._was_enabled:
             self._open()
         self._was_enabled = enabled
-        if enabled and self._output is not None and self._output.has_consumers:
+        if enabled and self.output is not None and self.output.has_consumers:
             parent = self._simulation.scene.frame_id
-            self._output.send(transforms_bytes(self._transforms(), frame_id=parent, stamp=stamp), stamp)
+            self.output.send(transforms_bytes(self._transforms(), frame_id=parent, stamp=stamp), stamp)
 
     def _open(self) -> None:
         """Create the publisher, or log an error, once each time that `tf.publish` is set."""
-        if self._output is not None:
+        if self.output is not None:
             return
         try:
             from tf2_msgs.msg import TFMessage
@@ -61,7 +61,7 @@ class TfBroadcaster:
             )
             return
         try:
-            self._output = Output(self._node, TFMessage, "/tf", self._sink, qos=TF_QOS, droppable=True)
+            self.output = Output(self._node, TFMessage, "/tf", self._sink, qos=TF_QOS, droppable=True)
         except ParameterError as error:
             self._node.get_logger().error(f"no frames are sent: {error}")
 

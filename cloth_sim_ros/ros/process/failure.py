@@ -6,18 +6,16 @@ from __future__ import annotations
 
 import os
 import traceback
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 from rclpy.node import Node
 
 from cloth_sim_ros.ros.process.stopping import StopRequestedError
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
-from cloth_sim_ros.ros.timing.event_queue import EventQueue
 from cloth_sim_ros.ros.timing.stepper import Stepper
 from cloth_sim_ros.simulation.events import Reset, SetParameters
-from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.simulation.snapshot import Snapshot
 
 #: Environment variable that lets exceptions of frames propagate. The tests set it, so that the state hides no bug.
@@ -38,24 +36,16 @@ class FailureGuard:
 
     Args:
         node: the node.
-        simulation: the cloth.
-        queue: events that wait for a frame.
+        stepper: computes the frames, and holds the events of the frame that failed.
         lock: the lock of the cloth.
-        stepper: holds the events of the frame that failed.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        simulation: Simulation,
-        queue: EventQueue,
-        stepper: Stepper,
-        *,
-        lock: AbstractContextManager[Any],
-    ) -> None:
-        self._node, self._simulation, self._queue, self._stepper = node, simulation, queue, stepper
-        self._reports: Mapping[str, Callable[[str, int], Any]] = {}
-        self._recover: Callable[[], None] = lambda: None
+    def __init__(self, node: Node, stepper: Stepper, lock: AbstractContextManager[Any]) -> None:
+        self._node, self._stepper = node, stepper
+        self._simulation, self._queue = stepper.simulation, stepper.queue
+        #: Callbacks for a failure, by subject; each takes the reason and the ROS time of the frame [ns]. If one fails,
+        #: the others still run.
+        self.reports: Mapping[str, Callable[[str, int], Any]] = {}
         #: Callbacks hold this instead of the lock.
         self.callback_lock = CallbackLock(lock, self.defer)
         self._pending: Exception | None = None
@@ -63,16 +53,6 @@ class FailureGuard:
         self._must_exit = False
         #: Exception of the frame that failed, in one line; empty while frames succeed.
         self.reason = ""
-
-    def set_reports(self, reports: Mapping[str, Callable[[str, int], Any]], *, recover: Callable[[], None]) -> None:
-        """Set the callbacks for failure and recovery.
-
-        Args:
-            reports: callbacks by subject; each takes the reason and the ROS time of the frame [ns]. If one fails, the
-                others still run.
-            recover: called after the frame of a successful reset.
-        """
-        self._reports, self._recover = reports, recover
 
     @property
     def refusal(self) -> str:
@@ -98,7 +78,6 @@ class FailureGuard:
         else:
             if failed:
                 self.reason = ""
-                self._recover()
                 self._node.get_logger().info(f"reset: time goes on from frame {self._simulation.frame}")
 
     def defer(self, error: Exception) -> bool:
@@ -152,7 +131,7 @@ class FailureGuard:
         )
         self._stepper.refuse(self.refusal)
         self._queue.refuse(self.refusal)
-        for subject, report in self._reports.items():
+        for subject, report in self.reports.items():
             self.attempt(f"cannot report the failure by {subject}", lambda report=report: report(reason, stamp))  # type: ignore[misc]
 
 
@@ -174,6 +153,19 @@ class CallbackLock:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> bool:
         self._lock.__exit__(None, None, None)
         return isinstance(error, Exception) and self._defer(error)
+
+
+@contextmanager
+def ignore_errors_after_shutdown(node: Node) -> Iterator[None]:
+    """Suppress errors of the middleware if the context was shut down meanwhile.
+
+    rclpy's signal handlers may shut it down at any moment.
+    """
+    try:
+        yield
+    except RuntimeError:
+        if node.context.ok():
+            raise
 
 
 def describe_exception(error: Exception) -> str:

@@ -58,6 +58,8 @@ class SessionRecording:
         self._listeners: list[Callable[[RecorderStatus], None]] = []
         #: Records of the running frame; None between frames.
         self._pending: list[Callable[[Recorder], object]] | None = None
+        #: Entries of the next frame record besides its own, by name.
+        self.extras: dict[str, Any] = {}
         #: The missing library if a recording failed to start because of it; otherwise empty.
         self.missing = ""
 
@@ -226,10 +228,13 @@ class SessionRecording:
         if self._recorder is not None:
             self._record(topic, _type_name(kind), data, log_time=stamp, droppable=droppable, qos=_session_qos(qos))
 
-    def add_frame(self, frame: Frame, stamp: int, extras: dict[str, Any]) -> None:
+    def add_frame(self, frame: Frame, stamp: int) -> None:
         """Record a frame at a ROS time [ns], before its messages."""
+        extras, self.extras = self.extras, {}
         if self._recorder is None:
             return
+        if (energy := self._simulation.energy_report) is not None:
+            extras |= {"energy": energy.total, "energy balance": energy.residual}
         from cloth_sim_ros.session.cdr import encode_string
         from cloth_sim_ros.session.frame_record import FrameRecord
 

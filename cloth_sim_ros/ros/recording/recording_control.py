@@ -1,10 +1,10 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Start and end of recordings: by node, ~/record and failure."""
+"""Recording part of the node: starts and ends recordings by node, ~/record and failure."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from rclpy.node import Node
@@ -26,24 +26,26 @@ class RecordingControl:
 
     Args:
         node: the node.
-        recording: the recording.
-        log_recorder: records /rosout and /parameter_events.
-        latched: functions that record latched messages at a ROS time [ns].
+        session: the recording.
+        rosout: records /rosout and /parameter_events.
+        record_latched: records the latched messages at a ROS time [ns].
         refusal: returns why no recording may start; empty if one may.
     """
 
     def __init__(
         self,
         node: Node,
-        recording: SessionRecording,
-        log_recorder: RosoutRecorder,
+        session: SessionRecording,
+        rosout: RosoutRecorder,
         *,
-        latched: Sequence[Callable[[int], None]],
+        record_latched: Callable[[int], None],
         refusal: Callable[[], str],
     ) -> None:
-        self._node, self._recording, self._log_recorder = node, recording, log_recorder
-        self._latched, self._refusal = latched, refusal
+        self._node, self.session, self._rosout = node, session, rosout
+        self._record_latched, self._refusal = record_latched, refusal
         self._resumes = False
+        #: True if the file holds everything recorded; None before `end`.
+        self.saved: bool | None = None
 
     def begin_with_node(self, now: int) -> None:
         """Start a recording with the node at a ROS time [ns], and wait for its file.
@@ -52,13 +54,13 @@ class RecordingControl:
             RecordingUnavailableError: if the recording can't start although its libraries are installed.
         """
         try:
-            self._recording.begin(now)
+            self.session.begin(now)
         except RecordingNotInstalledError as error:
             # The node runs without the libraries too.
             self._node.get_logger().error(f"nothing is recorded: {error}")
             return
-        self._log_recorder.update()
-        path = self._recording.wait_until_open()
+        self._rosout.update()
+        path = self.session.wait_until_open()
         self._node.get_logger().info(f"recording into {path}")
 
     def switch(self, begin: bool, answer: Callable[[bool, str], None]) -> None:
@@ -69,12 +71,11 @@ class RecordingControl:
                 if refusal := self._refusal():
                     raise RecordingUnavailableError(refusal)
                 now = self._node.get_clock().now().nanoseconds
-                self._recording.begin(now)
-                for record in self._latched:
-                    record(now)
+                self.session.begin(now)
+                self._record_latched(now)
             else:
                 self._resumes = False
-                self._recording.begin_close(reason="~/record")
+                self.session.begin_close(reason="~/record")
         except RecordingUnavailableError as error:
             answer(False, str(error))
             return
@@ -89,30 +90,36 @@ class RecordingControl:
             ended = f"{status.path} was closed before it was open"
             answer(success, status.error or (str(status.path) if success else ended))
 
-        self._recording.notify(finish)
+        self.session.notify(finish)
 
     def fail(self, reason: str, _stamp: int) -> None:
         """End the recording, if one runs, with the reason of a failure; `resume` starts another after the reset."""
-        self._recording.discard()
-        if self._recording.running:
+        self.session.discard()
+        if self.session.running:
             self._resumes = True
-            self._recording.begin_close(reason=f"node failed: {reason}")
-            self._recording.notify(lambda status: log_end(self._node.get_logger(), status))
+            self.session.begin_close(reason=f"node failed: {reason}")
+            self.session.notify(lambda status: log_end(self._node.get_logger(), status))
 
-    def resume(self) -> None:
-        """Start a new recording after a failure ended one and the node has recovered. Call it periodically."""
-        if self._resumes and not self._refusal() and not self._recording.busy:
+    def update(self) -> str:
+        """Follow the state of the recording; return an error of the recording once. Call it periodically.
+
+        After a failure ended a recording, a new one starts when the node has recovered.
+        """
+        self._rosout.update()
+        trouble = self.session.poll()
+        if self._resumes and not self._refusal() and not self.session.busy:
             self._resumes = False
             self.switch(True, self._log_resumption)
+        return trouble
 
     def _log_resumption(self, success: bool, message: str) -> None:
         # A further failure ended it and is logged itself; the next reset starts another recording.
         if not success and not self._resumes:
             self._node.get_logger().error(f"nothing is recorded after the failure: {message}")
 
-    def end(self, *, timeout: float) -> bool:
-        """End the recording with the node, within a time [s]; return true if its file is complete."""
-        status = self._recording.end(reason="node stopped", timeout=timeout)
+    def end(self, *, timeout: float) -> None:
+        """End the recording with the node, within a time [s]."""
+        status = self.session.end(reason="node stopped", timeout=timeout)
         if status is not None:
             log_end(self._node.get_logger(), status)
-        return status is None or status.state == "closed"
+        self.saved = status is None or status.state == "closed"

@@ -14,6 +14,7 @@ from rclpy.node import Node
 from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.ros.io.commands import CommandSubscriptions
 from cloth_sim_ros.ros.io.outputs import ClothTopics
+from cloth_sim_ros.ros.process.failure import FailureGuard
 from cloth_sim_ros.ros.recording.recording import SessionRecording
 from cloth_sim_ros.ros.reporting.diagnostics import FrameTally
 from cloth_sim_ros.ros.reporting.strain import StrainGauge
@@ -53,14 +54,8 @@ class LatestFrame:
 
     #: The reason if time is stopped; otherwise empty.
     failure: str = ""
-    #: Exception of a frame that failed; empty unless the node is in the state `failed`.
-    exception: str = ""
     #: Steps of the newest frame in which time advanced; None before the first.
     advance: Advance | None = None
-
-    def clear_exception(self) -> None:
-        """Clear the exception after the node has recovered."""
-        self.exception = ""
 
 
 class DiagnosticsCollector:
@@ -70,6 +65,7 @@ class DiagnosticsCollector:
         node: the node.
         simulation: the cloth.
         latest: outcome of the newest frame.
+        failure: knows whether the node is failed.
         tally: counts of frames.
         commands: counts of commands.
         outputs: counts of clouds.
@@ -85,6 +81,7 @@ class DiagnosticsCollector:
         simulation: Simulation,
         latest: LatestFrame,
         *,
+        failure: FailureGuard,
         tally: FrameTally,
         commands: CommandSubscriptions,
         outputs: ClothTopics,
@@ -95,14 +92,14 @@ class DiagnosticsCollector:
     ) -> None:
         self._node = node
         self._simulation = simulation
-        self._latest = latest
+        self._latest, self._failure = latest, failure
         self._tally = tally
         self._commands = commands
         self._outputs = outputs
         self._recording = recording
         self._additional = additional
         self._user_paused, self._clock = user_paused, clock
-        self._gauge = StrainGauge(simulation.scene)
+        self.gauge = StrainGauge(simulation.scene)
         self._has_duplicates = False
 
     def __call__(self, has_consumers: bool = True) -> DiagnosticsReport:
@@ -131,8 +128,8 @@ class DiagnosticsCollector:
             values["recording_file"] = str(status.path)
             values["recording_dropped"] = str(status.dropped)
         values = old_keys.add_old_keys(values, old_keys.DIAGNOSTICS)
-        if self._latest.exception:
-            return DiagnosticStatus.ERROR, f"failed: {self._latest.exception}", values
+        if self._failure.reason:
+            return DiagnosticStatus.ERROR, f"failed: {self._failure.reason}", values
         if self._latest.failure:
             return DiagnosticStatus.ERROR, f"stopped: {self._latest.failure}", values
         if status is not None and status.state == "failed":
@@ -152,7 +149,7 @@ class DiagnosticsCollector:
 
     def _describe_motion(self, has_consumers: bool) -> dict[str, str]:
         advance = self._latest.advance
-        strain = self._gauge.largest(self._simulation.state.x) if has_consumers else None
+        strain = self.gauge.largest(self._simulation.state.x) if has_consumers else None
         energy = self._simulation.energy_report
         values = {
             "largest_strain": "not measured" if strain is None else f"{strain:.6f}",

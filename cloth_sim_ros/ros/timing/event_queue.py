@@ -104,10 +104,6 @@ class EventQueue:
         """Return true if an event of a class waits."""
         return any(isinstance(entry.event, kind) for entry in self._entries)
 
-    def clear(self, reason: str) -> None:
-        """Answer all waiting events with the reason why they take no effect."""
-        self.refuse(reason)
-
     def refuse(self, reason: str, *, keep: tuple[type[Event], ...] = ()) -> None:
         """Answer waiting events with the reason why they take no effect, except those of the classes in `keep`."""
         entries = [entry for entry in self._entries if not isinstance(entry.event, keep)]

@@ -8,8 +8,10 @@ A failure is reported and does not end the node.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.ros.process.stopping import StopRequestedError
 from cloth_sim_ros.ros.process.worker_thread import run_inline
 from cloth_sim_ros.ros.timing.event_queue import EventQueue, EventResult, QueuedEvent
 from cloth_sim_ros.simulation.event_checks import EventError
@@ -23,7 +25,7 @@ class Stepper:
     Args:
         simulation: the cloth.
         queue: events that wait for a frame.
-        run_job: runs the computation of a frame and returns its result; may raise StopRequestedError.
+        run_job: runs a long computation and returns its result; may raise StopRequestedError and abandon it.
     """
 
     def __init__(
@@ -31,11 +33,13 @@ class Stepper:
         simulation: Simulation,
         queue: EventQueue,
         *,
-        run_job: Callable[[Callable[[], Frame]], Frame] = run_inline,
+        run_job: Callable[[Callable[[], Any]], Any] = run_inline,
     ) -> None:
-        self._simulation = simulation
-        self._queue = queue
-        self._run_job = run_job
+        self.simulation = simulation
+        self.queue = queue
+        self.run_job = run_job
+        #: True if a signal came before a frame ended. The frame goes on, and the cloth must not be read.
+        self.aborted = False
         #: The reason if time is stopped; otherwise empty.
         self.trouble = ""
         #: The reason if accepted parameters could not take effect in the newest frame; otherwise empty.
@@ -44,14 +48,8 @@ class Stepper:
         self._entries: list[QueuedEvent] = []
         self._results: list[tuple[QueuedEvent, EventResult]] = []
 
-    def step(self, stamp: int, first: Sequence[Event] = ()) -> Frame:
-        """Compute the frame due at a ROS time [ns] and answer its events, see `advance` and `answer`."""
-        frame = self.advance(stamp, first)
-        self.answer()
-        return frame
-
-    def advance(self, stamp: int, first: Sequence[Event] = (), *, last: Sequence[Event] = ()) -> Frame:
-        """Compute the frame due at a ROS time, with the events that wait for it.
+    def advance(self, stamp: int, first: Sequence[Event] = (), *, last: Sequence[Event] = ()) -> Frame | None:
+        """Compute the frame due at a ROS time, with the events that wait for it; return None if it was aborted.
 
         Args:
             stamp: ROS time [ns]; events with later stamps stay in the queue.
@@ -62,7 +60,7 @@ class Stepper:
         does the answer to a service that requested time to pass.
         """
         self._results = []
-        self._entries = entries = self._queue.pop_ready(stamp)
+        self._entries = entries = self.queue.pop_ready(stamp)
         if first or last:
             entries = [
                 *(QueuedEvent(event=event) for event in first),
@@ -76,6 +74,9 @@ class Stepper:
             try:
                 frame = self._advance(entries)
                 break
+            except StopRequestedError:
+                self.aborted = True
+                return None
             except (UnstableError, ValueError) as error:
                 changes = [entry for entry in entries if isinstance(entry.event, SetParameters)]
                 if changes and (stopped or isinstance(error, ValueError)):
@@ -103,7 +104,7 @@ class Stepper:
             self.trouble = ""
         self._results = _event_results(entries, frame)
         self._results += [(entry, EventResult(frame=None, reason=reason)) for entry, reason in refused]
-        return frame
+        return None if self.aborted else frame
 
     def answer(self) -> None:
         """Answer the events of the newest frame."""
@@ -124,15 +125,16 @@ class Stepper:
         impossible = []
         for entry in entries:
             try:
-                self._simulation.check(entry.event)
+                self.simulation.check(entry.event)
             except EventError as error:
                 impossible.append((entry, str(error)))
         return impossible
 
     def _advance(self, entries: list[QueuedEvent]) -> Frame:
-        if not entries and self._simulation.will_stay_asleep:
-            return self._simulation.advance()
-        return self._run_job(lambda: self._simulation.advance([entry.event for entry in entries]))
+        if not entries and self.simulation.will_stay_asleep:
+            return self.simulation.advance()
+        frame: Frame = self.run_job(lambda: self.simulation.advance([entry.event for entry in entries]))
+        return frame
 
 
 def _lets_time_pass(entry: QueuedEvent) -> bool:

@@ -1,0 +1,118 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Reporting part of the node: log lines, diagnostics and the accuracy monitor."""
+
+from __future__ import annotations
+
+import time
+
+from rclpy.node import Node
+
+from cloth_sim_ros.ros.accuracy.accuracy_switch import AccuracySwitch
+from cloth_sim_ros.ros.check.performance_estimate import PerformanceEstimator
+from cloth_sim_ros.ros.io.inputs import Inputs
+from cloth_sim_ros.ros.io.outputs import Outputs
+from cloth_sim_ros.ros.process.failure import FailureGuard
+from cloth_sim_ros.ros.recording.recording import SessionRecording
+from cloth_sim_ros.ros.reporting.diagnostics import PERIOD, DiagnosticsPublisher
+from cloth_sim_ros.ros.reporting.frame_log import FrameLog
+from cloth_sim_ros.ros.reporting.gripper_speed import GripperSpeedMonitor
+from cloth_sim_ros.ros.reporting.log import ThrottledLog
+from cloth_sim_ros.ros.reporting.report import DiagnosticsCollector, LatestFrame
+from cloth_sim_ros.ros.timing.frame_timing import FrameTiming
+from cloth_sim_ros.simulation.events import SetParameters
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
+
+#: Period of the node's maintenance [s]; also the longest time until a signal is noticed.
+MAINTENANCE_PERIOD = 0.25
+
+
+class Reporting:
+    """Reports of one node in its log and on /diagnostics.
+
+    Args:
+        node: the node.
+        simulation: the cloth.
+        log: the node's throttled log.
+        failure: knows whether the node is failed.
+        timing: knows the node's load, its late frames and its clock.
+        inputs: counts commands.
+        outputs: counts clouds, and describes obstacles.
+        recording: records the diagnostics.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        simulation: Simulation,
+        log: ThrottledLog,
+        *,
+        failure: FailureGuard,
+        timing: FrameTiming,
+        inputs: Inputs,
+        outputs: Outputs,
+        recording: SessionRecording,
+    ) -> None:
+        self._node, self._inputs, self._outputs, self.log = node, inputs, outputs, log
+        self.performance = PerformanceEstimator(simulation, node.get_logger())
+        self.accuracy = AccuracySwitch(simulation, log)
+        self._gripper_speed = GripperSpeedMonitor(simulation, log)
+        self._frame_log = FrameLog(log)
+        self._latest = LatestFrame()
+        sources = (timing.governor, self.performance, self.accuracy, outputs.obstacles)
+        self.collector = DiagnosticsCollector(
+            node,
+            simulation,
+            self._latest,
+            failure=failure,
+            tally=timing.tally,
+            commands=inputs.commands,
+            outputs=outputs.cloth,
+            recording=recording,
+            additional=lambda: {name: value for source in sources for name, value in source.describe().items()},
+            user_paused=lambda: timing.clock_pause.user_paused,
+            clock=timing.describe_clock,
+        )
+        self.diagnostics = DiagnosticsPublisher(node, recording, self.collector)
+        self._failure = failure
+        self._next_report_time = time.monotonic()
+        self._parameters_changed = False
+
+    def start(self, *, is_live: bool) -> None:
+        """Log the expected speed if frames are due by wall time, and schedule the first diagnostics."""
+        if is_live:
+            self.performance.report()
+        self._next_report_time = time.monotonic() + PERIOD
+
+    def observe(self, frame: Frame, trouble: str) -> None:
+        """Take a frame, and the reason if time is stopped, before the frame is published."""
+        if trouble and not self._latest.failure:
+            self._node.get_logger().error(
+                f"time is stopped: {trouble}; set other parameters or call ~/reset, then ~/pause false"
+            )
+        self._latest.failure = trouble
+        self.accuracy.after_frame(frame)
+        self._gripper_speed.check()
+        self._parameters_changed |= any(isinstance(event, SetParameters) for event in frame.events)
+
+    def log_frame(self, frame: Frame) -> None:
+        """Log the events and results of a frame that was published."""
+        self._inputs.commands.log_grasps(frame)
+        self._frame_log.log(frame)
+        self._outputs.obstacles.log_recovery(frame)
+        self._latest.advance = frame.advance or self._latest.advance
+
+    def update(self) -> None:
+        """Publish diagnostics if they are due. No timer of its own: the executor would check it in each spin."""
+        now = time.monotonic()
+        if now >= self._next_report_time:
+            self._next_report_time = max(self._next_report_time, now - MAINTENANCE_PERIOD) + PERIOD
+            self.collector.check_duplicate_nodes()
+            self._failure.attempt("diagnostics are not published", self.diagnostics.send)
+
+    def report_changes(self) -> None:
+        """Start or end the accuracy monitor by its parameter, and log the expected speed if parameters changed."""
+        self.accuracy.update()
+        if self._parameters_changed:
+            self._parameters_changed = False
+            self.performance.report()
