@@ -83,9 +83,7 @@ def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="make run", description="A live towel, folded through topics and recorded.")
     parser.add_argument("--folder", default="sessions", help="where the session is recorded (default: %(default)s)")
     parser.add_argument(
-        "--params",
-        default=config_file("fold.yaml"),
-        help="parameter file of the cloth (default: the folded towel)",
+        "--params", default=config_file("fold.yaml"), help="parameter file of the cloth (default: the folded towel)"
     )
     parser.add_argument(
         "--script",

@@ -184,8 +184,7 @@ class AccuracyMonitor:
             self._n_violated += 1
             self._warnings.put(
                 f"from {verdict['start']:.3f} to {verdict['end']:.3f} s the error of positions is "
-                f"{verdict['error']:.3g} m, "
-                f"above the bound of {verdict['allowed']:.3g} m that the tolerance guarantees"
+                f"{verdict['error']:.3g} m, above the bound of {verdict['allowed']:.3g} m that the tolerance guarantees"
             )
         self._latest = verdict
 

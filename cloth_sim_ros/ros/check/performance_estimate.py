@@ -154,10 +154,7 @@ class PerformanceEstimator:
             *plan.spectral_bounds(self._simulation.state.x)
         )
         return estimate_performance(
-            period=scene.period,
-            step=step,
-            particles=plan.model.particle_count,
-            cost=self._cost_ratio * self._cost,
+            period=scene.period, step=step, particles=plan.model.particle_count, cost=self._cost_ratio * self._cost
         )
 
     def _contact_factors(self, factor: float) -> dict[str, float]:

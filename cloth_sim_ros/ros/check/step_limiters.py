@@ -75,8 +75,7 @@ def describe_step_limiters(limiters: StepLimiters, sheet: Sheet) -> list[str]:
         return ["nothing bounds the step by its stability"]
     lines = [
         f"the step's limit of {limiters.limit * 1e3:.3g} ms is that of particle {limiters.particle}, where "
-        f"'{limiters.force}' "
-        f"has {limiters.share:.0%} of the stiffness"
+        f"'{limiters.force}' has {limiters.share:.0%} of the stiffness"
     ]
     if limiters.gain < MIN_GAIN or not limiters.stiff_particles:
         lines.append(

@@ -66,6 +66,5 @@ def _of_names(names: list[str], known: Collection[str]) -> list[str]:
     listed = ", ".join(f"'{name}'" for name in names[:_MAX_SINGLE])
     return [
         f"there are no parameters {listed} and {len(names) - _MAX_SINGLE} more, what sets them has no effect; is the "
-        f"file "
-        "another node's?"
+        "file another node's?"
     ]

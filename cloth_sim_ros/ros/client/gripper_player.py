@@ -182,9 +182,8 @@ class GripperPlayer:
                 last_change, is_waiting = time.monotonic(), False
             elif (standing_time := time.monotonic() - last_change) > standing:
                 raise GripperError(
-                    f"{self._target} {self._script_time.describe()} for {standing_time:.0f} s: the script ends "
-                    f"(--wait gives it "
-                    "longer); is it paused or stopped? What does its log say?"
+                    f"{self._target} {self._script_time.describe()} for {standing_time:.0f} s: the script ends (--wait "
+                    "gives it longer); is it paused or stopped? What does its log say?"
                 )
             elif standing_time > _STANDING_TIMEOUT and not is_waiting:
                 is_waiting = True

@@ -206,8 +206,7 @@ class CommandSubscriptions:
             self._log.warn(
                 f"{leaf} {name} old",
                 f"{leaf} of '{name}' is dropped: {error}; {self._n_outdated[name]} of '{name}' so far: send in order "
-                f"of "
-                "stamps, or with stamp 0, which means now",
+                "of stamps, or with stamp 0, which means now",
             )
         except (StampError, FrameError, EventError, QueueFullError, ValueError) as error:
             self._refuse(name, leaf, type(error).__name__, str(error))

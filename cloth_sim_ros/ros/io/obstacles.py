@@ -164,10 +164,7 @@ class ObstacleTopics:
             self._wrenches.pop(name).close()
         removed = [name for name in self._drawn if name not in drawn]
         self._markers = ObstacleMarkers(
-            solids,
-            frame_id=scene.frame_id,
-            node=self._node.get_fully_qualified_name(),
-            removed=removed,
+            solids, frame_id=scene.frame_id, node=self._node.get_fully_qualified_name(), removed=removed
         )
         self._drawn = drawn
         if self._output is None:

@@ -16,11 +16,7 @@ from cloth_sim_ros.scene.parameters.declare import Faults
 #: Policies that rclpy declares as parameters of each topic.
 OPTIONS = QoSOverridingOptions([QoSPolicyKind[policy.upper()] for policy in POLICIES])
 
-_ENUMS: dict[str, Any] = {
-    "reliability": ReliabilityPolicy,
-    "history": HistoryPolicy,
-    "durability": DurabilityPolicy,
-}
+_ENUMS: dict[str, Any] = {"reliability": ReliabilityPolicy, "history": HistoryPolicy, "durability": DurabilityPolicy}
 
 
 def override_names(node: Node, topic: str, *, endpoint_kind: str = PUBLISHER) -> list[str]:

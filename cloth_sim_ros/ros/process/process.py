@@ -31,12 +31,7 @@ from cloth_sim_ros.ros.recording.recording import RecordingUnavailableError
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 
-_BAD_NAMES = (
-    InvalidNamespaceException,
-    InvalidNodeNameException,
-    InvalidParameterException,
-    InvalidTopicNameException,
-)
+_BAD_NAMES = (InvalidNamespaceException, InvalidNodeNameException, InvalidParameterException, InvalidTopicNameException)
 #: Errors that rclpy raises for a malformed message of a type that it takes itself (/clock, parameter requests). They
 #: have no public name.
 _TAKE_ERRORS = ("RCLError", "RMWError")

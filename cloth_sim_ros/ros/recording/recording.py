@@ -318,11 +318,7 @@ class SessionRecording:
             scene_yaml=parameter_file.dump(self._simulation.scene.parameters()),
             state=self._simulation.state.to_bytes(),
             files=self._simulation.scene.files,
-            metadata={
-                "node": self._node_name,
-                "period": repr(self._simulation.scene.period),
-                **environment(),
-            },
+            metadata={"node": self._node_name, "period": repr(self._simulation.scene.period), **environment()},
         )
 
 

@@ -29,11 +29,7 @@ class Stepper:
     """
 
     def __init__(
-        self,
-        simulation: Simulation,
-        queue: EventQueue,
-        *,
-        run_job: Callable[[Callable[[], Any]], Any] = run_inline,
+        self, simulation: Simulation, queue: EventQueue, *, run_job: Callable[[Callable[[], Any]], Any] = run_inline
     ) -> None:
         self.simulation = simulation
         self.queue = queue
