@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,27 +28,38 @@ def refuse_values(values: Mapping[str, Any]) -> None:
     Raises:
         ParameterError: names each fault.
     """
-    entries = Scene.declared_for(values)
-    kinds = {entry.name: entry.kind for entry in entries} | {_SIM_TIME: "bool"}
     empty = [name for name, value in values.items() if value == [] and isinstance(value, list)]
+    present = {name: value for name, value in values.items() if name not in empty}
     refused = Faults()
-    refused.add(f"{name} is an empty list, [], {_remedy(name, kinds)}" for name in empty)
-    follows = values.get(_SIM_TIME, False)
-    if not isinstance(follows, bool) and _SIM_TIME not in empty:
+    refused.add(empty_lists(empty, values))
+    follows = present.get(_SIM_TIME, False)
+    if not isinstance(follows, bool):
         refused.add([f"{_SIM_TIME} is {follows!r}; it must be true or false, without quotes"])
-    for entry in entries:
-        if entry.name in values and entry.name not in empty:
-            refused.collect(partial(entry.check, values[entry.name]))
-    refused.add(frame_ids.faults(values))
-    refused.add(qos_rules.faults(values))
+    check_values(present, refused)
     refused.refuse()
 
 
-def _remedy(name: str, kinds: Mapping[str, str]) -> str:
-    why = "whose type ROS can't know; "
-    if name not in kinds:
-        return f"{why}leave it out"
-    return why + ("for none write ['']" if kinds[name] == "string[]" else f"it must be {kinds[name]}")
+def empty_lists(empty: Iterable[str], values: Iterable[str]) -> Iterator[str]:
+    """Yield a sentence with the remedy for each parameter that is [], given the names of all parameters."""
+    kinds = {entry.name: entry.kind for entry in Scene.declared_for(values)} | {_SIM_TIME: "bool"}
+    for name in empty:
+        remedy = f"it must be {kinds[name]}" if name in kinds else "leave it out"
+        if kinds.get(name) == "string[]":
+            remedy = "for none write ['']"
+        yield f"{name} is an empty list, [], whose type ROS can't know; {remedy}"
+
+
+def check_values(
+    values: Mapping[str, Any], refused: Faults, convert: Callable[[Any], Any] = lambda value: value
+) -> dict[str, Any]:
+    """Return the converted values of the scene's parameters among given ones, and add the faults of all."""
+    checked: dict[str, Any] = {}
+    for entry in Scene.declared_for(values):
+        if entry.name in values:
+            checked[entry.name] = refused.collect(partial(entry.check, convert(values[entry.name])))
+    refused.add(frame_ids.faults(values))
+    refused.add(qos_rules.faults(values))
+    return checked
 
 
 def refuse_scene(scene: Scene, *, node: str) -> None:

@@ -101,8 +101,7 @@ class PerformanceEstimator:
     """
 
     def __init__(self, simulation: Simulation, logger: Any) -> None:
-        self._simulation = simulation
-        self._logger = logger
+        self._simulation, self._logger = simulation, logger
         self._reported_factor: float | None = None
         #: Ratio of the measured cost of a step on this machine to that of the cost model.
         self._cost_ratio = 1.0

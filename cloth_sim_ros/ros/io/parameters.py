@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any
@@ -17,8 +17,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.parameter_service import ParameterService
 
+from cloth_sim_ros.ros.check.node_refusals import check_values, empty_lists
 from cloth_sim_ros.ros.check.unknown_overrides import unknown_sentences
-from cloth_sim_ros.ros.io import qos_rules
 from cloth_sim_ros.ros.io.qos_rules import Override, overridable
 from cloth_sim_ros.ros.recording.initial_state import session_state
 from cloth_sim_ros.ros.timing.sim_time import SIM_TIME, SimTimeNode, check_sim_time
@@ -30,16 +30,9 @@ from cloth_sim_ros.scene.parameters.warnings import ineffective_parameters
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.scene.sheet_checks import without_surface
 
-_TYPES = {
-    "bool": RosParameter.Type.BOOL,
-    "int": RosParameter.Type.INTEGER,
-    "double": RosParameter.Type.DOUBLE,
-    "string": RosParameter.Type.STRING,
-    "bool[]": RosParameter.Type.BOOL_ARRAY,
-    "int[]": RosParameter.Type.INTEGER_ARRAY,
-    "double[]": RosParameter.Type.DOUBLE_ARRAY,
-    "string[]": RosParameter.Type.STRING_ARRAY,
-}
+_SCALARS = {"bool": "BOOL", "int": "INTEGER", "double": "DOUBLE", "string": "STRING"}
+_TYPES = {kind: RosParameter.Type[name] for kind, name in _SCALARS.items()}
+_TYPES |= {f"{kind}[]": RosParameter.Type[f"{name}_ARRAY"] for kind, name in _SCALARS.items()}
 
 
 class UnknownParametersError(ParameterNotDeclaredException):
@@ -95,12 +88,12 @@ class SceneNode(SimTimeNode):
         listed = list(parameters)
         overrides = {f"{namespace}.{entry[0]}".lstrip("."): entry[1] for entry in listed if len(entry) > 1}
         refused = Faults()
-        refused.add(_empty_lists(overrides))
+        refused.add(empty_lists([name for name, value in overrides.items() if value is None], overrides))
         if SIM_TIME in overrides and overrides[SIM_TIME] is not None:
             refused.collect(lambda: check_sim_time(overrides[SIM_TIME]))
         if refused:
             # Include the faults that `declare` would find, so that one start reports all of them.
-            _check_values({name: value for name, value in overrides.items() if value is not None}, refused)
+            check_values({name: value for name, value in overrides.items() if value is not None}, refused, _plain)
         refused.refuse()
         return super().declare_parameters(namespace, listed, *arguments, **options)
 
@@ -152,31 +145,6 @@ def _reason(entry: Parameter, value: Any) -> str:
     return "; ".join(refused.sentences)
 
 
-def _empty_lists(values: Mapping[str, Any]) -> list[str]:
-    """Return a sentence for each parameter that is [], with the remedy."""
-    if not (empty := [name for name, value in values.items() if value is None]):
-        return []
-    kinds = {entry.name: entry.kind for entry in Scene.declared_for(values)} | {SIM_TIME: "bool"}
-
-    def remedy(name: str) -> str:
-        if name not in kinds:
-            return "leave it out"
-        return "for none write ['']" if kinds[name] == "string[]" else f"it must be {kinds[name]}"
-
-    return [f"{name} is an empty list, [], whose type ROS can't know; {remedy(name)}" for name in empty]
-
-
-def _check_values(overrides: Mapping[str, Any], refused: Faults) -> dict[str, Any]:
-    """Return the values of the scene's parameters among the overrides, and add the faults of all overrides."""
-    values: dict[str, Any] = {}
-    for entry in Scene.declared_for(overrides):
-        if entry.name in overrides:
-            values[entry.name] = refused.collect(partial(entry.check, _plain(overrides[entry.name])))
-    refused.add(frame_ids.faults(overrides))
-    refused.add(qos_rules.faults(overrides))
-    return values
-
-
 def declare(node: Node) -> Scene:
     """Declare all parameters of a scene on a node that has declared its overrides; return the scene.
 
@@ -186,7 +154,7 @@ def declare(node: Node) -> Scene:
     overrides = {name: node.get_parameter(name).value for name in node.list_parameters([], 0).names}
     refused = Faults()
     # The override was declared with any type; the check here gives a message with the remedy.
-    values = _check_values(overrides, refused)
+    values = check_values(overrides, refused, _plain)
     refused.refuse()
     for name in values:
         node.undeclare_parameter(name)
@@ -263,12 +231,10 @@ class LiveParameters:
         check: Callable[[dict[str, Any], Scene], None],
         lock: AbstractContextManager[Any],
     ) -> None:
-        self._node = node
-        self._change = change
-        self._check = check
-        self._lock = lock
-        # Includes accepted values that wait for their frame, so that two changes before a frame are checked together.
-        self._accepted = scene
+        self._node, self._change, self._check, self._lock = node, change, check, lock
+        #: Scene of the present parameters, in force now or from the next frame on, so that two changes before a frame
+        #: are checked together.
+        self.accepted = scene
         # The last validated values and their scene, so that it is not built twice.
         self._validated: tuple[dict[str, Any], Scene] = ({}, scene)
         self._returning = False
@@ -276,17 +242,12 @@ class LiveParameters:
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
 
-    @property
-    def accepted(self) -> Scene:
-        """The scene of the present parameters, in force now or from the next frame on."""
-        return self._accepted
-
     def return_to(self, scene: Scene) -> None:
         """Set the parameters to the values of a scene, because an accepted change could not take effect."""
-        before, now = self._accepted.parameters(), scene.parameters()
-        previous = self._accepted.entries
+        before, now = self.accepted.parameters(), scene.parameters()
+        previous = self.accepted.entries
         remaining = {entry.name for entry in scene.entries}
-        self._accepted = scene
+        self.accepted = scene
         self._returning = True
         try:
             self._node.set_parameters(
@@ -305,11 +266,7 @@ class LiveParameters:
     def _validate(self, changes: Sequence[RosParameter]) -> SetParametersResult:
         for change in changes:
             fixed = change.name == SIM_TIME or change.name.startswith(QOS_PREFIX)
-            if (
-                fixed
-                and self._node.has_parameter(change.name)
-                and change.value != self._node.get_parameter(change.name).value
-            ):
+            if fixed and change.value != self._node.get_parameter_or(change.name, change).value:
                 reason = f"{change.name} can't change while the cloth runs; set it at start"
                 return SetParametersResult(successful=False, reason=reason)
         values = self._values(changes)
@@ -320,7 +277,7 @@ class LiveParameters:
                 refused = Faults()
                 refused.add(frame_ids.faults(values))
                 refused.refuse()
-                changed_scene = self._accepted.changed(values)
+                changed_scene = self.accepted.changed(values)
                 self._check(values, changed_scene)
             except ParameterError as error:
                 return SetParametersResult(successful=False, reason="; ".join(error.sentences))
@@ -336,8 +293,8 @@ class LiveParameters:
         with self._lock:
             validated, changed_scene = self._validated
             if validated != values:
-                changed_scene = self._accepted.changed(values)
-            self._accepted = changed_scene
+                changed_scene = self.accepted.changed(values)
+            self.accepted = changed_scene
             self._validated = ({}, changed_scene)
             in_force = changed_scene.parameters()
             self._change({name: in_force[name] for name in values})
@@ -350,7 +307,7 @@ class LiveParameters:
     def _values(self, changes: Sequence[RosParameter]) -> dict[str, Any]:
         # Parameters of single grippers and new obstacles are recognised by their names.
         names = [change.name for change in changes]
-        known = {entry.name for entry in Scene.declared_for([*self._accepted.parameters(), *names])}
+        known = {entry.name for entry in Scene.declared_for([*self.accepted.parameters(), *names])}
         return {change.name: _plain(change.value) for change in changes if change.name in known}
 
 
