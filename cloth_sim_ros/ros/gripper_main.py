@@ -10,7 +10,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from cloth_sim_ros.ros.client.gripper_words import describe_holds as describe_holds
 from cloth_sim_ros.ros.process.stopping import StopSignals
 from cloth_sim_ros.session.command_runner import exit_on_signal
 

@@ -12,7 +12,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from cloth_sim_ros.ros.client import gripper_client, gripper_player
-from cloth_sim_ros.ros.gripper_main import describe_holds
+from cloth_sim_ros.ros.client.gripper_client import describe_holds
 from cloth_sim_ros.simulation.gripper_script import GripperScript
 
 SCRIPT = GripperScript.from_dict(

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import attrs
@@ -17,6 +18,7 @@ from std_msgs.msg import Bool
 
 from cloth_sim_ros.ros.io.messages import set_stamp
 from cloth_sim_ros.ros.io.output import LATCHED_QOS
+from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.simulation.gripper_script import GripperScript, TimedGrasp
 
@@ -34,6 +36,19 @@ class GraspReport:
     held: int | None
     #: The node's message, or why there is none.
     text: str
+
+
+def describe_holds(holds: Sequence[GraspReport]) -> str:
+    """Return the results of grasps as text, in order."""
+    if not holds:
+        return "the script closes nothing"
+    return "; ".join(_describe_report(hold) for hold in holds)
+
+
+def _describe_report(hold: GraspReport) -> str:
+    if hold.held is None:
+        return f"the result of a grasp is not known: {hold.text}"
+    return f"held {pluralize(hold.held, 'particle')}" if hold.held else "held nothing (the node's log says why)"
 
 
 class GripperClient:

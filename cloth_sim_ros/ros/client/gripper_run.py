@@ -12,8 +12,8 @@ import attrs
 import rclpy
 from rclpy.executors import ExternalShutdownException
 
+from cloth_sim_ros.ros.client.gripper_client import describe_holds
 from cloth_sim_ros.ros.client.gripper_player import GripperError, GripperPlayer
-from cloth_sim_ros.ros.client.gripper_words import describe_holds
 from cloth_sim_ros.ros.process.arguments import ArgumentsError, read_and_start, readable
 from cloth_sim_ros.ros.process.stopping import StopSignals
 from cloth_sim_ros.ros.timing.cloth_clock import ClothTime
