@@ -14,7 +14,7 @@ from support.clocked_cloth import ClockedCloth
 from support.ros_client import Client, start_cloth
 
 from cloth_sim_ros.ros import main as node_main
-from cloth_sim_ros.ros.process.unused_files import unused_files
+from cloth_sim_ros.ros.process.command_line_parameters import unused_files
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.scene import Scene

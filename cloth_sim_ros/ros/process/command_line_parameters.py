@@ -1,11 +1,13 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of a ROS command line, read before the node exists."""
+"""Parameters and parameter files of a ROS command line."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 from cloth_sim_ros.scene.parameters import parameter_file, ros_sections, ros_yaml
@@ -15,7 +17,9 @@ _ASSIGN = ":="
 
 
 def command_line_parameters(argv: Sequence[str], *, node: str = "cloth_sim") -> dict[str, Any]:
-    """Return the parameters of ROS arguments and parameter files by full name; the last value counts.
+    """Return the parameters of ROS arguments and parameter files by full name, before the node exists.
+
+    The last value counts.
 
     Unreadable values and files are left out: the node refuses them with its own message.
 
@@ -35,6 +39,26 @@ def command_line_parameters(argv: Sequence[str], *, node: str = "cloth_sim") -> 
         with contextlib.suppress(ParameterError, yaml.YAMLError, ValueError):
             values |= parameter_file.read(value, node=name) if kind == "file" else _assignment(value, name)
     return values
+
+
+def unused_files(arguments: Sequence[str], *, node: str) -> Iterator[str]:
+    """Yield a sentence for each parameter file that only holds parameters of other nodes.
+
+    Args:
+        arguments: the command line.
+        node: full name of the node, after remapping.
+    """
+    for option, path in pairwise(arguments):
+        # ROS has read a pipe already.
+        if option != "--params-file" or not Path(path).is_file():
+            continue
+        try:
+            owners = parameter_file.other_nodes(parameter_file.text_of(path), node=node, source=path)
+        except ParameterError:
+            # ROS has accepted the file: the two readers differ in what they refuse.
+            continue
+        if owners:
+            yield f"'{path}' sets nothing for the node {node}: {owners.partition(', or give the name')[0]}"
 
 
 def _rules(argv: Sequence[str]) -> Iterator[tuple[str, str]]:

@@ -10,28 +10,22 @@ import sys
 from collections.abc import Sequence
 
 import rclpy
-from rclpy.exceptions import (
-    InvalidNamespaceException,
-    InvalidNodeNameException,
-    InvalidParameterException,
-    InvalidTopicNameException,
-)
+from rclpy.exceptions import InvalidParameterException, NameValidationException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from cloth_sim_ros.ros.io.transports import cloud_transports
 from cloth_sim_ros.ros.node import ClothNode
 from cloth_sim_ros.ros.process.arguments import ArgumentsError, read_and_start, readable
-from cloth_sim_ros.ros.process.command_line_parameters import command_line_parameters
+from cloth_sim_ros.ros.process.command_line_parameters import command_line_parameters, unused_files
 from cloth_sim_ros.ros.process.failure import NodeFailedError
 from cloth_sim_ros.ros.process.options import parser
 from cloth_sim_ros.ros.process.stopping import StopRequestedError, StopSignals
-from cloth_sim_ros.ros.process.unused_files import unused_files
 from cloth_sim_ros.ros.process.worker_thread import WorkerThread
 from cloth_sim_ros.ros.recording.recording import RecordingUnavailableError
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 
-_BAD_NAMES = (InvalidNamespaceException, InvalidNodeNameException, InvalidParameterException, InvalidTopicNameException)
+_BAD_NAMES = (InvalidParameterException, NameValidationException)
 #: Errors that rclpy raises for a malformed message of a type that it takes itself (/clock, parameter requests). They
 #: have no public name.
 _TAKE_ERRORS = ("RCLError", "RMWError")
