@@ -32,7 +32,7 @@ from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation.bodies.grippers import GraspResult
 from cloth_sim_ros.simulation.event_checks import EventError
 from cloth_sim_ros.simulation.events import Event, Grasp, Move, Target
-from cloth_sim_ros.simulation.frame import Frame
+from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 #: Best effort, so that any publisher matches; only the newest target counts.
 TARGET_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -45,9 +45,8 @@ class CommandSubscriptions:
 
     Args:
         node: the node.
-        grippers: names of the grippers.
+        simulation: the cloth; refuses events that can't take effect.
         queue: receives the events.
-        check: refuses events that can't take effect, with EventError.
         frames: transforms poses into the cloth's frame.
         sink: records the bytes of each message.
         log: receives refusals.
@@ -57,25 +56,17 @@ class CommandSubscriptions:
     def __init__(
         self,
         node: Node,
-        *,
-        grippers: list[str],
+        simulation: Simulation,
         queue: EventQueue,
-        check: Callable[[Event], None],
         frames: FrameTransformer,
         sink: RecordSink,
         log: ThrottledLog,
         lock: AbstractContextManager[Any],
     ) -> None:
-        self._node = node
-        self._clock = node.get_clock()
-        self._queue = queue
-        self._check = check
-        self._frames = frames
-        self._sink = sink
-        self._log = log
-        self._lock = lock
-        self._grippers = grippers
-        self._gates = {name: StampGate() for name in grippers}
+        self._node, self._clock, self._check, self._queue = node, node.get_clock(), simulation.check, queue
+        self._frames, self._sink, self._log, self._lock = frames, sink, log, lock
+        self._grippers = simulation.scene.gripper_names
+        self._gates = {name: StampGate() for name in self._grippers}
         self._obstacles: dict[str, Subscription] = {}
         #: Number of commands older than the newest one, by gripper or obstacle.
         self._n_outdated: dict[str, int] = {}
@@ -113,28 +104,25 @@ class CommandSubscriptions:
     ) -> Subscription:
         topic = f"~/{name}/{leaf}"
         profile = overridden_profile(self._node, topic, qos, endpoint_kind=SUBSCRIPTION)
-        receive = functools.partial(
-            self._receive, name, leaf, kind, profile, self._node.resolve_topic_name(topic, only_expand=True), on_message
-        )
-        # Raw, so that the received bytes are recorded, and so that the node refuses malformed ones itself.
+        recorded_topic = self._node.resolve_topic_name(topic, only_expand=True)
+
+        # Of exactly one argument: rclpy inspects the signature.
+        def receive(data: bytes) -> None:
+            with self._lock:
+                now = self._clock.now().nanoseconds
+                self.received += 1
+                if self._sink.running:
+                    self._sink.add(recorded_topic, kind, data, stamp=now, qos=profile, droppable=False)
+                self._receive(name, leaf, kind, data, lambda message: on_message(name, message, now))
+
         # A volatile best-effort subscription matches every publisher and needs no event, which would slow each spin.
-        is_restrictive = (
-            profile.reliability != ReliabilityPolicy.BEST_EFFORT or profile.durability != DurabilityPolicy.VOLATILE
-        )
-        on_incompatible = (
-            functools.partial(self._warn_of_incompatible_qos, self._node.resolve_topic_name(topic))
-            if is_restrictive
-            else None
-        )
+        on_incompatible = None
+        if profile.reliability != ReliabilityPolicy.BEST_EFFORT or profile.durability != DurabilityPolicy.VOLATILE:
+            on_incompatible = functools.partial(self._warn_of_incompatible_qos, self._node.resolve_topic_name(topic))
         events = SubscriptionEventCallbacks(incompatible_qos=on_incompatible, use_default_callbacks=False)
+        # Raw, so that the received bytes are recorded, and so that the node refuses malformed ones itself.
         return self._node.create_subscription(
-            kind,
-            topic,
-            self._locked(receive),
-            profile,
-            raw=True,
-            event_callbacks=events,
-            qos_overriding_options=OPTIONS,
+            kind, topic, receive, profile, raw=True, event_callbacks=events, qos_overriding_options=OPTIONS
         )
 
     def _warn_of_incompatible_qos(self, topic: str, event: Any) -> None:
@@ -167,29 +155,7 @@ class CommandSubscriptions:
             gate.reset()
         self._last_target_times.clear()
 
-    def _locked(self, receive: Callable[[bytes], None]) -> Callable[[bytes], None]:
-        """Return a callback of exactly one argument that holds the lock; rclpy inspects the signature."""
-
-        def callback(data: bytes) -> None:
-            with self._lock:
-                receive(data)
-
-        return callback
-
-    def _receive(
-        self,
-        name: str,
-        leaf: str,
-        kind: Any,
-        qos: QoSProfile,
-        topic: str,
-        on_message: Callable[[str, Any, int], None],
-        data: bytes,
-    ) -> None:
-        now = self._clock.now().nanoseconds
-        self.received += 1
-        if self._sink.running:
-            self._sink.add(topic, kind, data, stamp=now, qos=qos, droppable=False)
+    def _receive(self, name: str, leaf: str, kind: Any, data: bytes, on_message: Callable[[Any], None]) -> None:
         try:
             message = deserialize_message(data, kind)
         except (RuntimeError, UnicodeDecodeError) as error:
@@ -199,7 +165,7 @@ class CommandSubscriptions:
             )
             return
         try:
-            on_message(name, message, now)
+            on_message(message)
         except OldStampError as error:
             self.outdated += 1
             self._n_outdated[name] = self._n_outdated.get(name, 0) + 1

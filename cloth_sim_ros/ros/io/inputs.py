@@ -49,16 +49,8 @@ class Inputs:
         scene = simulation.scene
         self._node, self._simulation, self._queue = node, simulation, queue
         self._frames = FrameTransformer(node, scene.frame_id)
-        self.commands = CommandSubscriptions(
-            node,
-            grippers=scene.gripper_names,
-            queue=queue,
-            check=simulation.check,
-            frames=self._frames,
-            sink=recording.session,
-            log=log,
-            lock=failure.callback_lock,
-        )
+        sink, callback_lock = recording.session, failure.callback_lock
+        self.commands = CommandSubscriptions(node, simulation, queue, self._frames, sink, log, callback_lock)
         self.tf_follower = TfFollower(simulation, self._frames, self.commands.last_target_time, log)
         self.services = Services(node, scene.gripper_names, queue, clock_pause, recording, failure, lock)
         self.parameters = LiveParameters(

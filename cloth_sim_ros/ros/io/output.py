@@ -57,8 +57,7 @@ class Output:
         droppable: bool = False,
     ) -> None:
         self._kind, self._node = kind, node
-        self._sink = sink
-        self._droppable = droppable
+        self._sink, self._droppable = sink, droppable
         self._log = ThrottledLog(node.get_logger(), seconds=_WARNING_PERIOD)
         profile = overridden_profile(node, topic, qos)
         try:

@@ -31,9 +31,7 @@ class TfBroadcaster:
     """
 
     def __init__(self, node: Node, simulation: Simulation, sink: RecordSink) -> None:
-        self._node = node
-        self._simulation = simulation
-        self._sink = sink
+        self._node, self._simulation, self._sink = node, simulation, sink
         self._prefix = node.get_fully_qualified_name().strip("/")
         self.output: Output | None = None
         self._was_enabled = False

@@ -34,10 +34,7 @@ class TfFollower:
         last_target_time: Callable[[str], int | None],
         log: ThrottledLog,
     ) -> None:
-        self._simulation = simulation
-        self._frames = frames
-        self._last_target_time = last_target_time
-        self._log = log
+        self._simulation, self._frames, self._last_target_time, self._log = simulation, frames, last_target_time, log
         self._last_stamps: dict[str, int] = {}
         #: ROS time of the last new transform of a followed frame [ns], by gripper or obstacle.
         self._last_motion: dict[str, int] = {}

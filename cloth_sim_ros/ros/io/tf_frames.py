@@ -31,8 +31,7 @@ class FrameTransformer:
     """
 
     def __init__(self, node: Node, frame_id: str) -> None:
-        self._node = node
-        self._frame_id = frame_id
+        self._node, self._frame_id = node, frame_id
         self._tf2: Any = None
         self._buffer: Any = None
         self._listener: Any = None

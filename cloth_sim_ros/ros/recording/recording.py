@@ -49,8 +49,7 @@ class SessionRecording:
     def __init__(
         self, *, node_name: str, simulation: Simulation, settings: Callable[[], RecordSettings] | None = None
     ) -> None:
-        self._node_name = node_name
-        self._simulation = simulation
+        self._node_name, self._simulation = node_name, simulation
         self._settings = settings or (lambda: simulation.scene.record)
         self._recorder: Recorder | None = None
         self._closing: Recorder | None = None

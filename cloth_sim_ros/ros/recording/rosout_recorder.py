@@ -28,9 +28,7 @@ class RosoutRecorder:
     """
 
     def __init__(self, node: Node, sink: RecordSink, lock: AbstractContextManager[Any]) -> None:
-        self._lock = lock
-        self._node = node
-        self._sink = sink
+        self._lock, self._node, self._sink = lock, node, sink
         self._subscriptions: list[Any] = []
 
     def update(self) -> None:

@@ -17,8 +17,7 @@ class GripperSpeedMonitor:
     """
 
     def __init__(self, simulation: Simulation, log: ThrottledLog) -> None:
-        self._simulation = simulation
-        self._log = log
+        self._simulation, self._log = simulation, log
         self._limited: set[str] = set()
 
     def check(self) -> None:

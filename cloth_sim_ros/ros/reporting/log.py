@@ -25,9 +25,7 @@ class ThrottledLog:
     """
 
     def __init__(self, logger: Any, *, seconds: float = 1.0, clock: Callable[[], float] = time.monotonic) -> None:
-        self._logger = logger
-        self._seconds = seconds
-        self._clock = clock
+        self._logger, self._seconds, self._clock = logger, seconds, clock
         self._last: dict[str, float] = {}
         #: True if DEBUG lines are logged; `flush` updates it, because a query takes microseconds.
         self.debugging = False

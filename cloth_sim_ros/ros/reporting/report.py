@@ -16,8 +16,8 @@ from cloth_sim_ros.ros.io.commands import CommandSubscriptions
 from cloth_sim_ros.ros.io.outputs import ClothTopics
 from cloth_sim_ros.ros.process.failure import FailureGuard
 from cloth_sim_ros.ros.recording.recording import SessionRecording
-from cloth_sim_ros.ros.reporting.diagnostics import FrameTally
 from cloth_sim_ros.ros.reporting.strain import StrainGauge
+from cloth_sim_ros.ros.timing.frame_timing import FrameTiming
 from cloth_sim_ros.scene.plausibility import cloth_size, implausible_sizes
 from cloth_sim_ros.session import old_keys
 from cloth_sim_ros.session.plurals import pluralize
@@ -66,13 +66,11 @@ class DiagnosticsCollector:
         simulation: the cloth.
         latest: outcome of the newest frame.
         failure: knows whether the node is failed.
-        tally: counts of frames.
+        timing: counts of frames, the user's pause, and the state of /clock.
         commands: counts of commands.
         outputs: counts of clouds.
         recording: the recording.
         additional: returns further values by name.
-        user_paused: returns true if the user paused the cloth; a standing /clock pauses the simulation too.
-        clock: returns level and summary while /clock does not advance; None while it does or is not followed.
     """
 
     def __init__(
@@ -82,23 +80,17 @@ class DiagnosticsCollector:
         latest: LatestFrame,
         *,
         failure: FailureGuard,
-        tally: FrameTally,
+        timing: FrameTiming,
         commands: CommandSubscriptions,
         outputs: ClothTopics,
         recording: SessionRecording,
-        additional: Callable[[], dict[str, str]] = dict,
-        user_paused: Callable[[], bool],
-        clock: Callable[[], tuple[bytes, str] | None],
+        additional: Callable[[], dict[str, str]],
     ) -> None:
         self._node = node
         self._simulation = simulation
         self._latest, self._failure = latest, failure
-        self._tally = tally
-        self._commands = commands
-        self._outputs = outputs
-        self._recording = recording
-        self._additional = additional
-        self._user_paused, self._clock = user_paused, clock
+        self._timing, self._tally, self._commands = timing, timing.tally, commands
+        self._outputs, self._recording, self._additional = outputs, recording, additional
         self.gauge = StrainGauge(simulation.scene)
         self._has_duplicates = False
 
@@ -109,7 +101,7 @@ class DiagnosticsCollector:
         values = {
             "frame": str(self._simulation.frame),
             "simulated_time": f"{self._simulation.time:.6f}",
-            "paused": str(self._user_paused()).lower(),
+            "paused": str(self._timing.clock_pause.user_paused).lower(),
             "real_time_factor": f"{rates['real_time_factor']:.4f}",
             "real_time_factor_overall": f"{self._tally.overall_factor(period):.4f}",
             "late_frames": str(self._tally.late),
@@ -134,12 +126,12 @@ class DiagnosticsCollector:
             return DiagnosticStatus.ERROR, f"stopped: {self._latest.failure}", values
         if status is not None and status.state == "failed":
             return DiagnosticStatus.ERROR, f"recording failed: {status.error}", values
-        clock = self._clock()
+        clock = self._timing.describe_clock()
         if clock is not None and clock[0] != DiagnosticStatus.OK:
             return *clock, values
         if rates["late"]:
             return DiagnosticStatus.WARN, f"{pluralize(rates['late'], 'frame')} late in the last second", values
-        if self._user_paused():
+        if self._timing.clock_pause.user_paused:
             return DiagnosticStatus.OK, "paused" if clock is None else f"paused; {clock[1]}", values
         if clock is not None:
             return *clock, values

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 
 from rclpy.node import Node
 
@@ -15,7 +16,6 @@ from cloth_sim_ros.ros.io.outputs import Outputs
 from cloth_sim_ros.ros.process.failure import FailureGuard
 from cloth_sim_ros.ros.recording.recording import SessionRecording
 from cloth_sim_ros.ros.reporting.diagnostics import PERIOD, DiagnosticsPublisher
-from cloth_sim_ros.ros.reporting.frame_log import FrameLog
 from cloth_sim_ros.ros.reporting.gripper_speed import GripperSpeedMonitor
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.ros.reporting.report import DiagnosticsCollector, LatestFrame
@@ -57,21 +57,20 @@ class Reporting:
         self.performance = PerformanceEstimator(simulation, node.get_logger())
         self.accuracy = AccuracySwitch(simulation, log)
         self._gripper_speed = GripperSpeedMonitor(simulation, log)
-        self._frame_log = FrameLog(log)
         self._latest = LatestFrame()
+        #: Integrator, reason and step limit of the last frame that was logged at DEBUG.
+        self._choice: tuple[str, str, str] | None = None
         sources = (timing.governor, self.performance, self.accuracy, outputs.obstacles)
         self.collector = DiagnosticsCollector(
             node,
             simulation,
             self._latest,
             failure=failure,
-            tally=timing.tally,
+            timing=timing,
             commands=inputs.commands,
             outputs=outputs.cloth,
             recording=recording,
             additional=lambda: {name: value for source in sources for name, value in source.describe().items()},
-            user_paused=lambda: timing.clock_pause.user_paused,
-            clock=timing.describe_clock,
         )
         self.diagnostics = DiagnosticsPublisher(node, recording, self.collector)
         self._failure = failure
@@ -98,7 +97,8 @@ class Reporting:
     def log_frame(self, frame: Frame) -> None:
         """Log the events and results of a frame that was published."""
         self._inputs.commands.log_grasps(frame)
-        self._frame_log.log(frame)
+        if self.log.debugging:
+            self._log_details(frame)
         self._outputs.obstacles.log_recovery(frame)
         self._latest.advance = frame.advance or self._latest.advance
 
@@ -116,3 +116,18 @@ class Reporting:
         if self._parameters_changed:
             self._parameters_changed = False
             self.performance.report()
+
+    def _log_details(self, frame: Frame) -> None:
+        """Log at DEBUG the events of a frame, and a change of integrator, reason or step limit."""
+        for event in frame.events:
+            self.log.debug(partial("frame {} applies {}".format, frame.index, event))
+        advance = frame.advance
+        if advance is None or self._choice == (advance.integrator, advance.reason, advance.limited_by):
+            return
+        self._choice = advance.integrator, advance.reason, advance.limited_by
+        self.log.debug(
+            lambda: (
+                f"frame {frame.index}: integrator {advance.integrator}, {advance.steps} steps, limited by "
+                f"{advance.limited_by}; {advance.reason}"
+            )
+        )

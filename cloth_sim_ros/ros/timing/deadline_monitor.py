@@ -34,8 +34,7 @@ class DeadlineMonitor:
     """
 
     def __init__(self, *, period: float, log: ThrottledLog) -> None:
-        self._period = period
-        self._log = log
+        self._period, self._log = period, log
         self._window_ticks = max(MIN_TICKS, round(WINDOW / period))
         self._is_late = False
         self._windows = 0

@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable
 from fractions import Fraction
-from typing import Protocol
 
 import attrs
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -59,20 +58,6 @@ class FrameTick:
     stands: bool = False
 
 
-class Pacer(Protocol):
-    """A source of frame ticks."""
-
-    def start(self) -> None:
-        """Start. The first tick comes one period later, or at the next multiple of the period on /clock."""
-
-    def stop(self) -> bool:
-        """Stop the ticks; return true if no frame is running."""
-
-    @property
-    def period(self) -> int:
-        """Time between two frames [ns], rounded."""
-
-
 class WallPacer:
     """Ticks by wall time. If a frame takes longer than the period, the ticks that it missed are skipped.
 
@@ -103,10 +88,7 @@ class WallPacer:
         is_drained: Callable[[], bool],
         in_timer_thread: bool = False,
     ) -> None:
-        self._node = node
-        self._in_timer_thread = in_timer_thread
-        self._on_tick = on_tick
-        self._is_drained = is_drained
+        self._node, self._in_timer_thread, self._on_tick, self._is_drained = node, in_timer_thread, on_tick, is_drained
         self._guard = node.create_guard_condition(self._serve)
         self._clock = node.get_clock()
         self.period = round(_SECOND / rate)
@@ -123,6 +105,7 @@ class WallPacer:
         self._error: BaseException | None = None
 
     def start(self) -> None:
+        """Start. The first tick comes one period later."""
         self._start = time.monotonic_ns()
         # Held until the end: waiting for a lock costs half as much as waiting for an event.
         self._ended = threading.Lock()
@@ -131,6 +114,7 @@ class WallPacer:
         self._timer_thread.start()
 
     def stop(self) -> bool:
+        """Stop the ticks; return true if no frame is running."""
         if self._timer_thread is None:
             return True
         if self._ended.locked():
@@ -256,10 +240,8 @@ class ClockPacer:
     ) -> None:
         self._node = node
         self._rate = Fraction(rate)
-        self._on_tick = on_tick
-        self._is_drained = is_drained
-        self._on_jump_back = on_jump_back
-        self._on_jump_forward = on_jump_forward
+        self._on_tick, self._is_drained = on_tick, is_drained
+        self._on_jump_back, self._on_jump_forward = on_jump_back, on_jump_forward
         self.period = round(_SECOND / rate)
         self._max_catch_up = max(1, int(MAX_CATCH_UP * rate))
         self._next_index: int | None = None
@@ -275,6 +257,7 @@ class ClockPacer:
         self._standing_timer: Timer | None = None
 
     def start(self) -> None:
+        """Start. The first tick comes at the next multiple of the period on /clock."""
         threshold = JumpThreshold(
             min_forward=Duration(nanoseconds=1), min_backward=Duration(nanoseconds=-1), on_clock_change=True
         )
@@ -284,6 +267,7 @@ class ClockPacer:
         self._guard.trigger()
 
     def stop(self) -> bool:
+        """Stop the ticks; return true: no frame runs outside the executor."""
         if self._jump_callback is not None:
             self._jump_callback.unregister()  # type: ignore[attr-defined]
             self._jump_callback = None

@@ -83,8 +83,7 @@ class ClockSilence:
     """
 
     def __init__(self, log: Any, *, seconds: Callable[[], float] = time.monotonic) -> None:
-        self._log = log
-        self._seconds = seconds
+        self._log, self._seconds = log, seconds
         self._began = seconds()
         self._next_warning = self._began + _SILENCE_LIMIT
 

@@ -31,9 +31,7 @@ class Stepper:
     def __init__(
         self, simulation: Simulation, queue: EventQueue, *, run_job: Callable[[Callable[[], Any]], Any] = run_inline
     ) -> None:
-        self.simulation = simulation
-        self.queue = queue
-        self.run_job = run_job
+        self.simulation, self.queue, self.run_job = simulation, queue, run_job
         #: True if a signal came before a frame ended. The frame goes on, and the cloth must not be read.
         self.aborted = False
         #: The reason if time is stopped; otherwise empty.

@@ -41,9 +41,7 @@ class ToleranceGovernor:
     """
 
     def __init__(self, simulation: Simulation, log: ThrottledLog, *, live: bool = True) -> None:
-        self._simulation = simulation
-        self._log = log
-        self.live = live
+        self._simulation, self._log, self.live = simulation, log, live
         self._frame_times: list[float] = []
         self._elapsed = 0.0
         self._low_load_windows = 0
