@@ -87,9 +87,8 @@ class ClothNode:
             record_latched=lambda stamp: self.outputs.record_latched(stamp),
             refusal=lambda: self.failure.refusal,
         )
-        pause = self.timing.clock_pause
-        self.inputs = Inputs(self.node, self.stepper, pause, self.failure, self.recording, log, self._lock)
-        self.outputs = Outputs(self.node, simulation, session, log, self.inputs.commands.subscribe_obstacles)
+        self.inputs = Inputs(self.node, self.timing, self.failure, self.recording, log)
+        self.outputs = Outputs(self.node, simulation, self.inputs.commands, session, log)
         self.reporting = Reporting(
             self.node,
             simulation,
@@ -147,6 +146,7 @@ class ClothNode:
             self.recording.begin_with_node(now)
         self.outputs.start(now)
         self.inputs.start()
+        self.node.serve()
         self.node.create_timer(MAINTENANCE_PERIOD, self._maintain, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.reporting.start(is_live=not follows_clock)
         # Last: a subscriber of ~/state may rely on everything else.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.model.forces.drag import Drag
-from cloth_sim_ros.physics.model.forces.force import Array, Force
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.forces.gravity import Gravity
 from cloth_sim_ros.physics.model.forces.grips import Grips
 from cloth_sim_ros.physics.model.forces.wind import Wind
@@ -114,18 +114,14 @@ def _stiffest(model: Model, x: Array, particle: int) -> tuple[str, float]:
     stiffness: dict[str, float] = {}
     for force in model.forces:
         if not isinstance(force, Gravity | Drag | Wind | Grips):
-            stiffness[force.name] = _stiffness_at(model, force, x, particle)
+            stiff, damped = np.zeros((2, 6, model.particle_count))
+            compile(Model(model.masses, [force])).add_bounds(x, stiff, damped)
+            stiffness[force.name] = float(_largest(stiff[:, [particle]])[0])
     total = sum(stiffness.values())
     if not total:
         return "", 0.0
     name = max(stiffness, key=lambda name: stiffness[name])
     return name, stiffness[name] / total
-
-
-def _stiffness_at(model: Model, force: Force, x: Array, particle: int) -> float:
-    blocks = np.zeros((2, 6, model.particle_count))
-    compile(Model(model.masses, [force])).add_bounds(x, blocks[0], blocks[1])
-    return float(_largest(blocks[0][:, [particle]])[0])
 
 
 def _describe_elements(sheet: MeshSheet, particles: tuple[int, ...]) -> list[str]:

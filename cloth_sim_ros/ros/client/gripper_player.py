@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from cloth_sim_ros.ros.client.gripper_client import GripperClient
+from cloth_sim_ros.ros.timing.cloth_clock import ClothTime
 from cloth_sim_ros.simulation.gripper_script import GripperScript, TimedGrasp
 
 #: Discovery is gradual. A gripper counts as unknown if it appears this much later than other topics of the node [s].
@@ -21,8 +21,6 @@ _RCLPY_SERVICE = "/get_type_description"
 #: If a grasp is later than this, the scripts are set back to this long before it, so that the gripper closes at its
 #: scripted position [s].
 _REWIND = 0.1
-
-
 #: Largest regular interval between targets, as a ratio to the period of a frame or of targets.
 _MAX_INTERVAL_RATIO = 1.5
 #: The script's time stands if it has not changed for this long [s].
@@ -31,25 +29,8 @@ _STANDING_TIMEOUT = 5.0
 _MAX_STANDING = 30.0
 
 
-class ScriptTime(Protocol):
-    """The time in which scripts are played."""
-
-    #: Its increment from one frame of the cloth to the next [ns]; 0 if it has no frames.
-    period: int
-
-    @property
-    def send_time(self) -> float:
-        """Earliest steady time at which to send the next target [s]."""
-
-    def now(self) -> int | None:
-        """Return the time [ns]; None if it is not known yet."""
-
-    def describe(self) -> str:
-        """Return the state of a cloth whose time stands, as the end of a sentence."""
-
-
 class NodeTime:
-    """The ROS time of the client's node."""
+    """The ROS time of the client's node, in the place of the cloth's simulated time."""
 
     period = 0
     send_time = 0.0
@@ -89,13 +70,13 @@ class GripperPlayer:
         *,
         target: str,
         should_continue: Callable[[], bool] = lambda: True,
-        script_time: ScriptTime | None = None,
+        script_time: ClothTime | None = None,
         on_standing: Callable[[str], object] = lambda _: None,
     ) -> None:
         self._node = node
         self._target = "/" + target.strip("/")
         self._should_continue = should_continue
-        self._script_time = script_time or NodeTime(node)
+        self._script_time: ClothTime | NodeTime = script_time or NodeTime(node)
         self._on_standing = on_standing
         #: Start of the scripts, with delays, and newest time, both in the script time [ns].
         self._start = 0
@@ -235,7 +216,8 @@ class GripperPlayer:
         played, seconds = (now - self._start) * 1e-9, now * 1e-9
         delay = self._missed_time((now - self._newest) * 1e-9, elapsed, period)
         delay = max(delay, played - min(hand.limit_time(played, seconds) for hand in self.grippers))
-        first = min((grasp for hand in self.grippers for grasp in hand.pending[:1]), key=_time_of, default=None)
+        next_grasps = [hand.pending[0] for hand in self.grippers if hand.pending]
+        first = min(next_grasps, key=lambda grasp: grasp.time, default=None)
         if first is not None and played - delay > first.time + _REWIND and first is not self._rewound:
             # Once for each grasp: a simulated clock may advance by larger steps.
             self._rewound = first
@@ -298,7 +280,3 @@ class GripperPlayer:
             for topic, _ in self._node.get_topic_names_and_types()
             if topic.startswith(prefix) and topic.endswith(suffix) and self._node.count_subscribers(topic)
         )
-
-
-def _time_of(grasp: TimedGrasp) -> float:
-    return grasp.time

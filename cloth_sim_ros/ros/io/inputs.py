@@ -4,20 +4,20 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
 from typing import Any
+
+from rclpy.node import Node
 
 from cloth_sim_ros.ros.check.feasibility import check_feasibility
 from cloth_sim_ros.ros.io.commands import CommandSubscriptions
-from cloth_sim_ros.ros.io.parameters import LiveParameters, SceneNode
+from cloth_sim_ros.ros.io.parameters import LiveParameters
 from cloth_sim_ros.ros.io.services import Services
 from cloth_sim_ros.ros.io.tf_follower import TfFollower
 from cloth_sim_ros.ros.io.tf_frames import FrameTransformer
 from cloth_sim_ros.ros.process.failure import FailureGuard
 from cloth_sim_ros.ros.recording.recording_control import RecordingControl
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
-from cloth_sim_ros.ros.timing.clock_pause import ClockPause
-from cloth_sim_ros.ros.timing.stepper import Stepper
+from cloth_sim_ros.ros.timing.frame_timing import FrameTiming
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import SetParameters
 
@@ -27,41 +27,29 @@ class Inputs:
 
     Args:
         node: the node.
-        stepper: its queue receives the events.
-        clock_pause: knows the user's pause.
-        failure: refuses requests while the node is failed.
+        timing: its stepper's queue receives the events.
+        failure: refuses requests while the node is failed; its lock is held during each change.
         recording: records the commands, and serves requests to record.
         log: receives refusals.
-        lock: held during each change of parameters and each request.
     """
 
     def __init__(
-        self,
-        node: SceneNode,
-        stepper: Stepper,
-        clock_pause: ClockPause,
-        failure: FailureGuard,
-        recording: RecordingControl,
-        log: ThrottledLog,
-        lock: AbstractContextManager[Any],
+        self, node: Node, timing: FrameTiming, failure: FailureGuard, recording: RecordingControl, log: ThrottledLog
     ) -> None:
-        simulation, queue = stepper.simulation, stepper.queue
+        simulation, queue = timing.stepper.simulation, timing.stepper.queue
         scene = simulation.scene
         self._node, self._simulation, self._queue = node, simulation, queue
         self._frames = FrameTransformer(node, scene.frame_id)
         sink, callback_lock = recording.session, failure.callback_lock
         self.commands = CommandSubscriptions(node, simulation, queue, self._frames, sink, log, callback_lock)
         self.tf_follower = TfFollower(simulation, self._frames, self.commands.last_target_time, log)
-        self.services = Services(node, scene.gripper_names, queue, clock_pause, recording, failure, lock)
-        self.parameters = LiveParameters(
-            node, scene, lambda values: queue.put(SetParameters(values), reserved=True), self._check_parameters, lock
-        )
+        self.services = Services(node, timing, recording, failure)
+        self.parameters = LiveParameters(node, scene, self._change_parameters, self._check_parameters, failure.lock)
 
     def start(self) -> None:
         """Subscribe to the commands of the grippers, and create the services."""
         self.commands.subscribe()
         self.services.serve()
-        self._node.serve()
 
     def return_parameters(self, reason: str) -> None:
         """Set the parameters back to those in force, because accepted ones could not take effect."""
@@ -72,6 +60,10 @@ class Inputs:
         """Accept any stamp next and forget dynamic transforms, because the clock was set back."""
         self.commands.reset_stamps()
         self._frames.clear()
+
+    def _change_parameters(self, values: dict[str, Any]) -> None:
+        # `_check_parameters` has made room for it.
+        self._queue.put(SetParameters(values), reserved=True)
 
     def _check_parameters(self, values: dict[str, Any], scene: Scene) -> None:
         check_feasibility(scene, self._simulation)

@@ -100,8 +100,7 @@ class SurfaceMarker:
         self._message = Marker(ns=name, id=0, type=Marker.TRIANGLE_LIST, action=Marker.ADD, frame_locked=True)
         self._message.header.frame_id = frame_id
         self._message.pose.orientation.w = 1.0
-        for axis in ("x", "y", "z"):
-            setattr(self._message.scale, axis, 1.0)
+        self._message.scale = Vector3(x=1.0, y=1.0, z=1.0)
         self._message.color = ColorRGBA(r=0.85, g=0.3, b=0.25, a=1.0)
         self._corners = np.ascontiguousarray(triangles).ravel()
         # No field after the points is aligned to 8 bytes, so the tail does not depend on the number of points.
@@ -127,12 +126,12 @@ class SurfaceMarker:
 
 def wrench_message(wrench: ArrayLike, *, frame_id: str, stamp: int) -> bytes:
     """Return the CDR bytes of a geometry_msgs/WrenchStamped: force [N], then torque [N m], 6 numbers."""
-    values = [float(value) for value in np.asarray(wrench)]
+    fx, fy, fz, tx, ty, tz = np.asarray(wrench, dtype=np.float64).tolist()
     message = WrenchStamped()
     message.header.frame_id = frame_id
     set_stamp(message.header.stamp, stamp)
-    message.wrench.force = Vector3(x=values[0], y=values[1], z=values[2])
-    message.wrench.torque = Vector3(x=values[3], y=values[4], z=values[5])
+    message.wrench.force = Vector3(x=fx, y=fy, z=fz)
+    message.wrench.torque = Vector3(x=tx, y=ty, z=tz)
     return bytes(serialize_message(message))
 
 

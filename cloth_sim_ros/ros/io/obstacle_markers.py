@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from geometry_msgs.msg import Point, Pose, Vector3
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from numpy.typing import NDArray
 from rclpy.serialization import serialize_message
 from std_msgs.msg import ColorRGBA
@@ -101,9 +101,6 @@ def _marker(kind: int, x: float, y: float, z: float) -> Marker:
 
 
 def _pose(pose: Array, offset: NDArray[np.float64]) -> Pose:
-    message = Pose()
     x, y, z = (pose[:3] + rotation_matrix(pose[3:]) @ offset).tolist()
-    message.position = Point(x=x, y=y, z=z)
-    for axis, value in zip("xyzw", pose[3:].tolist(), strict=True):
-        setattr(message.orientation, axis, value)
-    return message
+    qx, qy, qz, qw = pose[3:].tolist()
+    return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))

@@ -7,13 +7,13 @@ Topics are created and removed with their obstacles. The markers include the pad
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 
+from cloth_sim_ros.ros.io.commands import CommandSubscriptions
 from cloth_sim_ros.ros.io.messages import wrench_message
 from cloth_sim_ros.ros.io.output import LATCHED_QOS, Output, RecordSink
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
@@ -38,20 +38,15 @@ class ObstacleTopics:
     Args:
         node: the node.
         simulation: the cloth.
-        subscribe: subscribes to the targets of the obstacles with given names, and of no others.
+        commands: subscribes to their targets.
         sink: records the published messages.
         log: receives warnings of stops and lags.
     """
 
     def __init__(
-        self,
-        node: Node,
-        simulation: Simulation,
-        subscribe: Callable[[list[str]], None],
-        sink: RecordSink,
-        log: ThrottledLog,
+        self, node: Node, simulation: Simulation, commands: CommandSubscriptions, sink: RecordSink, log: ThrottledLog
     ) -> None:
-        self._node, self._simulation, self._subscribe = node, simulation, subscribe
+        self._node, self._simulation, self._commands = node, simulation, commands
         self._sink, self._log = sink, log
         self._drawn: list[str] = []
         self._markers: ObstacleMarkers | None = None
@@ -156,7 +151,7 @@ class ObstacleTopics:
             return
         from cloth_sim_ros.ros.io.obstacle_markers import MarkerArray, ObstacleMarkers
 
-        self._subscribe(names)
+        self._commands.subscribe_obstacles(names)
         for name in names:
             if name not in self._wrenches:
                 self._wrenches[name] = Output(self._node, WrenchStamped, f"~/{name}/wrench", self._sink, droppable=True)

@@ -7,8 +7,6 @@ Messages are built only for subscribers or a recording, and serialized once for 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
@@ -16,6 +14,7 @@ from shape_msgs.msg import Mesh
 from visualization_msgs.msg import Marker
 
 from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.ros.io.commands import CommandSubscriptions
 from cloth_sim_ros.ros.io.messages import CloudMessage, SurfaceMarker, mesh_bytes, wrench_message
 from cloth_sim_ros.ros.io.obstacles import ObstacleTopics
 from cloth_sim_ros.ros.io.output import LATCHED_QOS, NEWEST_QOS, Output, RecordSink
@@ -101,25 +100,20 @@ class Outputs:
     Args:
         node: the node.
         simulation: the cloth.
+        commands: subscribes to the targets of obstacles.
         sink: records the messages.
         log: receives warnings of obstacles.
-        subscribe_obstacles: subscribes to the targets of the obstacles with given names, and of no others.
     """
 
     def __init__(
-        self,
-        node: Node,
-        simulation: Simulation,
-        sink: RecordSink,
-        log: ThrottledLog,
-        subscribe_obstacles: Callable[[list[str]], None],
+        self, node: Node, simulation: Simulation, commands: CommandSubscriptions, sink: RecordSink, log: ThrottledLog
     ) -> None:
         self._simulation = simulation
         self.cloth = ClothTopics(node, simulation.scene, sink)
         self.clock = ClothClock(node, sink)
         self.states = States(node, simulation, sink)
         self.transforms = TfBroadcaster(node, simulation, sink)
-        self.obstacles = ObstacleTopics(node, simulation, subscribe_obstacles, sink, log)
+        self.obstacles = ObstacleTopics(node, simulation, commands, sink, log)
         #: Steady time of the last frame that was due [s]; None before the first.
         self._last_published: float | None = None
 

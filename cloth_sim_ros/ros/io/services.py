@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 import time
-from contextlib import AbstractContextManager
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -20,8 +19,8 @@ from std_srvs.srv import SetBool, Trigger
 from cloth_sim_ros.ros.process.failure import FailureGuard
 from cloth_sim_ros.ros.recording.recording import RecordingUnavailableError
 from cloth_sim_ros.ros.recording.recording_control import RecordingControl
-from cloth_sim_ros.ros.timing.clock_pause import ClockPause
-from cloth_sim_ros.ros.timing.event_queue import EventQueue, EventResult, QueueFullError
+from cloth_sim_ros.ros.timing.event_queue import EventResult, QueueFullError
+from cloth_sim_ros.ros.timing.frame_timing import FrameTiming
 from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation.bodies.grippers import GraspResult
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, Step
@@ -38,26 +37,16 @@ class Services:
 
     Args:
         node: the node.
-        grippers: names of the grippers.
-        queue: receives the events.
-        clock_pause: knows whether the user paused the cloth.
+        timing: its stepper's queue receives the events.
         recording: starts and ends recordings, and saves states.
-        failure: gives the reason why only a reset is possible.
-        lock: protects the cloth; with several executor threads, services run concurrently with frames.
+        failure: gives the reason why only a reset is possible. Its lock protects the cloth: with several executor
+            threads, services run concurrently with frames.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        grippers: list[str],
-        queue: EventQueue,
-        clock_pause: ClockPause,
-        recording: RecordingControl,
-        failure: FailureGuard,
-        lock: AbstractContextManager[Any],
-    ) -> None:
-        self._node, self._grippers, self._queue, self._clock_pause = node, grippers, queue, clock_pause
-        self._recording, self._failure, self._lock = recording, failure, lock
+    def __init__(self, node: Node, timing: FrameTiming, recording: RecordingControl, failure: FailureGuard) -> None:
+        self._node, self._recording, self._failure, self._lock = node, recording, failure, failure.lock
+        self._queue, self._clock_pause = timing.stepper.queue, timing.clock_pause
+        self._grippers = timing.stepper.simulation.scene.gripper_names
         self._pending: list[tuple[float, Future]] = []
         #: Grippers whose pads are closing: name, start time [s], and the future of the result.
         self._closing: list[tuple[str, float, Future]] = []

@@ -101,20 +101,15 @@ class FrameTransformer:
     def _start_listener(self, frame_id: str) -> None:
         if self._buffer is not None:
             return
-        tf2_ros = None if self._is_tf2_missing else self._import()
-        if tf2_ros is None:
+        if not self._is_tf2_missing:
+            try:
+                import tf2_ros
+            except ImportError:
+                self._is_tf2_missing = True
+        if self._is_tf2_missing:
             raise FrameError(
                 f"'{frame_id}' is not the cloth's frame '{self._frame_id}', and tf2_ros, which would transform it, is "
                 f"not installed: sudo apt install ros-jazzy-tf2-ros-py, or give poses in '{self._frame_id}'"
             )
-        self._tf2 = tf2_ros
-        self._buffer = tf2_ros.Buffer()
+        self._tf2, self._buffer = tf2_ros, tf2_ros.Buffer()
         self._listener = tf2_ros.TransformListener(self._buffer, self._node)
-
-    def _import(self) -> Any:
-        try:
-            import tf2_ros
-        except ImportError:
-            self._is_tf2_missing = True
-            return None
-        return tf2_ros

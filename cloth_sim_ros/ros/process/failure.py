@@ -41,7 +41,7 @@ class FailureGuard:
     """
 
     def __init__(self, node: Node, stepper: Stepper, lock: AbstractContextManager[Any]) -> None:
-        self._node, self._stepper = node, stepper
+        self._node, self._stepper, self.lock = node, stepper, lock
         self._simulation, self._queue = stepper.simulation, stepper.queue
         #: Callbacks for a failure, by subject; each takes the reason and the ROS time of the frame [ns]. If one fails,
         #: the others still run.

@@ -20,7 +20,7 @@ from cloth_sim_ros.simulation.simulation import Frame, Simulation
 
 if TYPE_CHECKING:
     from cloth_sim_ros.scene.sections import RecordParameters as RecordSettings
-    from cloth_sim_ros.session.recorder import Recorder, RecorderOptions, RecorderStatus
+    from cloth_sim_ros.session.recorder import Recorder, RecorderStatus
     from cloth_sim_ros.session.writer import SessionSnapshot
 
 _NO_MEMORY = "no memory is left"
@@ -50,6 +50,8 @@ class SessionRecording:
         self, *, node_name: str, simulation: Simulation, settings: Callable[[], RecordSettings] | None = None
     ) -> None:
         self._node_name, self._simulation = node_name, simulation
+        #: Prefix of file names.
+        self._stem = node_name.strip("/").replace("/", "_")
         self._settings = settings or (lambda: simulation.scene.record)
         self._recorder: Recorder | None = None
         self._closing: Recorder | None = None
@@ -105,15 +107,19 @@ class SessionRecording:
     def _new_recorder(self, stamp: int) -> Recorder:
         self._check_libraries()
         from cloth_sim_ros.session.errors import RecordingError
-        from cloth_sim_ros.session.recorder import Recorder, session_stem
+        from cloth_sim_ros.session.recorder import Recorder, RecorderOptions, session_stem
+        from cloth_sim_ros.session.writer import WriterOptions
 
+        settings = self._settings()
+        compression: Any = settings.compression
+        writer = WriterOptions(compression=compression, min_free_space=settings.least_free_space)
         try:
             return Recorder(
-                _folder(self._settings()),
+                _folder(settings),
                 snapshot=self._snapshot(),
                 log_time=stamp,
-                stem=session_stem(self._stem(), datetime.datetime.now(datetime.UTC)),
-                options=self._options(),
+                stem=session_stem(self._stem, datetime.datetime.now(datetime.UTC)),
+                options=RecorderOptions(writer=writer, split_bytes=settings.split),
             )
         except RecordingError as error:
             raise RecordingUnavailableError(str(error)) from error
@@ -271,7 +277,7 @@ class SessionRecording:
 
         folder = _folder(self._settings())
         time_of_day = datetime.datetime.now(datetime.UTC)
-        stem, suffix = f"{self._stem()}_{time_of_day:%Y-%m-%dT%H-%M-%S.%f}", ".npz"
+        stem, suffix = f"{self._stem}_{time_of_day:%Y-%m-%dT%H-%M-%S.%f}", ".npz"
         try:
             data = self._simulation.state.to_bytes()
             make_folder(folder)
@@ -294,21 +300,6 @@ class SessionRecording:
                 f"cannot write {folder / stem}{suffix}: {reason}; set record.folder"
             ) from error
         return path
-
-    def _stem(self) -> str:
-        """Return the prefix of file names."""
-        return self._node_name.strip("/").replace("/", "_")
-
-    def _options(self) -> RecorderOptions:
-        from cloth_sim_ros.session.recorder import RecorderOptions
-        from cloth_sim_ros.session.writer import WriterOptions
-
-        record = self._settings()
-        writer = WriterOptions(
-            compression=record.compression,  # type: ignore[arg-type]
-            min_free_space=record.least_free_space,
-        )
-        return RecorderOptions(writer=writer, split_bytes=record.split)
 
     def _snapshot(self) -> SessionSnapshot:
         from cloth_sim_ros.session.writer import SessionSnapshot

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import attrs
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
@@ -48,23 +47,12 @@ def log_start(logger: RcutilsLogger, simulation: Simulation, *, follows_clock: b
         logger.warning(f"the cloth starts {recovery.describe()}")
 
 
-@attrs.define
-class LatestFrame:
-    """Outcome of the newest frame."""
-
-    #: The reason if time is stopped; otherwise empty.
-    failure: str = ""
-    #: Steps of the newest frame in which time advanced; None before the first.
-    advance: Advance | None = None
-
-
 class DiagnosticsCollector:
     """Collects level, summary and values for /diagnostics.
 
     Args:
         node: the node.
         simulation: the cloth.
-        latest: outcome of the newest frame.
         failure: knows whether the node is failed.
         timing: counts of frames, the user's pause, and the state of /clock.
         commands: counts of commands.
@@ -77,7 +65,6 @@ class DiagnosticsCollector:
         self,
         node: Node,
         simulation: Simulation,
-        latest: LatestFrame,
         *,
         failure: FailureGuard,
         timing: FrameTiming,
@@ -88,7 +75,11 @@ class DiagnosticsCollector:
     ) -> None:
         self._node = node
         self._simulation = simulation
-        self._latest, self._failure = latest, failure
+        self._failure = failure
+        #: The reason if time is stopped; otherwise empty.
+        self.trouble = ""
+        #: Steps of the newest frame in which time advanced; None before the first.
+        self.advance: Advance | None = None
         self._timing, self._tally, self._commands = timing, timing.tally, commands
         self._outputs, self._recording, self._additional = outputs, recording, additional
         self.gauge = StrainGauge(simulation.scene)
@@ -122,8 +113,8 @@ class DiagnosticsCollector:
         values = old_keys.add_old_keys(values, old_keys.DIAGNOSTICS)
         if self._failure.reason:
             return DiagnosticStatus.ERROR, f"failed: {self._failure.reason}", values
-        if self._latest.failure:
-            return DiagnosticStatus.ERROR, f"stopped: {self._latest.failure}", values
+        if self.trouble:
+            return DiagnosticStatus.ERROR, f"stopped: {self.trouble}", values
         if status is not None and status.state == "failed":
             return DiagnosticStatus.ERROR, f"recording failed: {status.error}", values
         clock = self._timing.describe_clock()
@@ -140,7 +131,7 @@ class DiagnosticsCollector:
         return DiagnosticStatus.OK, "running", values
 
     def _describe_motion(self, has_consumers: bool) -> dict[str, str]:
-        advance = self._latest.advance
+        advance = self.advance
         strain = self.gauge.largest(self._simulation.state.x) if has_consumers else None
         energy = self._simulation.energy_report
         values = {

@@ -18,7 +18,7 @@ from cloth_sim_ros.ros.recording.recording import SessionRecording
 from cloth_sim_ros.ros.reporting.diagnostics import PERIOD, DiagnosticsPublisher
 from cloth_sim_ros.ros.reporting.gripper_speed import GripperSpeedMonitor
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
-from cloth_sim_ros.ros.reporting.report import DiagnosticsCollector, LatestFrame
+from cloth_sim_ros.ros.reporting.report import DiagnosticsCollector
 from cloth_sim_ros.ros.timing.frame_timing import FrameTiming
 from cloth_sim_ros.simulation.events import SetParameters
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
@@ -57,14 +57,12 @@ class Reporting:
         self.performance = PerformanceEstimator(simulation, node.get_logger())
         self.accuracy = AccuracySwitch(simulation, log)
         self._gripper_speed = GripperSpeedMonitor(simulation, log)
-        self._latest = LatestFrame()
         #: Integrator, reason and step limit of the last frame that was logged at DEBUG.
         self._choice: tuple[str, str, str] | None = None
         sources = (timing.governor, self.performance, self.accuracy, outputs.obstacles)
         self.collector = DiagnosticsCollector(
             node,
             simulation,
-            self._latest,
             failure=failure,
             timing=timing,
             commands=inputs.commands,
@@ -85,11 +83,11 @@ class Reporting:
 
     def observe(self, frame: Frame, trouble: str) -> None:
         """Take a frame, and the reason if time is stopped, before the frame is published."""
-        if trouble and not self._latest.failure:
+        if trouble and not self.collector.trouble:
             self._node.get_logger().error(
                 f"time is stopped: {trouble}; set other parameters or call ~/reset, then ~/pause false"
             )
-        self._latest.failure = trouble
+        self.collector.trouble = trouble
         self.accuracy.after_frame(frame)
         self._gripper_speed.check()
         self._parameters_changed |= any(isinstance(event, SetParameters) for event in frame.events)
@@ -100,7 +98,7 @@ class Reporting:
         if self.log.debugging:
             self._log_details(frame)
         self._outputs.obstacles.log_recovery(frame)
-        self._latest.advance = frame.advance or self._latest.advance
+        self.collector.advance = frame.advance or self.collector.advance
 
     def update(self) -> None:
         """Publish diagnostics if they are due. No timer of its own: the executor would check it in each spin."""

@@ -30,7 +30,7 @@ class FrameTiming:
 
     def __init__(self, node: SimTimeNode, stepper: Stepper, log: ThrottledLog, *, in_timer_thread: bool) -> None:
         simulation = stepper.simulation
-        self._node, self._in_timer_thread, self._rate = node, in_timer_thread, simulation.scene.rate
+        self._node, self._in_timer_thread, self.stepper = node, in_timer_thread, stepper
         #: True if frames are due by /clock, false if by wall time.
         self.follows_clock = bool(node.get_parameter(SIM_TIME).value)
         self.clock_pause = ClockPause(simulation, stepper.queue)
@@ -57,10 +57,11 @@ class FrameTiming:
             on_jump_back: takes the times of /clock before and after it went back [ns].
             on_jump_forward: takes the number of frames that a jump of /clock skipped.
         """
+        rate = self.stepper.simulation.scene.rate
         if self.follows_clock:
             self.pacer = ClockPacer(
                 self._node,
-                rate=self._rate,
+                rate=rate,
                 on_tick=on_tick,
                 is_drained=is_drained,
                 on_jump_back=on_jump_back,
@@ -69,7 +70,11 @@ class FrameTiming:
         else:
             in_timer_thread = self._in_timer_thread
             self.pacer = WallPacer(
-                self._node, rate=self._rate, on_tick=on_tick, is_drained=is_drained, in_timer_thread=in_timer_thread
+                self._node,
+                rate=rate,
+                on_tick=on_tick,
+                is_drained=is_drained,
+                in_timer_thread=in_timer_thread,
             )
         self.tally.begin()
         self.pacer.start()
