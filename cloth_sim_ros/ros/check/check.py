@@ -97,7 +97,9 @@ def check(path: str, *, node: str) -> int:
         print(sentence)
     _print_cloth(scene, simulation)
     limiters = find_step_limiters(simulation.plan, simulation.state.x)
-    _print_forecast(simulation, cost)
+    estimator = PerformanceEstimator(simulation, _PrintLog())
+    estimator.calibrate(cost)
+    estimator.report()
     _print_trial(Simulation(scene))
     for line in describe_step_limiters(limiters, scene.sheet):
         print(line)
@@ -143,12 +145,6 @@ def _print_obstacles(scene: Scene, obstacles: Obstacles) -> None:
             f"obstacle '{solid.name}': {solid.shape}{size}, friction {at_rest:g} at rest and {moving:g} in motion; the "
             f"nearest particle, {particle}, starts {gap:.3g} m away; it pushes from {scene.contact.thickness:g} m on"
         )
-
-
-def _print_forecast(simulation: Simulation, cost: float | None) -> None:
-    estimator = PerformanceEstimator(simulation, _PrintLog())
-    estimator.calibrate(cost)
-    estimator.report()
 
 
 def _print_trial(simulation: Simulation) -> None:

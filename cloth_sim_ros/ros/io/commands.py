@@ -83,7 +83,7 @@ class CommandSubscriptions:
         """Subscribe to the topics of the grippers. From then on every matched publisher is served."""
         for gripper in self._grippers:
             for leaf, kind, qos, on_message in (
-                ("target", PoseStamped, TARGET_QOS, self._target),
+                ("target", PoseStamped, TARGET_QOS, functools.partial(self._pose, Target)),
                 ("point", PointStamped, TARGET_QOS, self._point),
                 ("grasp", Bool, GRASP_QOS, self._grasp),
             ):
@@ -97,7 +97,8 @@ class CommandSubscriptions:
         for name in names:
             if name not in self._obstacles:
                 self._gates[name] = StampGate()
-                self._obstacles[name] = self._create_subscription(name, "target", PoseStamped, TARGET_QOS, self._move)
+                move = functools.partial(self._pose, Move)
+                self._obstacles[name] = self._create_subscription(name, "target", PoseStamped, TARGET_QOS, move)
 
     def _create_subscription(
         self, name: str, leaf: str, kind: Any, qos: QoSProfile, on_message: Callable[[str, Any, int], None]
@@ -187,17 +188,13 @@ class CommandSubscriptions:
             reason = f"it{reason.removeprefix(subject)}"
         self._log.warn(f"{leaf} {name} {kind}", f"{leaf} of '{name}' is refused: {reason}")
 
-    def _target(self, gripper: str, message: PoseStamped, now: int) -> None:
+    def _pose(self, kind: type[Target | Move], name: str, message: PoseStamped, now: int) -> None:
         p, q = message.pose.position, message.pose.orientation
-        self._queue_target(Target(gripper, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)), message.header, now)
+        self._queue_target(kind(name, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)), message.header, now)
 
     def _point(self, gripper: str, message: PointStamped, now: int) -> None:
         p = message.point
         self._queue_target(Target(gripper, (p.x, p.y, p.z)), message.header, now)
-
-    def _move(self, obstacle: str, message: PoseStamped, now: int) -> None:
-        p, q = message.pose.position, message.pose.orientation
-        self._queue_target(Move(obstacle, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)), message.header, now)
 
     def _queue_target(self, event: Target | Move, header: Any, now: int) -> None:
         stamp = checked(header.stamp.sec, header.stamp.nanosec)

@@ -34,7 +34,6 @@ class ObstacleMarkers:
     """
 
     def __init__(self, solids: Sequence[Obstacle], *, frame_id: str, node: str, removed: Sequence[str] = ()) -> None:
-        self._frame_id = frame_id
         #: For each marker: index of its obstacle, the marker, and its position in the obstacle's frame [m].
         self._parts: list[tuple[int, Marker, NDArray[np.float64]]] = []
         for k, solid in enumerate(solids):

@@ -125,7 +125,9 @@ class SceneNode(SimTimeNode):
         for parameter in parameter_list:
             bounds = self.entries.get(parameter.name)
             if bounds is not None and bounds.kind == "double" and bounds.excludes_min and parameter.value == bounds.min:
-                return SetParametersResult(successful=False, reason=_reason(bounds, parameter.value))
+                refused = Faults()
+                refused.collect(partial(bounds.check, parameter.value))
+                return SetParametersResult(successful=False, reason="; ".join(refused.sentences))
         self.declaring = True
         try:
             for entry in new:
@@ -137,12 +139,6 @@ class SceneNode(SimTimeNode):
             for entry in new:
                 self.undeclare_parameter(entry.name)
         return result
-
-
-def _reason(entry: Parameter, value: Any) -> str:
-    refused = Faults()
-    refused.collect(partial(entry.check, value))
-    return "; ".join(refused.sentences)
 
 
 def declare(node: Node) -> Scene:

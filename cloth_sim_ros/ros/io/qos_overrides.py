@@ -19,11 +19,6 @@ OPTIONS = QoSOverridingOptions([QoSPolicyKind[policy.upper()] for policy in POLI
 _ENUMS: dict[str, Any] = {"reliability": ReliabilityPolicy, "history": HistoryPolicy, "durability": DurabilityPolicy}
 
 
-def override_names(node: Node, topic: str, *, endpoint_kind: str = PUBLISHER) -> list[str]:
-    """Return the names of the override parameters of a topic's publisher or subscription, after remapping."""
-    return [Override(node.resolve_topic_name(topic), endpoint_kind, policy).name for policy in POLICIES]
-
-
 def overridden_profile(node: Node, topic: str, qos: QoSProfile, *, endpoint_kind: str = PUBLISHER) -> QoSProfile:
     """Return a new profile of a topic with its overrides; rclpy would write them into the object that it is given.
 
@@ -38,12 +33,11 @@ def overridden_profile(node: Node, topic: str, qos: QoSProfile, *, endpoint_kind
     Raises:
         ParameterError: names each invalid parameter, its value and the allowed ones.
     """
-    names = override_names(node, topic, endpoint_kind=endpoint_kind)
-    overrides = {
-        policy: (name, node.get_parameter(name).value)
-        for policy, name in zip(POLICIES, names, strict=True)
-        if node.has_parameter(name)
-    }
+    overrides: dict[str, tuple[str, Any]] = {}
+    for policy in POLICIES:
+        name = Override(node.resolve_topic_name(topic), endpoint_kind, policy).name
+        if node.has_parameter(name):
+            overrides[policy] = name, node.get_parameter(name).value
     defaults = {"reliability": qos.reliability.name.lower(), "durability": qos.durability.name.lower()}
     refused = Faults()
     refused.add(faults(dict(overrides.values()), defaults))

@@ -84,10 +84,8 @@ class TfFollower:
         if name in self._last_motion:
             # The clock may have been set back since.
             self._last_motion[name] = min(self._last_motion[name], now)
-        latest = max(
-            (time for time in (self._last_target_time(name), self._last_motion.get(name)) if time is not None),
-            default=None,
-        )
+        times = (self._last_target_time(name), self._last_motion.get(name))
+        latest = max((time for time in times if time is not None), default=None)
         if not scene.gripper.timeout or latest is None or not self._simulation.grippers.is_closed(index):
             return []
         silence = (now - latest) * 1e-9

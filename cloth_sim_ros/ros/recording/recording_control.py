@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+import attrs
 from rclpy.node import Node
 
 from cloth_sim_ros.ros.recording.recording import (
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from cloth_sim_ros.session.recorder_options import RecorderStatus
 
 
+@attrs.define(eq=False)
 class RecordingControl:
     """Starts and ends the recordings of one node.
 
@@ -32,20 +34,14 @@ class RecordingControl:
         refusal: returns why no recording may start; empty if one may.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        session: SessionRecording,
-        rosout: RosoutRecorder,
-        *,
-        record_latched: Callable[[int], None],
-        refusal: Callable[[], str],
-    ) -> None:
-        self._node, self.session, self._rosout = node, session, rosout
-        self._record_latched, self._refusal = record_latched, refusal
-        self._resumes = False
-        #: True if the file holds everything recorded; None before `end`.
-        self.saved: bool | None = None
+    _node: Node
+    session: SessionRecording
+    _rosout: RosoutRecorder
+    _record_latched: Callable[[int], None]
+    _refusal: Callable[[], str]
+    _resumes: bool = attrs.field(default=False, init=False)
+    #: True if the file holds everything recorded; None before `end`.
+    saved: bool | None = attrs.field(default=None, init=False)
 
     def begin_with_node(self, now: int) -> None:
         """Start a recording with the node at a ROS time [ns], and wait for its file.
