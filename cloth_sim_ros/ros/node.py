@@ -89,16 +89,7 @@ class ClothNode:
         )
         self.inputs = Inputs(self.node, self.timing, self.failure, self.recording, log)
         self.outputs = Outputs(self.node, simulation, self.inputs.commands, session, log)
-        self.reporting = Reporting(
-            self.node,
-            simulation,
-            log,
-            failure=self.failure,
-            timing=self.timing,
-            inputs=self.inputs,
-            outputs=self.outputs,
-            recording=session,
-        )
+        self.reporting = Reporting(self.node, log, self.failure, self.timing, self.inputs, self.outputs, session)
         self.failure.reports = {
             "recording": lambda *_: session.discard(),
             "parameters": lambda *_: self.inputs.parameters.return_to(simulation.scene),

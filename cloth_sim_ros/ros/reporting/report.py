@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
+from typing import Protocol
 
+import attrs
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
@@ -47,6 +49,14 @@ def log_start(logger: RcutilsLogger, simulation: Simulation, *, follows_clock: b
         logger.warning(f"the cloth starts {recovery.describe()}")
 
 
+class DiagnosticsSource(Protocol):
+    """A part with entries in the diagnostics."""
+
+    def describe(self) -> dict[str, str]:
+        """Return the entries."""
+
+
+@attrs.define(eq=False)
 class DiagnosticsCollector:
     """Collects level, summary and values for /diagnostics.
 
@@ -58,48 +68,42 @@ class DiagnosticsCollector:
         commands: counts of commands.
         outputs: counts of clouds.
         recording: the recording.
-        additional: returns further values by name.
+        sources: describe themselves by further values.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        simulation: Simulation,
-        *,
-        failure: FailureGuard,
-        timing: FrameTiming,
-        commands: CommandSubscriptions,
-        outputs: ClothTopics,
-        recording: SessionRecording,
-        additional: Callable[[], dict[str, str]],
-    ) -> None:
-        self._node = node
-        self._simulation = simulation
-        self._failure = failure
-        #: The reason if time is stopped; otherwise empty.
-        self.trouble = ""
-        #: Steps of the newest frame in which time advanced; None before the first.
-        self.advance: Advance | None = None
-        self._timing, self._tally, self._commands = timing, timing.tally, commands
-        self._outputs, self._recording, self._additional = outputs, recording, additional
-        self.gauge = StrainGauge(simulation.scene)
-        self._has_duplicates = False
+    _node: Node
+    _simulation: Simulation
+    _failure: FailureGuard
+    _timing: FrameTiming
+    _commands: CommandSubscriptions
+    _outputs: ClothTopics
+    _recording: SessionRecording
+    _sources: Sequence[DiagnosticsSource]
+    #: The reason if time is stopped; otherwise empty.
+    trouble: str = attrs.field(default="", init=False)
+    #: Steps of the newest frame in which time advanced; None before the first.
+    advance: Advance | None = attrs.field(default=None, init=False)
+    gauge: StrainGauge = attrs.field(init=False)
+    _has_duplicates: bool = attrs.field(default=False, init=False)
+
+    def __attrs_post_init__(self) -> None:
+        self.gauge = StrainGauge(self._simulation.scene)
 
     def __call__(self, has_consumers: bool = True) -> DiagnosticsReport:
         """Return the present report; the strain is measured only if a subscriber or a recording takes the report."""
         period = self._simulation.scene.period
-        rates = self._tally.report(period)
+        rates = self._timing.tally.report(period)
         values = {
             "frame": str(self._simulation.frame),
             "simulated_time": f"{self._simulation.time:.6f}",
             "paused": str(self._timing.clock_pause.user_paused).lower(),
             "real_time_factor": f"{rates['real_time_factor']:.4f}",
-            "real_time_factor_overall": f"{self._tally.overall_factor(period):.4f}",
-            "late_frames": str(self._tally.late),
+            "real_time_factor_overall": f"{self._timing.tally.overall_factor(period):.4f}",
+            "late_frames": str(self._timing.tally.late),
             "load": f"{rates['load']:.4f}",
             "longest_frame_ms": f"{rates['longest'] * 1e3:.3f}",
             **self._describe_motion(has_consumers),
-            **self._additional(),
+            **{name: value for source in self._sources for name, value in source.describe().items()},
             "commands_received": str(self._commands.received),
             "commands_refused": str(self._commands.refused),
             "commands_stale": str(self._commands.outdated),

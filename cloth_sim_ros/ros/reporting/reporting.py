@@ -21,7 +21,7 @@ from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.ros.reporting.report import DiagnosticsCollector
 from cloth_sim_ros.ros.timing.frame_timing import FrameTiming
 from cloth_sim_ros.simulation.events import SetParameters
-from cloth_sim_ros.simulation.simulation import Frame, Simulation
+from cloth_sim_ros.simulation.simulation import Frame
 
 #: Period of the node's maintenance [s]; also the longest time until a signal is noticed.
 MAINTENANCE_PERIOD = 0.25
@@ -32,10 +32,9 @@ class Reporting:
 
     Args:
         node: the node.
-        simulation: the cloth.
         log: the node's throttled log.
         failure: knows whether the node is failed.
-        timing: knows the node's load, its late frames and its clock.
+        timing: has the cloth, and knows the node's load, its late frames and its clock.
         inputs: counts commands.
         outputs: counts clouds, and describes obstacles.
         recording: records the diagnostics.
@@ -44,16 +43,15 @@ class Reporting:
     def __init__(
         self,
         node: Node,
-        simulation: Simulation,
         log: ThrottledLog,
-        *,
         failure: FailureGuard,
         timing: FrameTiming,
         inputs: Inputs,
         outputs: Outputs,
         recording: SessionRecording,
     ) -> None:
-        self._node, self._inputs, self._outputs, self.log = node, inputs, outputs, log
+        simulation = timing.stepper.simulation
+        self._node, self.log, self._failure, self._inputs, self._outputs = node, log, failure, inputs, outputs
         self.performance = PerformanceEstimator(simulation, node.get_logger())
         self.accuracy = AccuracySwitch(simulation, log)
         self._gripper_speed = GripperSpeedMonitor(simulation, log)
@@ -61,17 +59,9 @@ class Reporting:
         self._choice: tuple[str, str, str] | None = None
         sources = (timing.governor, self.performance, self.accuracy, outputs.obstacles)
         self.collector = DiagnosticsCollector(
-            node,
-            simulation,
-            failure=failure,
-            timing=timing,
-            commands=inputs.commands,
-            outputs=outputs.cloth,
-            recording=recording,
-            additional=lambda: {name: value for source in sources for name, value in source.describe().items()},
+            node, simulation, failure, timing, inputs.commands, outputs.cloth, recording, sources
         )
         self.diagnostics = DiagnosticsPublisher(node, recording, self.collector)
-        self._failure = failure
         self._next_report_time = time.monotonic()
         self._parameters_changed = False
 
