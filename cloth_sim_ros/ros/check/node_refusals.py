@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,13 +29,12 @@ def refuse_values(values: Mapping[str, Any]) -> None:
         ParameterError: names each fault.
     """
     empty = [name for name, value in values.items() if value == [] and isinstance(value, list)]
-    present = {name: value for name, value in values.items() if name not in empty}
     refused = Faults()
     refused.add(empty_lists(empty, values))
-    follows = present.get(_SIM_TIME, False)
-    if not isinstance(follows, bool):
+    follows = values.get(_SIM_TIME, False)
+    if not isinstance(follows, bool) and _SIM_TIME not in empty:
         refused.add([f"{_SIM_TIME} is {follows!r}; it must be true or false, without quotes"])
-    check_values(present, refused)
+    check_values(values, refused, empty)
     refused.refuse()
 
 
@@ -50,12 +49,23 @@ def empty_lists(empty: Iterable[str], values: Iterable[str]) -> Iterator[str]:
 
 
 def check_values(
-    values: Mapping[str, Any], refused: Faults, convert: Callable[[Any], Any] = lambda value: value
+    values: Mapping[str, Any],
+    refused: Faults,
+    empty: Collection[str] = (),
+    *,
+    convert: Callable[[Any], Any] = lambda value: value,
 ) -> dict[str, Any]:
-    """Return the converted values of the scene's parameters among given ones, and add the faults of all."""
+    """Return the converted values of the scene's parameters among given ones, and add the faults of all.
+
+    Args:
+        values: parameters by full name.
+        refused: receives the faults.
+        empty: names of parameters of the scene that are not checked.
+        convert: converts a value before its check.
+    """
     checked: dict[str, Any] = {}
     for entry in Scene.declared_for(values):
-        if entry.name in values:
+        if entry.name in values and entry.name not in empty:
             checked[entry.name] = refused.collect(partial(entry.check, convert(values[entry.name])))
     refused.add(frame_ids.faults(values))
     refused.add(qos_rules.faults(values))

@@ -93,7 +93,9 @@ class SceneNode(SimTimeNode):
             refused.collect(lambda: check_sim_time(overrides[SIM_TIME]))
         if refused:
             # Include the faults that `declare` would find, so that one start reports all of them.
-            check_values({name: value for name, value in overrides.items() if value is not None}, refused, _plain)
+            check_values(
+                {name: value for name, value in overrides.items() if value is not None}, refused, convert=_plain
+            )
         refused.refuse()
         return super().declare_parameters(namespace, listed, *arguments, **options)
 
@@ -150,7 +152,7 @@ def declare(node: Node) -> Scene:
     overrides = {name: node.get_parameter(name).value for name in node.list_parameters([], 0).names}
     refused = Faults()
     # The override was declared with any type; the check here gives a message with the remedy.
-    values = check_values(overrides, refused, _plain)
+    values = check_values(overrides, refused, convert=_plain)
     refused.refuse()
     for name in values:
         node.undeclare_parameter(name)
