@@ -244,6 +244,7 @@ def test_split_recording_comes_out_the_same(ros_domain: int, tmp_path: Path) -> 
     values = {**SCENE, "record.enabled": True, "record.folder": str(tmp_path), "record.split": 20_000}
     with Client() as client, ClockedCloth(client, values) as cloth:
         act(cloth)
+        # Private: nothing but the recorder itself knows its bytes before the next frame splits the file.
         recorder = cloth.node.recording.session._recorder
         assert recorder is not None
         client.spin_until(lambda: recorder.wants_split, description="the file to be large enough")

@@ -2,6 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Topics, services, parameters and transforms of the node.
 
-A message is checked and becomes an event; a frame becomes messages. No physics happens here. Begin with `commands`
+A message is checked and becomes an event; a frame becomes messages. No physics happens here. Begin with `inputs`
 and `outputs`.
 """

@@ -2,5 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recording of the node into a session, and initial states from recorded sessions.
 
-A session survives a kill at any byte. Without a recording no module of sessions is imported. Begin with `recording`.
+A session survives a kill at any byte. Without a recording no module of sessions is imported. Begin with
+`recording_control`.
 """

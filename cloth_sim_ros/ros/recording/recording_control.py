@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recording part of the node: starts and ends recordings by node, ~/record and failure."""
+"""Recording part of the node: start and end of its recordings."""
 
 from __future__ import annotations
 

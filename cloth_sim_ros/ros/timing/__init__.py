@@ -2,5 +2,5 @@
 # SPDX-License-Identifier: Apache-2.0
 """Timing of the node: pacers, clocks, deadlines and the tolerance governor.
 
-Wall time decides when a frame is computed, never its content. Begin with `pacer` and `stepper`.
+Wall time decides when a frame is computed, never its content. Begin with `frame_timing` and `stepper`.
 """

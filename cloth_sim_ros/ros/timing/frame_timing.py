@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Timing part of the node: when frames are due, and how late they are."""
+"""Timing part of the node: pacer, pauses, deadlines and tolerance governor."""
 
 from __future__ import annotations
 
