@@ -214,7 +214,7 @@ class ClothNode:
         if self.stepper.refused_parameters:
             self.inputs.return_parameters(self.stepper.refused_parameters)
         self.reporting.observe(frame, self.stepper.trouble)
-        if self.outputs.is_due(frame, start):
+        if self.outputs.must_publish(frame, start):
             self.recording.session.add_frame(frame, tick.stamp)
             self.outputs.send(frame, tick.stamp)
         self.recording.session.commit()

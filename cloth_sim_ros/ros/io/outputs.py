@@ -122,7 +122,7 @@ class Outputs:
         self.cloth.start(stamp)
         self.obstacles.start(stamp)
 
-    def is_due(self, frame: Frame, now: float) -> bool:
+    def must_publish(self, frame: Frame, now: float) -> bool:
         """Return true if a frame is to be published at a steady time [s]: if it differs, or once a second."""
         is_recent = self._last_published is not None and now - self._last_published < _PAUSED_PERIOD
         if not frame.moved and not frame.events and is_recent:
