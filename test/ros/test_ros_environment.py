@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from cloth_sim_ros.ros.process.environment_checks import EnvironmentFaultError, check_environment, explain
+from cloth_sim_ros.ros.process.arguments import ArgumentsError, check_environment, explain
 
 COMMANDS = {"cloth_sim": "cloth_sim_ros.ros.main", "cloth_gripper": "cloth_sim_ros.ros.gripper_main"}
 ROOT = Path(__file__).resolve().parents[2]
@@ -47,11 +47,11 @@ def test_missing_log_folder_is_created(tmp_path: Path) -> None:
 def test_security_without_keystore_gives_one_sentence(tmp_path: Path) -> None:
     log = {"ROS_LOG_DIR": str(tmp_path)}
     secure = {**log, "ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
-    with pytest.raises(EnvironmentFaultError, match="ROS_SECURITY_KEYSTORE is not set"):
+    with pytest.raises(ArgumentsError, match="ROS_SECURITY_KEYSTORE is not set"):
         check_environment(secure, [])
     keys = tmp_path / "keys"
     with_keys = {**secure, "ROS_SECURITY_KEYSTORE": str(keys)}
-    with pytest.raises(EnvironmentFaultError, match="there is no enclave '/towel', which would be in "):
+    with pytest.raises(ArgumentsError, match="there is no enclave '/towel', which would be in "):
         check_environment(with_keys, ["cloth_sim", "--ros-args", "--enclave", "/towel"])
     (keys / "enclaves" / "towel").mkdir(parents=True)
     check_environment(with_keys, ["cloth_sim", "--ros-args", "--enclave", "/towel"])

@@ -1,22 +1,26 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Command lines that mix ROS arguments and the package's own."""
+"""Start of rclpy with the ROS arguments of a command line, in an environment where it can start."""
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-from cloth_sim_ros.ros.process.environment_checks import EnvironmentFaultError, check_environment, explain
+_SECURE = "ROS_SECURITY_ENABLE"
+_UNSET = f"or unset {_SECURE}"
 
 
 class ArgumentsError(ValueError):
-    """ROS arguments that rclpy can't read; the message names them."""
+    """ROS arguments that rclpy can't read, or an environment in which no node can start; the message says why."""
 
 
 def read_and_start(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argparse.Namespace:
@@ -30,8 +34,6 @@ def read_and_start(parser: argparse.ArgumentParser, argv: Sequence[str]) -> argp
         options = parser.parse_args(remove_ros_args(list(argv))[1:])
         check_environment(os.environ, argv)
         rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
-    except EnvironmentFaultError as error:
-        raise ArgumentsError(str(error)) from error
     except RuntimeError as error:
         raise ArgumentsError(readable(error)) from error
     return options
@@ -42,3 +44,69 @@ def readable(error: Exception) -> str:
     parts = [part for part in str(error).replace("\n", ", ").split(", at ") if not part.startswith(("/", "./"))]
     message = ", at ".join(parts).strip() if parts else str(error)
     return explain(message) or message
+
+
+def check_environment(environment: Mapping[str, str], arguments: Sequence[str]) -> None:
+    """Refuse an environment in which rclpy can't start.
+
+    With security, the RuntimeWarning that accompanies an error known to `explain` is switched off.
+
+    Args:
+        environment: environment variables by name.
+        arguments: the command line, ROS arguments included.
+
+    Raises:
+        ArgumentsError: names the variable and the remedy.
+    """
+    if "--disable-external-lib-logs" not in arguments:
+        _check_log_folder(environment)
+    if environment.get(_SECURE) != "true":
+        return
+    warnings.filterwarnings("ignore", "Failed to fini rosout publisher", RuntimeWarning)
+    if environment.get("ROS_SECURITY_STRATEGY") == "Enforce":
+        _check_keystore(environment, arguments)
+
+
+def explain(message: str) -> str:
+    """Return one sentence for an rclpy error that the environment causes; empty for other errors."""
+    if "security libraries" in message:
+        return (
+            f"{_SECURE} is true, and the Fast DDS of this environment was built without security, as ROS's wheels on "
+            f"PyPI are: use the distribution's packages, {_UNSET}"
+        )
+    if "failed to initialize logging" in message:
+        return f"{message}: set ROS_LOG_DIR to a folder that can be written"
+    return ""
+
+
+def _check_log_folder(environment: Mapping[str, str]) -> None:
+    """Refuse a log folder that can't be created or written; its name follows rcl's rules."""
+    remedy = "set ROS_LOG_DIR to a folder that can be written"
+    named = environment.get("ROS_LOG_DIR") or f"{environment.get('ROS_HOME') or '~/.ros'}/log"
+    if named.startswith("~") and not environment.get("HOME"):
+        raise ArgumentsError(f"HOME is not set, so the log has no folder {named}: {remedy}")
+    folder = Path(environment["HOME"] + named.removeprefix("~")) if named.startswith("~") else Path(named)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ArgumentsError(f"the log's folder {folder} can't be made, {error.strerror}: {remedy}") from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise ArgumentsError(f"the log's folder {folder} can't be written: {remedy}")
+
+
+def _check_keystore(environment: Mapping[str, str], arguments: Sequence[str]) -> None:
+    """Refuse a keystore without the node's enclave if only secured nodes may start."""
+    keystore = environment.get("ROS_SECURITY_KEYSTORE", "")
+    if not keystore:
+        raise ArgumentsError(
+            f"{_SECURE} is true and ROS_SECURITY_STRATEGY is Enforce, but ROS_SECURITY_KEYSTORE is not set: set it to "
+            f"the folder that 'ros2 security create_keystore' made, {_UNSET}"
+        )
+    argument = dict(itertools.pairwise(arguments)).get("--enclave", "/")
+    enclave = environment.get("ROS_SECURITY_ENCLAVE_OVERRIDE") or argument
+    folder = Path(keystore) / "enclaves" / enclave.strip("/")
+    if not folder.is_dir():
+        raise ArgumentsError(
+            f"ROS_SECURITY_STRATEGY is Enforce, and there is no enclave '{enclave}', which would be in {folder}: make "
+            f"it by 'ros2 security create_enclave {keystore} {enclave}', name another by --enclave, {_UNSET}"
+        )
