@@ -13,8 +13,8 @@ from support.line_log import LineLog
 
 from cloth_sim_ros import Scene, Simulation
 from cloth_sim_ros.ros.io.obstacles import ObstacleTopics
-from cloth_sim_ros.ros.reporting.first_contact import FirstContact
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
+from cloth_sim_ros.ros.timing.deadline_monitor import FirstContact
 
 FALLING: dict[str, Any] = {
     "cloth.resolution": [5, 5],

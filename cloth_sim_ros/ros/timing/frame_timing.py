@@ -7,10 +7,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from cloth_sim_ros.ros.reporting.diagnostics import FrameTally
-from cloth_sim_ros.ros.reporting.first_contact import FirstContact
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.ros.timing.clock_pause import ClockPause
-from cloth_sim_ros.ros.timing.deadline_monitor import DeadlineMonitor
+from cloth_sim_ros.ros.timing.deadline_monitor import DeadlineMonitor, FirstContact
 from cloth_sim_ros.ros.timing.pacer import ClockPacer, FrameTick, WallPacer
 from cloth_sim_ros.ros.timing.sim_time import SIM_TIME, SimTimeNode
 from cloth_sim_ros.ros.timing.stepper import Stepper
@@ -68,13 +67,8 @@ class FrameTiming:
                 on_jump_forward=on_jump_forward,
             )
         else:
-            in_timer_thread = self._in_timer_thread
             self.pacer = WallPacer(
-                self._node,
-                rate=rate,
-                on_tick=on_tick,
-                is_drained=is_drained,
-                in_timer_thread=in_timer_thread,
+                self._node, rate=rate, on_tick=on_tick, is_drained=is_drained, in_timer_thread=self._in_timer_thread
             )
         self.tally.begin()
         self.pacer.start()
