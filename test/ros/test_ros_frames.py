@@ -13,8 +13,7 @@ import pytest
 from support.line_log import LineLog
 
 from cloth_sim_ros import Grasp, Scene, Simulation, Target
-from cloth_sim_ros.ros.io.tf_follower import TfFollower
-from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer
+from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer, TfFollower
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.simulation.events import Move
 

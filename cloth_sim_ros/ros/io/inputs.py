@@ -12,8 +12,7 @@ from cloth_sim_ros.ros.check.feasibility import check_feasibility
 from cloth_sim_ros.ros.io.commands import CommandSubscriptions
 from cloth_sim_ros.ros.io.parameters import LiveParameters
 from cloth_sim_ros.ros.io.services import Services
-from cloth_sim_ros.ros.io.tf_follower import TfFollower
-from cloth_sim_ros.ros.io.tf_frames import FrameTransformer
+from cloth_sim_ros.ros.io.tf_frames import FrameTransformer, TfFollower
 from cloth_sim_ros.ros.process.failure import FailureGuard
 from cloth_sim_ros.ros.recording.recording_control import RecordingControl
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
