@@ -166,11 +166,8 @@ def _print_trial(simulation: Simulation) -> None:
         return
     steps = statistics.median(advance.steps for advance in advances)
     print(f"integrator: {advances[-1].integrator}, {steps:g} steps a frame; {advances[-1].reason}")
-    median, longest, factor = (
-        statistics.median(frame_times),
-        max(frame_times),
-        len(frame_times) * period / sum(frame_times),
-    )
+    median, longest = statistics.median(frame_times), max(frame_times)
+    factor = len(frame_times) * period / sum(frame_times)
     frames = pluralize(len(frame_times), "frame")
     print(
         f"tried here: the first {frames} took {median * 1e3:.3g} ms of {period * 1e3:.3g} ms each "

@@ -45,10 +45,8 @@ def unknown_sentences(
     single = [name for name in unknown if name not in grouped]
     if resolve is None:
         single = [name for name in single if not name.startswith(QOS_PREFIX)]
-    return [
-        *(_of_dump(owner, len(overrides), node) for owner, overrides in dumps.items()),
-        *_of_names(single, declared),
-    ]
+    of_dumps = [_of_dump(owner, len(overrides), node) for owner, overrides in dumps.items()]
+    return of_dumps + _of_names(single, declared)
 
 
 def _of_dump(owner: str, count: int, node: str) -> str:

@@ -40,18 +40,10 @@ class CloudMessage:
         names = ("x", "y", "z", "vx", "vy", "vz") if velocity else ("x", "y", "z")
         length, datatype = (8, PointField.FLOAT64) if double else (4, PointField.FLOAT32)
         size = length * len(names)
-        message = PointCloud2(
-            height=height,
-            width=width,
-            fields=[
-                PointField(name=name, offset=length * index, datatype=datatype, count=1)
-                for index, name in enumerate(names)
-            ],
-            is_bigendian=False,
-            point_step=size,
-            row_step=size * width,
-            is_dense=True,
-        )
+        message = PointCloud2(height=height, width=width, point_step=size, row_step=size * width, is_dense=True)
+        message.fields = [
+            PointField(name=name, offset=length * index, datatype=datatype, count=1) for index, name in enumerate(names)
+        ]
         message.header.frame_id = frame_id
         self._points = np.empty((height * width, len(names)), dtype=f"<f{length}")
         # The row step is followed by the number of bytes, the bytes, and is_dense. Before it only the stamp changes.

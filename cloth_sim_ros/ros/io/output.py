@@ -60,15 +60,12 @@ class Output:
         self._sink, self._droppable = sink, droppable
         self._log = ThrottledLog(node.get_logger(), seconds=_WARNING_PERIOD)
         profile = overridden_profile(node, topic, qos)
+        # The subscriber's side reports incompatible profiles. An event of the publisher would cost time in each spin of
+        # the executor.
+        events = PublisherEventCallbacks(use_default_callbacks=False)
         try:
             self._publisher = node.create_publisher(
-                kind,
-                topic,
-                profile,
-                qos_overriding_options=OPTIONS,
-                # The subscriber's side reports incompatible profiles. An event of the publisher would cost time in
-                # each spin of the executor.
-                event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+                kind, topic, profile, qos_overriding_options=OPTIONS, event_callbacks=events
             )
         except RuntimeError as error:
             name = node.resolve_topic_name(topic)

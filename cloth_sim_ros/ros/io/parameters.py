@@ -248,12 +248,9 @@ class LiveParameters:
         self.accepted = scene
         self._returning = True
         try:
+            changed = [entry for entry in scene.entries if before[entry.name] != now[entry.name]]
             self._node.set_parameters(
-                [
-                    RosParameter(entry.name, _TYPES[entry.kind], _listed(now[entry.name]))
-                    for entry in scene.entries
-                    if before[entry.name] != now[entry.name]
-                ]
+                [RosParameter(entry.name, _TYPES[entry.kind], _listed(now[entry.name])) for entry in changed]
             )
             for entry in previous:
                 if entry.name not in remaining:

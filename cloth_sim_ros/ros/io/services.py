@@ -73,13 +73,8 @@ class Services:
         now = time.monotonic()
         for start, future in self._pending:
             if now - start > FRAME_TIMEOUT and not future.done():
-                future.set_result(
-                    EventResult(
-                        frame=None,
-                        reason=f"no frame was due within {FRAME_TIMEOUT:g} s: /clock stands still; the next one "
-                        f"applies it",
-                    )
-                )
+                reason = f"no frame was due within {FRAME_TIMEOUT:g} s: /clock stands still; the next one applies it"
+                future.set_result(EventResult(frame=None, reason=reason))
         self._pending = [entry for entry in self._pending if not entry[1].done()]
         for gripper, start, future in self._closing:
             if now - start > CLOSING_TIMEOUT:

@@ -88,10 +88,8 @@ def _replay(reader: SessionReader, state: State, frame: int, name: str) -> bytes
                 "recorded (cloth_verify gives the reason); save the state with ~/save_state on the recording machine"
             )
     if simulation.frame != frame:
-        raise ParameterError(
-            f"initial_state '{name}': the session ends at frame {simulation.frame}"
-            + (f" ({reader.missing})" if reader.missing else "")
-        )
+        cause = f" ({reader.missing})" if reader.missing else ""
+        raise ParameterError(f"initial_state '{name}': the session ends at frame {simulation.frame}{cause}")
     return simulation.state.to_bytes()
 
 
