@@ -72,12 +72,9 @@ class CommandSubscriptions:
         self._n_outdated: dict[str, int] = {}
         self._last_target_times: dict[str, int] = {}
         #: Messages at the last call of `is_drained`, and the number of consecutive spins that delivered some.
-        self._received_before = 0
-        self._busy_spins = 0
+        self._received_before = self._busy_spins = 0
         #: Counts of messages: received, refused, and older than the newest one.
-        self.received = 0
-        self.refused = 0
-        self.outdated = 0
+        self.received = self.refused = self.outdated = 0
 
     def subscribe(self) -> None:
         """Subscribe to the topics of the grippers. From then on every matched publisher is served."""

@@ -69,7 +69,9 @@ class FailureGuard:
                 return
         before = self._simulation.snapshot()
         try:
-            self._raise_pending()
+            pending, self._pending = self._pending, None
+            if pending is not None:
+                raise pending
             frame()
         except Exception as error:
             if self._propagates(error):
@@ -107,11 +109,6 @@ class FailureGuard:
         """
         if self._must_exit and self.reason:
             raise NodeFailedError(f"failed: {self.reason}; the node ends because on_failure is exit")
-
-    def _raise_pending(self) -> None:
-        pending, self._pending = self._pending, None
-        if pending is not None:
-            raise pending
 
     def _propagates(self, error: Exception) -> bool:
         if isinstance(error, MemoryError | StopRequestedError) or os.environ.get(RAISE_VARIABLE):

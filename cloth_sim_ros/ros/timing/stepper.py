@@ -56,11 +56,8 @@ class Stepper:
         self._results = []
         self._entries = entries = self.queue.pop_ready(stamp)
         if first or last:
-            entries = [
-                *(QueuedEvent(event=event) for event in first),
-                *entries,
-                *(QueuedEvent(event=event) for event in last),
-            ]
+            before, after = ([QueuedEvent(event=event) for event in events] for events in (first, last))
+            entries = [*before, *entries, *after]
         self.refused_parameters = ""
         refused: list[tuple[QueuedEvent, str]] = []
         stopped = False
@@ -109,10 +106,8 @@ class Stepper:
 
     def refuse(self, reason: str) -> None:
         """Answer the events of a frame that failed."""
-        entries, self._entries, self._results = self._entries, [], []
-        for entry in entries:
-            if entry.answer is not None:
-                entry.answer(EventResult(frame=None, reason=reason))
+        self._results = [(entry, EventResult(frame=None, reason=reason)) for entry in self._entries]
+        self.answer()
 
     def _impossible(self, entries: list[QueuedEvent]) -> list[tuple[QueuedEvent, str]]:
         """Return the events that can't take effect any more, with the reasons."""
