@@ -20,8 +20,7 @@ from cloth_sim_ros.ros.process.failure import FailureGuard, ignore_errors_after_
 from cloth_sim_ros.ros.process.worker_thread import InterruptibleLock, run_inline
 from cloth_sim_ros.ros.recording.initial_state import describe_left_out
 from cloth_sim_ros.ros.recording.recording import SessionRecording
-from cloth_sim_ros.ros.recording.recording_control import RecordingControl
-from cloth_sim_ros.ros.recording.rosout_recorder import RosoutRecorder
+from cloth_sim_ros.ros.recording.recording_control import RecordingControl, RosoutRecorder
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
 from cloth_sim_ros.ros.reporting.report import log_start
 from cloth_sim_ros.ros.reporting.reporting import MAINTENANCE_PERIOD, Reporting
