@@ -21,8 +21,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from std_msgs.msg import Bool
 
-from cloth_sim_ros.ros.io.output import RecordSink
-from cloth_sim_ros.ros.io.qos_overrides import OPTIONS, overridden_profile
+from cloth_sim_ros.ros.io.output import OPTIONS, RecordSink, overridden_profile
 from cloth_sim_ros.ros.io.qos_rules import SUBSCRIPTION
 from cloth_sim_ros.ros.io.stamps import OldStampError, StampError, StampGate, checked
 from cloth_sim_ros.ros.io.tf_frames import FrameError, FrameTransformer

@@ -10,11 +10,12 @@ from typing import Any, Protocol
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from cloth_sim_ros.ros.io.qos_overrides import OPTIONS, overridden_profile
+from cloth_sim_ros.ros.io.qos_rules import POLICIES, PUBLISHER, Override, faults
 from cloth_sim_ros.ros.reporting.log import ThrottledLog
-from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.scene.parameters.declare import Faults, ParameterError
 
 #: Reliable, because RViz's displays request it; a subscriber that only needs the newest message requests best effort.
 STREAM_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
@@ -26,6 +27,10 @@ LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durabi
 _FLUSH_TIMEOUT = Duration(seconds=0.2)
 #: A publication that takes longer than the first is warned of, at most once in the second [s].
 _SLOW_PUBLICATION, _WARNING_PERIOD = 0.5, 60.0
+#: Policies that rclpy declares as parameters of each topic.
+OPTIONS = QoSOverridingOptions([QoSPolicyKind[policy.upper()] for policy in POLICIES])
+
+_ENUMS: dict[str, Any] = {"reliability": ReliabilityPolicy, "history": HistoryPolicy, "durability": DurabilityPolicy}
 
 
 class RecordSink(Protocol):
@@ -115,3 +120,32 @@ class Output:
             self._sink.add(
                 self.topic, self._kind, data, stamp=stamp, qos=self._publisher.qos_profile, droppable=self._droppable
             )
+
+
+def overridden_profile(node: Node, topic: str, qos: QoSProfile, *, endpoint_kind: str = PUBLISHER) -> QoSProfile:
+    """Return a new profile of a topic with its overrides; rclpy would write them into the object that it is given.
+
+    Overrides are validated here, because rclpy's errors name no parameter.
+
+    Args:
+        node: the node that owns the topic.
+        topic: its name before remapping.
+        qos: the defaults; not modified.
+        endpoint_kind: one of `qos_rules.ENDPOINT_KINDS`.
+
+    Raises:
+        ParameterError: names each invalid parameter, its value and the allowed ones.
+    """
+    overrides: dict[str, tuple[str, Any]] = {}
+    for policy in POLICIES:
+        name = Override(node.resolve_topic_name(topic), endpoint_kind, policy).name
+        if node.has_parameter(name):
+            overrides[policy] = name, node.get_parameter(name).value
+    defaults = {"reliability": qos.reliability.name.lower(), "durability": qos.durability.name.lower()}
+    refused = Faults()
+    refused.add(faults(dict(overrides.values()), defaults))
+    refused.refuse()
+    policies = {policy: getattr(qos, policy) for policy in POLICIES}
+    for policy, (_, value) in overrides.items():
+        policies[policy] = value if policy == "depth" else _ENUMS[policy][value.upper()]
+    return QoSProfile(**policies)
