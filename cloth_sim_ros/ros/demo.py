@@ -139,13 +139,9 @@ def _play(options: argparse.Namespace, duration: float, signals: StopSignals) ->
 
     with tempfile.TemporaryDirectory() as logs, contextlib.ExitStack() as children:
         print(f"starting the cloth, recording into {options.folder}/ ...", flush=True)
-        cloth = children.enter_context(
-            _Child(
-                "cloth_sim", Path(logs), "cloth_sim_ros.ros.main",
-                "--ros-args", "--params-file", str(options.params),
-                "-p", "record.enabled:=true", "-p", f"record.folder:={options.folder}",
-            )
-        )  # fmt: skip
+        arguments = ["--ros-args", "--params-file", str(options.params)]
+        arguments += ["-p", "record.enabled:=true", "-p", f"record.folder:={options.folder}"]
+        cloth = children.enter_context(_Child("cloth_sim", Path(logs), "cloth_sim_ros.ros.main", *arguments))
         begun = time.monotonic()
         while received.clouds == 0:
             cloth.check_alive()
@@ -154,12 +150,10 @@ def _play(options: argparse.Namespace, duration: float, signals: StopSignals) ->
             if not spin():
                 return 130
         print(f"first cloud after {time.monotonic() - begun:.1f} s; grasping ...", flush=True)
+        arguments = [*map(str, options.script), "--node", _NODE]
         gripper = children.enter_context(
-            _Child(
-                "cloth_gripper", Path(logs), "cloth_sim_ros.ros.gripper_main",
-                *map(str, options.script), "--node", _NODE,
-            )
-        )  # fmt: skip
+            _Child("cloth_gripper", Path(logs), "cloth_sim_ros.ros.gripper_main", *arguments)
+        )
         if not _watch(cloth, gripper, duration, received, spin):
             return 130
         status = cloth.stop(spin)

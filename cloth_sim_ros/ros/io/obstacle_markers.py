@@ -83,10 +83,8 @@ def _markers(solid: Obstacle) -> list[tuple[Marker, NDArray[np.float64]]]:
             width = 2.0 * radius
             markers = [(_marker(Marker.CYLINDER, width, width, length), origin)]
             if solid.shape == "capsule":
-                markers += [
-                    (_marker(Marker.SPHERE, width, width, width), np.array([0.0, 0.0, end * length]))
-                    for end in (-0.5, 0.5)
-                ]
+                for end in (-0.5, 0.5):
+                    markers.append((_marker(Marker.SPHERE, width, width, width), np.array([0.0, 0.0, end * length])))
             return markers
     assert solid.vertices is not None
     assert solid.triangles is not None

@@ -60,10 +60,6 @@ class ObstacleTopics:
         self._last_stop_frames: dict[str, int] = {}
         self._n_repeat_frames = round(_STOP_REPEAT_TIME * simulation.scene.rate)
 
-    def start(self, stamp: int) -> None:
-        """Publish the obstacles at a ROS time [ns], and subscribe to their targets."""
-        self._update_topics(stamp)
-
     def record(self, stamp: int) -> None:
         """Record the markers at the start of a recording, at a ROS time [ns]."""
         if self._output is not None:
@@ -76,7 +72,7 @@ class ObstacleTopics:
         obstacles = self._simulation.obstacles
         solids, poses = self._solids()
         if [solid.name for solid in solids] != self._drawn:
-            self._update_topics(stamp)
+            self.update_topics(stamp)
             return
         if not np.array_equal(poses, self._poses):
             self._publish(stamp)
@@ -141,8 +137,8 @@ class ObstacleTopics:
             known = set()
         self._stopped_names = ((self._stopped_names - commanded) & known) | set(frame.stopped)
 
-    def _update_topics(self, stamp: int) -> None:
-        """Create and remove topics so that they match the present obstacles."""
+    def update_topics(self, stamp: int) -> None:
+        """Create and remove topics so that they match the present obstacles, and publish at a ROS time [ns]."""
         obstacles, scene = self._simulation.obstacles, self._simulation.scene
         names = [] if obstacles is None else obstacles.names
         solids, _ = self._solids()

@@ -120,7 +120,7 @@ class Outputs:
     def start(self, stamp: int) -> None:
         """Publish topology and obstacles at a ROS time [ns], and subscribe to the targets of obstacles."""
         self.cloth.start(stamp)
-        self.obstacles.start(stamp)
+        self.obstacles.update_topics(stamp)
 
     def must_publish(self, frame: Frame, now: float) -> bool:
         """Return true if a frame is to be published at a steady time [s]: if it differs, or once a second."""

@@ -76,12 +76,9 @@ class SceneNode(SimTimeNode):
     def destroy_node(self) -> None:
         """Destroy rclpy's node, and clear its parameter callbacks so that their objects can be freed."""
         super().destroy_node()
-        for callbacks in (
-            self._pre_set_parameters_callbacks,
-            self._on_set_parameters_callbacks,
-            self._post_set_parameters_callbacks,
-        ):
-            callbacks.clear()
+        self._pre_set_parameters_callbacks.clear()
+        self._on_set_parameters_callbacks.clear()
+        self._post_set_parameters_callbacks.clear()
 
     def declare_parameters(self, namespace: str, parameters: Iterable[Any], *arguments: Any, **options: Any) -> Any:
         """Declare parameters as rclpy does, which declares the overrides first; refuse invalid overrides here."""
