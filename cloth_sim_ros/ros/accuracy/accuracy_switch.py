@@ -15,8 +15,6 @@ from cloth_sim_ros.simulation.simulation import Frame, Simulation
 if TYPE_CHECKING:
     from cloth_sim_ros.ros.accuracy.accuracy_monitor import AccuracyMonitor
 
-_OFF = {"accuracy": "off"}
-
 
 class AccuracySwitch:
     """Owns the accuracy monitor while `diagnostics.accuracy` is true.
@@ -55,7 +53,7 @@ class AccuracySwitch:
 
     def describe(self) -> dict[str, str]:
         """Return the entries for diagnostics."""
-        return _OFF if self._monitor is None else self._monitor.describe(self._simulation.time)
+        return {"accuracy": "off"} if self._monitor is None else self._monitor.describe(self._simulation.time)
 
     def close(self) -> None:
         """End the monitor if it runs."""

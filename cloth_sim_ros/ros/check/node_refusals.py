@@ -49,11 +49,7 @@ def empty_lists(empty: Iterable[str], values: Iterable[str]) -> Iterator[str]:
 
 
 def check_values(
-    values: Mapping[str, Any],
-    refused: Faults,
-    empty: Collection[str] = (),
-    *,
-    convert: Callable[[Any], Any] = lambda value: value,
+    values: Mapping[str, Any], refused: Faults, empty: Collection[str] = (), convert: Callable[[Any], Any] | None = None
 ) -> dict[str, Any]:
     """Return the converted values of the scene's parameters among given ones, and add the faults of all.
 
@@ -61,12 +57,13 @@ def check_values(
         values: parameters by full name.
         refused: receives the faults.
         empty: names of parameters of the scene that are not checked.
-        convert: converts a value before its check.
+        convert: converts each value before its check; None for none.
     """
     checked: dict[str, Any] = {}
     for entry in Scene.declared_for(values):
         if entry.name in values and entry.name not in empty:
-            checked[entry.name] = refused.collect(partial(entry.check, convert(values[entry.name])))
+            given = values[entry.name] if convert is None else convert(values[entry.name])
+            checked[entry.name] = refused.collect(partial(entry.check, given))
     refused.add(frame_ids.faults(values))
     refused.add(qos_rules.faults(values))
     return checked

@@ -253,9 +253,6 @@ class GripperPlayer:
             return 0.0
         return played - step
 
-    def _node_names(self) -> set[str]:
-        return {f"{namespace.rstrip('/')}/{name}" for name, namespace in self._node.get_node_names_and_namespaces()}
-
     def _is_served(self) -> bool:
         """Return true if the node is ready: it serves more than the services that rclpy creates with each node.
 
@@ -266,7 +263,8 @@ class GripperPlayer:
         return any(not name.endswith(_RCLPY_SERVICE) and self._node.count_services(name) for name in of_node)
 
     def _describe_missing(self, limit: float) -> str:
-        if self._target in self._node_names():
+        nodes = self._node.get_node_names_and_namespaces()
+        if self._target in {f"{namespace.rstrip('/')}/{name}" for name, namespace in nodes}:
             return (
                 f"{self._target} is there, but was not ready within {limit:g} s; what does its log say? "
                 "--wait gives it longer"

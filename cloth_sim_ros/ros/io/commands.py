@@ -237,10 +237,8 @@ class CommandSubscriptions:
             outcome = f"is closed and holds {pluralize(grasp.grasped_count, 'particle')}"
         else:
             outcome = "is closed and holds nothing"
-        self._log.info(
-            f"grasp {grasp.gripper} {outcome}",
-            f"gripper '{grasp.gripper}' {outcome}" + (f": {grasp.reason}" if grasp.reason else ""),
-        )
+        cause = f": {grasp.reason}" if grasp.reason else ""
+        self._log.info(f"grasp {grasp.gripper} {outcome}", f"gripper '{grasp.gripper}' {outcome}{cause}")
 
 
 def _describe_command(event: Event, stamp: int) -> str:

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 #: A stop within this simulated time after the previous one is the same stop [s].
 _STOP_REPEAT_TIME = 1.0
-#: Words for a stop of several bodies: verb, subject and object.
-_PLURAL = ("are", "they", "them")
 
 
 class ObstacleTopics:
@@ -121,7 +119,7 @@ class ObstacleTopics:
         if not new:
             return
         names = ", ".join(f"'{name}'" for name in new)
-        words = ("is", "it", "it") if len(new) == 1 else _PLURAL
+        words = ("is", "it", "it") if len(new) == 1 else ("are", "they", "them")
         self._log.warn(
             f"halted {names}",
             f"{names} {words[0]} stopped: {words[1]} would crush the cloth; send a new target to resume {words[2]}",

@@ -159,9 +159,8 @@ class Services:
             grasp = await pads_result
         # Closing on nothing is no success.
         response.success = bool(grasp.grasped_count) if grasp.closed else True
-        response.message = f"holds {pluralize(grasp.grasped_count, 'particle')}" + (
-            f": {grasp.reason}" if grasp.reason else ""
-        )
+        cause = f": {grasp.reason}" if grasp.reason else ""
+        response.message = f"holds {pluralize(grasp.grasped_count, 'particle')}{cause}"
         return response
 
     async def _on_record(self, request: Any, response: Any) -> Any:

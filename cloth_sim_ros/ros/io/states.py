@@ -50,10 +50,7 @@ class States:
             stamp: ROS time [ns].
             waits: true if no time passes until /clock comes.
         """
-        if waits:
-            self._send_state(State.PRIMARY_STATE_INACTIVE, stamp)
-        else:
-            self._update_state(stamp)
+        self._update_state(stamp, waits=waits)
         self._publish_grippers({name: "" for name in self._grippers}, stamp)
 
     def record(self, stamp: int) -> None:
@@ -84,8 +81,8 @@ class States:
         self._published_state = State.TRANSITION_STATE_ERRORPROCESSING
         self._send(self._state, State(id=self._published_state, label=f"failed: {reason}"), stamp)
 
-    def _update_state(self, stamp: int) -> None:
-        now = State.PRIMARY_STATE_INACTIVE if self._simulation.paused else State.PRIMARY_STATE_ACTIVE
+    def _update_state(self, stamp: int, *, waits: bool = False) -> None:
+        now = State.PRIMARY_STATE_INACTIVE if waits or self._simulation.paused else State.PRIMARY_STATE_ACTIVE
         if now != self._published_state:
             self._send_state(now, stamp)
 

@@ -158,7 +158,8 @@ class FirstContact:
         pressed = [name for name, load in loads if name not in self._reported and load.any()]
         if len(self._reported) < len(scene.pinching) + len(scene.obstacle_names):
             wrenches = zip(scene.gripper_names, frame.wrenches, strict=True)
-            pressed += [name for name, load in wrenches if self._is_pinched(name) and load.any()]
+            pinching = set(scene.pinching) - self._reported
+            pressed += [name for name, load in wrenches if name in pinching and load.any()]
         new = [f"'{name}'" for name in pressed]
         # Self-contact takes longer to detect: once a second.
         is_sampled = contact.force.surface is not None and not frame.index % max(1, round(scene.rate))
@@ -167,6 +168,3 @@ class FirstContact:
             new.append(_ITSELF)
         self._reported.update(pressed)
         return ", ".join(new)
-
-    def _is_pinched(self, name: str) -> bool:
-        return name not in self._reported and self._simulation.scene.pinches(name)

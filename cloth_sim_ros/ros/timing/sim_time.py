@@ -46,32 +46,22 @@ class SimTimeNode(Node):
 
     def create_subscription(self, msg_type: Any, topic: str, callback: Any, *arguments: Any, **options: Any) -> Any:
         """Create a subscription as rclpy does, which subscribes to /clock by this method too."""
-        if msg_type is Clock and not options.get("raw"):
-            take = callback
+        log = ThrottledLog(self.get_logger(), seconds=_WARNING_PERIOD)
 
-            def accept(message: Clock) -> Any:
+        def take_valid(message: Clock) -> Any:
+            if 0 <= (now := read_stamp(message.clock)) <= _MAX_STAMP:
                 self.has_clock_time = True
-                return take(message)
+                return callback(message)
+            kind = "before 0" if now < 0 else "too late"
+            log.warn(
+                kind,
+                f"a message on /clock is left out: its time is {now / SECOND:.3f} s (sec {message.clock.sec}, nanosec "
+                f"{message.clock.nanosec}), and must be at least 0 and below {2**31} s; check the publisher of /clock",
+            )
+            return None
 
-            callback = _only_times(accept, ThrottledLog(self.get_logger(), seconds=_WARNING_PERIOD))
-        return super().create_subscription(msg_type, topic, callback, *arguments, **options)
-
-
-def _only_times(take: Callable[[Clock], Any], log: ThrottledLog) -> Callable[[Clock], Any]:
-    """Return a callback that passes on messages whose time a stamp can hold, and warns of others."""
-
-    def only_times(message: Clock) -> Any:
-        if 0 <= (now := read_stamp(message.clock)) <= _MAX_STAMP:
-            return take(message)
-        kind = "before 0" if now < 0 else "too late"
-        log.warn(
-            kind,
-            f"a message on /clock is left out: its time is {now / SECOND:.3f} s (sec {message.clock.sec}, nanosec "
-            f"{message.clock.nanosec}), and must be at least 0 and below {2**31} s; check the publisher of /clock",
-        )
-        return None
-
-    return only_times
+        is_clock = msg_type is Clock and not options.get("raw")
+        return super().create_subscription(msg_type, topic, take_valid if is_clock else callback, *arguments, **options)
 
 
 class ClockSilence:
