@@ -62,8 +62,8 @@ def check_values(
     checked: dict[str, Any] = {}
     for entry in Scene.declared_for(values):
         if entry.name in values and entry.name not in empty:
-            given = values[entry.name] if convert is None else convert(values[entry.name])
-            checked[entry.name] = refused.collect(partial(entry.check, given))
+            raw = values[entry.name]
+            checked[entry.name] = refused.collect(partial(entry.check, raw if convert is None else convert(raw)))
     refused.add(frame_ids.faults(values))
     refused.add(qos_rules.faults(values))
     return checked
