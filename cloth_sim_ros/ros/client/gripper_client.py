@@ -18,8 +18,8 @@ from std_msgs.msg import Bool
 
 from cloth_sim_ros.ros.io.messages import set_stamp
 from cloth_sim_ros.ros.io.output import LATCHED_QOS
-from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.session import old_keys
+from cloth_sim_ros.session.plurals import pluralize
 from cloth_sim_ros.simulation.gripper_script import GripperScript, TimedGrasp
 
 #: Longest wait for the result of a grasp, in the cloth's time [s]. It comes after the frame, or when pads have stopped.
