@@ -44,7 +44,7 @@ class Estimate:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval (lower, upper), in the parameter's unit."""
+        """95 % interval (lower, upper) of the log-normal estimate, in the parameter's unit."""
         reach = min(NORMAL_95 * self.bound, 700.0)
         return self.value * math.exp(-reach), self.value * math.exp(min(reach, 600.0))
 

@@ -61,6 +61,8 @@ class PlanCache:
     def spectral_bounds(self, scene: Scene, x: Array) -> tuple[float, float]:
         """Return bounds of squared frequency [1/s^2] and damping rate [1/s] for another scene.
 
+        If its elements differ, this builds its plan and keeps it for `change`.
+
         Args:
             scene: the other scene.
             x: positions [m], (3, n).

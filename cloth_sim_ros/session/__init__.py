@@ -3,5 +3,5 @@
 """Writing and reading recorded sessions: MCAP files of standard ROS 2 messages.
 
 Imports neither ROS, scene nor physics: a session can be read on a machine that has none of them. Import the modules by
-name (``from cloth_sim_ros.session.reader import SessionReader``); this package itself loads nothing.
+name; this package itself loads nothing. Begin with `reader` and `recorder`.
 """

@@ -3,6 +3,6 @@
 """Simulation of a cloth by frames, with events at frame boundaries.
 
 Every change of a cloth's state goes through `Simulation.advance`. Begin with `simulation` (one frame with an ordered
-list of events) and `events`. `grippers` keeps poses and grips. `sleep` decides when frames need no computation.
+list of events) and `events`. `bodies` moves grippers and obstacles. `sleep` decides when frames need no computation.
 `energy_watch` sums up the energy balance. `environment` describes what a run's bits depend on.
 """

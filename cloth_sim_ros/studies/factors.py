@@ -42,7 +42,7 @@ class Factor:
         return KINDS[self.kind][1](self.values, min(max(quantile, 0.0), 1.0))
 
     def at(self, index: int) -> Any:
-        """Return the value with an index below `count`."""
+        """Return value number `index`, from 0 to `count` - 1."""
         if self.kind == "choices":
             return self.values[index]
         if self.kind == "integers":

@@ -38,7 +38,7 @@ class StateCheck:
         self._is_explained = False
 
     def compare(self, message: Message, simulation: Simulation) -> None:
-        """Compare a state with the pause of the preceding frame."""
+        """Compare a message on ~/state with the pause of the preceding frame."""
         try:
             content = decode(message.data, STATE)
         except SessionError as error:

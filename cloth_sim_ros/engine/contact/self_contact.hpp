@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Self-contact: Verlet lists of near pairs, and stiffness bounds for step control.
+// Self-contact: Verlet lists (neighbour lists) of near pairs, and stiffness bounds for step control.
 #pragma once
 
 #include "contact/self_friction.hpp"

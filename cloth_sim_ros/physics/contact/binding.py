@@ -440,7 +440,7 @@ class ContactBinding(Uncopyable):
     def contact_gaps(self, t: float, x: Array) -> Array:
         """Return the gap of each contact at time t [m], shape `thickness_shape`; infinite without contact.
 
-        Gaps of edges, which have half the thickness, count twice.
+        Gaps of edges are doubled, because edges have half the thickness.
         """
         self.sync()
         out = np.empty(self.thickness_shape)

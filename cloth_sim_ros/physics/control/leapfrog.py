@@ -32,7 +32,9 @@ class ExplicitIntegrator(Integrator):
 
 @with_old_names(columns="n_runs")
 class Leapfrog(ExplicitIntegrator):
-    """Drift, kick, drift; velocity-dependent forces use a predicted midpoint velocity, so that the order stays 2.
+    """Leapfrog (velocity Verlet): drift, kick, drift.
+
+    Velocity-dependent forces use a predicted midpoint velocity, so that the order stays 2.
 
     Drift: ``x_m = x + h/2 v``. Kick: ``a_k = a(t + h/2, x_m, v + h/4 (a_(k-1) + a_(k-2)))``, ``v' = v + h a_k``. Drift:
     ``x' = x_m + h/2 v'``. Each advance starts with one extra evaluation in place of both previous accelerations, so it

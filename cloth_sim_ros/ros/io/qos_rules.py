@@ -103,7 +103,7 @@ def faults(values: Mapping[str, Any], defaults: Mapping[str, str] | None = None)
 
 
 def foreign_owners(names: Iterable[str], topics: Iterable[str], node: str) -> dict[str, list[str]]:
-    """Return the overrides of other nodes' topics, as in their parameter dumps, by the full name of the node.
+    """Group overrides for other nodes' topics by that node's full name; parameter dumps contain such overrides.
 
     Args:
         names: names of overrides that this node does not read.

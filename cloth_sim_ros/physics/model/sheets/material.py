@@ -32,8 +32,7 @@ class Threads:
     diagonal: float
     bend_along_rows: float
     bend_along_columns: float
-    #: Poisson's ratio of the sheet along its axes. It follows from the moduli: a network of springs does not leave it
-    #: free.
+    #: Poisson's ratio of the sheet along its axes. The moduli fix it; a network of springs can't choose it freely.
     poisson_ratio: float
 
 

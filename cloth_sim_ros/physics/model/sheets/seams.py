@@ -59,7 +59,7 @@ def border_edges(triangles: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def open_seam(points: Array, triangles: NDArray[np.int64], border: NDArray[np.int64]) -> OpenSeam | None:
-    """Return the positions of a border that look joined and are not; None if there are none.
+    """Summarize border vertices that nearly touch but are not joined; None if there are none.
 
     Args:
         points: vertices [m], (n, 3).
