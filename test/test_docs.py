@@ -28,7 +28,7 @@ FILES = [
 ]
 #: Word limit of a page, and the reference pages without it.
 MAX_WORDS = 2500
-LONG_PAGES = {"benchmarks.md", "troubleshooting.md"}
+LONG_PAGES = {"benchmarks.md"}
 LINK = re.compile(r"(?<!!)\[[^\]]*\]\(([^)\s]+)\)")
 #: Questions of a newcomer, and the place of the answer.
 ANSWERS = {

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Completeness of docs/troubleshooting.md: every text of the node's log and every diagnostics key."""
+"""Completeness of the pages on troubleshooting: every text of the node's log and every diagnostics key."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from cloth_sim_ros.session import old_keys
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "cloth_sim_ros"
-PAGE = " ".join((ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8").replace("<br>", " ").split())
+PAGES = [ROOT / "docs" / name for name in ("troubleshooting.md", "troubleshooting_start.md")]
+PAGE = " ".join(" ".join(path.read_text(encoding="utf-8").replace("<br>", " ") for path in PAGES).split())
 #: Modules of `ros` whose texts belong to other commands: the demo, the gripper client, `cloth_sim --check`.
 OTHER_COMMANDS = re.compile(r"demo|options|check|step_limiters|cloth_clock|gripper_(?!speed)\w+")
 #: Modules outside `ros` whose texts the node logs: refused events, grasps, contact, implausible sizes.
