@@ -162,7 +162,7 @@ def _build_fit(problem: FitProblem, windows: WindowedFit, start_residuals: objec
     estimates = []
     for parameter, theta, bound in zip(parameters, last.linearization.theta.tolist(), bounds.tolist(), strict=True):
         value = math.exp(theta)
-        is_at_limit = min(abs(value / parameter.min_value - 1.0), abs(value / parameter.max_value - 1.0)) < 1e-6
+        is_at_limit = min(abs(value / parameter.minimum - 1.0), abs(value / parameter.maximum - 1.0)) < 1e-6
         is_identified = bound <= within and not is_at_limit and not doubt
         flags = {"is_identified": is_identified, "is_at_limit": is_at_limit, "is_explained": not doubt}
         estimates.append(Estimate(parameter=parameter, value=value, bound=bound, **flags))

@@ -52,8 +52,8 @@ class FitParameter:
     #: Starting value, above 0, in `unit`.
     start: float
     #: Limits of the search, in `unit`.
-    min_value: float
-    max_value: float
+    minimum: float
+    maximum: float
 
     @property
     def short_name(self) -> str:
@@ -132,11 +132,11 @@ def _fit_parameter(scene: Scene, name: str, start: float | None) -> FitParameter
     if not (math.isfinite(value) and value > 0.0):
         remedy = f"a fit needs a start above 0, within a factor of about ten: --start {name}=VALUE"
         raise FitError(f"{name} begins at {value:g}; {remedy}")
-    min_value = max(value / SEARCH_FACTOR, entry.min or 0.0)
-    max_value = value * SEARCH_FACTOR if entry.max is None else min(value * SEARCH_FACTOR, entry.max)
-    if not min_value <= value <= max_value:
+    minimum = max(value / SEARCH_FACTOR, entry.min or 0.0)
+    maximum = value * SEARCH_FACTOR if entry.max is None else min(value * SEARCH_FACTOR, entry.max)
+    if not minimum <= value <= maximum:
         raise FitError(f"{name} begins at {value:g} {entry.unit}; it must be from {entry.min:g} to {entry.max:g}")
-    return FitParameter(name=name, unit=entry.unit, start=value, min_value=min_value, max_value=max_value)
+    return FitParameter(name=name, unit=entry.unit, start=value, minimum=minimum, maximum=maximum)
 
 
 def _check_effect(scene: Scene, name: str, value: float) -> None:
@@ -145,7 +145,7 @@ def _check_effect(scene: Scene, name: str, value: float) -> None:
     Raises:
         FitError: if the parameter has no effect in the scene.
     """
-    probe = FitParameter(name=name, unit="", start=value, min_value=value, max_value=value)
+    probe = FitParameter(name=name, unit="", start=value, minimum=value, maximum=value)
     try:
         # The value must differ from the default, because only set parameters are checked.
         tried = scene_with(scene, [probe], [value * 0.9990234375])

@@ -104,7 +104,7 @@ class FitProblem:
     def clamp(self, theta: Array) -> Array:
         """Return a point clipped to the parameters' limits, shape (p,)."""
         parameters = self.pool.parameters
-        lower, upper = np.log([p.min_value for p in parameters]), np.log([p.max_value for p in parameters])
+        lower, upper = np.log([p.minimum for p in parameters]), np.log([p.maximum for p in parameters])
         return np.clip(theta, lower, upper)
 
     def linearize(

@@ -88,9 +88,9 @@ def measure(paths: Sequence[Path], folder: Path, particle_count: int) -> Measure
     command = module_command("cloth_sim_ros.verify.main", "--accuracy", *map(str, paths))
     command += ["--json", str(certificate_file), "--particles", str(particles)]
     # Only its progress bar is shown, not its tables.
-    process_result = subprocess.run(command, env=child_environment(), stdout=subprocess.DEVNULL, check=False)
-    if process_result.returncode not in _CERTIFIED_STATUSES:
-        cause = f"cloth_verify ended with {process_result.returncode}"
+    completed = subprocess.run(command, env=child_environment(), stdout=subprocess.DEVNULL, check=False)
+    if completed.returncode not in _CERTIFIED_STATUSES:
+        cause = f"cloth_verify ended with {completed.returncode}"
         raise SessionError(f"{paths[0]}: its accuracy cannot be measured ({cause})")
     frames = json.loads(certificate_file.read_text(encoding="utf-8"))["frames"]
     if not frames:

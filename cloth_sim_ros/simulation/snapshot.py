@@ -71,9 +71,9 @@ class Snapshot:
         if self.scene is scene or self.scene == scene:
             return
         live = {entry.name for entry in (*self.scene.entries, *scene.entries) if entry.live}
-        snapshot_values, current_values = self.scene.parameters(), scene.parameters()
-        for name in (name for name in snapshot_values if name not in live):
-            current, recorded = current_values.get(name), snapshot_values[name]
+        old, new = self.scene.parameters(), scene.parameters()
+        for name in (name for name in old if name not in live):
+            current, recorded = new.get(name), old[name]
             if current != recorded or self._content(self.scene, recorded) != self._content(scene, current):
                 mismatch = f"{name} is {recorded!r} there, {current!r} here"
                 if current == recorded:

@@ -113,8 +113,8 @@ def estimate_study(study: Study, samples: Sequence[Sequence[Any]]) -> StudyEstim
     raise StudyError(f"no run starts: {first}")
 
 
-def _time_run(study: Study, run: int, factor_values: dict[str, Any]) -> StudyEstimate:
-    commanded = CommandedSimulation.create(study, run, factor_values)
+def _time_run(study: Study, run: int, factor_levels: dict[str, Any]) -> StudyEstimate:
+    commanded = CommandedSimulation.create(study, run, factor_levels)
     n_tried = 0
     with tempfile.TemporaryDirectory(prefix="cloth_batch_") as folder:
         recording = RunRecording(Path(folder), commanded.simulation, name="trial", clouds=study.clouds)

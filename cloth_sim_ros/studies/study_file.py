@@ -98,7 +98,7 @@ def from_dict(content: Any, *, folder: Path) -> Study:
         duration=_duration(content.get("duration"), scripts, scene),
         factors=factors,
         runs=_runs(content.get("runs"), factors, sampling),
-        seed=_parse_integer(content.get("seed", 0), "seed", min_value=0, max_value=2**63 - 1),
+        seed=_parse_integer(content.get("seed", 0), "seed", minimum=0, maximum=2**63 - 1),
         sampling=sampling,
         clouds=_parse_bool(content.get("clouds", True), "clouds"),
     )
@@ -205,7 +205,7 @@ def _runs(value: Any, factors: Sequence[Factor], sampling: str) -> int:
         if size is None:
             raise StudyError("'runs' is missing: the number of runs")
         return size
-    runs = _parse_integer(value, "runs", min_value=1, max_value=2**63 - 1)
+    runs = _parse_integer(value, "runs", minimum=1, maximum=2**63 - 1)
     if size is not None and runs != size:
         raise StudyError(f"runs is {runs}, the grid has {size} combinations; omit runs, or use another sampling")
     return runs
@@ -251,10 +251,10 @@ def _parse_bool(value: Any, entry: str) -> bool:
     return value
 
 
-def _parse_integer(value: Any, entry: str, *, min_value: int, max_value: int) -> int:
+def _parse_integer(value: Any, entry: str, *, minimum: int, maximum: int) -> int:
     # YAML reads 1e9 as a float; here it means a whole number.
     if isinstance(value, float) and value.is_integer():
         value = int(value)
-    if isinstance(value, bool) or not isinstance(value, int) or not min_value <= value <= max_value:
-        raise StudyError(f"{entry} is {value!r}; it must be a whole number from {min_value} to {max_value}")
+    if isinstance(value, bool) or not isinstance(value, int) or not minimum <= value <= maximum:
+        raise StudyError(f"{entry} is {value!r}; it must be a whole number from {minimum} to {maximum}")
     return value

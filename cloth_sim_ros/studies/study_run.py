@@ -87,11 +87,11 @@ def perform(study_folder: StudyFolder, study: Study, run: int, values: Sequence[
     if existing_row is not None and existing_row["status"] == OK:
         return existing_row
     wall_start, cpu_start = time.perf_counter(), time.process_time()
-    factor_values = dict(zip((factor.name for factor in study.factors), values, strict=True))
+    factor_levels = dict(zip((factor.name for factor in study.factors), values, strict=True))
     run_folder = None
     try:
         run_folder = study_folder.create_run_folder(run)
-        row, session = _record(study, run, factor_values, run_folder)
+        row, session = _record(study, run, factor_levels, run_folder)
         if session is not None:
             row["bytes"] = session.stat().st_size
             target = study_folder.session_file(run)
@@ -108,14 +108,14 @@ def perform(study_folder: StudyFolder, study: Study, run: int, values: Sequence[
     return row
 
 
-def empty_row(study: Study, run: int, factor_values: dict[str, Any], *, status: str, error: str) -> dict[str, Any]:
+def empty_row(study: Study, run: int, factor_levels: dict[str, Any], *, status: str, error: str) -> dict[str, Any]:
     """Return the row of a run without results."""
     return {
         "run": run,
         "status": status,
         "error": error,
         "seed": study.seed_of(run),
-        "values": {name: list(v) if isinstance(v, tuple) else v for name, v in factor_values.items()},
+        "values": {name: list(v) if isinstance(v, tuple) else v for name, v in factor_levels.items()},
         "outcomes": {},
         "digest": "",
         "frames": 0,
@@ -128,11 +128,11 @@ def empty_row(study: Study, run: int, factor_values: dict[str, Any], *, status: 
     }
 
 
-def _record(study: Study, run: int, factor_values: dict[str, Any], folder: Path) -> tuple[dict[str, Any], Path | None]:
+def _record(study: Study, run: int, factor_levels: dict[str, Any], folder: Path) -> tuple[dict[str, Any], Path | None]:
     """Simulate and record a run; return its row without times, and its session file or None."""
-    row = empty_row(study, run, factor_values, status=OK, error="")
+    row = empty_row(study, run, factor_levels, status=OK, error="")
     try:
-        commanded = CommandedSimulation.create(study, run, factor_values)
+        commanded = CommandedSimulation.create(study, run, factor_levels)
     except RunError as error:
         return {**row, "status": FAILED, "error": str(error)}, None
     simulation, outcome_recorder = commanded.simulation, OutcomeRecorder(commanded.simulation)
@@ -143,7 +143,7 @@ def _record(study: Study, run: int, factor_values: dict[str, Any], folder: Path)
                 events, frame = commanded.advance()
                 recording.add(events, frame)
                 outcome_recorder.add(frame)
-            row["outcomes"] = {**outcome_recorder.outcomes(), **_user_outcomes(study, outcome_recorder, factor_values)}
+            row["outcomes"] = {**outcome_recorder.outcomes(), **_user_outcomes(study, outcome_recorder, factor_levels)}
         except RunError as error:
             row["status"], row["error"] = FAILED, f"frame {simulation.frame}: {error}"
         except OutcomeError as error:
@@ -158,9 +158,9 @@ def _record(study: Study, run: int, factor_values: dict[str, Any], folder: Path)
     return row, session
 
 
-def _user_outcomes(study: Study, outcome_recorder: OutcomeRecorder, factor_values: dict[str, Any]) -> dict[str, Any]:
+def _user_outcomes(study: Study, outcome_recorder: OutcomeRecorder, factor_levels: dict[str, Any]) -> dict[str, Any]:
     functions = {source.reference: load_function(source, "outcome") for source in study.outcomes}
-    return outcome_recorder.user_outcomes(functions, factor_values) if functions else {}
+    return outcome_recorder.user_outcomes(functions, factor_levels) if functions else {}
 
 
 @attrs.define(eq=False)
@@ -174,33 +174,33 @@ class CommandedSimulation:
     _wrenches: Any = None
 
     @classmethod
-    def create(cls, study: Study, run: int, factor_values: dict[str, Any]) -> CommandedSimulation:
+    def create(cls, study: Study, run: int, factor_levels: dict[str, Any]) -> CommandedSimulation:
         """Return the simulation of a run.
 
         Args:
             study: the study.
             run: index of the run.
-            factor_values: values of the factors by name.
+            factor_levels: values of the factors by name.
 
         Raises:
             RunError: if the values are invalid, or the policy can't be created.
         """
         try:
-            simulation = Simulation(study.scene(factor_values))
+            simulation = Simulation(study.scene(factor_levels))
         except (ValueError, MemoryError) as error:
             raise RunError(str(error) or "not enough memory") from error
         period = simulation.scene.period
         commanded = cls(simulation, max(1, round(study.duration / period)), lambda _frame: [])
         commanded._wrenches = np.zeros((len(simulation.grippers.names), 6))
         if study.policy is None:
-            commanded._commands = ScriptEvents(study.moved_scripts(factor_values), period).at
+            commanded._commands = ScriptEvents(study.moved_scripts(factor_levels), period).at
             return commanded
         try:
             policy = load_function(study.policy, "policy")
             policy = policy() if isinstance(policy, type) else policy
         except USER_ERRORS as error:
             raise RunError(f"policy '{study.policy.reference}' raised {format_error(error)}") from error
-        policy_values = {name.removeprefix(f"{POLICY}."): value for name, value in factor_values.items()}
+        policy_values = {name.removeprefix(f"{POLICY}."): value for name, value in factor_levels.items()}
         rng = np.random.default_rng(study.seed_of(run))
         reference = study.policy.reference
         commanded._commands = functools.partial(commanded._query_policy, policy, reference, policy_values, rng)

@@ -169,9 +169,9 @@ class StudyRunner:
         return []
 
     def _record_failure(self, run: int, status: str, message: str) -> None:
-        factor_values = dict(zip((factor.name for factor in self.study.factors), self.samples[run], strict=True))
+        factor_levels = dict(zip((factor.name for factor in self.study.factors), self.samples[run], strict=True))
         try:
-            self.study_folder.write_row(empty_row(self.study, run, factor_values, status=status, error=message))
+            self.study_folder.write_row(empty_row(self.study, run, factor_levels, status=status, error=message))
         except OSError as error:
             raise folder_error(self.study_folder.path, error) from error
         self._report_if_finished(run)

@@ -26,7 +26,7 @@ from cloth_sim_ros.scene.scene import Scene
 
 
 def sought(*names: str) -> list[FitParameter]:
-    return [FitParameter(name=name, unit="", start=1.0, min_value=0.01, max_value=100.0) for name in names]
+    return [FitParameter(name=name, unit="", start=1.0, minimum=0.01, maximum=100.0) for name in names]
 
 
 class Decay:

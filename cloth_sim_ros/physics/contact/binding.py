@@ -37,14 +37,14 @@ class ContactBinding(Uncopyable):
     """Engine binding of the contact of one plan.
 
     Args:
-        plan_handle: handle of the engine's plan.
+        engine_plan: handle of the engine's plan.
         contact: the force.
         particle_count: number of particles of the model.
     """
 
-    def __init__(self, plan_handle: PlanHandle, contact: Contact, particle_count: int) -> None:
-        self._plan_handle, self.force = plan_handle, contact
-        self._library, self._handle = library(), plan_handle.pointer
+    def __init__(self, engine_plan: PlanHandle, contact: Contact, particle_count: int) -> None:
+        self._engine_plan, self.force = engine_plan, contact
+        self._library, self._handle = library(), engine_plan.pointer
         self._shape = (3, particle_count)
         self._obstacle_revision = self._path_revision = self._command_revision = -1
         self._time_offset = 0.0
@@ -56,7 +56,7 @@ class ContactBinding(Uncopyable):
         self._out_address = ctypes.addressof(self._out)
         self_contact_binding.upload_surface(self._handle, contact)
         faces = contact.faces
-        self._features = None if faces is None else FeatureBinding(plan_handle, faces, particle_count)
+        self._features = None if faces is None else FeatureBinding(engine_plan, faces, particle_count)
 
     @property
     def count(self) -> int:
@@ -497,7 +497,7 @@ class ContactBinding(Uncopyable):
         if self.force.surface is not None:
             from cloth_sim_ros.physics.contact.initial_penetration import check_initial_penetration
 
-            check_initial_penetration(self._plan_handle, self.force.surface, self.force.thickness, x)
+            check_initial_penetration(self._engine_plan, self.force.surface, self.force.thickness, x)
 
     def ccd_surface_hits(self, t: float, duration: float, start: Array, end: Array) -> bool:
         """Return true if the surface hits itself or an obstacle's features in a straight motion.

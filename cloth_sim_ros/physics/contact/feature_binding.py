@@ -25,13 +25,13 @@ class FeatureBinding(Uncopyable):
     """Engine binding of the obstacle features of one plan.
 
     Args:
-        plan_handle: handle of the engine's plan.
+        engine_plan: handle of the engine's plan.
         faces: surface of the cloth.
         particle_count: number of particles of the model.
     """
 
-    def __init__(self, plan_handle: PlanHandle, faces: ContactSurface, particle_count: int) -> None:
-        self._plan_handle, self._library, self._handle = plan_handle, library(), plan_handle.pointer
+    def __init__(self, engine_plan: PlanHandle, faces: ContactSurface, particle_count: int) -> None:
+        self._engine_plan, self._library, self._handle = engine_plan, library(), engine_plan.pointer
         self._shape, self._max_edge = (3, particle_count), faces.max_edge
         triangles = faces.triangles
         check(self._library.cloth_plan_faces(self._handle, len(triangles), triangles.ctypes.data, faces.min_edge))

@@ -44,29 +44,29 @@ def check_outside(t: float, obstacles: Sequence[Obstacle], gaps: Iterable[float]
             )
 
 
-def find_self_intersection(plan_handle: PlanHandle, x: Array) -> list[int] | None:
+def find_self_intersection(engine_plan: PlanHandle, x: Array) -> list[int] | None:
     """Return the first edge of the cloth that intersects one of its triangles; None if there is none.
 
     An edge that shares a corner with the triangle does not count.
 
     Args:
-        plan_handle: handle of the engine's plan, which has the surface.
+        engine_plan: handle of the engine's plan, which has the surface.
         x: particle positions [m], shape (3, n).
 
     Returns:
         The edge's two particles, then the triangle's three.
     """
     out = np.empty(5, dtype=np.int64)
-    check(library().cloth_self_intersection(plan_handle.pointer, doubles("x", x, x.shape), address(out)))
+    check(library().cloth_self_intersection(engine_plan.pointer, doubles("x", x, x.shape), address(out)))
     corners: list[int] = out.tolist()
     return None if corners[0] < 0 else corners
 
 
-def check_initial_penetration(plan_handle: PlanHandle, surface: ContactSurface, thickness: float, x: Array) -> None:
+def check_initial_penetration(engine_plan: PlanHandle, surface: ContactSurface, thickness: float, x: Array) -> None:
     """Refuse a cloth that intersects itself, or is closer to itself than the least gap.
 
     Args:
-        plan_handle: handle of the engine's plan, which has the surface.
+        engine_plan: handle of the engine's plan, which has the surface.
         surface: surface of the cloth.
         thickness: contact thickness [m].
         x: particle positions [m], shape (3, n).
@@ -75,7 +75,7 @@ def check_initial_penetration(plan_handle: PlanHandle, surface: ContactSurface, 
         ValueError: naming the first intersecting edge and triangle, or the nearest particle and triangle, with the
             position.
     """
-    intersection = find_self_intersection(plan_handle, x)
+    intersection = find_self_intersection(engine_plan, x)
     if intersection is not None:
         a, b, *triangle = intersection
         position = _rounded(0.5 * (x[:, a] + x[:, b]))
@@ -84,21 +84,21 @@ def check_initial_penetration(plan_handle: PlanHandle, surface: ContactSurface, 
             f"triangle of particles {', '.join(map(str, triangle))}; {_REMEDY}"
         )
     gaps = np.empty(2)
-    check(library().cloth_self_gaps(plan_handle.pointer, doubles("x", x, x.shape), address(gaps)))
+    check(library().cloth_self_gaps(engine_plan.pointer, doubles("x", x, x.shape), address(gaps)))
     min_gap = float(gaps[1])
     if min_gap < MIN_START_GAP * thickness:
         raise ValueError(
-            f"the cloth is {min_gap:.3g} m from itself {_describe_nearest(plan_handle, surface, x)}; at the start it "
+            f"the cloth is {min_gap:.3g} m from itself {_describe_nearest(engine_plan, surface, x)}; at the start it "
             f"must be {MIN_START_GAP * thickness:.3g} m at least, {MIN_START_GAP:g} of contact.thickness: move its "
             f"layers {thickness - min_gap:.3g} m apart, {_REMEDY}"
         )
 
 
-def _describe_nearest(plan_handle: PlanHandle, surface: ContactSurface, x: Array) -> str:
+def _describe_nearest(engine_plan: PlanHandle, surface: ContactSurface, x: Array) -> str:
     """Describe the position of the least gap of the cloth to itself, as part of a sentence."""
     stiff, damped = np.zeros((6, x.shape[1])), np.zeros((6, x.shape[1]))
     addresses = doubles("x", x, x.shape), address(stiff), address(damped)
-    check(library().cloth_self_bounds(plan_handle.pointer, 0.0, *addresses))
+    check(library().cloth_self_bounds(engine_plan.pointer, 0.0, *addresses))
     # Contact is stiffest at the least gap. Its stiffness is NaN without a gap.
     order = np.argsort(-np.nan_to_num(stiff[0] + stiff[1] + stiff[2], nan=np.inf), kind="stable")
     triangles, points = surface.triangles, np.ascontiguousarray(x.T)

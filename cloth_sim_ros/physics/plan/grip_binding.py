@@ -22,14 +22,14 @@ class GripBinding(Uncopyable):
     """Engine binding of the grips of one plan.
 
     Args:
-        plan_handle: handle of the engine's plan.
+        engine_plan: handle of the engine's plan.
         grips: the force.
         particle_count: number of particles of the model.
     """
 
-    def __init__(self, plan_handle: PlanHandle, grips: Grips, particle_count: int) -> None:
-        self._plan_handle, self.force = plan_handle, grips
-        self._library, self._handle = library(), plan_handle.pointer
+    def __init__(self, engine_plan: PlanHandle, grips: Grips, particle_count: int) -> None:
+        self._engine_plan, self.force = engine_plan, grips
+        self._library, self._handle = library(), engine_plan.pointer
         self._shape = (3, particle_count)
         self._grip_revision = self._path_revision = -1
         #: Arrays of the grasped particles that the engine has.
