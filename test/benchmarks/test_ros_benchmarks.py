@@ -110,7 +110,7 @@ def test_latencies_are_measured(ros_domain: int) -> None:
     assert latencies.particles == 64
     assert len(latencies.seconds) > 10
     assert (latencies.seconds > 0.0).all()
-    assert latencies.summary()["integrator_why"]
+    assert latencies.summary()["integrator_reason"]
     quick = latency.Latencies(particles=1, rate=60.0, seconds=latencies.seconds * 0.0 + 0.001, diagnostics={})
     slow = latency.Latencies(particles=1, rate=60.0, seconds=latencies.seconds * 0.0 + 0.019, diagnostics={})
     assert quick.met
