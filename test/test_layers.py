@@ -246,3 +246,44 @@ def test_every_subpackage_is_listed() -> None:
     assert folders == set(SUBPACKAGES)
     assert [path.name for path in PACKAGE.glob("*.py")] == ["__init__.py"]
     assert all((PACKAGE / room / "__init__.py").read_text(encoding="utf-8").count('"""') == 2 for room in SUBPACKAGES)
+
+
+#: Members of ctypes, of named tuples and of the interpreter, which are public despite their names.
+PUBLIC_UNDERSCORES = {
+    "_restype_",
+    "_argtypes_",
+    "_fields_",
+    "_fields",
+    "_name",
+    "_replace",
+    "_asdict",
+    "_exit",
+    "_MEIPASS",
+}
+
+
+def private_members(path: Path) -> list[str]:
+    """Return the places that read a private member of another object without `# private: reason` nearby."""
+    lines = path.read_text(encoding="utf-8").split("\n")
+    places = []
+    for node in ast.walk(ast.parse("\n".join(lines))):
+        if isinstance(node, ast.Attribute):
+            is_self = isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")
+            names = [] if is_self or isinstance(node.value, ast.Call) else [node.attr]
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("cloth_sim_ros"):
+            names = [alias.name for alias in node.names]
+        else:
+            continue
+        nearby = "\n".join(lines[max(0, node.lineno - 4) : node.end_lineno])
+        if "# private: " not in nearby:
+            hidden = [name for name in names if name.startswith("_") and not name.startswith("__")]
+            places += [f"{path.name}:{node.lineno} {name}" for name in hidden if name not in PUBLIC_UNDERSCORES]
+    return places
+
+
+def test_tests_read_private_members_with_a_reason(tmp_path: Path) -> None:
+    sample = tmp_path / "sample.py"
+    sample.write_text("from cloth_sim_ros.a import _b\nx = plan._owner\n\n\n\n# private: a reason\ny = plan._owner\n")
+    assert private_members(sample) == ["sample.py:1 _b", "sample.py:2 _owner"]
+    places = [member for path in sorted((ROOT / "test").rglob("*.py")) for member in private_members(path)]
+    assert not places

@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     signals.install()
     try:
         scripts = [GripperScript.from_file(path) for path in options.script]
-        with _domain():
+        with reserved_domain():
             rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
             try:
                 return _play(options, max(script.duration for script in scripts), signals)
@@ -95,7 +95,7 @@ def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 
 @contextlib.contextmanager
-def _domain() -> Iterator[None]:
+def reserved_domain() -> Iterator[None]:
     """Restrict discovery to this machine and a reserved ROS domain, unless set, so that no robot in the lab moves."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if "ROS_DOMAIN_ID" in os.environ:
@@ -159,7 +159,7 @@ def _play(options: argparse.Namespace, duration: float, signals: StopSignals) ->
         status = cloth.stop(spin)
         if status != 0:
             raise DemoError(f"cloth_sim ended with status {status}\n{cloth.log()}")
-    return _report(received)
+    return report(received)
 
 
 def _watch(cloth: _Child, gripper: _Child, duration: float, received: Received, spin: Any) -> bool:
@@ -186,7 +186,8 @@ def _watch(cloth: _Child, gripper: _Child, duration: float, received: Received, 
     return True
 
 
-def _report(received: Received) -> int:
+def report(received: Received) -> int:
+    """Print what the demonstration received; return its exit status."""
     values = received.values
     path = values.get("recording_file", "")
     # The last diagnostics are up to a second older than the last cloud. The session holds every published cloud.

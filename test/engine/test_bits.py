@@ -95,6 +95,7 @@ def test_contact_scenes_cover_every_contact() -> None:
 def test_trace_describes_every_engine_function() -> None:
     import bits_trace
 
+    # private: the declared calls
     from cloth_sim_ros.engine.binding import _SIGNATURES
 
     omitted = {"cloth_plan_callback"}  # it calls Python, which an emulator hasn't

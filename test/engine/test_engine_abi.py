@@ -63,6 +63,7 @@ def test_header_and_binding_declare_the_same_functions() -> None:
     assert len(declared) == HEADER.count("CLOTH_API ") - 1, "each is read"
     assert declared.pop("cloth_band_stride") == (ctypes.c_int64, ctypes.c_int64)
     assert declared == {
+        # private: the declared calls
         **binding._SIGNATURES,  # private, likewise
         **in_band,
         "cloth_engine_abi": (ctypes.c_int,),

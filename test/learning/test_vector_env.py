@@ -249,6 +249,7 @@ def test_failed_reward_leaves_cloths_unchanged(make) -> None:
     with pytest.raises(ValueError, match="reward gave nan for cloth 0; it must be finite"):
         cloths.step(bad(0.0))
     assert [s.state.digest() for s in cloths.snapshots] == digests
+    # private: no copy is handed out
     assert (cloths._observations == first).all()
 
 

@@ -256,6 +256,7 @@ def test_invalid_model_is_refused_by_force_name():
 def test_bindings_keep_the_engine_plan_alive():
     force, places = contact("sphere", paths=[still()]), np.full((3, 4), 0.2)
     plan = compile(Model(np.ones(4), [force, Grips(1)]))
+    # private: freed with the plan
     owner, contact_binding, grip_binding = weakref.ref(plan._owner), plan.contact, plan._grip_binding
     del plan
     gc.collect()

@@ -16,6 +16,7 @@ def test_the_cost_of_a_matrix_is_known_before_it_is_made():
     rows, width = matrix.size
     assert rows == 39 * 40
     assert 40 <= width <= 45
+    # private: memory is not public
     assert "_rows" not in vars(matrix._matrix)
 
 

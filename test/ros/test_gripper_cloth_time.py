@@ -149,6 +149,7 @@ def test_nothing_is_sent_while_the_cloth_stands(monkeypatch: pytest.MonkeyPatch)
 
 def test_restarted_cloth_ends_the_script(monkeypatch: pytest.MonkeyPatch) -> None:
     cloth = SlowCloth(monkeypatch, 1.0)
+    # private: the spin is delayed below it
     spin = cloth._spin_once
 
     def spin_once(timeout_sec: float) -> None:
@@ -156,8 +157,10 @@ def test_restarted_cloth_ends_the_script(monkeypatch: pytest.MonkeyPatch) -> Non
         if cloth.wall > 1.5:
             cloth.simulated = 0.0
             cloth.factor = 1e-9
+            # private: a frame between two spins
             cloth._frame()
 
+    # private: the spin is delayed below it
     monkeypatch.setattr(cloth.player._executor, "spin_once", spin_once)
     with pytest.raises(gripper_player.GripperError, match="went back: it was restarted"):
         cloth.player.play()

@@ -53,6 +53,7 @@ def test_released_anchor_falls() -> None:
     simulation.advance([anchored("top_left")])
     for _ in range(10):
         simulation.advance()
+    # private: the start is not public
     moved = np.linalg.norm(simulation.positions - simulation._initial.positions, axis=1)
     assert moved[0] < 1e-12
     assert (moved[1:7] > 1e-3).all()
@@ -88,6 +89,7 @@ def test_reset_restores_positions_and_keeps_anchors() -> None:
     simulation.advance([anchored("bottom")])
     simulation.advance([Reset()])
     simulation.advance()
+    # private: the start is not public
     start = simulation._initial.positions
     np.testing.assert_allclose(simulation.positions[BOTTOM], start[BOTTOM], rtol=0.0, atol=1e-12)
     assert np.abs(simulation.positions[TOP] - start[TOP]).max() > 1e-4

@@ -163,6 +163,7 @@ def test_bad_parameters_and_unstable_motion_in_one_frame(monkeypatch: pytest.Mon
     simulation = Simulation(Scene.from_parameters({"cloth.resolution": (5, 5)}))
     queue = EventQueue()
     stepper = Stepper(simulation, queue)
+    # private: counts how often time moves
     move = simulation._advance_time
 
     def fail() -> Any:

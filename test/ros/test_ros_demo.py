@@ -49,7 +49,7 @@ def test_demo_report_counts_are_consistent(tmp_path: Path, capsys: pytest.Captur
         stamps = [message.log_time for message in session.messages(["/cloth_sim/points"])]
     # The first cloud came before the subscriber was matched; the last diagnostics came before the last clouds.
     values = {"clouds_published": "2", "recording_file": str(path), "real_time_factor_overall": "1.0"}
-    assert demo._report(demo.Received(clouds=4, first=stamps[1], values=values)) == 0
+    assert demo.report(demo.Received(clouds=4, first=stamps[1], values=values)) == 0
     assert "frames published  5, received 4, lost since the first one 0" in capsys.readouterr().out
 
 
@@ -87,21 +87,21 @@ def test_a_signal_ends_the_demonstration_and_what_it_started(
 def test_demo_uses_localhost_and_a_reserved_domain(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(RANGE)
     monkeypatch.delenv(DOMAIN)
-    with demo._domain():
+    with demo.reserved_domain():
         assert os.environ[RANGE] == "LOCALHOST"
         first = int(os.environ[DOMAIN])
         # Another process that reserves a domain meanwhile gets another one.
         with socket.socket() as second_socket, pytest.raises(OSError, match="in use"):
             second_socket.bind(("", 32768 + first))
         monkeypatch.delenv(DOMAIN)
-        with demo._domain():
+        with demo.reserved_domain():
             assert int(os.environ[DOMAIN]) != first
 
 
 def test_demo_keeps_network_settings_of_the_user(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(RANGE, "SUBNET")
     monkeypatch.setenv(DOMAIN, "42")
-    with demo._domain():
+    with demo.reserved_domain():
         assert (os.environ[RANGE], os.environ[DOMAIN]) == ("SUBNET", "42")
 
 

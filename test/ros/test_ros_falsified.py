@@ -110,7 +110,7 @@ def act(cloth: ClockedCloth) -> None:
     cloth.tick(5)
     call(cloth, SetBool, "pause", SetBool.Request(data=True))
     cloth.publish_clock(cloth.now)
-    cloth._tick_index += 1
+    cloth.tick_index += 1
     cloth.client.spin_until(lambda: cloth.simulation.paused, description="the pause")
     call(cloth, Trigger, "step")
     cloth.tick()
@@ -233,7 +233,7 @@ def test_recording_of_a_clock_that_goes_back_comes_out_the_same(ros_domain: int,
             act(cloth)
             cloth.target("left", CORNER)
             cloth.grasp("left", True)
-            cloth._tick_index -= back
+            cloth.tick_index -= back
             cloth.tick()
         act(cloth)
     (path,) = tmp_path.glob("*.mcap")
@@ -245,6 +245,7 @@ def test_split_recording_comes_out_the_same(ros_domain: int, tmp_path: Path) -> 
     with Client() as client, ClockedCloth(client, values) as cloth:
         act(cloth)
         # Private: nothing but the recorder itself knows its bytes before the next frame splits the file.
+        # private: falsifies what it writes
         recorder = cloth.node.recording.session._recorder
         assert recorder is not None
         client.spin_until(lambda: recorder.wants_split, description="the file to be large enough")

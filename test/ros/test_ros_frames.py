@@ -103,6 +103,7 @@ def test_transforms_are_cleared_when_clock_goes_back(monkeypatch: pytest.MonkeyP
     frames.clear()
     frames.to_cloth("base", (1.0, 0.0, 0.5), None, 42)
     cleared: list[bool] = []
+    # private: counts the calls of tf2
     frames._buffer.clear = lambda: cleared.append(True)
     frames.clear()
     assert cleared == [True]
@@ -166,11 +167,13 @@ def test_frame_loss_and_recovery_are_logged(
 ) -> None:
     stub_tf2(monkeypatch)
     _, follower, log = make_follower(None, gripper__frame="base")
+    # private: the lookup is replaced
     newest = follower._frames.newest
 
     def fail_lookup(frame_id: str) -> Any:
         raise FrameError(f"{frame_id} is gone")
 
+    # private: the lookup is replaced
     monkeypatch.setattr(follower._frames, "newest", fail_lookup)
     monkeypatch.setattr(follower._log, "_seconds", 0.0)  # no throttling of the log
     for second in range(60):
@@ -181,6 +184,7 @@ def test_frame_loss_and_recovery_are_logged(
     # The clock is set back: earlier warnings do not count.
     follower.events(NOW)
     assert len(log.lines) == 3
+    # private: the lookup is replaced
     monkeypatch.setattr(follower._frames, "newest", newest)
     assert len(follower.events(NOW + SECOND)) == 1
     assert log.lines[3:] == ["'gripper' follows frame 'base'"]

@@ -42,6 +42,7 @@ def test_a_frame_takes_all_that_has_come(client: Client) -> None:
 def commands_of(received: list[int]) -> CommandSubscriptions:
     """Return Commands that receive `received[k]` more messages before the k-th call of `settled`."""
     commands = CommandSubscriptions.__new__(CommandSubscriptions)
+    # private: restarts the count of spins
     commands.received = commands._received_before = commands._busy_spins = 0
     coming = iter(received)
 

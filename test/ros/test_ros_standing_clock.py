@@ -136,7 +136,7 @@ def test_users_pause_survives_a_standing_clock(client: Client) -> None:
         assert cloth.ask(SetBool, "pause", False).success
         assert cloth.simulation.frame == frame + 1
         assert cloth.states[-1] == "inactive"
-        cloth._tick_index += 120
+        cloth.tick_index += 120
         cloth.tick(3)
         client.spin_until(lambda: cloth.states[-1] == "active", description="active")
 
@@ -156,7 +156,7 @@ def test_clock_standing_at_zero_is_a_clock(client: Client) -> None:
     with Standing(client) as cloth:
         cloth.wait_for_report(DiagnosticStatus.OK, "/clock stands at 0.000 s", at=0)
         assert cloth.ask(Trigger, "reset", at=0).success
-        cloth._tick_index = 1
+        cloth.tick_index = 1
         cloth.tick(3)
         client.spin_until(lambda: cloth.states[-1] == "active", description="active")
 

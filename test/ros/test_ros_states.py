@@ -119,7 +119,7 @@ def test_node_state_follows_managed_node_ids(client: Client) -> None:
         cloth.publish_clock(cloth.now)
         client.spin_until(lambda: len(topic.messages) == 2, description="inactive")
         assert topic.messages[-1].label == "inactive"
-        cloth._tick_index += 1
+        cloth.tick_index += 1
         cloth.publish_clock(cloth.now)
     client.spin_until(lambda: len(topic.messages) == 3, description="the end")
     assert (topic.messages[-1].id, topic.messages[-1].label) == (State.PRIMARY_STATE_FINALIZED, "finalized")

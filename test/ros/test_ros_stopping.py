@@ -175,6 +175,7 @@ def test_no_frame_starts_beside_an_abandoned_one(ros_domain: int, wait_until: Ca
     cloth = ClothNode(context=context, parameter_overrides=overrides, run_job=left, signal_name=str)
     ticks: list[FrameTick] = []
     # Private: the pacer's thread alone calls it, and a frame that is not run leaves no other trace.
+    # private: the tick is counted
     on_tick = cloth._on_tick
     cloth._on_tick = lambda one: (on_tick(one), ticks.append(one))  # type: ignore[method-assign, assignment]
     try:

@@ -70,7 +70,7 @@ def test_rows_may_be_padded() -> None:
 
 @pytest.mark.parametrize("points", [0, 1, 3, 4, 7, 40])
 def test_surface_is_what_was_encoded(points: int) -> None:
-    data = samples._topology(points)
+    data = samples.topology(points)
     surface = cdr.decode_mesh(data)
     generic: Any = cdr.decode(data, "shape_msgs/msg/Mesh")
     assert surface.triangles.tolist() == [triangle.vertex_indices.tolist() for triangle in generic.triangles]
@@ -89,7 +89,7 @@ def test_string(text: str) -> None:
     ("read", "data"),
     [
         (cdr.decode_cloud, samples.cloud(samples.positions(0, 5), 0)),
-        (cdr.decode_mesh, samples._topology(5)),
+        (cdr.decode_mesh, samples.topology(5)),
         (cdr.decode_string, cdr.encode_string("frame")),
     ],
 )

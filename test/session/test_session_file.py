@@ -163,6 +163,7 @@ def test_power_loss_costs_at_most_the_sync_period(tmp_path: Path) -> None:
     writer = SessionWriter(
         tmp_path, snapshot=samples.SNAPSHOT, stem="synced", log_time=0, options=options, clock=lambda: now[0]
     )
+    # private: counts calls of fsync
     writer._file.sync = lambda: synced.append(now[0])  # type: ignore[method-assign]
     writer.declare(samples.FRAME, "std_msgs/msg/String")
     for tick in range(100):

@@ -230,6 +230,7 @@ def test_obstacle_motion_within_one_frame_acts_on_the_cloth() -> None:
     # Two plates press the sheet from both sides, so that it does not move: their work is stored in the gaps.
     cloth.advance([Move("front", (0.0, -0.053, 1.0)), Move("back", (0.0, 0.053, 1.0))])
     assert cloth.gaps()[:, 1] == pytest.approx([0.003, 0.003], rel=1e-3)
+    # private: not public without energy diagnostics
     put_in = cloth._accumulator.work - cloth._accumulator.dissipation
     assert cloth.energy() - before > 100.0
     assert put_in == pytest.approx(cloth.energy() - before, rel=0.02)

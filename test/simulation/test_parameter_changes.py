@@ -105,6 +105,7 @@ def test_storm_but_not_gust_triggers_a_new_error_estimate() -> None:
     ):
         before = controller_memory(simulation)
         restore = simulation.state.shallow_copy()
+        # private: between two frames
         simulation._set_parameters(change)
         assert (controller_memory(simulation) != before) is is_estimated, change
         simulation.state.restore(restore)

@@ -41,7 +41,7 @@ class ClockedCloth:
         )
         self.simulation = self.node.simulation
         self._rate = self.simulation.scene.rate
-        self._tick_index = round(begin * self._rate)
+        self.tick_index = round(begin * self._rate)
         self._sent = 0
         client.executor.add_node(self.node.node)
         self.node.start()
@@ -60,7 +60,7 @@ class ClockedCloth:
     @property
     def now(self) -> int:
         """Time of the newest tick [ns]."""
-        return int(self._tick_index * SECOND / self._rate)
+        return int(self.tick_index * SECOND / self._rate)
 
     def publish_clock(self, time: int) -> None:
         """Set the time [ns]."""
@@ -73,7 +73,7 @@ class ClockedCloth:
         for _ in range(count):
             frame = self.simulation.frame
             self.publish_clock(self.now)
-            self._tick_index += 1
+            self.tick_index += 1
             self.client.spin_until(lambda frame=frame: self.simulation.frame > frame, description=f"frame {frame + 1}")
 
     def send(self, leaf: str, message: Any) -> None:

@@ -159,6 +159,7 @@ def _parser_of(main: Any, arguments: list[str]) -> argparse.ArgumentParser:
 
 def _described(parser: argparse.ArgumentParser) -> dict[str, Any]:
     described: dict[str, Any] = {"name": parser.prog, "arguments": [], "options": {}}
+    # private: argparse has no other list
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             described["commands"] = {name: _described(inner) for name, inner in action.choices.items()}

@@ -121,6 +121,7 @@ def session_file() -> dict[str, Any]:
         "frame record": {
             "fields": [name for name in inspect.signature(FrameRecord).parameters],
             "text": record.to_json(),
+            # private: the messages are a contract
             "extras that are read": sorted(frame_record._EXTRA_CHECKS),
         },
         "scene.yaml": sorted(yaml.safe_load(parameter_file.dump(simulation.scene.parameters()))),
@@ -173,6 +174,7 @@ def fit() -> dict[str, Any]:
     _run("batch.fit_main", arguments, status=None)
     return {
         "keys": shape(json.loads(target.read_text())),
+        # private: names in files are a contract
         "short names": fit_parameters._SHORT | {"bending": "by bending.model"},
         "further names": list(fit_parameters._OTHER_NAMES),
     }

@@ -113,6 +113,7 @@ def memory() -> dict[str, Any]:
         },
         "tables": {
             name: [str(kind), list(shape)]
+            # private: keys of the memory are a contract
             for table in (state_memory._GRIPPERS, state_memory._OBSTACLES)
             for name, (kind, shape) in table.items()
         },
@@ -166,6 +167,7 @@ def engine_calls() -> dict[str, Any]:
         "interface": binding.ABI,
         "calls": {
             call: f"{name(result)} ({', '.join(map(name, arguments))})"
+            # private: the declared calls
             for call, (result, *arguments) in binding._SIGNATURES.items()
         },
         "frame": [f"{index:02d} {name(kind)}" for index, (_, kind) in enumerate(binding.FrameRequest._fields_)],

@@ -80,7 +80,7 @@ def live_session() -> dict[str, Any]:
             keys |= set(cloth.node.reporting.collector(True)[2])
         # /clock goes far ahead, then back: a frame's record tells either.
         for jump in (1000, -2000):
-            cloth._tick_index += jump
+            cloth.tick_index += jump
             cloth.tick()
         cloth.node.close(timeout=10.0)
     (path,) = folder.glob("*.mcap")
@@ -102,6 +102,7 @@ def _qos(profile: Any) -> str:
 
 def _plots(keys: list[str]) -> dict[str, Any]:
     """Return the plot of each key of the diagnostics, as replay reads them."""
+    # private: paths are a contract
     paths = {key: plots._plot_path(old_keys.DIAGNOSTICS.get(key, key)) for key in keys}
     return {
         "paths": sorted(plots.PLOTS),
@@ -111,4 +112,5 @@ def _plots(keys: list[str]) -> dict[str, Any]:
 
 def _verified() -> list[str]:
     """Return the keys of the diagnostics that `cloth_verify` has words on beside those that it computes."""
+    # private: keys are a contract
     return sorted({*verify_diagnostics._SUMS, *verify_diagnostics._TEXTS, *verify_diagnostics._EXACT})

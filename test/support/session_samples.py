@@ -132,7 +132,7 @@ def _diagnostics(stamp: int) -> bytes:
     return cdr.encode(content, "diagnostic_msgs/msg/DiagnosticArray")
 
 
-def _topology(points: int) -> bytes:
+def topology(points: int) -> bytes:
     triangles = [
         message("shape_msgs/msg/MeshTriangle", vertex_indices=np.array([i, i + 1, i + 2], np.uint32))
         for i in range(points - 2)
@@ -146,7 +146,7 @@ def _topology(points: int) -> bytes:
 def samples(frames: int, *, points: int = 40, first: int = 0) -> Iterator[Sample]:
     """Return the messages of a node over some frames: every kind of topic, in the order of recording."""
     if first == 0:
-        yield Sample(TOPOLOGY, "shape_msgs/msg/Mesh", _topology(points), START, False)
+        yield Sample(TOPOLOGY, "shape_msgs/msg/Mesh", topology(points), START, False)
     for frame in range(first, first + frames):
         stamp = START + frame * PERIOD
         events: tuple[dict[str, Any], ...] = ()

@@ -236,11 +236,11 @@ def test_evaluated_scenes_are_read_from_the_file(held_scene, tmp_path, monkeypat
     result_file = tmp_path / "evaluated.jsonl"
     evaluation = evaluate_scene(2, held_scene, 1)
     case = (2, held_scene, 1)
-    results = list(run_missing(evaluate_scene, [], workers=1, limit=60.0, file=result_file, read=bound._read))
+    results = list(run_missing(evaluate_scene, [], workers=1, limit=60.0, file=result_file, read=bound.read_result))
     assert not results
     assert not result_file.exists()
     monkeypatch.setattr("validation.case_pool.run_cases", lambda *_, **__: [CaseResult(case, evaluation, 1.0)])
-    limits = {"workers": 1, "limit": 60.0, "file": result_file, "read": bound._read}
+    limits = {"workers": 1, "limit": 60.0, "file": result_file, "read": bound.read_result}
     first_results = list(run_missing(bound.evaluate_case, [case], **limits))
     monkeypatch.setattr("validation.case_pool.run_cases", lambda *_, **__: pytest.fail("it runs again"))
     assert (

@@ -140,13 +140,14 @@ def progress(cases: list[_Case], options: argparse.Namespace, evaluate: Callable
     from tqdm import tqdm
 
     pool_limits = {"workers": options.jobs, "limit": options.limit}
-    results = run_missing(evaluate, cases, **pool_limits, file=options.resume, read=_read)
+    results = run_missing(evaluate, cases, **pool_limits, file=options.resume, read=read_result)
     for case_result in show_progress(results, len(cases), "scene"):
         tqdm.write(_line(case_result))
         yield case_result
 
 
-def _read(entry: dict[str, Any]) -> CaseResult[_Case, SceneEvaluation]:
+def read_result(entry: dict[str, Any]) -> CaseResult[_Case, SceneEvaluation]:
+    """Return the result of a case from its line in a file."""
     seed, index, windows = entry["case"]
     result = entry["result"]
     if result is not None:
