@@ -141,7 +141,7 @@ def test_every_subpackage_is_a_package(setup_arguments: dict[str, object]) -> No
 def test_every_file_beside_the_code_is_declared(setup_arguments: dict[str, object]) -> None:
     patterns = [pattern for patterns in setup_arguments["package_data"].values() for pattern in patterns]  # type: ignore[attr-defined]
     for path in (ROOT / "cloth_sim_ros").rglob("*"):
-        if path.is_file() and path.suffix not in {".py", ".pyc", ".so"}:
+        if path.is_file() and path.suffix not in {".py", ".pyc", ".so", ".o"}:
             assert any(path.match(pattern) for pattern in patterns), f"{path} would not be installed"
 
 

@@ -30,7 +30,12 @@ void operator delete(void* memory, std::size_t) noexcept { std::free(memory); }
 void operator delete(void* memory, std::align_val_t) noexcept { std::free(memory); }
 void operator delete(void* memory, std::size_t, std::align_val_t) noexcept { std::free(memory); }
 
-#include "api/library.cpp"
+#include "api/cloth_sim.hpp"
+#include "grid/grid.hpp"
+#include "mesh/elements.hpp"
+
+using namespace cloth::api;
+using cloth::plan::Plan;
 
 constexpr std::int64_t rows = 8, columns = 9, n = rows * columns, runs = 4;
 
@@ -48,9 +53,9 @@ static Plan* make_plan(bool grid) {
     std::vector<double> numbers(count, 5.0);
     numbers.resize(2 * count, 0.1);
     numbers.resize(3 * count, 0.01);
-    double families[6 * cloth::family_count] = {1, 5.0, 0.1, 0.01, 1, 0, 1, 5.0, 0.1, 0.01, 1, 0};
+    double families[6 * cloth::grid::family_count] = {1, 5.0, 0.1, 0.01, 1, 0, 1, 5.0, 0.1, 0.01, 1, 0};
     if (grid) cloth_plan_grid(plan, rows, columns, families);
-    cloth_plan_list(plan, static_cast<int>(cloth::Kind::spring), count, first.data(), numbers.data(), nullptr);
+    cloth_plan_list(plan, static_cast<int>(cloth::mesh::Kind::spring), count, first.data(), numbers.data(), nullptr);
     return plan;
 }
 
@@ -64,7 +69,7 @@ static int run_frame(Plan* plan, std::int64_t concurrency, std::vector<double>& 
         x[2 * n + i] = 0.01 * static_cast<double>(i * 13 % 7);
     }
     std::fill(out.begin(), out.end(), 0.0);
-    cloth::Frame frame{};
+    cloth::plan::FrameRequest frame{};
     frame.duration = 1e-2, frame.runs = runs, frame.steps = steps, frame.weights = weights, frame.bands = 2;
     frame.x0 = x.data(), frame.v0 = v.data(), frame.out = out.data(), frame.result = result.data();
     frame.records = notes.data(), frame.multirate = 1, frame.combined = 2, frame.concurrency = concurrency;

@@ -20,7 +20,9 @@ from cloth_sim_ros.engine.instruction_set import libraries
 def test_every_allocation_may_fail(tmp_path: Path) -> None:
     source, program = Path(__file__).with_name("no_memory.cpp"), tmp_path / "no_memory"
     flags = ["-std=c++20", "-pthread", "-O0", "-march=x86-64-v3", "-DCLOTH_VECTOR_BYTES=32", *build.WARNINGS]
-    command = ["g++", *flags, "-I", str(Path(build.__file__).parent), str(source), "-o", str(program)]
+    engine = Path(build.__file__).parent
+    units = [str(unit) for unit in build.translation_units()]
+    command = ["g++", *flags, "-I", str(engine), str(source), *units, "-o", str(program)]
     subprocess.run(command, check=True, capture_output=True)
     output = subprocess.run([program], check=True, capture_output=True, text=True).stdout
     lines = [
