@@ -21,9 +21,7 @@ struct Plan;
 
 namespace cloth::api {
 
-using plan::Callback;
-using plan::FrameRequest;
-using plan::Plan;
+using plan::Callback, plan::FrameRequest, plan::Plan;
 
 enum Status : int { ok = 0, failed = 1, no_memory = 2, callback_failed = 3, not_finite = 4, busy = 5 };
 

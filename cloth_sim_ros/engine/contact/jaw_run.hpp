@@ -9,8 +9,7 @@
 
 namespace cloth::contact {
 
-using grid::StepFactors;
-using plan::Run;
+using grid::StepFactors, plan::Run;
 
 class JawRun {
 public:

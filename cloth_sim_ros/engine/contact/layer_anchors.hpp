@@ -9,11 +9,7 @@
 
 namespace cloth::contact {
 
-using laws::anchor_numbers;
-using laws::Bond;
-using laws::no_bond;
-using laws::slides;
-using laws::sticks;
+using laws::anchor_numbers, laws::Bond, laws::no_bond, laws::slides, laws::sticks;
 
 /// Faces of a particle: a layer may be in contact with either.
 inline constexpr int layer_sides = 2;

@@ -12,8 +12,7 @@
 
 namespace cloth::contact {
 
-using laws::FrictionLaw;
-using plan::record_numbers;
+using laws::FrictionLaw, plan::record_numbers;
 
 /// A particle near an obstacle.
 struct ObstacleContact {

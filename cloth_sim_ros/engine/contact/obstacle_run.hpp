@@ -10,10 +10,7 @@
 
 namespace cloth::contact {
 
-using laws::FrictionLaw;
-using plan::Plan;
-using plan::PoseCache;
-using plan::record_numbers;
+using laws::FrictionLaw, plan::Plan, plan::PoseCache, plan::record_numbers;
 
 /// Index of a particle in the blocks of a run: by its rank, or by its row and column in a sheet.
 struct ParticleSlots {

@@ -16,12 +16,8 @@
 
 namespace cloth::contact {
 
-using laws::anchor_numbers;
-using laws::FrictionCoefficients;
-using laws::full_thickness;
-using laws::Scaling;
-using plan::path_numbers;
-using plan::pose_at;
+using laws::anchor_numbers, laws::FrictionCoefficients, laws::full_thickness, laws::Scaling, plan::path_numbers,
+    plan::pose_at;
 
 struct Obstacle {
     Shape shape;

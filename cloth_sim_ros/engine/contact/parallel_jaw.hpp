@@ -14,8 +14,7 @@ class ContactLaw;
 
 namespace cloth::contact {
 
-using laws::ContactLaw;
-using plan::Pose;
+using laws::ContactLaw, plan::Pose;
 
 /// Half the opening between the faces of the jaws [m], and its rate [m/s].
 inline constexpr int jaw_state_size = 2;

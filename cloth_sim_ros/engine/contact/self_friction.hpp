@@ -11,8 +11,7 @@
 
 namespace cloth::contact {
 
-using laws::FrictionCoefficients;
-using laws::FrictionLaw;
+using laws::FrictionCoefficients, laws::FrictionLaw;
 
 /// Push on one face of a particle, as an acceleration, and the nearest triangle there, -1 for none.
 template <class V>

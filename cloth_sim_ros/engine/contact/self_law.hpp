@@ -11,9 +11,7 @@
 
 namespace cloth::contact {
 
-using laws::ContactLaw;
-using laws::full_thickness;
-using laws::Scaling;
+using laws::ContactLaw, laws::full_thickness, laws::Scaling;
 
 CLOTH_INLINE double value_of(double a) { return a; }
 CLOTH_INLINE double value_of(Dual a) { return a.value; }

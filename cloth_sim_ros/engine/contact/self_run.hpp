@@ -13,10 +13,7 @@
 
 namespace cloth::contact {
 
-using plan::midpoint_time;
-using plan::Plan;
-using plan::Run;
-using plan::self_scalings;
+using plan::midpoint_time, plan::Plan, plan::Run, plan::self_scalings;
 
 /// Whether a pair may have intersected during a step. `square`: squared distance at the end of the step [m^2];
 /// displacement(c): that of a corner [m]. It has not if its relative motion is below that distance. No point of a side

@@ -10,9 +10,7 @@
 
 namespace cloth::grid {
 
-using laws::law_params;
-using laws::Panel;
-using mesh::PowerSums;
+using laws::law_params, laws::Panel, mesh::PowerSums;
 
 /// Zeros between the components of a row of cells, and before the first, for reads left of the first cell.
 template <class T>

@@ -11,8 +11,7 @@
 
 namespace cloth::grid {
 
-using laws::law_params;
-using laws::Panel;
+using laws::law_params, laws::Panel;
 
 template <class T>
 class GridBounds {

@@ -11,9 +11,7 @@
 
 namespace cloth::grid {
 
-using plan::OffGridForces;
-using plan::Run;
-using plan::RunStatus;
+using plan::OffGridForces, plan::Run, plan::RunStatus;
 
 class GridForces {
     using T = double;

@@ -21,10 +21,7 @@
 
 namespace cloth::grid {
 
-using laws::Altitude;
-using laws::Crossed;
-using laws::law_params;
-using mesh::PowerSums;
+using laws::Altitude, laws::Crossed, laws::law_params, mesh::PowerSums;
 
 /// One row of elements: positions and damping velocities of three rows, and their forces.
 template <class T>

@@ -14,10 +14,7 @@
 
 namespace cloth::grid {
 
-using plan::final_value;
-using plan::OffGridForces;
-using plan::Run;
-using plan::RunStatus;
+using plan::final_value, plan::OffGridForces, plan::Run, plan::RunStatus;
 
 template <class T>
 class GridRun {

@@ -10,8 +10,7 @@
 
 namespace cloth::grid {
 
-using mesh::Kind;
-using mesh::List;
+using mesh::Kind, mesh::List;
 
 /// Stencil of an element: row and column of each corner relative to the topmost row and the leftmost column.
 struct Stencil {

@@ -9,12 +9,7 @@
 
 namespace cloth::mesh {
 
-using laws::Altitude;
-using laws::Crossed;
-using laws::Joint;
-using laws::law_params;
-using laws::Panel;
-using laws::Spring;
+using laws::Altitude, laws::Crossed, laws::Joint, laws::law_params, laws::Panel, laws::Spring;
 
 /// Call `visit` with the law of a kind.
 template <class F>

@@ -10,13 +10,8 @@
 
 namespace cloth::mesh {
 
-using grid::StepFactors;
-using plan::evaluation;
-using plan::final_value;
-using plan::OffGridForces;
-using plan::Plan;
-using plan::Run;
-using plan::RunStatus;
+using grid::StepFactors, plan::evaluation, plan::final_value, plan::OffGridForces, plan::Plan, plan::Run,
+    plan::RunStatus;
 
 /// With `Evaluate` a single evaluation at x0 and v0, which returns accelerations in place of velocities.
 template <class T, bool Evaluate>

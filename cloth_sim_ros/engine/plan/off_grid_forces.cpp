@@ -16,10 +16,7 @@
 
 namespace cloth::plan {
 
-using contact::contact_block;
-using contact::ContactBounds;
-using contact::ContactSummary;
-using grid::damping_velocity;
+using contact::contact_block, contact::ContactBounds, contact::ContactSummary, grid::damping_velocity;
 
 Plan::Plan() = default;
 Plan::~Plan() = default;

@@ -18,14 +18,8 @@ struct ParticleSlots;
 
 namespace cloth::plan {
 
-using contact::FeatureRun;
-using contact::ObstacleRun;
-using contact::ParticleSlots;
-using contact::SelfRun;
-using grid::position;
-using grid::RowView;
-using grid::Slot;
-using mesh::PowerSums;
+using contact::FeatureRun, contact::ObstacleRun, contact::ParticleSlots, contact::SelfRun, grid::position,
+    grid::RowView, grid::Slot, mesh::PowerSums;
 
 /// Forces outside the grid loop, with the data that a run keeps between its steps.
 template <class T>

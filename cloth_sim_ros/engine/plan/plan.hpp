@@ -25,19 +25,9 @@ struct FeatureContactModel;
 
 namespace cloth::plan {
 
-using contact::Contacts;
-using contact::FeatureContactModel;
-using contact::layer_sides;
-using contact::LayerAnchors;
-using contact::ReducedThickness;
-using contact::SelfContact;
-using grid::Grid;
-using grid::GridTables;
-using grid::Mode;
-using grid::StepFactors;
-using laws::anchor_numbers;
-using laws::Scaling;
-using mesh::List;
+using contact::Contacts, contact::FeatureContactModel, contact::layer_sides, contact::LayerAnchors,
+    contact::ReducedThickness, contact::SelfContact, grid::Grid, grid::GridTables, grid::Mode, grid::StepFactors,
+    laws::anchor_numbers, laws::Scaling, mesh::List;
 
 struct Plan {
     Plan();

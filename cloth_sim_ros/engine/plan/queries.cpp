@@ -13,10 +13,7 @@
 
 namespace cloth::plan {
 
-using laws::Altitude;
-using laws::Crossed;
-using laws::Spring;
-using mesh::Kind;
+using laws::Altitude, laws::Crossed, laws::Spring, mesh::Kind;
 
 Energy energy_of(Plan& plan, double t, const double* x, const double* v) {
     const std::int64_t n = plan.count;

@@ -12,10 +12,7 @@
 
 namespace cloth::plan {
 
-using grid::GridBounds;
-using grid::largest_eigenvalue;
-using laws::Bound;
-using mesh::ElementState;
+using grid::GridBounds, grid::largest_eigenvalue, laws::Bound, mesh::ElementState;
 
 /// Largest number of an array, or NaN if it contains one.
 inline double largest_or_nan(const double* numbers, std::int64_t count) {

@@ -8,8 +8,7 @@
 
 namespace cloth::plan {
 
-using contact::contact_block;
-using mesh::Kind;
+using contact::contact_block, mesh::Kind;
 
 template <class T>
 const GridTables<T>& Plan::grid_tables() {

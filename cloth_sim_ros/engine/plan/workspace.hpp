@@ -10,9 +10,7 @@
 
 namespace cloth::plan {
 
-using grid::CellTable;
-using grid::RowTable;
-using mesh::Elements;
+using grid::CellTable, grid::RowTable, mesh::Elements;
 
 /// Particles of one thread, and the listed elements that touch them. Elements at a border are evaluated on both sides,
 /// so that the sum of each particle has one order.
