@@ -30,9 +30,10 @@ from validation.tolerance.compiled_reference import (
     ReferenceSystem,
     trajectories,
 )
+from validation.tolerance.linear_motion import exact_positions
 from validation.tolerance.random_scenes import MAX_COST, draw_scene
 from validation.tolerance.recording import record_run
-from validation.tolerance.regimes import Regime, all_regimes, evaluate_regime, exact_positions, regime_scene
+from validation.tolerance.regimes import Regime, all_regimes, evaluate_regime, regime_scene
 from validation.tolerance.violent import run_violent
 from validation.tolerance.windows import evaluate_scene, evaluate_window, grip_points, unit_perturbations
 

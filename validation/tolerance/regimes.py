@@ -17,11 +17,10 @@ import numpy as np
 
 from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.scene.scene import Scene
 from validation.case_pool import run_cases, show_progress
 from validation.report import Report, Table
+from validation.tolerance.linear_motion import exact_positions
 from validation.tolerance.random_grips import RandomGripScript
 from validation.tolerance.random_scenes import RandomScene, max_frequency
 from validation.tolerance.recording import RecordedRun, record_run
@@ -47,6 +46,9 @@ class Regime:
     linear: bool
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     duration: float = DURATION
+    #: Frames per second [1/s], and linear drag [1/s].
+    rate: float = RATE
+    drag: float = 0.0
 
 
 def all_regimes() -> list[Regime]:
@@ -169,7 +171,7 @@ def _pendulum(name: str, lengths: list[float], masses: list[float], stiffness: f
 def regime_scene(regime: Regime, tolerance: float) -> RandomScene:
     """Return a regime as a scene without grippers."""
     values = {
-        "rate": RATE,
+        "rate": regime.rate,
         "tolerance": tolerance,
         "cloth.springs": "springs.yaml",
         "cloth.anchors": list(regime.anchors),
@@ -177,7 +179,7 @@ def regime_scene(regime: Regime, tolerance: float) -> RandomScene:
         "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
         "bending.model": "none",
         "gravity": list(regime.gravity),
-        "air.drag": 0.0,
+        "air.drag": regime.drag,
         "grippers": [""],
     }
     scene = Scene.from_parameters(values, files={"springs.yaml": json.dumps(regime.tables).encode()})
@@ -188,53 +190,11 @@ def regime_scene(regime: Regime, tolerance: float) -> RandomScene:
         scene=scene,
         state=state,
         script=RandomGripScript(holds=()),
-        frames=round(regime.duration * RATE),
+        frames=round(regime.duration * regime.rate),
         words=regime.name,
         cost=0.0,
         frequency=max_frequency(scene, state.x),
     )
-
-
-def exact_positions(model: Model, x: Array, v: Array, period: float, frames: int) -> list[Array]:
-    """Return positions (3, n) [m] at the end of each frame of a linear system, by a matrix exponential.
-
-    The system has no gravity.
-    """
-    from scipy.linalg import expm
-
-    count = model.particle_count
-    springs = model.forces[0]
-    if len(model.forces) != 1 or not isinstance(springs, PairSprings):
-        raise ValueError("the model has other forces than springs; the exact solution needs a linear model")
-    difference = np.zeros((len(springs.pairs), count))
-    difference[np.arange(len(springs.pairs)), springs.pairs[:, 0]] = -1.0
-    difference[np.arange(len(springs.pairs)), springs.pairs[:, 1]] = 1.0
-    stiff = difference.T @ (springs.rigidity[:, None] * difference)
-    damped = difference.T @ (springs.damping[:, None] * difference)
-    separations = difference @ x.T
-    # Stretch of a spring on a line: d - l0 d / |d|; of a joint: d.
-    length = np.sqrt(np.sum(separations * separations, axis=1))
-    stretch = separations * (1.0 - springs.rest_length / np.where(length > 0.0, length, 1.0))[:, None]
-    push = -difference.T @ (springs.rigidity[:, None] * stretch)
-    inverse = model.inverse_masses[:, None]
-    free = np.flatnonzero(model.inverse_masses > 0.0)
-    n_free = len(free)
-    # State: deviation from the start, velocity, and 1; one column for each axis, because the axes are independent.
-    matrix = np.zeros((2 * n_free + 3, 2 * n_free + 3))
-    matrix[:n_free, n_free : 2 * n_free] = np.eye(n_free)
-    matrix[n_free : 2 * n_free, :n_free] = -(inverse * stiff)[np.ix_(free, free)]
-    matrix[n_free : 2 * n_free, n_free : 2 * n_free] = -(inverse * damped)[np.ix_(free, free)]
-    matrix[n_free : 2 * n_free, 2 * n_free :] = (inverse * push)[free]
-    step = expm(matrix * period)
-    state = np.zeros((2 * n_free + 3, 3))
-    state[n_free : 2 * n_free], state[2 * n_free :] = v.T[free], np.eye(3)
-    positions = []
-    for _ in range(frames):
-        state = step @ state
-        frame_positions = x.copy()
-        frame_positions[:, free] += state[:n_free].T
-        positions.append(frame_positions)
-    return positions
 
 
 @attrs.frozen
