@@ -39,6 +39,8 @@ FINE, ROUGH = 1e-11, 1e-10
 _PARTS = 4
 #: Simulated time of a scene, and of a window [s].
 _SECONDS, _WINDOW = 2.0, 1.0
+#: Particles of a sheet along a side.
+_SIDES = (6, 12)
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -52,10 +54,13 @@ class ContactDraw:
 
 def draw_contact(seed: int, index: int) -> ContactDraw:
     """Draw the scene of an index: kind and friction cycle with the index, everything else is random."""
-    rng = np.random.default_rng([seed, index, 14])
-    kind = KINDS[index % len(KINDS)]
-    friction = FRICTIONS[index // len(KINDS) % len(FRICTIONS)]
-    rows, columns = (int(count) for count in rng.integers(6, 13, size=2))
+    kind, friction = KINDS[index % len(KINDS)], FRICTIONS[index // len(KINDS) % len(FRICTIONS)]
+    return draw_contact_scene(np.random.default_rng([seed, index, 14]), kind, friction, _SIDES)
+
+
+def draw_contact_scene(rng: np.random.Generator, kind: str, friction: float, sides: tuple[int, int]) -> ContactDraw:
+    """Draw a scene of a kind; `sides`: limits of the number of particles along a side."""
+    rows, columns = (int(count) for count in rng.integers(sides[0], sides[1] + 1, size=2))
     spacing = float(rng.uniform(0.02, 0.04))
     height, width = (rows - 1) * spacing, (columns - 1) * spacing
     thickness = float(rng.uniform(0.15, 0.3)) * spacing
@@ -147,11 +152,11 @@ class ContactRun:
     trouble: str
 
 
-def run_contact(draw: ContactDraw) -> ContactRun:
-    """Run a scene to its end."""
+def run_contact(draw: ContactDraw, duration: float = _SECONDS) -> ContactRun:
+    """Run a scene for a duration [s]."""
     simulation, capture = Simulation(draw.scene, draw.state), FrameCapture()
     run = ContactRun(draw=draw, frames=[], advances=[], seconds=[], trouble="")
-    for frame_index in range(round(_SECONDS * draw.scene.rate)):
+    for frame_index in range(round(duration * draw.scene.rate)):
         before, begin = simulation.state.shallow_copy(), time.perf_counter()
         try:
             frame = simulation.advance()
@@ -199,7 +204,7 @@ def evaluate_contact(seed: int, index: int, windows: int) -> SceneEvaluation:
     evaluated, unknown = list[Window](), list[str]()
     for first in [0, *sorted(later_starts.tolist())] if count >= second else []:
         try:
-            evaluated.append(_window(run, first, second, rng))
+            evaluated.append(evaluate_contact_window(run, first, second, rng))
         except ArithmeticError as error:
             unknown.append(f"window at {first}: {error}")
     return SceneEvaluation(
@@ -223,16 +228,19 @@ def evaluate_contact(seed: int, index: int, windows: int) -> SceneEvaluation:
     )
 
 
-def _window(run: ContactRun, first: int, second: int, rng: np.random.Generator) -> Window:
+def evaluate_contact_window(
+    run: ContactRun, first: int, second: int, rng: np.random.Generator, *, fine: float = FINE, rough: float = ROUGH
+) -> Window:
+    """Evaluate the window of one second from a frame on; `fine`, `rough`: see `FINE`."""
     frames, advances = run.frames[first : first + second], run.advances[first : first + second]
-    exact = integrate_reference(frames, None, FINE)
-    check = integrate_reference(frames, None, ROUGH)
+    exact = integrate_reference(frames, None, fine)
+    check = integrate_reference(frames, None, rough)
     tolerance, initial_positions = run.draw.scene.tolerance, run.draw.state.x.T
     fields = [rng.normal(size=initial_positions.shape), smooth_field(rng, initial_positions)]
     unit_fields = [field.T / np.linalg.norm(field, axis=1).max() for field in fields]
     perturbations = [PERTURBATION * np.ascontiguousarray(field) for field in unit_fields]
     amplification = max(
-        _amplification(frames, exact, perturbation, perturbs_velocity)
+        _amplification(frames, exact, perturbation, perturbs_velocity, fine)
         for perturbation in perturbations
         for perturbs_velocity in (False, True)
     )
@@ -241,9 +249,9 @@ def _window(run: ContactRun, first: int, second: int, rng: np.random.Generator) 
     if error > tolerance * max(1.0, amplification):
         for part in range(1, _PARTS):
             later_frames = frames[part * second // _PARTS :]
-            later_exact = integrate_reference(later_frames, None, FINE)
+            later_exact = integrate_reference(later_frames, None, fine)
             later_amplifications = (
-                _amplification(later_frames, later_exact, perturbation, perturbs_velocity)
+                _amplification(later_frames, later_exact, perturbation, perturbs_velocity, fine)
                 for perturbation in perturbations
                 for perturbs_velocity in (False, True)
             )
@@ -267,9 +275,9 @@ def _window(run: ContactRun, first: int, second: int, rng: np.random.Generator) 
 
 
 def _amplification(
-    frames: list[SimulatedFrame], exact: list[Array], perturbation: Array, perturbs_velocity: bool
+    frames: list[SimulatedFrame], exact: list[Array], perturbation: Array, perturbs_velocity: bool, fine: float
 ) -> float:
     """Return the largest amplification of a perturbation of positions or of velocities."""
     zeros = np.zeros_like(perturbation)
-    perturbed = integrate_reference(frames, (zeros, perturbation) if perturbs_velocity else (perturbation, zeros), FINE)
+    perturbed = integrate_reference(frames, (zeros, perturbation) if perturbs_velocity else (perturbation, zeros), fine)
     return max(largest_distance(a, b) for a, b in zip(perturbed, exact, strict=True)) / PERTURBATION

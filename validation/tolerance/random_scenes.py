@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import attrs
@@ -57,6 +58,8 @@ class RandomScene:
     cost: float
     #: Highest frequency of the start, or its damping rate if that is higher [1/s].
     frequency: float
+    #: Changed parameters by the frame before which they change.
+    changes: Mapping[int, dict[str, Any]] = attrs.field(factory=dict)
 
     @property
     def frames_per_second(self) -> int:
@@ -78,7 +81,7 @@ def draw_scene(seed: int, index: int) -> RandomScene:
             continue
     duration = float(rng.uniform(*DURATIONS))
     frames = max(round(scene.rate), round(duration * scene.rate))
-    state = _initial_state(rng, scene, 0.2 if calm else 1.0)
+    state = initial_state(rng, scene, 0.2 if calm else 1.0)
     script = RandomGripScript.random(rng, scene, frames, pace=_CALM_PACE if calm else 1.0)
     system = ReferenceSystem(scene.model())
     description = ", ".join([*words, f"{scene.rate:g} Hz", f"{frames / scene.rate:.1f} s", script.words])
@@ -129,12 +132,8 @@ def _values(rng: np.random.Generator, calm: bool) -> tuple[dict[str, Any], dict[
         more, files, words = _sheet(rng, kind, calm)
         values |= more
     if rng.random() < 0.4:
-        values["wind.velocity"] = rng.uniform(-4.0, 4.0, 3).tolist()
-        words.append("wind")
-        if kind != "springs" and rng.random() < 0.6:
-            values["wind.normal_drag"] = log_uniform(rng, 0.02, 2.0)
-            values["wind.tangential_drag"] = float(rng.uniform(0.0, 0.1))
-            words.append("air on panels")
+        values |= sheet_air(rng) if kind != "springs" else {"wind.velocity": rng.uniform(-4.0, 4.0, 3).tolist()}
+        words += ["wind", "air on panels"] if values["wind.normal_drag"] else ["wind"]
     names = [f"gripper{k}" for k in range(int(rng.choice([0, 1, 2, 3], p=[0.25, 0.4, 0.2, 0.15])))]
     extent = 0.3 * max(values.get("cloth.size", [0.5]))
     values |= {
@@ -160,7 +159,7 @@ def _sheet(rng: np.random.Generator, kind: str, calm: bool) -> tuple[dict[str, A
         "bending.model": model,
         "cloth.position": rng.uniform(-1.0, 1.0, 3).tolist(),
         "gripper.max_speed": 0.0,
-        "cloth.orientation": _hanging(rng) if calm else rng.normal(size=4).tolist(),
+        "cloth.orientation": upright_orientation(rng) if calm else rng.normal(size=4).tolist(),
     }
     if model in ("axial", "opposite"):
         values["bending.stiffness"] = stretch * log_uniform(rng, 1e-4, 0.1)
@@ -246,14 +245,23 @@ def _gravity(rng: np.random.Generator) -> list[float]:
     return [0.0, 0.0, 0.0] if rng.random() < 0.5 else rng.uniform(-6.0, 6.0, 3).tolist()
 
 
-def _hanging(rng: np.random.Generator) -> list[float]:
+def sheet_air(rng: np.random.Generator) -> dict[str, Any]:
+    """Draw a wind, and possibly the forces of air on panels."""
+    values: dict[str, Any] = {"wind.velocity": rng.uniform(-4.0, 4.0, 3).tolist()}
+    if rng.random() < 0.6:
+        values["wind.normal_drag"] = log_uniform(rng, 0.02, 2.0)
+        values["wind.tangential_drag"] = float(rng.uniform(0.0, 0.1))
+    return values
+
+
+def upright_orientation(rng: np.random.Generator) -> list[float]:
     """Draw the orientation of an upright sheet: the default one after a random yaw."""
     half, root = rng.uniform(0.0, math.pi), math.sqrt(0.5)
     sine, cosine = drawn_alike([root * math.sin(half), root * math.cos(half)]).tolist()
     return [cosine, sine, sine, cosine]
 
 
-def _initial_state(rng: np.random.Generator, scene: Scene, amplitude: float) -> State:
+def initial_state(rng: np.random.Generator, scene: Scene, amplitude: float) -> State:
     """Draw a start at rest, or one with a smooth deformation and velocity."""
     state = scene.starting_state()
     if rng.random() < 0.5:

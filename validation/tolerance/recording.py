@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.simulation.events import SetParameters
 from cloth_sim_ros.simulation.simulation import Simulation
 from validation.tolerance.compiled_reference import LANES, GripTable, ReferenceSystem
 from validation.tolerance.random_grips import RandomGripPlayer
@@ -25,6 +26,8 @@ MAX_FORCE_MISMATCH = 1e-12
 class RecordedFrame:
     """Inputs of one frame and its step statistics."""
 
+    #: Equations of motion.
+    system: ReferenceSystem
     #: Grasped particles with the engine's points for each trajectory; None if nothing is grasped.
     grasped: GripTable | None
     #: True for grips that are new in this frame, shape (m,); their points follow from the particles' positions.
@@ -39,6 +42,7 @@ class RecordedRun:
     """Run with its states at the boundaries of frames."""
 
     draw: RandomScene
+    #: Equations of motion at the end.
     system: ReferenceSystem
     #: (3, n) each [m], [m/s]; one more than frames.
     positions: list[Array]
@@ -67,19 +71,26 @@ def record_run(draw: RandomScene) -> RecordedRun:
     for frame_index in range(draw.frames):
         begin = time.perf_counter()
         try:
-            advance = simulation.advance(player.events(frame_index)).advance
+            events = player.events(frame_index)
+            if frame_index in draw.changes:
+                events.append(SetParameters(dict(draw.changes[frame_index])))
+            advance = simulation.advance(events).advance
         except (UnstableError, ValueError) as error:
             trouble = f"frame {frame_index}: {error}"
             break
         seconds = time.perf_counter() - begin
         if advance is None:
             raise RuntimeError(f"frame {frame_index} let no time pass")
+        if frame_index in draw.changes:
+            system = ReferenceSystem(simulation.model)
         grasped, is_new_grip = _grasped_particles(simulation, frames[-1].grasped if frames else None)
         if grasped is not None and not grips_compared:
             grips_compared = True
             start = simulation.time - draw.scene.period
             mismatch = max(mismatch, _mismatch(simulation, system, grasped, start))
-        frames.append(RecordedFrame(grasped=grasped, is_new_grip=is_new_grip, advance=advance, seconds=seconds))
+        frames.append(
+            RecordedFrame(system=system, grasped=grasped, is_new_grip=is_new_grip, advance=advance, seconds=seconds)
+        )
         positions.append(simulation.state.x.copy())
         velocities.append(simulation.state.v.copy())
     return RecordedRun(

@@ -259,7 +259,8 @@ def run_reference(run: RecordedRun, first: int, frames: int, perturbation: Array
     for frame_index in range(first, first + frames):
         t = frame_index * run.period
         frame = run.frames[frame_index]
-        run.system.set_grasped(grip_points(frame.grasped, frame.is_new_grip, offsets, y), t)
+        integration.system = frame.system
+        frame.system.set_grasped(grip_points(frame.grasped, frame.is_new_grip, offsets, y), t)
         integration.advance(run.period)
         positions.append(integration.positions)
         amplifications.append(integration.deviations() / PERTURBATION)
