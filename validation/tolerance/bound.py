@@ -19,6 +19,8 @@ from typing import Any
 
 from validation.case_pool import CaseResult, run_missing, show_progress
 from validation.report import Report, Table
+from validation.tolerance.climb import FAMILIES as CLIMB_FAMILIES
+from validation.tolerance.climb import climb_command
 from validation.tolerance.random_scenes import MAX_COST, draw_scene
 from validation.tolerance.windows import CALM_AMPLIFICATION, SceneEvaluation, Window, evaluate_scene
 
@@ -39,6 +41,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     mode.add_argument("--regimes", action="store_true", help="evaluate springs, chains and pendulums of fixed regimes")
     mode.add_argument("--violent", action="store_true", help="evaluate scenes whose grippers jump with each frame")
     mode.add_argument("--contact", action="store_true", help="evaluate sheets that fall on obstacles and on themselves")
+    climb = "search for violations by climbs over families of scenes"
+    mode.add_argument("--climb", action="store_true", help=climb)
+    replay = "evaluate the best scene of each climb of this file (of --climb --resume FILE) again"
+    mode.add_argument("--replay", type=Path, metavar="FILE", help=replay)
     only = "evaluate this scene of the seed only, window by window"
     mode.add_argument("--only", type=int, metavar="INDEX", help=only)
     parser.add_argument("--seed", type=int, default=1, help="seed of the scenes (1)")
@@ -51,18 +57,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes (one per core)")
     resume = "append each result to this file, and run only scenes without one"
     parser.add_argument("--resume", type=Path, metavar="FILE", help=resume)
+    parser.add_argument("--climbs", type=int, default=200, help="number of climbs (200)")
+    parser.add_argument("--seconds", type=float, default=60.0, help="wall time of a climb [s] (60)")
+    families = f"families of scenes to climb over, in turn (all): {', '.join(CLIMB_FAMILIES)}"
+    parser.add_argument("--family", nargs="+", choices=CLIMB_FAMILIES, metavar="FAMILY", help=families)
     limit = "wall time limit of a scene; a scene that takes longer fails"
     parser.add_argument("--limit", type=float, default=1800.0, metavar="SECONDS", help=limit)
 
 
 def run(options: argparse.Namespace) -> Report:
     """Evaluate the selected scenes."""
-    if options.count < 1 or options.windows < 1 or options.jobs < 1:
-        raise ValueError("--count, --windows and --jobs must be at least 1")
+    if min(options.count, options.windows, options.jobs, options.climbs) < 1 or not options.seconds > 0.0:
+        raise ValueError("--count, --windows, --jobs and --climbs must be at least 1, --seconds above 0")
     if options.regimes:
         from validation.tolerance.regimes import regimes
 
         return regimes(options)
+    if options.climb or options.replay:
+        return climb_command(options)
     if options.violent:
         from validation.tolerance.violent import violent
 

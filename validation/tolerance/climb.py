@@ -1,0 +1,250 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Search for violations of the error bound: climbs that maximise the error ratio of unflagged windows.
+
+A family maps a vector of numbers in [0, 1] to a scene of public parameters. A climb maximises error / (tolerance x
+max(1, g)) over the unflagged windows of a family's scenes, by hill climbing with restarts or by differential evolution.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import attrs
+import numpy as np
+
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.scene.parameters.declare import ParameterError
+from validation.case_pool import CaseResult, run_missing, show_progress
+from validation.report import Report, Table
+from validation.tolerance.climb_more import contact, save_times
+from validation.tolerance.climb_scenes import SCENE_FAMILIES, Trial
+from validation.tolerance.vector_generator import VectorGenerator
+
+FAMILIES = {**SCENE_FAMILIES, "contact": (contact, 24), "save-times": (save_times, 18)}
+METHODS = ("hill", "evolution")
+#: Random starts of a hill climb, and limits of the number of failures in a row before it restarts.
+_STARTS, _MAX_FAILURES = 6, (30, 200)
+#: Members of differential evolution's population.
+_POPULATION = 24
+#: Wall time of a climb's last scene beyond the climb's own time [s]; a scene that takes longer ends without a result.
+_LAST_SCENE = 120.0
+
+
+@attrs.frozen
+class Climb:
+    """One climb of a family."""
+
+    family: str
+    method: str
+    seed: int
+    index: int
+    #: Wall time [s].
+    seconds: float
+
+
+@attrs.frozen(kw_only=True)
+class ClimbResult:
+    """Summit of one climb, and statistics of its scenes."""
+
+    #: Largest error ratio of an unflagged window, 0 without one; its vector and its scene.
+    ratio: float
+    vector: tuple[float, ...]
+    tolerance: float
+    amplification: float
+    words: str
+    parameters: dict[str, Any]
+    #: Median error ratio of all unflagged windows.
+    median: float
+    scenes: int
+    windows: int
+    flagged: int
+    #: Windows that the reference can't follow, and scenes without evaluation.
+    unknown: int
+    not_evaluated: int
+
+
+class _TimeOverError(Exception):
+    """The time of a climb is over."""
+
+
+class _Objective:
+    """Error ratio of the scene of a vector, and statistics of all of them."""
+
+    def __init__(self, family: str, seconds: float) -> None:
+        self._family, self._end = family, time.monotonic() + seconds
+        self._vector = np.zeros(0)
+        self._trial: Trial | None = None
+        self._ratios = list[float]()
+        self._ratio, self._counts = -1.0, dict.fromkeys(("scenes", "windows", "flagged", "unknown", "not_evaluated"), 0)
+
+    def __call__(self, vector: Array) -> float:
+        if time.monotonic() > self._end:
+            raise _TimeOverError
+        trial = evaluate_vector(self._family, vector)
+        self._counts["scenes"] += 1
+        if trial is None or not trial.windows:
+            self._counts["not_evaluated"] += 1
+        if trial is None:
+            return 0.0
+        known = [window for window in trial.windows if window.is_known]
+        self._counts["windows"] += len(known)
+        self._counts["flagged"] += sum(window.flagged > 0 for window in known)
+        self._counts["unknown"] += len(trial.windows) - len(known)
+        self._ratios += [window.ratio for window in trial.unflagged]
+        ratio = trial.worst.ratio if trial.worst else 0.0
+        if ratio > self._ratio:
+            self._ratio, self._vector, self._trial = ratio, vector.copy(), trial
+        return ratio
+
+    def result(self) -> ClimbResult:
+        trial = self._trial
+        worst = trial.worst if trial else None
+        return ClimbResult(
+            ratio=max(self._ratio, 0.0),
+            vector=tuple(self._vector.tolist()),
+            tolerance=trial.tolerance if trial else 0.0,
+            amplification=worst.amplification if worst else 0.0,
+            words=trial.words if trial else "",
+            parameters=dict(trial.parameters) if trial else {},
+            median=float(np.median(self._ratios)) if self._ratios else 0.0,
+            **self._counts,
+        )
+
+
+def evaluate_vector(family: str, vector: Array) -> Trial | None:
+    """Evaluate the scene of a vector; None if its parameters do not make a scene."""
+    try:
+        return FAMILIES[family][0](VectorGenerator(vector.tolist()))
+    except ParameterError:
+        # Not every material can be woven into every grid.
+        return None
+
+
+def run_climb(climb: Climb) -> ClimbResult:
+    """Climb until the time is over."""
+    rng = np.random.default_rng([climb.seed, climb.index])
+    objective, size = _Objective(climb.family, climb.seconds), FAMILIES[climb.family][1]
+    try:
+        while True:
+            (_climb_hill if climb.method == "hill" else _evolve)(objective, rng, size)
+    except _TimeOverError:
+        return objective.result()
+
+
+def _climb_hill(objective: Callable[[Array], float], rng: np.random.Generator, size: int) -> None:
+    """Climb from the best of some random vectors until many steps in a row fail."""
+    starts = [rng.random(size) for _ in range(_STARTS)]
+    ratios = [objective(start) for start in starts]
+    ratio, vector = max(zip(ratios, starts, strict=True), key=lambda pair: pair[0])
+    failures, max_failures = 0, int(rng.integers(*_MAX_FAILURES))
+    while failures < max_failures:
+        is_changed = rng.random(size) < max(1.5 / size, 0.5 * rng.random() ** 2)
+        step = 10.0 ** rng.uniform(-3.0, -0.3) * rng.normal(size=size)
+        # Steps across a limit are reflected.
+        candidate = 1.0 - np.abs(1.0 - np.abs(vector + is_changed * step))
+        candidate_ratio = objective(np.clip(candidate, 0.0, 1.0))
+        failures = 0 if candidate_ratio > ratio else failures + 1
+        if candidate_ratio >= ratio:
+            ratio, vector = candidate_ratio, np.clip(candidate, 0.0, 1.0)
+
+
+def _evolve(objective: Callable[[Array], float], rng: np.random.Generator, size: int) -> None:
+    """Run differential evolution from a random population until it has converged."""
+    from scipy.optimize import differential_evolution
+
+    differential_evolution(
+        lambda vector: -objective(vector),
+        [(0.0, 1.0)] * size,
+        init=rng.random((_POPULATION, size)),
+        rng=rng,
+        polish=False,
+    )
+
+
+def climb_command(options: argparse.Namespace) -> Report:
+    """Run the climbs, or replay those of a file."""
+    return _replay(options.replay) if options.replay else _climb(options)
+
+
+def _climb(options: argparse.Namespace) -> Report:
+    from tqdm import tqdm
+
+    families = options.family or list(FAMILIES)
+    cases = [
+        Climb(
+            families[index % len(families)], METHODS[index // len(families) % 2], options.seed, index, options.seconds
+        )
+        for index in range(options.climbs)
+    ]
+    command = f"python -m validation tolerance --climb --climbs {options.climbs} --seconds {options.seconds:g}"
+    command += f" --seed {options.seed}" + (f" --family {' '.join(families)}" if options.family else "")
+    report = Report("Search for violations of the error bound", command)
+    results = dict[Climb, ClimbResult]()
+    limits = {"workers": options.jobs, "limit": options.seconds + _LAST_SCENE}
+    dones = run_missing(run_climb, cases, **limits, file=options.resume, read=_read)
+    for done in show_progress(dones, len(cases), "climb"):
+        if done.result is None:
+            report.fail(f"climb {done.case.index} of {done.case.family}: {done.trouble}")
+            continue
+        results[done.case] = done.result
+        result, case = done.result, done.case
+        tqdm.write(f"{case.index:4d} {case.family}, {case.method}: ratio {result.ratio:.3g}, {result.words}")
+    summary = ["family", "climbs", "scenes", "lowest best", "lower quartile", "median best", "upper quartile", "best"]
+    summary_table = Table("Largest error ratio of each climb", [*summary, "above 1", "median of windows", "flagged"])
+    for family in families:
+        summits = [result for climb, result in results.items() if climb.family == family]
+        if summits:
+            ratios = [result.ratio for result in summits]
+            counts = {
+                name: sum(getattr(result, name) for result in summits) for name in ("scenes", "windows", "flagged")
+            }
+            row: list[Any] = [family, len(summits), counts["scenes"]]
+            row += [float(quantile) for quantile in np.quantile(ratios, [0.0, 0.25, 0.5, 0.75, 1.0])]
+            row += [sum(ratio > 1.0 for ratio in ratios), float(np.median([result.median for result in summits]))]
+            summary_table.rows.append([*row, counts["flagged"] / max(1, counts["windows"])])
+    columns = ["climb", "family", "method", "ratio", "tolerance m", "g", "scenes", "unknown", "not evaluated", "what"]
+    table = Table("Scene of the largest error ratio of each climb", columns)
+    for climb, result in sorted(results.items(), key=lambda pair: -pair[1].ratio):
+        row = [climb.index, climb.family, climb.method, result.ratio, result.tolerance, result.amplification]
+        table.rows.append([*row, result.scenes, result.unknown, result.not_evaluated, result.words])
+    report.tables += [summary_table, table]
+    violations = sum(result.ratio > 1.0 for result in results.values())
+    if violations:
+        report.fail(f"{violations} of {len(results)} climbs violate the error bound without a flagged frame")
+    return report
+
+
+def _read(entry: dict[str, Any]) -> CaseResult[Climb, ClimbResult]:
+    result = entry["result"]
+    if result is not None:
+        result = ClimbResult(**{**result, "vector": tuple(result["vector"])})
+    return CaseResult(Climb(**entry["case"]), result, entry["seconds"], entry["trouble"])
+
+
+def _replay(file: Path) -> Report:
+    """Evaluate the best scene of each climb of a file again."""
+    report = Report("Replay of a search", f"python -m validation tolerance --replay {file}")
+    columns = ["climb", "family", "ratio", "recorded ratio", "tolerance m", "g", "error m", "flagged windows", "what"]
+    table = Table("Scenes of the largest error ratios", columns)
+    for line in file.read_text().splitlines():
+        done = _read(json.loads(line))
+        if done.result is None or not done.result.vector:
+            continue
+        trial = evaluate_vector(done.case.family, np.array(done.result.vector))
+        worst = trial.worst if trial else None
+        row: list[Any] = [done.case.index, done.case.family, worst.ratio if worst else 0.0, done.result.ratio]
+        row += [done.result.tolerance, worst.amplification if worst else 0.0, worst.error if worst else 0.0]
+        n_flagged = sum(window.flagged > 0 for window in trial.windows) if trial else 0
+        table.rows.append([*row, n_flagged, done.result.words])
+    table.rows.sort(key=lambda row: -float(row[2]))
+    report.tables.append(table)
+    violations = sum(row[2] > 1.0 for row in table.rows)
+    if violations:
+        report.fail(f"{violations} of {len(table.rows)} scenes violate the error bound without a flagged frame")
+    return report

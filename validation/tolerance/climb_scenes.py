@@ -1,0 +1,325 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Families of scenes that the search for violations climbs over: particles, springs, sheets and events."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import attrs
+import numpy as np
+from support.random_meshes import drawn_alike, outline_with_a_hole
+
+from cloth_sim_ros.physics.integrators.base import Advance
+from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.scene.scene import Scene
+from validation.tolerance.compiled_reference import ReferenceFailureError, ReferenceSystem
+from validation.tolerance.linear_motion import LinearMotion
+from validation.tolerance.random_grips import RandomGripScript
+from validation.tolerance.random_scenes import (
+    RandomScene,
+    initial_state,
+    log_uniform,
+    max_frequency,
+    reference_cost,
+    sheet_air,
+    upright_orientation,
+)
+from validation.tolerance.recording import MAX_FORCE_MISMATCH, RecordedRun, record_run
+from validation.tolerance.regimes import Regime, regime_scene
+from validation.tolerance.windows import Window, evaluate_window
+
+#: Simulated time of a scene [s]; its two windows of a second start at 0 and at the half second.
+DURATION = 1.5
+#: Largest cost of a scene in spring evaluations by the reference: about a second of one core.
+MAX_TRIAL_COST = 1e8
+GRAVITY = (0.0, 0.0, -9.81)
+
+
+@attrs.frozen(kw_only=True)
+class Trial:
+    """Evaluated windows of one scene."""
+
+    tolerance: float
+    words: str
+    #: Parameters of the scene by name, those of its springs among them.
+    parameters: Mapping[str, Any]
+    windows: tuple[Window, ...] = ()
+    #: Reason why a window has no evaluation; empty if each has one.
+    trouble: str = ""
+
+    @property
+    def worst(self) -> Window | None:
+        """Unflagged window with the largest error ratio."""
+        return max(self.unflagged, key=lambda window: window.ratio, default=None)
+
+    @property
+    def unflagged(self) -> list[Window]:
+        """Unflagged windows that the reference can follow."""
+        return [window for window in self.windows if window.is_known and not window.flagged]
+
+
+def evaluate_trial(draw: RandomScene, parameters: Mapping[str, Any], *, linear: bool = False) -> Trial:
+    """Evaluate the two windows of a scene; those of a linear one against the matrix exponential."""
+    trial = Trial(tolerance=draw.scene.tolerance, words=draw.words, parameters=parameters)
+    if draw.cost > MAX_TRIAL_COST:
+        return attrs.evolve(trial, trouble="beyond the cap")
+    run, second = record_run(draw), draw.frames_per_second
+    evaluate = _evaluate_linear if linear else _evaluate_any
+    if run.trouble or not run.mismatch <= MAX_FORCE_MISMATCH:
+        return attrs.evolve(trial, trouble=run.trouble or "forces differ from the reference's")
+    windows, trouble = list[Window](), ""
+    for first in (0, second // 2):
+        try:
+            windows.append(evaluate(run, first, second))
+        except ReferenceFailureError as failure:
+            trouble = str(failure)
+    return attrs.evolve(trial, windows=tuple(windows), trouble=trouble)
+
+
+def _evaluate_any(run: RecordedRun, first: int, frames: int) -> Window:
+    return evaluate_window(run, first, frames, seed=first)[0]
+
+
+def _evaluate_linear(run: RecordedRun, first: int, frames: int) -> Window:
+    end = first + frames
+    start, advances = (run.positions[first], run.velocities[first]), [frame.advance for frame in run.frames[first:end]]
+    motion = LinearMotion(run.system.model, *start)
+    tolerance = run.draw.scene.tolerance
+    return linear_window(motion, run.positions[first + 1 : end + 1], [run.period] * frames, advances, tolerance, first)
+
+
+def linear_window(
+    motion: LinearMotion,
+    positions: Sequence[Array],
+    durations: Sequence[float],
+    advances: Sequence[Advance],
+    tolerance: float,
+    first: int = 0,
+) -> Window:
+    """Evaluate positions (3, n) [m] at the ends of successive durations [s] against the exact motion from the start."""
+    exact = [motion.advance(duration) for duration in durations]
+    amplification = motion.amplification(durations)
+    return Window(
+        first=first,
+        frames=len(durations),
+        error=max(float(np.linalg.norm(a - b, axis=0).max()) for a, b in zip(positions, exact, strict=True)),
+        amplification=amplification,
+        error_bound=tolerance * max(1.0, amplification),
+        reference_error=float(np.linalg.norm(exact[-1] - motion.positions_after(sum(durations)), axis=0).max()),
+        flagged=sum(advance.flagged > 0 for advance in advances),
+        asleep=sum(advance.limited_by == "rest" for advance in advances),
+        limited_by=", ".join(sorted({advance.limited_by for advance in advances})),
+        reason=max(advances, key=lambda advance: (advance.flagged, advance.evaluations)).reason,
+        evaluations=sum(advance.evaluations for advance in advances),
+        reference_evaluations=0,
+    )
+
+
+def falling(rng: np.random.Generator) -> Trial:
+    """Evaluate one particle that falls in air."""
+    tables = {"positions": [[0.0, 0.0, 0.0]], "velocities": [rng.uniform(-3.0, 3.0, 3).tolist()], "springs": []}
+    return _evaluate_springs(rng, {**tables, "masses": 1.0, "rest_lengths": 1.0, "stiffness": 1.0}, (), linear=True)
+
+
+def joints(rng: np.random.Generator) -> Trial:
+    """Evaluate a chain of joints (S4) at rest, with at most one joint more."""
+    return _evaluate_network(rng, is_joint=True)
+
+
+def springs(rng: np.random.Generator) -> Trial:
+    """Evaluate a chain of springs (S1) at rest, with at most one spring more."""
+    return _evaluate_network(rng, is_joint=False)
+
+
+def _evaluate_network(rng: np.random.Generator, *, is_joint: bool) -> Trial:
+    count = int(rng.integers(2, 6))
+    pairs = [[k, k + 1] for k in range(count - 1)]
+    if count > 2 and rng.random() < 0.3:
+        pairs.append([0, count - 1])
+    damping = 0.0 if rng.random() < 0.2 else float(rng.uniform(0.0, 3.0))
+    anchors = ("0", str(count - 1)) if count > 2 and rng.random() < 0.3 else ("0",)
+    spacing = float(rng.uniform(0.01, 0.3))
+    direction = np.array([math.sin(angle := float(rng.uniform(0.0, 1.6))), 0.0, -math.cos(angle)])
+    positions = drawn_alike(spacing * np.arange(count)[:, None] * direction)
+    slack = float(rng.uniform(0.7, 1.5))
+    distances = [spacing * (b - a) for a, b in pairs]
+    rest_lengths = [0.0 if is_joint else slack * distance for distance in distances]
+    rigidity = [log_uniform(rng, 0.3, 1e4) for _ in pairs]
+    lengths = [rest_length or 1.0 for rest_length in rest_lengths]
+    tables = {
+        "positions": positions.tolist(),
+        "masses": [log_uniform(rng, 1e-3, 1.0) for _ in range(count)],
+        "springs": pairs,
+        "rest_lengths": rest_lengths,
+        "stiffness": [k * length for k, length in zip(rigidity, lengths, strict=True)],
+        "k_d0": damping,
+    }
+    return _evaluate_springs(rng, tables, anchors, linear=is_joint)
+
+
+def thrown(rng: np.random.Generator) -> Trial:
+    """Evaluate a weak spring without damping whose end is thrown past its anchor.
+
+    The force of a spring (S1) that passes zero length at a small distance turns round at equal size.
+    """
+    speed, time, miss = log_uniform(rng, 0.05, 5.0), float(rng.uniform(0.3, 1.4)), log_uniform(rng, 1e-5, 1e-2)
+    mass, rest_length, frequency = 1.0, log_uniform(rng, 0.01, 3.0), log_uniform(rng, 0.05, 10.0)
+    tables = {
+        "positions": [[0.0, 0.0, 0.0], [-speed * time, miss, 0.0]],
+        "velocities": [[0.0, 0.0, 0.0], [speed, 0.0, 0.0]],
+        "masses": mass,
+        "springs": [[0, 1]],
+        "rest_lengths": rest_length,
+        "stiffness": mass * frequency**2 * rest_length,
+    }
+    return _evaluate_springs(rng, tables, ("0",), gravity=(0.0, 0.0, 0.0), air=False)
+
+
+def _evaluate_springs(
+    rng: np.random.Generator,
+    tables: dict[str, Any],
+    anchors: tuple[str, ...],
+    *,
+    linear: bool = False,
+    gravity: tuple[float, float, float] = GRAVITY,
+    air: bool = True,
+) -> Trial:
+    """Evaluate raw springs with a drawn tolerance, rate and drag."""
+    tolerance, rate = log_uniform(rng, 1e-9, 1e-2), float(rng.integers(24, 121))
+    drag = 0.0 if not air or (tables["springs"] and rng.random() < 0.5) else log_uniform(rng, 0.02, 5.0)
+    words = f"{len(tables['springs'])} springs, drag {drag:.2g}/s, {rate:g} Hz"
+    more: dict[str, Any] = {"linear": linear, "gravity": gravity, "duration": DURATION, "rate": rate, "drag": drag}
+    draw = regime_scene(Regime(words, tables, anchors or ("",), **more), tolerance)
+    cost = reference_cost(ReferenceSystem(draw.scene.model()), draw.frequency, DURATION, windows=2)
+    parameters = {**tables, "anchors": anchors, "tolerance": tolerance, **more}
+    return evaluate_trial(attrs.evolve(draw, cost=cost), parameters, linear=linear)
+
+
+def hung(rng: np.random.Generator) -> Trial:
+    """Evaluate a sheet that hangs from its upper edge, released from its rest shape in calm air."""
+    return _evaluate_sheet(rng, _hung_sheet(rng))
+
+
+def moving(rng: np.random.Generator) -> Trial:
+    """Evaluate a sheet with initial velocities, bending, wind and gusts."""
+    values = _hung_sheet(rng) | _bending(rng, ["none", "axial", "opposite", "crossed", "altitude"])
+    return _evaluate_sheet(rng, values | sheet_air(rng), is_moving=True, gust=True)
+
+
+def mesh(rng: np.random.Generator) -> Trial:
+    """Evaluate a triangle mesh that hangs from its highest vertices."""
+    values = _hung_sheet(rng) | _bending(rng, ["none", "opposite", "crossed", "altitude"])
+    for name in ("cloth.size", "cloth.resolution", "cloth.shear_layout"):
+        del values[name]
+    del values["material.shear_modulus"]
+    count, size, seed = int(rng.integers(12, 60)), log_uniform(rng, 0.3, 4.0), int(rng.integers(1000))
+    content, points = outline_with_a_hole(np.random.default_rng(seed), count, size)
+    highest = np.flatnonzero(points[:, 1] > points[:, 1].max() - 0.1 * np.ptp(points[:, 1]))
+    values |= {"cloth.mesh": "sheet.obj", "cloth.anchors": [str(int(k)) for k in highest], **sheet_air(rng)}
+    return _evaluate_sheet(rng, values, files={"sheet.obj": content}, is_moving=True)
+
+
+def events(rng: np.random.Generator) -> Trial:
+    """Evaluate a hung sheet that a gripper grasps, moves and releases while parameters change."""
+    values = _hung_sheet(rng)
+    values |= {
+        "grippers": ["gripper0"],
+        "gripper.radius": float(rng.uniform(0.1, 0.6)) * max(values["cloth.size"]),
+        "gripper.stiffness": log_uniform(rng, 10.0, 3000.0),
+        "gripper.damping": float(rng.uniform(0.0, 2.0)),
+        "gripper.max_speed": 0.0,
+    }
+    return _evaluate_sheet(rng, values, is_moving=True, gust=True, pace=log_uniform(rng, 0.01, 1.0))
+
+
+def _hung_sheet(rng: np.random.Generator) -> dict[str, Any]:
+    """Draw the parameters of a hung grid."""
+    stretch = log_uniform(rng, 20.0, 5e3)
+    return {
+        "rate": float(rng.integers(24, 121)),
+        "tolerance": log_uniform(rng, 1e-6, 1e-2),
+        "cloth.resolution": [int(rng.integers(2, 9)), int(rng.integers(2, 9))],
+        "cloth.size": [log_uniform(rng, 0.3, 8.0), log_uniform(rng, 0.3, 8.0)],
+        "cloth.shear_layout": str(rng.choice(["both", "left", "right", "alternating"])),
+        "cloth.orientation": upright_orientation(rng),
+        "cloth.anchors": ["top"],
+        "material.stretch_modulus": stretch,
+        "material.shear_modulus": stretch * log_uniform(rng, 0.02, 0.4),
+        "material.density": log_uniform(rng, 0.05, 3.0),
+        "material.damping": 0.0 if rng.random() < 0.1 else float(rng.uniform(0.0, 2.0)),
+        "air.drag": 0.0 if rng.random() < 0.3 else log_uniform(rng, 0.02, 2.0),
+        "wind.normal_drag": 0.0,
+        "bending.model": "none",
+        "grippers": [""],
+        "gravity": list(GRAVITY),
+    }
+
+
+def _bending(rng: np.random.Generator, models: list[str]) -> dict[str, Any]:
+    model = str(rng.choice(models))
+    if model in ("axial", "opposite"):
+        return {"bending.model": model, "bending.stiffness": log_uniform(rng, 1e-3, 10.0)}
+    if model == "none":
+        return {"bending.model": model}
+    return {"bending.model": model, "material.bending_modulus": log_uniform(rng, 1e-6, 1e-3)}
+
+
+def _evaluate_sheet(
+    rng: np.random.Generator,
+    values: dict[str, Any],
+    *,
+    files: Mapping[str, bytes] | None = None,
+    is_moving: bool = False,
+    gust: bool = False,
+    pace: float | None = None,
+) -> Trial:
+    """Evaluate a sheet or mesh.
+
+    Args:
+        rng: draws the start, the gust and the gripper's script.
+        values: parameters of the scene.
+        files: contents of its files by name.
+        is_moving: draw initial positions and velocities.
+        gust: change wind, gravity and drag once.
+        pace: speed factor of the gripper; None without grippers.
+    """
+    scene = Scene.from_parameters(values, files=dict(files or {}))
+    state = initial_state(rng, scene, log_uniform(rng, 0.01, 1.0)) if is_moving else scene.starting_state()
+    frames = math.ceil(DURATION * scene.rate)
+    changes: dict[int, dict[str, Any]] = {}
+    if gust and rng.random() < 0.7:
+        changed = {"wind.velocity": rng.uniform(-4.0, 4.0, 3).tolist(), "air.drag": log_uniform(rng, 0.02, 2.0)}
+        changes[int(rng.integers(1, frames))] = changed
+    script = RandomGripScript(holds=())
+    if pace is not None:
+        script = RandomGripScript.random(rng, scene, frames, pace=pace)
+    frequency = max_frequency(scene, state.x)
+    draw = RandomScene(
+        seed=0,
+        index=0,
+        scene=scene,
+        state=state,
+        script=script,
+        frames=frames,
+        words=f"{values.get('cloth.resolution', 'mesh')}, {values['bending.model']}, {scene.rate:g} Hz, {script.words}",
+        cost=reference_cost(ReferenceSystem(scene.model()), frequency, DURATION, windows=2),
+        frequency=frequency,
+        changes=changes,
+    )
+    return evaluate_trial(draw, {**values, "changes": {str(frame): change for frame, change in changes.items()}})
+
+
+#: Evaluation of each family by the draws of a generator, and the number of coordinates that a climb varies.
+SCENE_FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Trial], int]] = {
+    "falling": (falling, 6),
+    "joints": (joints, 20),
+    "springs": (springs, 20),
+    "thrown": (thrown, 8),
+    "hung": (hung, 16),
+    "moving": (moving, 40),
+    "mesh": (mesh, 40),
+    "events": (events, 70),
+}
