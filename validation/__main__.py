@@ -11,7 +11,10 @@ from validation.command import run_command
 
 #: Module and one-line description of each command, by name.
 COMMANDS = {
-    "tolerance": ("validation.tolerance.bound", "the error bound on random scenes, against a reference in C"),
+    "tolerance": (
+        "validation.tolerance.bound",
+        "the error bound on random scenes, or searched for violations, against a reference in C",
+    ),
     "tolerance-sweep": ("validation.tolerance.sweep", "achieved error against the requested tolerance, scene by scene"),
     "work-precision": ("validation.tolerance.work_precision", "wall time against error, compared with library solvers"),
     "conditioning": ("validation.tolerance.conditioning", "amplification of a perturbation of a nanometre, by scene"),

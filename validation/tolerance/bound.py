@@ -6,7 +6,7 @@ A window of one second starts from the engine's full state. Within it, positions
 the exact solution under the same commands. g is the amplification of a perturbation in that window.
 `compiled_reference` calculates the exact solution. A perturbation has a size of 1e-9 m or 1e-9 m/s. Its direction is
 random for each particle, or smooth over the cloth. Each window has three perturbations of positions and three of
-velocities; g is the largest amplification.
+velocities; g is the largest amplification. With `--climb`, a search varies public parameters to violate the bound.
 """
 
 from __future__ import annotations

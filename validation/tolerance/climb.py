@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Search for violations of the error bound: climbs that maximise the error ratio of unflagged windows.
 
-A family maps a vector of numbers in [0, 1] to a scene of public parameters. A climb maximises error / (tolerance x
-max(1, g)) over the unflagged windows of a family's scenes, by hill climbing with restarts or by differential evolution.
+A family maps a vector of numbers in [0, 1] to a scene of public parameters. A climb maximises the error ratio, error /
+(tolerance x max(1, g)), over the unflagged windows of a family's scenes. It uses hill climbing with restarts, or
+differential evolution.
 """
 
 from __future__ import annotations

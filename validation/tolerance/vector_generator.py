@@ -19,7 +19,7 @@ class VectorGenerator(np.random.Generator):
     def __init__(self, vector: Sequence[float]) -> None:
         bits = np.random.PCG64(0)
         super().__init__(bits)
-        self._vector, self._n_drawn, self._rest = vector, 0, np.random.Generator(bits)
+        self._vector, self._n_drawn, self._fallback = vector, 0, np.random.Generator(bits)
 
     def random(self, size: Any = None, *_arguments: Any) -> Any:  # type: ignore[override]
         """Return the next coordinates."""
@@ -27,7 +27,7 @@ class VectorGenerator(np.random.Generator):
             return np.array([self.random() for _ in range(int(np.prod(size)))]).reshape(size)
         self._n_drawn += 1
         if self._n_drawn > len(self._vector):
-            return float(self._rest.random())
+            return float(self._fallback.random())
         # 1 is excluded, as in numpy.
         return min(float(self._vector[self._n_drawn - 1]), 1.0 - 1e-12)
 
