@@ -21,6 +21,7 @@ from cloth_sim_ros.simulation.simulation import Simulation
 from validation.__main__ import main
 from validation.case_pool import CaseResult, run_missing
 from validation.tolerance import bound
+from validation.tolerance.climb import FAMILIES, Climb, evaluate_vector, run_climb
 from validation.tolerance.compiled_reference import (
     LANES,
     PERTURBATION,
@@ -34,6 +35,7 @@ from validation.tolerance.linear_motion import exact_positions
 from validation.tolerance.random_scenes import MAX_COST, draw_scene
 from validation.tolerance.recording import record_run
 from validation.tolerance.regimes import Regime, all_regimes, evaluate_regime, regime_scene
+from validation.tolerance.vector_generator import VectorGenerator
 from validation.tolerance.violent import run_violent
 from validation.tolerance.windows import evaluate_scene, evaluate_window, grip_points, unit_perturbations
 
@@ -297,3 +299,42 @@ def test_work_limited_frame_keeps_explicit_steps() -> None:
     assert sum(done.flagged > 0 for done in advances) > 3
     assert {done.integrator for done in advances} == {"extrapolated"}
     assert max(done.error for done in advances) < 1e-10
+
+
+def test_search_finds_violations_and_replays_them(tmp_path):
+    file = tmp_path / "climbs.jsonl"
+    # A particle that falls with light drag, at a tight tolerance, in still air.
+    vector = np.array([0.5, 0.5, 0.5, 0.3, 0.4, 0.5])
+    trial = evaluate_vector("falling", vector)
+    assert len(trial.windows) == 2
+    assert trial.parameters["drag"] == pytest.approx((0.02 * 5.0) ** 0.5)
+    assert all(window.is_known and window.amplification <= 1.0 for window in trial.windows)
+    climb = Climb("falling", "hill", 1, 0, 2.0)
+    result = run_climb(climb)
+    assert result.ratio >= result.median > 0.0
+    assert result.windows == 2 * result.scenes
+    assert evaluate_vector("falling", np.array(result.vector)).worst.ratio == result.ratio
+    entry = {"case": attrs.asdict(climb), "result": attrs.asdict(result), "seconds": 1.0, "trouble": ""}
+    file.write_text(json.dumps(entry) + "\n")
+    assert main(["tolerance", "--replay", str(file)]) == int(result.ratio > 1.0)
+
+
+@pytest.mark.parametrize("family", sorted(FAMILIES.keys() - {"contact"}))
+def test_families_of_the_search_have_known_windows(family):
+    size = FAMILIES[family][1]
+    rng = np.random.default_rng(1)
+    trials = [trial for _ in range(4) if (trial := evaluate_vector(family, rng.random(size))) is not None]
+    windows = [window for trial in trials for window in trial.windows]
+    assert windows
+    assert any(window.is_known for window in windows)
+    for trial in trials:
+        json.dumps(trial.parameters)
+
+
+def test_vector_generator_draws_coordinates():
+    rng = VectorGenerator([0.25, 0.5, 1.0, 0.1])
+    assert rng.uniform(2.0, 4.0) == 2.5
+    assert rng.normal() == 0.0
+    assert rng.choice(["a", "b"], p=[0.9, 0.1]) == "b"
+    assert rng.integers(5, 15) == 6
+    assert rng.random() == VectorGenerator([]).random()
