@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import attrs
 import numpy as np
@@ -34,6 +34,11 @@ class Motion:
     #: Report of the integrator on each advance.
     advances: Sequence[Advance]
 
+    @property
+    def flagged(self) -> int:
+        """Number of advances whose estimated error exceeds the tolerance's share of their duration."""
+        return sum(advance.flagged > 0 for advance in self.advances)
+
 
 def simulate(
     model: Model | Plan,
@@ -43,17 +48,23 @@ def simulate(
     save_at: ArrayLike | None = None,
     tolerance: float | None = TOLERANCE,
     integrator: Integrator | None = None,
+    on_progress: Callable[[float], object] | None = None,
 ) -> Motion:
     """Advance a model and its state from time 0 to a later time.
+
+    The motion is divided into advances of at most 1/60 s. Each saved time ends an advance, so it is not interpolated.
+    By default the work has no limit: an advance takes as many steps as its tolerance needs.
 
     Args:
         model: masses, forces and anchors; or a compiled plan of them.
         state: the start; it is at the end when this returns.
         until: end time [s], above 0.
         save_at: times of saved positions and velocities [s], ascending from 0 to `until`; the default is the end alone.
+            Times that differ by rounding alone share an advance.
         tolerance: bound of the position error [m] that each second adds, times the amplification of a small
             perturbation in that second (at least 1); see docs/time_stepping.md. None limits steps by stability alone.
         integrator: the integrator; by default `auto` chooses by stiffness and tolerance.
+        on_progress: called after each advance with its duration [s]; for example `tqdm(total=until).update`.
 
     Raises:
         ValueError: for times that do not ascend or are out of range, or a state with another number of particles.
@@ -78,13 +89,15 @@ def simulate(
         raise ValueError(f"save_at is {times.tolist()} s; it must hold times that ascend from 0 to until, {until} s")
     stepper = integrator or make_integrator("auto", tolerance=tolerance)
     positions, velocities, advances = [], [], list[Advance]()
-    now = 0.0
+    now, spacing = 0.0, 4.0 * math.ulp(until)
     for end in [*times.tolist(), until]:
-        count = max(1, math.ceil((end - now) / MAX_ADVANCE - 1e-9)) if end > now else 0
+        count = max(1, math.ceil((end - now) / MAX_ADVANCE - 1e-9)) if end - now > spacing else 0
         for k in range(count):
-            begin = now + k * (end - now) / count
-            advances.append(stepper.advance(plan, state, begin, (end - now) / count))
-        now = max(now, end)
+            begin, duration = now + k * (end - now) / count, (end - now) / count
+            advances.append(stepper.advance(plan, state, begin, duration))
+            if on_progress is not None:
+                on_progress(duration)
+        now = end if count else now
         positions.append(state.positions)
         velocities.append(state.velocities)
     x, v = np.array(positions[: len(times)]), np.array(velocities[: len(times)])

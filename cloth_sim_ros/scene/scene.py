@@ -13,7 +13,7 @@ import attrs
 import numpy as np
 
 from cloth_sim_ros.physics.control.automatic import INTEGRATORS, make_integrator
-from cloth_sim_ros.physics.integrators.base import TOLERANCE, WORK_LIMIT, Integrator
+from cloth_sim_ros.physics.integrators.base import TOLERANCE, Integrator
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.model.sheets.grid import GridSheet
@@ -127,7 +127,7 @@ class Scene:
     )
     work_limit: float = parameter(
         "double",
-        WORK_LIMIT,
+        10.0,
         "Work limit of a frame: estimated cost over the frame's real time, counted without a clock. A frame that would "
         "need more misses the tolerance and is flagged with the reason; 0: no limit",
         min=0.0,

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cloth_sim_ros import Drag, Force, Gravity, Model, PairSprings, Scene, Simulation, State, simulate
+from cloth_sim_ros import Drag, Extrapolated, Force, Gravity, Model, PairSprings, Scene, Simulation, State, simulate
 from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene as NodeScene
 
 
@@ -76,3 +77,66 @@ def test_library_and_node_have_the_same_tolerance() -> None:
         motion = simulate(pair(), apart(), 0.5, **options)
         motions.append(motion.positions)
     assert np.array_equal(*motions)
+
+
+def fast_spring(frequency: float = 9000.0) -> tuple[Model, State]:
+    """Return a mass of 0.1 kg on a spring of 1 m, stretched by 0.01 m, with an angular frequency [rad/s]."""
+    spring = PairSprings([[0, 1]], 1.0, 0.1 * frequency**2, 0.0)
+    return Model([0.1, 0.1], [spring], anchors=[0]), State([[0.0, 0.0, 0.0], [1.01, 0.0, 0.0]])
+
+
+def test_dense_save_times_hold_the_tolerance() -> None:
+    times = np.arange(1, 201) * 1e-5
+    motion = simulate(*fast_spring(), 2e-3, save_at=times, tolerance=1e-6)
+    exact = 1.0 + 0.01 * np.cos(9000.0 * times)
+    assert motion.flagged == 0
+    assert np.abs(motion.positions[:, 1, 0] - exact).max() < 0.1 * 1e-6
+
+
+def test_advances_below_rounding_do_not_refine_for_ever() -> None:
+    # The tolerance of a microsecond is 6e-15 m, which is the rounding of a few steps.
+    times = np.arange(1, 301) * 1e-6
+    motion = simulate(*fast_spring(), 3e-4, save_at=times, tolerance=1e-8)
+    assert sum(advance.evaluations for advance in motion.advances) < 100 * len(motion.advances)
+
+
+def test_flagged_counts_advances_beyond_the_work_limit() -> None:
+    limited = Extrapolated(tolerance=1e-9, work=1e-4)
+    motion = simulate(*fast_spring(), 0.1, integrator=limited)
+    assert 0 < motion.flagged == sum(advance.flagged > 0 for advance in motion.advances)
+    assert simulate(*fast_spring(), 0.1, tolerance=1e-9).flagged == 0
+
+
+def test_save_times_equal_up_to_rounding_share_an_advance() -> None:
+    motion = simulate(pair(), apart(), 0.3 + 1e-16, save_at=[0.0, 0.3, 0.3 + 1e-16], tolerance=1e-9)
+    assert len(motion.advances) == 18
+    assert motion.flagged == 0
+    assert np.array_equal(motion.positions[1], motion.positions[2])
+
+
+def test_progress_adds_up_to_the_duration() -> None:
+    durations: list[float] = []
+    motion = simulate(pair(), apart(), 0.5, save_at=[0.1, 0.13], on_progress=durations.append)
+    assert len(durations) == len(motion.advances)
+    assert sum(durations) == pytest.approx(0.5, rel=1e-12)
+
+
+class NotFinite(Force):
+    """A force that is not a number from a time on."""
+
+    name = "not finite"
+
+    def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
+        f += np.nan if t > 0.02 else 0.0
+
+    def energy(self, t: float, x: Array) -> float:
+        return 0.0
+
+    def add_stiffness(self, x: Array, blocks: Array) -> None:
+        pass
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, None])
+def test_force_without_finite_values_ends_the_motion(tolerance: float | None) -> None:
+    with pytest.raises(UnstableError, match="check that all forces are finite"):
+        simulate(Model([1.0], [NotFinite()]), State([[0.0, 0.0, 0.0]]), 0.05, tolerance=tolerance)

@@ -14,7 +14,7 @@ from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.control.fallback import is_implicit_feasible
 from cloth_sim_ros.physics.control.leapfrog import Leapfrog
 from cloth_sim_ros.physics.integrators import base
-from cloth_sim_ros.physics.integrators.base import WORK_LIMIT, Advance, Integrator
+from cloth_sim_ros.physics.integrators.base import Advance, Integrator
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state import controller_state
@@ -31,7 +31,7 @@ INTEGRATORS = ("auto", "leapfrog", "extrapolated", "implicit", "symplectic_euler
 
 
 def make_integrator(
-    name: str, *, step: float | None = None, tolerance: float | None = None, work: float = WORK_LIMIT
+    name: str, *, step: float | None = None, tolerance: float | None = None, work: float = 0.0
 ) -> Integrator:
     """Return an integrator by its name.
 
@@ -77,7 +77,7 @@ class Automatic(Integrator):
     order = 2
     suits = "any scene"
 
-    def __init__(self, *, tolerance: float | None = None, work: float = WORK_LIMIT) -> None:
+    def __init__(self, *, tolerance: float | None = None, work: float = 0.0) -> None:
         self.tolerance, self.work = tolerance, work
         self._explicit = Leapfrog(work=work) if tolerance is None else Extrapolated(tolerance=tolerance, work=work)
 

@@ -116,7 +116,9 @@ class ErrorRule:
         """
         best, target = (1, refinement, float("inf")), CONSTANTS.error_target_fraction * self.budget
         for n_runs, error in enumerate(errors[: self._max_runs], start=1):
-            scale = root(max(error, self.rounding_floor(n_runs)) / target, n_runs + 1)
+            floor = self.rounding_floor(n_runs)
+            # No step reduces the error below rounding.
+            scale = root(max(error, floor) / max(target, floor), n_runs + 1)
             required_refinement = max(self.stability.min_refinement(n_runs), refinement * scale)
             work = required_refinement * (RATIO_SUMS[n_runs] + RATIOS[n_runs] / CONSTANTS.max_estimate_period)
             if work < best[2]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from cloth_sim_ros.physics.control.leapfrog import ExplicitIntegrator
 from cloth_sim_ros.physics.control.stability import MAX_COMBINED_RUNS
-from cloth_sim_ros.physics.integrators.base import WORK_LIMIT, check_settings
+from cloth_sim_ros.physics.integrators.base import check_settings
 from cloth_sim_ros.physics.old_names import with_old_arguments, with_old_names
 
 
@@ -47,7 +47,7 @@ class Extrapolated(ExplicitIntegrator):
         tolerance: float | None = None,
         step: float | None = None,
         n_runs: int = MAX_COMBINED_RUNS,
-        work: float = WORK_LIMIT,
+        work: float = 0.0,
     ) -> None:
         if not 1 <= n_runs <= MAX_COMBINED_RUNS:
             raise ValueError(f"columns is {n_runs}; it must be from 1 to {MAX_COMBINED_RUNS}")

@@ -28,6 +28,9 @@ from cloth_sim_ros.physics.state.state import State
 _MIN_HALVED_STEPS = 2 * MAX_UNDAMPED_STEPS
 #: Maximum halvings of an advance; the shortest interval of a frame is then below a nanosecond.
 _MAX_HALVINGS = 24
+#: Attempts of an interval after which steps without a work limit fail: finer ones would fail too, as with a force that
+#: is not finite.
+_MAX_FAILED_ATTEMPTS = 12
 
 
 class Interval:
@@ -341,7 +344,7 @@ class Interval:
         self._context.precision.n_misses += 1
         present_refinement = max(self.choice.refinement, self._stability.required_refinement(n_runs))
         next_refinement = min(refinement, CONSTANTS.max_refinement_factor * present_refinement)
-        is_affordable = self.fits_budget(n_runs, next_refinement)
+        is_affordable = self._n_rejected < _MAX_FAILED_ATTEMPTS and self.fits_budget(n_runs, next_refinement)
         if not is_smooth and (not is_affordable or self._exceeds_order(refinement)) and self._can_halve():
             self._must_halve = True
             return True
@@ -404,6 +407,11 @@ class Interval:
             self._must_halve = True
             return False
         n_runs = context.reduce_runs(choice.n_runs, lambda n: self._reserved + self.estimate_work(n, refinement))
+        if not options.work and self._n_rejected >= _MAX_FAILED_ATTEMPTS:
+            raise UnstableError(
+                f"{options.name}: steps of {self.min_step:.3g} s are {failure}, like {self._n_rejected} attempts with "
+                "longer ones; check that all forces are finite and derive from their energies"
+            )
         if self.fits_budget(n_runs, refinement):
             # The recorded error is valid for the same multirate ratio. Without a tolerance there is no error estimate.
             must_estimate = choice.estimates_error or n_runs < choice.n_runs or self.ratio != context.multirate.ratio

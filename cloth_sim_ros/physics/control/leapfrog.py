@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.control import explicit
-from cloth_sim_ros.physics.integrators.base import WORK_LIMIT, Advance, Integrator, check_settings
+from cloth_sim_ros.physics.integrators.base import Advance, Integrator, check_settings
 from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.old_names import with_old_names
 from cloth_sim_ros.physics.plan.plan import Plan
@@ -59,5 +59,5 @@ class Leapfrog(ExplicitIntegrator):
     suits = "loose tolerances, long undamped runs; explicit, damping well below critical"
     n_runs = 1
 
-    def __init__(self, step: float | None = None, *, tolerance: float | None = None, work: float = WORK_LIMIT) -> None:
+    def __init__(self, step: float | None = None, *, tolerance: float | None = None, work: float = 0.0) -> None:
         self.step, self.tolerance, self.work = check_settings(step, tolerance, work)

@@ -28,8 +28,6 @@ class ToleranceMissedError(UnstableError):
 #: Factors that may limit the step: `accuracy` (the tolerance), `stability` (the step limit), `frame` (one step covers
 #: the frame), `step` (the user's fixed step), `work` (the work limit of a frame), `rest` (the sheet sleeps: no step).
 LIMITING_FACTORS = ("accuracy", "stability", "frame", "step", "work", "rest")
-#: Default work limit of a frame, as a multiple of real time by the plan's estimated cost.
-WORK_LIMIT = 10.0
 #: Default tolerance of positions [m]; see the scene's `tolerance`.
 TOLERANCE = 1e-3
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
-from cloth_sim_ros.physics.integrators.base import WORK_LIMIT, Advance, Integrator, check_settings
+from cloth_sim_ros.physics.integrators.base import Advance, Integrator, check_settings
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.state import State
 
@@ -42,7 +42,7 @@ class Implicit(Integrator):
     order = 2
     suits = "any stiffness and damping: sheets too stiff for real time by explicit steps"
 
-    def __init__(self, step: float | None = None, *, tolerance: float | None = None, work: float = WORK_LIMIT) -> None:
+    def __init__(self, step: float | None = None, *, tolerance: float | None = None, work: float = 0.0) -> None:
         self.step, self.tolerance, self.work = check_settings(step, tolerance, work)
 
     def step_limit(self, omega2: float, damping_rate: float) -> float:
