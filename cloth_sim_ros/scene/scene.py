@@ -22,6 +22,7 @@ from cloth_sim_ros.physics.model.sheets.mesh import POISSON_RATIO, MeshSheet
 from cloth_sim_ros.physics.model.sheets.raw import RawSprings
 from cloth_sim_ros.physics.plan.gripper_path import normalized, rotation_matrix
 from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.controller_state import SleepState
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene import files as scene_files
 from cloth_sim_ros.scene import gripper_pads as scene_pinch
@@ -389,6 +390,10 @@ class Scene:
         poses = state.memory.get("gripper.pose")
         if poses is not None and len(poses) != len(self.gripper_names):
             raise ParameterError(f"{subject} has {len(poses)} grippers, the cloth {len(self.gripper_names)}")
+        if SleepState.key in state.memory:
+            sleep = SleepState.load(state)
+            sleep.wake_frame = max(0.0, sleep.wake_frame - state.frame)
+            sleep.store(state)
         state.frame = 0
         state.memory.pop("paused", None)
         relaxation.set_factor(state, 1.0)

@@ -3,14 +3,17 @@
 """Sleep of a sheet at rest: its frames are not computed.
 
 Sleep needs a tolerance in force. The motion that sleep omits is bounded by the motion in the second before it, as
-follows. Let d be the largest distance that a particle moved in that second. If velocity and acceleration hardly change,
-its speed is at most d / s. Its acceleration is at most 8 d / s^2, because at a turning point it moves by a / 8 in a
-second. In T further seconds it therefore moves at most d (T + 4 T^2).
+follows. Let d be the largest distance that a particle moved in that second, or twice that in one of its halves. If the
+acceleration hardly changes, the speed is at most d / s. The mean velocities of both halves differ by half a second of
+acceleration, and each is at most d / s. Therefore the acceleration is at most 4 d / s^2. In T further seconds a
+particle moves at most d (T + 2 T^2), and its velocity changes by at most 4 d T.
 
-The sheet sleeps as long as that bound is within the remainder of a quarter of the tolerance. Then it wakes with the
-velocities that it had, and is watched again. The omitted motion is added to the used drift: 2 d T, with the larger d of
-before and after. A sheet at rest moves by rounding only and sleeps for hours. A creeping sheet exhausts its drift and
-is then computed until an event touches it.
+The sheet keeps that impulse: it wakes with the velocities that it had, plus the acceleration of the observed second
+times the time asleep. Without the impulse, a sheet that nothing holds would miss it for ever. The acceleration may have
+changed meanwhile, so the change of velocity counts too, by what it displaces in the following second. The sheet sleeps
+as long as d (T + 2 T^2 + 4 T) is within the remainder of a quarter of the tolerance. Then it is watched again. The
+omitted motion is added to the used drift: 2 d (T + 1), with the larger d of before and after. A sheet at rest moves by
+rounding only and sleeps for hours. A creeping sheet exhausts its drift and is then computed until an event touches it.
 """
 
 from __future__ import annotations
@@ -25,6 +28,8 @@ from cloth_sim_ros.physics.integrators.base import Advance
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import JAWS_KEY, reset_step_control
+from cloth_sim_ros.physics.state.controller_state import SLEEP_IMPULSES_KEY as IMPULSE
+from cloth_sim_ros.physics.state.controller_state import SLEEP_MIDDLE_KEY as MIDDLE
 from cloth_sim_ros.physics.state.controller_state import SLEEP_POSITIONS_KEY as FROM
 from cloth_sim_ros.physics.state.controller_state import SLEEP_VELOCITIES_KEY as VELOCITY
 from cloth_sim_ros.physics.state.controller_state import SleepState as Memory
@@ -58,41 +63,66 @@ class SleepRule:
             True if the sheet fell asleep.
         """
         if not self._is_calm(state):
-            state.memory.pop(FROM, None)
+            _end_watch(state)
             return False
-        memory = Memory.load(state)
-        if FROM not in state.memory:
+        memory, middle = Memory.load(state), self._watch_frames // 2
+        if FROM not in state.memory or (memory.quiet_frames >= middle and MIDDLE not in state.memory):
             # The watch starts here.
             state.memory[FROM], memory.quiet_frames = state.x, 0.0
             memory.store(state)
             return False
         memory.quiet_frames += 1.0
+        if memory.quiet_frames == middle:
+            state.memory[MIDDLE] = state.x
         if memory.quiet_frames < self._watch_frames:
             memory.store(state)
             return False
-        distance = largest_distance(state.x, state.memory.pop(FROM))
-        drift_rate = distance * CONSTANTS.sleep_quiet_time / (memory.quiet_frames * self._period)
-        memory.drift_used += 2.0 * max(drift_rate, memory.max_displacement) * memory.sleep_time
-        memory.sleep_time, memory.max_displacement, memory.quiet_frames = 0.0, drift_rate, 0.0
-        frames = self._max_sleep_frames(drift_rate, self._max_drift - memory.drift_used)
+        displacement, impulse = self._observed_motion(state)
+        _end_watch(state)
+        if memory.sleep_time:
+            omitted_time = memory.sleep_time + CONSTANTS.sleep_quiet_time
+            memory.drift_used += 2.0 * max(displacement, memory.max_displacement) * omitted_time
+        memory.sleep_time, memory.max_displacement, memory.quiet_frames = 0.0, displacement, 0.0
+        frames = self._max_sleep_frames(displacement, self._max_drift - memory.drift_used)
         if frames >= self._watch_frames and self.is_in_equilibrium(state, t):
             memory.wake_frame = min(_MAX_FRAMES, float(state.frame + 1 + frames))
             memory.sleep_time = frames * self._period
-            state.memory[VELOCITY], state.v = state.v, np.zeros_like(state.v)
+            state.memory[VELOCITY], state.v = state.v + frames * impulse, np.zeros_like(state.v)
+            state.memory[IMPULSE] = impulse
         memory.store(state)
         return is_asleep(state)
 
-    def _max_sleep_frames(self, drift_rate: float, budget: float) -> int:
-        """Return the largest number of frames of sleep; `drift_rate`: motion in a second [m], `budget`: permitted
-        motion [m].
+    def _observed_motion(self, state: State) -> tuple[float, Array]:
+        """Return the motion of the observed second.
+
+        Returns:
+            Its largest displacement, or twice that in one of its halves [m]; and the velocity change in a frame [m/s].
+        """
+        start, middle, end = state.memory[FROM], state.memory[MIDDLE], state.x
+        frames = self._watch_frames
+        before, after = frames // 2, frames - frames // 2
+        rates = (
+            largest_distance(end, start) / frames,
+            largest_distance(middle, start) / before,
+            largest_distance(end, middle) / after,
+        )
+        velocity_change = (end - middle) / (after * self._period) - (middle - start) / (before * self._period)
+        return max(rates) * (CONSTANTS.sleep_quiet_time / self._period), velocity_change / (0.5 * frames)
+
+    def _max_sleep_frames(self, displacement: float, budget: float) -> int:
+        """Return the largest number of frames of sleep.
+
+        Args:
+            displacement: largest one in a second [m].
+            budget: permitted motion [m].
         """
         if budget <= 0.0:
             return 0
-        if drift_rate == 0.0:
+        if displacement == 0.0:
             return int(_MAX_FRAMES)
-        # d (T + 4 T^2) = room, without cancellation.
-        ratio = budget / drift_rate
-        return int(min(_MAX_FRAMES, 2.0 * ratio / (1.0 + math.sqrt(1.0 + 16.0 * ratio)) / self._period))
+        # d (2 T^2 + 5 T) = budget, without cancellation.
+        ratio = budget / displacement
+        return int(min(_MAX_FRAMES, 2.0 * ratio / (5.0 + math.sqrt(25.0 + 8.0 * ratio)) / self._period))
 
     def is_in_equilibrium(self, state: State, t: float) -> bool:
         """Return True if a state, released at rest at time t [s], is accelerated by no more than sleep permits."""
@@ -159,13 +189,21 @@ def wake(state: State) -> None:
     if is_asleep(state):
         _resume_motion(state)
         reset_step_control(state)
-    for name in (Memory.key, FROM):
-        state.memory.pop(name, None)
+    state.memory.pop(Memory.key, None)
+    _end_watch(state)
+
+
+def _end_watch(state: State) -> None:
+    """Remove the positions of the observed second."""
+    for key in (FROM, MIDDLE):
+        state.memory.pop(key, None)
 
 
 def _resume_motion(state: State) -> None:
-    """Restore the velocities that a sleeping sheet had."""
-    state.v = state.memory.pop(VELOCITY).copy()
+    """Restore the velocities that a sleeping sheet had, plus the impulse since."""
+    velocities, impulse = state.memory.pop(VELOCITY), state.memory.pop(IMPULSE, None)
+    remaining_frames = max(0.0, Memory.load(state).wake_frame - state.frame)
+    state.v = velocities.copy() if impulse is None else velocities - remaining_frames * impulse
 
 
 def are_all_below(vectors: Array, limit: float) -> bool:

@@ -219,6 +219,48 @@ def test_undamped_motion_does_not_sleep():
         assert drifting.positions[:, 1] - start.x[1] == pytest.approx(displacement, abs=0.25 * CALM["tolerance"])
 
 
+def free_sheet(wind, files=None, **values):
+    """A free sheet without weight in a wind along y [m/s] that only its drag feels."""
+    still = {"gravity": [0.0, 0.0, 0.0], "wind.normal_drag": 0.0, "cloth.anchors": [""], "grippers": [""]}
+    return Scene.from_parameters(
+        {**CALM, **still, "air.drag": 1e-3, "wind.velocity": [0.0, wind, 0.0], **values}, files=files
+    )
+
+
+@pytest.mark.parametrize("wind", [0.001, 0.01, 0.05])
+def test_sleep_keeps_the_impulse_of_a_weak_wind(wind):
+    # With drag c the velocity is wind (1 - exp(-c t)), asleep or not.
+    scene, seconds = free_sheet(wind), 60.0
+    drifting, slept = Simulation(scene), 0
+    start = drifting.positions
+    for _ in range(round(seconds * 30)):
+        drifting.advance()
+        slept += drifting.asleep
+    exact = wind * (seconds + np.expm1(-1e-3 * seconds) / 1e-3)
+    assert slept > 0 or wind == 0.05
+    assert drifting.positions[:, 1] - start[:, 1] == pytest.approx(exact, abs=0.25 * CALM["tolerance"])
+
+
+def test_event_during_sleep_wakes_with_the_impulse_so_far():
+    drifting = Simulation(free_sheet(1e-3))
+    until_asleep(drifting)
+    for _ in range(20):
+        drifting.advance()
+    assert drifting.asleep
+    t = drifting.time
+    drifting.advance([SetParameters({"diagnostics.energy": True})])
+    assert drifting.velocities[:, 1] == pytest.approx(-1e-3 * np.expm1(-1e-3 * (t + 1.0 / 30.0)), rel=0.01)
+
+
+def test_loaded_state_wakes_with_the_impulse_so_far():
+    drifting = Simulation(free_sheet(1e-3))
+    until_asleep(drifting)
+    drifting.advance()
+    files = {"asleep.npz": drifting.state.to_bytes()}
+    loaded = Simulation(free_sheet(1e-3, files, initial_state="asleep.npz"))
+    assert loaded.velocities[:, 1] == pytest.approx(-1e-3 * np.expm1(-1e-3 * drifting.time), rel=0.02)
+
+
 def test_sheet_without_forces_sleeps_after_a_second():
     still = simulation(gravity=[0.0, 0.0, 0.0], air__drag=0.0, wind__normal_drag=0.0)
     for _ in range(31):

@@ -226,7 +226,7 @@ class SleepState(ControllerState):
 
     #: Consecutive quiet frames.
     quiet_frames: float = bounded_number(0.0, minimum=0.0)
-    #: Largest displacement of a particle in the last observed second [m].
+    #: Largest displacement of a particle in the last observed second, or twice that in one of its halves [m].
     max_displacement: float = bounded_number(0.0, minimum=0.0)
     #: Time asleep since then [s]; the frame at which the sheet wakes without an event.
     sleep_time: float = bounded_number(0.0, minimum=0.0)
@@ -246,9 +246,14 @@ JAWS_KEY = "contact.pinched"
 THICKNESS_KEY = "contact.thickness"
 #: Key of flags, shape (grippers,): True once the jaws are reported to be at rest.
 JAWS_AT_REST_KEY = "contact.settled"
-#: Keys of the arrays of sleep, shape (3, particle_count): positions [m] at the start of the observed second, and
-#: velocities [m/s] at which the sheet fell asleep.
-SLEEP_KEYS = (SLEEP_POSITIONS_KEY, SLEEP_VELOCITIES_KEY) = ("control.sleep_from", "control.sleep_velocity")
+#: Keys of the arrays of sleep, shape (3, particle_count): positions [m] at the start and at the middle of the observed
+#: second; velocities [m/s] of a sleeping sheet at its wake frame, and their change in a frame [m/s].
+SLEEP_KEYS = (SLEEP_POSITIONS_KEY, SLEEP_MIDDLE_KEY, SLEEP_VELOCITIES_KEY, SLEEP_IMPULSES_KEY) = (
+    "control.sleep_from",
+    "control.sleep_middle",
+    "control.sleep_velocity",
+    "control.sleep_impulse",
+)
 #: Controller states that belong to step control.
 STEP_CONTROL_STATES: tuple[type[ControllerState], ...] = (
     StabilityState,
