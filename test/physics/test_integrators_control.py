@@ -150,7 +150,7 @@ def test_force_jump_is_located_and_its_error_stated(tolerance: float) -> None:
     begin = -0.00741
     plan = compile(Model([1.0], [_Cliff()]))
     state = State([[begin, 0.0, 0.0]], [[1.0, 0.0, 0.0]])
-    done = Extrapolated(tolerance=tolerance).advance(plan, state, 0.0, PERIOD)
+    done = Extrapolated(tolerance=tolerance, work=10.0).advance(plan, state, 0.0, PERIOD)
     time_after_jump = PERIOD + begin
     assert done.error is not None
     assert abs(state.x[0, 0] - (time_after_jump + 0.5e6 * time_after_jump * time_after_jump)) < 2.0 * done.error
