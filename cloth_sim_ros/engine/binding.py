@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the C interface that this file binds.
-ABI = 15
+ABI = 16
 #: Errors by the status of a call.
 _ERRORS = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE, _BUSY = 4, 5
@@ -32,7 +32,7 @@ REENTRY_REFUSAL = (
 #: Maximum number of runs of one frame; see plan/frame_request.hpp.
 MAX_RUNS = 8
 #: Numbers of the summary of a frame; see `FrameRequest::summary` in plan/frame_request.hpp.
-SUMMARY_NUMBERS = 9
+SUMMARY_NUMBERS = 10
 #: Numbers of a gripper's path, and of its record of wrench and work; see plan/grips.hpp.
 PATH_NUMBERS, RECORD_NUMBERS = 26, 8
 #: Shapes of obstacles; see contact/shapes.hpp. Numbers of the contact summary of a run; see plan/frame_request.hpp.
@@ -88,6 +88,8 @@ class FrameRequest(ctypes.Structure):
         ("multirate", ctypes.c_int64),
         ("combined", ctypes.c_int64),
         ("concurrency", ctypes.c_int64),
+        ("previous_v0", ctypes.c_void_p),
+        ("previous_ratio", ctypes.c_double),
     )
 
 
@@ -147,6 +149,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_self_intersection": (_INT, _P, _P, _P),
     "cloth_self_culled": (_INT, _P, _D, _P, _P, _P),
     "cloth_ccd_self": (_INT, _P, _P, _P, _P),
+    "cloth_velocity_displacement": (_INT, _P, _D, _P, _P, _D, _P),
     "cloth_spectral_bounds": (_INT, _P, _P, _P, _P, _I, _P),
     "cloth_bounds": (_INT, _P, _P, _P, _P),
     "cloth_eigenvalues": (_INT, _P, _I, _P),

@@ -20,7 +20,7 @@ REASONS = {
     "energy.py": {1e-12: "rounding of a sum of energies", 8.0: "roundings", 0.125: "h^2/8 v'Kv of the leapfrog"},
     "error.py": {
         3.0: "order of a single run's error in a frame: h^3 x'''",
-        4.0: "roundings; frames without an estimate if the error is far below, see `max_estimate_period`",
+        4.0: "roundings; time without an estimate if the error is far below, see `max_estimate_period`",
         1e3: "a prediction that is off by more causes an estimate at any margin",
         1e-6: "two lengths of frames that differ by rounding",
     },
@@ -39,6 +39,7 @@ REASONS = {
     },
     "precision.py": {
         24.0: "bits of single precision",
+        3.0: "axes",
         4.0: "estimates of a motion that begins: after 0, 1, 3 and 7 frames; later ones repeat the last",
     },
     "stability.py": {
@@ -47,8 +48,19 @@ REASONS = {
         0.25: "the same",
         0.75: "the same",
     },
-    "interval.py": {24.0: "halvings down to a ten thousandth of a microsecond", 3.0: "order of a missed jump's error"},
-    "sleep.py": {4.0: "roundings", 53.0: "whole numbers that float64 holds", 16.0: "root of a quadratic equation"},
+    "interval.py": {
+        0.1: "gain of a second run in a motion that is not smooth; a smooth one gains more",
+        12.0: "attempts of a work without a limit before it fails",
+        24.0: "halvings down to a ten thousandth of a microsecond",
+        3.0: "order of a missed jump's error",
+    },
+    "sleep.py": {
+        4.0: "roundings",
+        53.0: "whole numbers that float64 holds",
+        5.0: "root of a quadratic equation",
+        8.0: "the same",
+        25.0: "the same",
+    },
 }
 FILES = [
     *(path for path in sorted((PACKAGE / "physics" / "control").glob("*.py")) if path.stem != "constants"),

@@ -21,8 +21,6 @@ from cloth_sim_ros.verify.reference_integrator import MotionState
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 TIMES = np.arange(1, 61) / 60.0
-VELOCITY_ERRORS = pytest.mark.xfail(strict=True, reason="the error of a velocity counts for one frame only")
-FORCE_TURNS = pytest.mark.xfail(strict=True, reason="a force that turns round at equal size is not seen")
 
 
 def positions_of_one_second(model: Model, state: State, tolerance: float) -> Array:
@@ -32,7 +30,6 @@ def positions_of_one_second(model: Model, state: State, tolerance: float) -> Arr
     return motion.positions
 
 
-@VELOCITY_ERRORS
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-9])
 @pytest.mark.parametrize("drag", [0.3, 1.0, 3.0])
 def test_falling_particle_is_within_tolerance(drag: float, tolerance: float) -> None:
@@ -44,7 +41,6 @@ def test_falling_particle_is_within_tolerance(drag: float, tolerance: float) -> 
     assert np.linalg.norm(positions[:, 0] - exact, axis=1).max() <= tolerance
 
 
-@VELOCITY_ERRORS
 def test_stiff_and_soft_joints_are_within_tolerance() -> None:
     from scipy.linalg import expm
 
@@ -70,7 +66,6 @@ def test_stiff_and_soft_joints_are_within_tolerance() -> None:
     assert np.abs(positions[:, 1:, 2] - exact).max() <= tolerance * growth
 
 
-@VELOCITY_ERRORS
 def test_hung_sheet_is_within_tolerance() -> None:
     tolerance = 2.54e-5
     parameters = {
@@ -111,7 +106,6 @@ def test_hung_sheet_is_within_tolerance() -> None:
     assert error <= tolerance * growth
 
 
-@FORCE_TURNS
 @pytest.mark.parametrize(("tolerance", "rest_length"), [(1e-4, 0.1), (1e-5, 0.5)])
 def test_spring_thrown_past_its_anchor_is_within_tolerance(tolerance: float, rest_length: float) -> None:
     from scipy.integrate import solve_ivp

@@ -65,7 +65,7 @@ def test_runs_on_demand_equal_runs_in_one_call(values):
     assert together.summary(4) == on_demand.summary(4)
     assert together.summary(2) == on_demand.summary(2)
     assert [together.difference(k) for k in (1, 2, 3)] == [on_demand.difference(k) for k in (1, 2, 3)]
-    assert together.evaluations == on_demand.evaluations == sum(step_counts(60, 4)) + 4
+    assert together.evaluations == on_demand.evaluations >= sum(step_counts(60, 4)) + 4
 
 
 @every_scene
@@ -119,17 +119,24 @@ def test_summary_equals_direct_computation(values):
     runs = tableau(simulation)
     summary, (x, v) = runs.summary(2), runs.combine(2)
     assert summary.is_finite
-    assert summary.activity == pytest.approx(np.linalg.norm(v - simulation.state.v, axis=0).max(), rel=1e-14)
+    change = v - simulation.state.v
+    assert summary.activity == pytest.approx(0.05 * np.linalg.norm(change, axis=0).max(), rel=1e-14)
+    previous = simulation.state.v - 2.0 * change, 0.5 * runs.duration
+    turned = tableau(simulation, previous=previous).summary(2).activity
+    assert turned == pytest.approx(3.0 * np.linalg.norm(change, axis=0).max(), rel=1e-12)
     assert (summary.omega2, summary.damping) == simulation.plan.spectral_bounds(x)
-    assert runs.difference(1) == pytest.approx(np.linalg.norm(x - runs.combine(1)[0], axis=0).max(), rel=1e-12)
+    distances = np.linalg.norm(x - runs.combine(1)[0], axis=0), np.linalg.norm(v - runs.combine(1)[1], axis=0)
+    assert runs.change(1) == pytest.approx((distances[0].max(), distances[1].max()), rel=1e-12)
 
 
 @every_scene
-def test_velocity_error_counts_over_the_angular_frequency(values):
+def test_velocity_error_counts_with_its_later_displacement(values):
     simulation = started(values)
-    runs = tableau(simulation, omega=1e-3)
-    away = np.linalg.norm(runs.combine(2)[1] - runs.combine(1)[1], axis=0).max()
-    assert runs.difference(1) == pytest.approx(1e3 * away, rel=1e-12)
+    runs = tableau(simulation)
+    dv = runs.combine(2)[1] - runs.combine(1)[1]
+    displacement, steps = simulation.plan.velocity_displacement(0.0, runs.combine(2)[0], dv, 0.5)
+    assert steps > 0
+    assert runs.difference(1) == pytest.approx(runs.change(1)[0] + displacement, rel=1e-12)
 
 
 @every_scene
@@ -147,4 +154,5 @@ def test_single_precision_changes_runs_by_rounding(values):
     away = np.abs(single.combine(1)[0] - double.combine(1)[0]).max()
     assert 0.0 < away < 1e-5
     # The error is that of the steps; rounding is multiplied by the weight of the second run.
-    assert single.difference(1) == pytest.approx(double.difference(1), abs=4.0 * weights(step_counts(60, 2))[1] * away)
+    bound = 4.0 * weights(step_counts(60, 2))[1] * away
+    assert single.change(1)[0] == pytest.approx(double.change(1)[0], abs=bound)

@@ -63,12 +63,11 @@ def test_loose_tolerance_uses_single_precision() -> None:
     precisions_of_frames, state = frames(1e-2, 24)
     # Before the first frame, which starts at rest, a few steps in both precisions measure the difference.
     assert precisions_of_frames[0] == [False, True, False, False]
-    # The energy input of rounding is small against the motion once the sheet moves.
-    assert precisions_of_frames[1] == [False]
-    # Four frames with an error estimate measure it.
-    assert precisions_of_frames[3] == precisions_of_frames[8] == [False, True, True, True]
-    assert precisions_of_frames[15] == [True, True]
-    assert sum(runs == [True] for runs in precisions_of_frames) > 12
+    # The rounding of velocities is unknown while they grow.
+    assert precisions_of_frames[6] == [False]
+    # Error estimates measure it, four of them at least.
+    assert precisions_of_frames[7] == precisions_of_frames[16] == [False, True, True, True]
+    assert sum(runs == [True] for runs in precisions_of_frames) > 10
     rounding = PrecisionState.load(state).rounding
     assert (
         1e-9 < rounding < CONSTANTS.single_precision_budget_fraction * CONSTANTS.error_budget_fraction * PERIOD * 1e-2
@@ -76,18 +75,18 @@ def test_loose_tolerance_uses_single_precision() -> None:
 
 
 def test_estimate_uses_single_precision_beyond_a_combination() -> None:
-    tolerance = 1e-3
+    tolerance = 2.6e-3
     budget = CONSTANTS.error_budget_fraction * PERIOD * tolerance
     precisions_of_frames, state = frames(tolerance, 24)
     amplified_rounding = amplification(2) * PrecisionState.load(state).rounding
     assert CONSTANTS.single_precision_budget_fraction * budget < amplified_rounding < 0.1 * budget
-    estimated = [runs for runs in precisions_of_frames[1:] if len(runs) == 2]
+    estimated = [runs for runs in precisions_of_frames[8:] if len(runs) == 2]
     assert estimated
     assert all(runs == [True, True] for runs in estimated)
 
 
 def test_single_precision_estimate_equals_double_estimate() -> None:
-    tolerance, count = 1e-3, 24
+    tolerance, count = 2.6e-3, 24
     budget = CONSTANTS.error_budget_fraction * PERIOD * tolerance
     plan, state = build()
     seen, compared = record_precisions(plan), 0
@@ -95,7 +94,7 @@ def test_single_precision_estimate_equals_double_estimate() -> None:
         start = state.copy()
         seen.clear()
         done = Extrapolated(tolerance=tolerance).advance(plan, state, frame * PERIOD, PERIOD)
-        if seen != [True, True]:
+        if seen[-2:] != [True, True]:
             continue
         # A recorded rounding error that excludes single precision.
         PrecisionState(rounding=1.0).store(start)
@@ -105,20 +104,16 @@ def test_single_precision_estimate_equals_double_estimate() -> None:
     assert compared >= 2
 
 
-@pytest.mark.parametrize(("perturbation", "switches"), [(1.0, False), (10.0, True)])
-def test_second_miss_in_single_precision_switches_to_double(perturbation: float, switches: bool) -> None:
+@pytest.mark.parametrize(("perturbation", "single"), [(0.2, True), (0.5, False)])
+def test_faster_motion_than_measured_uses_double_precision(perturbation: float, single: bool) -> None:
     plan, state = build()
-    for frame in range(6):
-        Extrapolated(tolerance=1e-3).advance(plan, state, frame * PERIOD, PERIOD)
-    # A perturbation [m/s] without an event: the prediction is far off.
+    for frame in range(12):
+        Extrapolated(tolerance=1e-2).advance(plan, state, frame * PERIOD, PERIOD)
+    # A perturbation [m/s] without an event: frames without it had half of the speed.
     state.v = state.v + perturbation * np.random.default_rng(1).uniform(-1.0, 1.0, state.v.shape) * (state.v != 0.0)
     seen = record_precisions(plan)
-    done = Extrapolated(tolerance=1e-3).advance(plan, state, 6 * PERIOD, PERIOD)
-    assert done.rejected == (3 if switches else 2)
-    # The frame, its error estimate, both with finer steps, and all later runs.
-    assert seen[:4] == [True] * 4
-    assert len(seen) > 4 if switches else len(seen) == 4
-    assert not any(seen[4:])
+    Extrapolated(tolerance=1e-2).advance(plan, state, 12 * PERIOD, PERIOD)
+    assert seen == [single] * 2
 
 
 def test_tight_tolerance_uses_double_precision() -> None:
@@ -173,7 +168,7 @@ def test_soft_sheet_uses_single_precision_and_keeps_its_energy() -> None:
     residual, noise, precisions_of_frames = swing_sheet(0.3)
     assert residual < 1e-3
     assert 0.0 < noise.power < CONSTANTS.max_energy_gain * noise.kinetic_energy
-    assert sum(all(runs) for runs in precisions_of_frames) > 12
+    assert sum(all(runs) for runs in precisions_of_frames) > 10
 
 
 def test_event_causes_a_new_measurement() -> None:

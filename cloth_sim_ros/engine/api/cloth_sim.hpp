@@ -36,7 +36,7 @@ enum BandStatus : int {
 };
 
 static_assert(sizeof(double) == 8 && sizeof(void*) == 8 && sizeof(int) == 4);
-static_assert(sizeof(FrameRequest) == 168 && alignof(FrameRequest) == 8);
+static_assert(sizeof(FrameRequest) == 184 && alignof(FrameRequest) == 8);
 static_assert(offsetof(FrameRequest, t) == 0);
 static_assert(offsetof(FrameRequest, duration) == 8);
 static_assert(offsetof(FrameRequest, runs) == 16);
@@ -58,6 +58,8 @@ static_assert(offsetof(FrameRequest, jaw_states) == 136);
 static_assert(offsetof(FrameRequest, multirate) == 144);
 static_assert(offsetof(FrameRequest, combined) == 152);
 static_assert(offsetof(FrameRequest, concurrency) == 160);
+static_assert(offsetof(FrameRequest, previous_v0) == 168);
+static_assert(offsetof(FrameRequest, previous_ratio) == 176);
 
 /// Number of this interface. The binding refuses any other.
 CLOTH_API int cloth_engine_abi();
@@ -83,6 +85,10 @@ CLOTH_API int cloth_plan_grips(Plan* plan, std::int64_t grippers, std::int64_t c
 CLOTH_API int cloth_plan_gripper_paths(Plan* plan, const double* paths);
 CLOTH_API int cloth_frame(Plan* plan, const FrameRequest* frame);
 CLOTH_API int cloth_accelerations(Plan* plan, double t, const double* x, const double* v, double* out);
+/// Largest displacement [m] of a particle that velocity errors (3, n) cause within a time [s], without contact, and the
+/// number of Lanczos steps.
+CLOTH_API int cloth_velocity_displacement(Plan* plan, double t, const double* x, const double* errors, double time,
+                                          double* out);
 /// Kinetic and potential energy [J], two numbers; v may be null.
 CLOTH_API int cloth_energy(Plan* plan, double t, const double* x, const double* v, double* out);
 /// Power of damping and drag, and power of the wind [W], without the joints of grippers.

@@ -9,10 +9,11 @@
 #include "plan/paths.hpp"
 #include "plan/queries.hpp"
 #include "plan/tables.hpp"
+#include "plan/velocity_displacement.hpp"
 
 namespace cloth::api {
 
-CLOTH_API int cloth_engine_abi() { return 15; }
+CLOTH_API int cloth_engine_abi() { return 16; }
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)
     return "avx512";
@@ -126,6 +127,15 @@ CLOTH_API int cloth_accelerations(Plan* plan, double t, const double* x, const d
         if (plan::accelerations(*plan, t, x, v, out) != plan::RunStatus::ok) status = callback_failed;
     });
     return call_status ? call_status : status;
+}
+
+CLOTH_API int cloth_velocity_displacement(Plan* plan, double t, const double* x, const double* errors, double time,
+                                          double* out) {
+    return guarded(plan, [&] {
+        const plan::DisplacementEstimate estimate = plan::velocity_displacement(*plan, t, x, errors, time);
+        out[0] = estimate.displacement;
+        out[1] = estimate.steps;
+    });
 }
 
 CLOTH_API int cloth_energy(Plan* plan, double t, const double* x, const double* v, double* out) {

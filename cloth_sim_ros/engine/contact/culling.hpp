@@ -56,7 +56,8 @@ private:
     bool covers_all_ = true;
 };
 
-/// Let the next runs evaluate contact of all features.
+/// Let the next runs evaluate contact of all features; of none.
 void activate_features(Plan& plan);
+void deactivate_features(Plan& plan);
 
 }  // namespace cloth::contact

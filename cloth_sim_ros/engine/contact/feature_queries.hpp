@@ -318,6 +318,9 @@ void FeatureCulling::measure_cloth(const Surface& s, const double* x) {
 void activate_features(Plan& plan) {
     if (plan.features) plan.features->activate_all(plan.contacts);
 }
+void deactivate_features(Plan& plan) {
+    if (plan.features) std::fill(plan.features->is_active.begin(), plan.features->is_active.end(), 0);
+}
 
 void find_feature_intersection(Plan& plan, double t, const double* x, std::int64_t* out) {
     const FeatureContactModel& contact = *plan.features;

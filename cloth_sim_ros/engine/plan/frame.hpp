@@ -6,6 +6,7 @@
 #pragma once
 
 #include <limits>
+#include <utility>
 
 #include "contact/culling.hpp"
 #include "contact/obstacle_culling.hpp"
@@ -45,6 +46,22 @@ inline double largest_distance(const double* x, const double* y, std::int64_t n)
         not_finite |= !(square < std::numeric_limits<double>::infinity());
     }
     return not_finite ? std::numeric_limits<double>::infinity() : root(max_square);
+}
+
+/// Largest difference of a particle's velocity change from v0 to v and `ratio` times that from v_before to v0.
+inline double largest_change_difference(const double* v, const double* v0, const double* v_before, double ratio,
+                                        std::int64_t n) {
+    double max_square = 0.0;
+    for (std::int64_t i = 0; i < n; ++i) {
+        double square = 0.0;
+        for (int c = 0; c < 3; ++c) {
+            const std::int64_t k = c * n + i;
+            const double change = fma(-ratio, v0[k] - v_before[k], v[k] - v0[k]);
+            square = fma(change, change, square);
+        }
+        max_square = square > max_square ? square : max_square;
+    }
+    return root(max_square);
 }
 
 /// Size of a run's record of contact, see FrameRequest::records.
@@ -138,6 +155,9 @@ inline RunStatus execute_frame(Plan& plan, const FrameRequest& frame) {
     }
     if (!frame.summary) return RunStatus::ok;
     frame.summary[0] = largest_distance(x + 3 * n, frame.v0, n);
+    frame.summary[9] = 0.0;
+    if (frame.previous_v0)
+        frame.summary[9] = largest_change_difference(x + 3 * n, frame.v0, frame.previous_v0, frame.previous_ratio, n);
     const double max_displacement = largest_distance(x, frame.x0, n);
     if (!(max_displacement < std::numeric_limits<double>::infinity())) frame.summary[0] = max_displacement;
     if (plan.contacts.count()) {
@@ -181,8 +201,8 @@ inline RunStatus execute_frame(Plan& plan, const FrameRequest& frame) {
     return RunStatus::ok;
 }
 
-/// Evaluate all forces once; accelerations, zero for anchored particles.
-inline RunStatus accelerations(Plan& plan, double t, const double* x, const double* v, double* out) {
+/// Evaluate forces once; accelerations, zero for anchored particles.
+inline RunStatus evaluate(Plan& plan, double t, const double* x, const double* v, double* out) {
     const Run run{.t = t,
                   .step = 1.0,
                   .steps = 0,
@@ -194,10 +214,22 @@ inline RunStatus accelerations(Plan& plan, double t, const double* x, const doub
                   .v = out,
                   .gripper_record = nullptr,
                   .power_integrals = nullptr};
+    return plan.grid ? evaluate_grid(plan, run) : evaluate_lists(plan, run);
+}
+inline RunStatus accelerations(Plan& plan, double t, const double* x, const double* v, double* out) {
     plan.contacts.activate_all();
     plan.self_culled = false;
     contact::activate_features(plan);
-    return plan.grid ? evaluate_grid(plan, run) : evaluate_lists(plan, run);
+    return evaluate(plan, t, x, v, out);
+}
+/// The same without contact and without forces in Python. The next runs decide anew which contacts they evaluate.
+inline void elastic_accelerations(Plan& plan, double t, const double* x, const double* v, double* out) {
+    plan.contacts.active.clear();
+    plan.self_culled = true;
+    contact::deactivate_features(plan);
+    const Callback callback = std::exchange(plan.callback, nullptr);
+    evaluate(plan, t, x, v, out);
+    plan.callback = callback;
 }
 
 }  // namespace cloth::plan

@@ -33,13 +33,14 @@ struct FrameRequest {
     /// between layers; work of contacts that recover their thickness [J]. Null if none is requested.
     double* records;
     std::int64_t record_powers;  ///< whether powers are recorded
-    /// Nine numbers about the end of the frame, or null. 0: largest change of a particle's velocity over the frame
+    /// Ten numbers about the end of the frame, or null. 0: largest change of a particle's velocity over the frame
     /// [m/s]; infinite if the result is not finite, is beyond the surface of an obstacle, or the cloth may intersect
     /// itself. 1, 2: bounds of squared frequency [1/s^2] and damping rate [1/s] without contact. 3: energy per mass, in
     /// U^2/2, that contact with obstacles has to absorb from the end of the frame on. 4, 5: squared frequency [1/s^2]
     /// and damping rate [1/s] of contact on the surface. 6, 7: bounds of squared frequency [1/s^2] and damping rate
     /// [1/s] of hinges alone; 8: bound of the squared transverse frequency of springs. Zero without hinges, or if not
-    /// requested.
+    /// requested. 9: largest difference of a particle's velocity change over the frame and `previous_ratio` times that
+    /// of the previous frame, which began with the velocities `previous_v0` [m/s]; 0 if this is null.
     double* summary;
     std::int64_t bounds_level;      ///< 1: bounds of frequency and damping are requested; 2: those of hinges too
     std::int64_t record_obstacles;  ///< whether the work of obstacles is recorded
@@ -48,6 +49,8 @@ struct FrameRequest {
     std::int64_t multirate;         ///< steps per evaluation of hinges
     std::int64_t combined;          ///< number of the runs in the combination, from the first on
     std::int64_t concurrency;       ///< maximum number of concurrent runs
+    const double* previous_v0;
+    double previous_ratio;
 };
 
 }  // namespace cloth::plan

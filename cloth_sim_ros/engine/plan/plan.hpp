@@ -61,6 +61,8 @@ struct Plan {
 
     std::array<Workspace<double>, max_concurrency> workspaces;
     std::array<Workspace<float>, max_concurrency> single_workspaces;
+    /// Memory of `velocity_displacement`, empty until its first call.
+    std::vector<double> lanczos_memory;
     /// Whether a call is running.
     mutable std::atomic_flag busy;
 

@@ -115,7 +115,7 @@ class Automatic(Integrator):
                     memory.implicit_cost = max(memory.implicit_cost, evaluations * _iteration_cost(plan))
                 # Explicit steps have a solution at any small enough step size.
                 state.restore(start)
-                memory.is_implicit, memory.frames_until_comparison = 0.0, CONSTANTS.max_estimate_period
+                memory.is_implicit, memory.frames_until_comparison = 0.0, CONSTANTS.comparison_period
         if result is None:
             result = self._explicit.advance(plan, state, t, duration, accumulator)
             if failure and result.flagged and is_implicit_feasible(plan):
@@ -158,7 +158,7 @@ class Automatic(Integrator):
             implicit_pays = implicit_cost <= factor * memory.explicit_cost
         if implicit_pays != bool(memory.is_implicit):
             controller_state.reset_step_control(state)
-        memory.is_implicit, memory.frames_until_comparison = float(implicit_pays), CONSTANTS.max_estimate_period
+        memory.is_implicit, memory.frames_until_comparison = float(implicit_pays), CONSTANTS.comparison_period
 
 
 def _explicit_frame_cost(plan: Plan, state: State, t: float, duration: float) -> float:

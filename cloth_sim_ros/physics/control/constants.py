@@ -31,27 +31,30 @@ class Constants:
     max_interval: float = _constant(0.04, "longest interval that is extrapolated at once [s]")
 
     # Error.
-    error_budget_fraction: float = _constant(0.6, "fraction of the tolerance that the errors of one second may use")
+    error_budget_fraction: float = _constant(0.8, "fraction of the tolerance that the errors of one second may use")
     error_target_fraction: float = _constant(
         0.5, "fraction of its error budget, or of real time by explicit steps, that a frame aims at"
     )
     max_estimate_period: float = _constant(
-        16.0, "most frames between two error estimates; four times as many if the error is low"
+        0.25, "longest time between two error estimates [s]; four times as long if the error is low"
     )
     low_error_fraction: float = _constant(0.05, "fraction of the budget below which an error is low")
     estimate_trust_factor: float = _constant(
         2.0, "factor by which an estimate may be wrong before it is renewed or acted upon"
     )
+    min_ordered_steps: float = _constant(6.0, "steps of a run from which on its error grows with its order")
     max_refinement_factor: float = _constant(4.0, "largest refinement by one rejection")
     min_work_cap: float = _constant(
         8.0, "least work limit of a frame with a large sheet or contact, in runs with the longest stable steps"
     )
 
+    multirate_pause: float = _constant(16.0, "error estimates without multirate hinges after a combination of runs")
+
     # Contact.
     contact_min_interval_steps: float = _constant(200.0, "least number of steps of an interval that contact may halve")
 
     # Single precision.
-    single_precision_budget_fraction: float = _constant(0.02, "fraction of the error budget for single precision")
+    single_precision_budget_fraction: float = _constant(0.06, "fraction of the error budget for single precision")
     single_precision_sample_divisor: float = _constant(
         8.0, "steps of an interval over the steps of the sample run that measures single precision"
     )
@@ -69,6 +72,8 @@ class Constants:
     # Implicit steps and the choice of integrator.
     implicit_finish_steps: float = _constant(8.0, "implicit steps of a frame that they finish")
     implicit_max_particles: float = _constant(5e4, "largest number of particles for which implicit steps are tried")
+
+    comparison_period: float = _constant(16.0, "frames between two comparisons of integrators")
 
     # Estimated cost; no clock is read.
     operation_time: float = _constant(0.05, "time of an arithmetic operation in the engine's loops [ns]")

@@ -9,6 +9,7 @@ not confirm the prediction, the next part is estimated too.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import cached_property
 
@@ -18,7 +19,7 @@ import numpy as np
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum, power, root
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.stability import StabilityRule
-from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, RATIOS, amplification
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, RATIOS, amplification, error_coefficient
 from cloth_sim_ros.physics.state.controller_state import ErrorState
 from cloth_sim_ros.physics.state.state import State
 
@@ -34,31 +35,43 @@ class ErrorSums:
 
     #: Errors of T_1, T_2, ... [m], as many as all parts have in common.
     errors: list[float] = attrs.field(factory=list)
+    #: Changes of positions [m] and of velocities [m/s] from T_1 to T_2, from T_2 to T_3, ...
+    changes: list[tuple[float, float]] = attrs.field(factory=list)
     #: Estimated error of the chosen combination, and its prediction [m].
     error: float = 0.0
     predicted: float = 0.0
-    #: Error of the combination of one run less, in frames without an estimate [m].
+    #: Predicted error of the combination of one run less, in frames without an estimate [m].
     lower_order_error: float = 0.0
-    #: Largest change of a velocity over a part [m/s].
+    #: Largest activity of a part [m/s].
     activity: float = 0.0
     #: Number of parts.
     n_parts: int = 0
 
-    def add_estimate(self, errors: Sequence[float], n_runs: int, predicted: float, activity: float) -> None:
+    def add_estimate(
+        self,
+        errors: Sequence[float],
+        changes: Sequence[tuple[float, float]],
+        n_runs: int,
+        predicted: float,
+        activity: float,
+    ) -> None:
         """Add the estimates of a part.
 
         Args:
             errors: of T_1, T_2, ... [m].
+            changes: of positions [m] and of velocities [m/s] from T_1 to T_2, from T_2 to T_3, ...
             n_runs: number of combined runs.
             predicted: predicted error [m].
-            activity: largest velocity change over the part [m/s].
+            activity: activity of the part [m/s].
         """
-        previous = self.errors or [0.0] * len(errors)
-        self.errors = [ordered_sum(pair) for pair in zip(previous, errors, strict=False)]
         self.error += errors[n_runs - 1]
+        if self.n_parts:
+            errors = [ordered_sum(pair) for pair in zip(self.errors, errors, strict=False)]
+            changes = [(x + dx, v + dv) for (x, v), (dx, dv) in zip(self.changes, changes, strict=False)]
+        self.errors, self.changes = list(errors), list(changes)
+        self.n_parts += 1
         self.predicted += predicted
         self.activity = max(self.activity, activity)
-        self.n_parts += 1
 
 
 class ErrorRule:
@@ -92,20 +105,33 @@ class ErrorRule:
         """Return the distance of T_(K+1) from T_K that rounding alone causes [m], K = n_runs."""
         return self._rounding * amplification(n_runs + 1)
 
-    def predict(self, n_runs: int, difference: float, activity: float) -> float:
-        """Return the predicted error of a part [m].
+    def predict(
+        self, counts: tuple[int, ...], length: float, change: tuple[float, float], activity: float
+    ) -> tuple[float, float]:
+        """Return the predicted errors of a part, and of the combination of one run less [m].
 
         Args:
-            n_runs: K, the number of combined runs.
-            difference: distance of T_K from T_(K-1) [m]; 0 for a single run.
-            activity: largest velocity change over the part [m/s].
+            counts: step counts of the combined runs.
+            length: of the part [s].
+            change: of positions [m] and of velocities [m/s] by the last run of the combination; zeros for a single run.
+            activity: activity of the part [m/s].
         """
         memory = self.memory
-        if n_runs > 1:
-            # The larger the difference of combinations, the smaller the gain of the next one; at a force jump it is 0.
-            growth = max(1.0, difference / memory.difference) if memory.difference else float("inf")
-            return min(1.0, memory.safety_factor * memory.error_ratio * growth) * difference
-        return predict_single_run_error(memory, activity)
+        step = length / counts[0]
+        if len(counts) != memory.n_runs or not has_known_order(memory, counts[0], step):
+            return float("inf"), float("inf")
+        if len(counts) == 1:
+            return predict_single_run_error(memory, activity, counts[0], step) * (length / memory.duration), 0.0
+        fraction = length / memory.duration
+        lower_order_error = change[0] + memory.velocity_weight * change[1]
+        known_error = memory.lower_order_error * fraction
+        if not known_error:
+            return float("inf"), float("inf")
+        # The larger the change by the last run, the smaller the gain of the next one; at a force jump it is 0.
+        ratio = lower_order_error / known_error
+        growth = max(1.0, ratio * memory.lower_order_coefficient / coefficient_of(counts[:-1], length))
+        scale = memory.safety_factor * growth * growth * coefficient_of(counts, length) / memory.coefficient
+        return scale * memory.error * fraction, lower_order_error
 
     def choose(self, errors: Sequence[float], refinement: float) -> tuple[int, float]:
         """Return the runs and the refinement that meet the budget with the fewest force evaluations.
@@ -115,44 +141,55 @@ class ErrorRule:
             refinement: present refinement.
         """
         best, target = (1, refinement, float("inf")), CONSTANTS.error_target_fraction * self.budget
+        estimated_fraction = min(1.0, self.memory.duration / CONSTANTS.max_estimate_period)
         for n_runs, error in enumerate(errors[: self._max_runs], start=1):
             floor = self.rounding_floor(n_runs)
             # No step reduces the error below rounding.
             scale = root(max(error, floor) / max(target, floor), n_runs + 1)
             required_refinement = max(self.stability.min_refinement(n_runs), refinement * scale)
-            work = required_refinement * (RATIO_SUMS[n_runs] + RATIOS[n_runs] / CONSTANTS.max_estimate_period)
+            work = required_refinement * (RATIO_SUMS[n_runs] + RATIOS[n_runs] * estimated_fraction)
             if work < best[2]:
                 best = (n_runs, required_refinement, work)
         return best[0], best[1]
 
-    def record_estimate(self, n_runs: int, refinement: float, sums: ErrorSums) -> None:
+    def record_estimate(
+        self, n_runs: int, refinement: float, sums: ErrorSums, counts: tuple[int, ...], length: float
+    ) -> None:
         """Record the estimates of an accepted frame, and choose runs and refinement of the next one.
 
         Args:
             n_runs: number of combined runs.
             refinement: their refinement.
             sums: errors of its parts.
+            counts: step counts of the runs of each part.
+            length: length of a part [s].
         """
         memory, errors, error = self.memory, sums.errors, sums.error
         prediction_ratio = error / sums.predicted if sums.predicted > 0.0 else float("inf")
-        is_comparable = memory.activity > 0.0 and memory.n_runs == n_runs
+        is_predicted = math.isfinite(sums.predicted)
         next_runs, next_refinement = self.choose(errors, refinement)
         # Steps grow by a factor of two at most, because a motion that reverses is slow for a moment.
         next_refinement = max(min(next_refinement, CONSTANTS.max_refinement_factor * refinement), 0.5 * refinement, 1.0)
-        step_ratio, is_far_below = refinement / next_refinement, error <= CONSTANTS.low_error_fraction * self.budget
+        is_far_below = error <= CONSTANTS.low_error_fraction * self.budget
         memory.n_runs, memory.refinement, memory.activity = float(next_runs), next_refinement, sums.activity
-        memory.error = max(errors[next_runs - 1] * power(step_ratio, next_runs + 1), self.rounding_floor(next_runs))
+        memory.error = max(errors[next_runs - 1], self.rounding_floor(next_runs))
+        memory.coefficient, memory.step = coefficient_of(counts[:next_runs], length), length / counts[0]
         if next_runs > 1:
-            previous, floor = errors[next_runs - 2], self.rounding_floor(next_runs - 1)
-            memory.error_ratio = min(1.0, errors[next_runs - 1] / previous * step_ratio) if previous > floor else 1.0
-            memory.difference = max(previous, floor) * power(step_ratio, next_runs) / sums.n_parts
-        is_confirmed = is_comparable and prediction_ratio <= CONSTANTS.estimate_trust_factor
-        is_trusted = is_far_below or is_confirmed or error <= self.rounding_floor(n_runs)
-        known_ratio = min(prediction_ratio, 1e3) if is_comparable else 1.0
+            floor = self.rounding_floor(next_runs - 1)
+            position_change, velocity_change = sums.changes[next_runs - 2]
+            displaced = max(0.0, errors[next_runs - 2] - position_change)
+            memory.velocity_weight = displaced / velocity_change if velocity_change else 0.0
+            memory.lower_order_error = max(errors[next_runs - 2], floor)
+            memory.lower_order_coefficient = coefficient_of(counts[: next_runs - 1], length)
+        is_confirmed = is_predicted and prediction_ratio <= CONSTANTS.estimate_trust_factor
+        # The error of another combination may be small by chance: it changes its sign at times.
+        is_same = next_runs == n_runs
+        is_trusted = is_same and (is_far_below or is_confirmed or error <= self.rounding_floor(n_runs))
+        known_ratio = min(prediction_ratio, 1e3) if is_predicted else 1.0
         memory.safety_factor = 1.0 if is_far_below else max(1.0, 0.5 * memory.safety_factor, known_ratio)
         max_period = CONSTANTS.max_estimate_period * (4.0 if is_far_below and next_refinement == 1.0 else 1.0)
-        memory.estimate_period = min(max_period, 2.0 * memory.estimate_period) if is_trusted else 1.0
-        memory.frames_until_estimate = memory.estimate_period
+        period = min(max_period, 2.0 * memory.estimate_period) if is_trusted else 0.0
+        memory.estimate_period = memory.time_until_estimate = max(memory.duration, period)
 
     def record_halving(self, n_runs: int, refinement: float) -> None:
         """Record a frame that was divided into intervals; the next one starts with an estimate at their mean step."""
@@ -162,28 +199,60 @@ class ErrorRule:
         """Record a frame without an estimate; the next one gets an estimate if one run less may suffice."""
         memory = self.memory
         fewer_suffice = n_runs > 1 and sums.lower_order_error <= CONSTANTS.error_target_fraction * self.budget
-        memory.frames_until_estimate = 0.0 if fewer_suffice else max(0.0, memory.frames_until_estimate - 1.0)
+        if fewer_suffice:
+            memory.time_until_estimate = 0.0
+        else:
+            count_down(memory)
 
     def record_refinement(self, refinement: float) -> None:
         """Record a refinement that the energy rule required for a fixed step."""
         memory = self.memory
         memory.refinement = refinement
-        memory.estimate_period = min(CONSTANTS.max_estimate_period, 2.0 * memory.estimate_period)
-        memory.frames_until_estimate = memory.estimate_period
+        period = min(CONSTANTS.max_estimate_period, 2.0 * memory.estimate_period)
+        memory.estimate_period = memory.time_until_estimate = max(memory.duration, period)
 
 
-def predict_single_run_error(memory: ErrorState, activity: float) -> float:
-    """Return the predicted error of a single run over a part [m].
+def coefficient_of(counts: tuple[int, ...], length: float) -> float:
+    """Return the error coefficient of runs over a length [s], see `error_coefficient`."""
+    return error_coefficient(counts) * power(length, len(counts) + 1)
+
+
+def has_known_order(memory: ErrorState, steps: int, step: float) -> bool:
+    """Return True if the error of runs follows from the last estimate by their order.
+
+    A run of a few steps has an error that longer steps change in another way.
 
     Args:
         memory: state of the error rule.
-        activity: largest velocity change over the part [m/s].
+        steps: step count of the first run.
+        step: its step size [s].
+    """
+    return memory.step > 0.0 and (steps >= CONSTANTS.min_ordered_steps or step <= memory.step)
+
+
+def predict_single_run_error(memory: ErrorState, activity: float, steps: int, step: float) -> float:
+    """Return the predicted error of a frame by a single run [m].
+
+    Args:
+        memory: state of the error rule.
+        activity: largest activity of a part [m/s].
+        steps: step count.
+        step: step size [s].
     """
     activity_ratio = max(1.0, activity / memory.activity) if memory.activity else float("inf")
     if activity_ratio > CONSTANTS.estimate_trust_factor:
         # The motion differs from the one with the last estimate, for example after an impact.
         return float("inf")
-    return memory.safety_factor * memory.error * power(activity_ratio, _ACTIVITY_EXPONENT)
+    if not has_known_order(memory, steps, step):
+        return float("inf")
+    scale = memory.safety_factor * step * step / memory.coefficient
+    return scale * memory.error * power(activity_ratio, _ACTIVITY_EXPONENT)
+
+
+def count_down(memory: ErrorState) -> None:
+    """Count a frame without an estimate."""
+    rest = memory.time_until_estimate - memory.duration
+    memory.time_until_estimate = rest if rest > 1e-6 * memory.duration else 0.0
 
 
 def is_for_duration(memory: ErrorState, duration: float) -> bool:

@@ -22,7 +22,14 @@ from cloth_sim_ros.physics.integrators.base import Advance, NoRoomError, Unstabl
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, PrecomputedRun
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state import controller_state
-from cloth_sim_ros.physics.state.controller_state import ContactState, ErrorState, FallbackState, StabilityState
+from cloth_sim_ros.physics.state.controller_state import (
+    PREVIOUS_VELOCITIES_KEY,
+    ContactState,
+    ErrorState,
+    FallbackState,
+    StabilityState,
+    previous_interval,
+)
 from cloth_sim_ros.physics.state.state import State
 
 
@@ -60,7 +67,7 @@ class ExplicitAdvance:
         precomputed_run: PrecomputedRun | None = None,
     ) -> None:
         self._options, self._plan, self._state, self._accumulator = options, plan, state, accumulator
-        self._t, self._duration = t, duration
+        self._t, self._duration, self._start_velocities = t, duration, state.v
         self._has_history = StabilityState.key in state.memory
         self._memory = memory = StabilityState.load(state)
         stability = StabilityRule(plan, memory, state, duration)
@@ -72,14 +79,15 @@ class ExplicitAdvance:
         if not is_for_duration(error, duration):
             # The recorded errors belong to frames of another length.
             error = ErrorState(n_runs=error.n_runs, refinement=error.refinement, duration=duration)
+            state.memory.pop(PREVIOUS_VELOCITIES_KEY, None)
             precision, noise = controller_state.PrecisionState(), controller_state.RoundingNoiseState()
         n_runs, last_refinement, has_tolerance = options.n_runs, 0.0, options.tolerance is not None
         if has_tolerance:
             n_runs = min(int(error.n_runs), n_runs)
-        elif error.frames_until_estimate <= 0.0:
+        elif error.time_until_estimate <= 0.0:
             # Larger steps than the energy rule required are tried periodically.
             last_refinement, error.refinement = error.refinement, max(1.0, 0.5 * error.refinement)
-        estimates_error, budget = has_tolerance and error.frames_until_estimate <= 0.0, math.inf
+        estimates_error, budget = has_tolerance and error.time_until_estimate <= 0.0, math.inf
         if options.tolerance is not None:
             budget = CONSTANTS.error_budget_fraction * duration * options.tolerance
         # A fixed step of a running simulation was stable at its start.
@@ -114,6 +122,7 @@ class ExplicitAdvance:
             part_call_work=fallback.part_call_work(plan, contact_time),
             may_touch=contact_time > 0.0,
             precomputed_run=precomputed_run,
+            previous=previous_interval(state, duration),
         )
         rule = ErrorRule(error, stability, budget, options.n_runs, state)
         choice = StepChoice(n_runs, error.refinement, estimates_error)
@@ -170,6 +179,8 @@ class ExplicitAdvance:
             interval.rule.record_halving(interval.choice.n_runs, self._mean_refinement())
         for memory in (self._memory, interval.rule.memory, context.precision.memory, context.energy.memory):
             memory.store(state)
+        if options.tolerance is not None:
+            state.memory[PREVIOUS_VELOCITIES_KEY] = self._start_velocities
         if self._plan.has_hinges:
             context.multirate.memory.ratio = float(context.multirate.ratio)
             context.multirate.memory.store(state)

@@ -13,7 +13,7 @@ from cloth_sim_ros.physics.accounting.end_corrections import accumulate_runs
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.contact_step_limit import ContactStepLimit
-from cloth_sim_ros.physics.control.error import is_for_duration, predict_single_run_error
+from cloth_sim_ros.physics.control.error import count_down, is_for_duration, predict_single_run_error
 from cloth_sim_ros.physics.control.fallback import evaluation_budget, part_call_work, work_cap
 from cloth_sim_ros.physics.control.multirate import MultirateRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
@@ -23,7 +23,13 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, 
 from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state import controller_state
-from cloth_sim_ros.physics.state.controller_state import ContactState, ErrorState, FallbackState, StabilityState
+from cloth_sim_ros.physics.state.controller_state import (
+    PREVIOUS_VELOCITIES_KEY,
+    ContactState,
+    ErrorState,
+    FallbackState,
+    StabilityState,
+)
 from cloth_sim_ros.physics.state.state import State
 
 #: Keys of controllers whose state the fast path leaves unchanged.
@@ -49,7 +55,7 @@ def try_advance(
     if options.tolerance is None or not _has_history(plan, state):
         return None
     stability, error = StabilityState.load(state), ErrorState.load(state)
-    if stability.omega2 < 0.0 or error.frames_until_estimate <= 0.0 or not is_for_duration(error, duration):
+    if stability.omega2 < 0.0 or error.time_until_estimate <= 0.0 or not is_for_duration(error, duration):
         return None
     sheet_limit = limit = options.step_limit(stability.omega2, stability.damping)
     contact, contact_limit, contact_time = plan.contact, None, 0.0
@@ -99,11 +105,12 @@ def try_advance(
         record_power=book is not None and book.record_power,
         record_obstacles=book is not None and book.obstacle_count > 0,
         multirate=ratio,
+        previous=controller_state.previous_interval(state, duration),
     )
     runs, combined = result
     assert combined is not None
     x, v, summary = combined
-    predicted_error = predict_single_run_error(error, summary.activity) if summary.is_finite else budget
+    predicted_error = predict_single_run_error(error, summary.activity, steps, step) if summary.is_finite else budget
     is_rejected = False
     if contact_limit is None or contact is None:
         limit_after = options.step_limit(summary.omega2, summary.damping)
@@ -116,7 +123,8 @@ def try_advance(
     if not summary.is_finite or is_rejected or not predicted_error <= budget or not step <= (limit_after or 0.5 * step):
         return PrecomputedRun(state.x, t, duration, steps, single_precision, ratio, result)
     stability.omega2, stability.damping = summary.omega2, summary.damping
-    error.frames_until_estimate = max(0.0, error.frames_until_estimate - 1.0)
+    count_down(error)
+    state.memory[PREVIOUS_VELOCITIES_KEY] = state.v
     if book is not None:
         accumulate_runs(book, plan, state, t, duration, runs, (steps,), (1.0,))
     state.x, state.v = x, v

@@ -1,16 +1,16 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Check for a force jump in the last half step of an interval.
+"""Check for a force jump in the first or last half step of an interval.
 
-Runs evaluate forces at the middle of their steps, so none of them samples the last half step. Halving an interval at a
-force jump moves the jump there. Therefore this check compares accelerations over that half step.
+Runs evaluate forces at the middle of their steps, so none of them samples these half steps. Halving an interval at a
+force jump moves the jump there. Therefore this check compares accelerations over such a half step.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import JAWS_KEY
 from cloth_sim_ros.physics.state.state import State
@@ -21,16 +21,16 @@ _DIFFERENCE_WEIGHTS = ((0.25, -4.0), (0.5, 6.0), (0.75, -4.0), (1.0, 1.0))
 EVALUATIONS = 1 + len(_DIFFERENCE_WEIGHTS)
 
 
-def missed_velocity_change(plan: Plan, state: State, t: float, half_step: float) -> float:
-    """Return the velocity change that a force jump in the last half step may cause [m/s].
+def missed_velocity_change(plan: Plan, state: State, t: float, half_step: float) -> Array:
+    """Return the velocity changes that a force jump in a half step may cause [m/s], shape (3, n).
 
     It is the fourth difference of the accelerations times the half step; for smooth motion it is nearly zero.
 
     Args:
         plan: equations of motion.
-        state: at the end of the half step.
+        state: at the end of the half step, or at its start.
         t: its time [s].
-        half_step: length [s].
+        half_step: length [s]; negative for a half step that starts with the state.
     """
     x, v, jaws = state.x, state.v, state.memory.get(JAWS_KEY)
     a, earlier, difference = np.empty_like(x), np.empty_like(x), np.empty_like(x)
@@ -44,4 +44,5 @@ def missed_velocity_change(plan: Plan, state: State, t: float, half_step: float)
             plan.contact.set_jaws(np.stack([jaws[:, 0] - dt * jaws[:, 1], jaws[:, 1]], axis=1))
         plan.accelerations(t - dt, x - dt * v + (0.5 * dt * dt) * a, v - dt * a, earlier)
         difference += weight * earlier
-    return half_step * largest_distance(difference, np.zeros_like(difference))
+    difference *= half_step
+    return difference

@@ -19,7 +19,12 @@ from cloth_sim_ros.physics.control.force_jump import EVALUATIONS, missed_velocit
 from cloth_sim_ros.physics.control.stability import MAX_UNDAMPED_STEPS, StabilityRule
 from cloth_sim_ros.physics.control.step_choice import StepChoice
 from cloth_sim_ros.physics.integrators.base import UnstableError
-from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, ExtrapolationTableau, step_counts
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
+    RATIO_SUMS,
+    VELOCITY_ERROR_TIME,
+    ExtrapolationTableau,
+    step_counts,
+)
 from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.state.controller_state import ErrorState
 from cloth_sim_ros.physics.state.state import State
@@ -28,6 +33,8 @@ from cloth_sim_ros.physics.state.state import State
 _MIN_HALVED_STEPS = 2 * MAX_UNDAMPED_STEPS
 #: Maximum halvings of an advance; the shortest interval of a frame is then below a nanosecond.
 _MAX_HALVINGS = 24
+#: Plausible gain of a combination of two runs over a single one.
+_FIRST_GAIN = 0.1
 #: Attempts of an interval after which steps without a work limit fail: finer ones would fail too, as with a force that
 #: is not finite.
 _MAX_FAILED_ATTEMPTS = 12
@@ -59,6 +66,7 @@ class Interval:
     ) -> None:
         self._context, self._t, self._duration = context, t, duration
         self.choice, self.rule, self._stability = choice, rule, rule.stability
+        self._previous = context.previous
         self._reserved, self._n_halvings = reserved, n_halvings
         #: Maximum steps of the first run. If it needs more, the interval is halved before the first attempt, because
         #: short steps are rarely necessary for long.
@@ -122,6 +130,7 @@ class Interval:
     def _integrate_halves(self, *, was_attempted: bool = False) -> float | None:
         """Integrate both halves, each with its own choice; return as `integrate`."""
         context, choice, half, error_sum = self._context, self.choice, 0.5 * self._duration, 0.0
+        context.previous = self._previous
         max_first_steps = min(self.max_first_steps, self.first_run_steps or math.inf)
         self.steps, self.first_run_steps, self.min_step, self.n_pieces = 0, 0, math.inf, 0
         for k in range(2):
@@ -162,11 +171,14 @@ class Interval:
         self.min_step = length / self._steps_per_part
         self.first_run_steps, self.steps = n_parts * self._steps_per_part, 0
         self._sums, self._must_halve, self._contact_energy = ErrorSums(), False, 0.0
+        context.previous = self._previous
         for part in range(n_parts):
             if not self._integrate_part(part, length, start):
                 return None
         if choice.estimates_error:
-            rule.record_estimate(self.choice.n_runs, max(choice.refinement, required_refinement), self._sums)
+            counts = step_counts(self._steps_per_part, ratio=self.ratio)
+            refinement = max(choice.refinement, required_refinement)
+            rule.record_estimate(self.choice.n_runs, refinement, self._sums, counts, length)
         else:
             rule.record_prediction(choice.n_runs, self._sums)
         contact_limit.contact_energy = max(contact_limit.contact_energy, self._contact_energy)
@@ -192,7 +204,7 @@ class Interval:
             return False
         accepted = True
         if is_finite and options.tolerance is not None:
-            accepted = self._check_error(tableau, summary.activity, (part + 1) * length / self._duration)
+            accepted = self._check_error(tableau, summary.activity, part, length / self._duration)
         if not is_finite:
             # Contact did not stop a particle; with finer steps it would not have got that far. If the run ended on a
             # surface, the limit is zero, and the steps were too long.
@@ -217,6 +229,7 @@ class Interval:
         if context.accumulator is not None:
             tableau.accumulate(choice.n_runs, context.accumulator)
         self.steps += sum(tableau.counts[: choice.n_runs])
+        context.previous = state.v, length
         tableau.commit(choice.n_runs, state)
         return True
 
@@ -232,7 +245,7 @@ class Interval:
     def _tableau_of_part(self, part: int, t: float, length: float, start: State) -> ExtrapolationTableau:
         """Return the tableau of a part; that of the first part is reused by attempts with the same steps."""
         context, first, accumulator = self._context, self._first_tableau, self._context.accumulator
-        counts = step_counts(self._steps_per_part, ratio=self.ratio)
+        counts = step_counts(self._steps_per_part, ratio=self.ratio, coprime=self._n_halvings > 0)
         error_was_too_large = self._n_rejected + self._n_halvings > 0 and context.plan.threads_per_run(self.ratio) == 1
         if context.options.tolerance is not None:
             # The measured effect belongs to a whole advance, and does not decrease with the interval.
@@ -255,8 +268,8 @@ class Interval:
             record_power=accumulator is not None and accumulator.record_power,
             record_obstacles=accumulator is not None and accumulator.obstacle_count > 0,
             single_precision=context.single_precision,
-            omega=self._error_frequency,
-            contact_omega=1.0 / context.duration,
+            jaw_time=context.duration,
+            previous=context.previous,
             precomputed_run=context.precomputed_run,
             ratio=self.ratio,
             expected_runs=self.choice.expected_runs(context.options.tolerance, error_was_too_large=error_was_too_large),
@@ -264,17 +277,20 @@ class Interval:
         self._first_tableau = tableau if part == 0 else first
         return tableau
 
-    def _check_error(self, tableau: ExtrapolationTableau, activity: float, elapsed_fraction: float) -> bool:
+    def _check_error(self, tableau: ExtrapolationTableau, activity: float, part: int, fraction: float) -> bool:
         """Add the error of a part to that of the interval; return True if it fits, else choose a retry.
 
         Args:
             tableau: tableau of the part.
-            activity: largest velocity change over it [m/s].
-            elapsed_fraction: elapsed fraction of the interval at its end.
+            activity: its activity [m/s].
+            part: its index.
+            fraction: its length relative to the interval.
         """
+        elapsed_fraction = (part + 1) * fraction
         context, choice, rule, sums = self._context, self.choice, self.rule, self._sums
-        difference = tableau.difference(choice.n_runs - 1) if choice.n_runs > 1 else 0.0
-        predicted = rule.predict(choice.n_runs, difference, activity)
+        change = tableau.change(choice.n_runs - 1) if choice.n_runs > 1 else (0.0, 0.0)
+        counts = tableau.counts[: choice.n_runs]
+        predicted, predicted_lower_order = rule.predict(counts, tableau.duration, change, activity)
         contact_energy = tableau.contact_energy(choice.n_runs)
         self._contact_energy = max(self._contact_energy, contact_energy)
         if context.contact_limit.exceeds_known_energy(contact_energy):
@@ -282,7 +298,7 @@ class Interval:
             predicted = math.inf
         if not choice.estimates_error:
             sums.error += predicted
-            sums.lower_order_error += difference
+            sums.lower_order_error += predicted_lower_order
             if sums.error <= rule.budget:
                 return True
             # All parts need an estimate, because one choice applies to the whole interval. Existing runs are reused.
@@ -290,7 +306,9 @@ class Interval:
             choice = StepChoice(choice.n_runs, choice.refinement, True)
             self.choice = context.clamp(choice, self.estimate_work, self._reserved, reusable)
             return False
-        errors = [self._estimate_error(tableau, k) for k in range(1, choice.n_runs + 1)]
+        errors: list[float] = []
+        for _ in range(choice.n_runs):
+            self._append_estimate(errors, tableau)
         is_accepted = sums.error + errors[-1] <= rule.budget or context.exhausted
         if not is_accepted or choice.refinement > 1.0:
             error_target = CONSTANTS.error_target_fraction * rule.budget * elapsed_fraction
@@ -299,10 +317,10 @@ class Interval:
                 is_affordable = context.fits_budget(reserved + tableau.counts[len(errors) + 1])
                 # If runs do not gain on one another, as at a force jump, a further run does not either.
                 is_useless = len(errors) > 1 and errors[-1] > errors[-2]
-                resolves_error = not tableau.single_precision or context.precision.resolves_error(len(errors) + 2)
-                if not is_affordable or is_useless or not resolves_error:
+                resolves = context.precision.resolves_error(len(errors) + 2)
+                if not is_affordable or is_useless or (tableau.single_precision and not resolves):
                     break
-                errors.append(self._estimate_error(tableau, len(errors) + 1))
+                self._append_estimate(errors, tableau)
         if not is_accepted:
             # A combination of more existing runs may suffice. If the motion is not smooth, all further estimates must
             # confirm it, because one of them may be small by chance.
@@ -312,7 +330,8 @@ class Interval:
             if sufficient:
                 self.choice = choice = StepChoice(sufficient[0], choice.refinement, True)
                 is_accepted = True
-        sums.add_estimate(errors, choice.n_runs, predicted, activity)
+        changes = [tableau.change(k) for k in range(1, len(errors) + 1)]
+        sums.add_estimate(errors, changes, choice.n_runs, predicted, activity)
         floor = rule.rounding_floor(choice.n_runs)
         if is_accepted or sums.error <= CONSTANTS.estimate_trust_factor * sums.n_parts * floor:
             return True  # no step reduces the error below rounding
@@ -323,11 +342,16 @@ class Interval:
         return not self._choose_finer(n_runs, next_refinement, is_smooth=is_smooth)
 
     def _check_end(self, error: float) -> float | None:
-        """Return the error of an interval [m] including its last half step; None for a further attempt."""
-        context = self._context
-        end, half_step = self._t + self._duration, 0.5 * self.min_step
-        error += missed_velocity_change(context.plan, context.state, end, half_step) / self._error_frequency
-        context.evaluations += EVALUATIONS
+        """Return the error of an interval [m] including its first and last half steps; None for a further attempt."""
+        context, half_step = self._context, 0.5 * self.min_step
+        for state, t, duration in (
+            (self.start, self._t, -half_step),
+            (context.state, self._t + self._duration, half_step),
+        ):
+            change = missed_velocity_change(context.plan, state, t, duration)
+            displacement, steps = context.plan.velocity_displacement(t, state.x, change, VELOCITY_ERROR_TIME)
+            error += displacement
+            context.evaluations += EVALUATIONS + 2 * steps
         if error <= self.rule.budget or context.exhausted or error <= self.rule.rounding_floor(self.choice.n_runs):
             return error
         refinement = self.choice.refinement * root(error / (CONSTANTS.error_target_fraction * self.rule.budget), 3)
@@ -354,16 +378,6 @@ class Interval:
         self._context.exhausted = True
         return False
 
-    @property
-    def _error_frequency(self) -> float:
-        """Angular frequency [1/s] that converts an error of velocity into one of position.
-
-        Over a whole advance the velocity errors of slow waves have become position errors, so the fastest wave counts.
-        An interval after halving is too short for that; there each velocity error lasts for the whole advance.
-        """
-        min_frequency = 1.0 / self._context.duration
-        return min_frequency if self._n_halvings else max(self._stability.omega, min_frequency)
-
     def _exceeds_order(self, refinement: float) -> bool:
         """Return True if the last refinement reduced the error less than its order predicts."""
         is_repeated = self._n_halvings + self._n_rejected > 0
@@ -374,11 +388,18 @@ class Interval:
         is_long_enough = self.first_run_steps >= _MIN_HALVED_STEPS and self._n_halvings < _MAX_HALVINGS
         return is_long_enough and self.fits_budget(self.choice.n_runs, self.choice.refinement)
 
-    def _estimate_error(self, tableau: ExtrapolationTableau, n_runs: int) -> float:
-        """Return the error estimate of a combination [m], and count its further run."""
-        evaluations_before, error = tableau.evaluations, tableau.difference(n_runs)
+    def _append_estimate(self, errors: list[float], tableau: ExtrapolationTableau) -> None:
+        """Append the error estimate of the next combination [m], and count its further run.
+
+        If the motion is not smooth, an estimate may be small by chance. Then it counts as at least what the gain of the
+        combination before it makes plausible.
+        """
+        evaluations_before, error = tableau.evaluations, tableau.difference(len(errors) + 1)
         self._context.evaluations += tableau.evaluations - evaluations_before
-        return error
+        if self._n_halvings and errors:
+            gain = errors[-1] / errors[-2] if len(errors) > 1 and errors[-2] else _FIRST_GAIN
+            error = max(error, errors[-1] * gain * gain)
+        errors.append(error)
 
     def fits_budget(self, n_runs: int, refinement: float) -> bool:
         """Return True if a further attempt fits the remaining work of the frame."""

@@ -80,7 +80,7 @@ class MultirateRule:
         if not self._min_damping_time:
             return
         self.memory.estimates_since_combination = 0.0 if n_runs > 1 else self.memory.estimates_since_combination + 1.0
-        if self.memory.estimates_since_combination < CONSTANTS.max_estimate_period:
+        if self.memory.estimates_since_combination < CONSTANTS.multirate_pause:
             self.ratio = 1
         else:
             self.bounds = self._plan.detailed_spectral_bounds(x, hinges=True)[2:]

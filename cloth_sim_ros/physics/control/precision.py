@@ -11,12 +11,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.arithmetic.arrays import largest_distance, weighted_dot
+from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum, root
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.step_choice import StepChoice
-from cloth_sim_ros.physics.integrators.extrapolation_tableau import amplification
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import VELOCITY_ERROR_TIME, amplification
 from cloth_sim_ros.physics.integrators.limit import steps_for
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import PrecisionState, RoundingNoiseState
 from cloth_sim_ros.physics.state.state import State
@@ -64,7 +68,7 @@ class PrecisionRule:
             Force evaluations of the measurement.
         """
         memory, noise, plan = self.memory, self.noise, self._plan
-        if noise.n_samples >= _MAX_SAMPLES or choice.n_runs > 1:
+        if (noise.n_samples >= _MAX_SAMPLES and self._is_known_at(state)) or choice.n_runs > 1:
             return 0
         if not plan.supports_single_precision(self._duration, state.x, state.v):
             return 0
@@ -92,9 +96,16 @@ class PrecisionRule:
         energy_change = max(abs(energies[1] - energies[0]), 0.5 * weighted_dot(plan.model.masses, dv, dv))
         if math.isfinite(energies[1] - energies[0]):
             noise.n_samples += 1.0
-            if memory.rounding < 0.0:
-                memory.rounding = CONSTANTS.estimate_trust_factor * largest_distance(runs[0].x, runs[1].x)
-            noise.power = max(noise.power, CONSTANTS.estimate_trust_factor * energy_change / span)
+            trust = CONSTANTS.estimate_trust_factor
+            displacement, _ = plan.velocity_displacement(t + span, runs[0].x, dv, VELOCITY_ERROR_TIME)
+            change = largest_distance(runs[0].x, runs[1].x) + displacement
+            memory.rounding = max(memory.rounding, trust * change)
+            # What all particles have in common is small beside their noise, and not restored by forces.
+            mean_change = root(ordered_sum(self._mean(dv, axis) ** 2 for axis in range(3)), 2)
+            growth = root(self._duration / span, 2)
+            memory.common_rounding = max(memory.common_rounding, trust * VELOCITY_ERROR_TIME * mean_change * growth)
+            memory.speed = max(memory.speed, _max_component(runs[0].v))
+            noise.power = max(noise.power, trust * energy_change / span)
         return 2 * (steps + 1)
 
     def update_kinetic_energy(self, state: State) -> None:
@@ -113,18 +124,19 @@ class PrecisionRule:
             state: at the start.
             choice: runs and refinement.
         """
-        rounding = amplification(choice.n_runs) * self.memory.rounding
-        fits = 0.0 <= rounding <= self._rounding_budget
+        memory = self.memory
+        if self.n_misses > 1 or not (memory.rounding >= 0.0 and self._is_known_at(state)):
+            return False
+        rounding = amplification(choice.n_runs) * memory.rounding
         # An error estimate needs one further run.
-        if self.n_misses > 1 or not (fits and self.resolves_error(choice.n_runs + choice.estimates_error)):
+        resolves_error = self.resolves_error(choice.n_runs + choice.estimates_error)
+        if not (rounding <= self._rounding_budget and resolves_error):
+            return False
+        if amplification(choice.n_runs) * memory.common_rounding > self._estimate_uncertainty:
             return False
         if not 0.0 <= self.noise.power * _COMPARISON_TIME <= CONSTANTS.max_energy_gain * self.noise.kinetic_energy:
             return False
-        v, min_motion = state.v, CONSTANTS.single_precision_min_motion * rounding
-        # The last particle is checked first: it moves in most moving sheets.
-        if max(map(abs, v[:, -1].tolist())) * self._duration > min_motion:
-            return True
-        return float(v.max()) * self._duration > min_motion or -float(v.min()) * self._duration > min_motion
+        return _max_component(state.v) * self._duration > CONSTANTS.single_precision_min_motion * rounding
 
     def resolves_error(self, n_runs: int) -> bool:
         """Return True if a combination of single-precision runs still resolves the error.
@@ -132,3 +144,18 @@ class PrecisionRule:
         The combination is only an estimate. Rounding must be small against the budget, not against the error.
         """
         return amplification(n_runs) * self.memory.rounding <= self._estimate_uncertainty
+
+    def _is_known_at(self, state: State) -> bool:
+        """Return True if the rounding of velocities was measured at the speed of a state."""
+        return _max_component(state.v) <= CONSTANTS.estimate_trust_factor * self.memory.speed
+
+    def _mean(self, dv: Array, axis: int) -> float:
+        """Return the mean of a component of velocity changes [m/s], weighted with masses."""
+        unit = np.zeros_like(dv)
+        unit[axis] = 1.0
+        return weighted_dot(self._plan.model.masses, dv, unit) / self._plan.model.mass
+
+
+def _max_component(v: Array) -> float:
+    """Return the largest component of velocities [m/s]."""
+    return max(float(v.max()), -float(v.min()))

@@ -22,28 +22,36 @@ from cloth_sim_ros.physics.arithmetic.arrays import combine, largest_distance
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.plan.runs import Run, RunSummary
+from cloth_sim_ros.physics.plan.runs import Run, RunSummary, activity_of
 from cloth_sim_ros.physics.state.state import State
 
 #: Step counts of the runs, relative to the first. Wider ratios cost more; closer ones amplify rounding and high modes:
 #: the sums of |w| for 1 to 5 runs are 1, 4.6, 17.7, 32 and 70.
 RATIOS = (1.0, 1.25, 1.5, 2.0, 2.5)
+#: Time within which an error of a velocity displaces [s]: frames of one second share its error equally, so that on
+#: average half of the second follows.
+VELOCITY_ERROR_TIME = 0.5
 #: Sums of the first 0, 1, 2, ... ratios.
 RATIO_SUMS = tuple(sum(RATIOS[:columns]) for columns in range(len(RATIOS) + 1))
 
 
 @lru_cache(maxsize=256)
-def step_counts(first: int, n_runs: int = len(RATIOS), ratio: int = 1) -> tuple[int, ...]:
+def step_counts(first: int, n_runs: int = len(RATIOS), ratio: int = 1, *, coprime: bool = False) -> tuple[int, ...]:
     """Return the step counts of the runs, strictly increasing multiples of the multirate ratio.
 
     Args:
         first: step count of the first run.
         n_runs: number of runs.
         ratio: multirate ratio.
+        coprime: true for counts without a common divisor but the ratio. Then no steps of two runs begin together within
+            the interval; a force jump at such a time would change both runs alike.
     """
     counts = [first // ratio]
     for step_ratio in RATIOS[1:n_runs]:
-        counts.append(max(counts[-1] + 1, math.ceil(counts[0] * step_ratio - 1e-9)))
+        count = max(counts[-1] + 1, math.ceil(counts[0] * step_ratio - 1e-9))
+        while coprime and any(math.gcd(count, other) > 1 for other in counts):
+            count += 1
+        counts.append(count)
     return tuple(ratio * count for count in counts)
 
 
@@ -63,6 +71,16 @@ def weights(counts: tuple[int, ...]) -> tuple[float, ...]:
     """
     size, count_sum = len(counts), sum(counts)
     return tuple(n**size / (count_sum * math.prod(n - m for m in counts if m != n)) for n in counts)
+
+
+@lru_cache(maxsize=1024)
+def error_coefficient(counts: tuple[int, ...]) -> float:
+    """Return the coefficient of the leading error of T_K for K runs of step counts n: |sum of w n^-(K + 1)|.
+
+    For an interval of length H the error is this coefficient times H^(K + 1), times what depends on the motion alone.
+    """
+    terms = [weight / n ** (len(counts) + 1) for weight, n in zip(weights(counts), counts, strict=True)]
+    return abs(ordered_sum(terms))
 
 
 def max_rates(*rates: tuple[float, float]) -> tuple[float, float]:
@@ -99,12 +117,11 @@ class ExtrapolationTableau:
         record_power: runs record the work of damping and wind.
         record_obstacles: runs record the work of obstacles.
         single_precision: runs use single precision.
-        omega: highest angular frequency [1/s], see `difference`.
-        contact_omega: the same with contact [1/s]: the inverse of the time over which a rebounding particle is
-            followed.
+        jaw_time: time within which an error of a jaw's rate counts [s], see `difference`.
         precomputed_run: an existing run, used if it equals the requested one.
         ratio: multirate ratio.
         expected_runs: expected number of runs, for prefetching; results do not depend on it.
+        previous: velocities [m/s] at the start of the previous interval and its length [s]; None for none.
     """
 
     def __init__(
@@ -118,23 +135,24 @@ class ExtrapolationTableau:
         record_power: bool = False,
         record_obstacles: bool = False,
         single_precision: bool = False,
-        omega: float = math.inf,
-        contact_omega: float = math.inf,
+        jaw_time: float = 0.0,
         precomputed_run: PrecomputedRun | None = None,
         ratio: int = 1,
         expected_runs: int = 0,
+        previous: tuple[Array, float] | None = None,
     ) -> None:
         self._plan, self._start, self._t, self.duration = plan, start, t, duration
         self._record_power, self._record_obstacles = record_power, record_obstacles
         self.counts = tuple(counts)
         self.single_precision, self.ratio = single_precision, ratio
-        self._omega, self._contact_omega, self._precomputed_run = omega, contact_omega, precomputed_run
-        self._expected_runs = expected_runs
+        self._jaw_time, self._precomputed_run = jaw_time, precomputed_run
+        self._expected_runs, self._previous = expected_runs, previous
         #: Force evaluations of the requested runs, and their number. Prefetched runs are not included.
         self.evaluations, self._n_requested = 0, 0
         self._runs: list[Run] = []
         self._combined: dict[int, tuple[Array, Array]] = {}
         self._summaries: dict[int, RunSummary] = {}
+        self._distances: dict[int, float] = {}
         self._contact_summaries: dict[int, tuple[float, float, tuple[float, float]]] = {}
 
     def combine(self, n_runs: int) -> tuple[Array, Array]:
@@ -156,8 +174,13 @@ class ExtrapolationTableau:
             x, v = self.combine(n_runs)
             summary = self._summaries.get(n_runs)
         if summary is None:
-            activity = max(largest_distance(v, self._start.v), 0.0 * largest_distance(x, self._start.x))
-            if not math.isfinite(largest_distance(x, self._start.x)):
+            change, difference = largest_distance(v, self._start.v), 0.0
+            if self._previous is not None:
+                previous_v, ratio = self._previous[0], self.duration / self._previous[1]
+                mean_before = combine([v, self._start.v, previous_v], (1.0, -1.0 - ratio, ratio))
+                difference = largest_distance(mean_before, np.zeros_like(mean_before))
+            activity = activity_of(change, difference)
+            if not (math.isfinite(largest_distance(x, self._start.x)) and math.isfinite(change)):
                 activity = math.inf
             contact, contact_energy, self_contact = self._plan.contact, 0.0, (0.0, 0.0)
             if contact is not None:
@@ -172,17 +195,28 @@ class ExtrapolationTableau:
             self._summaries[n_runs] = summary
         return summary
 
+    def change(self, n_runs: int) -> tuple[float, float]:
+        """Return the largest distances of positions [m] and of velocities [m/s] of T_(K+1) from those of T_K."""
+        (x, v), (y, w) = self.combine(n_runs + 1), self.combine(n_runs)
+        return largest_distance(x, y), largest_distance(v, w)
+
     def difference(self, n_runs: int) -> float:
         """Return the distance of T_(K+1) from T_K, K = n_runs [m]: the error estimate of T_K.
 
-        It is the largest distance of a particle's positions, or of its velocities over the highest angular frequency.
-        The error of an oscillation may be in its velocity alone. After contact a particle keeps its velocity error;
-        then the velocities are divided by the lower frequency of contact.
+        It is the largest distance of a particle's positions, plus the displacement that the difference of velocities
+        causes later: slow waves keep it, fast ones lose it within a period. A jaw's half opening counts alike.
         """
-        (x, v), (y, w) = self.combine(n_runs + 1), self.combine(n_runs)
-        omega = self._contact_omega if self.contact_energy(n_runs + 1) else self._omega
-        jaw_difference = self._jaw_difference(n_runs)
-        return max(largest_distance(x, y), largest_distance(v, w) / omega, jaw_difference)
+        distance = self._distances.get(n_runs)
+        if distance is None:
+            (x, v), (y, w) = self.combine(n_runs + 1), self.combine(n_runs)
+            distance = largest_distance(x, y)
+            if distance < math.inf:
+                end = self._t + self.duration
+                displacement, steps = self._plan.velocity_displacement(end, x, v - w, VELOCITY_ERROR_TIME)
+                distance += displacement
+                self.evaluations += 2 * steps
+            distance = self._distances[n_runs] = max(distance, self._jaw_difference(n_runs))
+        return distance
 
     def jaws(self, n_runs: int) -> Array | None:
         """Return the jaw states at the end of T_K, K = n_runs; None without parallel grippers."""
@@ -193,12 +227,12 @@ class ExtrapolationTableau:
         return contact.combine_jaws(self._runs[:n_runs], weights(self.counts[:n_runs]))
 
     def _jaw_difference(self, n_runs: int) -> float:
-        """Return the difference of half openings [m], or of their rates over the frequency of contact."""
+        """Return the difference of half openings [m], or of their rates times `jaw_time`."""
         next_jaws, jaws = self.jaws(n_runs + 1), self.jaws(n_runs)
         if next_jaws is None or jaws is None:
             return 0.0
         differences = np.abs(next_jaws - jaws)
-        return max(float(differences[:, 0].max()), float(differences[:, 1].max()) / self._contact_omega)
+        return max(float(differences[:, 0].max()), float(differences[:, 1].max()) * self._jaw_time)
 
     def encountered_energy(self, n_runs: int) -> float:
         """Return the energy per mass, in U^2/2, that contact had to absorb in the runs of T_K.
@@ -293,6 +327,7 @@ class ExtrapolationTableau:
             record_obstacles=self._record_obstacles,
             multirate=self.ratio,
             concurrency=concurrency,
+            previous=self._previous,
         )
 
     def _matching_result(

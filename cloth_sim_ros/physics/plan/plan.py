@@ -32,7 +32,7 @@ from cloth_sim_ros.physics.plan.plan_handle import PlanHandle
 from cloth_sim_ros.physics.plan.python_forces import PythonForces
 from cloth_sim_ros.physics.plan.queries import PlanQueries
 from cloth_sim_ros.physics.plan.reentrancy import non_reentrant
-from cloth_sim_ros.physics.plan.runs import Run, RunSummary, n_integrals
+from cloth_sim_ros.physics.plan.runs import Run, RunSummary, activity_of, n_integrals
 from cloth_sim_ros.physics.plan.thread_limit import available_threads
 from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
 
@@ -93,6 +93,9 @@ class Plan(PlanQueries, Uncopyable):
         self._is_shareable = assembly.grid is None or assembly.grid.rows >= 16
         self._pair_counts = assembly.pair_counts()
         self.call_lock = threading.Lock()
+        #: Results of a query, allocated once.
+        self._query_out = (ctypes.c_double * 2)()
+        self._query_address = addressof(self._query_out)
         # The engine's request is allocated once; each frame writes into it.
         self._steps, self._weights = (ctypes.c_int64 * MAX_RUNS)(), (ctypes.c_double * MAX_RUNS)()
         self._summary_out = (ctypes.c_double * binding.SUMMARY_NUMBERS)()
@@ -168,6 +171,7 @@ class Plan(PlanQueries, Uncopyable):
         threads: int | None = None,
         concurrency: int = 1,
         multirate: int = 1,
+        previous: tuple[Array, float] | None = None,
     ) -> tuple[list[Run], tuple[Array, Array, RunSummary] | None]:
         """Run the leapfrog over an interval several times from one start, each with its own number of equal steps.
 
@@ -184,6 +188,7 @@ class Plan(PlanQueries, Uncopyable):
             concurrency: runs that are calculated at once, each by one thread, if possible. No bit depends on it.
             multirate: multirate ratio: hinges are evaluated once in this number of steps, in the middle one. It is
                 odd and divides all ``steps``.
+            previous: velocities [m/s] at the start of the previous interval, (3, n), and its length [s]; None for none.
 
         Returns:
             The runs; and positions, velocities and the summary of their combination, None without weights.
@@ -248,6 +253,8 @@ class Plan(PlanQueries, Uncopyable):
             multirate,
             n_combined,
             concurrency,
+            0 if previous is None else doubles("previous", previous[0], self._shape),
+            0.0 if previous is None else duration / previous[1],
         )
         status = self._library.cloth_frame(self._handle, self._frame_address)
         if status:
@@ -259,7 +266,8 @@ class Plan(PlanQueries, Uncopyable):
             runs = [Run(out[k], integrals[k], grippers, obstacles, anchors[k], jaw_states[k]) for k in range(count)]
         if weights is None:
             return runs, None
-        activity, omega2, damping, contact_energy, self_omega2, self_damping, *hinges = self._summary_out[:]
+        change, omega2, damping, contact_energy, self_omega2, self_damping, *hinges, difference = self._summary_out[:]
+        activity = activity_of(change, difference)
         x, v = result[0], result[1]
         self._last_result, self._last_address = (x, v), result_address or out_address
         if self._python_forces:

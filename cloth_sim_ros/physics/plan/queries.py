@@ -32,6 +32,8 @@ class PlanQueries:
     _grip_binding: GripBinding | None
     _pair_counts: list[int]
     _min_damping_time: float
+    _query_out: ctypes.Array[ctypes.c_double]
+    _query_address: int
 
     def _sync(self) -> None:
         """Upload grips, obstacles and the paths of both if they changed."""
@@ -72,6 +74,27 @@ class PlanQueries:
         check(self._library.cloth_spectral_bounds(self._handle, *addresses, hinges, address(out)))
         bounds: list[float] = out.tolist()
         return bounds
+
+    def velocity_displacement(self, t: float, x: Array, errors: Array, time: float) -> tuple[float, int]:
+        """Return the largest displacement of a particle [m] that velocity errors cause later.
+
+        It is the largest particle of (A + 1/time^2)^(-1/2) e with A = M^-1 K, by the Lanczos method
+        (docs/derivations/time_stepping.md). Contact and forces in Python are left out, which makes it larger.
+
+        Args:
+            t: time [s].
+            x: positions [m], shape (3, n).
+            errors: e [m/s], shape (3, n).
+            time: time within which the displacement is observed [s].
+
+        Returns:
+            The displacement, and the number of Lanczos steps, each of two force evaluations.
+        """
+        self._sync()
+        addresses = doubles("x", x, self._shape), doubles("errors", errors, self._shape), time, self._query_address
+        check(self._library.cloth_velocity_displacement(self._handle, t, *addresses))
+        displacement, steps = self._query_out
+        return displacement, int(steps)
 
     def min_damping_time(self) -> float:
         """Return the least c / k [s] of springs, joints and grips; 0 if one is undamped."""

@@ -109,11 +109,27 @@ def n_integrals(grippers: int, obstacles: int) -> int:
     return RECORD_NUMBERS * (grippers + obstacles) + 2
 
 
+#: Fraction of the velocity change over an interval that counts as its activity if the change is as in the previous one.
+_STEADY_FRACTION = 0.05
+
+
+def activity_of(change: float, difference: float) -> float:
+    """Return the activity of an interval [m/s].
+
+    A steady force causes little error, one that turns causes much, even if its size stays.
+
+    Args:
+        change: largest change of a particle's velocity over the interval [m/s].
+        difference: largest difference of this change from that over the previous interval [m/s]; 0 without one.
+    """
+    return max(_STEADY_FRACTION * change, difference)
+
+
 class RunSummary(NamedTuple):
     """Summary of the combined result of runs."""
 
-    #: Largest change of a particle's velocity [m/s]. It is infinite if a number is not finite, a particle is inside an
-    #: obstacle, or the cloth may intersect itself.
+    #: Activity [m/s], see `activity_of`. It is infinite if a number is not finite, a particle is inside an obstacle, or
+    #: the cloth may intersect itself.
     activity: float
     #: Bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate [1/s] at the end.
     omega2: float

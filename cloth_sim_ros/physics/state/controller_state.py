@@ -103,31 +103,36 @@ class MultirateState(ControllerState):
     #: Multirate ratio: steps per evaluation of hinges.
     ratio: float = bounded_number(1.0, minimum=1.0)
     #: Error estimates since runs were last combined.
-    estimates_since_combination: float = bounded_number(CONSTANTS.max_estimate_period, minimum=0.0)
+    estimates_since_combination: float = bounded_number(CONSTANTS.multirate_pause, minimum=0.0)
 
 
 @attrs.define
 class ErrorState(ControllerState):
     """State of `ErrorRule`."""
 
-    key = "control.error"
+    key = "control.error_estimate"
 
     #: Number of runs that are combined.
     n_runs: float = bounded_number(1.0, minimum=1.0)
     #: Refinement: step counts relative to those that stability needs.
     refinement: float = bounded_number(1.0, minimum=1.0)
-    #: Frames until a further run estimates the error again; 0 means now.
-    frames_until_estimate: float = bounded_number(0.0, minimum=0.0)
-    #: Estimate period: `frames_until_estimate` after the next estimate.
-    estimate_period: float = bounded_number(1.0, minimum=1.0)
-    #: Last error estimate of a frame, at least the rounding error [m].
+    #: Time until a further run estimates the error again [s]; 0 means now.
+    time_until_estimate: float = bounded_number(0.0, minimum=0.0)
+    #: Estimate period: `time_until_estimate` after the next estimate [s].
+    estimate_period: float = bounded_number(0.0, minimum=0.0)
+    #: Last error estimate of a frame, at least the rounding error, and that of one run less [m].
     error: float = bounded_number(0.0, minimum=0.0)
-    #: That error relative to the difference of the last two combinations, and this difference [m].
-    error_ratio: float = bounded_number(1.0, minimum=0.0)
-    difference: float = bounded_number(0.0, minimum=0.0)
+    lower_order_error: float = bounded_number(0.0, minimum=0.0)
+    #: Time within which a change of velocities by the last run counted in the lower-order error [s].
+    velocity_weight: float = bounded_number(0.0, minimum=0.0)
+    #: Longest step of that frame [s].
+    step: float = bounded_number(0.0, minimum=0.0)
+    #: Error coefficients of the runs of that frame and of one run less, [s] to the power of their orders.
+    coefficient: float = bounded_number(0.0, minimum=0.0)
+    lower_order_coefficient: float = bounded_number(0.0, minimum=0.0)
     #: Factor on predicted errors, from the ratio of recent estimates to their predictions.
     safety_factor: float = bounded_number(1.0, minimum=1.0)
-    #: Largest velocity change over the part whose error was estimated [m/s].
+    #: Largest activity over a part whose error was estimated [m/s], see `runs.activity_of`.
     activity: float = bounded_number(0.0, minimum=0.0)
     #: Length of the frames [s]; a frame of another length needs a new estimate.
     duration: float = bounded_number(0.0, minimum=0.0)
@@ -147,10 +152,14 @@ class ContactState(ControllerState):
 class PrecisionState(ControllerState):
     """Measured effect of single precision on positions."""
 
-    key = "control.precision"
+    key = "control.single_precision"
 
-    #: Change of positions over a part [m] at the last measurement; negative if unknown.
+    #: Change of positions over a frame [m]; negative if unknown.
     rounding: float = bounded_number(-1.0)
+    #: Later displacement by the velocity change that all particles have in common [m].
+    common_rounding: float = bounded_number(0.0, minimum=0.0)
+    #: Largest component of velocities at the measurements [m/s].
+    speed: float = bounded_number(0.0, minimum=0.0)
 
 
 @attrs.define
@@ -254,6 +263,8 @@ SLEEP_KEYS = (SLEEP_POSITIONS_KEY, SLEEP_MIDDLE_KEY, SLEEP_VELOCITIES_KEY, SLEEP
     "control.sleep_velocity",
     "control.sleep_impulse",
 )
+#: Key of the velocities [m/s] at the start of the last interval, shape (3, particle_count), see `runs.activity_of`.
+PREVIOUS_VELOCITIES_KEY = "control.velocities"
 #: Controller states that belong to step control.
 STEP_CONTROL_STATES: tuple[type[ControllerState], ...] = (
     StabilityState,
@@ -267,8 +278,16 @@ STEP_CONTROL_STATES: tuple[type[ControllerState], ...] = (
     ImplicitState,
     IntegratorChoiceState,
 )
-#: Keys of versions up to 0.1; their content is dropped.
-LEGACY_KEYS = ("stepper", "automatic", "sleep")
+#: Keys of earlier versions; their content is dropped.
+LEGACY_KEYS = ("stepper", "automatic", "sleep", "control.error", "control.precision")
+
+
+def previous_interval(state: HasMemory, duration: float) -> tuple[np.ndarray, float] | None:
+    """Return the velocities [m/s] at the start of the last interval, of a duration [s], and the duration; None if
+    unknown.
+    """
+    velocities = state.memory.get(PREVIOUS_VELOCITIES_KEY)
+    return None if velocities is None else (velocities, duration)
 
 
 def reset_step_control(state: HasMemory, *, entirely: bool = False) -> None:
@@ -284,3 +303,4 @@ def reset_step_control(state: HasMemory, *, entirely: bool = False) -> None:
             state.memory.pop(controller.key, None)
         elif controller.key in state.memory:
             state.memory[controller.key] = np.empty(0)
+    state.memory.pop(PREVIOUS_VELOCITIES_KEY, None)

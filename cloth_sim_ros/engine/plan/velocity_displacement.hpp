@@ -1,0 +1,154 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Displacement that a velocity error causes later, by the Lanczos method (docs/derivations/time_stepping.md).
+//
+// With the stiffness K and A = M^-1 K, an error e of the velocities displaces particles by sin(t sqrt A) / sqrt A e.
+// Within a time T its envelope is y = (A + 1/T^2)^(-1/2) e. After k steps from e, the Lanczos method approximates it by
+// y = |e| Q f(H) e1 with the basis Q, the tridiagonal matrix H and f(a) = (max(a, 0) + 1/T^2)^(-1/2). In the norm of
+// the masses this is a lower bound (Gauss's rule). With the last diagonal entry chosen so that H has the eigenvalue 0
+// it is an upper bound (Radau's rule; Golub and Meurant, Matrices, Moments and Quadrature, 2010).
+#pragma once
+
+#include <algorithm>
+
+#include "plan/frame.hpp"
+
+namespace cloth::plan {
+
+/// Maximum number of steps, and the ratio of the bounds at which they end.
+inline constexpr int max_lanczos_steps = 8;
+inline constexpr double bounds_agree = 1.5;
+/// Largest factor on the lower bound.
+inline constexpr double max_reserve = 2.0;
+
+/// Inner product of vectors (3, n) weighted with masses. Eight partial sums make the order of additions independent of
+/// the vector width.
+inline double mass_product(const Plan& plan, const double* a, const double* b) {
+    constexpr std::int64_t n_sums = 8;
+    const std::int64_t n = plan.count;
+    double sums[n_sums] = {}, total = 0.0;
+    for (int c = 0; c < 3; ++c) {
+        const double *const p = a + c * n, *const q = b + c * n, *const m = plan.masses.data();
+        std::int64_t i = 0;
+        for (; i + n_sums <= n; i += n_sums)
+            for (std::int64_t k = 0; k < n_sums; ++k) sums[k] = fma(m[i + k] * p[i + k], q[i + k], sums[k]);
+        for (std::int64_t k = 0; i + k < n; ++k) sums[k] = fma(m[i + k] * p[i + k], q[i + k], sums[k]);
+    }
+    for (double sum : sums) total += sum;
+    return total;
+}
+
+/// Last diagonal entry with which a tridiagonal matrix of `size` + 1 rows has the eigenvalue 0; 0 if the first `size`
+/// rows have eigenvalues below 0.
+inline double radau_entry(const double* diagonal, const double* off_diagonal, int size) {
+    double pivot = diagonal[0];
+    for (int i = 1; i < size && pivot > 0.0; ++i)
+        pivot = diagonal[i] - off_diagonal[i - 1] * off_diagonal[i - 1] / pivot;
+    return pivot > 0.0 ? off_diagonal[size - 1] * off_diagonal[size - 1] / pivot : 0.0;
+}
+
+/// First column of f(H) for a symmetric tridiagonal matrix H of `size` rows, by cyclic Jacobi rotations.
+inline void envelope_column(const double* diagonal, const double* off_diagonal, int size, double inverse_time2,
+                            double* column) {
+    constexpr int most = max_lanczos_steps + 1;
+    double h[most][most] = {}, u[most][most] = {};
+    for (int i = 0; i < size; ++i) {
+        h[i][i] = diagonal[i];
+        u[i][i] = 1.0;
+        if (i + 1 < size) h[i][i + 1] = h[i + 1][i] = off_diagonal[i];
+    }
+    constexpr int max_sweeps = 30;
+    for (int sweep = 0; sweep < max_sweeps; ++sweep) {
+        double off = 0.0, largest = 0.0;
+        for (int i = 0; i < size; ++i) {
+            largest = larger(largest, absolute(h[i][i]));
+            for (int j = 0; j < i; ++j) off = larger(off, absolute(h[i][j]));
+        }
+        if (off <= 1e-15 * largest) break;
+        for (int p = 0; p < size; ++p)
+            for (int q = p + 1; q < size; ++q) {
+                if (h[p][q] == 0.0) continue;
+                const double theta = (h[q][q] - h[p][p]) / (2.0 * h[p][q]);
+                const double t = (theta < 0.0 ? -1.0 : 1.0) / (absolute(theta) + root(theta * theta + 1.0));
+                const double c = 1.0 / root(t * t + 1.0), s = t * c;
+                const auto rotate = [&](double& a, double& b) {
+                    const double old = a;
+                    a = c * old - s * b;
+                    b = s * old + c * b;
+                };
+                for (int i = 0; i < size; ++i) rotate(h[i][p], h[i][q]);
+                for (int i = 0; i < size; ++i) rotate(h[p][i], h[q][i]);
+                for (int i = 0; i < size; ++i) rotate(u[i][p], u[i][q]);
+            }
+    }
+    std::fill(column, column + size, 0.0);
+    for (int k = 0; k < size; ++k) {
+        const double f = u[0][k] / root(larger(h[k][k], 0.0) + inverse_time2);
+        for (int i = 0; i < size; ++i) column[i] += f * u[i][k];
+    }
+}
+
+struct DisplacementEstimate {
+    double displacement = 0.0;  ///< of the particle with the largest one [m]
+    int steps = 0;              ///< Lanczos steps, of two force evaluations each
+};
+
+/// Estimate the displacement that velocity errors (3, n) [m/s] cause within a time [s], at positions x: the geometric
+/// mean of the bounds, at most `max_reserve` times the lower one. Contact and forces in Python are left out, because
+/// what they hold now may fly; without a part of K the result is larger.
+inline DisplacementEstimate velocity_displacement(Plan& plan, double t, const double* x, const double* errors,
+                                                  double time) {
+    DisplacementEstimate estimate;
+    const std::int64_t n = plan.count, size = 3 * n;
+    const double first_norm = root(mass_product(plan, errors, errors)), inverse_time2 = 1.0 / (time * time);
+    if (!(first_norm > 0.0)) return estimate;
+    double extent = 0.0;
+    for (int c = 0; c < 3; ++c) {
+        const auto [low, high] = std::minmax_element(x + c * n, x + (c + 1) * n);
+        extent = larger(extent, *high - *low);
+    }
+    // A central difference of forces over this displacement [m] is exact to about 1e-10 of the largest force.
+    const double increment = 1e-5 * (extent > 0.0 ? extent : 1.0);
+    plan.lanczos_memory.resize((max_lanczos_steps + 6) * size);
+    double *const at = plan.lanczos_memory.data(), *const forward = at + size, *const backward = forward + size,
+                  *const zeros = backward + size, *const sum = zeros + size;
+    std::fill(zeros, zeros + size, 0.0);
+    const auto basis = [&](int k) { return sum + (k + 1) * size; };
+    double diagonal[max_lanczos_steps + 1], off_diagonal[max_lanczos_steps], column[max_lanczos_steps + 1];
+    const auto displacement = [&](int count) {
+        envelope_column(diagonal, off_diagonal, count, inverse_time2, column);
+        for (std::int64_t i = 0; i < size; ++i) sum[i] = first_norm * column[0] * basis(0)[i];
+        for (int j = 1; j < count; ++j)
+            for (std::int64_t i = 0; i < size; ++i) sum[i] = fma(first_norm * column[j], basis(j)[i], sum[i]);
+        return largest_distance(sum, zeros, n);
+    };
+    for (std::int64_t i = 0; i < size; ++i) basis(0)[i] = errors[i] / first_norm;
+    for (int k = 0; k < max_lanczos_steps; ++k) {
+        const double* const q = basis(k);
+        double* const next = basis(k + 1);
+        const double scale = increment / largest_distance(q, zeros, n), slope = 0.5 / scale;
+        for (int sign = 0; sign < 2; ++sign) {
+            for (std::int64_t i = 0; i < size; ++i) at[i] = fma(sign ? -scale : scale, q[i], x[i]);
+            elastic_accelerations(plan, t, at, zeros, sign ? backward : forward);
+        }
+        for (std::int64_t i = 0; i < size; ++i) next[i] = slope * (backward[i] - forward[i]);
+        diagonal[k] = mass_product(plan, next, q);
+        for (std::int64_t i = 0; i < size; ++i) {
+            next[i] = fma(-diagonal[k], q[i], next[i]);
+            if (k) next[i] = fma(-off_diagonal[k - 1], basis(k - 1)[i], next[i]);
+        }
+        off_diagonal[k] = root(mass_product(plan, next, next));
+        for (std::int64_t i = 0; i < size; ++i) next[i] /= off_diagonal[k];
+        const double lower = displacement(k + 1);
+        estimate = {lower, k + 1};
+        if (off_diagonal[k] < 1e-8 * (absolute(diagonal[k]) + inverse_time2)) break;
+        diagonal[k + 1] = radau_entry(diagonal, off_diagonal, k + 1);
+        const double upper = diagonal[k + 1] > 0.0 ? displacement(k + 2) : lower;
+        if (upper > lower) estimate.displacement = smaller(root(lower) * root(upper), max_reserve * lower);
+        if (upper <= bounds_agree * lower) break;
+    }
+    return estimate;
+}
+
+}  // namespace cloth::plan
