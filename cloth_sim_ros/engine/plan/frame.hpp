@@ -222,7 +222,7 @@ inline RunStatus accelerations(Plan& plan, double t, const double* x, const doub
     contact::activate_features(plan);
     return evaluate(plan, t, x, v, out);
 }
-/// The same without contact and without forces in Python. The next runs decide anew which contacts they evaluate.
+/// The same without contact and without forces in Python. The next runs choose again which contacts they evaluate.
 inline void elastic_accelerations(Plan& plan, double t, const double* x, const double* v, double* out) {
     plan.contacts.active.clear();
     plan.self_culled = true;

@@ -251,8 +251,8 @@ def predict_single_run_error(memory: ErrorState, activity: float, steps: int, st
 
 def count_down(memory: ErrorState) -> None:
     """Count a frame without an estimate."""
-    rest = memory.time_until_estimate - memory.duration
-    memory.time_until_estimate = rest if rest > 1e-6 * memory.duration else 0.0
+    time_left = memory.time_until_estimate - memory.duration
+    memory.time_until_estimate = time_left if time_left > 1e-6 * memory.duration else 0.0
 
 
 def is_for_duration(memory: ErrorState, duration: float) -> bool:

@@ -49,7 +49,7 @@ def step_counts(first: int, n_runs: int = len(RATIOS), ratio: int = 1, *, coprim
     counts = [first // ratio]
     for step_ratio in RATIOS[1:n_runs]:
         count = max(counts[-1] + 1, math.ceil(counts[0] * step_ratio - 1e-9))
-        while coprime and any(math.gcd(count, other) > 1 for other in counts):
+        while coprime and any(math.gcd(count, previous) > 1 for previous in counts):
             count += 1
         counts.append(count)
     return tuple(ratio * count for count in counts)
@@ -204,7 +204,8 @@ class ExtrapolationTableau:
         """Return the distance of T_(K+1) from T_K, K = n_runs [m]: the error estimate of T_K.
 
         It is the largest distance of a particle's positions, plus the displacement that the difference of velocities
-        causes later: slow waves keep it, fast ones lose it within a period. A jaw's half opening counts alike.
+        causes later. Slow waves keep that difference, fast ones lose it within a period. A jaw's half opening counts
+        alike.
         """
         distance = self._distances.get(n_runs)
         if distance is None:
