@@ -339,6 +339,7 @@ class TracedLibrary:
             "x0": 3 * n,
             "v0": 3 * n,
             "previous_v0": 3 * n,
+            "earlier_v0": 3 * n,
             "out": 6 * n * runs,
             "result": 6 * n,
             "records": runs * (binding.RECORD_NUMBERS * (plan["grippers"] + plan["obstacles"]) + 2 + plan["met"]),

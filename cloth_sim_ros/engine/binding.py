@@ -89,6 +89,7 @@ class FrameRequest(ctypes.Structure):
         ("combined", ctypes.c_int64),
         ("concurrency", ctypes.c_int64),
         ("previous_v0", ctypes.c_void_p),
+        ("earlier_v0", ctypes.c_void_p),
         ("previous_ratio", ctypes.c_double),
     )
 

@@ -9,6 +9,7 @@ import pytest
 
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau, step_counts, weights
 from cloth_sim_ros.physics.model.sheets.surface import grid_triangles
+from cloth_sim_ros.physics.plan.runs import History
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
@@ -120,10 +121,14 @@ def test_summary_equals_direct_computation(values):
     summary, (x, v) = runs.summary(2), runs.combine(2)
     assert summary.is_finite
     change = v - simulation.state.v
-    assert summary.activity == pytest.approx(0.05 * np.linalg.norm(change, axis=0).max(), rel=1e-14)
-    previous = simulation.state.v - 2.0 * change, 0.5 * runs.duration
-    turned = tableau(simulation, previous=previous).summary(2).activity
-    assert turned == pytest.approx(3.0 * np.linalg.norm(change, axis=0).max(), rel=1e-12)
+    size = np.linalg.norm(change, axis=0).max()
+    assert summary.activity == pytest.approx(1e-5 * size, rel=1e-14)
+    # Two previous intervals of half the length, in which the acceleration fell from 6 to 4 times the present one.
+    previous = simulation.state.v - 2.0 * change
+    history = History(previous, None, 0.5 * runs.duration)
+    assert tableau(simulation, history=history).summary(2).activity == pytest.approx(3.0 * size, rel=1e-12)
+    history = History(previous, previous - 3.0 * change, 0.5 * runs.duration)
+    assert tableau(simulation, history=history).summary(2).activity == pytest.approx(0.0, abs=1e-4 * size)
     assert (summary.omega2, summary.damping) == simulation.plan.spectral_bounds(x)
     distances = np.linalg.norm(x - runs.combine(1)[0], axis=0), np.linalg.norm(v - runs.combine(1)[1], axis=0)
     assert runs.change(1) == pytest.approx((distances[0].max(), distances[1].max()), rel=1e-12)

@@ -64,10 +64,10 @@ def test_loose_tolerance_uses_single_precision() -> None:
     # Before the first frame, which starts at rest, a few steps in both precisions measure the difference.
     assert precisions_of_frames[0] == [False, True, False, False]
     # The rounding of velocities is unknown while they grow.
-    assert precisions_of_frames[6] == [False]
-    # Error estimates measure it, four of them at least.
-    assert precisions_of_frames[7] == precisions_of_frames[16] == [False, True, True, True]
-    assert sum(runs == [True] for runs in precisions_of_frames) > 10
+    assert [False] in precisions_of_frames[1:8]
+    # Error estimates measure it.
+    assert precisions_of_frames.count([False, True, True, True]) >= 1
+    assert precisions_of_frames.count([True]) > 10
     rounding = PrecisionState.load(state).rounding
     assert (
         1e-9 < rounding < CONSTANTS.single_precision_budget_fraction * CONSTANTS.error_budget_fraction * PERIOD * 1e-2
@@ -80,9 +80,9 @@ def test_estimate_uses_single_precision_beyond_a_combination() -> None:
     precisions_of_frames, state = frames(tolerance, 24)
     amplified_rounding = amplification(2) * PrecisionState.load(state).rounding
     assert CONSTANTS.single_precision_budget_fraction * budget < amplified_rounding < 0.1 * budget
-    estimated = [runs for runs in precisions_of_frames[8:] if len(runs) == 2]
-    assert estimated
-    assert all(runs == [True, True] for runs in estimated)
+    single = [runs for runs in precisions_of_frames if runs[0]]
+    assert [True, True] in single
+    assert all(all(runs) for runs in single)
 
 
 def test_single_precision_estimate_equals_double_estimate() -> None:

@@ -16,8 +16,8 @@ from cloth_sim_ros.physics.control.multirate import MultirateRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.step_choice import ExplicitSettings, StepChoice
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau, PrecomputedRun
-from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.plan.runs import History
 from cloth_sim_ros.physics.state.controller_state import StabilityState
 from cloth_sim_ros.physics.state.state import State
 
@@ -52,8 +52,8 @@ class AdvanceContext:
     single_precision: bool = False
     #: True while the reserve finishes the advance.
     in_fallback: bool = False
-    #: Velocities [m/s] at the start of the previous interval, (3, n), and its length [s]; None for none.
-    previous: tuple[Array, float] | None = None
+    #: Velocities of previous intervals; None for none.
+    history: History | None = None
     #: A run that exists at the start of the advance.
     precomputed_run: PrecomputedRun | None = None
 

@@ -13,6 +13,7 @@ from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.contact_step_limit import ContactStepLimit
 from cloth_sim_ros.physics.control.energy import EnergyRule
 from cloth_sim_ros.physics.control.error import ErrorRule, is_for_duration
+from cloth_sim_ros.physics.control.history import load_history, store_history
 from cloth_sim_ros.physics.control.interval import Interval
 from cloth_sim_ros.physics.control.multirate import MultirateRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
@@ -23,12 +24,11 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS, 
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state import controller_state
 from cloth_sim_ros.physics.state.controller_state import (
-    PREVIOUS_VELOCITIES_KEY,
+    HISTORY_KEYS,
     ContactState,
     ErrorState,
     FallbackState,
     StabilityState,
-    previous_interval,
 )
 from cloth_sim_ros.physics.state.state import State
 
@@ -79,7 +79,8 @@ class ExplicitAdvance:
         if not is_for_duration(error, duration):
             # The recorded errors belong to frames of another length.
             error = ErrorState(n_runs=error.n_runs, refinement=error.refinement, duration=duration)
-            state.memory.pop(PREVIOUS_VELOCITIES_KEY, None)
+            for key in HISTORY_KEYS:
+                state.memory.pop(key, None)
             precision, noise = controller_state.PrecisionState(), controller_state.RoundingNoiseState()
         n_runs, last_refinement, has_tolerance = options.n_runs, 0.0, options.tolerance is not None
         if has_tolerance:
@@ -122,7 +123,7 @@ class ExplicitAdvance:
             part_call_work=fallback.part_call_work(plan, contact_time),
             may_touch=contact_time > 0.0,
             precomputed_run=precomputed_run,
-            previous=previous_interval(state, duration),
+            history=load_history(state, duration),
         )
         rule = ErrorRule(error, stability, budget, options.n_runs, state)
         choice = StepChoice(n_runs, error.refinement, estimates_error)
@@ -180,7 +181,7 @@ class ExplicitAdvance:
         for memory in (self._memory, interval.rule.memory, context.precision.memory, context.energy.memory):
             memory.store(state)
         if options.tolerance is not None:
-            state.memory[PREVIOUS_VELOCITIES_KEY] = self._start_velocities
+            store_history(state, self._start_velocities)
         if self._plan.has_hinges:
             context.multirate.memory.ratio = float(context.multirate.ratio)
             context.multirate.memory.store(state)

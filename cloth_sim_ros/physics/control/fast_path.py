@@ -15,6 +15,7 @@ from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.contact_step_limit import ContactStepLimit
 from cloth_sim_ros.physics.control.error import count_down, is_for_duration, predict_single_run_error
 from cloth_sim_ros.physics.control.fallback import evaluation_budget, part_call_work, work_cap
+from cloth_sim_ros.physics.control.history import load_history, store_history
 from cloth_sim_ros.physics.control.multirate import MultirateRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.step_choice import ExplicitSettings, StepChoice, describe_details
@@ -24,7 +25,6 @@ from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state import controller_state
 from cloth_sim_ros.physics.state.controller_state import (
-    PREVIOUS_VELOCITIES_KEY,
     ContactState,
     ErrorState,
     FallbackState,
@@ -105,7 +105,7 @@ def try_advance(
         record_power=book is not None and book.record_power,
         record_obstacles=book is not None and book.obstacle_count > 0,
         multirate=ratio,
-        previous=controller_state.previous_interval(state, duration),
+        history=load_history(state, duration),
     )
     runs, combined = result
     assert combined is not None
@@ -124,7 +124,7 @@ def try_advance(
         return PrecomputedRun(state.x, t, duration, steps, single_precision, ratio, result)
     stability.omega2, stability.damping = summary.omega2, summary.damping
     count_down(error)
-    state.memory[PREVIOUS_VELOCITIES_KEY] = state.v
+    store_history(state, state.v)
     if book is not None:
         accumulate_runs(book, plan, state, t, duration, runs, (steps,), (1.0,))
     state.x, state.v = x, v

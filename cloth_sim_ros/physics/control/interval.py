@@ -26,6 +26,7 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
     step_counts,
 )
 from cloth_sim_ros.physics.integrators.limit import steps_for
+from cloth_sim_ros.physics.plan.runs import History
 from cloth_sim_ros.physics.state.controller_state import ErrorState
 from cloth_sim_ros.physics.state.state import State
 
@@ -66,7 +67,7 @@ class Interval:
     ) -> None:
         self._context, self._t, self._duration = context, t, duration
         self.choice, self.rule, self._stability = choice, rule, rule.stability
-        self._previous = context.previous
+        self._history = context.history
         self._reserved, self._n_halvings = reserved, n_halvings
         #: Maximum steps of the first run. If it needs more, the interval is halved before the first attempt, because
         #: short steps are rarely necessary for long.
@@ -130,7 +131,7 @@ class Interval:
     def _integrate_halves(self, *, was_attempted: bool = False) -> float | None:
         """Integrate both halves, each with its own choice; return as `integrate`."""
         context, choice, half, error_sum = self._context, self.choice, 0.5 * self._duration, 0.0
-        context.previous = self._previous
+        context.history = self._history
         max_first_steps = min(self.max_first_steps, self.first_run_steps or math.inf)
         self.steps, self.first_run_steps, self.min_step, self.n_pieces = 0, 0, math.inf, 0
         for k in range(2):
@@ -171,7 +172,7 @@ class Interval:
         self.min_step = length / self._steps_per_part
         self.first_run_steps, self.steps = n_parts * self._steps_per_part, 0
         self._sums, self._must_halve, self._contact_energy = ErrorSums(), False, 0.0
-        context.previous = self._previous
+        context.history = self._history
         for part in range(n_parts):
             if not self._integrate_part(part, length, start):
                 return None
@@ -229,7 +230,9 @@ class Interval:
         if context.accumulator is not None:
             tableau.accumulate(choice.n_runs, context.accumulator)
         self.steps += sum(tableau.counts[: choice.n_runs])
-        context.previous = state.v, length
+        earlier, context.history = context.history, History(state.v, None, length)
+        if earlier is not None and earlier.length == length:
+            context.history = History(state.v, earlier.previous, length)
         tableau.commit(choice.n_runs, state)
         return True
 
@@ -269,7 +272,7 @@ class Interval:
             record_obstacles=accumulator is not None and accumulator.obstacle_count > 0,
             single_precision=context.single_precision,
             jaw_time=context.duration,
-            previous=context.previous,
+            history=context.history,
             precomputed_run=context.precomputed_run,
             ratio=self.ratio,
             expected_runs=self.choice.expected_runs(context.options.tolerance, error_was_too_large=error_was_too_large),

@@ -22,7 +22,7 @@ from cloth_sim_ros.physics.arithmetic.arrays import combine, largest_distance
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.plan.runs import Run, RunSummary, activity_of
+from cloth_sim_ros.physics.plan.runs import History, Run, RunSummary, activity_of
 from cloth_sim_ros.physics.state.state import State
 
 #: Step counts of the runs, relative to the first. Wider ratios cost more; closer ones amplify rounding and high modes:
@@ -83,6 +83,19 @@ def error_coefficient(counts: tuple[int, ...]) -> float:
     return abs(ordered_sum(terms))
 
 
+def unpredicted_change(v: Array, v0: Array, history: History, length: float) -> Array:
+    """Return the difference of the velocity change from v0 to v over a length [s] and its extrapolation [m/s].
+
+    The mean accelerations of two previous intervals are extrapolated linearly, as in the engine.
+    """
+    ratio = length / history.length
+    if history.earlier is None:
+        return combine([v, v0, history.previous], (1.0, -1.0 - ratio, ratio))
+    slope = 0.5 * ratio * (1.0 + ratio)
+    factors = 1.0, -1.0 - ratio - slope, ratio + 2.0 * slope, -slope
+    return combine([v, v0, history.previous, history.earlier], factors)
+
+
 def max_rates(*rates: tuple[float, float]) -> tuple[float, float]:
     """Return the largest squared frequency [1/s^2] and the largest damping rate [1/s] of some pairs."""
     if rates.count(rates[0]) == len(rates):
@@ -121,7 +134,7 @@ class ExtrapolationTableau:
         precomputed_run: an existing run, used if it equals the requested one.
         ratio: multirate ratio.
         expected_runs: expected number of runs, for prefetching; results do not depend on it.
-        previous: velocities [m/s] at the start of the previous interval and its length [s]; None for none.
+        history: velocities of previous intervals; None for none.
     """
 
     def __init__(
@@ -139,14 +152,14 @@ class ExtrapolationTableau:
         precomputed_run: PrecomputedRun | None = None,
         ratio: int = 1,
         expected_runs: int = 0,
-        previous: tuple[Array, float] | None = None,
+        history: History | None = None,
     ) -> None:
         self._plan, self._start, self._t, self.duration = plan, start, t, duration
         self._record_power, self._record_obstacles = record_power, record_obstacles
         self.counts = tuple(counts)
         self.single_precision, self.ratio = single_precision, ratio
         self._jaw_time, self._precomputed_run = jaw_time, precomputed_run
-        self._expected_runs, self._previous = expected_runs, previous
+        self._expected_runs, self._history = expected_runs, history
         #: Force evaluations of the requested runs, and their number. Prefetched runs are not included.
         self.evaluations, self._n_requested = 0, 0
         self._runs: list[Run] = []
@@ -175,10 +188,9 @@ class ExtrapolationTableau:
             summary = self._summaries.get(n_runs)
         if summary is None:
             change, difference = largest_distance(v, self._start.v), 0.0
-            if self._previous is not None:
-                previous_v, ratio = self._previous[0], self.duration / self._previous[1]
-                mean_before = combine([v, self._start.v, previous_v], (1.0, -1.0 - ratio, ratio))
-                difference = largest_distance(mean_before, np.zeros_like(mean_before))
+            if self._history is not None:
+                unpredicted = unpredicted_change(v, self._start.v, self._history, self.duration)
+                difference = largest_distance(unpredicted, np.zeros_like(unpredicted))
             activity = activity_of(change, difference)
             if not (math.isfinite(largest_distance(x, self._start.x)) and math.isfinite(change)):
                 activity = math.inf
@@ -328,7 +340,7 @@ class ExtrapolationTableau:
             record_obstacles=self._record_obstacles,
             multirate=self.ratio,
             concurrency=concurrency,
-            previous=self._previous,
+            history=self._history,
         )
 
     def _matching_result(

@@ -32,7 +32,7 @@ from cloth_sim_ros.physics.plan.plan_handle import PlanHandle
 from cloth_sim_ros.physics.plan.python_forces import PythonForces
 from cloth_sim_ros.physics.plan.queries import PlanQueries
 from cloth_sim_ros.physics.plan.reentrancy import non_reentrant
-from cloth_sim_ros.physics.plan.runs import Run, RunSummary, activity_of, n_integrals
+from cloth_sim_ros.physics.plan.runs import History, Run, RunSummary, activity_of, n_integrals
 from cloth_sim_ros.physics.plan.thread_limit import available_threads
 from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
 
@@ -171,7 +171,7 @@ class Plan(PlanQueries, Uncopyable):
         threads: int | None = None,
         concurrency: int = 1,
         multirate: int = 1,
-        previous: tuple[Array, float] | None = None,
+        history: History | None = None,
     ) -> tuple[list[Run], tuple[Array, Array, RunSummary] | None]:
         """Run the leapfrog over an interval several times from one start, each with its own number of equal steps.
 
@@ -188,7 +188,7 @@ class Plan(PlanQueries, Uncopyable):
             concurrency: runs that are calculated at once, each by one thread, if possible. No bit depends on it.
             multirate: multirate ratio: hinges are evaluated once in this number of steps, in the middle one. It is
                 odd and divides all ``steps``.
-            previous: velocities [m/s] at the start of the previous interval, (3, n), and its length [s]; None for none.
+            history: velocities of previous intervals, for the activity; None for none.
 
         Returns:
             The runs; and positions, velocities and the summary of their combination, None without weights.
@@ -253,8 +253,9 @@ class Plan(PlanQueries, Uncopyable):
             multirate,
             n_combined,
             concurrency,
-            0 if previous is None else doubles("previous", previous[0], self._shape),
-            0.0 if previous is None else duration / previous[1],
+            0 if history is None else doubles("previous", history.previous, self._shape),
+            0 if history is None or history.earlier is None else doubles("earlier", history.earlier, self._shape),
+            0.0 if history is None else duration / history.length,
         )
         status = self._library.cloth_frame(self._handle, self._frame_address)
         if status:

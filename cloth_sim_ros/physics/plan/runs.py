@@ -109,20 +109,30 @@ def n_integrals(grippers: int, obstacles: int) -> int:
     return RECORD_NUMBERS * (grippers + obstacles) + 2
 
 
-#: Fraction of the velocity change over an interval that counts as its activity if the change is as in the previous one.
-_STEADY_FRACTION = 0.05
+#: Fraction of the velocity change over an interval that counts as its activity even if previous intervals predict it.
+_STEADY_FRACTION = 1e-5
 
 
 def activity_of(change: float, difference: float) -> float:
     """Return the activity of an interval [m/s].
 
-    A steady force causes little error, one that turns causes much, even if its size stays.
+    A force that changes steadily causes little error, one that turns causes much, even if its size stays.
 
     Args:
         change: largest change of a particle's velocity over the interval [m/s].
-        difference: largest difference of this change from that over the previous interval [m/s]; 0 without one.
+        difference: largest difference of this change from that which previous intervals predict [m/s]; else 0.
     """
     return max(_STEADY_FRACTION * change, difference)
+
+
+class History(NamedTuple):
+    """Velocities at the starts of the last intervals."""
+
+    #: Velocities at the start of the last interval, and of the one before [m/s], each (3, n); None if there is none.
+    previous: Array
+    earlier: Array | None
+    #: Length of these intervals [s].
+    length: float
 
 
 class RunSummary(NamedTuple):

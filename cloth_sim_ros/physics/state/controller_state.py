@@ -263,8 +263,8 @@ SLEEP_KEYS = (SLEEP_POSITIONS_KEY, SLEEP_MIDDLE_KEY, SLEEP_VELOCITIES_KEY, SLEEP
     "control.sleep_velocity",
     "control.sleep_impulse",
 )
-#: Key of the velocities [m/s] at the start of the last interval, shape (3, particle_count), see `runs.activity_of`.
-PREVIOUS_VELOCITIES_KEY = "control.velocities"
+#: Keys of the velocities [m/s] at the starts of the last frame and of the one before, shape (3, particle_count).
+HISTORY_KEYS = (PREVIOUS_VELOCITIES_KEY, EARLIER_VELOCITIES_KEY) = ("control.velocities", "control.earlier_velocities")
 #: Controller states that belong to step control.
 STEP_CONTROL_STATES: tuple[type[ControllerState], ...] = (
     StabilityState,
@@ -282,14 +282,6 @@ STEP_CONTROL_STATES: tuple[type[ControllerState], ...] = (
 LEGACY_KEYS = ("stepper", "automatic", "sleep", "control.error", "control.precision")
 
 
-def previous_interval(state: HasMemory, duration: float) -> tuple[np.ndarray, float] | None:
-    """Return the velocities [m/s] at the start of the last interval, of a duration [s], and the duration; None if
-    unknown.
-    """
-    velocities = state.memory.get(PREVIOUS_VELOCITIES_KEY)
-    return None if velocities is None else (velocities, duration)
-
-
 def reset_step_control(state: HasMemory, *, entirely: bool = False) -> None:
     """Reset step control after an event: the next advance estimates its error, and `auto` compares integrators again.
 
@@ -303,4 +295,5 @@ def reset_step_control(state: HasMemory, *, entirely: bool = False) -> None:
             state.memory.pop(controller.key, None)
         elif controller.key in state.memory:
             state.memory[controller.key] = np.empty(0)
-    state.memory.pop(PREVIOUS_VELOCITIES_KEY, None)
+    for key in HISTORY_KEYS:
+        state.memory.pop(key, None)
