@@ -37,7 +37,7 @@ class Motion:
     @property
     def flagged(self) -> int:
         """Number of advances whose estimated error exceeds the tolerance's share of their duration."""
-        return sum(advance.flagged > 0 for advance in self.advances)
+        return len([advance for advance in self.advances if advance.flagged])
 
 
 def simulate(

@@ -192,7 +192,7 @@ def test_state_file_with_invalid_cloth_id_is_refused(cloth, words):
         State.from_bytes(archive({**saved().arrays(), "cloth": cloth}))
 
 
-@pytest.mark.parametrize("name", ["control.stability", "control.error", "control.choice"])
+@pytest.mark.parametrize("name", ["control.stability", "control.error_estimate", "control.choice"])
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -210,11 +210,13 @@ def test_invalid_step_control_memory_is_refused(name, change, words):
         State.from_bytes(archive(arrays))
 
 
-@pytest.mark.parametrize(("key", "value"), [(0, 0.0), (1, 0.5), (2, -1.0), (3, 0.0), (7, 0.9)])
+@pytest.mark.parametrize(("key", "value"), [(0, 0.0), (1, 0.5), (2, -1.0), (3, -1.0), (10, 0.9)])
 def test_invalid_step_control_values_are_refused(key, value):
     arrays = stepped()
-    arrays["memory.control.error"][key] = value
-    with pytest.raises(ValueError, match=rf"memory 'control.error': \w+ is {value}; it must be finite and at least"):
+    arrays["memory.control.error_estimate"][key] = value
+    with pytest.raises(
+        ValueError, match=rf"memory 'control.error_estimate': \w+ is {value}; it must be finite and at least"
+    ):
         State.from_bytes(archive(arrays))
 
 
@@ -231,5 +233,5 @@ def stepped():
     for _ in range(3):
         simulation.advance()
     arrays = {name: array.copy() for name, array in simulation.state.arrays().items()}
-    assert {"memory.control.error", "memory.control.choice"} <= arrays.keys()
+    assert {"memory.control.error_estimate", "memory.control.choice"} <= arrays.keys()
     return arrays

@@ -101,7 +101,8 @@ class PrecisionRule:
             change = largest_distance(runs[0].x, runs[1].x) + displacement
             memory.rounding = max(memory.rounding, trust * change)
             # What all particles have in common is small beside their noise, and not restored by forces.
-            mean_change = root(ordered_sum(self._mean(dv, axis) ** 2 for axis in range(3)), 2)
+            means = [self._mean(dv, axis) for axis in range(3)]
+            mean_change = root(ordered_sum(mean * mean for mean in means), 2)
             growth = root(self._duration / span, 2)
             memory.common_rounding = max(memory.common_rounding, trust * VELOCITY_ERROR_TIME * mean_change * growth)
             memory.speed = max(memory.speed, _max_component(runs[0].v))
