@@ -34,6 +34,8 @@ from cloth_sim_ros.physics.state.state import State
 _MIN_HALVED_STEPS = 2 * MAX_UNDAMPED_STEPS
 #: Maximum halvings of an advance; the shortest interval of a frame is then below a nanosecond.
 _MAX_HALVINGS = 24
+#: Failure of steps that create energy. The drive of a gripper's jaws may be its source; implicit steps finish then.
+_CREATES_ENERGY = "making energy from nowhere"
 #: Plausible gain of a combination of two runs over a single one.
 _FIRST_GAIN = 0.1
 #: Attempts of an interval after which steps without a work limit fail: finer ones would fail too, as with a force that
@@ -224,7 +226,7 @@ class Interval:
             # The energy of a combination does not oscillate; a change of step size makes the deviation permanent.
             step = 0.0 if steps_differ else self.min_step
             if context.creates_energy(tableau, choice, (t, t + length), step):
-                return self._retry(2.0, "making energy from nowhere")
+                return self._retry(2.0, _CREATES_ENERGY)
         memory.omega2, memory.damping, hinge_bounds = summary.omega2, summary.damping, summary.hinge_bounds
         context.multirate.bounds = hinge_bounds if self.ratio > 1 else context.multirate.bounds
         if context.accumulator is not None:
@@ -431,12 +433,13 @@ class Interval:
             self._must_halve = True
             return False
         n_runs = context.reduce_runs(choice.n_runs, lambda n: self._reserved + self.estimate_work(n, refinement))
-        if not options.work and self._n_rejected >= _MAX_FAILED_ATTEMPTS:
+        has_failed = not options.work and self._n_rejected >= _MAX_FAILED_ATTEMPTS
+        if has_failed and not (failure == _CREATES_ENERGY and context.has_fallback):
             raise UnstableError(
                 f"{options.name}: steps of {self.min_step:.3g} s are {failure}, like {self._n_rejected} attempts with "
                 "longer ones; check that all forces are finite and derive from their energies"
             )
-        if self.fits_budget(n_runs, refinement):
+        if not has_failed and self.fits_budget(n_runs, refinement):
             # The recorded error is valid for the same multirate ratio. Without a tolerance there is no error estimate.
             must_estimate = choice.estimates_error or n_runs < choice.n_runs or self.ratio != context.multirate.ratio
             self.choice = StepChoice(n_runs, refinement, must_estimate and options.tolerance is not None)
