@@ -55,7 +55,7 @@ run: $(DEMO) engine
 
 # A process a core; a file's tests stay together. ARGS="-n 0" runs them in one process.
 test: $(DEV) engines
-	@$(BIN)/python -m pytest -n auto --dist loadfile $(ARGS)
+	@$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder $(ARGS)
 
 check: $(DEV) engines
 	$(BIN)/ruff format --check .
