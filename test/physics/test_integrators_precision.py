@@ -60,7 +60,7 @@ def frames(tolerance: float, count: int) -> tuple[list[list[bool]], State]:
 
 
 def test_loose_tolerance_uses_single_precision() -> None:
-    precisions_of_frames, state = frames(1e-2, 24)
+    precisions_of_frames, state = frames(1e-2, 48)
     # Before the first frame, which starts at rest, a few steps in both precisions measure the difference.
     assert precisions_of_frames[0] == [False, True, False, False]
     # The rounding of velocities is unknown while they grow.
