@@ -152,8 +152,9 @@ class ContactRun:
     trouble: str
 
 
-def run_contact(draw: ContactDraw, duration: float = _SECONDS) -> ContactRun:
-    """Run a scene for a duration [s]."""
+def run_contact(draw: ContactDraw, duration: float | None = None) -> ContactRun:
+    """Run a scene for a duration [s]; None for `_SECONDS`."""
+    duration = _SECONDS if duration is None else duration
     simulation, capture = Simulation(draw.scene, draw.state), FrameCapture()
     run = ContactRun(draw=draw, frames=[], advances=[], seconds=[], trouble="")
     for frame_index in range(round(duration * draw.scene.rate)):
