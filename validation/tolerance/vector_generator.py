@@ -44,7 +44,8 @@ class VectorGenerator(np.random.Generator):
     def choice(self, a: Any, size: Any = None, *, p: Any = None) -> Any:  # type: ignore[override]
         """Return one of several alternatives."""
         if size is not None:
-            raise NotImplementedError("several choices at once")
+            # Random scenes draw one alternative at a time.
+            raise NotImplementedError(f"a choice of {size} alternatives; draw one at a time")
         options = np.arange(a) if np.ndim(a) == 0 else np.asarray(a)
         weights = np.full(len(options), 1.0 / len(options)) if p is None else np.asarray(p)
         index = int(np.searchsorted(np.cumsum(weights), self.random(), side="right"))

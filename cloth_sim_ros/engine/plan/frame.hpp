@@ -232,9 +232,13 @@ inline void elastic_accelerations(Plan& plan, double t, const double* x, const d
     plan.contacts.active.clear();
     plan.self_culled = true;
     contact::deactivate_features(plan);
-    const Callback callback = std::exchange(plan.callback, nullptr);
+    // Restored even if memory is exhausted: forces in Python must not vanish.
+    struct CallbackGuard {
+        Plan& plan;
+        Callback callback = std::exchange(plan.callback, nullptr);
+        ~CallbackGuard() { plan.callback = callback; }
+    } const guard{plan};
     evaluate(plan, t, x, v, out);
-    plan.callback = callback;
 }
 
 }  // namespace cloth::plan

@@ -11,6 +11,7 @@
 #pragma once
 
 #include <algorithm>
+#include <limits>
 
 #include "plan/frame.hpp"
 
@@ -102,7 +103,8 @@ inline DisplacementEstimate velocity_displacement(Plan& plan, double t, const do
     DisplacementEstimate estimate;
     const std::int64_t n = plan.count, size = 3 * n;
     const double first_norm = root(mass_product(plan, errors, errors)), inverse_time2 = 1.0 / (time * time);
-    if (!(first_norm > 0.0)) return estimate;
+    if (first_norm == 0.0) return estimate;
+    if (!(first_norm < std::numeric_limits<double>::infinity())) return {std::numeric_limits<double>::infinity(), 0};
     double extent = 0.0;
     for (int c = 0; c < 3; ++c) {
         const auto [low, high] = std::minmax_element(x + c * n, x + (c + 1) * n);
