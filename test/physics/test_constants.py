@@ -15,7 +15,7 @@ PLAIN = {0.0, 0.5, 1.0, 2.0}
 #: Every other number, and the reason that it is not tuned.
 REASONS = {
     "automatic.py": {1e9: "nanoseconds a second"},
-    "step_choice.py": {0.99: "text about a step that is shorter than the requested one; decides nothing"},
+    "description.py": {0.99: "text about a step that is shorter than the requested one; decides nothing"},
     "force_jump.py": {0.25: "quarters of the last half step", 0.75: "same", 4.0: "fourth difference", 6.0: "same"},
     "energy.py": {1e-12: "rounding of a sum of energies", 8.0: "roundings", 0.125: "h^2/8 v'Kv of the leapfrog"},
     "error.py": {
@@ -24,10 +24,17 @@ REASONS = {
         1e3: "a prediction that is off by more causes an estimate at any margin",
         1e-6: "two lengths of frames that differ by rounding",
     },
-    "explicit.py": {64.0: "a cap divided by 2^64 is none"},
+    "controller.py": {
+        0.1: "gain of a second run in a motion that is not smooth; a smooth one gains more",
+        1.5: "between the length of a stretch and its double",
+        3.0: "order of a missed jump's error",
+        4.0: "checks of half steps and their displacements, reserved for a stretch; multirate estimates",
+        12.0: "attempts of a piece without a work limit before it fails",
+        24.0: "halvings down to a nanosecond",
+        64.0: "a cap divided by 2^64 is none",
+    },
+    "work_budget.py": {1e-9: "nanoseconds", 4e3: "four calls, in nanoseconds by microseconds"},
     "fallback.py": {
-        1e-9: "nanoseconds",
-        4e3: "four calls, in nanoseconds by microseconds",
         10.0: "expected evaluations of an implicit step, two stages of five iterations; hard ones take more",
         64.0: "a cap divided by 2^64 is none",
     },
@@ -47,12 +54,6 @@ REASONS = {
         0.125: "the same",
         0.25: "the same",
         0.75: "the same",
-    },
-    "interval.py": {
-        0.1: "gain of a second run in a motion that is not smooth; a smooth one gains more",
-        12.0: "attempts of a work without a limit before it fails",
-        24.0: "halvings down to a ten thousandth of a microsecond",
-        3.0: "order of a missed jump's error",
     },
     "sleep.py": {
         4.0: "roundings",

@@ -10,7 +10,7 @@ import pytest
 
 from cloth_sim_ros.physics.contact.binding import FRICTION_OPERATIONS, PAIR_OPERATIONS, PARTICLE_OPERATIONS
 from cloth_sim_ros.physics.control.constants import CONSTANTS
-from cloth_sim_ros.physics.control.fallback import evaluation_budget, work_cap
+from cloth_sim_ros.physics.control.work_budget import evaluation_budget, work_cap
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 

@@ -283,7 +283,6 @@ def test_violent_scene_stays_finite_without_energy_gain():
 def test_violent_scene_frames_stay_within_work_limit():
     # Its 49th frame is halved 20 times around a jump; a former version took 1.2 times the limit.
     result = run_violent((1, 146))
-    assert result.flagged > 0
     assert 0.5 < result.of_cap <= 1.0
 
 

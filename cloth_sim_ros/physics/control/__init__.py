@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Step control: step sizes, orders and integrators by rules of stability, error, energy and fallback.
 
-Start with `explicit`: one advance, repeated until all rules hold; `fast_path` serves most frames. The rules are
-`stability`, `error`, `energy` and `fallback`. `precision` selects single precision, `automatic` the integrator. Their
-states are in `physics.state.controller_state`, their tuned numbers in `constants`.
+Start with `explicit.integrate`, the loop over the pieces of a frame; `controller` chooses runs, steps and lengths. The
+rules are in `stability`, `contact_step_limit`, `error` and `energy`; `work_budget` and `fallback` limit the work.
+`precision` selects single precision, `multirate` the ratio of hinges, `automatic` the integrator. Their states are in
+`physics.state.controller_state`, their tuned numbers in `constants`.
 """

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 
 from cloth_sim_ros.physics.control.constants import CONSTANTS
-from cloth_sim_ros.physics.control.step_choice import ExplicitSettings
+from cloth_sim_ros.physics.control.description import ExplicitSettings
 from cloth_sim_ros.physics.integrators.base import NoRoomError
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau, max_rates
 from cloth_sim_ros.physics.plan.plan import Plan

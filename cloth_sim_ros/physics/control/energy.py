@@ -43,25 +43,21 @@ class EnergyRule:
         self._plan, self.memory, self._last_refinement = plan, memory, last_refinement
         self._is_first_run = memory.min_omega2 < 0.0
 
-    def must_check(self, omega2_before: float, omega2_after: float, steps_differ: bool, refinement: float) -> bool:
+    def must_check(self, omega2: tuple[float, float], steps_differ: bool, refinement: float) -> bool:
         """Return True if the energy of a run with unknown error must be checked.
 
         A single run needs the check only at the start, and after a change of stiffness.
 
         Args:
-            omega2_before: bound of the squared frequency at its start [1/s^2].
-            omega2_after: the same at its end.
-            steps_differ: True for a combination of runs, or if other intervals of the advance have other step sizes.
+            omega2: bounds of the squared frequency at its start and at its end [1/s^2].
+            steps_differ: True for a combination of runs, or if other pieces of the advance have other step sizes.
             refinement: refinement of its steps.
         """
-        memory = self.memory
-        lower, upper = min(omega2_before, omega2_after), max(omega2_before, omega2_after)
-        memory.min_omega2 = lower if memory.min_omega2 < 0.0 else min(memory.min_omega2, lower)
-        has_stiffened = upper > CONSTANTS.energy_check_stiffening * memory.min_omega2
+        has_stiffened = max(omega2) > CONSTANTS.energy_check_stiffening * self._min_omega2(omega2)
         return steps_differ or self._is_start(refinement) or has_stiffened
 
-    def exceeds_gain(self, start: Moment, end: Moment, step: float, work: float, *, refinement: float) -> bool:
-        """Add the energy that a run created to the drift; return True if it exceeds the limit.
+    def measure_drift(self, start: Moment, end: Moment, step: float, work: float, *, refinement: float) -> float | None:
+        """Return the energy drift after a run [J]; None if the run created too much energy.
 
         Args:
             start: time and state at its start.
@@ -70,22 +66,34 @@ class EnergyRule:
             work: external work over the run [J].
             refinement: refinement of its steps.
         """
-        memory = self.memory
         before = self._leapfrog_energy(start, step)
         rise = self._leapfrog_energy(end, step) - before - work
         turnover = max(self._kinetic_energy(start), self._kinetic_energy(end)) + abs(work)
         rounding_energy = _ROUNDING * abs(before) + self._rounding_energy(end[1].x)
-        energy_drift = max(0.0, memory.energy_drift + rise)
+        energy_drift = max(0.0, self.memory.energy_drift + rise)
         max_drift = CONSTANTS.max_energy_gain * turnover + rounding_energy
         max_oscillation = CONSTANTS.max_energy_oscillation * turnover + rounding_energy
         if not np.isfinite(rise):
-            return True
+            return None
         if self._is_start(refinement) and self._energy(end) - self._energy(start) - work > max_oscillation:
-            return True
-        if rise > 0.0 and energy_drift > max_drift:
-            return True
-        memory.energy_drift, self._is_first_run, self._last_refinement = energy_drift, False, 0.0
-        return False
+            return None
+        return None if rise > 0.0 and energy_drift > max_drift else energy_drift
+
+    def accept(self, omega2: tuple[float, float], energy_drift: float | None) -> None:
+        """Accept a run with unknown error.
+
+        Args:
+            omega2: bounds of the squared frequency at its start and at its end [1/s^2].
+            energy_drift: energy drift after it [J]; None if it was not measured.
+        """
+        self.memory.min_omega2 = self._min_omega2(omega2)
+        if energy_drift is not None:
+            self.memory.energy_drift, self._is_first_run, self._last_refinement = energy_drift, False, 0.0
+
+    def _min_omega2(self, omega2: tuple[float, float]) -> float:
+        """Return the smallest bound of the squared frequency, two further ones included [1/s^2]."""
+        known = self.memory.min_omega2
+        return min(omega2) if known < 0.0 else min(known, *omega2)
 
     def _is_start(self, refinement: float) -> bool:
         """True for a first run, and for one with longer steps than the previous run."""

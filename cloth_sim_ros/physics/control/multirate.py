@@ -114,16 +114,13 @@ class MultirateRule:
         return 1.0 if ratio == 1 else ratio * max_step / self._max_impulse_interval(self.bounds, _STABILITY_FRACTION)
 
     def exceeds_limit(self, impulse_interval: float, summary: RunSummary) -> bool:
-        """Return True, and set the ratio to 1, if the bounds at the end of a run make its impulses unstable.
+        """Return True if the bounds at the end of a run make its impulses unstable.
 
         Args:
             impulse_interval: interval between two impulses [s].
             summary: summary of the run.
         """
-        if impulse_interval <= self._max_impulse_interval(summary.hinge_bounds, 1.0):
-            return False
-        self.ratio = 1
-        return True
+        return impulse_interval > self._max_impulse_interval(summary.hinge_bounds, 1.0)
 
     def _max_impulse_interval(self, bounds: Sequence[float], fraction: float) -> float:
         """Return the longest interval between two impulses [s] for bounds as `bounds` has, at a stability fraction."""

@@ -17,7 +17,6 @@ from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.arithmetic.arrays import largest_distance, weighted_dot
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum, root
 from cloth_sim_ros.physics.control.constants import CONSTANTS
-from cloth_sim_ros.physics.control.step_choice import StepChoice
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import VELOCITY_ERROR_TIME, amplification
 from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.model.forces.force import Array
@@ -55,20 +54,20 @@ class PrecisionRule:
         #: Allowed uncertainty of an error estimate [m]; it can still show that an error is far below the budget.
         self._estimate_uncertainty = CONSTANTS.estimate_trust_factor * CONSTANTS.low_error_fraction * budget
 
-    def measure(self, t: float, state: State, step: float, choice: StepChoice) -> int:
+    def measure(self, t: float, state: State, step: float, n_runs: int) -> int:
         """Measure the effect of single precision by a short pair of runs, if it is unknown and may fit.
 
         Args:
             t: time at the start [s].
             state: at the start.
             step: step size [s].
-            choice: of the attempt.
+            n_runs: number of combined runs.
 
         Returns:
             Force evaluations of the measurement.
         """
         memory, noise, plan = self.memory, self.noise, self._plan
-        if (noise.n_samples >= _MAX_SAMPLES and self._is_known_at(state)) or choice.n_runs > 1:
+        if (noise.n_samples >= _MAX_SAMPLES and self._is_known_at(state)) or n_runs > 1:
             return 0
         if not plan.supports_single_precision(self._duration, state.x, state.v):
             return 0
@@ -116,24 +115,25 @@ class PrecisionRule:
             kinetic_energy = 0.5 * weighted_dot(self._plan.model.masses, state.v, state.v)
             noise.kinetic_energy = max(kinetic_energy, 0.5 * noise.kinetic_energy)
 
-    def allows_single_precision(self, state: State, choice: StepChoice) -> bool:
-        """Return True if runs of a choice may use single precision.
+    def allows_single_precision(self, state: State, n_runs: int, *, estimates_error: bool) -> bool:
+        """Return True if runs may use single precision.
 
         The motion must be large against the amplified rounding error, so that a sheet can come to rest accurately.
 
         Args:
             state: at the start.
-            choice: runs and refinement.
+            n_runs: number of combined runs.
+            estimates_error: True if a further run estimates the error.
         """
         memory = self.memory
         if self.n_misses > 1 or not (memory.rounding >= 0.0 and self._is_known_at(state)):
             return False
-        rounding = amplification(choice.n_runs) * memory.rounding
+        rounding = amplification(n_runs) * memory.rounding
         # An error estimate needs one further run.
-        resolves_error = self.resolves_error(choice.n_runs + choice.estimates_error)
+        resolves_error = self.resolves_error(n_runs + estimates_error)
         if not (rounding <= self._rounding_budget and resolves_error):
             return False
-        if amplification(choice.n_runs) * memory.common_rounding > self._estimate_uncertainty:
+        if amplification(n_runs) * memory.common_rounding > self._estimate_uncertainty:
             return False
         if not 0.0 <= self.noise.power * _COMPARISON_TIME <= CONSTANTS.max_energy_gain * self.noise.kinetic_energy:
             return False

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -103,21 +102,6 @@ def max_rates(*rates: tuple[float, float]) -> tuple[float, float]:
     return max(omega2 for omega2, _ in rates), max(damping for _, damping in rates)
 
 
-class PrecomputedRun(NamedTuple):
-    """A single run that already exists, with its request."""
-
-    #: Positions at the start, time [s] and length [s].
-    x: Array
-    t: float
-    duration: float
-    #: Number of steps, True for single precision, and the multirate ratio.
-    steps: int
-    single_precision: bool
-    ratio: int
-    #: Return value of `Plan.runs` for it.
-    result: tuple[list[Run], tuple[Array, Array, RunSummary] | None]
-
-
 class ExtrapolationTableau:
     """Leapfrog runs over one interval and their combinations T_K; runs are computed on demand.
 
@@ -131,7 +115,6 @@ class ExtrapolationTableau:
         record_obstacles: runs record the work of obstacles.
         single_precision: runs use single precision.
         jaw_time: time within which an error of a jaw's rate counts [s], see `difference`.
-        precomputed_run: an existing run, used if it equals the requested one.
         ratio: multirate ratio.
         expected_runs: expected number of runs, for prefetching; results do not depend on it.
         history: velocities of previous intervals; None for none.
@@ -149,16 +132,15 @@ class ExtrapolationTableau:
         record_obstacles: bool = False,
         single_precision: bool = False,
         jaw_time: float = 0.0,
-        precomputed_run: PrecomputedRun | None = None,
         ratio: int = 1,
         expected_runs: int = 0,
         history: History | None = None,
     ) -> None:
-        self._plan, self._start, self._t, self.duration = plan, start, t, duration
+        self._plan, self._start, self.t, self.duration = plan, start, t, duration
         self._record_power, self._record_obstacles = record_power, record_obstacles
         self.counts = tuple(counts)
         self.single_precision, self.ratio = single_precision, ratio
-        self._jaw_time, self._precomputed_run = jaw_time, precomputed_run
+        self._jaw_time = jaw_time
         self._expected_runs, self._history = expected_runs, history
         #: Force evaluations of the requested runs, and their number. Prefetched runs are not included.
         self.evaluations, self._n_requested = 0, 0
@@ -197,7 +179,7 @@ class ExtrapolationTableau:
             contact, contact_energy, self_contact = self._plan.contact, 0.0, (0.0, 0.0)
             if contact is not None:
                 contact.set_jaws(self.jaws(n_runs))
-                end = self._t + self.duration
+                end = self.t + self.duration
                 contact_energy = contact.predict_energy(end, 0.0, x, v)
                 self_contact = contact.predict_surface_contact(end, 0.0, x, v)
                 if not contact_energy < math.inf or contact.ccd_surface_hits(end, 0.0, self._runs[n_runs - 1].x, x):
@@ -224,7 +206,7 @@ class ExtrapolationTableau:
             (x, v), (y, w) = self.combine(n_runs + 1), self.combine(n_runs)
             distance = largest_distance(x, y)
             if distance < math.inf:
-                end = self._t + self.duration
+                end = self.t + self.duration
                 displacement, steps = self._plan.velocity_displacement(end, x, v - w, VELOCITY_ERROR_TIME)
                 distance += displacement
                 self.evaluations += 2 * steps
@@ -281,7 +263,7 @@ class ExtrapolationTableau:
         if contact is None:
             return
         self._make_runs(n_runs)
-        contact.commit(state, self._t + self.duration, self._runs[:n_runs], weights(self.counts[:n_runs]))
+        contact.commit(state, self.t + self.duration, self._runs[:n_runs], weights(self.counts[:n_runs]))
 
     def work(self, n_runs: int) -> float:
         """Return the external work [J] over T_K, K = n_runs.
@@ -297,7 +279,7 @@ class ExtrapolationTableau:
         """Accumulate T_K, K = n_runs; integrals along the runs are extrapolated with the weights of the state."""
         self._make_runs(n_runs)
         runs, counts = self._runs[:n_runs], self.counts[:n_runs]
-        accumulate_runs(accumulator, self._plan, self._start, self._t, self.duration, runs, counts, weights(counts))
+        accumulate_runs(accumulator, self._plan, self._start, self.t, self.duration, runs, counts, weights(counts))
 
     def _make_runs(self, n_runs: int) -> None:
         """Compute the missing runs; if there is none yet, the engine combines them in the same call."""
@@ -309,8 +291,7 @@ class ExtrapolationTableau:
             return
         if self._plan.contact is not None:
             self._plan.contact.load_state(self._start)
-        matching_result = self._matching_result(self.counts[:n_runs]) if n_existing == 0 else None
-        runs, result = matching_result or self._request_runs(n_existing, n_runs)
+        runs, result = self._request_runs(n_existing, n_runs)
         self._runs.extend(runs)
         if result is not None:
             x, v, self._summaries[n_runs] = result
@@ -330,7 +311,7 @@ class ExtrapolationTableau:
         if len(prefetched_steps) > 1:
             concurrency = plan.concurrent_runs(len(prefetched_steps), sum(prefetched_steps), self.ratio)
         return plan.runs(
-            self._t,
+            self.t,
             self.duration,
             (self._start.x, self._start.v),
             prefetched_steps if concurrency > 1 else steps,
@@ -342,13 +323,3 @@ class ExtrapolationTableau:
             concurrency=concurrency,
             history=self._history,
         )
-
-    def _matching_result(
-        self, steps: tuple[int, ...]
-    ) -> tuple[list[Run], tuple[Array, Array, RunSummary] | None] | None:
-        """Return the result of the precomputed run if it equals the request, else None."""
-        run = self._precomputed_run
-        if run is None or steps != (run.steps,) or run.x is not self._start.x:
-            return None
-        request = self._t, self.duration, self.single_precision, self.ratio
-        return run.result if (run.t, run.duration, run.single_precision, run.ratio) == request else None

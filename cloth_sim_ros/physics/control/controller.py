@@ -1,0 +1,898 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Controller of one advance: length of each piece, number of runs, steps.
+
+The loop `explicit.integrate` asks in this order:
+
+- `choose_piece` returns the next piece: its length H, the steps of its first run, the multirate ratio. It is stable by
+  the bounds at its start and by predicted contact, and it fits the work budget.
+- `tableau` returns the runs of a piece, each calculated when it is needed.
+- `is_stable` tells if the steps were within the limits that the runs met. `reject_unstable` makes them shorter.
+- `predict` returns the error from the last estimate; it is infinite if an estimate is due. `estimate` measures it.
+  `reject_inaccurate` chooses more runs, shorter steps or a shorter piece.
+- `keeps_energy` checks a piece whose error is not known to fit its budget. `reject_energy` makes steps shorter.
+- `accept` moves the state to the end of the piece. Only then rules learn from it; a rejected piece changes nothing.
+- `store` writes into the state what the next advance needs.
+
+A piece is shorter than the frame for three reasons. An undamped combination has few steps. A frame may be longer than
+`max_interval`. Where the motion is rough, pieces are halved, so that fine steps are limited to that moment. The motion
+is rough where refinement reduces the error less than its order predicts: a spring turned over, or a force jumped.
+
+Rough pieces have step counts without a common divisor, and each has an estimate. No run evaluates forces in the first
+and last half step of a piece, so these are checked too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+from typing import NamedTuple
+
+from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
+from cloth_sim_ros.physics.arithmetic.deterministic_math import root
+from cloth_sim_ros.physics.control.constants import CONSTANTS
+from cloth_sim_ros.physics.control.contact_step_limit import ContactStepLimit
+from cloth_sim_ros.physics.control.description import ExplicitSettings, describe, limiting_factor
+from cloth_sim_ros.physics.control.energy import EnergyRule, external_work
+from cloth_sim_ros.physics.control.error import ErrorRule, ErrorSums, is_for_duration
+from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, is_implicit_feasible
+from cloth_sim_ros.physics.control.force_jump import EVALUATIONS, missed_velocity_change
+from cloth_sim_ros.physics.control.history import load_history, store_history
+from cloth_sim_ros.physics.control.multirate import MultirateRule
+from cloth_sim_ros.physics.control.precision import PrecisionRule
+from cloth_sim_ros.physics.control.stability import MAX_UNDAMPED_STEPS, StabilityRule
+from cloth_sim_ros.physics.control.work_budget import WorkBudget, evaluation_budget, piece_call_work, work_cap
+from cloth_sim_ros.physics.integrators.base import Advance, UnstableError, refuse_step, refuse_unbounded
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
+    RATIO_SUMS,
+    VELOCITY_ERROR_TIME,
+    ExtrapolationTableau,
+    step_counts,
+)
+from cloth_sim_ros.physics.integrators.limit import steps_for
+from cloth_sim_ros.physics.model.forces.force import EngineForce
+from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.plan.runs import History
+from cloth_sim_ros.physics.state import controller_state
+from cloth_sim_ros.physics.state.controller_state import (
+    HISTORY_KEYS,
+    ContactState,
+    ErrorState,
+    FallbackState,
+    StabilityState,
+)
+from cloth_sim_ros.physics.state.state import State
+
+#: Minimum steps of a piece for halving; with fewer steps the runs of a half would not differ enough.
+_MIN_HALVED_STEPS = 2 * MAX_UNDAMPED_STEPS
+#: Shortest piece, relative to the frame; in a frame of 60 Hz it is a nanosecond.
+_MIN_PIECE = 2.0**-24
+#: Plausible gain of a combination of two runs over a single one.
+_FIRST_GAIN = 0.1
+#: Attempts of a piece after which steps without a work limit fail: finer ones would fail too, as with a force that is
+#: not finite.
+_MAX_FAILED_ATTEMPTS = 12
+
+
+class Piece(NamedTuple):
+    """A piece of an advance."""
+
+    #: Length H [s].
+    length: float
+    #: Steps of the first run, and multirate ratio.
+    steps: int
+    ratio: int
+    #: Longest stable step by the bounds at its start [s].
+    max_step: float
+    #: Equal pieces until its stretch ends, itself included.
+    pieces_left: int
+
+    @property
+    def step(self) -> float:
+        """Step size of the first run [s]."""
+        return self.length / self.steps
+
+
+class Controller:
+    """Choices of one advance.
+
+    Args:
+        options: settings of the integrator.
+        plan: equations of motion.
+        state: at the start.
+        t: time at the start [s].
+        duration: time to advance [s].
+
+    Raises:
+        StepLimitError: if a fixed step exceeds the limit at the start.
+        UnstableError: if no step is short enough.
+    """
+
+    def __init__(self, options: ExplicitSettings, plan: Plan, state: State, t: float, duration: float) -> None:
+        self.options, self._plan, self._state, self._t0, self._duration = options, plan, state, t, duration
+        self._start_velocities = state.v
+        has_previous_frame = StabilityState.key in state.memory
+        memory, error = StabilityState.load(state), ErrorState.load(state)
+        self._stability = StabilityRule(plan, memory, state.x)
+        refuse_unbounded(memory.omega2, memory.damping)
+        sheet_limit = options.step_limit(memory.omega2, memory.damping)
+        if not is_for_duration(error, duration):
+            # Recorded errors belong to frames of another length.
+            error = ErrorState(n_runs=error.n_runs, refinement=error.refinement, duration=duration)
+            for key in (*HISTORY_KEYS, controller_state.PrecisionState.key, controller_state.RoundingNoiseState.key):
+                state.memory.pop(key, None)
+        has_tolerance, is_due = options.tolerance is not None, error.time_until_estimate <= 0.0
+        self._last_refinement = 0.0
+        if is_due and not has_tolerance:
+            # Longer steps than the energy rule required are tried periodically.
+            self._last_refinement, error.refinement = error.refinement, max(1.0, 0.5 * error.refinement)
+        #: Error budget of the frame [m].
+        self.budget = math.inf
+        if options.tolerance is not None:
+            self.budget = CONSTANTS.error_budget_fraction * duration * options.tolerance
+        self._error = ErrorRule(error, self.budget, options.n_runs, state)
+        #: Number of combined runs, refinement of their steps, and whether a further run estimates their error.
+        self.n_runs, self.refinement = min(int(error.n_runs), options.n_runs), error.refinement
+        self.estimates_error = has_tolerance and is_due
+        if not has_tolerance:
+            self.n_runs = options.n_runs
+        # A fixed step of a running simulation was stable at its start.
+        proven_step = options.step if options.step is not None and has_previous_frame else 0.0
+        memory.max_step = max(memory.max_step, min(max(sheet_limit, proven_step), duration))
+        #: Step limit at the start [s].
+        self.limit, contact_time = sheet_limit, 0.0
+        contact = ContactState() if plan.contact is None else ContactState.load(state)
+        self._contact_limit = ContactStepLimit(options, plan, contact, memory)
+        if plan.contact is not None:
+            contact_time = self._contact_limit.predict(t, duration, state)
+            self.limit = self._contact_limit.predicted_limit(t, duration, state)
+        self._may_touch = contact_time > 0.0
+        if options.step is not None and options.step > self.limit and not has_previous_frame:
+            refuse_step(options.step, self.limit, options.name)
+        self._ratio = self._choose_ratio(min(CONSTANTS.stability_safety * sheet_limit, duration))
+        self._fallback_count = FallbackState.load(state).fallback_count if FallbackState.key in state.memory else 0.0
+        #: Limit of force evaluations of the frame, those of the fallback included, and the work of explicit steps.
+        self.max_evaluations = evaluation_budget(plan, options.work, duration, contact_time, self._ratio)
+        limits = duration, memory.max_step, self._fallback_count, contact_time, self.limit
+        self.work = WorkBudget(*work_cap(plan, self.max_evaluations, *limits), piece_call_work(plan, contact_time))
+        self._unit_cost = plan.multirate_step_cost(self._ratio)
+        #: Ends of the frame and of the stretches that were halved, since the start of the frame [s].
+        self._ends = [duration]
+        # Even the longest stable steps may exceed the work limit of the frame.
+        #: True if explicit steps are abandoned.
+        self.abandoned = duration / sheet_limit > self.work.cap and self._has_fallback
+        self._rest_rate = self._work_rate()
+        self._history = load_history(state, duration)
+
+    # The start of a frame.
+
+    #: Rejected attempts.
+    rejected = 0
+    #: True while the reserve finishes the frame; if the work budget allows no finer steps.
+    in_fallback = exhausted = False
+    #: Sum of errors [m], number of pieces, steps of the result, steps of the first runs, and smallest step [s].
+    error, n_pieces, steps, _first_run_steps, min_step = 0.0, 0, 0, 0, math.inf
+    #: True if the motion is rough. The present piece, the step limit that its runs met [s], the step to keep for its
+    #: halves [s], and its rejected attempts.
+    _is_rough = False
+    _piece: Piece | None = None
+    _met_limit, _halved_step, _attempts = math.inf, 0.0, 0
+    #: Time since the start of the frame [s], and the part of it with refined steps [s].
+    _elapsed = _refined_time = 0.0
+    #: Sums of estimates, true if all have equal runs, and number of estimated pieces. Sum of errors of one run less
+    #: [m]. Largest contact energy.
+    _sums: ErrorSums | None = None
+    _is_uniform = True
+    _n_estimated, _lower_order_error, _contact_energy, _piece_contact_energy = 0, 0.0, 0.0, 0.0
+    #: Estimates of the present piece, the error at its ends [m], and its energy: frequencies and drift.
+    _errors: Sequence[float] = ()
+    _end_error = 0.0
+    #: Error budget of the present piece [m]; true if a piece was accepted although it missed its budget.
+    _allowed, _has_missed = math.inf, False
+    _checked_energy: tuple[tuple[float, float], float | None] | None = None
+    #: True if the last runs used single precision; the largest multirate ratio.
+    _single_precision, _max_ratio = False, 1
+    #: Longest step that a rough piece suggests for the next frame [s], and its number of runs.
+    _longest_step, _longest_runs = 0.0, 1
+    #: Rules that most frames do not need, created when they are.
+    _energy_rule: EnergyRule | None = None
+    _precision_rule: PrecisionRule | None = None
+    _multirate_rule: MultirateRule | None = None
+
+    @property
+    def _energy(self) -> EnergyRule:
+        if self._energy_rule is None:
+            memory = controller_state.EnergyState.load(self._state)
+            self._energy_rule = EnergyRule(self._plan, memory, self._last_refinement)
+        return self._energy_rule
+
+    @property
+    def _precision(self) -> PrecisionRule:
+        if self._precision_rule is None:
+            precision = controller_state.PrecisionState.load(self._state)
+            noise = controller_state.RoundingNoiseState.load(self._state)
+            self._precision_rule = PrecisionRule(self._plan, precision, noise, self._duration, self.budget)
+        return self._precision_rule
+
+    @property
+    def _multirate(self) -> MultirateRule:
+        if self._multirate_rule is None:
+            # Waves of contact may have any frequency, without damping.
+            allowed = self.options.tolerance is not None and not self._may_touch
+            allowed = allowed and self._stability.is_damped(self._duration)
+            memory = controller_state.MultirateState.load(self._state)
+            self._multirate_rule = MultirateRule(self._plan, memory, allowed=allowed)
+        return self._multirate_rule
+
+    @cached_property
+    def _has_external_work(self) -> bool:
+        """True if forces in Python, moving air or moving obstacles may do work."""
+        plan, state = self._plan, self._state
+        is_moving = plan.contact is not None and not plan.contact.force.steady()
+        has_python_forces = any(not isinstance(force, EngineForce) for force in plan.model.forces)
+        return is_moving or has_python_forces or plan.supply(self._t0, state.x, state.v) != 0.0
+
+    @property
+    def _has_fallback(self) -> bool:
+        """True if a fallback can finish the frame after explicit steps are abandoned."""
+        return self.has_explicit_fallback or is_implicit_feasible(self._plan)
+
+    @property
+    def has_explicit_fallback(self) -> bool:
+        """True if explicit steps within the reserve are the fallback."""
+        return self._may_touch and self.options.tolerance is not None and not self.in_fallback
+
+    def use_reserve(self) -> None:
+        """Restart with single runs of the longest stable steps, within the reserve."""
+        self.in_fallback, self.exhausted, self.abandoned = True, True, False
+        self.n_runs, self.refinement, self.estimates_error = 1, 1.0, True
+        self.work.grant_reserve()
+        self._rest_rate = self._work_rate()
+        self._ends, self._is_rough, self._piece = [self._duration], False, None
+        self._history = load_history(self._state, self._duration)
+        self._met_limit, self._halved_step, self._attempts, self._elapsed = math.inf, 0.0, 0, 0.0
+        self._sums, self._is_uniform, self._n_estimated = None, True, 0
+        self._lower_order_error = self._contact_energy = 0.0
+        self.error, self.n_pieces, self.steps, self._first_run_steps, self.min_step = 0.0, 0, 0, 0, math.inf
+        self._refined_time, self._energy_rule, self._has_missed = 0.0, None, False
+
+    def _work_rate(self) -> float:
+        """Return the force evaluations per second of the present choice with an error estimate."""
+        steps = self.refinement / (CONSTANTS.stability_safety * self._stability.memory.max_step)
+        return steps * RATIO_SUMS[self.n_runs + 1]
+
+    # Pieces.
+
+    def choose_piece(self, t: float) -> Piece | None:
+        """Return the next piece from time t [s]; None if explicit steps are abandoned."""
+        if self._piece is None and not self.abandoned:
+            is_new_frame = not (self.n_pieces or self._attempts or self._is_rough)
+            self._piece = self._divide(t)
+            if self.estimates_error and is_new_frame and not self.exhausted:
+                self.work.add(self._precision.measure(t, self._state, self._piece.max_step, self.n_runs))
+                self._precision.update_kinetic_energy(self._state)
+        return None if self.abandoned else self._piece
+
+    def _divide(self, t: float) -> Piece:
+        """Divide the next stretch into pieces of equal steps."""
+        options = self.options
+        while True:
+            stretch = self._stretch = self._ends[-1] - self._elapsed
+            is_whole = stretch == self._duration
+            limit = self.limit if is_whole else self._contact_limit.predicted_limit(t, stretch, self._state)
+            limit = min(self._met_limit, limit)
+            max_step = min(CONSTANTS.stability_safety * limit, stretch)
+            if not (self._contact_limit.should_halve(max_step, stretch) and self._halve(stretch)):
+                break
+        if self._halved_step:
+            self.refinement, self._halved_step = max(1.0, max_step / self._halved_step), 0.0
+        ratio, self._multirate_refinement = 1, 1.0
+        if self._ratio > 1:
+            ratio, self._multirate_refinement = self._multirate.ratio_within(max_step, stretch)
+        self._weight = self._plan.multirate_step_cost(ratio) / self._unit_cost
+        steps, n_pieces = self._count_steps(self.n_runs, self.refinement, stretch, max_step)
+        reserved = self._rest_work(self._ends[-1])
+        if not self.work.fits(self._work_of(self.n_runs, steps, n_pieces) + reserved):
+            self._clamp(stretch, max_step, reserved)
+            steps, n_pieces = self._count_steps(self.n_runs, self.refinement, stretch, max_step)
+        if options.step is not None:
+            step = options.step if options.step <= limit else min(options.step, max_step)
+            steps = steps_for(stretch, step / self.refinement)
+        steps = max(1, math.ceil(steps / n_pieces / ratio)) * ratio
+        return Piece(stretch / n_pieces, steps, ratio, max_step, n_pieces)
+
+    def _count_steps(self, n_runs: int, refinement: float, length: float, max_step: float) -> tuple[int, int]:
+        """Return the steps of the first run over a length [s], and the number of its pieces."""
+        if self.options.tolerance is None:
+            steps = steps_for(length, max_step / refinement)
+            return steps, 1 if n_runs == 1 else self._stability.n_pieces(n_runs, steps, length)
+        steps = steps_for(length, max_step / max(refinement, self._required_refinement(n_runs, length)))
+        if self._is_rough:
+            steps = max(steps, MAX_UNDAMPED_STEPS)
+        return steps, self._stability.n_pieces(n_runs, steps, length)
+
+    def _work_of(self, n_runs: int, steps: int, n_pieces: int) -> float:
+        """Return the work of runs with an error estimate, in force evaluations, engine calls included."""
+        return (
+            self._weight * (steps * RATIO_SUMS[n_runs + 1] + n_pieces * (n_runs + 1)) + n_pieces * self.work.call_work
+        )
+
+    def _required_refinement(self, n_runs: int, length: float) -> float:
+        """Return the refinement that stability requires over a length [s], that of the multirate ratio included."""
+        return max(self._multirate_refinement, self._stability.min_refinement(n_runs, length))
+
+    def _choose_ratio(self, max_step: float) -> int:
+        """Return the multirate ratio; another one than before needs an error estimate."""
+        plan, memory = self._plan, self._state.memory.get(controller_state.MultirateState.key)
+        if not plan.has_hinges or not (self.estimates_error or memory is not None):
+            return 1
+        rule, recorded_ratio = self._multirate, self._multirate.memory.ratio
+        if self.estimates_error:
+            rule.choose(self._state.x, max_step, self._duration, self.n_runs)
+        else:
+            rule.keep(max_step, self._duration)
+        self.estimates_error = self.estimates_error or (
+            self.options.tolerance is not None and rule.ratio != recorded_ratio
+        )
+        return rule.ratio
+
+    def _halve(self, length: float) -> bool:
+        """Halve the next piece of a length [s]; return False if it would be too short."""
+        if length < 2.0 * _MIN_PIECE * self._duration:
+            return False
+        if self._piece is not None and self._piece.pieces_left > 1:
+            self._ends.append(self._elapsed + length)
+        self._ends.append(self._elapsed + 0.5 * length)
+        self._is_rough, self.estimates_error = True, True
+        self._piece, self._met_limit, self._attempts = None, math.inf, 0
+        return True
+
+    def _rest_work(self, end: float) -> float:
+        """Return the work of the frame after an end [s] with the choice at its start, in force evaluations."""
+        if end >= self._duration:
+            return 0.0
+        # Each stretch has at least a run of a few steps, its estimate, and the check of its ends.
+        least = self._work_of(1, MAX_UNDAMPED_STEPS, 1) + 4 * EVALUATIONS
+        return (self._duration - end) * self._rest_rate + len(self._ends) * least
+
+    def _attempt_work(self, n_runs: int, refinement: float, length: float, max_step: float) -> float:
+        """Return the work of a length [s] with an error estimate, in force evaluations, engine calls included."""
+        steps, n_pieces = self._count_steps(n_runs, refinement, length, max_step)
+        # Where air or obstacles do work, the energy check of a piece that misses its budget repeats its runs.
+        check = self._weight * steps * RATIO_SUMS[n_runs] if self._has_external_work else 0.0
+        return self._work_of(n_runs, steps, n_pieces) + check
+
+    def _clamp(self, stretch: float, max_step: float, reserved: float) -> None:
+        """Clamp runs and refinement to the work budget.
+
+        Explicit steps are abandoned if the longest stable ones exceed it by more than the cost of implicit steps that
+        finish the frame.
+        """
+        if self.options.tolerance is None:
+            return  # the order is fixed, and there is no error estimate
+
+        def work_of(n_runs: int, refinement: float) -> float:
+            return reserved + self._attempt_work(n_runs, refinement, stretch, max_step)
+
+        self.estimates_error = True
+        while self.n_runs > 1 and not self.work.fits(work_of(self.n_runs, 1.0)):
+            self.n_runs -= 1
+        remaining = self.work.remaining - reserved
+        refinement = self.refinement * remaining / self._attempt_work(self.n_runs, self.refinement, stretch, max_step)
+        if not (self._attempts or self._is_rough):
+            # A second attempt must fit too.
+            refinement /= CONSTANTS.max_refinement_factor
+        self.refinement = max(1.0, min(self.refinement, refinement))
+        # Rounding up steps and pieces may exceed the remaining work.
+        while self.refinement > 1.0 and not self.work.fits(work_of(self.n_runs, self.refinement)):
+            self.refinement = max(1.0, 0.5 * self.refinement)
+        self.exhausted = not self.work.fits(work_of(self.n_runs, self.refinement))
+        is_too_much = not self.work.fits(work_of(self.n_runs, self.refinement) - FALLBACK_EVALUATIONS)
+        self.abandoned = is_too_much and self._has_fallback
+
+    def tableau(
+        self, t: float, piece: Piece, previous: ExtrapolationTableau | None, accumulator: WorkAccumulator | None
+    ) -> ExtrapolationTableau:
+        """Return the runs of a piece from time t [s]; those of a previous attempt if it had the same steps."""
+        counts = step_counts(piece.steps, ratio=piece.ratio, coprime=self._is_rough)
+        single_precision = False
+        if self.options.tolerance is not None and not self._is_rough:
+            single_precision = self._precision.allows_single_precision(
+                self._state, self.n_runs, estimates_error=self.estimates_error
+            )
+        if (
+            previous is not None
+            and previous.t == t
+            and (previous.counts, previous.duration, previous.ratio) == (counts, piece.length, piece.ratio)
+            and single_precision >= previous.single_precision
+        ):
+            return previous
+        self.work.used += self.work.call_work
+        expected_runs = self.n_runs + self.estimates_error
+        is_repeated = self._attempts > 0 or self._is_rough
+        if self.estimates_error and self.n_runs == 2 and is_repeated and self._plan.threads_per_run(piece.ratio) == 1:
+            # Two runs and the estimating run rarely suffice then.
+            expected_runs += 1
+        return ExtrapolationTableau(
+            self._plan,
+            self._state,
+            t,
+            piece.length,
+            counts,
+            record_power=accumulator is not None and accumulator.record_power,
+            record_obstacles=accumulator is not None and accumulator.obstacle_count > 0,
+            single_precision=single_precision,
+            jaw_time=self._duration,
+            history=self._history,
+            ratio=piece.ratio,
+            expected_runs=expected_runs,
+        )
+
+    # Rule 1: stability.
+
+    def is_stable(self, tableau: ExtrapolationTableau, piece: Piece) -> bool:
+        """Return True if the chosen combination is finite, and its steps are within the limit that the motion met."""
+        n_runs = self.n_runs
+        evaluations, summary = tableau.evaluations, tableau.summary(n_runs)
+        self.work.add(tableau.evaluations - evaluations, self._weight)
+        if not summary.is_finite or piece.step > self._contact_limit.encountered_limit(tableau, n_runs):
+            return False
+        return piece.ratio == 1 or not self._multirate.exceeds_limit(piece.ratio * piece.step, summary)
+
+    def reject_unstable(self, tableau: ExtrapolationTableau, piece: Piece) -> None:
+        """Choose shorter steps after an attempt that was not stable, or abandon explicit steps.
+
+        Raises:
+            UnstableError: if no choice is left.
+        """
+        n_runs, factor, failure = self.n_runs, 1.0, "not within their stability limit"
+        summary = tableau.summary(n_runs)
+        if summary.is_finite:
+            limit = self._contact_limit.encountered_limit(tableau, n_runs)
+            if piece.ratio > 1 and self._multirate.exceeds_limit(piece.ratio * piece.step, summary):
+                self._multirate.ratio = self._ratio = 1
+        else:
+            # Contact did not stop a particle; with finer steps it would not have got that far.
+            energy, rates = tableau.encountered_energy(n_runs), tableau.self_contact(n_runs)
+            limit = self._contact_limit.limit_at_energy(energy, rates)
+            factor, failure = 2.0 if piece.step <= limit else 1.0, "not finite"
+        # If a run ended on a surface, the limit is zero.
+        self._met_limit = min(self._met_limit, limit or 0.5 * piece.step)
+        self._retry(factor, failure, piece)
+
+    # Rule 2: error.
+
+    def allowed_error(self, piece: Piece) -> float:
+        """Return the error budget of a piece [m]: what previous pieces have left until its end.
+
+        After a piece that missed its budget it is at least the piece's share of the frame's budget.
+        """
+        if self.options.tolerance is None:
+            return math.inf
+        is_stretch_end = piece.pieces_left == 1
+        elapsed = self._ends[-1] if is_stretch_end else self._elapsed + piece.length
+        self._allowed = self.budget * (elapsed / self._duration) - self.error
+        if self._has_missed:
+            self._allowed = max(self._allowed, self.budget * (piece.length / self._duration))
+        return self._allowed
+
+    def predict(self, tableau: ExtrapolationTableau, piece: Piece) -> float:
+        """Return the predicted error of a piece [m]; infinite if it is unknown or an estimate is due."""
+        if self.options.tolerance is None:
+            return 0.0
+        n_runs = self.n_runs
+        counts, self._activity = tableau.counts[:n_runs], tableau.summary(n_runs).activity
+        change = tableau.change(n_runs - 1) if n_runs > 1 else (0.0, 0.0)
+        self._predicted, self._piece_lower_order_error = self._error.predict(
+            counts, piece.length, change, self._activity
+        )
+        self._piece_contact_energy = tableau.contact_energy(n_runs)
+        if self._contact_limit.exceeds_known_energy(self._piece_contact_energy):
+            # The contact is harder than in the frame of the last estimate, or the first one.
+            self._predicted = math.inf
+        return math.inf if self.estimates_error else self._predicted
+
+    def estimate(self, tableau: ExtrapolationTableau, t: float, piece: Piece, allowed: float) -> float:
+        """Return the estimated error of a piece [m], and combine more of its runs if that suffices.
+
+        If the error is above its target, further runs show whether more runs or finer steps are better.
+
+        Args:
+            tableau: runs of the piece.
+            t: time at its start [s].
+            piece: the piece.
+            allowed: its error budget [m].
+        """
+        errors: list[float] = []
+        self.estimates_error, options = True, self.options
+        for _ in range(self.n_runs):
+            self._append_estimate(errors, tableau)
+        if (errors[-1] > allowed and not self.in_fallback) or self.refinement > 1.0:
+            target, reserved = CONSTANTS.error_target_fraction * allowed, self._rest_work(self._elapsed + piece.length)
+            while len(errors) < options.n_runs and errors[-1] > target:
+                is_affordable = self.work.fits(reserved + self._weight * tableau.counts[len(errors) + 1])
+                # If runs do not gain on one another, as at a force jump, a further run does not either.
+                is_useless = len(errors) > 1 and errors[-1] > errors[-2]
+                is_resolved = not tableau.single_precision or self._precision.resolves_error(len(errors) + 2)
+                if not is_affordable or is_useless or not is_resolved:
+                    break
+                self._append_estimate(errors, tableau)
+        self._errors, self.n_runs = errors, self._sufficient_runs(errors, allowed)
+        self._end_error = self._estimate_ends(tableau, t, piece) if self._is_rough else 0.0
+        return errors[self.n_runs - 1] + self._end_error
+
+    def _append_estimate(self, errors: list[float], tableau: ExtrapolationTableau) -> None:
+        """Append the error estimate of the next combination [m].
+
+        If the motion is rough, an estimate may be small by chance. Then it counts as at least what the gain of the
+        combination before it makes plausible.
+        """
+        evaluations, error = tableau.evaluations, tableau.difference(len(errors) + 1)
+        self.work.add(tableau.evaluations - evaluations, self._weight)
+        if self._is_rough and errors:
+            gain = errors[-1] / errors[-2] if len(errors) > 1 and errors[-2] else _FIRST_GAIN
+            error = max(error, errors[-1] * gain * gain)
+        errors.append(error)
+
+    def _sufficient_runs(self, errors: list[float], allowed: float) -> int:
+        """Return the number of existing runs whose error fits a budget [m]; the chosen one if none fits.
+
+        If the motion is rough, all further estimates must confirm it, because one of them may be small by chance.
+        """
+        fits = [error <= allowed for error in errors]
+        if fits[self.n_runs - 1] or self.in_fallback:
+            return self.n_runs
+        n_confirming = len(errors) if self._is_rough else 0
+        sufficient = [k for k, fit in enumerate(fits, start=1) if fit and all(fits[k - 1 : n_confirming])]
+        return sufficient[0] if sufficient else self.n_runs
+
+    def _estimate_ends(self, tableau: ExtrapolationTableau, t: float, piece: Piece) -> float:
+        """Return the error that a force jump in the first or last half step of a piece may cause [m]."""
+        end, error, half_step = self._state.shallow_copy(), 0.0, 0.5 * piece.step
+        tableau.commit(self.n_runs, end)
+        for state, time, duration in ((self._state, t, -half_step), (end, t + piece.length, half_step)):
+            change = missed_velocity_change(self._plan, state, time, duration)
+            displacement, steps = self._plan.velocity_displacement(time, state.x, change, VELOCITY_ERROR_TIME)
+            error += displacement
+            self.work.add(EVALUATIONS + 2 * steps)
+        return error
+
+    def reject_inaccurate(self, piece: Piece, allowed: float) -> bool:
+        """Choose more runs, shorter steps or a shorter piece; return False if the piece must be accepted.
+
+        Args:
+            piece: the piece.
+            allowed: its error budget [m].
+        """
+        errors, error = self._errors, self._errors[self.n_runs - 1] + self._end_error
+        floor = self._error.rounding_floor(self.n_runs, piece.steps if self._is_rough else 0)
+        if self.in_fallback or error <= CONSTANTS.estimate_trust_factor * floor:
+            return False  # no step reduces the error below rounding
+        target = CONSTANTS.error_target_fraction * allowed
+        if errors[self.n_runs - 1] <= allowed:
+            return self._choose_finer(self.n_runs, self.refinement * root(error / target, 3), False, piece)
+        n_runs, refinement = self._choose_runs(piece, max(self.refinement, self._multirate_refinement), target)
+        if self._is_rough:
+            # Errors may be small by chance, so steps do not grow.
+            refinement = max(refinement, self.refinement)
+        # A single estimate does not show whether the motion is smooth.
+        is_smooth = len(errors) == 1 or CONSTANTS.estimate_trust_factor * min(errors) < errors[0]
+        return self._choose_finer(n_runs, refinement, is_smooth, piece)
+
+    def _choose_runs(self, piece: Piece, refinement: float, target: float) -> tuple[int, float]:
+        """Return runs and refinement that meet a target [m] with the fewest evaluations, from the piece's estimates."""
+        # The pieces of a stretch share the rounding error of one run, because it cancels over them.
+        fraction, rounded_steps = piece.length / self._stretch, piece.steps if self._is_rough else 0
+        return self._error.choose(
+            self._errors,
+            refinement,
+            target,
+            lambda n: fraction * self._error.rounding_floor(n, rounded_steps),
+            lambda n: self._stability.min_refinement(n, piece.length),
+        )
+
+    def _choose_finer(self, n_runs: int, refinement: float, is_smooth: bool, piece: Piece) -> bool:
+        """Choose runs and refinement of the next attempt; return False if none fits the work budget.
+
+        Args:
+            n_runs: wanted number of runs.
+            refinement: wanted refinement.
+            is_smooth: True if combinations gained on one another, as in a smooth motion.
+            piece: the rejected piece.
+        """
+        if self.options.tolerance is not None:
+            self._precision.n_misses += 1
+        present_refinement = max(self.refinement, self._required_refinement(n_runs, piece.length))
+        next_refinement = min(refinement, CONSTANTS.max_refinement_factor * present_refinement)
+        is_affordable = self._attempts < _MAX_FAILED_ATTEMPTS and self._fits(n_runs, next_refinement, piece)
+        exceeds_order = not is_smooth and self._exceeds_order(refinement)
+        # Halves cost less than much finer steps in all of a piece.
+        is_much_finer = self._attempts > 0 and refinement > CONSTANTS.max_refinement_factor * present_refinement
+        if is_much_finer or (not is_smooth and (not is_affordable or exceeds_order)):
+            if self._halve_if_long(piece):
+                self.rejected += 1
+                return True
+            self._is_rough = self._is_rough or exceeds_order
+        if not is_affordable and not math.isfinite(self._errors[0]):
+            self._retry(2.0, "not finite", piece)
+            return True
+        if not is_affordable:
+            self.exhausted = True
+            return False
+        if self._is_rough and piece.pieces_left > 1:
+            # Only this piece needs finer steps.
+            self._ends.append(self._elapsed + piece.length)
+        self.n_runs, self.refinement, self._piece = n_runs, next_refinement, None
+        self._attempts, self.rejected = self._attempts + 1, self.rejected + 1
+        return True
+
+    def _exceeds_order(self, refinement: float) -> bool:
+        """Return True if the last refinement reduced the error less than its order predicts."""
+        is_repeated = self._is_rough or self._attempts > 0
+        return is_repeated and refinement > CONSTANTS.estimate_trust_factor * self.refinement
+
+    def _halve_if_long(self, piece: Piece) -> bool:
+        """Halve a piece if it has enough steps, and its halves fit the work budget; they start with the same step."""
+        if piece.steps < _MIN_HALVED_STEPS or not self._fits(self.n_runs, self.refinement, piece):
+            return False
+        is_halved = self._halve(piece.length)
+        self._halved_step = piece.max_step / self.refinement if is_halved else 0.0
+        return is_halved
+
+    def _fits(self, n_runs: int, refinement: float, piece: Piece) -> bool:
+        """Return True if a further attempt of a piece fits the remaining work of the frame."""
+        if self.work.cap == math.inf:
+            return True
+        work = self._attempt_work(n_runs, refinement, piece.length, piece.max_step)
+        return self.work.fits(work + self._rest_work(self._elapsed + piece.length))
+
+    # Rule 3: energy.
+
+    def keeps_energy(self, tableau: ExtrapolationTableau, t: float, piece: Piece) -> bool:
+        """Return False if a piece without a reliable error estimate creates energy."""
+        n_runs, energy = self.n_runs, self._energy
+        has_contact = self._contact_limit.has_contact(tableau, n_runs)
+        omega2 = self._stability.memory.omega2, math.inf if has_contact else tableau.summary(n_runs).omega2
+        # The energy of a combination does not oscillate; a change of step size makes the deviation permanent.
+        steps_differ = n_runs > 1 or self._is_rough
+        self._checked_energy = omega2, None
+        if not energy.must_check(omega2, steps_differ, self.refinement):
+            return True
+        end = self._state.shallow_copy()
+        tableau.commit(n_runs, end)
+        work, evaluations = external_work(self._plan, self._state, tableau, t, n_runs)
+        self.work.add(evaluations, self._weight)
+        step = 0.0 if steps_differ else piece.step
+        moments = (t, self._state), (t + piece.length, end)
+        drift = energy.measure_drift(*moments, step, work, refinement=self.refinement)
+        if self._plan.contact is not None:
+            self._plan.contact.load_state(self._state)
+        self._checked_energy = omega2, drift
+        return drift is not None
+
+    def reject_energy(self, piece: Piece) -> None:
+        """Choose finer steps after an attempt that created energy, or abandon explicit steps.
+
+        Raises:
+            UnstableError: if no choice is left.
+        """
+        # The drive of a gripper's jaws may be its source; implicit steps finish then.
+        self._retry(2.0, "making energy from nowhere", piece, may_abandon=True)
+
+    def _retry(self, factor: float, failure: str, piece: Piece, *, may_abandon: bool = False) -> None:
+        """Choose finer steps for a further attempt, or abandon explicit steps.
+
+        Args:
+            factor: factor on the refinement.
+            failure: failure of the present steps, for the error message.
+            piece: the rejected piece.
+            may_abandon: True if implicit steps may finish the frame even without a work limit.
+
+        Raises:
+            UnstableError: if no choice is left.
+        """
+        options, has_failed = self.options, not self.options.work and self._attempts >= _MAX_FAILED_ATTEMPTS
+        self.rejected += 1
+        refinement = factor * self.refinement
+        exceeds_order = options.tolerance is not None and factor > 1.0 and self._exceeds_order(2.0 * refinement)
+        if exceeds_order and self._halve_if_long(piece):
+            return
+        # With contact, fewer runs are cheaper and more accurate than implicit steps.
+        n_runs = self.n_runs
+        while self._may_touch and n_runs > 1 and not self._fits(n_runs, refinement, piece):
+            n_runs -= 1
+        if has_failed and not (may_abandon and self._has_fallback):
+            raise UnstableError(
+                f"{options.name}: steps of {piece.step:.3g} s are {failure}, like {self._attempts} attempts with "
+                "longer ones; check that all forces are finite and derive from their energies"
+            )
+        if not has_failed and self._fits(n_runs, refinement, piece):
+            if options.tolerance is None:
+                if factor > 1.0:
+                    self._error.memory.refinement = refinement
+                    self._error.set_period(CONSTANTS.max_estimate_period, 2.0 * self._error.memory.estimate_period)
+            else:
+                # The recorded error is valid for the same runs and multirate ratio.
+                self.estimates_error = self.estimates_error or n_runs < self.n_runs or piece.ratio != self._ratio
+            self.n_runs, self.refinement, self._piece = n_runs, refinement, None
+            self._attempts += 1
+            return
+        self.abandoned = self._has_fallback
+        if not self.abandoned:
+            raise UnstableError(
+                f"{options.name}: steps of {piece.step:.3g} s are {failure}, and finer ones exceed the frame's "
+                f"work limit of {options.work:g} times real time; raise 'work_limit' or reduce the cloth's stiffness"
+            )
+
+    # Acceptance.
+
+    def accept(
+        self, tableau: ExtrapolationTableau, piece: Piece, error: float, accumulator: WorkAccumulator | None
+    ) -> float:
+        """Move the state to the end of a piece, and learn from it.
+
+        Args:
+            tableau: runs of the piece.
+            piece: the piece.
+            error: error of the piece [m].
+            accumulator: work accumulator; None for none.
+
+        Returns:
+            Time since the start of the frame [s].
+        """
+        n_runs, state, memory = self.n_runs, self._state, self._stability.memory
+        summary, length = tableau.summary(n_runs), piece.length
+        if accumulator is not None:
+            tableau.accumulate(n_runs, accumulator)
+        is_stretch_end = piece.pieces_left == 1
+        elapsed = self._ends.pop() if is_stretch_end else self._elapsed + length
+        if self._ends:
+            earlier, previous = self._history, None
+            if earlier is not None and earlier.length == length:
+                previous = earlier.previous
+            self._history = History(state.v, previous, length)
+        memory.omega2, memory.damping = summary.omega2, summary.damping
+        if piece.ratio > 1:
+            self._multirate.bounds = summary.hinge_bounds
+        self._single_precision = tableau.single_precision
+        self._has_missed = self._has_missed or error > self._allowed
+        self.error, self.n_pieces = self.error + error, self.n_pieces + 1
+        self.steps += sum(tableau.counts[:n_runs])
+        self._first_run_steps, self.min_step = self._first_run_steps + piece.steps, min(self.min_step, piece.step)
+        self._max_ratio = max(self._max_ratio, piece.ratio)
+        self._refined_time += length if self.refinement > 1.0 else 0.0
+        if self.options.tolerance is not None:
+            self._contact_energy = max(self._contact_energy, self._piece_contact_energy)
+            self._lower_order_error += self._piece_lower_order_error
+            if self.estimates_error:
+                self._add_estimate(tableau, error)
+        if self._checked_energy is not None:
+            self._energy.accept(*self._checked_energy)
+            self._checked_energy = None
+        tableau.commit(n_runs, state)
+        self._attempts, self._met_limit = 0, math.inf
+        self._elapsed = elapsed
+        self._piece = None if is_stretch_end else piece._replace(pieces_left=piece.pieces_left - 1)
+        if is_stretch_end and self._is_rough and self.options.tolerance is not None:
+            self._choose_next(piece)
+        return elapsed
+
+    def _add_estimate(self, tableau: ExtrapolationTableau, error: float) -> None:
+        """Add the estimates of a piece to those of the frame."""
+        self._n_estimated, errors = self._n_estimated + 1, self._errors
+        changes = [] if self._is_rough else [tableau.change(k) for k in range(1, len(errors) + 1)]
+        sums = ErrorSums(
+            tableau.counts, tableau.duration, list(errors), changes, error, self._predicted, self._activity
+        )
+        if self._sums is None:
+            self._sums = sums
+        elif (self._sums.counts, self._sums.length) == (sums.counts, sums.length):
+            self._sums.add(sums)
+        else:
+            self._is_uniform = False
+
+    def _choose_next(self, piece: Piece) -> None:
+        """Choose runs and steps after a rough stretch; steps grow by a factor of two at most.
+
+        They are for the next stretch if it is longer, because the moment that needs short steps has then passed. The
+        next frame starts with the longest steps so chosen; what is too coarse is rejected at little cost.
+        """
+        target = CONSTANTS.error_target_fraction * self.budget * (piece.length / self._duration)
+        n_runs, refinement = self._choose_runs(piece, self.refinement, target)
+        refinement = max(1.0, 0.5 * self.refinement, refinement)
+        if piece.max_step / refinement > self._longest_step:
+            self._longest_step, self._longest_runs = piece.max_step / refinement, n_runs
+        if self._ends and self._ends[-1] - self._elapsed > 1.5 * self._stretch:
+            self.n_runs, self.refinement = n_runs, min(refinement, self.refinement)
+
+    def store(self) -> None:
+        """Write into the state what the next advance needs; choose its runs and steps if errors were estimated."""
+        state, error = self._state, self._error
+        if self.options.tolerance is None:
+            error.count_down()
+        elif self._n_estimated == self.n_pieces and self._sums is not None and not self._is_rough and self._is_uniform:
+            self._record_estimate(self._sums)
+        elif self._is_rough:
+            max_step = min(CONSTANTS.stability_safety * self.limit, self._duration)
+            error.restart(self._longest_runs, max(1.0, max_step / self._longest_step))
+        elif self._n_estimated:
+            error.restart(self.n_runs, self.refinement)
+        elif self.n_runs > 1 and self._lower_order_error <= CONSTANTS.error_target_fraction * self.budget:
+            error.memory.time_until_estimate = 0.0  # one run less may suffice
+        else:
+            error.count_down()
+        if self.options.tolerance is not None:
+            store_history(state, self._start_velocities)
+        self._stability.memory.store(state)
+        error.memory.store(state)
+        if self.estimates_error or self.options.tolerance is None:
+            self._energy.memory.store(state)
+            self._precision.memory.store(state)
+            if self._precision.noise.power >= 0.0 or controller_state.RoundingNoiseState.key in state.memory:
+                self._precision.noise.store(state)
+        if self._plan.has_hinges:
+            self._multirate.memory.ratio = float(self._multirate.ratio)
+            self._multirate.memory.store(state)
+        self._contact_limit.contact_energy = self._contact_energy
+        self._contact_limit.store(state, has_estimate=self.estimates_error)
+        if self._fallback_count or self.in_fallback:
+            FallbackState(min(64.0, self._fallback_count + 1.0) if self.in_fallback else 0.0).store(state)
+
+    def _record_estimate(self, sums: ErrorSums) -> None:
+        """Record the estimates of a frame of equal pieces, and choose runs and refinement of the next one."""
+        refinement = max(self.refinement, self._required_refinement(self.n_runs, self._duration))
+        target = CONSTANTS.error_target_fraction * self.budget
+        next_runs, next_refinement = self._error.choose(
+            sums.errors,
+            refinement,
+            target,
+            self._error.rounding_floor,
+            lambda n: self._stability.min_refinement(n, self._duration),
+        )
+        # Steps grow by a factor of two at most, because a motion that reverses is slow for a moment.
+        next_refinement = max(min(next_refinement, CONSTANTS.max_refinement_factor * refinement), 0.5 * refinement, 1.0)
+        self._error.record_estimate(sums, self.n_runs, next_runs, next_refinement)
+
+    def store_bounds(self) -> None:
+        """Store the spectral bounds alone; their key must stay, see `reset_step_control`."""
+        self._stability.memory.store(self._state)
+
+    # Report.
+
+    def report(self) -> Advance:
+        """Return the result of the advance."""
+        options, step = self.options, self.min_step
+        is_refined = self._refined_time > 0.5 * self._duration
+        limit = limiting_factor(options, self._first_run_steps, step, is_refined=is_refined)
+        flagged = int(options.tolerance is not None and self.error > self.budget)
+        reason = describe(
+            options.name,
+            options.tolerance,
+            options.step,
+            limit,
+            self.n_runs,
+            step,
+            self._max_ratio,
+            is_refined=is_refined,
+            single_precision=self._single_precision,
+            n_pieces=self.n_pieces if self._is_rough else 1,
+        )
+        if flagged and self.exhausted and options.work:
+            reason += f"; the tolerance was missed within the frame's work limit of {options.work:g}"
+        elif flagged and self.exhausted:
+            reason += "; finer steps did not reduce the error"
+        elif flagged:
+            reason += "; the tolerance is finer than rounding of the coordinates allows"
+        return Advance(
+            steps=self.steps,
+            evaluations=self.work.evaluations,
+            step=step,
+            limit=self.limit,
+            rejected=self.rejected,
+            integrator=options.name,
+            limited_by="work" if self.exhausted else limit,
+            error=self.error if options.tolerance is not None else None,
+            flagged=flagged,
+            reason=reason,
+        )

@@ -1,0 +1,92 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of explicit integrators, and the text about their steps for diagnostics."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Protocol
+
+
+class ExplicitSettings(Protocol):
+    """Settings of an explicit integrator."""
+
+    name: str
+    tolerance: float | None
+    step: float | None
+    n_runs: int
+    #: Work limit of a frame, as a multiple of real time by the plan's estimated cost; 0 for no limit.
+    work: float
+
+    def step_limit(self, omega2: float, damping_rate: float) -> float:
+        """Return the largest stable step [s] for a squared frequency [1/s^2] and a damping rate [1/s]."""
+
+
+def limiting_factor(options: ExplicitSettings, steps: int, step: float, *, is_refined: bool) -> str:
+    """Return the limiting factor of a first run, one of `base.LIMITING_FACTORS`.
+
+    Args:
+        options: settings of the integrator.
+        steps: number of steps of the run.
+        step: their length [s].
+        is_refined: true if the steps are shorter than stability requires.
+    """
+    if options.step is not None and step > 0.99 * options.step:
+        return "step"
+    if options.tolerance is not None and is_refined:
+        return "accuracy"
+    return "frame" if steps == 1 else "stability"
+
+
+# Most frames have the steps of the previous one.
+@lru_cache(maxsize=64)
+def describe(
+    name: str,
+    tolerance: float | None,
+    fixed_step: float | None,
+    limit: str,
+    n_runs: int,
+    step: float,
+    ratio: int,
+    *,
+    is_refined: bool,
+    single_precision: bool,
+    n_pieces: int,
+) -> str:
+    """Return order, step and what set them in words.
+
+    Args:
+        name: of the integrator.
+        tolerance: of positions [m]; None for none.
+        fixed_step: fixed step [s]; None for none.
+        limit: limiting factor, see `limiting_factor`.
+        n_runs: number of combined runs.
+        step: smallest step [s].
+        ratio: multirate ratio.
+        is_refined: true if the steps are shorter than stability requires.
+        single_precision: true if a run used single precision.
+        n_pieces: number of pieces of a divided frame; 1 if it is whole.
+    """
+    order = f"order {n_runs + 1}" + (f" by {n_runs} runs" if n_runs > 1 else "")
+    pieces = f" in the finest of {n_pieces} stretches" if n_pieces > 1 else ""
+    ending = pieces + (f"; bending every {ratio} steps" if ratio > 1 else "")
+    ending += "; in single precision" if single_precision else ""
+    return f"{name}: {order}, {_step_text(tolerance, fixed_step, limit, step, is_refined)}{ending}"
+
+
+def _step_text(tolerance: float | None, fixed_step: float | None, limit: str, step: float, is_refined: bool) -> str:
+    """Return the step and what set it in words."""
+    text = f"{step:.3g} s"
+    if limit == "step":
+        return f"fixed step of {text}"
+    if tolerance is None:
+        origin = "set by stability" if fixed_step is None else f"of {fixed_step:.3g} s"
+        if is_refined:
+            return f"step {origin} made {text}: springs pushed to a point made energy"
+        if fixed_step is not None:
+            return f"step {origin} made {text}: the motion stiffened"
+        return f"step {text} {origin}, no tolerance"
+    if is_refined:
+        return f"step {text} set by the tolerance {tolerance:g} m"
+    step_clause = "one step a frame" if limit == "frame" else f"step {text} set by stability"
+    return f"{step_clause}; it holds the tolerance {tolerance:g} m"

@@ -1,0 +1,95 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Loop of step control: what calm frames cost, what a refused frame leaves, and where pieces of a frame end."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cloth_sim_ros import Gravity, Model, PairSprings, Scene, Simulation, State
+from cloth_sim_ros.physics.control.automatic import make_integrator
+from cloth_sim_ros.physics.integrators.base import UnstableError
+from cloth_sim_ros.physics.model.forces.force import Array, Force
+from cloth_sim_ros.physics.plan.plan import compile
+
+PERIOD = 1.0 / 60.0
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {},
+        {"tolerance": 1e-4},
+        {"bending.model": "altitude", "material.bending_modulus": 1e-5},
+        {"obstacles": ["it"], "it.shape": "sphere", "it.size": [0.1], "it.position": [3.0, 0.0, 0.0]},
+    ],
+)
+def test_calm_frames_take_one_run(values: dict[str, Any]) -> None:
+    simulation = Simulation(Scene.from_parameters({"cloth.resolution": (12, 12), **values}))
+    for _ in range(90):
+        simulation.advance()
+    frames = [simulation.advance().advance for _ in range(60)]
+    # One evaluation more than steps starts a run; an error estimate takes a further run.
+    assert sum(frame.evaluations == frame.steps + 1 for frame in frames) > 40
+    assert all(frame.rejected == 0 for frame in frames)
+
+
+class _Wall(Force):
+    """Force that is not finite beyond x = 0."""
+
+    name = "wall"
+
+    def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
+        f[0] += np.where(x[0] > 0.0, np.nan, 0.0)
+
+
+@pytest.mark.parametrize("tolerance", [None, 1e-4])
+def test_refused_frame_leaves_the_motion_at_its_start(tolerance: float | None) -> None:
+    plan, state = compile(Model([1.0], [_Wall()])), State([[-0.5 * PERIOD, 0.0, 0.0]], [[1.0, 0.0, 0.0]])
+    integrator, before = make_integrator("extrapolated", tolerance=tolerance), state.shallow_copy()
+    with pytest.raises(UnstableError, match="not finite"):
+        integrator.advance(plan, state, 0.0, PERIOD)
+    assert state.x is before.x
+    assert state.v is before.v
+
+
+def test_pieces_of_a_rough_frame_cover_it_exactly() -> None:
+    """A particle that a spring stops at a moment within a frame, against the closed form."""
+    stiffness, mass, speed, slack = 4.0e3, 0.1, 2.0, 0.75
+
+    class Buffer(Force):
+        """One-sided spring beyond x = 0."""
+
+        name = "buffer"
+
+        def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
+            f[0] -= stiffness * np.maximum(x[0], 0.0)
+
+        def energy(self, t: float, x: Array) -> float:
+            return 0.5 * stiffness * float(np.sum(np.maximum(x[0], 0.0) ** 2))
+
+        def add_stiffness(self, x: Array, blocks: Array) -> None:
+            blocks[0] += stiffness * (x[0] > 0.0)
+
+    plan = compile(Model([mass], [Buffer()]))
+    state = State([[-slack * PERIOD * speed, 0.0, 0.0]], [[speed, 0.0, 0.0]])
+    advance = make_integrator("extrapolated", tolerance=1e-7).advance(plan, state, 0.0, PERIOD)
+    omega, left = (stiffness / mass) ** 0.5, (1.0 - slack) * PERIOD
+    assert "stretches" in advance.reason
+    assert advance.flagged == 0
+    assert abs(state.x[0, 0] - speed / omega * np.sin(omega * left)) < 1e-7 * PERIOD
+    assert abs(state.v[0, 0] - speed * np.cos(omega * left)) < 2.0 * 1e-7 * PERIOD
+
+
+def test_undamped_frames_end_exactly_too() -> None:
+    """A frame of many equal pieces: an undamped oscillation in a combination of runs, against the closed form."""
+    spring = PairSprings([[0, 1]], 1.0, 100.0, 0.0)
+    plan = compile(Model([0.1, 0.1], [spring, Gravity((0.0, 0.0, 0.0))], anchors=[0]))
+    state, integrator = State([[0.0, 0.0, 0.0], [1.1, 0.0, 0.0]]), make_integrator("extrapolated", tolerance=1e-8)
+    for k in range(30):
+        integrator.advance(plan, state, k * PERIOD, PERIOD)
+    omega = (100.0 / 0.1) ** 0.5
+    assert abs(state.x[0, 1] - 1.0 - 0.1 * np.cos(omega * 30 * PERIOD)) < 1e-8
