@@ -115,12 +115,8 @@ def _is_within_reach(force: Contact, x: Array, particles: NDArray[np.int64]) -> 
 
 def begin_recovery(plan: Plan, state: State, t: float, duration: float) -> None:
     """Let reduced contacts regain their thickness during a frame of a duration [s] that starts at time t [s]."""
-    contact = plan.contact
-    if contact is None:
-        return
-    contact.force.start_recovery(t)
-    reduced = state.memory.get(THICKNESS_KEY)
-    if reduced is None:
+    contact, reduced = plan.contact, state.memory.get(THICKNESS_KEY)
+    if contact is None or reduced is None:
         return
     contact.load_state(state)
     gaps = contact.contact_gaps(t, state.x)
@@ -129,13 +125,10 @@ def begin_recovery(plan: Plan, state: State, t: float, duration: float) -> None:
 
 def end_recovery(plan: Plan, state: State, t: float) -> None:
     """Store the thickness at the end of a frame, at time t [s], in the state."""
-    if plan.contact is None:
+    if plan.contact is None or (thickness := plan.contact.force.controls.recovery[2]) is None:
         return
     force = plan.contact.force
-    thickness = force.recovery[2]
     force.start_recovery(t)
-    if thickness is None:
-        return
     state.memory[THICKNESS_KEY] = thickness
     if not (thickness < force.thickness).any():
         del state.memory[THICKNESS_KEY]

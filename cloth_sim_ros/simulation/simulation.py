@@ -210,13 +210,12 @@ class Simulation(ExclusiveAccess):
         return self._snapshot()
 
     def _snapshot(self) -> Snapshot:
-        contact, accumulator, watch = self.plan.contact, self._accumulator, self._energy_watch
+        accumulator, watch = self._accumulator, self._energy_watch
         return Snapshot(
             scene=self._scene,
             state=self.state.shallow_copy(),
             initial=self._initial,
-            grips=self.grippers.save(self.plan.grips),
-            contact=None if contact is None else (contact.force.paths, contact.force.jaw_commands),
+            controls=self.plan.controls,
             accumulator=None if accumulator is None else accumulator.save(),
             energy=None if watch is None else (watch.save(), self.energy_report),
             sleep=(self._is_rest_verified, self._repeatable_frame),
@@ -367,8 +366,10 @@ class Simulation(ExclusiveAccess):
         return self.grippers.is_at_rest and (self.obstacles is None or self.obstacles.is_at_rest)
 
     def _plan_paths(self, t: float) -> None:
-        """Upload the paths of grippers and obstacles over the frame that starts at time t [s]."""
-        change = bodies.plan_paths(self.plan, self._scene, self.obstacles, self.pinching, self.grippers, t)
+        """Plan the paths of grippers and obstacles over the frame that starts at time t [s]."""
+        self.plan.controls, change = bodies.plan_controls(
+            self.plan, self._scene, self.obstacles, self.pinching, self.grippers, t
+        )
         recoveries.begin_recovery(self.plan, self.state, t, self._period)
         if change > MAX_VELOCITY_CHANGE * self._period:
             reset_step_control(self.state)
@@ -409,8 +410,8 @@ class Simulation(ExclusiveAccess):
         """Place obstacles and pads at their present poses for contact, until the next frame moves them."""
         #: Pinching grippers; None without any.
         self.pinching = bodies.build_parallel_grippers(self.plan, self.grippers, self.state)
-        if self.plan.contact is not None:
-            bodies.set_constant_paths(self.plan.contact.force, self.obstacles, self.pinching, self.grippers, self.time)
+        contact = bodies.standing_controls(self.plan, self.obstacles, self.pinching, self.grippers, self.time)
+        self.plan.controls = self.plan.controls._replace(contact=contact)
 
     def _apply_scene(self, scene: Scene) -> None:
         self._scene, self._period = scene, scene.period
@@ -455,9 +456,7 @@ class Simulation(ExclusiveAccess):
         elif relaxation.factor_of(self.state) != self._relaxation_factor:
             self._apply_tolerance()
         self._scene = scene
-        self.grippers.restore(snapshot.grips, self.plan.grips)
-        if self.plan.contact is not None and snapshot.contact is not None:
-            self.plan.contact.force.restore(*snapshot.contact, snapshot.time)
+        self.plan.controls = snapshot.controls
         if self._accumulator is not None and snapshot.accumulator is not None:
             self._accumulator.restore(snapshot.accumulator)
         if self._energy_watch is not None and snapshot.energy is not None:

@@ -11,13 +11,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import attrs
-import numpy as np
-from numpy.typing import NDArray
 
+from cloth_sim_ros.physics.model.controls import Controls
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.simulation.bodies import grippers
 from cloth_sim_ros.simulation.frame import Frame
 
 if TYPE_CHECKING:
@@ -38,9 +36,8 @@ class Snapshot:
     #: The state, and the one that a reset restores.
     state: State
     initial: State
-    #: Inputs of the plan for the last frame: grips and gripper paths; paths of obstacles and pads, and drives of pads.
-    grips: grippers.SavedGrips
-    contact: tuple[Array, NDArray[np.bool_]] | None
+    #: Controls of the last frame.
+    controls: Controls
     #: Integrals of the last frame, and the energy balance.
     accumulator: tuple[Array, float, float, float] | None
     energy: tuple[energy_watch.SavedBalance, EnergyReport | None] | None

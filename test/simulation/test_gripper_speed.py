@@ -72,7 +72,7 @@ def test_velocity_is_continuous_at_the_limit() -> None:
     ends, begins = [], []
     cloth.advance([Target("gripper", corner(cloth, 0.3), NO_TURN)])
     for _ in range(20):
-        path = cloth.grippers.paths[0]
+        path = cloth.plan.grips.paths[0]
         begins.append(path[4:7].copy())
         h = cloth.scene.period
         ends.append(path[4:7] + h * (2.0 * path[7:10] + 3.0 * h * path[10:13]))

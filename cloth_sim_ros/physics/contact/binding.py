@@ -13,12 +13,14 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cloth_sim_ros.engine import binding
 from cloth_sim_ros.engine.binding import PATH_NUMBERS, address, check, doubles, library, writable
 from cloth_sim_ros.physics.arithmetic.arrays import combine
 from cloth_sim_ros.physics.contact import implicit_jaws, self_contact_binding
 from cloth_sim_ros.physics.contact.feature_binding import FeatureBinding, upload_meshes
+from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.model.forces.contact import Contact
 from cloth_sim_ros.physics.model.forces.force import Array
@@ -46,7 +48,10 @@ class ContactBinding(Uncopyable):
         self._engine_plan, self.force = engine_plan, contact
         self._library, self._handle = library(), engine_plan.pointer
         self._shape = (3, particle_count)
-        self._obstacle_revision = self._path_revision = self._command_revision = -1
+        # Obstacles, paths and jaw commands that the engine has.
+        self._obstacles: tuple[Obstacle, ...] | None = None
+        self._paths: Array | None = None
+        self._jaw_commands: NDArray[np.bool_] = np.zeros((0, 2), dtype=bool)
         self._time_offset = 0.0
         self._anchors: Array | None = None
         # Reduced thickness in the engine, the start of its recovery, and the target thickness.
@@ -65,17 +70,18 @@ class ContactBinding(Uncopyable):
 
     def sync(self) -> None:
         """Upload obstacles, their paths and jaw commands if they changed."""
-        force = self.force
-        revisions = force.obstacle_revision, force.path_revision, force.command_revision
-        if revisions == (self._obstacle_revision, self._path_revision, self._command_revision):
+        force, controls = self.force, self.force.controls
+        has_new_obstacles = force.obstacles is not self._obstacles
+        is_uploaded = controls.paths is self._paths and controls.jaw_commands is self._jaw_commands
+        if is_uploaded and not has_new_obstacles:
             return
-        paths = np.array(force.paths, dtype=np.float64)
+        paths = np.array(controls.paths, dtype=np.float64)
         if paths.shape != (self.count, PATH_NUMBERS):
             raise ValueError(f"paths have shape {paths.shape}; they must be {(self.count, PATH_NUMBERS)}")
         if not np.isfinite(paths).all():
             raise ValueError(f"paths of obstacles are {paths.tolist()}; all numbers must be finite")
         paths[:, :1] -= self._time_offset
-        if force.obstacle_revision != self._obstacle_revision:
+        if has_new_obstacles:
             shapes = np.array([binding.SHAPES[obstacle.shape] for obstacle in force.obstacles], dtype=np.int64)
             sizes = np.zeros((self.count, 3))
             for row, obstacle in zip(sizes, force.obstacles, strict=True):
@@ -93,17 +99,18 @@ class ContactBinding(Uncopyable):
                 self._features.upload(force.obstacles, force.thickness)
         else:
             check(self._library.cloth_plan_contact_paths(self._handle, paths.ctypes.data))
-        has_new_obstacles = force.obstacle_revision != self._obstacle_revision
-        if force.jaws and (has_new_obstacles or force.command_revision != self._command_revision):
+        if force.jaws and (has_new_obstacles or not np.array_equal(controls.jaw_commands, self._jaw_commands)):
             boxes = np.arange(force.n_solids, self.count, dtype=np.int64)
-            rows = [jaw.engine_row(*flags) for jaw, flags in zip(force.jaws, force.jaw_commands.tolist(), strict=True)]
+            rows = [
+                jaw.engine_row(*flags) for jaw, flags in zip(force.jaws, controls.jaw_commands.tolist(), strict=True)
+            ]
             drives = np.array(rows).reshape(len(rows), binding.DRIVE_NUMBERS)
             check(self._library.cloth_plan_jaws(self._handle, len(rows), boxes.ctypes.data, drives.ctypes.data))
-        self._obstacle_revision, self._path_revision, self._command_revision = revisions
+        self._obstacles, self._paths, self._jaw_commands = force.obstacles, controls.paths, controls.jaw_commands
 
     def offset_time(self, duration: float) -> None:
         """Shift obstacle paths and thickness recovery by a duration [s]: at time t they are as at t plus duration."""
-        self._time_offset, self._path_revision = duration, -1
+        self._time_offset, self._paths = duration, None
         if self._recovery is not None:
             self.set_thickness(self._recovery[0])
 
@@ -155,7 +162,7 @@ class ContactBinding(Uncopyable):
                 check(self._library.cloth_contact_thickness(self._handle, None, None, 0.0))
                 self._recovery = None
             return
-        start, duration, target = self.force.recovery
+        start, duration, target = self.force.controls.recovery
         start -= self._time_offset
         previous = self._recovery
         if previous is not None and previous[0] is reduced and previous[1] == start and previous[2] is target:

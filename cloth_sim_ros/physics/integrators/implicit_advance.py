@@ -124,7 +124,7 @@ class ImplicitAdvance:
         state, memory, integrator = self._state, self._memory, self._integrator
         min_steps = 1 if integrator.step is None else steps_for(self._duration, integrator.step)
         contact = self._plan.contact
-        if contact is not None and (end_thickness := contact.force.recovery[2]) is not None:
+        if contact is not None and (end_thickness := contact.force.controls.recovery[2]) is not None:
             growth = relative_growth(state.memory[THICKNESS_KEY], end_thickness)
             min_steps = max(min_steps, math.ceil(growth / _MAX_THICKNESS_GROWTH))
         is_step_known = memory.step > 0.0 and self._max_evaluations == math.inf

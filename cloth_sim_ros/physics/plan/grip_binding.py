@@ -4,13 +4,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from cloth_sim_ros.engine import binding
-from cloth_sim_ros.engine.binding import address, check, doubles, finite, indices, library
+from cloth_sim_ros.engine.binding import address, check, doubles, library
+from cloth_sim_ros.physics.model.controls import GripControls
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.forces.grips import Grips
 from cloth_sim_ros.physics.model.parts import min_damping_time
@@ -31,57 +29,32 @@ class GripBinding(Uncopyable):
         self._engine_plan, self.force = engine_plan, grips
         self._library, self._handle = library(), engine_plan.pointer
         self._shape = (3, particle_count)
-        self._grip_revision = self._path_revision = -1
-        #: Arrays of the grasped particles that the engine has.
-        self._uploaded: tuple[NDArray[Any], ...] | None = None
+        #: Controls that the engine has.
+        self._uploaded: GripControls | None = None
         #: Number of grippers.
         self.count = grips.gripper_count
         self._paths_shape = (self.count, binding.PATH_NUMBERS)
 
     def sync(self) -> None:
         """Upload grasped particles and paths if they changed."""
-        grips = self.force
-        if grips.grip_revision == self._grip_revision and grips.path_revision == self._path_revision:
+        controls, uploaded = self.force.controls, self._uploaded
+        if controls is uploaded:
             return
-        if grips.grip_revision != self._grip_revision:
-            self._upload_grips()
-        paths = np.ascontiguousarray(grips.paths, dtype=np.float64)
+        if uploaded is None or controls.grasps is not uploaded.grasps:
+            arrays = controls.grasps.validated(self.count, self._shape[1])
+            # A snapshot from another process may contain read-only arrays.
+            addresses = (
+                address(array) if array.size and array.flags.writeable else array.ctypes.data for array in arrays
+            )
+            check(self._library.cloth_plan_grips(self._handle, self.count, len(arrays[0]), *addresses))
+        paths = np.ascontiguousarray(controls.paths, dtype=np.float64)
         if paths.shape != self._paths_shape:
             raise ValueError(f"paths have shape {paths.shape}; they must be {self._paths_shape}")
         status = self._library.cloth_plan_gripper_paths(self._handle, doubles("paths", paths, self._paths_shape))
         if status == binding.NOT_FINITE:
             raise ValueError(f"paths of grippers are {paths.tolist()}; all numbers must be finite")
         check(status)
-        self._grip_revision, self._path_revision = grips.grip_revision, grips.path_revision
-
-    def _upload_grips(self) -> None:
-        arrays = self.force.validated
-        if arrays is None:
-            arrays = self.force.validated = self._validated()
-        elif arrays is self._uploaded:
-            return
-        # A snapshot from another process may contain read-only arrays.
-        addresses = (address(array) if array.size and array.flags.writeable else array.ctypes.data for array in arrays)
-        check(self._library.cloth_plan_grips(self._handle, self.count, len(arrays[0]), *addresses))
-        self._uploaded = arrays
-
-    def _validated(self) -> tuple[NDArray[Any], ...]:
-        """Return validated copies for the engine: particles, gripper indices, offsets, stiffness, damping."""
-        grips = self.force
-        particles = indices("held particles", np.reshape(grips.particles, (-1, 1)), 1, self._shape[1])
-        count = len(particles)
-        gripper_indices = np.ascontiguousarray(grips.gripper_indices(), dtype=np.int64)
-        if len(gripper_indices) != count:
-            raise ValueError(
-                f"starts {grips.starts.tolist()} are of {len(gripper_indices)} grasped particles; there are {count}"
-            )
-        coefficients = (
-            finite("offsets of grips", grips.offsets, (count, 3)),
-            finite("stiffness of grips", grips.stiffness, (count,), lower=0.0),
-            finite("damping of grips", grips.damping, (count,), lower=0.0),
-        )
-        # Copies: later writes into the caller's arrays must not change them.
-        return tuple(array.copy() for array in (particles, gripper_indices, *coefficients))
+        self._uploaded = controls
 
     def wrench_rates(self, t: float, x: Array, v: Array, weight: float = 1.0) -> Array:
         """Return force, torque and power of each gripper on the cloth, and the power that its joints dissipate.

@@ -22,6 +22,7 @@ from numpy import empty, zeros
 from cloth_sim_ros.engine import binding
 from cloth_sim_ros.engine.binding import FRAME, MAX_RUNS, address, check, doubles, library, writable
 from cloth_sim_ros.physics.control.constants import CONSTANTS
+from cloth_sim_ros.physics.model.controls import Controls
 from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.model.forces.grips import Grips
 from cloth_sim_ros.physics.model.model import Model
@@ -145,6 +146,21 @@ class Plan(PlanQueries, Uncopyable):
             check(self._library.cloth_plan_air(self._handle, air_coefficients.ctypes.data))
 
     # The methods below are called in every frame.
+
+    @property
+    def controls(self) -> Controls:
+        """Commands of this frame; the next run or query uploads what is new."""
+        contact = self.contact
+        return Controls(
+            None if self.grips is None else self.grips.controls, None if contact is None else contact.force.controls
+        )
+
+    @controls.setter
+    def controls(self, controls: Controls) -> None:
+        if self.grips is not None and controls.grips is not None:
+            self.grips.controls = controls.grips
+        if self.contact is not None and controls.contact is not None:
+            self.contact.force.controls = controls.contact
 
     @property
     def obstacle_count(self) -> int:

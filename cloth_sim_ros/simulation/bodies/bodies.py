@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cloth_sim_ros.physics.model.controls import ContactControls, Controls, GripControls
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, LAYER_SIDES, THICKNESS_KEY
 from cloth_sim_ros.physics.state.state import State
@@ -81,49 +82,55 @@ def build_parallel_grippers(plan: Plan, grippers: Grippers, state: State) -> Par
     return ParallelGrippers(pads, grippers, state)
 
 
-def plan_paths(
+def plan_controls(
     plan: Plan,
     scene: Scene,
     obstacles: Obstacles | None,
     pinching: ParallelGrippers | None,
     grippers: Grippers,
     t: float,
-) -> float:
-    """Upload the paths of grippers, obstacles and pads over the frame that starts at time t [s].
+) -> tuple[Controls, float]:
+    """Plan the paths of grippers, obstacles and pads over the frame that starts at time t [s].
 
     Returns:
-        Largest change of displacement from the frame before to this one, along an axis [m], of a body that can act on
-        the cloth.
+        Controls of the frame, and the largest change of displacement from the frame before to this one, along an axis
+        [m], of a body that can act on the cloth.
     """
     period, gripper, change = scene.period, scene.gripper, 0.0
+    grips: GripControls | None = None
     if plan.grips is not None:
         speeds = [scene.of_gripper(name, "max_speed") for name in grippers.names]
-        change = grippers.plan_frame(plan.grips, plan.model, t, period, gripper.stiffness, gripper.damping, speeds)
+        stiffness, damping = gripper.stiffness, gripper.damping
+        grips, change = grippers.plan_frame(plan.grips, plan.model, t, period, stiffness, damping, speeds)
     if plan.contact is None:
-        return change
-    force, paths, obstacle_change = plan.contact.force, list[Array](), 0.0
-    if obstacles is not None:
-        rows, obstacle_change = obstacles.plan_frame(t, period)
-        paths.append(rows)
-    if pinching is not None:
-        paths.append(pinching.rows(grippers.paths))
-        force.set_jaw_commands(pinching.drive_flags())
-    if paths:
-        force.set_paths(np.concatenate(paths))
-    return max(change, obstacle_change)
+        return Controls(grips), change
+    rows, obstacle_change = (None, 0.0) if obstacles is None else obstacles.plan_frame(t, period)
+    contact = _contact_controls(plan.contact.force, rows, pinching, None if grips is None else grips.paths, t)
+    return Controls(grips, contact), max(change, obstacle_change)
 
 
-def set_constant_paths(
-    force: Contact, obstacles: Obstacles | None, pinching: ParallelGrippers | None, grippers: Grippers, t: float
-) -> None:
-    """Upload the poses of obstacles and pads at time t [s] as constant paths, until a frame moves them."""
-    force.start_recovery(t)
-    paths = [] if obstacles is None else [obstacles.standing(t)]
-    if pinching is not None:
-        paths.append(pinching.rows(constant_paths(t, grippers.poses())))
-        force.set_jaw_commands(pinching.drive_flags())
-    if paths:
-        force.set_paths(np.concatenate(paths))
+def standing_controls(
+    plan: Plan, obstacles: Obstacles | None, pinching: ParallelGrippers | None, grippers: Grippers, t: float
+) -> ContactControls | None:
+    """Return controls of contact with obstacles and pads at rest at their poses at time t [s]; None without contact."""
+    if plan.contact is None:
+        return None
+    rows = None if obstacles is None else obstacles.standing(t)
+    gripper_paths = constant_paths(t, grippers.poses())
+    return _contact_controls(plan.contact.force, rows, pinching, gripper_paths, t)
+
+
+def _contact_controls(
+    force: Contact, rows: Array | None, pinching: ParallelGrippers | None, gripper_paths: Array | None, t: float
+) -> ContactControls:
+    """Return controls of contact without recovery, from the paths of obstacles and of grippers."""
+    if rows is None and pinching is None:
+        return force.controls
+    paths, commands = [] if rows is None else [rows], force.controls.jaw_commands
+    if pinching is not None and gripper_paths is not None:
+        paths.append(pinching.rows(gripper_paths))
+        commands = pinching.drive_flags()
+    return ContactControls(np.concatenate(paths), commands, (t, 0.0, None))
 
 
 def stop_bodies(obstacles: Obstacles | None, grippers: Grippers) -> tuple[str, ...]:

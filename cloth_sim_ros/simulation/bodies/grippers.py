@@ -8,13 +8,13 @@ import functools
 import itertools
 import operator
 from collections.abc import Sequence
-from typing import Any, TypeAlias
+from typing import Any
 
 import attrs
 import numpy as np
 from numpy.typing import NDArray
 
-from cloth_sim_ros.engine.binding import PATH_NUMBERS
+from cloth_sim_ros.physics.model.controls import Grasps, GripControls
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.forces.grips import Grips
 from cloth_sim_ros.physics.model.forces.pair_springs import lecture_damping
@@ -48,10 +48,6 @@ class GraspResult:
     pending: bool = False
 
 
-#: Saved inputs of the grip force, the arrays and numbers from which they were computed, and paths.
-SavedGrips: TypeAlias = tuple[tuple[Any, ...] | None, tuple[Any, ...] | None, Array]
-
-
 class Grippers:
     """Grippers of one simulation. Everything that changes is in ``state.memory``.
 
@@ -63,16 +59,12 @@ class Grippers:
     def __init__(self, names: list[str], state: State) -> None:
         self.names = names
         self._state = state
-        #: Inputs uploaded last to the grip force; while they stay the same, only paths are uploaded.
-        self._uploaded: tuple[Any, ...] | None = None
         #: Distance from the origin to the outermost point of the pads [m], by index of each pinching gripper.
         self.pad_reaches: dict[int, float] = {}
         #: Commanded speed [m/s] by name, of each gripper that the speed limit slowed in the newest frame.
         self.speed_limited: dict[str, float] = {}
         #: Arrays of grips, and the distance from each gripper's origin to its furthest grasped particle [m].
         self._lever_arms: tuple[Any, Any, list[float | None]] = (None, None, [])
-        #: Paths of all grippers over the newest frame, shape (count, PATH_NUMBERS).
-        self.paths = np.zeros((len(names), PATH_NUMBERS))
         count = len(names)
         pose = np.zeros((count, 7))
         pose[:, 6] = 1.0
@@ -117,18 +109,6 @@ class Grippers:
     def is_at_rest(self) -> bool:
         """True if every gripper is at its target and was there for a whole frame."""
         return self._bodies.is_at_rest
-
-    def save(self, grips: Grips | None) -> SavedGrips:
-        """Return the inputs uploaded to the grip force, for `restore`."""
-        uploaded = None if self._uploaded is None else self._uploaded[:-1]
-        return None if grips is None else grips.save(), uploaded, self.paths
-
-    def restore(self, saved: SavedGrips, grips: Grips | None) -> None:
-        """Upload inputs that `save` returned. The state must have been restored before."""
-        saved_grips, uploaded, self.paths = saved
-        if grips is not None and saved_grips is not None:
-            grips.restore(saved_grips)
-        self._uploaded = None if uploaded is None else (*uploaded, grips)
 
     def set_target(self, event: Target) -> bool:
         """Store a target. Return True for the first one, which places the gripper there at once."""
@@ -215,8 +195,8 @@ class Grippers:
         stiffness: float,
         damping: float,
         speeds: Sequence[float],
-    ) -> float:
-        """Upload each gripper's path over the frame and its grasped particles to the grip force.
+    ) -> tuple[GripControls, float]:
+        """Plan each gripper's path over a frame.
 
         Args:
             grips: the force that holds particles.
@@ -228,17 +208,18 @@ class Grippers:
             speeds: speed limit of each gripper for its grasped particles, mean over the frame [m/s]; 0 for none.
 
         Returns:
-            Largest change of a closed gripper's displacement from the frame before to this one, along an axis [m].
+            Controls of the frame, and the largest change of a closed gripper's displacement from the frame before to
+            this one, along an axis [m].
         """
         is_closed, max_change = self._state.memory["gripper.closed"].tolist(), 0.0
         self.speed_limited = {}
         end_pose = functools.partial(self._end_pose, duration, speeds) if self.pad_reaches or any(speeds) else None
-        self.paths, changes = self._bodies.paths(t, duration, end_pose)
-        self._upload(grips, self.paths, model, stiffness, damping)
+        paths, changes = self._bodies.paths(t, duration, end_pose)
+        controls = GripControls(paths, self._grasps(grips, model, stiffness, damping))
         for g, change in enumerate(changes):
             if change > max_change and (is_closed[g] or g in self.pad_reaches):
                 max_change = change
-        return max_change
+        return controls, max_change
 
     def _end_pose(
         self, duration: float, speeds: Sequence[float], g: int, pose: Sequence[float], target: Sequence[float]
@@ -271,19 +252,17 @@ class Grippers:
             self._lever_arms = cached = (starts, offsets, lever_arms)
         return cached[2][g]
 
-    def _upload(self, grips: Grips, paths: Array, model: Model, stiffness: float, damping: float) -> None:
+    def _grasps(self, grips: Grips, model: Model, stiffness: float, damping: float) -> Grasps:
         memory = self._state.memory
         particles, starts = memory["grip.particles"], memory["grip.starts"]
-        inputs = (particles, starts, memory["grip.offsets"], stiffness, damping, grips)
-        if self._uploaded is not None and all(map(operator.is_, inputs, self._uploaded)):
-            grips.set_paths(paths)
-            return
-        self._uploaded = inputs
+        source, present = (particles, starts, memory["grip.offsets"], stiffness, damping), grips.controls.grasps
+        if present.source and all(map(operator.is_, source, present.source)):
+            return present
         # Border particles have half or a quarter of the mass, of the grip and of the threads. Therefore they do not
         # limit the step.
         stiffnesses = stiffness * model.masses[particles] / model.masses.max()
         dampings = lecture_damping(damping, stiffnesses, model.masses[particles])
-        grips.hold(paths, starts, particles, memory["grip.offsets"], stiffnesses, dampings)
+        return Grasps(starts, particles, memory["grip.offsets"], stiffnesses, dampings, source)
 
     def _replace(self, gripper: int, particles: np.ndarray, offsets: Array) -> None:
         """Set the particles that one gripper grasps. Other grips stay unchanged."""

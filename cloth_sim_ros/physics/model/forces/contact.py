@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from cloth_sim_ros.engine.binding import PATH_NUMBERS, SHAPES, finite, indices
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.contact.parallel_jaw import ParallelJaw
+from cloth_sim_ros.physics.model.controls import ContactControls
 from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.model.parts import ContactPart, Part
 
@@ -85,6 +87,9 @@ class Contact(EngineForce):
     damped = True
     damps_waves = False
 
+    paths = property(attrgetter("controls.paths"))
+    jaw_commands = property(attrgetter("controls.jaw_commands"))
+
     def __init__(
         self,
         obstacles: Sequence[Obstacle] = (),
@@ -103,16 +108,11 @@ class Contact(EngineForce):
         self.frequency = float(finite("contact frequency", frequency, ()))
         if self.frequency <= 0.0:
             raise ValueError(f"contact frequency is {frequency} 1/s; it must be above 0")
-        #: Counters of new obstacles, new paths and new jaw commands; a plan uploads what changed.
-        self.obstacle_revision = self.path_revision = self.command_revision = 0
         #: Jaws of the grippers that pinch.
         self.jaws = tuple(jaws)
-        #: For each of them: whether it is present, and whether it closes, shape (pinches, 2).
-        self.jaw_commands = np.zeros((len(self.jaws), 2), dtype=bool)
+        #: Paths of obstacles and jaws, jaw commands and recovery of thickness.
+        self.controls = ContactControls(np.empty((0, PATH_NUMBERS)), np.zeros((len(self.jaws), 2), dtype=bool))
         self.surface, self.faces = surface, faces
-        #: Recovery of reduced thickness: its start [s], its duration [s] and the thickness at its end [m], shape
-        #: `ContactBinding.thickness_shape`. The thickness is None if none grows.
-        self.recovery: tuple[float, float, Array | None] = (0.0, 0.0, None)
         self.set_obstacles(obstacles)
 
     def set_obstacles(self, obstacles: Sequence[Obstacle], paths: Array | None = None) -> None:
@@ -138,19 +138,15 @@ class Contact(EngineForce):
         if paths is None:
             paths = np.zeros((len(self.obstacles), PATH_NUMBERS))
             paths[:, 16] = 1.0
-        self.paths = paths
-        self.obstacle_revision += 1
+        self.set_paths(paths)
 
     def set_paths(self, paths: Array) -> None:
         """Set new paths, shape (m, PATH_NUMBERS), for the present obstacles and jaws."""
-        self.paths = paths
-        self.path_revision += 1
+        self.controls = self.controls._replace(paths=paths.copy())
 
-    def restore(self, paths: Array, commands: NDArray[np.bool_], t: float) -> None:
-        """Restore paths and jaw commands of a snapshot at time t [s]; no thickness grows until the next frame."""
-        self.set_paths(paths)
-        self.set_jaw_commands(commands)
-        self.start_recovery(t)
+    def set_jaw_commands(self, commands: NDArray[np.bool_]) -> None:
+        """Set for each gripper that pinches whether it is present and whether it closes, shape (pinches, 2)."""
+        self.controls = self.controls._replace(jaw_commands=commands.copy())
 
     def start_recovery(self, t: float, duration: float = 0.0, thickness: Array | None = None) -> None:
         """Start the recovery of a reduced contact thickness.
@@ -160,13 +156,7 @@ class Contact(EngineForce):
             duration: its duration [s].
             thickness: thickness at its end [m]; None if none grows.
         """
-        self.recovery = (t, duration, thickness)
-
-    def set_jaw_commands(self, commands: NDArray[np.bool_]) -> None:
-        """Set for each gripper that pinches whether it is present and whether it closes, shape (pinches, 2)."""
-        if not np.array_equal(commands, self.jaw_commands):
-            self.jaw_commands = commands.copy()
-            self.command_revision += 1
+        self.controls = self.controls._replace(recovery=(t, duration, thickness))
 
     @property
     def n_solids(self) -> int:
@@ -204,4 +194,4 @@ class Contact(EngineForce):
 
     def steady(self) -> bool:
         """Return true if no obstacle moves or turns over its path, and no thickness recovers."""
-        return self.recovery[2] is None and not (self.paths[:, 4:13].any() or self.paths[:, 17:26].any())
+        return self.controls.recovery[2] is None and not (self.paths[:, 4:13].any() or self.paths[:, 17:26].any())

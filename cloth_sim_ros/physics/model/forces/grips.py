@@ -5,12 +5,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
+from cloth_sim_ros.physics.model.controls import Grasps, GripControls
 from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.model.parts import Part
 from cloth_sim_ros.physics.old_names import with_old_names
@@ -34,14 +35,19 @@ class Grips(EngineForce):
     damped = True
     damps_waves = False
 
+    paths = property(attrgetter("controls.paths"))
+    starts = property(attrgetter("controls.grasps.starts"))
+    particles = property(attrgetter("controls.grasps.particles"))
+    offsets = property(attrgetter("controls.grasps.offsets"))
+    stiffness = property(attrgetter("controls.grasps.stiffness"))
+    damping = property(attrgetter("controls.grasps.damping"))
+
     def __init__(self, gripper_count: int) -> None:
         if not isinstance(gripper_count, int | np.integer) or gripper_count < 0:
             raise ValueError(f"gripper_count is {gripper_count!r}; it must be a whole number of at least 0")
         self.gripper_count = int(gripper_count)
         paths = np.zeros((gripper_count, PATH_NUMBERS))
         paths[:, 16] = 1.0
-        #: Counters of new grips and new paths; a plan uploads what changed.
-        self.grip_revision = self.path_revision = 0
         starts, particles = np.zeros(gripper_count + 1, dtype=np.int64), np.empty(0, dtype=np.int64)
         self.hold(paths, starts, particles, np.empty((0, 3)), np.empty(0), np.empty(0))
 
@@ -64,26 +70,20 @@ class Grips(EngineForce):
             stiffness: k [N/m], shape (m,).
             damping: k_d [N s/m], shape (m,).
         """
-        self.paths, self.starts, self.particles, self.offsets = paths, starts, particles, offsets
-        self.stiffness, self.damping = stiffness, damping
-        #: The same arrays, validated for the engine: see `GripBinding`.
-        self.validated: tuple[NDArray[Any], ...] | None = None
-        self.grip_revision += 1
+        #: Paths of the grippers and grasped particles.
+        self.controls = GripControls(paths, Grasps(starts, particles, offsets, stiffness, damping))
 
     def set_paths(self, paths: Array) -> None:
         """Set new paths, shape (gripper_count, PATH_NUMBERS), for the present grips."""
-        self.paths = paths
-        self.path_revision += 1
+        self.controls = self.controls._replace(paths=paths)
 
-    def save(self) -> tuple[Any, ...]:
+    def save(self) -> GripControls:
         """Return the present grips and paths for `restore`."""
-        return self.paths, self.starts, self.particles, self.offsets, self.stiffness, self.damping, self.validated
+        return self.controls
 
-    def restore(self, saved: tuple[Any, ...]) -> None:
+    def restore(self, saved: GripControls) -> None:
         """Restore grips and paths from `save`, also from the force of another model with the same masses."""
-        *grips, validated = saved
-        self.hold(*grips)
-        self.validated = validated
+        self.controls = saved
 
     def parts(self, particle_count: int) -> Sequence[Part]:
         # Grips change from frame to frame: the plan uploads them in each frame.
@@ -95,12 +95,7 @@ class Grips(EngineForce):
         Raises:
             ValueError: for starts that do not ascend from 0.
         """
-        starts = np.asarray(self.starts)
-        if starts.shape != (self.gripper_count + 1,) or starts.dtype.kind not in "iu":
-            raise ValueError(f"starts are {starts.tolist()}; give {self.gripper_count + 1} whole numbers")
-        if starts[0] != 0 or (starts[1:] < starts[:-1]).any():
-            raise ValueError(f"starts are {starts.tolist()}; they must ascend from 0")
-        return np.repeat(np.arange(self.gripper_count), np.diff(self.starts))
+        return self.controls.grasps.gripper_indices(self.gripper_count)
 
     def steady(self) -> bool:
         """Return true if no gripper with grips moves or turns over its path."""

@@ -1,0 +1,104 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Controls: what others command in a frame.
+
+They are grasped particles, the paths of grippers, obstacles and jaws, jaw commands, and the recovery of thickness.
+Controls are never changed, but replaced. Therefore a plan knows by identity if it has uploaded them, and a snapshot
+keeps them without a copy.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import attrs
+import numpy as np
+from numpy.typing import NDArray
+
+from cloth_sim_ros.engine.binding import finite, indices
+from cloth_sim_ros.physics.model.forces.force import Array
+
+
+# Without slots: a member keeps the validated arrays.
+@attrs.frozen(eq=False, slots=False)
+class Grasps:
+    """Grasped particles: gripper g grasps ``particles[starts[g]:starts[g + 1]]``."""
+
+    #: First grip of each gripper, shape (grippers + 1,), int64.
+    starts: NDArray[np.int64]
+    #: Grasped particles, shape (m,), int64.
+    particles: NDArray[np.int64]
+    #: Points in their gripper's frame [m], shape (m, 3).
+    offsets: Array
+    #: k [N/m] and k_d [N s/m], shape (m,) each.
+    stiffness: Array
+    damping: Array
+    #: What they were computed from; while it stays the same, so do they.
+    source: tuple[Any, ...] = ()
+
+    def gripper_indices(self, gripper_count: int) -> NDArray[np.int64]:
+        """Return the gripper index of each grip, shape (m,).
+
+        Raises:
+            ValueError: for starts that do not ascend from 0.
+        """
+        starts = np.asarray(self.starts)
+        if starts.shape != (gripper_count + 1,) or starts.dtype.kind not in "iu":
+            raise ValueError(f"starts are {starts.tolist()}; give {gripper_count + 1} whole numbers")
+        if starts[0] != 0 or (starts[1:] < starts[:-1]).any():
+            raise ValueError(f"starts are {starts.tolist()}; they must ascend from 0")
+        return np.repeat(np.arange(gripper_count), np.diff(self.starts))
+
+    def validated(self, gripper_count: int, particle_count: int) -> tuple[NDArray[Any], ...]:
+        """Return copies for the engine: particles, gripper indices, offsets, stiffness, damping. It checks them once.
+
+        Raises:
+            ValueError: for arrays that do not fit together or are out of range.
+        """
+        if "_validated" not in self.__dict__:
+            self.__dict__["_validated"] = self._validate(gripper_count, particle_count)
+        arrays: tuple[NDArray[Any], ...] = self.__dict__["_validated"]
+        return arrays
+
+    def _validate(self, gripper_count: int, particle_count: int) -> tuple[NDArray[Any], ...]:
+        particles = indices("held particles", np.reshape(self.particles, (-1, 1)), 1, particle_count)
+        count = len(particles)
+        gripper_indices = np.ascontiguousarray(self.gripper_indices(gripper_count), dtype=np.int64)
+        if len(gripper_indices) != count:
+            raise ValueError(
+                f"starts {self.starts.tolist()} are of {len(gripper_indices)} grasped particles; there are {count}"
+            )
+        coefficients = (
+            finite("offsets of grips", self.offsets, (count, 3)),
+            finite("stiffness of grips", self.stiffness, (count,), lower=0.0),
+            finite("damping of grips", self.damping, (count,), lower=0.0),
+        )
+        # Copies: later writes into the caller's arrays must not change them.
+        return tuple(array.copy() for array in (particles, gripper_indices, *coefficients))
+
+
+class GripControls(NamedTuple):
+    """Controls of grippers."""
+
+    #: Paths of the grippers, shape (grippers, PATH_NUMBERS), see `Grips`.
+    paths: Array
+    grasps: Grasps
+
+
+class ContactControls(NamedTuple):
+    """Controls of obstacles and jaws."""
+
+    #: Path of each obstacle, then the gripper's path for each jaw, shape (m, PATH_NUMBERS), see `Grips`.
+    paths: Array
+    #: For each gripper that pinches: whether it is present, and whether it closes, shape (pinches, 2).
+    jaw_commands: NDArray[np.bool_]
+    #: Recovery of reduced thickness: its start [s], its duration [s] and the thickness at its end [m], shape
+    #: `ContactBinding.thickness_shape`. The thickness is None if none grows.
+    recovery: tuple[float, float, Array | None] = (0.0, 0.0, None)
+
+
+class Controls(NamedTuple):
+    """Controls of a frame; None for what the model lacks."""
+
+    grips: GripControls | None = None
+    contact: ContactControls | None = None
