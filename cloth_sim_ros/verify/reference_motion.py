@@ -8,8 +8,8 @@ from collections.abc import Iterable
 
 import attrs
 import numpy as np
-from numpy.typing import NDArray
 
+from cloth_sim_ros.physics.model.controls import Controls, GripControls
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
 from cloth_sim_ros.physics.plan.plan import Plan
@@ -20,19 +20,6 @@ from cloth_sim_ros.simulation.bodies.bodies import carry_over_anchors, change_ob
 from cloth_sim_ros.simulation.events import Reset
 from cloth_sim_ros.simulation.simulation import Frame, Simulation
 from cloth_sim_ros.verify.reference_integrator import MotionState
-
-
-@attrs.frozen(eq=False, kw_only=True)
-class FrameGrasps:
-    """Grips during a frame; arrays as in `physics.model.forces.grips.Grips`."""
-
-    paths: Array
-    starts: NDArray[np.int64]
-    particles: NDArray[np.int64]
-    stiffness: Array
-    damping: Array
-    #: Grippers that closed at its beginning, or before it while paused.
-    newly_closed: frozenset[int]
 
 
 @attrs.frozen(eq=False, kw_only=True)
@@ -49,12 +36,10 @@ class SimulatedFrame:
     after: State
     #: True if the cloth was reset at its beginning.
     reset: bool
-    #: None if the scene has no grippers.
-    grasping: FrameGrasps | None
-    #: Paths of the obstacles and pads, see `Contact`; None if there are none.
-    body_paths: Array | None
-    #: Placed and closing flags of each pinching gripper, see `Contact`; None if there are none.
-    driven_jaws: NDArray[np.bool_] | None
+    #: Controls of the frame.
+    controls: Controls
+    #: Grippers that closed at its beginning, or before it while paused.
+    newly_closed: frozenset[int]
     #: Thickness of contacts at its start, see `ContactBinding.thickness_shape`; None if all have the full one.
     thickness: Array | None
     #: Thickness of contacts at its end; None if unchanged.
@@ -78,7 +63,7 @@ class FrameCapture:
         self, simulation: Simulation, scene_before: Scene, state_before: State, frame: Frame
     ) -> SimulatedFrame | None:
         """Return the last frame of the simulation, given scene and state before it; None if no time passed."""
-        names, memory = simulation.grippers.names, simulation.state.memory
+        names = simulation.grippers.names
         if any(isinstance(event, Reset) for event in frame.events):
             self._reset, self._new = True, frozenset()
         else:
@@ -88,19 +73,9 @@ class FrameCapture:
             return None
         new, reset = self._new, self._reset
         self._new, self._reset = frozenset(), False
-        advance, grips, scene = frame.advance, simulation.plan.grips, simulation.scene
+        advance, scene = frame.advance, simulation.scene
         contact, start = simulation.plan.contact, state_before.shallow_copy()
         change_obstacles(scene_before, scene, [start])
-        grasping = None
-        if grips is not None:
-            grasping = FrameGrasps(
-                paths=grips.paths.copy(),
-                starts=memory["grip.starts"],
-                particles=memory["grip.particles"],
-                stiffness=grips.stiffness,
-                damping=grips.damping,
-                newly_closed=new,
-            )
         return SimulatedFrame(
             index=frame.index,
             t=state_before.frame * scene.period,
@@ -109,9 +84,8 @@ class FrameCapture:
             before=start,
             after=simulation.state.shallow_copy(),
             reset=reset,
-            grasping=grasping,
-            body_paths=None if contact is None else contact.force.paths.copy(),
-            driven_jaws=None if contact is None else contact.force.jaw_commands.copy(),
+            controls=simulation.plan.controls,
+            newly_closed=new,
             thickness=None if contact is None else contact.thickness,
             thickness_at_end=None if contact is None else contact.target_thickness,
             tolerance=frame.tolerance,
@@ -131,14 +105,13 @@ class Equations:
         """Return the plan for a frame, with the grips of one motion."""
         if self._plan is None or self._scene is not frame.scene:
             self._scene, self._plan = frame.scene, frame.scene.plan()
-        grasps, grips = frame.grasping, self._plan.grips
-        if grasps is not None and grips is not None:
-            grips.hold(grasps.paths, grasps.starts, grasps.particles, motion.offsets, grasps.stiffness, grasps.damping)
-        if frame.body_paths is not None and self._plan.contact is not None:
-            self._plan.contact.force.set_paths(frame.body_paths)
-            if frame.driven_jaws is not None:
-                self._plan.contact.force.set_jaw_commands(frame.driven_jaws)
-            self._plan.contact.force.start_recovery(frame.t, frame.duration, frame.thickness_at_end)
+        grips, contact = frame.controls
+        if grips is not None:
+            grips = grips._replace(grasps=attrs.evolve(grips.grasps, offsets=motion.offsets))
+        if contact is not None:
+            contact = contact._replace(recovery=(frame.t, frame.duration, frame.thickness_at_end))
+        self._plan.controls = Controls(grips, contact)
+        if self._plan.contact is not None:
             self._plan.contact.sync()
             self._plan.contact.set_thickness(frame.thickness)
         return self._plan
@@ -177,19 +150,20 @@ class ReferenceMotion:
         if self.state.anchors is not None and self._scene is not None and self._scene is not frame.scene:
             self.state = self.state._replace(anchors=carry_over_anchors(self.state.anchors, self._scene, frame.scene))
         self._scene = frame.scene
-        grasps = frame.grasping
-        if grasps is not None:
-            self._offsets = [self._grip_points(grasps, g) for g in range(len(grasps.paths))]
+        controls = frame.controls.grips
+        if controls is not None:
+            self._offsets = [self._grip_points(controls, frame.newly_closed, g) for g in range(len(controls.paths))]
 
     def perturb(self, x: Array, v: Array) -> None:
         """Add a perturbation to positions [m] and velocities [m/s], shape (3, n) each."""
         self.state = self.state._replace(x=self.state.x + x, v=self.state.v + v)
 
-    def _grip_points(self, grasps: FrameGrasps, gripper: int) -> Array:
-        particles = grasps.particles[grasps.starts[gripper] : grasps.starts[gripper + 1]]
-        if gripper not in grasps.newly_closed and particles.size:
+    def _grip_points(self, controls: GripControls, newly_closed: frozenset[int], gripper: int) -> Array:
+        starts, particles = controls.grasps.starts, controls.grasps.particles
+        particles = particles[starts[gripper] : starts[gripper + 1]]
+        if gripper not in newly_closed and particles.size:
             return self._offsets[gripper]
-        path = grasps.paths[gripper]
+        path = controls.paths[gripper]
         offsets = self.x[:, particles] - path[1:4, None]
         return np.asarray((rotation_matrix(path[13:17]).T @ offsets).T)
 

@@ -167,7 +167,7 @@ def test_reference_motion_equals_simulation_under_same_commands() -> None:
         *[[]] * 3,
     ]
     frames, equations = _run_frames(simulation, script), Equations()
-    assert sum(bool(frame.grasping and frame.grasping.newly_closed) for frame in frames) == 2
+    assert sum(bool(frame.newly_closed) for frame in frames) == 2
     motion = ReferenceMotion(frames[0].before)
     for frame in frames:
         if frame.reset:
@@ -186,7 +186,7 @@ def test_grip_points_follow_from_reference_positions() -> None:
     corner = tuple(simulation.positions[71].tolist())
     turn = (0.0, 0.6, 0.0, 0.8)
     (_, frame) = _run_frames(simulation, [[Target("gripper", corner, turn)], [Grasp("gripper", True)]])
-    assert frame.grasping is not None
+    assert frame.controls.grips is not None
     motion = ReferenceMotion(frame.before)
     motion.perturb(np.full_like(motion.x, 1e-3), np.zeros_like(motion.x))
     motion.apply_grasps(frame)
