@@ -115,8 +115,8 @@ def _is_within_reach(force: Contact, x: Array, particles: NDArray[np.int64]) -> 
 
 def begin_recovery(plan: Plan, state: State, t: float, duration: float) -> None:
     """Let reduced contacts regain their thickness during a frame of a duration [s] that starts at time t [s]."""
-    contact, reduced = plan.contact, state.memory.get(THICKNESS_KEY)
-    if contact is None or reduced is None:
+    contact = plan.contact
+    if contact is None or (reduced := state.memory.get(THICKNESS_KEY)) is None:
         return
     contact.load_state(state)
     gaps = contact.contact_gaps(t, state.x)

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Controls: what others command in a frame.
+"""Controls: inputs of a frame.
 
 They are grasped particles, the paths of grippers, obstacles and jaws, jaw commands, and the recovery of thickness.
 Controls are never changed, but replaced. Therefore a plan knows by identity if it has uploaded them, and a snapshot
@@ -55,10 +55,11 @@ class Grasps:
         Raises:
             ValueError: for arrays that do not fit together or are out of range.
         """
-        if "_validated" not in self.__dict__:
-            self.__dict__["_validated"] = self._validate(gripper_count, particle_count)
-        arrays: tuple[NDArray[Any], ...] = self.__dict__["_validated"]
-        return arrays
+        counts = gripper_count, particle_count
+        validated: tuple[Any, tuple[NDArray[Any], ...]] = self.__dict__.get("_validated", (None, ()))
+        if validated[0] != counts:
+            validated = self.__dict__["_validated"] = counts, self._validate(*counts)
+        return validated[1]
 
     def _validate(self, gripper_count: int, particle_count: int) -> tuple[NDArray[Any], ...]:
         particles = indices("held particles", np.reshape(self.particles, (-1, 1)), 1, particle_count)

@@ -29,7 +29,7 @@ class GripBinding(Uncopyable):
         self._engine_plan, self.force = engine_plan, grips
         self._library, self._handle = library(), engine_plan.pointer
         self._shape = (3, particle_count)
-        #: Controls that the engine has.
+        #: Controls that the engine has; None if an upload failed.
         self._uploaded: GripControls | None = None
         #: Number of grippers.
         self.count = grips.gripper_count
@@ -40,6 +40,7 @@ class GripBinding(Uncopyable):
         controls, uploaded = self.force.controls, self._uploaded
         if controls is uploaded:
             return
+        self._uploaded = None
         if uploaded is None or controls.grasps is not uploaded.grasps:
             arrays = controls.grasps.validated(self.count, self._shape[1])
             # A snapshot from another process may contain read-only arrays.
@@ -47,12 +48,10 @@ class GripBinding(Uncopyable):
                 address(array) if array.size and array.flags.writeable else array.ctypes.data for array in arrays
             )
             check(self._library.cloth_plan_grips(self._handle, self.count, len(arrays[0]), *addresses))
-        paths = np.ascontiguousarray(controls.paths, dtype=np.float64)
-        if paths.shape != self._paths_shape:
-            raise ValueError(f"paths have shape {paths.shape}; they must be {self._paths_shape}")
-        status = self._library.cloth_plan_gripper_paths(self._handle, doubles("paths", paths, self._paths_shape))
+        paths = doubles("paths of grippers", controls.paths, self._paths_shape)
+        status = self._library.cloth_plan_gripper_paths(self._handle, paths)
         if status == binding.NOT_FINITE:
-            raise ValueError(f"paths of grippers are {paths.tolist()}; all numbers must be finite")
+            raise ValueError(f"paths of grippers are {controls.paths.tolist()}; all numbers must be finite")
         check(status)
         self._uploaded = controls
 
@@ -76,12 +75,13 @@ class GripBinding(Uncopyable):
 
     def min_damping_time(self) -> float:
         """Return the least c / k [s] of the grips; infinity if there are none."""
-        return min_damping_time(self.force.stiffness, self.force.damping)
+        grasps = self.force.controls.grasps
+        return min_damping_time(grasps.stiffness, grasps.damping)
 
     def add_bounds(self, stiff: Array, damped: Array) -> None:
         """Add stiffness [N/m] and damping [N s/m] of grips to blocks (6, n)."""
-        grips = self.force
+        grasps = self.force.controls.grasps
         # Several grippers may grasp one particle: plain indexing would not add up.
         for axis in range(3):
-            np.add.at(stiff[axis], grips.particles, grips.stiffness)
-            np.add.at(damped[axis], grips.particles, grips.damping)
+            np.add.at(stiff[axis], grasps.particles, grasps.stiffness)
+            np.add.at(damped[axis], grasps.particles, grasps.damping)

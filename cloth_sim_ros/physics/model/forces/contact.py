@@ -194,4 +194,5 @@ class Contact(EngineForce):
 
     def steady(self) -> bool:
         """Return true if no obstacle moves or turns over its path, and no thickness recovers."""
-        return self.controls.recovery[2] is None and not (self.paths[:, 4:13].any() or self.paths[:, 17:26].any())
+        paths, _, recovery = self.controls
+        return recovery[2] is None and not (paths[:, 4:13].any() or paths[:, 17:26].any())

@@ -70,12 +70,15 @@ class Grips(EngineForce):
             stiffness: k [N/m], shape (m,).
             damping: k_d [N s/m], shape (m,).
         """
+        # Copies: later writes into the caller's arrays must not change them.
+        columns = np.array(offsets), np.array(stiffness), np.array(damping)
+        grasps = Grasps(np.array(starts), np.array(particles), *columns)
         #: Paths of the grippers and grasped particles.
-        self.controls = GripControls(paths, Grasps(starts, particles, offsets, stiffness, damping))
+        self.controls = GripControls(np.array(paths, dtype=np.float64), grasps)
 
     def set_paths(self, paths: Array) -> None:
         """Set new paths, shape (gripper_count, PATH_NUMBERS), for the present grips."""
-        self.controls = self.controls._replace(paths=paths)
+        self.controls = self.controls._replace(paths=np.array(paths, dtype=np.float64))
 
     def save(self) -> GripControls:
         """Return the present grips and paths for `restore`."""
@@ -99,7 +102,8 @@ class Grips(EngineForce):
 
     def steady(self) -> bool:
         """Return true if no gripper with grips moves or turns over its path."""
-        if not self.particles.size:
+        grasps = self.controls.grasps
+        if not grasps.particles.size:
             return True
-        paths = self.paths[np.diff(self.starts) > 0]
+        paths = self.controls.paths[np.diff(grasps.starts) > 0]
         return not (paths[:, 4:13].any() or paths[:, 17:26].any())
