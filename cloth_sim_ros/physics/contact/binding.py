@@ -20,7 +20,6 @@ from cloth_sim_ros.engine.binding import PATH_NUMBERS, address, check, doubles, 
 from cloth_sim_ros.physics.arithmetic.arrays import combine
 from cloth_sim_ros.physics.contact import implicit_jaws, self_contact_binding
 from cloth_sim_ros.physics.contact.feature_binding import FeatureBinding, upload_meshes
-from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.model.forces.contact import Contact
 from cloth_sim_ros.physics.model.forces.force import Array
@@ -48,8 +47,7 @@ class ContactBinding(Uncopyable):
         self._engine_plan, self.force = engine_plan, contact
         self._library, self._handle = library(), engine_plan.pointer
         self._shape = (3, particle_count)
-        # Obstacles, paths and jaw commands that the engine has.
-        self._obstacles: tuple[Obstacle, ...] | None = None
+        # Paths and jaw commands that the engine has.
         self._paths: Array | None = None
         self._jaw_commands: NDArray[np.bool_] = np.zeros((0, 2), dtype=bool)
         self._time_offset = 0.0
@@ -62,51 +60,51 @@ class ContactBinding(Uncopyable):
         self_contact_binding.upload_surface(self._handle, contact)
         faces = contact.faces
         self._features = None if faces is None else FeatureBinding(engine_plan, faces, particle_count)
+        self._upload_obstacles()
 
     @property
     def count(self) -> int:
         """Number of obstacles, jaws included."""
         return len(self.force.obstacles)
 
+    def _upload_obstacles(self) -> None:
+        """Upload obstacles and the law; `sync` uploads their paths."""
+        force = self.force
+        shapes = np.array([binding.SHAPES[obstacle.shape] for obstacle in force.obstacles], dtype=np.int64)
+        sizes, paths = np.zeros((self.count, 3)), np.zeros((self.count, PATH_NUMBERS))
+        for row, obstacle in zip(sizes, force.obstacles, strict=True):
+            row[: len(obstacle.size)] = obstacle.size
+        bounding_radii = [obstacle.bounding_radius for obstacle in force.obstacles[: force.n_solids]]
+        bounding_radii += [jaw.bounding_radius for jaw in force.jaws for _ in range(2)]
+        radii = np.array(bounding_radii, dtype=np.float64)
+        frictions = np.array([obstacle.friction for obstacle in force.obstacles], dtype=np.float64)
+        arrays = (array.ctypes.data for array in (shapes, sizes, radii, frictions, paths))
+        law_parameters = force.thickness, force.damping, force.frequency
+        check(self._library.cloth_plan_contact(self._handle, self.count, *arrays, *law_parameters))
+        upload_meshes(self._handle, force.obstacles)
+        if self._features is not None:
+            self._features.upload(force.obstacles, force.thickness)
+
     def sync(self) -> None:
-        """Upload obstacles, their paths and jaw commands if they changed."""
-        force, controls = self.force, self.force.controls
-        has_new_obstacles = force.obstacles is not self._obstacles
-        is_uploaded = controls.paths is self._paths and controls.jaw_commands is self._jaw_commands
-        if is_uploaded and not has_new_obstacles:
-            return
-        paths = np.array(controls.paths, dtype=np.float64)
-        if paths.shape != (self.count, PATH_NUMBERS):
-            raise ValueError(f"paths have shape {paths.shape}; they must be {(self.count, PATH_NUMBERS)}")
-        if not np.isfinite(paths).all():
-            raise ValueError(f"paths of obstacles are {paths.tolist()}; all numbers must be finite")
-        paths[:, :1] -= self._time_offset
-        if has_new_obstacles:
-            shapes = np.array([binding.SHAPES[obstacle.shape] for obstacle in force.obstacles], dtype=np.int64)
-            sizes = np.zeros((self.count, 3))
-            for row, obstacle in zip(sizes, force.obstacles, strict=True):
-                row[: len(obstacle.size)] = obstacle.size
-            bounding_radii = [obstacle.bounding_radius for obstacle in force.obstacles[: force.n_solids]]
-            bounding_radii += [jaw.bounding_radius for jaw in force.jaws for _ in range(2)]
-            radii = np.array(bounding_radii, dtype=np.float64)
-            frictions = np.array([obstacle.friction for obstacle in force.obstacles], dtype=np.float64)
-            arrays = (array.ctypes.data for array in (shapes, sizes, radii, frictions, paths))
-            self._anchors, self._recovery = None, None
-            law_parameters = force.thickness, force.damping, force.frequency
-            check(self._library.cloth_plan_contact(self._handle, self.count, *arrays, *law_parameters))
-            upload_meshes(self._handle, force.obstacles)
-            if self._features is not None:
-                self._features.upload(force.obstacles, force.thickness)
-        else:
+        """Upload the paths of obstacles and the jaw commands if they changed."""
+        force, (controlled_paths, commands, _) = self.force, self.force.controls
+        if controlled_paths is not self._paths:
+            paths = np.array(controlled_paths, dtype=np.float64)
+            if paths.shape != (self.count, PATH_NUMBERS):
+                raise ValueError(f"paths have shape {paths.shape}; they must be {(self.count, PATH_NUMBERS)}")
+            if not np.isfinite(paths).all():
+                raise ValueError(f"paths of obstacles are {paths.tolist()}; all numbers must be finite")
+            paths[:, :1] -= self._time_offset
             check(self._library.cloth_plan_contact_paths(self._handle, paths.ctypes.data))
-        if force.jaws and (has_new_obstacles or not np.array_equal(controls.jaw_commands, self._jaw_commands)):
+            self._paths = controlled_paths
+        if commands is self._jaw_commands:
+            return
+        if not np.array_equal(commands, self._jaw_commands):
             boxes = np.arange(force.n_solids, self.count, dtype=np.int64)
-            rows = [
-                jaw.engine_row(*flags) for jaw, flags in zip(force.jaws, controls.jaw_commands.tolist(), strict=True)
-            ]
+            rows = [jaw.engine_row(*flags) for jaw, flags in zip(force.jaws, commands.tolist(), strict=True)]
             drives = np.array(rows).reshape(len(rows), binding.DRIVE_NUMBERS)
             check(self._library.cloth_plan_jaws(self._handle, len(rows), boxes.ctypes.data, drives.ctypes.data))
-        self._obstacles, self._paths, self._jaw_commands = force.obstacles, controls.paths, controls.jaw_commands
+        self._jaw_commands = commands
 
     def offset_time(self, duration: float) -> None:
         """Shift obstacle paths and thickness recovery by a duration [s]: at time t they are as at t plus duration."""

@@ -110,19 +110,7 @@ class Contact(EngineForce):
             raise ValueError(f"contact frequency is {frequency} 1/s; it must be above 0")
         #: Jaws of the grippers that pinch.
         self.jaws = tuple(jaws)
-        #: Paths of obstacles and jaws, jaw commands and recovery of thickness.
-        self.controls = ContactControls(np.empty((0, PATH_NUMBERS)), np.zeros((len(self.jaws), 2), dtype=bool))
         self.surface, self.faces = surface, faces
-        self.set_obstacles(obstacles)
-
-    def set_obstacles(self, obstacles: Sequence[Obstacle], paths: Array | None = None) -> None:
-        """Set the obstacles.
-
-        Args:
-            obstacles: all obstacles, without jaws.
-            paths: path of each obstacle over the next frame, then the gripper's path for each jaw, shape (m,
-                PATH_NUMBERS), see `Grips`; the default is at rest at the origin.
-        """
         names = [obstacle.name for obstacle in obstacles]
         for obstacle in obstacles:
             if names.count(obstacle.name) > 1:
@@ -135,14 +123,14 @@ class Contact(EngineForce):
         self.obstacles = (*obstacles, *(box for jaw in self.jaws for box in jaw.boxes()))
         #: Whether any obstacle has friction.
         self.has_friction = any(obstacle.friction[0] > 0.0 for obstacle in self.obstacles)
-        if paths is None:
-            paths = np.zeros((len(self.obstacles), PATH_NUMBERS))
-            paths[:, 16] = 1.0
-        self.set_paths(paths)
+        paths = np.zeros((len(self.obstacles), PATH_NUMBERS))
+        paths[:, 16] = 1.0
+        #: Paths of obstacles and jaws, jaw commands and recovery of thickness.
+        self.controls = ContactControls(paths, np.zeros((len(self.jaws), 2), dtype=bool))
 
     def set_paths(self, paths: Array) -> None:
         """Set new paths, shape (m, PATH_NUMBERS), for the present obstacles and jaws."""
-        self.controls = self.controls._replace(paths=paths.copy())
+        self.controls = self.controls._replace(paths=np.array(paths, dtype=np.float64))
 
     def set_jaw_commands(self, commands: NDArray[np.bool_]) -> None:
         """Set for each gripper that pinches whether it is present and whether it closes, shape (pinches, 2)."""
