@@ -193,8 +193,9 @@ class Controller:
     _checked_energy: tuple[tuple[float, float], float | None] | None = None
     #: True if the last runs used single precision; the largest multirate ratio.
     _single_precision, _max_ratio = False, 1
-    #: Longest step that a rough piece suggests for the next frame [s], and its number of runs.
-    _longest_step, _longest_runs = 0.0, 1
+    #: Longest step that a rough piece suggests for the next frame [s], and its number of runs. Refinement of estimated
+    #: runs, that of stability included.
+    _longest_step, _longest_runs, _applied_refinement = 0.0, 1, 1.0
     #: Rules that most frames do not need, created when they are.
     _energy_rule: EnergyRule | None = None
     _precision_rule: PrecisionRule | None = None
@@ -296,6 +297,8 @@ class Controller:
         if not self.work.fits(self._work_of(self.n_runs, steps, n_pieces) + reserved):
             self._clamp(stretch, max_step, reserved)
             steps, n_pieces = self._count_steps(self.n_runs, self.refinement, stretch, max_step)
+        if self.estimates_error:
+            self._applied_refinement = max(self.refinement, self._required_refinement(self.n_runs, stretch))
         if options.step is not None:
             step = options.step if options.step <= limit else min(options.step, max_step)
             steps = steps_for(stretch, step / self.refinement)
@@ -505,7 +508,10 @@ class Controller:
             allowed: its error budget [m].
         """
         errors: list[float] = []
-        self.estimates_error, options = True, self.options
+        options = self.options
+        if not self.estimates_error:
+            self.estimates_error = True
+            self._applied_refinement = max(self.refinement, self._required_refinement(self.n_runs, piece.length))
         for _ in range(self.n_runs):
             self._append_estimate(errors, tableau)
         if (errors[-1] > allowed and not self.in_fallback) or self.refinement > 1.0:
@@ -841,7 +847,7 @@ class Controller:
 
     def _record_estimate(self, sums: ErrorSums) -> None:
         """Record the estimates of a frame of equal pieces, and choose runs and refinement of the next one."""
-        refinement = max(self.refinement, self._required_refinement(self.n_runs, self._duration))
+        refinement = self._applied_refinement
         target = CONSTANTS.error_target_fraction * self.budget
         next_runs, next_refinement = self._error.choose(
             sums.errors,
