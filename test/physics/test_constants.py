@@ -35,6 +35,7 @@ REASONS = {
     },
     "work_budget.py": {1e-9: "nanoseconds", 4e3: "four calls, in nanoseconds by microseconds"},
     "fallback.py": {
+        1e-9: "nanoseconds",
         10.0: "expected evaluations of an implicit step, two stages of five iterations; hard ones take more",
         64.0: "a cap divided by 2^64 is none",
     },

@@ -19,6 +19,7 @@ from cloth_sim_ros.physics.control.multirate import MAX_RATIO
 from cloth_sim_ros.physics.control.stability import MAX_UNDAMPED_STEPS, UNDAMPED_LIMIT_FRACTIONS
 from cloth_sim_ros.physics.control.work_budget import evaluation_budget, work_cap
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import step_counts, weights
+from cloth_sim_ros.physics.integrators.stage_matrix import StageMatrix
 from cloth_sim_ros.physics.model.forces.force import Force
 from cloth_sim_ros.physics.plan.plan import compile
 from cloth_sim_ros.physics.state.controller_state import ErrorState, FallbackState
@@ -121,6 +122,27 @@ def test_implicit_finish_stays_within_remaining_work(most: float) -> None:
         # Eight steps of eight descent iterations are the minimum that finishes a frame.
         assert evaluations[most] <= max(most, 64.0) < evaluations[math.inf]
         assert np.isfinite(ends[most].x).all()
+
+
+def test_implicit_finish_of_a_large_sheet_factorises_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulation = violent_sheet()
+    plan, start = simulation.plan, simulation.state.copy()
+    free = simulation.model.inverse_masses > 0.0
+    start.x = start.x + 0.5 * np.random.default_rng(0).normal(size=start.x.shape) * free
+    energy = plan.energy(0.0, start.x, start.v)
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("the matrix is factorised")
+
+    monkeypatch.setattr(StageMatrix, "update", refuse)
+    end = start.copy()
+    result = finish_implicitly(
+        plan, end, 0.0, 1 / 60, None, instead_of="extrapolated", max_evaluations=1e4, max_time=1e-9
+    )
+    assert result.flagged > 0
+    assert np.isfinite(end.x).all()
+    # The sheet is crumpled: most of its energy is that of springs, and damping takes it away.
+    assert 0.0 < plan.energy(0.0, end.x, end.v) < 0.5 * energy
 
 
 def test_jerk_between_estimates_is_detected() -> None:

@@ -7,6 +7,7 @@ import pytest
 from support.self_scenes import alone, folded, intersections, sheets
 
 from cloth_sim_ros.physics.plan.plan import compile
+from cloth_sim_ros.physics.state.controller_state import IntegratorChoiceState
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.parameters.warnings import ineffective_parameters
@@ -162,3 +163,12 @@ def test_self_intersection_check_equals_brute_force(seed):
             plan.contact.check_initial_penetration(0.0, np.ascontiguousarray(x.T))
     else:
         plan.contact.check_initial_penetration(0.0, np.ascontiguousarray(x.T))
+
+
+@pytest.mark.parametrize("self_contact", [True, False])
+def test_layers_in_reach_end_implicit_steps(self_contact):
+    """A sheet that is too stiff for explicit steps in real time starts folded on itself."""
+    simulation = fold(scene(contact__self=self_contact, material__stretch_modulus=3e7, material__damping=0.02))
+    for _ in range(2):
+        simulation.advance()
+        assert bool(IntegratorChoiceState.load(simulation.state).is_implicit) != self_contact

@@ -142,16 +142,22 @@ class Automatic(Integrator):
     def _choose_integrator(
         self, memory: IntegratorChoiceState, plan: Plan, state: State, t: float, duration: float
     ) -> None:
-        """Compare the costs of both methods periodically, and at once if the implicit method becomes expensive."""
-        is_expensive = memory.implicit_cost > CONSTANTS.estimate_trust_factor * memory.explicit_cost
-        if memory.frames_until_comparison > 0.0 and not (memory.is_implicit and is_expensive):
-            return
+        """Compare the costs of both methods periodically.
+
+        They are compared at once if the implicit method becomes expensive, or if the cloth comes close to itself.
+        """
+        if memory.frames_until_comparison > 0.0:
+            is_expensive = memory.implicit_cost > CONSTANTS.estimate_trust_factor * memory.explicit_cost
+            if not memory.is_implicit or (not is_expensive and _is_clear_of_itself(plan, state, duration)):
+                return
         memory.explicit_cost, memory.explicit_also_failed = _explicit_frame_cost(plan, state, t, duration), 0.0
         if plan.contact is not None and not memory.is_implicit:
             # The contact that made implicit steps expensive may have ended.
             memory.implicit_cost *= 0.5
         target_cost = CONSTANTS.error_target_fraction * duration * 1e9
         implicit_pays = memory.explicit_cost > target_cost and is_implicit_feasible(plan)
+        # Implicit steps find no way through a fold.
+        implicit_pays = implicit_pays and _is_clear_of_itself(plan, state, duration)
         if implicit_pays:
             implicit_cost = memory.implicit_cost or _first_implicit_frame_cost(plan)
             factor = CONSTANTS.estimate_trust_factor if memory.is_implicit else 1.0
@@ -159,6 +165,11 @@ class Automatic(Integrator):
         if implicit_pays != bool(memory.is_implicit):
             controller_state.reset_step_control(state)
         memory.is_implicit, memory.frames_until_comparison = float(implicit_pays), CONSTANTS.comparison_period
+
+
+def _is_clear_of_itself(plan: Plan, state: State, duration: float) -> bool:
+    """Return True if the cloth stays clear of itself for a duration [s]."""
+    return plan.contact is None or plan.contact.is_clear_of_itself(duration, state.x, state.v)
 
 
 def _explicit_frame_cost(plan: Plan, state: State, t: float, duration: float) -> float:

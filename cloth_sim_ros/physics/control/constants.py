@@ -71,6 +71,9 @@ class Constants:
 
     # Implicit steps and the choice of integrator.
     implicit_finish_steps: float = _constant(8.0, "implicit steps of a frame that they finish")
+    implicit_finish_cost: float = _constant(
+        4.0, "longest time of implicit steps that finish a frame, by estimated cost, in work limits"
+    )
     implicit_max_particles: float = _constant(5e4, "largest number of particles for which implicit steps are tried")
 
     comparison_period: float = _constant(16.0, "frames between two comparisons of integrators")

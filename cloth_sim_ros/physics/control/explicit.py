@@ -9,8 +9,11 @@ creates no energy. In the style of ODEX: Hairer, Norsett, Wanner, Solving Ordina
 
 from __future__ import annotations
 
+import math
+
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.control import fallback
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.controller import Controller
 from cloth_sim_ros.physics.control.description import ExplicitSettings
 from cloth_sim_ros.physics.integrators.base import Advance, NoRoomError, UnstableError
@@ -92,9 +95,16 @@ def _finish_implicitly(
     controller.store_bounds()
     if accumulator is not None:
         accumulator.reset()
-    remaining = controller.max_evaluations - work.used
+    limit = options.work * duration or math.inf
     result = fallback.finish_implicitly(
-        plan, state, t, duration, accumulator, instead_of=options.name, max_evaluations=remaining
+        plan,
+        state,
+        t,
+        duration,
+        accumulator,
+        instead_of=options.name,
+        max_evaluations=controller.max_evaluations - work.used,
+        max_time=CONSTANTS.implicit_finish_cost * limit,
     )
     return result._replace(
         evaluations=work.evaluations + result.evaluations,

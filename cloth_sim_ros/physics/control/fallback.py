@@ -38,8 +38,12 @@ def finish_implicitly(
     *,
     instead_of: str,
     max_evaluations: float,
+    max_time: float = math.inf,
 ) -> Advance:
     """Advance by a few implicit steps; the result is flagged.
+
+    Each iteration factorises a matrix, which takes long for a large sheet. If not even the least number of iterations
+    fits the time, descents use the blocks of single particles instead, which bound that matrix.
 
     Args:
         plan: equations of motion.
@@ -50,6 +54,7 @@ def finish_implicitly(
         instead_of: name of the integrator whose steps were abandoned.
         max_evaluations: remaining force evaluations of the frame. Steps without a solution within them become descent
             steps; these take at least 64 evaluations in all.
+        max_time: longest time by estimated cost [s].
 
     Raises:
         UnstableError: if the motion does not stay finite.
@@ -60,10 +65,22 @@ def finish_implicitly(
     if not math.isfinite(plan.energy(t, state.x, state.v)):
         raise UnstableError(f"{instead_of}: not finite even by the smallest steps, from a motion without finite energy")
     from cloth_sim_ros.physics.integrators.implicit import Implicit
+    from cloth_sim_ros.physics.integrators.implicit_advance import DESCENT_ITERATIONS, ImplicitAdvance
+    from cloth_sim_ros.physics.integrators.stage_matrix import iteration_cost
 
     fallback_count = FallbackState.load(state).fallback_count
     implicit = Implicit(duration / CONSTANTS.implicit_finish_steps)
-    result = implicit.advance(plan, state, t, duration, accumulator, max_evaluations=max_evaluations)
+    max_iterations = max_time / (1e-9 * iteration_cost(plan.model))
+    result = ImplicitAdvance(
+        implicit,
+        plan,
+        state,
+        t,
+        duration,
+        accumulator,
+        max_evaluations=min(max_evaluations, max_iterations),
+        factorizes=max_iterations >= DESCENT_ITERATIONS * CONSTANTS.implicit_finish_steps,
+    ).run()
     # The controller states no longer describe the motion.
     reset_step_control(state)
     FallbackState(min(64.0, fallback_count + 1.0)).store(state)

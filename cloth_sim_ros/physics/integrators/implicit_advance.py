@@ -16,7 +16,7 @@ from cloth_sim_ros.physics.contact.thickness import relative_growth
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.base import Advance, ToleranceMissedError, UnstableError
 from cloth_sim_ros.physics.integrators.limit import steps_for
-from cloth_sim_ros.physics.integrators.stage_matrix import iteration_cost, stage_matrix
+from cloth_sim_ros.physics.integrators.stage_matrix import ParticleBlocks, iteration_cost, stage_matrix
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.gripper_path import rigid_velocities, step_displacement
 from cloth_sim_ros.physics.plan.plan import Plan
@@ -52,7 +52,7 @@ MAX_ITERATIONS = 30
 #: springs, so the iteration may converge linearly or not at all.
 _SLOW_FROM = 6
 #: Iterations of a descent step: eight of them leave a few thousandths of the possible decrease.
-_DESCENT_ITERATIONS = 8
+DESCENT_ITERATIONS = 8
 #: Energy that a step may create, relative to the energy that it moves: the error of a good step has either sign.
 _MAX_ENERGY_GAIN = 1e-4
 #: Rounding of a sum of energies, relative to it.
@@ -96,13 +96,14 @@ class ImplicitAdvance:
         *,
         is_strict: bool = False,
         max_evaluations: float = math.inf,
+        factorizes: bool = True,
     ) -> None:
         self._integrator, self._plan, self._state, self._accumulator = integrator, plan, state, accumulator
         self._t, self._duration = t, duration
         tolerance = integrator.tolerance
         self._budget = math.inf if tolerance is None else CONSTANTS.error_budget_fraction * duration * tolerance
         self._memory = Memory.load(state)
-        self._matrix = stage_matrix(plan.model)
+        self._matrix = stage_matrix(plan.model) if factorizes else ParticleBlocks(plan)
         self._evaluations, self._is_strict = 0, is_strict
         #: Limit of force evaluations of an advance by safe steps, and the reserve for descents in its remaining steps.
         self._max_evaluations, self._reserve = max_evaluations, 0
@@ -213,7 +214,7 @@ class ImplicitAdvance:
             contact.load_state(state)
         self._plan.accelerations(self._t, state.x, state.v, guess)
         for k in range(steps):
-            self._reserve = _DESCENT_ITERATIONS * (steps - k)
+            self._reserve = DESCENT_ITERATIONS * (steps - k)
             step_result = self._take_step(self._t + k * h, h, guess)
             if step_result is None:
                 return None
@@ -375,7 +376,7 @@ class ImplicitAdvance:
         objectives = [self._objective(t, x, v, d, start) for start in starts]
         best = min(range(len(starts)), key=lambda i: objectives[i] if math.isfinite(objectives[i]) else math.inf)
         u = starts[best]
-        for _ in range(_DESCENT_ITERATIONS):
+        for _ in range(DESCENT_ITERATIONS):
             correction = self._newton_correction(t, x, v, d, u)
             fraction = self._line_search(t, x, v, d, u, correction)
             if fraction <= _MIN_STEP_FRACTION:
