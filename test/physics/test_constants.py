@@ -25,11 +25,9 @@ REASONS = {
         1e-6: "two lengths of frames that differ by rounding",
     },
     "controller.py": {
-        0.1: "gain of a second run in a motion that is not smooth; a smooth one gains more",
         1.5: "between the length of a stretch and its double",
         3.0: "order of a missed jump's error",
         4.0: "checks of half steps and their displacements, reserved for a stretch; multirate estimates",
-        12.0: "attempts of a piece without a work limit before it fails",
         24.0: "halvings down to a nanosecond",
         64.0: "a cap divided by 2^64 is none",
     },

@@ -44,6 +44,11 @@ class Constants:
     )
     min_ordered_steps: float = _constant(6.0, "steps of a run from which on its error grows with its order")
     max_refinement_factor: float = _constant(4.0, "largest refinement by one rejection")
+    steady_fraction: float = _constant(
+        1e-5, "fraction of the velocity change of an interval that counts as activity even if it was predicted"
+    )
+    first_gain: float = _constant(0.1, "plausible gain of two combined runs over one in a rough motion")
+    max_failed_attempts: float = _constant(12.0, "attempts of a piece after which steps without a work limit fail")
     min_work_cap: float = _constant(
         8.0, "least work limit of a frame with a large sheet or contact, in runs with the longest stable steps"
     )

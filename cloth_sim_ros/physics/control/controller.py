@@ -68,11 +68,8 @@ from cloth_sim_ros.physics.state.state import State
 _MIN_HALVED_STEPS = 2 * MAX_UNDAMPED_STEPS
 #: Shortest piece, relative to the frame; in a frame of 60 Hz it is a nanosecond.
 _MIN_PIECE = 2.0**-24
-#: Plausible gain of a combination of two runs over a single one.
-_FIRST_GAIN = 0.1
-#: Attempts of a piece after which steps without a work limit fail: finer ones would fail too, as with a force that is
-#: not finite.
-_MAX_FAILED_ATTEMPTS = 12
+#: State of contact in scenes without it.
+_NO_CONTACT = ContactState()
 
 
 class Piece(NamedTuple):
@@ -142,7 +139,7 @@ class Controller:
         memory.max_step = max(memory.max_step, min(max(sheet_limit, proven_step), duration))
         #: Step limit at the start [s].
         self.limit, contact_time = sheet_limit, 0.0
-        contact = ContactState() if plan.contact is None else ContactState.load(state)
+        contact = _NO_CONTACT if plan.contact is None else ContactState.load(state)
         self._contact_limit = ContactStepLimit(options, plan, contact, memory)
         if plan.contact is not None:
             contact_time = self._contact_limit.predict(t, duration, state)
@@ -150,20 +147,21 @@ class Controller:
         self._may_touch = contact_time > 0.0
         if options.step is not None and options.step > self.limit and not has_previous_frame:
             refuse_step(options.step, self.limit, options.name)
-        self._ratio = self._choose_ratio(min(CONSTANTS.stability_safety * sheet_limit, duration))
+        max_step = min(CONSTANTS.stability_safety * sheet_limit, duration)
+        self._ratio = self._choose_ratio(max_step) if plan.has_hinges else 1
         self._fallback_count = FallbackState.load(state).fallback_count if FallbackState.key in state.memory else 0.0
         #: Limit of force evaluations of the frame, those of the fallback included, and the work of explicit steps.
         self.max_evaluations = evaluation_budget(plan, options.work, duration, contact_time, self._ratio)
         limits = duration, memory.max_step, self._fallback_count, contact_time, self.limit
         self.work = WorkBudget(*work_cap(plan, self.max_evaluations, *limits), piece_call_work(plan, contact_time))
-        self._unit_cost = plan.multirate_step_cost(self._ratio)
+        self._budget_ratio = self._ratio
         #: Ends of the frame and of the stretches that were halved, since the start of the frame [s].
         self._ends = [duration]
         # Even the longest stable steps may exceed the work limit of the frame.
         #: True if explicit steps are abandoned.
         self.abandoned = duration / sheet_limit > self.work.cap and self._has_fallback
         self._rest_rate = self._work_rate()
-        self._history = load_history(state, duration)
+        self._history = load_history(state, duration) if has_tolerance else None
 
     # The start of a frame.
 
@@ -291,7 +289,11 @@ class Controller:
         ratio, self._multirate_refinement = 1, 1.0
         if self._ratio > 1:
             ratio, self._multirate_refinement = self._multirate.ratio_within(max_step, stretch)
-        self._weight = self._plan.multirate_step_cost(ratio) / self._unit_cost
+        if ratio != self._budget_ratio:
+            cost_of = self._plan.multirate_step_cost
+            self._weight = cost_of(ratio) / cost_of(self._budget_ratio)
+        else:
+            self._weight = 1.0
         steps, n_pieces = self._count_steps(self.n_runs, self.refinement, stretch, max_step)
         reserved = self._rest_work(self._ends[-1])
         if not self.work.fits(self._work_of(self.n_runs, steps, n_pieces) + reserved):
@@ -327,8 +329,7 @@ class Controller:
 
     def _choose_ratio(self, max_step: float) -> int:
         """Return the multirate ratio; another one than before needs an error estimate."""
-        plan, memory = self._plan, self._state.memory.get(controller_state.MultirateState.key)
-        if not plan.has_hinges or not (self.estimates_error or memory is not None):
+        if not (self.estimates_error or controller_state.MultirateState.key in self._state.memory):
             return 1
         rule, recorded_ratio = self._multirate, self._multirate.memory.ratio
         if self.estimates_error:
@@ -537,7 +538,7 @@ class Controller:
         evaluations, error = tableau.evaluations, tableau.difference(len(errors) + 1)
         self.work.add(tableau.evaluations - evaluations, self._weight)
         if self._is_rough and errors:
-            gain = errors[-1] / errors[-2] if len(errors) > 1 and errors[-2] else _FIRST_GAIN
+            gain = errors[-1] / errors[-2] if len(errors) > 1 and errors[-2] else CONSTANTS.first_gain
             error = max(error, errors[-1] * gain * gain)
         errors.append(error)
 
@@ -611,7 +612,7 @@ class Controller:
             self._precision.n_misses += 1
         present_refinement = max(self.refinement, self._required_refinement(n_runs, piece.length))
         next_refinement = min(refinement, CONSTANTS.max_refinement_factor * present_refinement)
-        is_affordable = self._attempts < _MAX_FAILED_ATTEMPTS and self._fits(n_runs, next_refinement, piece)
+        is_affordable = self._attempts < CONSTANTS.max_failed_attempts and self._fits(n_runs, next_refinement, piece)
         exceeds_order = not is_smooth and self._exceeds_order(refinement)
         # Halves cost less than much finer steps in all of a piece.
         is_much_finer = self._attempts > 0 and refinement > CONSTANTS.max_refinement_factor * present_refinement
@@ -698,7 +699,7 @@ class Controller:
         Raises:
             UnstableError: if no choice is left.
         """
-        options, has_failed = self.options, not self.options.work and self._attempts >= _MAX_FAILED_ATTEMPTS
+        options, has_failed = self.options, not self.options.work and self._attempts >= CONSTANTS.max_failed_attempts
         self.rejected += 1
         refinement = factor * self.refinement
         exceeds_order = options.tolerance is not None and factor > 1.0 and self._exceeds_order(2.0 * refinement)

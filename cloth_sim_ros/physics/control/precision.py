@@ -126,18 +126,22 @@ class PrecisionRule:
             estimates_error: True if a further run estimates the error.
         """
         memory = self.memory
-        if self.n_misses > 1 or not (memory.rounding >= 0.0 and self._is_known_at(state)):
+        if self.n_misses > 1 or memory.rounding < 0.0:
             return False
-        rounding = amplification(n_runs) * memory.rounding
+        factor = amplification(n_runs)
+        rounding = factor * memory.rounding
         # An error estimate needs one further run.
-        resolves_error = self.resolves_error(n_runs + estimates_error)
+        resolves_error = self.resolves_error(n_runs + 1) if estimates_error else rounding <= self._estimate_uncertainty
         if not (rounding <= self._rounding_budget and resolves_error):
             return False
-        if amplification(n_runs) * memory.common_rounding > self._estimate_uncertainty:
+        if factor * memory.common_rounding > self._estimate_uncertainty:
             return False
         if not 0.0 <= self.noise.power * _COMPARISON_TIME <= CONSTANTS.max_energy_gain * self.noise.kinetic_energy:
             return False
-        return _max_component(state.v) * self._duration > CONSTANTS.single_precision_min_motion * rounding
+        speed = _max_component(state.v)
+        # The rounding of velocities was measured at a speed.
+        is_known = speed <= CONSTANTS.estimate_trust_factor * memory.speed
+        return is_known and speed * self._duration > CONSTANTS.single_precision_min_motion * rounding
 
     def resolves_error(self, n_runs: int) -> bool:
         """Return True if a combination of single-precision runs still resolves the error.

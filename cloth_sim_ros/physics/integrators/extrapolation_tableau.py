@@ -166,9 +166,10 @@ class ExtrapolationTableau:
         """Return the summary of T_K, K = n_runs: activity, spectral bounds and contact at its end."""
         summary = self._summaries.get(n_runs)
         if summary is None:
-            x, v = self.combine(n_runs)
+            self._make_runs(n_runs)
             summary = self._summaries.get(n_runs)
         if summary is None:
+            x, v = self.combine(n_runs)
             change, difference = largest_distance(v, self._start.v), 0.0
             if self._history is not None:
                 unpredicted = unpredicted_change(v, self._start.v, self._history, self.duration)
@@ -283,8 +284,9 @@ class ExtrapolationTableau:
 
     def _make_runs(self, n_runs: int) -> None:
         """Compute the missing runs; if there is none yet, the engine combines them in the same call."""
-        if n_runs > self._n_requested:
-            self.evaluations += sum(self.counts[self._n_requested : n_runs]) + n_runs - self._n_requested
+        n_requested = self._n_requested
+        if n_runs > n_requested:
+            self.evaluations += sum(self.counts[n_requested:n_runs]) + n_runs - n_requested
             self._n_requested = n_runs
         n_existing = len(self._runs)
         if n_existing >= n_runs:

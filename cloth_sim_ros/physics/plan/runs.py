@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from cloth_sim_ros.engine.binding import RECORD_NUMBERS
+from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.model.forces.force import Array
 
 
@@ -109,10 +110,6 @@ def n_integrals(grippers: int, obstacles: int) -> int:
     return RECORD_NUMBERS * (grippers + obstacles) + 2
 
 
-#: Fraction of the velocity change over an interval that counts as its activity even if previous intervals predict it.
-_STEADY_FRACTION = 1e-5
-
-
 def activity_of(change: float, difference: float) -> float:
     """Return the activity of an interval [m/s].
 
@@ -122,7 +119,7 @@ def activity_of(change: float, difference: float) -> float:
         change: largest change of a particle's velocity over the interval [m/s].
         difference: largest difference of this change from that which previous intervals predict [m/s]; else 0.
     """
-    return max(_STEADY_FRACTION * change, difference)
+    return max(CONSTANTS.steady_fraction * change, difference)
 
 
 class History(NamedTuple):
