@@ -161,6 +161,7 @@ class Controller:
         #: True if explicit steps are abandoned.
         self.abandoned = duration / sheet_limit > self.work.cap and self._has_fallback
         self._rest_rate = self._work_rate()
+        self._start_bounds = memory.omega2, memory.damping
         self._history = load_history(state, duration) if has_tolerance else None
 
     # The start of a frame.
@@ -247,6 +248,8 @@ class Controller:
         self.in_fallback, self.exhausted, self.abandoned = True, True, False
         self.n_runs, self.refinement, self.estimates_error = 1, 1.0, True
         self.work.grant_reserve()
+        memory = self._stability.memory
+        memory.omega2, memory.damping = self._start_bounds
         self._rest_rate = self._work_rate()
         self._ends, self._is_rough, self._piece = [self._duration], False, None
         self._history = load_history(self._state, self._duration)
