@@ -35,6 +35,7 @@ from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.contact.obstacles import Obstacle
+    from cloth_sim_ros.physics.model.forces.contact import ContactSurface
 
 Sheet: TypeAlias = GridSheet | MeshSheet | RawSprings
 
@@ -178,14 +179,9 @@ def build_model(scene: PhysicsScene) -> Model:
         forces.append(Grips(len(scene.gripper_names)))
     solids, pads, contact_parameters = scene.solids, pads_of(scene, ordered_sum(masses.tolist())), scene.contact
     if solids or pads or contact_parameters.self_:
-        from cloth_sim_ros.physics.model.forces.contact import Contact, ContactSurface
+        from cloth_sim_ros.physics.model.forces.contact import Contact
 
-        faces = None
-        if contact_parameters.self_ or solids:
-            friction = (contact_parameters.friction[0], contact_parameters.friction[-1])
-            faces = ContactSurface(
-                sheet.triangles(), sheet.positions(), thickness=contact_parameters.thickness, friction=friction
-            )
+        faces = contact_surface(scene, sheet) if contact_parameters.self_ or solids else None
         contact = Contact(
             solids,
             thickness=contact_parameters.thickness,
@@ -197,6 +193,22 @@ def build_model(scene: PhysicsScene) -> Model:
         contact.set_paths(np.concatenate([_starting_paths(scene), contact.paths[len(solids) :]]))
         forces.append(contact)
     return Model(masses, forces, anchors=anchored_particles(scene, sheet))
+
+
+def contact_surface(scene: PhysicsScene, sheet: Sheet) -> ContactSurface | None:
+    """Build the surface that touches; None for raw springs without triangles, whose particles alone touch obstacles."""
+    from cloth_sim_ros.physics.model.forces.contact import ContactSurface
+
+    triangles, contact = sheet.triangles(), scene.contact
+    if not len(triangles):
+        return None
+    return ContactSurface(
+        triangles,
+        sheet.positions(),
+        thickness=contact.thickness,
+        friction=(contact.friction[0], contact.friction[-1]),
+        edge_lengths=sheet.edge_lengths() if isinstance(sheet, RawSprings) else None,
+    )
 
 
 def _starting_paths(scene: PhysicsScene) -> Array:

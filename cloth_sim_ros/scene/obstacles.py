@@ -13,7 +13,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from cloth_sim_ros.physics.model.sheets.grid import GridSheet
-from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
+from cloth_sim_ros.physics.model.sheets.raw import RawSprings
 from cloth_sim_ros.physics.plan.gripper_path import normalized
 from cloth_sim_ros.scene import sections
 from cloth_sim_ros.scene.build import Sheet
@@ -201,18 +201,32 @@ def check_friction(name: str, friction: Sequence[float]) -> None:
         )
 
 
-def check_cloth(sheet: Sheet, thickness: float) -> None:
+def check_cloth(sheet: Sheet, thickness: float, *, touches_itself: bool) -> None:
     """Refuse a cloth that is unsuitable for contact with obstacles or itself.
 
     Args:
         sheet: geometry of the cloth.
         thickness: distance at which contact starts to act [m].
+        touches_itself: true for contact of the cloth with itself.
 
     Raises:
-        ParameterError: for a cloth without a surface, or a thickness above half its shortest edge.
+        ParameterError: for contact with itself without a surface, a degenerate triangle, or a thickness above half the
+            shortest edge.
     """
-    if not len(sheet.triangles()):
-        raise ParameterError("obstacles and contact.self need a surface; raw springs (cloth.springs) have none")
+    triangles = sheet.triangles()
+    if not len(triangles):
+        if touches_itself:
+            raise ParameterError(
+                "contact.self needs a surface, and the file of cloth.springs has none: give it a table 'triangles', or "
+                "set contact.self to false"
+            )
+        return
+    for row, triangle in enumerate(triangles.tolist() if isinstance(sheet, RawSprings) else []):
+        if len(set(triangle)) < 3:
+            raise ParameterError(
+                f"row {row} of table 'triangles' of cloth.springs is {triangle}; contact needs three different "
+                "particles a triangle: remove the row"
+            )
     shortest = _shortest_edge(sheet)
     if thickness > 0.5 * shortest:
         raise ParameterError(
@@ -224,7 +238,8 @@ def check_cloth(sheet: Sheet, thickness: float) -> None:
 def _shortest_edge(sheet: Sheet) -> float:
     if isinstance(sheet, GridSheet):
         return min(sheet.spacing)
-    assert isinstance(sheet, MeshSheet)
+    if isinstance(sheet, RawSprings):
+        return float(sheet.edge_lengths().min())
     away = sheet.rest_positions[sheet.surface.edges[:, 1]] - sheet.rest_positions[sheet.surface.edges[:, 0]]
     square = away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1] + away[:, 2] * away[:, 2]
     return math.sqrt(float(square.min()))

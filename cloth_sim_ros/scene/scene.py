@@ -171,7 +171,7 @@ class Scene:
         if self.initial_state:
             self._loaded_state()
         if scene_pinch.pads_of(self, 1.0) or (self.obstacle_names and self.solids) or self.contact.self_:
-            scene_obstacles.check_cloth(self.sheet, self.contact.thickness)
+            scene_obstacles.check_cloth(self.sheet, self.contact.thickness, touches_itself=self.contact.self_)
 
     @classmethod
     def declared(

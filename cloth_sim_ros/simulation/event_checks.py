@@ -197,13 +197,14 @@ def _check_faces(scene: Scene, solids: Sequence[Obstacle], poses: Array, state: 
     A cloth that is too close to itself is refused as well.
     """
     from cloth_sim_ros.physics.contact.thickness import check_gaps
-    from cloth_sim_ros.physics.model.forces.contact import Contact, ContactSurface
+    from cloth_sim_ros.physics.model.forces.contact import Contact
     from cloth_sim_ros.physics.model.model import Model
     from cloth_sim_ros.physics.plan.plan import compile
+    from cloth_sim_ros.scene.build import contact_surface
     from cloth_sim_ros.simulation.bodies.kinematic_bodies import constant_paths
 
     thickness = scene.contact.thickness
-    faces = ContactSurface(scene.sheet.triangles(), scene.sheet.positions(), thickness=thickness)
+    faces = contact_surface(scene, scene.sheet)
     surface = faces if scene.contact.self_ else None
     contact = Contact(solids, thickness=thickness, faces=faces, surface=surface)
     contact.set_paths(constant_paths(0.0, poses))

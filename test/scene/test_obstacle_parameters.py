@@ -68,11 +68,12 @@ def test_invalid_obstacle_is_refused(change: dict[str, Any], words: str) -> None
         Scene.from_parameters({**BASE, **change})
 
 
-def test_raw_springs_with_obstacles_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "chain.yaml").write_text("positions: [[0, 0, 1], [0, 0, 2]]\nmass: 1.0\nsprings: [[0, 1, 10.0]]\n")
+def test_chain_may_have_obstacles_but_not_contact_with_itself() -> None:
     chain = Scene.from_file(Path(__file__).parents[2] / "config" / "chain.yaml")
-    with pytest.raises(ParameterError, match=r"obstacles and contact\.self need a surface"):
-        Scene.from_parameters({**chain.parameters(), "obstacles": ["floor"], "floor.shape": "plane"}, files=chain.files)
+    values = {**chain.parameters(), "obstacles": ["floor"], "floor.shape": "plane"}
+    assert Scene.from_parameters(values, files=chain.files).obstacle_names == ["floor"]
+    with pytest.raises(ParameterError, match=r"contact\.self needs a surface, and the file of cloth\.springs has none"):
+        Scene.from_parameters({**values, "contact.self": True}, files=chain.files)
 
 
 def test_obstacles_can_be_added_and_removed_but_not_reshaped() -> None:

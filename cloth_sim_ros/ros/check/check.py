@@ -145,6 +145,8 @@ def _print_obstacles(scene: Scene, obstacles: Obstacles) -> None:
             f"obstacle '{solid.name}': {solid.shape}{size}, friction {at_rest:g} at rest and {moving:g} in motion; the "
             f"nearest particle, {particle}, starts {gap:.3g} m away; it pushes from {scene.contact.thickness:g} m on"
         )
+    if not len(scene.sheet.triangles()):
+        print("only particles touch: the file of cloth.springs has no triangles")
 
 
 def _print_trial(simulation: Simulation) -> None:

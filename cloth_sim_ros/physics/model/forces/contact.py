@@ -27,6 +27,7 @@ class ContactSurface:
         positions: particle positions at rest [m], shape (n, 3).
         thickness: contact thickness [m].
         friction: coefficients of static and kinetic friction between its layers.
+        edge_lengths: rest lengths of each triangle's edges [m], shape (m, 3); None takes them from `positions`.
 
     Raises:
         ValueError: for a surface without triangles, a thickness above half its shortest edge (neighbours would touch at
@@ -34,7 +35,13 @@ class ContactSurface:
     """
 
     def __init__(
-        self, triangles: ArrayLike, positions: ArrayLike, *, thickness: float, friction: Sequence[float] = (0.0, 0.0)
+        self,
+        triangles: ArrayLike,
+        positions: ArrayLike,
+        *,
+        thickness: float,
+        friction: Sequence[float] = (0.0, 0.0),
+        edge_lengths: Array | None = None,
     ) -> None:
         points = finite("positions of the surface", positions, np.shape(positions))
         self.triangles = indices("triangles of the surface", triangles, 3, len(points))
@@ -45,6 +52,8 @@ class ContactSurface:
         self.particle_count = len(points)
         #: Shortest and longest edge at rest [m].
         self.min_edge, self.max_edge = math.sqrt(float(square.min())), math.sqrt(float(square.max()))
+        if edge_lengths is not None:
+            self.min_edge, self.max_edge = float(edge_lengths.min()), float(edge_lengths.max())
         if thickness > 0.5 * self.min_edge:
             raise ValueError(
                 f"contact thickness is {thickness:g} m, more than half the cloth's shortest edge, {self.min_edge:.4g} "

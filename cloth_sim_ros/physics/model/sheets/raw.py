@@ -44,7 +44,7 @@ class RawSprings:
                 - `stiffness` k_s [N] (of a joint N/m), one or m
                 - `k_d` [N s/m] or the dimensionless `k_d0`, one or m
                 - `velocities` (n, 3) [m/s]
-                - `triangles` (t, 3), to show it as a surface
+                - `triangles` (t, 3): the surface, which is shown, and which touches obstacles and itself
 
         Raises:
             ValueError: naming the table and the fault.
@@ -76,9 +76,7 @@ class RawSprings:
                     f"row {row} of table '{name}' names particle {indices[row, column]}; "
                     f"there are {count}, counted from 0"
                 )
-        spring_vectors = positions[pairs[:, 1]] - positions[pairs[:, 0]]
-        lengths = np.sqrt(row_sum((spring_vectors * spring_vectors).T))
-        rest_lengths = _per_row("rest_lengths", tables.get("rest_lengths", lengths), len(pairs))
+        rest_lengths = _per_row("rest_lengths", tables.get("rest_lengths", _distances(positions, pairs)), len(pairs))
         k_s = _per_row("stiffness", tables["stiffness"], len(pairs))
         stiffness = k_s / np.where(rest_lengths > 0.0, rest_lengths, 1.0)
         if "k_d" in tables and "k_d0" in tables:
@@ -101,8 +99,26 @@ class RawSprings:
         return self.mass.copy()
 
     def triangles(self) -> NDArray[np.int64]:
-        """Return the triangles of the shown surface, shape (m, 3); empty if there is none."""
+        """Return the triangles of the surface, shape (m, 3); empty if there is none."""
         return self.surface_triangles
+
+    def edge_lengths(self) -> Array:
+        """Return the lengths of each triangle's edges [m], shape (m, 3).
+
+        An edge with a spring has its rest length, because the start may be stretched; other edges have their distance
+        at the start.
+        """
+        rest_lengths = dict(zip(map(frozenset, self.term.pairs.tolist()), self.term.rest_length.tolist(), strict=True))
+        ends = np.stack([self.surface_triangles, np.roll(self.surface_triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
+        distances = _distances(self.start, ends).tolist()
+        edges = map(frozenset, ends.tolist())
+        return np.array(list(map(rest_lengths.get, edges, distances))).reshape(-1, 3)
+
+
+def _distances(positions: Array, pairs: NDArray[np.int64]) -> Array:
+    """Return the distance of the two particles of each pair (m, 2) [m], shape (m,)."""
+    away = positions[pairs[:, 1]] - positions[pairs[:, 0]]
+    return np.sqrt(row_sum((away * away).T))
 
 
 def _checked_table(name: str, value: Any, dtype: type, columns: int) -> Any:
