@@ -139,6 +139,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "cloth_ccd_jaws": ("i", ("h", "d", _X, _pinches(1), _pinches(1))),
     "cloth_feature_intersection": ("i", ("h", "d", _X, _fixed(3))),
     "cloth_plan_self": ("i", ("h", "i", _argument_size(3, 1), "d")),
+    "cloth_self_joints": ("i", ("h", _particles(1))),
     "cloth_self_friction": ("i", ("h", "d", "d")),
     "cloth_self_friction_power": ("i", ("h", "d", _X, _X, _fixed(1))),
     "cloth_plan_jaw_states": ("i", ("h", _pinches(binding.JAW_NUMBERS))),

@@ -142,6 +142,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_ccd_jaws": (_INT, _P, _D, _P, _P, _P),
     "cloth_feature_intersection": (_INT, _P, _D, _P, _P),
     "cloth_plan_self": (_INT, _P, _I, _P, _D),
+    "cloth_self_joints": (_INT, _P, _P),
     "cloth_self_friction": (_INT, _P, _D, _D),
     "cloth_self_friction_power": (_INT, _P, _D, _P, _P, _P),
     "cloth_self_cache_pairs": (_INT, _P, _I),

@@ -20,6 +20,7 @@ from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.model.forces.gravity import Gravity
 from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.model.forces.grips import Grips
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, lecture_damping
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.model.parts import GridFamily
 from cloth_sim_ros.physics.model.sheets.grid import GridSheet
@@ -103,7 +104,8 @@ def build_sheet(scene: PhysicsScene) -> Sheet:
         name = "cloth.mesh" if cloth.mesh else "cloth.springs"
         path = cloth.mesh or cloth.springs
         try:
-            return _parsed_sheet(name, path, scene.files[path], scene.contact.self_, cloth.merge, cloth.scale)
+            several = scene.contact.self_ or any(cloth.joints)
+            return _parsed_sheet(name, path, scene.files[path], several, cloth.merge, cloth.scale)
         except ValueError as error:
             raise ParameterError(f"{name} '{path}': {error}") from error
     rows, columns = cloth.resolution
@@ -149,32 +151,64 @@ def anchored_particles(scene: PhysicsScene, sheet: Sheet) -> list[int]:
         ParameterError: for an anchor that is neither an edge or corner of a grid nor a particle index.
     """
     count = len(sheet.positions())
-    indices: set[int] = set()
-    for name in scene.cloth.anchors:
-        if name.isdecimal():
-            # Python refuses to parse integers of more than a few thousand digits.
-            digits = name.lstrip("0") or "0"
-            if len(digits) > len(str(count)) or int(digits) >= count:
-                shown = name if len(name) <= 20 else f"{name[:20]}... ({len(name)} digits)"
-                raise ParameterError(f"cloth.anchors names particle {shown}; there are {count}, counted from 0")
-            indices.add(int(digits))
-        elif name and isinstance(sheet, GridSheet):
-            try:
-                indices.update(int(particle) for particle in sheet.edge(name))
-            except ValueError as error:
-                raise ParameterError(f"cloth.anchors: {error}, or give a particle's number") from error
-        elif name:
+    return sorted(
+        {particle for name in scene.cloth.anchors for particle in _named("cloth.anchors", name, sheet, count)}
+    )
+
+
+def joined_particles(scene: PhysicsScene, sheet: Sheet) -> NDArray[np.int64]:
+    """Return the pairs of particles that `cloth.joints` joins, shape (m, 2).
+
+    Raises:
+        ParameterError: for a joint that does not name two different particles, or two edges of equal length.
+    """
+    count, pairs = len(sheet.positions()), list[tuple[int, int]]()
+    for joint in filter(None, scene.cloth.joints):
+        ends = joint.split("-")
+        if len(ends) != 2 or not all(ends):
+            raise ParameterError(f"cloth.joints has '{joint}'; give two particles, e.g. '12-340'")
+        first, second = (_named("cloth.joints", end, sheet, count) for end in ends)
+        if len(first) != len(second):
             raise ParameterError(
-                f"cloth.anchors names '{name}'; only a grid has edges: give particle numbers, or none by ['']"
+                f"cloth.joints has '{joint}', which joins {len(first)} particles with {len(second)}; name equally many"
             )
-    return sorted(indices)
+        for pair in zip(first, second, strict=True):
+            if pair[0] == pair[1]:
+                raise ParameterError(f"cloth.joints has '{joint}', which joins particle {pair[0]} to itself; name two")
+            pairs.append(pair)
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+
+
+def _named(parameter: str, name: str, sheet: Sheet, count: int) -> list[int]:
+    """Return the particles of a number, or of a grid's edge or corner; none for an empty name."""
+    if name.isdecimal():
+        # Python refuses to parse integers of more than a few thousand digits.
+        digits = name.lstrip("0") or "0"
+        if len(digits) > len(str(count)) or int(digits) >= count:
+            shown = name if len(name) <= 20 else f"{name[:20]}... ({len(name)} digits)"
+            raise ParameterError(f"{parameter} names particle {shown}; there are {count}, counted from 0")
+        return [int(digits)]
+    if name and not isinstance(sheet, GridSheet):
+        raise ParameterError(
+            f"{parameter} names '{name}'; only a grid has edges: give particle numbers, or none by ['']"
+        )
+    try:
+        return [int(particle) for particle in sheet.edge(name)] if name and isinstance(sheet, GridSheet) else []
+    except ValueError as error:
+        raise ParameterError(f"{parameter}: {error}, or give a particle's number") from error
 
 
 def build_model(scene: PhysicsScene) -> Model:
     """Build masses, forces and anchors."""
     sheet = build_sheet(scene)
     masses = sheet.masses(scene.material.density)
-    forces = [*_elastic_forces(scene, sheet, masses), *uniform_forces(scene), *_air_panels(scene, sheet)]
+    joints = joined_particles(scene, sheet)
+    forces = [
+        *_elastic_forces(scene, sheet, masses),
+        *_joints(scene, joints, masses),
+        *uniform_forces(scene),
+        *_air_panels(scene, sheet),
+    ]
     if scene.gripper_names:
         forces.append(Grips(len(scene.gripper_names)))
     solids, pads, contact_parameters = scene.solids, pads_of(scene, ordered_sum(masses.tolist())), scene.contact
@@ -202,12 +236,16 @@ def contact_surface(scene: PhysicsScene, sheet: Sheet) -> ContactSurface | None:
     triangles, contact = sheet.triangles(), scene.contact
     if not len(triangles):
         return None
+    joints = joined_particles(scene, sheet)
+    if isinstance(sheet, RawSprings):
+        joints = np.concatenate([joints, sheet.term.pairs[sheet.term.rest_length == 0.0]])
     return ContactSurface(
         triangles,
         sheet.positions(),
         thickness=contact.thickness,
         friction=(contact.friction[0], contact.friction[-1]),
         edge_lengths=sheet.edge_lengths() if isinstance(sheet, RawSprings) else None,
+        joints=joints,
     )
 
 
@@ -281,6 +319,15 @@ def _elastic_forces(scene: PhysicsScene, sheet: Sheet, masses: Array) -> list[Fo
         shear = [force.pairs for force in forces if force.name == "shear" and isinstance(force, GridSprings)]
         forces.extend(_hinge_springs(scene, sheet, masses, shear[0] if shear else None))
     return forces
+
+
+def _joints(scene: PhysicsScene, pairs: NDArray[np.int64], masses: Array) -> list[Force]:
+    """Build the joints (S4) between particles; none without pairs (m, 2)."""
+    if not len(pairs):
+        return []
+    cloth, (first, second) = scene.cloth, masses[pairs.T]
+    damping = lecture_damping(cloth.joint_damping, cloth.joint_stiffness, 2.0 / (1.0 / first + 1.0 / second))
+    return [PairSprings(pairs, 0.0, cloth.joint_stiffness, damping, name="joints")]
 
 
 def _hinge_springs(

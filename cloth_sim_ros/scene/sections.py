@@ -70,6 +70,30 @@ class ClothParameters:
         "Fixed particles: edges (top, bottom, left, right), corners (top_left, ...), particle indices; none: ['']",
         live=True,
     )
+    joints: tuple[str, ...] = parameter(
+        "string[]",
+        ("",),
+        "Joints (S4), springs of zero length, each between two particles, 12-340, or two edges or corners of a grid, "
+        "left-right; a mesh of several pieces needs them or contact.self; none: ['']",
+    )
+    joint_stiffness: float = parameter(
+        "double",
+        1000.0,
+        "Stiffness of each joint",
+        unit="N/m",
+        min=0.0,
+        max=1e8,
+        excludes_min=True,
+        live=True,
+    )
+    joint_damping: float = parameter(
+        "double",
+        0.5,
+        "Dimensionless damping of each joint; sqrt(2) is critical for two free particles of equal mass",
+        min=0.0,
+        max=10.0,
+        live=True,
+    )
     shear_layout: str = parameter(
         "string", "both", "Diagonals of the grid's cells that are shear springs", choices=LAYOUTS
     )

@@ -210,6 +210,9 @@ CLOTH_API int cloth_feature_intersection(Plan* plan, double t, const double* x, 
 /// Set the surface of self-contact: triangles (count, 3), shortest edge at rest [m]. Its thickness is that of
 /// cloth_plan_contact. Particles are ordered by cloth_plan_order.
 CLOTH_API int cloth_plan_self(Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest);
+/// Set the joined particles of that surface, which do not touch each other: for each particle one that all particles
+/// joined to it share, (count,).
+CLOTH_API int cloth_self_joints(Plan* plan, const std::int64_t* lowest);
 /// Set the friction coefficients between layers, at rest and in motion. The next cloth_plan_contact allocates the
 /// anchors.
 CLOTH_API int cloth_self_friction(Plan* plan, double at_rest, double sliding);

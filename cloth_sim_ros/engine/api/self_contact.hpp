@@ -31,6 +31,13 @@ CLOTH_API int cloth_plan_self(Plan* plan, std::int64_t count, const std::int64_t
         plan->self = std::make_unique<contact::SelfContact>(std::move(self));
     });
 }
+CLOTH_API int cloth_self_joints(Plan* plan, const std::int64_t* lowest) {
+    return guarded(plan, [&] {
+        std::vector<contact::Index>& joined = plan->self->surface.joined;
+        for (std::int64_t i = 0; i < plan->count; ++i)
+            joined[plan->rank[i]] = static_cast<contact::Index>(plan->rank[lowest[i]]);
+    });
+}
 CLOTH_API int cloth_self_friction(Plan* plan, double at_rest, double sliding) {
     return guarded(plan, [&] {
         plan->self->friction = {at_rest, sliding};

@@ -297,9 +297,7 @@ private:
             cells.for_each_row(box.low - half, box.high + half, [&](std::int64_t begin, std::int64_t end) {
                 sorted.for_each_overlap(std::max(begin, edge_slot + 1), end, box.low, box.high, [&](std::int64_t slot) {
                     const Index edge2 = cells[slot];
-                    const auto& b = s.edges[edge2];
-                    if (a[0] != b[0] && a[0] != b[1] && a[1] != b[0] && a[1] != b[1])
-                        edges.add(std::min(e, edge2), std::max(e, edge2));
+                    if (!s.share_end(a, s.edges[edge2])) edges.add(std::min(e, edge2), std::max(e, edge2));
                 });
             });
         }

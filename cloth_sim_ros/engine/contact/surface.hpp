@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <numeric>
 
 #include "core/storage.hpp"
 
@@ -26,12 +27,21 @@ struct Surface {
     std::vector<Index> fan, start;
     /// Particles that are not on a border.
     std::vector<char> inner;
+    /// Lowest of the particles that joints connect with each one, itself included: these do not touch each other.
+    std::vector<Index> joined;
     /// Shortest edge of the cloth at rest [m].
     double shortest = 0.0;
 
+    /// Whether a corner of a triangle is a particle, or is joined to it.
     bool has(std::int64_t triangle, Index particle) const {
         const auto& t = triangles[triangle];
-        return t[0] == particle || t[1] == particle || t[2] == particle;
+        const Index j = joined[particle];
+        return joined[t[0]] == j || joined[t[1]] == j || joined[t[2]] == j;
+    }
+    /// Whether two edges have a common end, or joined ones.
+    bool share_end(const std::array<Index, 2>& a, const std::array<Index, 2>& b) const {
+        const Index a0 = joined[a[0]], a1 = joined[a[1]], b0 = joined[b[0]], b1 = joined[b[1]];
+        return a0 == b0 || a0 == b1 || a1 == b0 || a1 == b1;
     }
     /// First triangle about a particle that does not contain particle i.
     Index first_about(Index particle, Index i) const {
@@ -53,6 +63,8 @@ struct Surface {
         std::stable_sort(half_edges.begin(), half_edges.end(), [](const HalfEdge& a, const HalfEdge& b) {
             return a.low != b.low ? a.low < b.low : a.high < b.high;
         });
+        joined.resize(count);
+        std::iota(joined.begin(), joined.end(), Index{0});
         neighbors.assign(triangles.size(), {-1, -1, -1});
         inner.assign(count, 1);
         edges.clear();

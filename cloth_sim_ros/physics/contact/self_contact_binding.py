@@ -19,6 +19,8 @@ def upload_surface(handle: int, contact: Contact) -> None:
         return
     triangles = surface.triangles
     check(library().cloth_plan_self(handle, len(triangles), triangles.ctypes.data, surface.min_edge))
+    if surface.joined is not None:
+        check(library().cloth_self_joints(handle, surface.joined.ctypes.data))
     if contact.has_self_friction:
         check(library().cloth_self_friction(handle, *surface.friction))
 

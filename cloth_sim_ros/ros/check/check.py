@@ -11,6 +11,8 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError
 from cloth_sim_ros.ros.check import node_refusals
 from cloth_sim_ros.ros.check.feasibility import check_feasibility
@@ -19,6 +21,7 @@ from cloth_sim_ros.ros.check.step_limiters import describe_step_limiters, find_s
 from cloth_sim_ros.ros.check.unknown_overrides import unknown_sentences
 from cloth_sim_ros.ros.process.options import parser
 from cloth_sim_ros.ros.recording.initial_state import session_state
+from cloth_sim_ros.scene.build import joined_particles
 from cloth_sim_ros.scene.mesh_notes import mesh_notes, silence_mesh_log
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.parameters.declare import ParameterError
@@ -127,6 +130,9 @@ def _print_cloth(scene: Scene, simulation: Simulation) -> None:
     count, anchored = simulation.state.particle_count, len(simulation.model.anchors)
     forces = ", ".join(force.name for force in simulation.model.forces)
     print(f"{source}: {count} particles, {anchored} anchored; forces: {forces}")
+    if len(pairs := joined_particles(scene, scene.sheet)):
+        away = simulation.state.x[:, pairs[:, 1]] - simulation.state.x[:, pairs[:, 0]]
+        print(f"{pluralize(len(pairs), 'joint')}, at most {np.linalg.norm(away, axis=0).max():.3g} m long at the start")
     print(cloth_size(scene, simulation.state.x, simulation.model.masses))
     control = f"step {scene.step:g} s" if scene.step else f"tolerance {scene.tolerance:g} m"
     print(f"{scene.rate:g} frames a second; {control}; grippers: {', '.join(scene.gripper_names) or 'none'}")

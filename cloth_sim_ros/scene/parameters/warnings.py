@@ -18,6 +18,11 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
         "cloth.mesh or cloth.springs is set",
     ),
     (
+        ("cloth.joint_stiffness", "cloth.joint_damping"),
+        lambda scene: not any(scene.cloth.joints),
+        "cloth.joints is not set",
+    ),
+    (
         (
             "material.density",
             "material.stretch_modulus",

@@ -17,6 +17,7 @@ from cloth_sim_ros.physics.contact.parallel_jaw import ParallelJaw
 from cloth_sim_ros.physics.model.controls import ContactControls
 from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.model.parts import ContactPart, Part
+from cloth_sim_ros.physics.model.sheets.merging import component_labels
 
 
 class ContactSurface:
@@ -28,6 +29,7 @@ class ContactSurface:
         thickness: contact thickness [m].
         friction: coefficients of static and kinetic friction between its layers.
         edge_lengths: rest lengths of each triangle's edges [m], shape (m, 3); None takes them from `positions`.
+        joints: pairs of joined particles, shape (j, 2). Particles that joints connect do not touch each other.
 
     Raises:
         ValueError: for a surface without triangles, a thickness above half its shortest edge (neighbours would touch at
@@ -42,6 +44,7 @@ class ContactSurface:
         thickness: float,
         friction: Sequence[float] = (0.0, 0.0),
         edge_lengths: Array | None = None,
+        joints: ArrayLike = (),
     ) -> None:
         points = finite("positions of the surface", positions, np.shape(positions))
         self.triangles = indices("triangles of the surface", triangles, 3, len(points))
@@ -59,6 +62,12 @@ class ContactSurface:
                 f"contact thickness is {thickness:g} m, more than half the cloth's shortest edge, {self.min_edge:.4g} "
                 f"m: neighbours would touch at rest; take {0.49 * self.min_edge:.2g} m or less, or a coarser cloth"
             )
+        pairs = indices("joints of the surface", joints, 2, len(points))
+        #: For each particle the lowest one that joints connect with it, shape (n,); None without joints.
+        self.joined: NDArray[np.int64] | None = None
+        if len(pairs):
+            label = component_labels(pairs, len(points))
+            self.joined = np.ascontiguousarray(np.unique(label, return_index=True)[1][label], dtype=np.int64)
         #: Coefficients of static and kinetic friction between layers.
         self.friction = (float(friction[0]), float(friction[1]))
         if not 0.0 <= self.friction[1] <= self.friction[0] < math.inf:

@@ -153,7 +153,7 @@ def _checked_surface(
             f"the mesh has {pieces.max() + 1} pieces that share no edge; vertex "
             f"{vertex_indices[surface.triangles[other_triangle, 0]]} is "
             f"not in the piece of vertex {vertex_indices[surface.triangles[0, 0]]}: a cloth is one piece, "
-            "so give each its own file, join them, or set contact.self: true, which keeps pieces apart"
+            "so give each its own file, join them (cloth.joints), or set contact.self: true, which keeps pieces apart"
             + (seam and f". {seam}")
         )
     if seam:
