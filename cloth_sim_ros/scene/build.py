@@ -300,10 +300,11 @@ def _grid_families(scene: PhysicsScene, sheet: GridSheet) -> dict[str, list[Grid
 
 def _elastic_forces(scene: PhysicsScene, sheet: Sheet, masses: Array) -> list[Force]:
     material = scene.material
-    if isinstance(sheet, RawSprings):
-        return [sheet.term]
     forces: list[Force]
-    if isinstance(sheet, GridSheet):
+    existing = None
+    if isinstance(sheet, RawSprings):
+        forces, existing = [sheet.term], sheet.term.pairs[sheet.term.rest_length > 0.0]
+    elif isinstance(sheet, GridSheet):
         forces = [*sheet.springs(_grid_families(scene, sheet))]
     else:
         forces = [
@@ -317,7 +318,7 @@ def _elastic_forces(scene: PhysicsScene, sheet: Sheet, masses: Array) -> list[Fo
     if scene.bending.model in ("opposite", "crossed", "altitude"):
         # A pair that has a spring gets no second one. Across a cell's diagonal that spring is the other diagonal.
         shear = [force.pairs for force in forces if force.name == "shear" and isinstance(force, GridSprings)]
-        forces.extend(_hinge_springs(scene, sheet, masses, shear[0] if shear else None))
+        forces.extend(hinge_springs(scene, sheet, masses, shear[0] if shear else existing))
     return forces
 
 
@@ -330,17 +331,26 @@ def _joints(scene: PhysicsScene, pairs: NDArray[np.int64], masses: Array) -> lis
     return [PairSprings(pairs, 0.0, cloth.joint_stiffness, damping, name="joints")]
 
 
-def _hinge_springs(
-    scene: PhysicsScene, sheet: GridSheet | MeshSheet, masses: Array, existing: NDArray[np.int64] | None
-) -> list[Force]:
-    """Build the bending forces: S7 (opposite), S7 and S8 (crossed), or S7 and S9 (altitude)."""
+def hinge_springs(scene: PhysicsScene, sheet: Sheet, masses: Array, existing: NDArray[np.int64] | None) -> list[Force]:
+    """Build the bending forces: S7 (opposite), S7 and S8 (crossed), or S7 and S9 (altitude).
+
+    Raises:
+        ValueError: for raw springs whose triangles are no surface, or whose rest lengths make no triangle.
+    """
     from cloth_sim_ros.physics.model.sheets import bending as calibration
 
     model = scene.bending.model
     rest_positions = sheet.positions()
     modulus = scene.material.bending_modulus
     options: dict[str, Any] = {}
-    if model == "opposite":
+    if isinstance(sheet, RawSprings):
+        hinges = sheet.surface.hinges
+        shape = options["shape"] = sheet.hinge_shape(hinges)
+        if model == "opposite":
+            options["spring_stiffness"] = scene.bending.stiffness * shape.edge
+        else:
+            options["hinge_constants"] = calibration.shape_hinge_constants(shape, bending_modulus=modulus)
+    elif model == "opposite":
         hinges = sheet.surface.hinges
         ends = rest_positions[hinges[:, 1]] - rest_positions[hinges[:, 0]]
         options["spring_stiffness"] = scene.bending.stiffness * np.sqrt(row_sum((ends * ends).T))

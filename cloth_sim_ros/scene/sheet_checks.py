@@ -9,7 +9,7 @@ from typing import Any
 
 from cloth_sim_ros.physics.model.sheets.grid import GridSheet
 from cloth_sim_ros.physics.model.sheets.raw import RawSprings
-from cloth_sim_ros.scene.build import PhysicsScene, anchored_particles, grid_threads_of, joined_particles
+from cloth_sim_ros.scene.build import PhysicsScene, anchored_particles, grid_threads_of, hinge_springs, joined_particles
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 
@@ -39,8 +39,9 @@ def check_sheet(scene: PhysicsScene) -> None:
     sheet = scene.sheet
     if isinstance(sheet, GridSheet):
         grid_threads_of(scene, sheet)
-    elif model == "axial" or (isinstance(sheet, RawSprings) and model != "none"):
-        fitting = "none" if isinstance(sheet, RawSprings) else "none, opposite, crossed or altitude"
+    elif model == "axial" or (isinstance(sheet, RawSprings) and model != "none" and not len(sheet.triangles())):
+        has_hinges = len(sheet.triangles()) > 0
+        fitting = "none, opposite, crossed or altitude" if has_hinges else "none, or give the springs file triangles"
         raise ParameterError(f"bending.model '{model}' is not for this cloth; choose {fitting}")
     anchored_particles(scene, sheet)
     joined_particles(scene, sheet)
@@ -59,3 +60,8 @@ def check_sheet(scene: PhysicsScene) -> None:
         raise ParameterError(
             f"bending model '{model}' needs material.bending_modulus above 0 N m, e.g. 1.0e-5; or choose 'none'"
         )
+    if isinstance(sheet, RawSprings) and model != "none":
+        try:
+            hinge_springs(scene, sheet, sheet.masses(0.0), None)
+        except ValueError as error:
+            raise ParameterError(f"cloth.springs '{cloth.springs}': {error}") from error

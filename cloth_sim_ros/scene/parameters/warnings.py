@@ -27,13 +27,14 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
             "material.density",
             "material.stretch_modulus",
             "material.shear_modulus",
-            "material.bending_modulus",
-            "material.damping",
             "material.viscosity",
-            "bending.stiffness",
-            "bending.rest_angle",
         ),
         lambda scene: bool(scene.cloth.springs),
+        "cloth.springs has masses and stiffnesses of its own",
+    ),
+    (
+        ("material.bending_modulus", "material.damping", "bending.stiffness", "bending.rest_angle"),
+        lambda scene: bool(scene.cloth.springs) and scene.bending.model == "none",
         "cloth.springs has masses and stiffnesses of its own",
     ),
     (

@@ -57,9 +57,13 @@ def mesh_hinge_constants(hinges: ArrayLike, positions: ArrayLike, *, bending_mod
     Raises:
         ValueError: for a modulus that is not finite and at least 0, or a triangle without area.
     """
+    return shape_hinge_constants(HingeShape.of(hinges, positions), bending_modulus=bending_modulus)
+
+
+def shape_hinge_constants(shape: HingeShape, *, bending_modulus: float) -> Array:
+    """Return k_θ [N m] of hinges of a triangle mesh from their rest shape, shape (m,); errors as above."""
     _check_modulus(bending_modulus)
-    hinge_shape = HingeShape.of(hinges, positions)
-    return 1.125 * bending_modulus * hinge_shape.edge / (0.5 * (hinge_shape.height0 + hinge_shape.height1))
+    return 1.125 * bending_modulus * shape.edge / (0.5 * (shape.height0 + shape.height1))
 
 
 def grid_hinge_constants(
@@ -107,6 +111,7 @@ def bending_terms(
     damping: float = 0.0,
     masses: ArrayLike | None = None,
     existing: ArrayLike | None = None,
+    shape: HingeShape | None = None,
 ) -> list[PairSprings | HingeSprings]:
     """Return the springs of a bending model: `opposite` is S7 alone, `crossed` S7 and S8, `altitude` S7 and S9.
 
@@ -123,12 +128,13 @@ def bending_terms(
         damping: the dimensionless k_d0 of every bending spring.
         masses: particle masses [kg], shape (n,); required with damping.
         existing: pairs of existing springs, (s, 2); S7 leaves them out.
+        shape: hinges at rest; None measures those of `positions`.
 
     Raises:
         ValueError: for a parameter that does not belong to the model or is out of range.
     """
     quads = np.ascontiguousarray(hinges, dtype=np.int64).reshape(-1, 4)
-    shape = HingeShape.of(quads, positions)
+    shape = HingeShape.of(quads, positions) if shape is None else shape
     if rest_angle is not None:
         if not abs(rest_angle) < math.pi:
             raise ValueError(f"rest_angle is {rest_angle} rad; it must lie between -π and π, both excluded")

@@ -97,6 +97,31 @@ class HingeShape:
         (foot0, foot1), (height0, height1), cosine, sine = feet, heights, cosine / length, sine / length
         return cls(edge=edge, height0=height0, height1=height1, foot0=foot0, foot1=foot1, cosine=cosine, sine=sine)
 
+    @classmethod
+    def of_sides(cls, edge: Array, sides: Array, folds: HingeShape) -> HingeShape:
+        """Build hinges from the lengths of their triangles' sides, with the folds of others.
+
+        Args:
+            edge: length of the shared edge [m], shape (m,).
+            sides: lengths from either end of the edge to wing 0, then to wing 1 [m], shape (m, 4).
+            folds: hinges whose folds are taken.
+
+        Raises:
+            ValueError: for lengths that make no triangle with an area.
+        """
+        feet, heights = [], []
+        for first, second in (sides.T[:2], sides.T[2:]):
+            foot = (first * first + edge * edge - second * second) / (2.0 * edge)
+            square = first * first - foot * foot
+            wrong = np.flatnonzero(~(square > 1e-18 * edge * edge))
+            if wrong.size:
+                lengths = ", ".join(f"{length[wrong[0]]:.4g}" for length in (edge, first, second))
+                raise ValueError(f"the sides {lengths} m of a triangle at hinge {wrong[0]} make no area; lengthen two")
+            feet.append(foot)
+            heights.append(np.sqrt(square))
+        (foot0, foot1), (height0, height1) = feet, heights
+        return attrs.evolve(folds, edge=edge, foot0=foot0, foot1=foot1, height0=height0, height1=height1)
+
     def at(self, angle: ArrayLike) -> HingeShape:
         """Return the same triangles folded by `angle` [rad], one number or shape (m,), between -π and π."""
         angles = np.broadcast_to(np.asarray(angle, np.float64), self.edge.shape).tolist()

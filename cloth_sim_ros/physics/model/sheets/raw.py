@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from cloth_sim_ros.physics.arithmetic.deterministic_math import row_sum
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, lecture_damping
+from cloth_sim_ros.physics.model.sheets.hinge_shape import HingeShape
+from cloth_sim_ros.physics.model.sheets.surface import Surface
 
 _KEYS = ("positions", "masses", "springs", "rest_lengths", "stiffness", "k_d", "k_d0", "velocities", "triangles")
 
@@ -44,7 +46,7 @@ class RawSprings:
                 - `stiffness` k_s [N] (of a joint N/m), one or m
                 - `k_d` [N s/m] or the dimensionless `k_d0`, one or m
                 - `velocities` (n, 3) [m/s]
-                - `triangles` (t, 3): the surface, which is shown, and which touches obstacles and itself
+                - `triangles` (t, 3): the surface, which is shown, touches obstacles and itself, and has hinges
 
         Raises:
             ValueError: naming the table and the fault.
@@ -108,11 +110,39 @@ class RawSprings:
         An edge with a spring has its rest length, because the start may be stretched; other edges have their distance
         at the start.
         """
-        rest_lengths = dict(zip(map(frozenset, self.term.pairs.tolist()), self.term.rest_length.tolist(), strict=True))
         ends = np.stack([self.surface_triangles, np.roll(self.surface_triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
-        distances = _distances(self.start, ends).tolist()
-        edges = map(frozenset, ends.tolist())
-        return np.array(list(map(rest_lengths.get, edges, distances))).reshape(-1, 3)
+        return self._lengths(ends).reshape(-1, 3)
+
+    @property
+    def surface(self) -> Surface:
+        """The surface of the triangles.
+
+        Raises:
+            ValueError: for triangles that are no oriented surface.
+        """
+        try:
+            return Surface.from_triangles(self.surface_triangles, particle_count=len(self.start))
+        except ValueError as error:
+            raise ValueError(f"table 'triangles': {error}") from error
+
+    def hinge_shape(self, hinges: NDArray[np.int64]) -> HingeShape:
+        """Return hinges (m, 4) at rest: their triangles have the edges of `edge_lengths`, their folds are those of the
+        start.
+
+        Raises:
+            ValueError: for edges that make no triangle.
+        """
+        first, second, wing0, wing1 = hinges.T
+        sides = [(first, wing0), (second, wing0), (first, wing1), (second, wing1)]
+        lengths = [self._lengths(np.stack(pair, axis=1)) for pair in sides]
+        edge = self._lengths(hinges[:, :2])
+        return HingeShape.of_sides(edge, np.stack(lengths, axis=1), HingeShape.of(hinges, self.start))
+
+    def _lengths(self, pairs: NDArray[np.int64]) -> Array:
+        """Return the rest length of each pair's spring, or without a spring its distance at the start [m], (m,)."""
+        rest_lengths = dict(zip(map(frozenset, self.term.pairs.tolist()), self.term.rest_length.tolist(), strict=True))
+        distances = _distances(self.start, pairs).tolist()
+        return np.array(list(map(rest_lengths.get, map(frozenset, pairs.tolist()), distances)))
 
 
 def _distances(positions: Array, pairs: NDArray[np.int64]) -> Array:
