@@ -331,6 +331,24 @@ def _joints(scene: PhysicsScene, pairs: NDArray[np.int64], masses: Array) -> lis
     return [PairSprings(pairs, 0.0, cloth.joint_stiffness, damping, name="joints")]
 
 
+def _rest_angle(scene: PhysicsScene, hinges: NDArray[np.int64]) -> float | Array | None:
+    """Return the rest angle of hinges (h, 4), one number or (h,).
+
+    NaN stands for the angle of the rest shape, None for the angles of all.
+    """
+    bending = scene.bending
+    default = 0.0 if bending.flat else bending.rest_angle or None
+    if not bending.rest_angles:
+        return default
+    from cloth_sim_ros.scene import springs_file
+
+    try:
+        angles = springs_file.parse_rest_angles(scene.files[bending.rest_angles]).of_hinges(hinges)
+    except ValueError as error:
+        raise ParameterError(f"bending.rest_angles '{bending.rest_angles}': {error}") from error
+    return angles if default is None else np.where(np.isnan(angles), default, angles)
+
+
 def hinge_springs(scene: PhysicsScene, sheet: Sheet, masses: Array, existing: NDArray[np.int64] | None) -> list[Force]:
     """Build the bending forces: S7 (opposite), S7 and S8 (crossed), or S7 and S9 (altitude).
 
@@ -368,7 +386,7 @@ def hinge_springs(scene: PhysicsScene, sheet: Sheet, masses: Array, existing: ND
             model,  # type: ignore[arg-type]
             hinges,
             rest_positions,
-            rest_angle=scene.bending.rest_angle or None,
+            rest_angle=_rest_angle(scene, hinges),
             damping=scene.material.damping,
             masses=masses,
             existing=existing,

@@ -169,10 +169,21 @@ class BendingParameters:
     rest_angle: float = parameter(
         "double",
         0.0,
-        "Rest angle of every hinge, for opposite, crossed and altitude; 0: the angles of the rest shape",
+        "Rest angle of every hinge, for opposite, crossed and altitude; 0: the angles of the rest shape, or flat",
         unit="rad",
         min=-3.14,
         max=3.14,
+    )
+    flat: bool = parameter(
+        "bool",
+        False,
+        "Hinges are flat at rest, also those of a curved mesh; bending.rest_angle is then 0",
+    )
+    rest_angles: str = parameter(
+        "string",
+        "",
+        "File of rest angles of single hinges (YAML, npz): tables edges, two particles a row, and angles, in rad; the "
+        "other hinges follow bending.flat and bending.rest_angle",
     )
 
 

@@ -33,7 +33,10 @@ def check_sheet(scene: PhysicsScene) -> None:
     cloth, model, modulus = scene.cloth, scene.bending.model, scene.material.bending_modulus
     if cloth.mesh and cloth.springs:
         raise ParameterError(f"both cloth.mesh '{cloth.mesh}' and cloth.springs '{cloth.springs}' are set; set one")
-    for path in (cloth.mesh, cloth.springs, scene.initial_state):
+    bending = scene.bending
+    if bending.flat and bending.rest_angle:
+        raise ParameterError(f"bending.flat is true and bending.rest_angle {bending.rest_angle} rad; set one of them")
+    for path in (cloth.mesh, cloth.springs, bending.rest_angles, scene.initial_state):
         if path and path not in scene.files:
             raise ParameterError(f"the content of '{path}' is missing; build the scene with from_parameters")
     sheet = scene.sheet
@@ -60,8 +63,10 @@ def check_sheet(scene: PhysicsScene) -> None:
         raise ParameterError(
             f"bending model '{model}' needs material.bending_modulus above 0 N m, e.g. 1.0e-5; or choose 'none'"
         )
-    if isinstance(sheet, RawSprings) and model != "none":
+    if model not in ("none", "axial") and (isinstance(sheet, RawSprings) or bending.rest_angles):
         try:
-            hinge_springs(scene, sheet, sheet.masses(0.0), None)
+            hinge_springs(scene, sheet, sheet.masses(1.0), None)
+        except ParameterError:
+            raise
         except ValueError as error:
             raise ParameterError(f"cloth.springs '{cloth.springs}': {error}") from error

@@ -1,12 +1,13 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Springs files: the tables of `physics.model.sheets.raw` as YAML, or as the arrays of an .npz."""
+"""Files of tables as YAML, or as the arrays of an .npz: raw springs, and rest angles."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from cloth_sim_ros.physics.model.sheets.raw import RawSprings
+from cloth_sim_ros.physics.model.sheets.rest_angles import RestAngles
 from cloth_sim_ros.physics.state import npz
 from cloth_sim_ros.scene.parameters import ros_yaml
 
@@ -20,11 +21,19 @@ def parse(data: bytes) -> RawSprings:
     Raises:
         ValueError: for bytes in neither format, or tables that make no system; the message names the table.
     """
-    tables = npz.read(data) if data[:2] == b"PK" else _yaml(data)
-    return RawSprings.from_tables(tables)
+    return RawSprings.from_tables(_tables(data, "positions, masses, springs and stiffness"))
 
 
-def _yaml(data: bytes) -> dict[str, Any]:
+def parse_rest_angles(data: bytes) -> RestAngles:
+    """Read a file of rest angles from its bytes; errors as those of `parse`."""
+    return RestAngles.from_tables(_tables(data, "edges and angles"))
+
+
+def _tables(data: bytes, needed: str) -> dict[str, Any]:
+    return npz.read(data) if data[:2] == b"PK" else _yaml(data, needed)
+
+
+def _yaml(data: bytes, needed: str) -> dict[str, Any]:
     import yaml
 
     try:
@@ -34,5 +43,5 @@ def _yaml(data: bytes) -> dict[str, Any]:
     except (yaml.YAMLError, ValueError, TypeError, AttributeError, LookupError) as error:
         raise ValueError(f"it is no YAML: {error}") from error
     if not isinstance(tree, dict):
-        raise ValueError("it has no tables; it needs positions, masses, springs and stiffness")
+        raise ValueError(f"it has no tables; it needs {needed}")
     return {str(name): value for name, value in tree.items()}

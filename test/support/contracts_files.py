@@ -222,8 +222,8 @@ def study() -> dict[str, Any]:
 
 
 def scripts() -> dict[str, Any]:
-    """Return the entries of gripper scripts, and the tables of springs files."""
-    from cloth_sim_ros.physics.model.sheets import raw
+    """Return the entries of gripper scripts, and the tables of springs files and of rest angles."""
+    from cloth_sim_ros.physics.model.sheets import raw, rest_angles
     from cloth_sim_ros.scene import springs_file
 
     step = {"time": 0.0, "position": [0.0, 0.0, 0.0]}
@@ -238,10 +238,15 @@ def scripts() -> dict[str, Any]:
     def springs(entries: dict[str, Any]) -> None:
         springs_file.parse(yaml.safe_dump(tables | entries).encode())
 
+    def angles(entries: dict[str, Any]) -> None:
+        tables = {"edges": [[0, 1]], "angles": 0.0}
+        springs_file.parse_rest_angles(yaml.safe_dump(tables | entries).encode())
+
     return {
         "gripper script": _accepted(script, gripper_script),
         "gripper script: step": _accepted(one_step, gripper_script),
         "springs file": _accepted(springs, raw),
+        "file of rest angles": _accepted(angles, rest_angles),
         "springs file: required": [name for name in tables if _is_refused(springs_file.parse, _without(tables, name))],
     }
 

@@ -33,7 +33,14 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
         "cloth.springs has masses and stiffnesses of its own",
     ),
     (
-        ("material.bending_modulus", "material.damping", "bending.stiffness", "bending.rest_angle"),
+        (
+            "material.bending_modulus",
+            "material.damping",
+            "bending.stiffness",
+            "bending.rest_angle",
+            "bending.rest_angles",
+            "bending.flat",
+        ),
         lambda scene: bool(scene.cloth.springs) and scene.bending.model == "none",
         "cloth.springs has masses and stiffnesses of its own",
     ),
@@ -48,10 +55,11 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
         "only axial and opposite bending use it; crossed and altitude take material.bending_modulus",
     ),
     (
-        ("bending.rest_angle",),
+        ("bending.rest_angle", "bending.rest_angles", "bending.flat"),
         lambda scene: scene.bending.model in ("none", "axial"),
         "only opposite, crossed and altitude bending use it",
     ),
+    (("bending.flat",), lambda scene: not (scene.cloth.mesh or scene.cloth.springs), "a grid is flat at rest"),
     (("material.bending_modulus",), lambda scene: scene.bending.model == "none", "bending.model is none"),
     (
         ("wind.velocity",),

@@ -106,7 +106,7 @@ def bending_terms(
     *,
     hinge_constants: ArrayLike | None = None,
     spring_stiffness: ArrayLike | None = None,
-    rest_angle: float | None = None,
+    rest_angle: ArrayLike | None = None,
     ratio: float | None = None,
     damping: float = 0.0,
     masses: ArrayLike | None = None,
@@ -122,8 +122,8 @@ def bending_terms(
         hinge_constants: k_θ [N m], shape (m,), for `crossed` and `altitude`; see `grid_hinge_constants`,
             `mesh_hinge_constants`.
         spring_stiffness: k_s [N] of S7, one number or shape (m,), for `opposite` alone.
-        rest_angle: fold of every hinge at rest [rad], positive to the side of the normal; None takes each from
-            `positions`.
+        rest_angle: fold at rest [rad], positive to the side of the normal, one number or shape (m,). None, or NaN for a
+            single hinge, takes the fold of `positions`.
         ratio: stiffness ratio ρ; None is the one that docs/bending.md recommends.
         damping: the dimensionless k_d0 of every bending spring.
         masses: particle masses [kg], shape (n,); required with damping.
@@ -136,9 +136,11 @@ def bending_terms(
     quads = np.ascontiguousarray(hinges, dtype=np.int64).reshape(-1, 4)
     shape = HingeShape.of(quads, positions) if shape is None else shape
     if rest_angle is not None:
-        if not abs(rest_angle) < math.pi:
-            raise ValueError(f"rest_angle is {rest_angle} rad; it must lie between -π and π, both excluded")
-        shape = shape.at(rest_angle)
+        angles = np.array(np.broadcast_to(np.asarray(rest_angle, dtype=np.float64), shape.edge.shape))
+        wrong = np.flatnonzero(~(np.isnan(angles) | (np.abs(angles) < math.pi)))
+        if wrong.size:
+            raise ValueError(f"rest_angle is {angles[wrong[0]]} rad; it must lie between -π and π, both excluded")
+        shape = shape.at(angles)
     if damping and masses is None:
         raise ValueError(f"damping is {damping} without masses; critical damping depends on them, so give both")
     mass = np.ones(quads.max(initial=-1) + 1) if masses is None else np.asarray(masses, dtype=np.float64)

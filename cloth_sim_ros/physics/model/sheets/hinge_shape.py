@@ -123,11 +123,17 @@ class HingeShape:
         return attrs.evolve(folds, edge=edge, foot0=foot0, foot1=foot1, height0=height0, height1=height1)
 
     def at(self, angle: ArrayLike) -> HingeShape:
-        """Return the same triangles folded by `angle` [rad], one number or shape (m,), between -π and π."""
-        angles = np.broadcast_to(np.asarray(angle, np.float64), self.edge.shape).tolist()
-        sines_and_cosines = {fold: sine_and_cosine(fold) for fold in set(angles)}
-        sine, cosine = np.array([sines_and_cosines[fold] for fold in angles]).reshape(-1, 2).T
-        return attrs.evolve(self, cosine=np.ascontiguousarray(cosine), sine=np.ascontiguousarray(sine))
+        """Return the same triangles folded by `angle` [rad], one number or shape (m,), between -π and π; NaN keeps a
+        fold.
+        """
+        angles = np.broadcast_to(np.asarray(angle, np.float64), self.edge.shape)
+        folds = np.nan_to_num(angles).tolist()
+        sines_and_cosines = {fold: sine_and_cosine(fold) for fold in set(folds)}
+        sine, cosine = np.array([sines_and_cosines[fold] for fold in folds]).reshape(-1, 2).T
+        is_missing = np.isnan(angles)
+        return attrs.evolve(
+            self, cosine=np.where(is_missing, self.cosine, cosine), sine=np.where(is_missing, self.sine, sine)
+        )
 
     def wing_distance(self) -> Array:
         """Return the distance L of the wings [m]: the length of S7."""

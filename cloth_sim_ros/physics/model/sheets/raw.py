@@ -15,6 +15,7 @@ from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, lecture_damping
 from cloth_sim_ros.physics.model.sheets.hinge_shape import HingeShape
 from cloth_sim_ros.physics.model.sheets.surface import Surface
+from cloth_sim_ros.physics.model.sheets.tables import checked_table, per_row
 
 _KEYS = ("positions", "masses", "springs", "rest_lengths", "stiffness", "k_d", "k_d0", "velocities", "triangles")
 
@@ -57,19 +58,19 @@ class RawSprings:
         for name in ("positions", "masses", "springs", "stiffness"):
             if name not in tables:
                 raise ValueError(f"table '{name}' is missing")
-        positions = _checked_table("positions", tables["positions"], np.float64, 3)
+        positions = checked_table("positions", tables["positions"], np.float64, 3)
         count = len(positions)
-        velocities = _checked_table("velocities", tables.get("velocities", np.zeros((count, 3))), np.float64, 3)
+        velocities = checked_table("velocities", tables.get("velocities", np.zeros((count, 3))), np.float64, 3)
         if velocities.shape != positions.shape:
             raise ValueError(f"table 'velocities' has {len(velocities)} rows, 'positions' {count}; give one a particle")
-        masses = _per_row("masses", tables["masses"], count)
+        masses = per_row("masses", tables["masses"], count)
         bad_masses = np.flatnonzero(~(np.isfinite(masses) & (masses > 0.0)))
         if bad_masses.size:
             raise ValueError(
                 f"mass of particle {bad_masses[0]} is {masses[bad_masses[0]]} kg; it must be finite and above 0"
             )
-        pairs = _checked_table("springs", tables["springs"], np.int64, 2)
-        triangles = _checked_table("triangles", tables.get("triangles", np.empty((0, 3), np.int64)), np.int64, 3)
+        pairs = checked_table("springs", tables["springs"], np.int64, 2)
+        triangles = checked_table("triangles", tables.get("triangles", np.empty((0, 3), np.int64)), np.int64, 3)
         for name, indices in (("springs", pairs), ("triangles", triangles)):
             wrong = np.argwhere((indices < 0) | (indices >= count))
             if wrong.size:
@@ -78,17 +79,17 @@ class RawSprings:
                     f"row {row} of table '{name}' names particle {indices[row, column]}; "
                     f"there are {count}, counted from 0"
                 )
-        rest_lengths = _per_row("rest_lengths", tables.get("rest_lengths", _distances(positions, pairs)), len(pairs))
-        k_s = _per_row("stiffness", tables["stiffness"], len(pairs))
+        rest_lengths = per_row("rest_lengths", tables.get("rest_lengths", _distances(positions, pairs)), len(pairs))
+        k_s = per_row("stiffness", tables["stiffness"], len(pairs))
         stiffness = k_s / np.where(rest_lengths > 0.0, rest_lengths, 1.0)
         if "k_d" in tables and "k_d0" in tables:
             raise ValueError("both tables 'k_d' and 'k_d0' are given; give one of them")
         if "k_d0" in tables:
             # The lecture's m of two unequal ends: the reduced mass times two.
             effective_mass = 2.0 / (1.0 / masses[pairs[:, 0]] + 1.0 / masses[pairs[:, 1]])
-            damping = lecture_damping(_per_row("k_d0", tables["k_d0"], len(pairs)), stiffness, effective_mass)
+            damping = lecture_damping(per_row("k_d0", tables["k_d0"], len(pairs)), stiffness, effective_mass)
         else:
-            damping = _per_row("k_d", tables.get("k_d", 0.0), len(pairs))
+            damping = per_row("k_d", tables.get("k_d", 0.0), len(pairs))
         term = PairSprings(pairs, rest_lengths, k_s, damping)
         return cls(start=positions, velocities=velocities, mass=masses, term=term, surface_triangles=triangles)
 
@@ -149,35 +150,3 @@ def _distances(positions: Array, pairs: NDArray[np.int64]) -> Array:
     """Return the distance of the two particles of each pair (m, 2) [m], shape (m,)."""
     away = positions[pairs[:, 1]] - positions[pairs[:, 0]]
     return np.sqrt(row_sum((away * away).T))
-
-
-def _checked_table(name: str, value: Any, dtype: type, columns: int) -> Any:
-    array = _real_array(name, value)
-    if array.size == 0:
-        array = array.reshape(0, columns)
-    if array.ndim != 2 or array.shape[1] != columns:
-        raise ValueError(f"table '{name}' has shape {array.shape}; it must have {columns} columns")
-    wrong = np.flatnonzero(~np.isfinite(array).all(axis=1) | (array != array.astype(dtype)).any(axis=1))
-    if wrong.size:
-        raise ValueError(
-            f"row {wrong[0]} of table '{name}' is {array[wrong[0]].tolist()}; it must be finite"
-            + (" whole numbers" if dtype is np.int64 else "")
-        )
-    return array.astype(dtype)
-
-
-def _real_array(name: str, value: Any) -> Array:
-    try:
-        if np.asarray(value).dtype.kind == "c":
-            # Conversion would drop the imaginary parts.
-            raise ValueError("they are complex; give real ones")
-        return np.array(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"table '{name}' is no table of numbers: {error}") from error
-
-
-def _per_row(name: str, value: Any, count: int) -> Array:
-    array = _real_array(name, value)
-    if array.ndim and array.shape != (count,):
-        raise ValueError(f"table '{name}' has {array.size} numbers; give one, or {count}")
-    return np.array(np.broadcast_to(array, (count,)))
