@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from cloth_sim_ros.physics.integrators.symplectic_euler import SymplecticEuler
     from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
     from cloth_sim_ros.physics.model.forces.altitude import AltitudeSprings
+    from cloth_sim_ros.physics.model.forces.candidates import CandidateSprings
     from cloth_sim_ros.physics.model.forces.crossed import CrossedSprings
     from cloth_sim_ros.physics.model.forces.drag import Drag
     from cloth_sim_ros.physics.model.forces.force import Force
@@ -42,6 +43,7 @@ _MODULES = {
     "Advance": "physics.integrators.base",
     "AirPanels": "physics.model.forces.air_panels",
     "AltitudeSprings": "physics.model.forces.altitude",
+    "CandidateSprings": "physics.model.forces.candidates",
     "compile": "physics.plan.plan",
     "CrossedSprings": "physics.model.forces.crossed",
     "Drag": "physics.model.forces.drag",
@@ -80,6 +82,7 @@ __all__ = [
     "Advance",
     "AirPanels",
     "AltitudeSprings",
+    "CandidateSprings",
     "CrossedSprings",
     "Drag",
     "Extrapolated",

@@ -50,6 +50,8 @@ KINDS = {
     "altitude": (3, 4, 3),
     "triangle": (4, 3, 0),
     "quad": (5, 4, 0),
+    "edge_edge": (6, 4, 3),
+    "point_face": (7, 4, 3),
 }
 #: Families of a grid's springs in the engine's order; see grid/row.hpp.
 FAMILIES = ("right", "down", "diagonal", "antidiagonal", "right2", "down2")

@@ -8,6 +8,7 @@ from support import laws
 from support.alone import alone, blocks, force, full, matrix, product
 
 from cloth_sim_ros.physics.model.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.model.forces.candidates import CANDIDATES, CandidateSprings
 from cloth_sim_ros.physics.model.forces.crossed import CrossedSprings
 from cloth_sim_ros.physics.model.forces.hinge_springs import gradient_squares, signed_lengths
 from cloth_sim_ros.physics.model.forces.opposite import OppositeSprings
@@ -24,6 +25,8 @@ FORCES = {
     "crossed flat": CrossedSprings(HINGES[:, :2], HINGES[:, 2:], 0.0, STIFFNESS),
     "altitude": AltitudeSprings(HINGES, REST_LENGTHS, STIFFNESS, DAMPING),
     "altitude flat": AltitudeSprings(HINGES, 0.0, STIFFNESS),
+    "edge-wings": CandidateSprings("edge-wings", HINGES, REST_LENGTHS, STIFFNESS, DAMPING),
+    "wing0-face": CandidateSprings("wing0-face", HINGES, REST_LENGTHS, STIFFNESS, DAMPING),
 }
 LENGTHS = {"crossed": laws.crossed_length, "altitude": laws.blended_length}
 PAIR = np.array([[0, 1, 2, 3]])
@@ -49,6 +52,48 @@ def test_lengths_are_those_of_the_candidates(seed):
     for kind, length in LENGTHS.items():
         squares = [np.sum(length(x.T[hinge])[1] ** 2, axis=1) for hinge in HINGES]
         assert gradient_squares(HINGES, x, kind=kind) == pytest.approx(np.array(squares), rel=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_candidates_have_the_seven_lengths_and_gradients(seed):
+    x = np.random.default_rng(seed).standard_normal((3, N))
+    for hinge in HINGES:
+        for name, (height, gradient, _) in zip(CANDIDATES, seven_of(x.T[hinge]), strict=True):
+            springs = CandidateSprings(name, [hinge], 0.0, 1.0)
+            assert springs.lengths(x) == pytest.approx(height, rel=1e-9), name
+            expected = np.zeros((3, N))
+            expected[:, hinge] = -height * gradient.T
+            assert force(alone(springs, count=N), x) == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+
+
+def seven_of(p):
+    """Return the candidates of four points (4, 3) in the order of `CANDIDATES`."""
+    edges, faces = laws.candidates(p)[:3], laws.candidates(p)[3:]
+    return [*edges, *faces[::-1]]
+
+
+def test_blend_pulls_by_all_seven_candidates():
+    x = np.random.default_rng(2).standard_normal((3, 4))
+    areas = np.array([area for _, _, area in seven_of(x.T)])
+    blend = signed_lengths(PAIR, x, kind="altitude")[0]
+    # Each candidate has its share of the blend's force.
+    shares = 0.5 * (areas / np.sqrt(0.5 * np.sum(areas**2))) ** 3
+    total = np.zeros((3, 4))
+    for share, name in zip(shares, CANDIDATES, strict=True):
+        springs = CandidateSprings(name, PAIR, 0.0, 1.0)
+        total += share * force(alone(springs, count=4), x) / springs.lengths(x)
+    expected = force(alone(AltitudeSprings(PAIR, 0.0, 1.0), count=4), x) / blend
+    assert total == pytest.approx(expected, rel=1e-9, abs=1e-10)
+
+
+def test_some_candidate_acts_on_any_tetrahedron_with_an_area():
+    # Flat, folded shut, and inverted: S7 alone has no restoring force across the plane; one candidate at least has.
+    for x in map(np.ascontiguousarray, (fold(0.0), fold(np.pi), fold(-0.5), fold(0.0, height1=-1.0, foot1=0.2))):
+        defined = [name for name in CANDIDATES if np.isfinite(CandidateSprings(name, PAIR, 0.3, 1.0).lengths(x)).all()]
+        forces = [np.abs(force(alone(CandidateSprings(name, PAIR, 0.3, 1.0), count=4), x)).max() for name in defined]
+        assert max(forces) > 0.1
+    with pytest.raises(ValueError, match="candidate is 'nearest'; there are edge-wings, "):
+        CandidateSprings("nearest", PAIR, 0.0, 1.0)
 
 
 def fold(angle, *, height0=1.0, height1=1.0, foot0=0.5, foot1=0.5, edge=1.0):

@@ -10,6 +10,7 @@ from support.alone import alone, blocks, force, full, gradient, matrix, product
 
 from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
 from cloth_sim_ros.physics.model.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.model.forces.candidates import CANDIDATES, CandidateSprings
 from cloth_sim_ros.physics.model.forces.crossed import CrossedSprings
 from cloth_sim_ros.physics.model.forces.drag import Drag
 from cloth_sim_ros.physics.model.forces.gravity import Gravity
@@ -81,6 +82,7 @@ INTERNAL = {
     "crossed flat": [CrossedSprings(HINGES[:, :2], HINGES[:, 2:], 0.0, STIFFNESS)],
     "altitude": [AltitudeSprings(HINGES, REST_LENGTHS, STIFFNESS, DAMPING)],
     "altitude flat": [AltitudeSprings(HINGES, 0.0, STIFFNESS)],
+    **{name: [CandidateSprings(name, HINGES, REST_LENGTHS, STIFFNESS, DAMPING)] for name in CANDIDATES},
 }
 EXTERNAL = {
     "damped joints": [springs(0.0, damping=1.5)],

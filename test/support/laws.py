@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from cloth_sim_ros.physics.model.forces.air_panels import AirPanels
 from cloth_sim_ros.physics.model.forces.altitude import AltitudeSprings
+from cloth_sim_ros.physics.model.forces.candidates import CandidateSprings
 from cloth_sim_ros.physics.model.forces.contact import Contact
 from cloth_sim_ros.physics.model.forces.crossed import CrossedSprings
 from cloth_sim_ros.physics.model.forces.drag import Drag
@@ -278,6 +279,10 @@ def values(force, t, x, v, masses):
         return grid_springs(x, v, force.rows, force.columns, force.families)
     if isinstance(force, PairSprings):
         return pair_springs(x, v, force.pairs, force.rest_length, force.stiffness, force.damping)
+    if isinstance(force, CandidateSprings):
+        length = edge_edge if force.kind == "edge_edge" else point_face
+        rows = force.hinges, force.rest_length, force.stiffness, force.damping
+        return hinge_springs(lambda p: length(p, 0, 1, 2, 3)[:2], x, v, *rows)
     if isinstance(force, (CrossedSprings, AltitudeSprings)):
         length = crossed_length if isinstance(force, CrossedSprings) else blended_length
         return hinge_springs(length, x, v, force.hinges, force.rest_length, force.stiffness, force.damping)

@@ -123,7 +123,7 @@ CLOTH_API int cloth_combine(std::int64_t arrays, const double* const* from, cons
 CLOTH_API int cloth_distance(const double* x, const double* y, std::int64_t n, double* out);
 /// Sum of m_i a_i . b_i over particles, in order.
 CLOTH_API int cloth_weighted_dot(const double* m, const double* a, const double* b, std::int64_t n, double* out);
-/// Signed lengths h [m] of hinges (count, 4) of kind crossed or altitude, NaN if undefined, and, unless `squares` is
+/// Signed lengths h [m] of hinges (count, 4) of a kind with a length, NaN if undefined, and, unless `squares` is
 /// null, |dh/dx|^2 of their four corners (count, 4).
 CLOTH_API int cloth_hinge_lengths(int kind, std::int64_t count, const std::int64_t* corners, const double* x,
                                   std::int64_t n, double* lengths, double* squares);

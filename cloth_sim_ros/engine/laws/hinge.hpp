@@ -180,7 +180,54 @@ struct AltitudeAreas {
     }
 };
 
+/// Candidate of S9 between two opposite edges, of corners 0, 1 and 2, 3: M is |a x w|. Undefined if they are parallel,
+/// and near that its gradient grows without limit.
+struct EdgeEdgeAreas {
+    template <class V>
+    static CLOTH_INLINE void of(const Vec3<V>* d, V& square, V& limit, Vec3<V>* area) {
+        const Vec3<V> a = d[0], w = d[2] - d[1], n = cross(a, w);
+        square = norm2(n);
+        const V size = splat<V>(AltitudeAreas::sine) * (norm2(a) + norm2(w));
+        limit = size * size;
+        area[0] = cross(w, n);
+        area[2] = cross(n, a);
+        area[1] = -area[2];
+    }
+    /// As that of CrossedAreas without its second term.
+    template <class V, class L>
+    static CLOTH_INLINE void curvature(const Vec3<V>* d, const L& l, const Vec3<V>* g, V* bound) {
+        const Vec3<V> a = d[0], w = d[2] - d[1];
+        const V largest = splat<V>(2) * (norm2(a) + norm2(w) + root(norm2(cross(a, w))));
+        const V max_area_curvature[4] = {largest, largest, largest, largest};
+        length_curvature(d, l, g, max_area_curvature, bound);
+    }
+};
+
+/// Candidate of S9 between corner 3 and the face of corners 0, 1, 2, an altitude spring: M is |p x q| of the face.
+/// Undefined if the face has no area, and near that its gradient grows without limit.
+struct PointFaceAreas {
+    template <class V>
+    static CLOTH_INLINE void of(const Vec3<V>* d, V& square, V& limit, Vec3<V>* area) {
+        const Vec3<V> n = cross(d[0], d[1]);
+        square = norm2(n);
+        const V size = splat<V>(AltitudeAreas::sine) * (norm2(d[0]) + norm2(d[1]));
+        limit = size * size;
+        area[0] = cross(d[1], n);
+        area[1] = cross(n, d[0]);
+        area[2] = Vec3<V>{};
+    }
+    /// As that of AltitudeAreas for one face.
+    template <class V, class L>
+    static CLOTH_INLINE void curvature(const Vec3<V>* d, const L& l, const Vec3<V>* g, V* bound) {
+        const V largest = norm2(d[0]) + norm2(d[1]) + norm2(d[1] - d[0]) + splat<V>(2) * root(norm2(cross(d[0], d[1])));
+        const V max_area_curvature[4] = {largest, largest, largest, V{}};
+        length_curvature(d, l, g, max_area_curvature, bound);
+    }
+};
+
 using Crossed = Hinge<CrossedAreas>;
 using Altitude = Hinge<AltitudeAreas>;
+using EdgeEdge = Hinge<EdgeEdgeAreas>;
+using PointFace = Hinge<PointFaceAreas>;
 
 }  // namespace cloth::laws

@@ -9,7 +9,8 @@
 
 namespace cloth::mesh {
 
-using laws::Altitude, laws::Crossed, laws::Joint, laws::law_params, laws::Panel, laws::Spring;
+using laws::Altitude, laws::Crossed, laws::EdgeEdge, laws::Joint, laws::law_params, laws::Panel, laws::PointFace,
+    laws::Spring;
 
 /// Call `visit` with the law of a kind.
 template <class F>
@@ -19,6 +20,8 @@ inline auto with_law(Kind kind, F&& visit) {
         case Kind::joint: return visit(Joint{});
         case Kind::crossed: return visit(Crossed{});
         case Kind::altitude: return visit(Altitude{});
+        case Kind::edge_edge: return visit(EdgeEdge{});
+        case Kind::point_face: return visit(PointFace{});
         case Kind::panel3: return visit(Panel<3>{});
         default: return visit(Panel<4>{});
     }
@@ -30,7 +33,8 @@ inline constexpr bool fits(Kind kind) {
     return corners_of(kind) == Law::corners && params_of(kind) == Law::params;
 }
 static_assert(fits<Spring>(Kind::spring) && fits<Joint>(Kind::joint) && fits<Crossed>(Kind::crossed) &&
-              fits<Altitude>(Kind::altitude) && fits<Panel<3>>(Kind::panel3) && fits<Panel<4>>(Kind::panel4));
+              fits<Altitude>(Kind::altitude) && fits<EdgeEdge>(Kind::edge_edge) && fits<PointFace>(Kind::point_face) &&
+              fits<Panel<3>>(Kind::panel3) && fits<Panel<4>>(Kind::panel4));
 
 /// Operands of a law for one element of a list at x and v, (3, n) by component.
 template <class Law>

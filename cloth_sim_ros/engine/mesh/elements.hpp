@@ -11,7 +11,7 @@
 
 namespace cloth::mesh {
 
-enum class Kind : int { spring, joint, crossed, altitude, panel3, panel4 };
+enum class Kind : int { spring, joint, crossed, altitude, panel3, panel4, edge_edge, point_face };
 /// Number of particles of an element, and of parameters of its own.
 inline constexpr int corners_of(Kind kind) {
     return kind == Kind::panel3 ? 3 : kind == Kind::spring || kind == Kind::joint ? 2 : 4;

@@ -13,7 +13,7 @@
 
 namespace cloth::plan {
 
-using laws::Altitude, laws::Crossed, laws::Spring, mesh::Kind;
+using laws::Altitude, laws::Crossed, laws::EdgeEdge, laws::PointFace, laws::Spring, mesh::Kind;
 
 Energy energy_of(Plan& plan, double t, const double* x, const double* v) {
     const std::int64_t n = plan.count;
@@ -122,10 +122,12 @@ void hinge_lengths(const List& list, const double* x, std::int64_t n, double* le
             for (int i = 0; i < 3; ++i) squares[4 * e + 1 + i] = norm2(l.gradient[i]);
         }
     };
-    if (list.kind == Kind::crossed)
-        evaluate(Crossed{});
-    else
-        evaluate(Altitude{});
+    switch (list.kind) {
+        case Kind::crossed: return evaluate(Crossed{});
+        case Kind::edge_edge: return evaluate(EdgeEdge{});
+        case Kind::point_face: return evaluate(PointFace{});
+        default: return evaluate(Altitude{});
+    }
 }
 
 }  // namespace cloth::plan

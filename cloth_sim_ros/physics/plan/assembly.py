@@ -31,6 +31,7 @@ MOVE_OPERATIONS, GRID_SPRING_OPERATIONS, GRID_PANEL_OPERATIONS = 40, 26, 45
 #: Element kinds whose forces multirate runs evaluate less often.
 HINGE_KINDS = ("crossed", "altitude")
 ELEMENT_OPERATIONS = {"spring": 50, "joint": 40, "crossed": 160, "altitude": 160, "triangle": 120, "quad": 160}
+ELEMENT_OPERATIONS |= dict.fromkeys(("edge_edge", "point_face"), 160)
 
 
 @attrs.define(eq=False)

@@ -40,7 +40,8 @@ double signed_length(double height) {
 
 }  // namespace
 
-TEST_CASE_TEMPLATE("hinges pass the checks of every law", Setup, HingeSetup<Crossed>, HingeSetup<Altitude>) {
+TEST_CASE_TEMPLATE("hinges pass the checks of every law", Setup, HingeSetup<Crossed>, HingeSetup<Altitude>,
+                   HingeSetup<EdgeEdge>, HingeSetup<PointFace>) {
     LawChecks<Setup>::check_energy_gradient();
     LawChecks<Setup>::check_dissipation();
     LawChecks<Setup>::check_derivative_product();
@@ -51,7 +52,8 @@ TEST_CASE_TEMPLATE("hinges pass the checks of every law", Setup, HingeSetup<Cros
     LawChecks<Setup>::check_torque(true);
 }
 
-TEST_CASE_TEMPLATE("the signed length of a flat hinge is zero and changes sign with the fold", Law, Crossed, Altitude) {
+TEST_CASE_TEMPLATE("the signed length of a flat hinge is zero and changes sign with the fold", Law, Crossed, Altitude,
+                   EdgeEdge, PointFace) {
     CHECK(signed_length<Law>(0.0) == 0.0);
     CHECK(signed_length<Law>(0.01) * signed_length<Law>(-0.01) < 0.0);
     CHECK(signed_length<Law>(0.01) == -signed_length<Law>(-0.01));
@@ -70,7 +72,13 @@ TEST_CASE("the signed length of altitudes is six volumes over the areas of the f
     check_close(Altitude::length<double>(d).h, 1.0 / std::sqrt(6.0), 1e-14);
 }
 
-TEST_CASE_TEMPLATE("the gradient of the signed length is its derivative", Law, Crossed, Altitude) {
+TEST_CASE("the candidates of a corner of a cube are distances of its lines and faces") {
+    const Vec3<double> d[3] = {{1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}, {0.0, 0.0, 1.0}};
+    check_close(EdgeEdge::length<double>(d).h, 1.0 / std::sqrt(2.0), 1e-14);
+    check_close(PointFace::length<double>(d).h, 1.0, 1e-14);
+}
+
+TEST_CASE_TEMPLATE("the gradient of the signed length is its derivative", Law, Crossed, Altitude, EdgeEdge, PointFace) {
     Random random;
     for (int round = 0; round < 100; ++round) {
         Vec3<double> d[3], direction[3];

@@ -8,7 +8,6 @@ A hinge is the tetrahedron of two triangles with a common edge.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +20,8 @@ from cloth_sim_ros.physics.model.parts import ElementList, Part
 class HingeSprings(EngineForce):
     """Springs on the signed length h [m] of hinges: energy κ̂ (h - h0)²/2, damping force -k_d (∇h·v) ∇h.
 
-    `CrossedSprings` (S8) and `AltitudeSprings` (S9) define the length. Their forces have no resultant and no torque.
+    `CrossedSprings` (S8), `AltitudeSprings` (S9) and `CandidateSprings` define the length. Their forces have no
+    resultant and no torque.
 
     Args:
         hinges: particles (edge0, edge1, wing0, wing1) as in `surface`, shape (m, 4).
@@ -37,7 +37,7 @@ class HingeSprings(EngineForce):
     """
 
     #: The kind of length: a key of `engine.binding.KINDS`.
-    kind: ClassVar[str]
+    kind: str
 
     def __init__(
         self, hinges: ArrayLike, rest_length: ArrayLike, stiffness: ArrayLike, damping: ArrayLike = 0.0, *, name: str
@@ -74,7 +74,7 @@ def signed_lengths(hinges: ArrayLike, x: Array, *, kind: str) -> Array:
     Args:
         hinges: particles (edge0, edge1, wing0, wing1), shape (m, 4).
         x: positions [m], shape (3, n).
-        kind: `crossed` (S8) or `altitude` (S9).
+        kind: `crossed` (S8), `altitude` (S9), `edge_edge` or `point_face`.
     """
     return _lengths(hinges, x, kind)[0]
 
