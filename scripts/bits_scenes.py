@@ -133,6 +133,27 @@ SCENES: dict[str, dict[str, Any]] = {
         "table.position": [0.0, 0.0, -0.02],
         "table.friction": [0.5, 0.4],
     },
+    "joined nets with hinges": {
+        "cloth.springs": "nets.yaml",
+        "cloth.anchors": ["0"],
+        "cloth.position": [0.0, 0.0, 0.05],
+        "cloth.orientation": [0.0, 0.0, 0.0, 1.0],
+        "cloth.joints": ["3-19"],
+        "cloth.joint_stiffness": 20.0,
+        "bending.model": "altitude",
+        "bending.flat": True,
+        "bending.rest_angles": "angles.yaml",
+        "material.bending_modulus": 1e-4,
+        "contact.self": True,
+        "contact.thickness": 0.015,
+        "tolerance": 1e-2,
+        "gripper.radius": 0.06,
+        "obstacles": ["table"],
+        "table.shape": "box",
+        "table.size": [1.0, 1.0, 0.04],
+        "table.position": [0.0, 0.0, -0.02],
+        "table.friction": [0.5, 0.4],
+    },
 }
 #: Fraction of the frames to run, for scenes with expensive frames.
 _FRAME_FRACTION = {"two threads": 0.2, "tight tolerance": 0.5, "friction, implicit": 0.25}
@@ -194,7 +215,35 @@ def net() -> bytes:
     return json.dumps(tables).encode()
 
 
-FILES: dict[str, Callable[[], bytes]] = {"sheet.obj": sheet, "net.yaml": net}
+def nets() -> bytes:
+    """Return a springs file: two nets of 4 x 4 particles over one another, which a joint connects, with triangles."""
+    places = [[c / 15.0 + k / 90.0, r / 15.0, k / 40.0] for k in range(2) for r in range(4) for c in range(4)]
+    springs, triangles = list[list[int]](), list[list[int]]()
+    for first in (0, 16):
+        for r in range(4):
+            for c in range(4):
+                i = first + 4 * r + c
+                springs += [[i, i + 1]] * (c < 3) + [[i, i + 4]] * (r < 3) + [[i, i + 5]] * (c < 3 and r < 3)
+                triangles += [[i, i + 1, i + 5], [i, i + 5, i + 4]] * (c < 3 and r < 3)
+    joint = [[0, 16]]
+    tables = {
+        "positions": places,
+        "masses": 0.01,
+        "springs": springs + joint,
+        "rest_lengths": [(1.0 + (b - a == 5) * 0.4140625) / 15.0 for a, b in springs] + [0.0],
+        "stiffness": 20.0,
+        "k_d0": 0.1,
+        "triangles": triangles,
+    }
+    return json.dumps(tables).encode()
+
+
+def angles() -> bytes:
+    """Return a file of rest angles: a crease in the upper net."""
+    return json.dumps({"edges": [[20, 21], [21, 22]], "angles": [0.5, 0.25]}).encode()
+
+
+FILES: dict[str, Callable[[], bytes]] = {"sheet.obj": sheet, "net.yaml": net, "nets.yaml": nets, "angles.yaml": angles}
 
 
 def frames_of(scene: str, frames: int) -> Iterator[str]:

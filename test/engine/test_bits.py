@@ -88,7 +88,7 @@ def test_contact_scenes_cover_every_contact() -> None:
     assert len(by_scene["obstacles"]) >= 3
     assert {"table"} <= by_scene["friction"] & by_scene["friction, implicit"]
     assert by_scene["pinch"] == {"gripper.left_pad", "gripper.right_pad"}
-    assert self_contacts == {"cloth on itself", "mesh on itself"}
+    assert self_contacts == {"cloth on itself", "mesh on itself", "joined nets with hinges"}
     assert pinched == {"pinch"}
 
 
