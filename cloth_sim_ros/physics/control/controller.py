@@ -223,6 +223,7 @@ class Controller:
             allowed = allowed and self._stability.is_damped(self._duration)
             memory = controller_state.MultirateState.load(self._state)
             self._multirate_rule = MultirateRule(self._plan, memory, allowed=allowed)
+            self._start_hinge_bounds = self._multirate_rule.bounds
         return self._multirate_rule
 
     @cached_property
@@ -246,11 +247,17 @@ class Controller:
     def use_reserve(self) -> None:
         """Restart with single runs of the longest stable steps, within the reserve."""
         self.in_fallback, self.exhausted, self.abandoned = True, True, False
-        self.n_runs, self.refinement, self.estimates_error = 1, 1.0, True
+        self.n_runs, self.refinement = 1, 1.0
         self.work.grant_reserve()
+        self.restart()
+
+    def restart(self) -> None:
+        """Restart at the start of the frame, whose pieces all get an estimate."""
         memory = self._stability.memory
         memory.omega2, memory.damping = self._start_bounds
-        self._rest_rate = self._work_rate()
+        if self._multirate_rule is not None:
+            self._multirate_rule.bounds = self._start_hinge_bounds
+        self.estimates_error, self._rest_rate = True, self._work_rate()
         self._ends, self._is_rough, self._piece = [self._duration], False, None
         self._history = load_history(self._state, self._duration)
         self._met_limit, self._halved_step, self._attempts, self._elapsed = math.inf, 0.0, 0, 0.0
@@ -258,6 +265,11 @@ class Controller:
         self._lower_order_error = self._contact_energy = 0.0
         self.error, self.n_pieces, self.steps, self._first_run_steps, self.min_step = 0.0, 0, 0, 0, math.inf
         self._refined_time, self._energy_rule, self._has_missed = 0.0, None, False
+
+    @property
+    def must_restart(self) -> bool:
+        """True if a prediction failed after pieces that were accepted by predictions: these may be wrong too."""
+        return self.n_pieces > 0 and not self.estimates_error
 
     def _work_rate(self) -> float:
         """Return the force evaluations per second of the present choice with an error estimate."""
@@ -269,7 +281,7 @@ class Controller:
     def choose_piece(self, t: float) -> Piece | None:
         """Return the next piece from time t [s]; None if explicit steps are abandoned."""
         if self._piece is None and not self.abandoned:
-            is_new_frame = not (self.n_pieces or self._attempts or self._is_rough)
+            is_new_frame = not (self.n_pieces or self._attempts or self._is_rough or self.work.evaluations)
             self._piece = self._divide(t)
             if self.estimates_error and is_new_frame and not self.exhausted:
                 self.work.add(self._precision.measure(t, self._state, self._piece.max_step, self.n_runs))

@@ -35,11 +35,11 @@ def advance(
     """
     controller, start = Controller(options, plan, state, t, duration), state.shallow_copy()
     try:
-        is_finished = integrate(controller, state, t, duration, accumulator)
+        is_finished = integrate(controller, state, start, t, duration, accumulator)
         if not is_finished and controller.has_explicit_fallback:
             state.restore_motion(start)
             controller.use_reserve()
-            is_finished = integrate(controller, state, t, duration, accumulator)
+            is_finished = integrate(controller, state, start, t, duration, accumulator)
     except NoRoomError:
         # Moving bodies left the cloth no space within the frame: no step is short enough.
         is_finished = False
@@ -57,9 +57,18 @@ def advance(
 
 
 def integrate(
-    controller: Controller, state: State, t: float, duration: float, accumulator: WorkAccumulator | None
+    controller: Controller, state: State, start: State, t: float, duration: float, accumulator: WorkAccumulator | None
 ) -> bool:
-    """Integrate a frame piece by piece; return False if explicit steps are abandoned within it."""
+    """Integrate a frame piece by piece; return False if explicit steps are abandoned within it.
+
+    Args:
+        controller: chooses runs, steps and lengths.
+        state: advanced in place.
+        start: the state at the start of the frame.
+        t: time at the start [s].
+        duration: length of the frame [s].
+        accumulator: work accumulator; None for none.
+    """
     if accumulator is not None:
         accumulator.reset()
     elapsed, tableau = 0.0, None
@@ -72,6 +81,13 @@ def integrate(
             controller.reject_unstable(tableau, piece)
             continue
         error, allowed = controller.predict(tableau, piece), controller.allowed_error(piece)
+        if error > allowed and controller.must_restart:  # earlier predictions may be wrong too
+            elapsed, tableau = 0.0, None
+            state.restore_motion(start)
+            controller.restart()
+            if accumulator is not None:
+                accumulator.reset()
+            continue
         if error > allowed:  # rule 2: error, by an estimate unless it is predicted
             error = controller.estimate(tableau, t + elapsed, piece, allowed)
             if not controller.is_stable(tableau, piece):  # with the runs that the estimate chose
