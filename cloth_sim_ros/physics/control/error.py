@@ -109,11 +109,13 @@ class ErrorRule:
         has_order = memory.step > 0.0 and (counts[0] >= CONSTANTS.min_ordered_steps or step <= memory.step)
         if len(counts) != memory.n_runs or not has_order:
             return math.inf, math.inf
+        activity_ratio = max(1.0, activity / memory.activity) if memory.activity else math.inf
+        trust_factor = CONSTANTS.estimate_trust_factor
+        # The differences of several runs show most changes of a motion.
+        if activity_ratio > (trust_factor if len(counts) == 1 else trust_factor * trust_factor * trust_factor):
+            # The motion differs from the one with the last estimate, for example after an impact.
+            return math.inf, math.inf
         if len(counts) == 1:
-            activity_ratio = max(1.0, activity / memory.activity) if memory.activity else math.inf
-            if activity_ratio > CONSTANTS.estimate_trust_factor:
-                # The motion differs from the one with the last estimate, for example after an impact.
-                return math.inf, math.inf
             scale = memory.safety_factor * step * step / memory.coefficient
             return scale * memory.error * power(activity_ratio, _ACTIVITY_EXPONENT) * fraction, 0.0
         lower_order_error = change[0] + memory.velocity_weight * change[1]
