@@ -93,3 +93,15 @@ def test_undamped_frames_end_exactly_too() -> None:
         integrator.advance(plan, state, k * PERIOD, PERIOD)
     omega = (100.0 / 0.1) ** 0.5
     assert abs(state.x[0, 1] - 1.0 - 0.1 * np.cos(omega * 30 * PERIOD)) < 1e-8
+
+
+def test_pieces_below_the_resolution_of_time_move() -> None:
+    """Short pieces of a late frame start at the same rounded time; the force does not depend on time."""
+
+    def advance(t: float) -> Array:
+        plan = compile(Model([1.0, 1.0], [PairSprings([[0, 1]], 0.5, 4.5, 0.0)], anchors=[0]))
+        state = State([[0.0, 0.0, 0.0], [-0.02, 1e-4, 0.0]], [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+        make_integrator("extrapolated", tolerance=1e-9).advance(plan, state, t, PERIOD)
+        return state.positions
+
+    assert np.array_equal(advance(0.0), advance(1e12))

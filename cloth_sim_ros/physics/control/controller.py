@@ -413,7 +413,7 @@ class Controller:
     def tableau(
         self, t: float, piece: Piece, previous: ExtrapolationTableau | None, accumulator: WorkAccumulator | None
     ) -> ExtrapolationTableau:
-        """Return the runs of a piece from time t [s]; those of a previous attempt if it had the same steps."""
+        """Return the runs of a piece from time t [s]; those of its previous attempt if it had the same steps."""
         counts = step_counts(piece.steps, ratio=piece.ratio, coprime=self._is_rough)
         single_precision = False
         if self.options.tolerance is not None and not self._is_rough:
@@ -422,7 +422,6 @@ class Controller:
             )
         if (
             previous is not None
-            and previous.t == t
             and (previous.counts, previous.duration, previous.ratio) == (counts, piece.length, piece.ratio)
             and single_precision >= previous.single_precision
         ):

@@ -99,7 +99,8 @@ def integrate(
         if not (is_known or controller.keeps_energy(tableau, t + elapsed, piece)):  # rule 3: energy
             controller.reject_energy(piece)
             continue
-        elapsed = controller.accept(tableau, piece, error, accumulator)
+        # Times of short pieces may round to the same number, so the next piece must not reuse these runs.
+        elapsed, tableau = controller.accept(tableau, piece, error, accumulator), None
     return True
 
 
