@@ -105,3 +105,13 @@ def test_pieces_below_the_resolution_of_time_move() -> None:
         return state.positions
 
     assert np.array_equal(advance(0.0), advance(1e12))
+
+
+def test_fixed_steps_without_damping_have_short_pieces() -> None:
+    plan = compile(Model([0.1, 0.1], [PairSprings([[0, 1]], 1.0, 1e5, 0.0)], anchors=[0]))
+    state, step = State([[0.0, 0.0, 0.0], [1.001, 0.0, 0.0]]), 0.1 * 2.0 / 1e3
+    advance = make_integrator("extrapolated", step=step).advance(plan, state, 0.0, 1.0 / 30.0)
+    # Each run of a piece takes one evaluation more than steps.
+    n_pieces = (advance.evaluations - advance.steps) / 4
+    assert advance.rejected == 0
+    assert round(1.0 / 30.0 / advance.step) <= 6 * n_pieces

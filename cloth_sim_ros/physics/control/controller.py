@@ -80,7 +80,7 @@ class Piece(NamedTuple):
     #: Steps of the first run, and multirate ratio.
     steps: int
     ratio: int
-    #: Longest stable step by the bounds at its start [s].
+    #: Longest stable step by the bounds at the start of its stretch [s]; a shorter fixed step instead.
     max_step: float
     #: Equal pieces until its stretch ends, itself included.
     pieces_left: int
@@ -299,6 +299,8 @@ class Controller:
             max_step = min(CONSTANTS.stability_safety * limit, stretch)
             if not (self._contact_limit.should_halve(max_step, stretch) and self._halve(stretch)):
                 break
+        if options.step is not None:
+            max_step = options.step if options.step <= limit else min(options.step, max_step)
         if self._halved_step:
             self.refinement, self._halved_step = max(1.0, max_step / self._halved_step), 0.0
         ratio, self._multirate_refinement = 1, 1.0
@@ -316,9 +318,6 @@ class Controller:
             steps, n_pieces = self._count_steps(self.n_runs, self.refinement, stretch, max_step)
         if self.estimates_error:
             self._applied_refinement = max(self.refinement, self._required_refinement(self.n_runs, stretch))
-        if options.step is not None:
-            step = options.step if options.step <= limit else min(options.step, max_step)
-            steps = steps_for(stretch, step / self.refinement)
         steps = max(1, math.ceil(steps / n_pieces / ratio)) * ratio
         return Piece(stretch / n_pieces, steps, ratio, max_step, n_pieces)
 
