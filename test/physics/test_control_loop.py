@@ -11,6 +11,8 @@ import pytest
 
 from cloth_sim_ros import Gravity, Model, PairSprings, Scene, Simulation, State
 from cloth_sim_ros.physics.control.automatic import make_integrator
+from cloth_sim_ros.physics.control.controller import Controller
+from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.plan.plan import compile
@@ -107,6 +109,14 @@ def test_pieces_below_the_resolution_of_time_move() -> None:
     assert np.array_equal(advance(0.0), advance(1e12))
 
 
+def test_short_advances_stay_explicit_within_a_work_limit() -> None:
+    """One step costs less than the implicit steps that would finish the frame, however short it is."""
+    plan, state = compile(Model([1.0], [Gravity()])), State([[0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]])
+    advance = make_integrator("extrapolated", tolerance=1e-3, work=10.0).advance(plan, state, 0.0, 1e-9)
+    assert advance.integrator == "extrapolated"
+    assert advance.flagged == 0
+
+
 def test_fixed_steps_without_damping_have_short_pieces() -> None:
     plan = compile(Model([0.1, 0.1], [PairSprings([[0, 1]], 1.0, 1e5, 0.0)], anchors=[0]))
     state, step = State([[0.0, 0.0, 0.0], [1.001, 0.0, 0.0]]), 0.1 * 2.0 / 1e3
@@ -115,3 +125,37 @@ def test_fixed_steps_without_damping_have_short_pieces() -> None:
     n_pieces = (advance.evaluations - advance.steps) / 4
     assert advance.rejected == 0
     assert round(1.0 / 30.0 / advance.step) <= 6 * n_pieces
+
+
+def test_attempts_without_a_tolerance_count_over_a_frame() -> None:
+    """Energy that no step conserves ends the frame by implicit steps, and not by ever shorter steps."""
+    plan = compile(Model([0.1, 0.1], [PairSprings([[0, 1]], 1.0, 1e5, 0.0)], anchors=[0]))
+    state, integrator = State([[0.0, 0.0, 0.0], [1.001, 0.0, 0.0]]), Extrapolated(step=1e-3, n_runs=2)
+    for k in range(40):
+        assert integrator.advance(plan, state, k / 30.0, 1.0 / 30.0).rejected <= 13
+
+
+def _controller(work: float = 0.0) -> Controller:
+    plan = compile(Model([0.1, 0.1], [PairSprings([[0, 1]], 1.0, 1e5, 0.0)], anchors=[0]))
+    state = State([[0.0, 0.0, 0.0], [1.001, 0.0, 0.0]])
+    return Controller(Extrapolated(tolerance=1e-6, work=work), plan, state, 0.0, PERIOD)
+
+
+def test_missed_piece_stays_in_the_report_of_its_frame() -> None:
+    """A later piece whose clamped steps fit the work limit does not hide that an earlier one had too little."""
+    controller = _controller(work=10.0)
+    controller.exhausted, controller.refinement = True, 1e7
+    assert controller.choose_piece(0.0) is not None
+    assert controller.refinement < 1e7
+    assert controller.exhausted
+
+
+def test_piece_rejected_for_its_energy_leaves_no_energy_behind() -> None:
+    controller = _controller()
+    piece = controller.choose_piece(0.0)
+    assert piece is not None
+    tableau = controller.tableau(0.0, piece, None, None)
+    controller.keeps_energy(tableau, 0.0, piece)
+    controller.reject_energy(piece)
+    # private: the next accepted piece would store it
+    assert controller._checked_energy is None

@@ -265,6 +265,7 @@ class Controller:
         self._lower_order_error = self._contact_energy = 0.0
         self.error, self.n_pieces, self.steps, self._first_run_steps, self.min_step = 0.0, 0, 0, 0, math.inf
         self._refined_time, self._energy_rule, self._has_missed = 0.0, None, False
+        self._longest_step, self._checked_energy = 0.0, None
 
     @property
     def must_restart(self) -> bool:
@@ -405,8 +406,9 @@ class Controller:
         # Rounding up steps and pieces may exceed the remaining work.
         while self.refinement > 1.0 and not self.work.fits(work_of(self.n_runs, self.refinement)):
             self.refinement = max(1.0, 0.5 * self.refinement)
-        self.exhausted = not self.work.fits(work_of(self.n_runs, self.refinement))
-        is_too_much = not self.work.fits(work_of(self.n_runs, self.refinement) - FALLBACK_EVALUATIONS)
+        self.exhausted = self.exhausted or not self.work.fits(work_of(self.n_runs, self.refinement))
+        fallback_work = FALLBACK_EVALUATIONS + CONSTANTS.implicit_finish_steps * self.work.call_work
+        is_too_much = not self.work.fits(work_of(self.n_runs, self.refinement) - fallback_work)
         self.abandoned = is_too_much and self._has_fallback
 
     def tableau(
@@ -697,6 +699,7 @@ class Controller:
         Raises:
             UnstableError: if no choice is left.
         """
+        self._checked_energy = None
         # The drive of a gripper's jaws may be its source; implicit steps finish then.
         self._retry(2.0, "making energy from nowhere", piece, may_abandon=True)
 
@@ -791,8 +794,10 @@ class Controller:
             self._energy.accept(*self._checked_energy)
             self._checked_energy = None
         tableau.commit(n_runs, state)
-        self._attempts, self._met_limit = 0, math.inf
-        self._elapsed = elapsed
+        if self.options.tolerance is not None:
+            # Without a tolerance steps do not grow again, so attempts count over the frame.
+            self._attempts = 0
+        self._met_limit, self._elapsed = math.inf, elapsed
         self._piece = None if is_stretch_end else piece._replace(pieces_left=piece.pieces_left - 1)
         if is_stretch_end and self._is_rough and self.options.tolerance is not None:
             self._choose_next(piece)
