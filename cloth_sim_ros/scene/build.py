@@ -37,6 +37,7 @@ from cloth_sim_ros.scene.parameters.declare import ParameterError
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.contact.obstacles import Obstacle
     from cloth_sim_ros.physics.model.forces.contact import ContactSurface
+    from cloth_sim_ros.physics.model.sheets.rest_angles import RestAngles
 
 Sheet: TypeAlias = GridSheet | MeshSheet | RawSprings
 
@@ -331,6 +332,13 @@ def _joints(scene: PhysicsScene, pairs: NDArray[np.int64], masses: Array) -> lis
     return [PairSprings(pairs, 0.0, cloth.joint_stiffness, damping, name="joints")]
 
 
+@lru_cache(maxsize=8)
+def _parsed_rest_angles(data: bytes) -> RestAngles:
+    from cloth_sim_ros.scene import springs_file
+
+    return springs_file.parse_rest_angles(data)
+
+
 def _rest_angle(scene: PhysicsScene, hinges: NDArray[np.int64]) -> float | Array | None:
     """Return the rest angle of hinges (h, 4), one number or (h,).
 
@@ -340,10 +348,8 @@ def _rest_angle(scene: PhysicsScene, hinges: NDArray[np.int64]) -> float | Array
     default = 0.0 if bending.flat else bending.rest_angle or None
     if not bending.rest_angles:
         return default
-    from cloth_sim_ros.scene import springs_file
-
     try:
-        angles = springs_file.parse_rest_angles(scene.files[bending.rest_angles]).of_hinges(hinges)
+        angles = _parsed_rest_angles(scene.files[bending.rest_angles]).of_hinges(hinges)
     except ValueError as error:
         raise ParameterError(f"bending.rest_angles '{bending.rest_angles}': {error}") from error
     return angles if default is None else np.where(np.isnan(angles), default, angles)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import attrs
@@ -15,12 +16,12 @@ from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings, lecture_damping
 from cloth_sim_ros.physics.model.sheets.hinge_shape import HingeShape
 from cloth_sim_ros.physics.model.sheets.surface import Surface
-from cloth_sim_ros.physics.model.sheets.tables import checked_table, per_row
+from cloth_sim_ros.physics.model.sheets.tables import checked_table, pair_rows, per_row
 
 _KEYS = ("positions", "masses", "springs", "rest_lengths", "stiffness", "k_d", "k_d0", "velocities", "triangles")
 
 
-@attrs.frozen(eq=False, kw_only=True)
+@attrs.frozen(eq=False, kw_only=True, slots=False)
 class RawSprings:
     """A system of springs in the lecture's terms."""
 
@@ -114,7 +115,7 @@ class RawSprings:
         ends = np.stack([self.surface_triangles, np.roll(self.surface_triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
         return self._lengths(ends).reshape(-1, 3)
 
-    @property
+    @cached_property
     def surface(self) -> Surface:
         """The surface of the triangles.
 
@@ -141,9 +142,10 @@ class RawSprings:
 
     def _lengths(self, pairs: NDArray[np.int64]) -> Array:
         """Return the rest length of each pair's spring, or without a spring its distance at the start [m], (m,)."""
-        rest_lengths = dict(zip(map(frozenset, self.term.pairs.tolist()), self.term.rest_length.tolist(), strict=True))
-        distances = _distances(self.start, pairs).tolist()
-        return np.array(list(map(rest_lengths.get, map(frozenset, pairs.tolist()), distances)))
+        lengths, rows = _distances(self.start, pairs), pair_rows(self.term.pairs, pairs)
+        has_spring = rows >= 0
+        lengths[has_spring] = self.term.rest_length[rows[has_spring]]
+        return lengths
 
 
 def _distances(positions: Array, pairs: NDArray[np.int64]) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.model.sheets.tables import checked_table, per_row
+from cloth_sim_ros.physics.model.sheets.tables import checked_table, pair_rows, per_row
 
 _KEYS = ("edges", "angles")
 
@@ -57,13 +57,13 @@ class RestAngles:
         Raises:
             ValueError: for an edge without hinge.
         """
-        angles = dict(zip(map(frozenset, self.edges.tolist()), self.angles.tolist(), strict=True))
-        keys = list(map(frozenset, hinges[:, :2].tolist()))
-        present = set(keys)
-        missing = [row for row, edge in enumerate(angles) if edge not in present]
-        if missing:
+        missing = np.flatnonzero(pair_rows(hinges[:, :2], self.edges) < 0)
+        if missing.size:
             raise ValueError(
                 f"row {missing[0]} of table 'edges' is {self.edges[missing[0]].tolist()}, which is no edge between two "
                 "triangles of the cloth; remove it"
             )
-        return np.array([angles.get(key, np.nan) for key in keys])
+        rows = pair_rows(self.edges, hinges[:, :2])
+        angles = np.full(len(hinges), np.nan)
+        angles[rows >= 0] = self.angles[rows[rows >= 0]]
+        return angles

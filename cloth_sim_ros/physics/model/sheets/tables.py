@@ -1,12 +1,13 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of named tables of numbers."""
+"""Checks of named tables of numbers, and rows of pairs of particles."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.model.forces.force import Array
 
@@ -51,3 +52,17 @@ def per_row(name: str, value: Any, count: int) -> Array:
     if array.ndim and array.shape != (count,):
         raise ValueError(f"table '{name}' has {array.size} numbers; give one, or {count}")
     return np.array(np.broadcast_to(array, (count,)))
+
+
+def pair_rows(pairs: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the last row of `pairs` (m, 2) that holds each query (q, 2) in either order, or -1, shape (q,)."""
+    if not len(pairs):
+        return np.full(len(queries), -1)
+    # Ranks instead of particle numbers, because a file may hold any number.
+    numbers, rank = np.unique(np.concatenate((pairs, queries)), return_inverse=True)
+    low, high = np.sort(rank.reshape(-1, 2), axis=1).T
+    key = low * len(numbers) + high
+    pair_keys, query_keys = key[: len(pairs)], key[len(pairs) :]
+    order = np.argsort(pair_keys, kind="stable")
+    last = order[np.maximum(np.searchsorted(pair_keys, query_keys, side="right", sorter=order) - 1, 0)]
+    return np.where(pair_keys[last] == query_keys, last, -1)
