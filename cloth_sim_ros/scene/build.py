@@ -25,6 +25,7 @@ from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.model.parts import GridFamily
 from cloth_sim_ros.physics.model.sheets.grid import GridSheet
 from cloth_sim_ros.physics.model.sheets.material import Threads, grid_threads
+from cloth_sim_ros.physics.model.sheets.merging import component_labels
 from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
 from cloth_sim_ros.physics.model.sheets.raw import RawSprings
 from cloth_sim_ros.physics.model.sheets.surface import grid_cells, grid_hinges
@@ -161,9 +162,11 @@ def joined_particles(scene: PhysicsScene, sheet: Sheet) -> NDArray[np.int64]:
     """Return the pairs of particles that `cloth.joints` joins, shape (m, 2).
 
     Raises:
-        ParameterError: for a joint that does not name two different particles, or two edges of equal length.
+        ParameterError: for a joint that does not name two different particles, or two edges of equal length; for two
+            particles that are joined twice; for pieces of a mesh that joints leave apart.
     """
     count, pairs = len(sheet.positions()), list[tuple[int, int]]()
+    joint_of: dict[frozenset[int], str] = {}
     for joint in filter(None, scene.cloth.joints):
         ends = joint.split("-")
         if len(ends) != 2 or not all(ends):
@@ -176,8 +179,28 @@ def joined_particles(scene: PhysicsScene, sheet: Sheet) -> NDArray[np.int64]:
         for pair in zip(first, second, strict=True):
             if pair[0] == pair[1]:
                 raise ParameterError(f"cloth.joints has '{joint}', which joins particle {pair[0]} to itself; name two")
+            if frozenset(pair) in joint_of:
+                raise ParameterError(
+                    f"cloth.joints has '{joint_of[frozenset(pair)]}' and '{joint}', which both join particles "
+                    f"{pair[0]} and {pair[1]}; give one, or a larger cloth.joint_stiffness"
+                )
+            joint_of[frozenset(pair)] = joint
             pairs.append(pair)
-    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    joints = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    if pairs and isinstance(sheet, MeshSheet) and not scene.contact.self_:
+        _check_pieces(sheet, joints)
+    return joints
+
+
+def _check_pieces(sheet: MeshSheet, joints: NDArray[np.int64]) -> None:
+    """Refuse a mesh with a piece that no joint of (m, 2) connects with the first one."""
+    label = component_labels(np.concatenate([sheet.surface.edges, joints]), len(sheet.positions()))
+    apart = np.flatnonzero(label != label[0])
+    if apart.size:
+        raise ParameterError(
+            f"cloth.joints leave the mesh in {label.max() + 1} pieces: nothing connects particle {apart[0]} with "
+            "particle 0; join them too, or set contact.self: true, which keeps pieces apart"
+        )
 
 
 def _named(parameter: str, name: str, sheet: Sheet, count: int) -> list[int]:

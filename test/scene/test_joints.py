@@ -94,6 +94,8 @@ def test_joint_of_a_springs_file_does_not_touch_itself():
         (["4-4"], "'4-4', which joins particle 4 to itself"),
         (["left-top"], "'left-top', which joins 6 particles with 7"),
         (["0-42"], "cloth.joints names particle 42; there are 42, counted from 0"),
+        (["0-1", "1-0"], "cloth.joints has '0-1' and '1-0', which both join particles 1 and 0; give one"),
+        (["left-right", "7-13"], "cloth.joints has 'left-right' and '7-13', which both join particles 7 and 13"),
         (["0-table"], "cloth.joints: 'table' is no edge or corner of a grid"),
     ],
 )
@@ -106,6 +108,16 @@ def test_invalid_joints_are_refused(joints, words):
 def test_pieces_without_joints_are_refused():
     with pytest.raises(ParameterError, match=r"join them \(cloth\.joints\), or set contact\.self: true"):
         pieces_scene(**{"cloth.joints": [""]})
+
+
+def test_pieces_that_joints_leave_apart_are_refused():
+    scene = pieces_scene(**{"cloth.joints": ["2-9"]})
+    assert scene.sheet.surface.pieces().max() == 1
+    with pytest.raises(
+        ParameterError, match=r"leave the mesh in 2 pieces: nothing connects particle 9 with particle 0"
+    ):
+        pieces_scene(**{"cloth.joints": ["0-4"]})
+    pieces_scene(**{"cloth.joints": ["0-4"], "contact.self": True, "contact.thickness": 5e-4})
 
 
 def test_check_reports_the_joints(tmp_path, capsys):
