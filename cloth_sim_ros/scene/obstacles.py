@@ -12,6 +12,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from cloth_sim_ros.physics.model.sheets.grid import GridSheet
 from cloth_sim_ros.physics.model.sheets.raw import RawSprings
 from cloth_sim_ros.physics.plan.gripper_path import normalized
@@ -210,8 +212,8 @@ def check_cloth(sheet: Sheet, thickness: float, *, touches_itself: bool) -> None
         touches_itself: true for contact of the cloth with itself.
 
     Raises:
-        ParameterError: for contact with itself without a surface, a degenerate triangle, or a thickness above half the
-            shortest edge.
+        ParameterError: for contact with itself without a surface, a triangle without area, a joint on a triangle's
+            edge, or a thickness above half the shortest edge.
     """
     triangles = sheet.triangles()
     if not len(triangles):
@@ -221,18 +223,33 @@ def check_cloth(sheet: Sheet, thickness: float, *, touches_itself: bool) -> None
                 "set contact.self to false"
             )
         return
-    for row, triangle in enumerate(triangles.tolist() if isinstance(sheet, RawSprings) else []):
-        if len(set(triangle)) < 3:
-            raise ParameterError(
-                f"row {row} of table 'triangles' of cloth.springs is {triangle}; contact needs three different "
-                "particles a triangle: remove the row"
-            )
+    if isinstance(sheet, RawSprings):
+        _check_raw_triangles(sheet, touches_itself)
     shortest = _shortest_edge(sheet)
     if thickness > 0.5 * shortest:
         raise ParameterError(
             f"contact.thickness is {thickness:g} m, more than half the cloth's shortest edge, {shortest:.4g} m; take "
             f"{0.49 * shortest:.2g} m or less, or a coarser cloth"
         )
+
+
+def _check_raw_triangles(sheet: RawSprings, touches_itself: bool) -> None:
+    triangles, positions = sheet.triangles(), sheet.positions()
+    corner = positions[triangles]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    for wrong, fault in (
+        (
+            (triangles == np.roll(triangles, 1, axis=1)).any(axis=1),
+            "contact needs three different particles a triangle",
+        ),
+        (touches_itself & ~(np.abs(normal).max(axis=1) > 0.0), "it has no area at the start"),
+        ((sheet.edge_lengths() == 0.0).any(axis=1), "a joint is one of its edges"),
+    ):
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise ParameterError(
+                f"row {row} of table 'triangles' of cloth.springs is {triangles[row].tolist()}; {fault}: remove the row"
+            )
 
 
 def _shortest_edge(sheet: Sheet) -> float:

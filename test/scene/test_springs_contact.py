@@ -84,7 +84,13 @@ def test_edges_without_spring_have_starting_distances():
     ("tables", "words"),
     [
         (chain_tables(), "contact.self needs a surface, and the file of cloth.springs has none"),
-        ({**net_tables(), "triangles": [[0, 1, 2], [1, 2, 2]]}, r"row 1 of table 'triangles'.* is \[1, 2, 2\]"),
+        ({**net_tables(), "triangles": [[0, 1, 9], [1, 2, 2]]}, r"row 1 of table 'triangles'.* is \[1, 2, 2\]"),
+        (
+            {**net_tables(), "triangles": [[0, 1, 9], [0, 1, 2]]},
+            r"row 1 .* is \[0, 1, 2\]; it has no area at the start",
+        ),
+        ({**net_tables(3), "positions": [[0.0] * 3] * 9, "rest_lengths": 0.1}, "row 0 .* it has no area at the start"),
+        ({**net_tables(3), "springs": [[1, 4]], "rest_lengths": 0.0}, "row 0 .* a joint is one of its edges: remove"),
     ],
 )
 def test_self_contact_without_surface_is_refused(tables, words):
