@@ -93,8 +93,10 @@ def test_pair_with_a_spring_gets_no_opposite_spring():
             "table 'triangles': triangles 0 and",
         ),
         ({**net_tables(3), "rest_lengths": [0.2] + [0.05] * 15}, values_of("altitude"), "m of a triangle at hinge"),
+        ({**net_tables(3), "rest_lengths": 0.0}, values_of("altitude"), "the sides 0, 0, 0 m of a triangle at hinge 0"),
     ],
 )
+@pytest.mark.filterwarnings("error")
 def test_unsuitable_hinges_are_refused(tables, values, words):
     with pytest.raises(ParameterError) as caught:
         springs_scene(tables, **values)

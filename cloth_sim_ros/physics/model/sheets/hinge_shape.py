@@ -111,9 +111,10 @@ class HingeShape:
         """
         feet, heights = [], []
         for first, second in (sides.T[:2], sides.T[2:]):
-            foot = (first * first + edge * edge - second * second) / (2.0 * edge)
-            square = first * first - foot * foot
-            wrong = np.flatnonzero(~(square > 1e-18 * edge * edge))
+            with np.errstate(all="ignore"):
+                foot = (first * first + edge * edge - second * second) / (2.0 * edge)
+                square = first * first - foot * foot
+                wrong = np.flatnonzero(~(square > 1e-18 * edge * edge))
             if wrong.size:
                 lengths = ", ".join(f"{length[wrong[0]]:.4g}" for length in (edge, first, second))
                 raise ValueError(f"the sides {lengths} m of a triangle at hinge {wrong[0]} make no area; lengthen two")
