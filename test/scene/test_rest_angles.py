@@ -5,13 +5,16 @@
 import io
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from support.raw_nets import net_tables, springs_scene
 
 from cloth_sim_ros.physics.model.sheets.hinge_shape import HingeShape
+from cloth_sim_ros.ros.check import check
 from cloth_sim_ros.scene.parameters.declare import ParameterError
+from cloth_sim_ros.scene.parameters.parameter_file import dump
 from cloth_sim_ros.scene.parameters.warnings import ineffective_parameters
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
@@ -127,6 +130,25 @@ def test_invalid_rest_angles_are_refused(angles, words):
 def test_flat_and_an_angle_are_refused():
     with pytest.raises(ParameterError, match=r"bending\.flat is true and bending\.rest_angle 0\.5 rad; set one"):
         gutter_scene(**{"bending.flat": True, "bending.rest_angle": 0.5})
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"bending.flat": True}, "hinges rest flat\n"),
+        ({"bending.rest_angle": 0.5}, "hinges rest at 0.5 rad\n"),
+        ({"bending.rest_angles": "a.yaml"}, "hinges rest as in the rest shape, single edges by a.yaml\n"),
+        ({}, ""),
+    ],
+)
+def test_check_reports_the_rest_angles(values, words, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("m.obj").write_bytes(GUTTER)
+    Path("a.yaml").write_text("edges: [[2, 3]]\nangles: 0.5\n")
+    Path("scene.yaml").write_text(dump({**MESH, **values}))
+    assert check.check("scene.yaml", node="cloth_sim") == 0
+    report = capsys.readouterr().out
+    assert words in report if words else "hinges rest" not in report
 
 
 def test_flat_grid_is_reported_as_without_effect():

@@ -133,6 +133,8 @@ def _print_cloth(scene: Scene, simulation: Simulation) -> None:
     if len(pairs := joined_particles(scene, scene.sheet)):
         away = simulation.state.x[:, pairs[:, 1]] - simulation.state.x[:, pairs[:, 0]]
         print(f"{pluralize(len(pairs), 'joint')}, at most {np.linalg.norm(away, axis=0).max():.3g} m long at the start")
+    if sentence := _describe_rest_angles(scene):
+        print(sentence)
     print(cloth_size(scene, simulation.state.x, simulation.model.masses))
     control = f"step {scene.step:g} s" if scene.step else f"tolerance {scene.tolerance:g} m"
     print(f"{scene.rate:g} frames a second; {control}; grippers: {', '.join(scene.gripper_names) or 'none'}")
@@ -140,6 +142,17 @@ def _print_cloth(scene: Scene, simulation: Simulation) -> None:
         print(f"Poisson's ratio, which follows from the moduli: {ratio:.3f}")
     if simulation.obstacles is not None:
         _print_obstacles(scene, simulation.obstacles)
+
+
+def _describe_rest_angles(scene: Scene) -> str:
+    """Return a sentence about hinges that do not rest at the angles of the rest shape; else empty."""
+    bending = scene.bending
+    if bending.model in ("none", "axial") or not (bending.flat or bending.rest_angle or bending.rest_angles):
+        return ""
+    shape = (
+        f"at {bending.rest_angle:g} rad" if bending.rest_angle else "flat" if bending.flat else "as in the rest shape"
+    )
+    return f"hinges rest {shape}" + (f", single edges by {bending.rest_angles}" if bending.rest_angles else "")
 
 
 def _print_obstacles(scene: Scene, obstacles: Obstacles) -> None:
