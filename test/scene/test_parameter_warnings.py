@@ -78,5 +78,6 @@ def test_each_parameter_is_reported_once():
     scene = Scene.from_parameters(values, files=FILES)
     (sentence,) = ineffective_parameters(scene, values)
     assert sentence == (
-        "bending.stiffness is set and has no effect: cloth.springs has masses and stiffnesses of its own"
+        "bending.stiffness is set and has no effect: cloth.springs has stiffnesses and damping of its own, and "
+        "bending.model is none"
     )

@@ -42,7 +42,7 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
             "bending.flat",
         ),
         lambda scene: bool(scene.cloth.springs) and scene.bending.model == "none",
-        "cloth.springs has masses and stiffnesses of its own",
+        "cloth.springs has stiffnesses and damping of its own, and bending.model is none",
     ),
     (
         ("material.shear_modulus",),
