@@ -236,6 +236,7 @@ def test_critical_damping_of_two_equal_free_ends_is_root_two(kind):
         (("altitude", {"hinge_constants": [1.0, 2.0]}), r"hinge constants are of shape \(2,\)"),
         (("altitude", {"hinge_constants": [1.0], "ratio": 0.0}), "ratio is 0.0; it must be finite and above 0"),
         (("altitude", {"hinge_constants": [1.0], "rest_angle": 3.2}), "rest_angle is 3.2 rad"),
+        (("altitude", {"hinge_constants": [1.0], "rest_angle": math.nan}), "rest_angle is nan rad"),
         (("altitude", {"hinge_constants": [1.0], "damping": 0.1}), "damping is 0.1 without masses"),
     ],
 )

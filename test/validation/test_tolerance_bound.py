@@ -281,7 +281,7 @@ def test_violent_scene_stays_finite_without_energy_gain():
 
 
 def test_violent_scene_frames_stay_within_work_limit():
-    # Its 49th frame is halved 20 times around a jump; a former version took 1.2 times the limit.
+    # Grippers jump in its frames; a former version took 1.2 times the limit in one of them.
     result = run_violent((1, 146))
     assert 0.5 < result.of_cap <= 1.0
 

@@ -122,8 +122,8 @@ def bending_terms(
         hinge_constants: k_θ [N m], shape (m,), for `crossed` and `altitude`; see `grid_hinge_constants`,
             `mesh_hinge_constants`.
         spring_stiffness: k_s [N] of S7, one number or shape (m,), for `opposite` alone.
-        rest_angle: fold at rest [rad], positive to the side of the normal, one number or shape (m,). None, or NaN for a
-            single hinge, takes the fold of `positions`.
+        rest_angle: fold at rest [rad], positive to the side of the normal, one number or shape (m,). None, or NaN in an
+            array, takes the fold of `positions`.
         ratio: stiffness ratio ρ; None is the one that docs/bending.md recommends.
         damping: the dimensionless k_d0 of every bending spring.
         masses: particle masses [kg], shape (n,); required with damping.
@@ -137,7 +137,8 @@ def bending_terms(
     shape = HingeShape.of(quads, positions) if shape is None else shape
     if rest_angle is not None:
         angles = np.array(np.broadcast_to(np.asarray(rest_angle, dtype=np.float64), shape.edge.shape))
-        wrong = np.flatnonzero(~(np.isnan(angles) | (np.abs(angles) < math.pi)))
+        is_missing = np.isnan(angles) & (np.ndim(rest_angle) > 0)
+        wrong = np.flatnonzero(~(is_missing | (np.abs(angles) < math.pi)))
         if wrong.size:
             raise ValueError(f"rest_angle is {angles[wrong[0]]} rad; it must lie between -π and π, both excluded")
         shape = shape.at(angles)
