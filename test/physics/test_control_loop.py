@@ -58,6 +58,27 @@ def test_refused_frame_leaves_the_motion_at_its_start(tolerance: float | None) -
     assert state.v is before.v
 
 
+def test_exception_of_a_force_leaves_the_motion_at_its_start() -> None:
+    class Broken(Force):
+        """Force that fails in the second half of a frame."""
+
+        name = "broken"
+
+        def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
+            if t > 0.5 * PERIOD:
+                raise ArithmeticError("no force")
+
+    # An undamped combination of runs has several pieces in the frame.
+    spring = PairSprings([[0, 1]], 1.0, 1e5, 0.0)
+    plan = compile(Model([0.1, 0.1], [spring, Broken()], anchors=[0]))
+    state = State([[0.0, 0.0, 0.0], [1.001, 0.0, 0.0]])
+    before = state.shallow_copy()
+    with pytest.raises(ArithmeticError, match="no force"):
+        Extrapolated(step=2e-4).advance(plan, state, 0.0, PERIOD)
+    assert state.x is before.x
+    assert state.v is before.v
+
+
 def test_pieces_of_a_rough_frame_cover_it_exactly() -> None:
     """A particle that a spring stops at a moment within a frame, against the closed form."""
     stiffness, mass, speed, slack = 4.0e3, 0.1, 2.0, 0.75

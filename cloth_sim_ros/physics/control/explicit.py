@@ -16,7 +16,7 @@ from cloth_sim_ros.physics.control import fallback
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.controller import Controller
 from cloth_sim_ros.physics.control.description import ExplicitSettings
-from cloth_sim_ros.physics.integrators.base import Advance, NoRoomError, UnstableError
+from cloth_sim_ros.physics.integrators.base import Advance, NoRoomError
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.state import State
 
@@ -46,7 +46,8 @@ def advance(
         if not fallback.is_implicit_feasible(plan):
             state.restore_motion(start)
             raise
-    except UnstableError:
+    except BaseException:
+        # A force in Python may raise anything, after pieces that were accepted.
         state.restore_motion(start)
         raise
     if is_finished:
