@@ -59,3 +59,8 @@ def weighted_dot(masses: Array, a: Array, b: Array) -> float:
     addresses = doubles("masses", masses, (len(masses),)), doubles("a", a, shape), doubles("b", b, shape)
     check(library().cloth_weighted_dot(*addresses, len(masses), ctypes.addressof(out)))
     return float(out.value)
+
+
+def largest_component(vectors: Array) -> float:
+    """Return the largest absolute component of vectors, shape (3, n)."""
+    return max(float(vectors.max()), -float(vectors.min()))

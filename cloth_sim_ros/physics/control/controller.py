@@ -269,8 +269,8 @@ class Controller:
 
     @property
     def must_restart(self) -> bool:
-        """True if a prediction failed after pieces that were accepted by predictions: these may be wrong too."""
-        return self.n_pieces > 0 and not self.estimates_error
+        """True if a piece needs an estimate after others were accepted by predictions: these may be wrong too."""
+        return self._n_estimated < self.n_pieces
 
     def _work_rate(self) -> float:
         """Return the force evaluations per second of the present choice with an error estimate."""

@@ -16,6 +16,7 @@ from functools import cached_property
 import attrs
 import numpy as np
 
+from cloth_sim_ros.physics.arithmetic.arrays import largest_component
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum, power, root
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
@@ -25,7 +26,6 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
     amplification,
     error_coefficient,
 )
-from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.state.controller_state import ErrorState
 from cloth_sim_ros.physics.state.state import State
 
@@ -79,7 +79,7 @@ class ErrorRule:
     def _roundings(self) -> tuple[float, float]:
         """Rounding error of a run's positions [m], and of a step's velocities [m/s]; most frames do not need them."""
         epsilon = float(np.finfo(np.float64).eps)
-        return _COORDINATE_ROUNDINGS * epsilon * _max_component(self._x), 0.5 * epsilon * _max_component(self._v)
+        return _COORDINATE_ROUNDINGS * epsilon * largest_component(self._x), 0.5 * epsilon * largest_component(self._v)
 
     def rounding_floor(self, n_runs: int, steps: int = 0) -> float:
         """Return the distance of T_(K+1) from T_K that rounding alone causes [m], K = n_runs.
@@ -215,8 +215,3 @@ def coefficient_of(counts: tuple[int, ...], length: float) -> float:
 def is_for_duration(memory: ErrorState, duration: float) -> bool:
     """Return True if the state of the rule belongs to frames of a duration [s]."""
     return abs(memory.duration - duration) <= 1e-6 * duration
-
-
-def _max_component(array: Array) -> float:
-    """Return the largest absolute component of vectors."""
-    return max(float(array.max()), -float(array.min()))

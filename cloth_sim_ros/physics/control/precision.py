@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
-from cloth_sim_ros.physics.arithmetic.arrays import largest_distance, weighted_dot
+from cloth_sim_ros.physics.arithmetic.arrays import largest_component, largest_distance, weighted_dot
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum, root
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import VELOCITY_ERROR_TIME, amplification
@@ -104,7 +104,7 @@ class PrecisionRule:
             mean_change = root(ordered_sum(mean * mean for mean in means), 2)
             growth = root(self._duration / span, 2)
             memory.common_rounding = max(memory.common_rounding, trust * VELOCITY_ERROR_TIME * mean_change * growth)
-            memory.speed = max(memory.speed, _max_component(runs[0].v))
+            memory.speed = max(memory.speed, largest_component(runs[0].v))
             noise.power = max(noise.power, trust * energy_change / span)
         return 2 * (steps + 1)
 
@@ -138,7 +138,7 @@ class PrecisionRule:
             return False
         if not 0.0 <= self.noise.power * _COMPARISON_TIME <= CONSTANTS.max_energy_gain * self.noise.kinetic_energy:
             return False
-        speed = _max_component(state.v)
+        speed = largest_component(state.v)
         # The rounding of velocities was measured at a speed.
         is_known = speed <= CONSTANTS.estimate_trust_factor * memory.speed
         return is_known and speed * self._duration > CONSTANTS.single_precision_min_motion * rounding
@@ -152,15 +152,10 @@ class PrecisionRule:
 
     def _is_known_at(self, state: State) -> bool:
         """Return True if the rounding of velocities was measured at the speed of a state."""
-        return _max_component(state.v) <= CONSTANTS.estimate_trust_factor * self.memory.speed
+        return largest_component(state.v) <= CONSTANTS.estimate_trust_factor * self.memory.speed
 
     def _mean(self, dv: Array, axis: int) -> float:
         """Return the mean of a component of velocity changes [m/s], weighted with masses."""
         unit = np.zeros_like(dv)
         unit[axis] = 1.0
         return weighted_dot(self._plan.model.masses, dv, unit) / self._plan.model.mass
-
-
-def _max_component(v: Array) -> float:
-    """Return the largest component of velocities [m/s]."""
-    return max(float(v.max()), -float(v.min()))
