@@ -183,6 +183,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     ),
     "cloth_velocity_displacement": ("i", ("h", "d", _X, _X, "d", _fixed(2))),
     "cloth_spectral_bounds": ("i", ("h", _X, _B, _B, "i", _fixed(5))),
+    "cloth_turn_in_step": ("i", ("h", _X, _X, "i", _fixed(1))),
     "cloth_bounds": ("i", ("h", _X, _B, _B)),
     "cloth_eigenvalues": ("i", (_argument_size(6, 1), "i", _argument_size(1, 1))),
     "cloth_derivative_product": ("i", ("h", "d", _X, _X, _X, _X, _X)),
@@ -339,14 +340,13 @@ class TracedLibrary:
             "weights": runs,
             "x0": 3 * n,
             "v0": 3 * n,
-            "previous_v0": 3 * n,
-            "earlier_v0": 3 * n,
             "out": 6 * n * runs,
             "result": 6 * n,
             "records": runs * (binding.RECORD_NUMBERS * (plan["grippers"] + plan["obstacles"]) + 2 + plan["met"]),
             "summary": binding.SUMMARY_NUMBERS,
             "anchors": runs * _anchors(plan),
             "jaw_states": runs * binding.JAW_NUMBERS * plan["pinches"],
+            "activities": runs,
         }
         names = [name for name, *_ in binding.FrameRequest._fields_]
         raw = bytes(frame)

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the C interface that this file binds.
-ABI = 16
+ABI = 17
 #: Errors by the status of a call.
 _ERRORS = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE, _BUSY = 4, 5
@@ -90,9 +90,7 @@ class FrameRequest(ctypes.Structure):
         ("multirate", ctypes.c_int64),
         ("combined", ctypes.c_int64),
         ("concurrency", ctypes.c_int64),
-        ("previous_v0", ctypes.c_void_p),
-        ("earlier_v0", ctypes.c_void_p),
-        ("previous_ratio", ctypes.c_double),
+        ("activities", ctypes.c_void_p),
     )
 
 
@@ -155,6 +153,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_ccd_self": (_INT, _P, _P, _P, _P),
     "cloth_velocity_displacement": (_INT, _P, _D, _P, _P, _D, _P),
     "cloth_spectral_bounds": (_INT, _P, _P, _P, _P, _I, _P),
+    "cloth_turn_in_step": (_INT, _P, _P, _P, _I, _P),
     "cloth_bounds": (_INT, _P, _P, _P, _P),
     "cloth_eigenvalues": (_INT, _P, _I, _P),
     "cloth_derivative_product": (_INT, _P, _D, _P, _P, _P, _P, _P),

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau, step_counts, weights
+from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
+from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.model.sheets.surface import grid_triangles
-from cloth_sim_ros.physics.plan.runs import History
+from cloth_sim_ros.physics.plan.plan import compile
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
@@ -120,15 +122,7 @@ def test_summary_equals_direct_computation(values):
     runs = tableau(simulation)
     summary, (x, v) = runs.summary(2), runs.combine(2)
     assert summary.is_finite
-    change = v - simulation.state.v
-    size = np.linalg.norm(change, axis=0).max()
-    assert summary.activity == pytest.approx(1e-5 * size, rel=1e-14)
-    # Two previous intervals of half the length, in which the acceleration fell from 6 to 4 times the present one.
-    previous = simulation.state.v - 2.0 * change
-    history = History(previous, None, 0.5 * runs.duration)
-    assert tableau(simulation, history=history).summary(2).activity == pytest.approx(3.0 * size, rel=1e-12)
-    history = History(previous, previous - 3.0 * change, 0.5 * runs.duration)
-    assert tableau(simulation, history=history).summary(2).activity == pytest.approx(0.0, abs=1e-4 * size)
+    assert summary.turn == simulation.plan.turn_in_step(simulation.state.x, x, runs.counts[0])
     assert (summary.omega2, summary.damping) == simulation.plan.spectral_bounds(x)
     distances = np.linalg.norm(x - runs.combine(1)[0], axis=0), np.linalg.norm(v - runs.combine(1)[1], axis=0)
     assert runs.change(1) == pytest.approx((distances[0].max(), distances[1].max()), rel=1e-12)
@@ -161,3 +155,52 @@ def test_single_precision_changes_runs_by_rounding(values):
     # The error is that of the steps; rounding is multiplied by the weight of the second run.
     bound = 4.0 * weights(step_counts(60, 2))[1] * away
     assert single.change(1)[0] == pytest.approx(double.change(1)[0], abs=bound)
+
+
+@every_scene
+@pytest.mark.parametrize("single_precision", [False, True])
+@pytest.mark.parametrize("steps", [1, 2, 5, 8])
+def test_activity_is_the_difference_of_both_halves(values, steps, single_precision):
+    simulation = started(values)
+    plan, state, step = simulation.plan, simulation.state, 1e-4
+    first = steps // 2
+
+    def velocities(count):
+        return plan.runs(0.0, count * step, (state.x, state.v), [count], single_precision=single_precision)[0][0].v
+
+    end, middle = velocities(steps), velocities(first) if first else state.v
+    halves = (end - middle) / (steps - first), (middle - state.v) / max(first, 1)
+    difference = (halves[0] - halves[1]) * (0.5 * steps if first else 1.0)
+    for threads in (1, 2):
+        run = plan.runs(
+            0.0, steps * step, (state.x, state.v), [steps], single_precision=single_precision, threads=threads
+        )[0][0]
+        assert run.half_difference == pytest.approx(np.linalg.norm(difference, axis=0).max(), rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "steps", "angle"),
+    [
+        # Past each other at 0.1 m, in 10 steps of 0.2 m.
+        ((-1.0, 0.1, 0.0), (1.0, 0.1, 0.0), 10, 2.0),
+        # Still 1 m apart, less half a step of 0.1 m.
+        ((-2.0, 0.0, 0.0), (-1.0, 0.0, 0.0), 5, 0.2 / 0.9),
+        # 1 m apart at the start, less half a step of 0.1 m.
+        ((0.0, 1.0, 0.0), (0.0, 2.0, 0.0), 5, 0.2 / 0.9),
+        ((0.0, 1.0, 0.0), (0.0, 1.0, 0.0), 5, 0.0),
+    ],
+)
+def test_turn_in_step_is_the_angle_at_the_closest_approach(start, end, steps, angle):
+    model = Model([1.0, 1.0], [PairSprings([[0, 1]], 0.5, 1.0)])
+    positions = [np.array([np.zeros(3), point]).T.copy() for point in (start, end)]
+    assert compile(model).turn_in_step(*positions, steps) == pytest.approx(angle, rel=1e-12)
+
+
+def test_turn_in_step_of_a_sheet_is_that_of_its_springs():
+    simulation = started({"cloth.resolution": [7, 6], "cloth.shear_layout": "alternating"})
+    springs = [force for force in simulation.model.forces if hasattr(force, "pair_springs")]
+    model = Model(simulation.model.masses, [force.pair_springs for force in springs])
+    x = simulation.state.x + 0.3 * simulation.state.v
+    turn = simulation.plan.turn_in_step(simulation.state.x, x, 3)
+    assert turn == pytest.approx(compile(model).turn_in_step(simulation.state.x, x, 3), rel=1e-12)
+    assert turn > 0.1

@@ -36,7 +36,7 @@ enum BandStatus : int {
 };
 
 static_assert(sizeof(double) == 8 && sizeof(void*) == 8 && sizeof(int) == 4);
-static_assert(sizeof(FrameRequest) == 192 && alignof(FrameRequest) == 8);
+static_assert(sizeof(FrameRequest) == 176 && alignof(FrameRequest) == 8);
 static_assert(offsetof(FrameRequest, t) == 0);
 static_assert(offsetof(FrameRequest, duration) == 8);
 static_assert(offsetof(FrameRequest, runs) == 16);
@@ -58,9 +58,7 @@ static_assert(offsetof(FrameRequest, jaw_states) == 136);
 static_assert(offsetof(FrameRequest, multirate) == 144);
 static_assert(offsetof(FrameRequest, combined) == 152);
 static_assert(offsetof(FrameRequest, concurrency) == 160);
-static_assert(offsetof(FrameRequest, previous_v0) == 168);
-static_assert(offsetof(FrameRequest, earlier_v0) == 176);
-static_assert(offsetof(FrameRequest, previous_ratio) == 184);
+static_assert(offsetof(FrameRequest, activities) == 168);
 
 /// Number of this interface. The binding refuses any other.
 CLOTH_API int cloth_engine_abi();
@@ -99,6 +97,8 @@ CLOTH_API int cloth_grip_wrenches(const Plan* plan, double t, const double* x, c
                                   double* out);
 CLOTH_API int cloth_spectral_bounds(Plan* plan, const double* x, const double* stiff, const double* damp,
                                     std::int64_t hinges, double* out);
+/// Angle [rad] of plan::turn_in_step.
+CLOTH_API int cloth_turn_in_step(const Plan* plan, const double* x0, const double* x, std::int64_t steps, double* out);
 CLOTH_API int cloth_bounds(const Plan* plan, const double* x, double* stiff, double* damp);
 CLOTH_API int cloth_eigenvalues(const double* blocks, std::int64_t n, double* out);
 CLOTH_API int cloth_derivative_product(Plan* plan, double t, const double* x, const double* v, const double* dx,

@@ -13,7 +13,7 @@
 
 namespace cloth::api {
 
-CLOTH_API int cloth_engine_abi() { return 16; }
+CLOTH_API int cloth_engine_abi() { return 17; }
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)
     return "avx512";
@@ -167,6 +167,9 @@ CLOTH_API int cloth_spectral_bounds(Plan* plan, const double* x, const double* s
         const double numbers[5] = {r.omega2, r.damping, r.hinge_omega2, r.hinge_damping, r.transverse_omega2};
         std::copy(numbers, numbers + 5, out);
     });
+}
+CLOTH_API int cloth_turn_in_step(const Plan* plan, const double* x0, const double* x, std::int64_t steps, double* out) {
+    return guarded(plan, [&] { *out = plan::turn_in_step(*plan, x0, x, steps); });
 }
 CLOTH_API int cloth_bounds(const Plan* plan, const double* x, double* stiff, double* damp) {
     return guarded(plan, [&] { plan::add_bounds(*plan, x, stiff, damp); });

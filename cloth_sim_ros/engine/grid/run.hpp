@@ -23,7 +23,8 @@ public:
         : plan_(plan), run_(run), grid_(*plan.grid), tables_(plan.grid_tables<T>()), off_grid_(plan, run),
           hinges_(plan.row_tables<T>()), cells_(plan.cell_table<T>()), mode_(plan.mode()),
           state_(plan.workspace<T>(run.workspace).state), force_rows_(plan.workspace<T>(run.workspace).force_rows),
-          messages_(plan.workspace<T>(run.workspace).messages), pitch_(tables_.pitch),
+          messages_(plan.workspace<T>(run.workspace).messages),
+          middle_(plan.workspace<T>(run.workspace).middle_velocities), pitch_(tables_.pitch),
           length_(row_length<T>(grid_.columns)), stride_(components<T> * pitch_) {
         const bool has_off_grid = off_grid_.needed();
         const std::int64_t max_bands = std::max<std::int64_t>(1, grid_.rows / row_reach);
@@ -53,6 +54,8 @@ public:
         messages_.resize(std::max<std::size_t>((bands_ - 1) * 4, messages_.size()));
         for (auto& message : messages_) message.resize(halo_ * stride_);
         counters_ = std::vector<Counter>(bands_);
+        middle_.resize(run.activity ? 3 * pitch_ * grid_.rows : 0);
+        if (run.activity) differences_.assign(bands_, plan::HalfDifference(run));
         step_row_ = select_row_step<T>(grid_.shape(), mode_);
         constants_ = grid_constants<T>(plan);
     }
@@ -65,6 +68,11 @@ public:
         if (run_.power_integrals) {
             run_.power_integrals[0] += run_.step * powers_.sum(powers_.dissipation);
             run_.power_integrals[1] += run_.step * powers_.sum(powers_.external);
+        }
+        if (run_.activity) {
+            *run_.activity = 0.0;
+            for (const plan::HalfDifference& difference : differences_)
+                *run_.activity = std::max(*run_.activity, difference.largest());
         }
         if (done == RunStatus::ok) off_grid_.finish();
         return done;
@@ -207,6 +215,9 @@ private:
                 for (std::int64_t j = 0; run_.v && j < columns; ++j)
                     run_.v[at + j] = final_value<T>(v0[j], 0.0, v[j], T(0));
             }
+            for (std::int64_t j = 0; run_.activity && j < columns; ++j)
+                differences_[b].add(row * columns + j, n, middle_.data() + 3 * pitch_ * row + j,
+                                    from + velocity * pitch_ + j, pitch_);
         }
     }
 
@@ -269,6 +280,10 @@ private:
             add_air_row(at, cells_.of(row), plan_.cells_air(), cell_rows, row, owned, powers);
         }
         step_row_(at, constants_, motion_of<T>(run_, step), owned);
+        if (run_.ends_first_half(step) && row >= border_[b] && row < border_[b + 1]) {
+            const T* const from = row_of(b, row) + velocity * pitch_;
+            std::copy(from, from + 3 * pitch_, middle_.data() + 3 * pitch_ * row);
+        }
     }
     void export_rows(int b) {
         for (std::int64_t row = border_[b]; row < border_[b + 1]; ++row) {
@@ -304,6 +319,8 @@ private:
     PowerSums powers_;
     Mode mode_;
     std::vector<Array<T>>&state_, &force_rows_, &messages_;
+    Array<T>& middle_;  ///< velocities in the middle, three parts of a row after another
+    std::vector<plan::HalfDifference> differences_;
     std::int64_t pitch_, length_, stride_, halo_ = 0;
     int bands_ = 1, levels_ = 1;
     bool synchronize_all_ = false;  ///< whether all bands wait for each other before each step

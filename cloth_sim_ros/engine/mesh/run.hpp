@@ -20,7 +20,8 @@ public:
     ListRun(Plan& plan, const Run& run)
         : plan_(plan), run_(run), off_grid_(plan, run), velocity_(plan.workspace<T>(run.workspace).particle_arrays[0]),
           previous_acceleration_(plan.workspace<T>(run.workspace).particle_arrays[1]),
-          compensation_(plan.workspace<T>(run.workspace).particle_arrays[2]) {
+          compensation_(plan.workspace<T>(run.workspace).particle_arrays[2]),
+          middle_(plan.workspace<T>(run.workspace).middle_velocities) {
         threads_ =
             off_grid_.is_single_threaded() ? 1 : static_cast<int>(std::clamp<std::int64_t>(run.bands, 1, plan.count));
         borders_ = threads_ > 1 ? plan.even_borders(threads_) : std::vector<std::int64_t>{0, plan.count};
@@ -31,6 +32,7 @@ public:
         velocity_.assign(4 * n, T(0));
         previous_acceleration_.assign(4 * n, T(0));
         compensation_.assign(sizeof(T) == 4 ? 4 * n : 0, T(0));
+        middle_.resize(run.activity ? 4 * n : 0);
         for (int c = 0; c < 3; ++c)
             for (std::int64_t i = 0; i < n; ++i) {
                 const std::int64_t at = 4 * plan.rank[i] + c;
@@ -119,6 +121,9 @@ private:
                 store4(position_quads + i, end);
             }
         }
+        if (run_.ends_first_half(step))
+            std::copy(velocity + 4 * borders_[thread], velocity + 4 * borders_[thread + 1],
+                      middle_.data() + 4 * borders_[thread]);
     }
     void unload() {
         const std::int64_t n = plan_.count;
@@ -129,13 +134,21 @@ private:
                 if (run_.x) run_.x[k] = final_value<T>(run_.x0[k], off_grid_.origin[c], off_grid_.x[at], carry);
                 if (run_.v) run_.v[k] = final_value<T>(run_.v0[k], 0.0, velocity_[at], T(0));
             }
+        if (run_.activity) {
+            plan::HalfDifference difference(run_);
+            for (std::int64_t i = 0; i < n; ++i) {
+                const std::int64_t at = 4 * plan_.rank[i];
+                difference.add(i, n, middle_.data() + at, velocity_.data() + at, 1);
+            }
+            *run_.activity = difference.largest();
+        }
         off_grid_.finish();
     }
 
     Plan& plan_;
     const Run& run_;
     OffGridForces<T> off_grid_;
-    Array<T>&velocity_, &previous_acceleration_, &compensation_;
+    Array<T>&velocity_, &previous_acceleration_, &compensation_, &middle_;
     int threads_ = 1;
     std::vector<std::int64_t> borders_;
     std::vector<T> inverse_, free_;  ///< 1/m, and 1 for free particles

@@ -48,26 +48,6 @@ inline double largest_distance(const double* x, const double* y, std::int64_t n)
     return not_finite ? std::numeric_limits<double>::infinity() : root(max_square);
 }
 
-/// Largest difference of a particle's velocity change from v0 to v and the extrapolated change. Two previous frames, of
-/// a length 1/ratio times this one's, began with the velocities v1 and v2; v2 is null if there was one only.
-inline double largest_change_difference(const double* v, const double* v0, const double* v1, const double* v2,
-                                        double ratio, std::int64_t n) {
-    const double distance = v2 ? 0.5 * (1.0 + ratio) : 0.0;
-    if (!v2) v2 = v1;
-    double max_square = 0.0;
-    for (std::int64_t i = 0; i < n; ++i) {
-        double square = 0.0;
-        for (int c = 0; c < 3; ++c) {
-            const std::int64_t k = c * n + i;
-            const double before = v0[k] - v1[k], slope = before - (v1[k] - v2[k]);
-            const double difference = fma(-ratio, fma(distance, slope, before), v[k] - v0[k]);
-            square = fma(difference, difference, square);
-        }
-        max_square = square > max_square ? square : max_square;
-    }
-    return root(max_square);
-}
-
 /// Size of a run's record of contact, see FrameRequest::records.
 inline std::int64_t contact_record_size(const Plan& plan) {
     return plan.has_contact() ? plan.contacts.count() * record_numbers + contact::ContactSummary::numbers + 4 : 0;
@@ -99,6 +79,7 @@ inline std::vector<Run> runs_of(const Plan& plan, const FrameRequest& frame) {
             .anchors = frame.anchors ? frame.anchors + k * plan.anchor_count() : nullptr,
             .jaw_states = frame.jaw_states ? frame.jaw_states + k * n_jaws * contact::jaw_state_size : nullptr,
             .multirate = frame.multirate,
+            .activity = frame.activities ? frame.activities + k : nullptr,
         });
     }
     return runs;
@@ -159,10 +140,7 @@ inline RunStatus execute_frame(Plan& plan, const FrameRequest& frame) {
     }
     if (!frame.summary) return RunStatus::ok;
     frame.summary[0] = largest_distance(x + 3 * n, frame.v0, n);
-    frame.summary[9] = 0.0;
-    if (frame.previous_v0)
-        frame.summary[9] = largest_change_difference(x + 3 * n, frame.v0, frame.previous_v0, frame.earlier_v0,
-                                                     frame.previous_ratio, n);
+    frame.summary[9] = turn_in_step(plan, frame.x0, x, frame.steps[0]);
     const double max_displacement = largest_distance(x, frame.x0, n);
     if (!(max_displacement < std::numeric_limits<double>::infinity())) frame.summary[0] = max_displacement;
     if (plan.contacts.count()) {

@@ -39,8 +39,8 @@ struct FrameRequest {
     /// U^2/2, that contact with obstacles has to absorb from the end of the frame on. 4, 5: squared frequency [1/s^2]
     /// and damping rate [1/s] of contact on the surface. 6, 7: bounds of squared frequency [1/s^2] and damping rate
     /// [1/s] of hinges alone; 8: bound of the squared transverse frequency of springs. Zero without hinges, or if not
-    /// requested. 9: largest difference of a particle's velocity change over the frame and the change that follows from
-    /// those of the two previous frames [m/s], see `largest_change_difference`; 0 if `previous_v0` is null.
+    /// requested. 9: angle by which a spring turns in a step of the
+    /// first run [rad], see `turn_in_step`.
     double* summary;
     std::int64_t bounds_level;      ///< 1: bounds of frequency and damping are requested; 2: those of hinges too
     std::int64_t record_obstacles;  ///< whether the work of obstacles is recorded
@@ -49,8 +49,9 @@ struct FrameRequest {
     std::int64_t multirate;         ///< steps per evaluation of hinges
     std::int64_t combined;          ///< number of the runs in the combination, from the first on
     std::int64_t concurrency;       ///< maximum number of concurrent runs
-    const double *previous_v0, *earlier_v0;  ///< velocities at the starts of the two previous frames, or null
-    double previous_ratio;                   ///< length of the frame relative to that of the previous ones
+    /// For each run: largest difference of a particle's velocity changes over both halves of the run [m/s]; of a single
+    /// step, its whole change.
+    double* activities;
 };
 
 }  // namespace cloth::plan

@@ -159,10 +159,40 @@ struct Run {
     double* anchors = nullptr;         ///< at the end, (obstacles, anchor_numbers, n), or null
     double* jaw_states = nullptr;      ///< jaw states at the end, (jaws, jaw_state_size), or null
     std::int64_t multirate = 1;        ///< steps per evaluation of hinges, in the middle one; odd, divides `steps`
+    double* activity = nullptr;        ///< see FrameRequest::activities, or null
     int workspace = 0;                 ///< index of the workspace
 
+    /// Whether the velocities after a step are those of the middle of the run.
+    bool ends_first_half(std::int64_t step) const { return activity && step >= 0 && step + 1 == steps / 2; }
     /// Whether hinges are evaluated in a step. At the start they are evaluated without effect on the motion.
     bool evaluates_hinges(std::int64_t step) const { return step < 0 || step % multirate == multirate / 2; }
+};
+
+/// Largest difference of a particle's velocity changes over both halves of a run.
+class HalfDifference {
+public:
+    explicit HalfDifference(const Run& run)
+        : run_(&run), first_(run.steps / 2), scale_(first_ ? 0.5 * static_cast<double>(run.steps) : 1.0),
+          later_(scale_ / static_cast<double>(run.steps - first_)),
+          earlier_(first_ ? scale_ / static_cast<double>(first_) : 0.0) {}
+    /// Add particle i of n, with its velocities in the middle and at the end, components `stride` apart.
+    template <class T>
+    void add(std::int64_t i, std::int64_t n, const T* middle, const T* end, std::int64_t stride) {
+        double square = 0.0;
+        for (int c = 0; c < 3; ++c) {
+            const double v0 = run_->v0[c * n + i], v = static_cast<double>(end[c * stride]);
+            const double half = first_ ? static_cast<double>(middle[c * stride]) : v0;
+            const double difference = fma(later_, v - half, -earlier_ * (half - v0));
+            square = fma(difference, difference, square);
+        }
+        max_square_ = square > max_square_ ? square : max_square_;
+    }
+    double largest() const { return root(max_square_); }
+
+private:
+    const Run* run_;
+    std::int64_t first_;
+    double scale_, later_, earlier_, max_square_ = 0.0;
 };
 
 enum class RunStatus : int { ok, callback_failed };

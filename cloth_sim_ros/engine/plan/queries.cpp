@@ -10,6 +10,7 @@
 #include "mesh/queries.hpp"
 #include "plan/grip_force.hpp"
 #include "plan/spectral_bounds.hpp"
+#include "plan/turn.hpp"
 
 namespace cloth::plan {
 
@@ -38,6 +39,14 @@ Energy energy_of(Plan& plan, double t, const double* x, const double* v) {
     if (plan.self) e.potential += contact::self_energy(plan, t, x);
     if (plan.features) e.potential += contact::feature_energy(plan, t, x);
     return e;
+}
+
+double turn_in_step(const Plan& plan, const double* x0, const double* x, std::int64_t steps) {
+    double square = 0.0;
+    if (plan.grid) square = grid_turn2(*plan.grid, plan.tables, x0, x, steps);
+    for (const List& list : plan.lists)
+        if (list.kind == Kind::spring) square = std::max(square, list_turn2(list, x0, x, plan.count, steps));
+    return root(square);
 }
 
 void grid_and_field_powers(const Plan& plan, const double* x, const double* v, double& dissipation, double& external) {

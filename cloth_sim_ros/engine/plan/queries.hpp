@@ -42,6 +42,10 @@ struct SpectralBounds {
 /// requested.
 SpectralBounds spectral_bounds(Plan& plan, const double* x, const double* stiff, const double* damp, bool hinges);
 
+/// Largest angle [rad] by which a spring turns in a step of an interval, if its vector changes steadily. Its force turns
+/// round as its ends pass each other.
+double turn_in_step(const Plan& plan, const double* x0, const double* x, std::int64_t steps);
+
 /// Blocks of a list of springs or joints, in its own order, (count, 6): k dd' without the transverse part of
 /// compression, and those of their damping, each with its weight.
 void pair_blocks(const List& list, const double* x, std::int64_t n, double stiffness, double damping, double* blocks);

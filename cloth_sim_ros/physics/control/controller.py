@@ -38,7 +38,6 @@ from cloth_sim_ros.physics.control.energy import EnergyRule, external_work
 from cloth_sim_ros.physics.control.error import ErrorRule, ErrorSums, is_for_duration
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, is_implicit_feasible
 from cloth_sim_ros.physics.control.force_jump import EVALUATIONS, missed_velocity_change
-from cloth_sim_ros.physics.control.history import load_history, store_history
 from cloth_sim_ros.physics.control.multirate import MultirateRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.stability import MAX_UNDAMPED_STEPS, StabilityRule
@@ -53,10 +52,8 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
 from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.model.forces.force import EngineForce
 from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.plan.runs import History
 from cloth_sim_ros.physics.state import controller_state
 from cloth_sim_ros.physics.state.controller_state import (
-    HISTORY_KEYS,
     ContactState,
     ErrorState,
     FallbackState,
@@ -108,7 +105,6 @@ class Controller:
 
     def __init__(self, options: ExplicitSettings, plan: Plan, state: State, t: float, duration: float) -> None:
         self.options, self._plan, self._state, self._t0, self._duration = options, plan, state, t, duration
-        self._start_velocities = state.v
         has_previous_frame = StabilityState.key in state.memory
         memory, error = StabilityState.load(state), ErrorState.load(state)
         self._stability = StabilityRule(plan, memory, state.x)
@@ -117,7 +113,7 @@ class Controller:
         if not is_for_duration(error, duration):
             # Recorded errors belong to frames of another length.
             error = ErrorState(n_runs=error.n_runs, refinement=error.refinement, duration=duration)
-            for key in (*HISTORY_KEYS, controller_state.PrecisionState.key, controller_state.RoundingNoiseState.key):
+            for key in (controller_state.PrecisionState.key, controller_state.RoundingNoiseState.key):
                 state.memory.pop(key, None)
         has_tolerance, is_due = options.tolerance is not None, error.time_until_estimate <= 0.0
         self._last_refinement = 0.0
@@ -162,7 +158,6 @@ class Controller:
         self.abandoned = duration / sheet_limit > self.work.cap and self._has_fallback
         self._rest_rate = self._work_rate()
         self._start_bounds = memory.omega2, memory.damping
-        self._history = load_history(state, duration) if has_tolerance else None
 
     # The start of a frame.
 
@@ -175,6 +170,8 @@ class Controller:
     #: True if the motion is rough. The present piece, the step limit that its runs met [s], the step to keep for its
     #: halves [s], and its rejected attempts.
     _is_rough = False
+    #: True if a spring may turn over within the present piece.
+    _may_turn = False
     _piece: Piece | None = None
     _met_limit, _halved_step, _attempts = math.inf, 0.0, 0
     #: Time since the start of the frame [s], and the part of it with refined steps [s].
@@ -246,7 +243,7 @@ class Controller:
 
     def use_reserve(self) -> None:
         """Restart with single runs of the longest stable steps, within the reserve."""
-        self.in_fallback, self.exhausted, self.abandoned = True, True, False
+        self.in_fallback, self.exhausted, self.abandoned, self._may_turn = True, True, False, False
         self.n_runs, self.refinement = 1, 1.0
         self.work.grant_reserve()
         self.restart()
@@ -258,8 +255,7 @@ class Controller:
         if self._multirate_rule is not None:
             self._multirate_rule.bounds = self._start_hinge_bounds
         self.estimates_error, self._rest_rate = True, self._work_rate()
-        self._ends, self._is_rough, self._piece = [self._duration], False, None
-        self._history = load_history(self._state, self._duration)
+        self._ends, self._is_rough, self._piece = [self._duration], self._may_turn, None
         self._met_limit, self._halved_step, self._attempts, self._elapsed = math.inf, 0.0, 0, 0.0
         self._sums, self._is_uniform, self._n_estimated = None, True, 0
         self._lower_order_error = self._contact_energy = 0.0
@@ -267,10 +263,15 @@ class Controller:
         self._refined_time, self._energy_rule, self._has_missed = 0.0, None, False
         self._longest_step, self._checked_energy = 0.0, None
 
-    @property
-    def must_restart(self) -> bool:
-        """True if a piece needs an estimate after others were accepted by predictions: these may be wrong too."""
-        return self._n_estimated < self.n_pieces
+    def must_restart(self, *, is_missed: bool) -> bool:
+        """Return True if the frame restarts with estimates, because pieces that were accepted may be wrong too.
+
+        They were accepted by predictions and a later one misses its budget, or a spring may turn over in this piece.
+
+        Args:
+            is_missed: True if the predicted error of a piece exceeds its budget.
+        """
+        return (is_missed and self._n_estimated < self.n_pieces) or (self._may_turn and not self._is_rough)
 
     def _work_rate(self) -> float:
         """Return the force evaluations per second of the present choice with an error estimate."""
@@ -443,7 +444,6 @@ class Controller:
             record_obstacles=accumulator is not None and accumulator.obstacle_count > 0,
             single_precision=single_precision,
             jaw_time=self._duration,
-            history=self._history,
             ratio=piece.ratio,
             expected_runs=expected_runs,
         )
@@ -501,7 +501,9 @@ class Controller:
         if self.options.tolerance is None:
             return 0.0
         n_runs = self.n_runs
-        counts, self._activity = tableau.counts[:n_runs], tableau.summary(n_runs).activity
+        summary = tableau.summary(n_runs)
+        counts, self._activity = tableau.counts[:n_runs], summary.activity
+        self._may_turn = summary.turn > CONSTANTS.max_turn and not self.in_fallback
         change = tableau.change(n_runs - 1) if n_runs > 1 else (0.0, 0.0)
         self._predicted, self._piece_lower_order_error = self._error.predict(
             counts, piece.length, change, self._activity
@@ -770,11 +772,6 @@ class Controller:
             tableau.accumulate(n_runs, accumulator)
         is_stretch_end = piece.pieces_left == 1
         elapsed = self._ends.pop() if is_stretch_end else self._elapsed + length
-        if self._ends:
-            earlier, previous = self._history, None
-            if earlier is not None and earlier.length == length:
-                previous = earlier.previous
-            self._history = History(state.v, previous, length)
         memory.omega2, memory.damping = summary.omega2, summary.damping
         if piece.ratio > 1:
             self._multirate.bounds = summary.hinge_bounds
@@ -847,8 +844,6 @@ class Controller:
             error.memory.time_until_estimate = 0.0  # one run less may suffice
         else:
             error.count_down()
-        if self.options.tolerance is not None:
-            store_history(state, self._start_velocities)
         self._stability.memory.store(state)
         error.memory.store(state)
         if self.estimates_error or self.options.tolerance is None:

@@ -82,7 +82,7 @@ def integrate(
             controller.reject_unstable(tableau, piece)
             continue
         error, allowed = controller.predict(tableau, piece), controller.allowed_error(piece)
-        if error > allowed and controller.must_restart:  # earlier predictions may be wrong too
+        if controller.must_restart(is_missed=error > allowed):  # earlier pieces of the frame may be wrong too
             elapsed, tableau = 0.0, None
             state.restore_motion(start)
             controller.restart()

@@ -21,7 +21,7 @@ from cloth_sim_ros.physics.arithmetic.arrays import combine, largest_distance
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.plan.runs import History, Run, RunSummary, activity_of
+from cloth_sim_ros.physics.plan.runs import Run, RunSummary, activity_of
 from cloth_sim_ros.physics.state.state import State
 
 #: Step counts of the runs, relative to the first. Wider ratios cost more; closer ones amplify rounding and high modes:
@@ -82,19 +82,6 @@ def error_coefficient(counts: tuple[int, ...]) -> float:
     return abs(ordered_sum(terms))
 
 
-def unpredicted_change(v: Array, v0: Array, history: History, length: float) -> Array:
-    """Return the difference of the velocity change from v0 to v over a length [s] and its extrapolation [m/s].
-
-    The mean accelerations of two previous intervals are extrapolated linearly, as in the engine.
-    """
-    ratio = length / history.length
-    if history.earlier is None:
-        return combine([v, v0, history.previous], (1.0, -1.0 - ratio, ratio))
-    slope = 0.5 * ratio * (1.0 + ratio)
-    factors = 1.0, -1.0 - ratio - slope, ratio + 2.0 * slope, -slope
-    return combine([v, v0, history.previous, history.earlier], factors)
-
-
 def max_rates(*rates: tuple[float, float]) -> tuple[float, float]:
     """Return the largest squared frequency [1/s^2] and the largest damping rate [1/s] of some pairs."""
     if rates.count(rates[0]) == len(rates):
@@ -117,7 +104,6 @@ class ExtrapolationTableau:
         jaw_time: time within which an error of a jaw's rate counts [s], see `difference`.
         ratio: multirate ratio.
         expected_runs: expected number of runs, for prefetching; results do not depend on it.
-        history: velocities of previous intervals; None for none.
     """
 
     def __init__(
@@ -134,14 +120,13 @@ class ExtrapolationTableau:
         jaw_time: float = 0.0,
         ratio: int = 1,
         expected_runs: int = 0,
-        history: History | None = None,
     ) -> None:
         self._plan, self._start, self.t, self.duration = plan, start, t, duration
         self._record_power, self._record_obstacles = record_power, record_obstacles
         self.counts = tuple(counts)
         self.single_precision, self.ratio = single_precision, ratio
         self._jaw_time = jaw_time
-        self._expected_runs, self._history = expected_runs, history
+        self._expected_runs = expected_runs
         #: Force evaluations of the requested runs, and their number. Prefetched runs are not included.
         self.evaluations, self._n_requested = 0, 0
         self._runs: list[Run] = []
@@ -170,11 +155,8 @@ class ExtrapolationTableau:
             summary = self._summaries.get(n_runs)
         if summary is None:
             x, v = self.combine(n_runs)
-            change, difference = largest_distance(v, self._start.v), 0.0
-            if self._history is not None:
-                unpredicted = unpredicted_change(v, self._start.v, self._history, self.duration)
-                difference = largest_distance(unpredicted, np.zeros_like(unpredicted))
-            activity = activity_of(change, difference)
+            change = largest_distance(v, self._start.v)
+            activity = activity_of(change, float(self._runs[n_runs - 1].half_difference))
             if not (math.isfinite(largest_distance(x, self._start.x)) and math.isfinite(change)):
                 activity = math.inf
             contact, contact_energy, self_contact = self._plan.contact, 0.0, (0.0, 0.0)
@@ -186,7 +168,8 @@ class ExtrapolationTableau:
                 if not contact_energy < math.inf or contact.ccd_surface_hits(end, 0.0, self._runs[n_runs - 1].x, x):
                     activity = math.inf
             omega2, damping, *hinge_bounds = self._plan.detailed_spectral_bounds(x, hinges=self.ratio > 1)
-            summary = RunSummary(activity, omega2, damping, contact_energy, self_contact, hinge_bounds)
+            turn = self._plan.turn_in_step(self._start.x, x, self.counts[0])
+            summary = RunSummary(activity, turn, omega2, damping, contact_energy, self_contact, hinge_bounds)
             self._summaries[n_runs] = summary
         return summary
 
@@ -323,5 +306,4 @@ class ExtrapolationTableau:
             record_obstacles=self._record_obstacles,
             multirate=self.ratio,
             concurrency=concurrency,
-            history=self._history,
         )

@@ -33,7 +33,7 @@ from cloth_sim_ros.physics.plan.plan_handle import PlanHandle
 from cloth_sim_ros.physics.plan.python_forces import PythonForces
 from cloth_sim_ros.physics.plan.queries import PlanQueries
 from cloth_sim_ros.physics.plan.reentrancy import non_reentrant
-from cloth_sim_ros.physics.plan.runs import History, Run, RunSummary, activity_of, n_integrals
+from cloth_sim_ros.physics.plan.runs import Run, RunSummary, activity_of, n_integrals
 from cloth_sim_ros.physics.plan.thread_limit import available_threads
 from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
 
@@ -187,7 +187,6 @@ class Plan(PlanQueries, Uncopyable):
         threads: int | None = None,
         concurrency: int = 1,
         multirate: int = 1,
-        history: History | None = None,
     ) -> tuple[list[Run], tuple[Array, Array, RunSummary] | None]:
         """Run the leapfrog over an interval several times from one start, each with its own number of equal steps.
 
@@ -204,7 +203,6 @@ class Plan(PlanQueries, Uncopyable):
             concurrency: runs that are calculated at once, each by one thread, if possible. No bit depends on it.
             multirate: multirate ratio: hinges are evaluated once in this number of steps, in the middle one. It is
                 odd and divides all ``steps``.
-            history: velocities of previous intervals, for the activity; None for none.
 
         Returns:
             The runs; and positions, velocities and the summary of their combination, None without weights.
@@ -236,6 +234,7 @@ class Plan(PlanQueries, Uncopyable):
             end_buffers = self.contact.end_buffers(count)
             end_addresses = [0 if array is None else address(array) for array in end_buffers]
         integrals = zeros((count, n_integrals(grippers, obstacles) + n_contact_numbers))
+        activities = empty(count)
         n_combined = count
         if weights is not None:
             n_combined = len(weights)
@@ -269,27 +268,30 @@ class Plan(PlanQueries, Uncopyable):
             multirate,
             n_combined,
             concurrency,
-            0 if history is None else doubles("previous", history.previous, self._shape),
-            0 if history is None or history.earlier is None else doubles("earlier", history.earlier, self._shape),
-            0.0 if history is None else duration / history.length,
+            address(activities),
         )
         status = self._library.cloth_frame(self._handle, self._frame_address)
         if status:
             self._raise_for_status(status)
         if end_buffers is _NO_END_BUFFERS:
-            runs = [Run(out[k], integrals[k], grippers, obstacles) for k in range(count)]
+            runs = [Run(out[k], integrals[k], grippers, obstacles, activities[k]) for k in range(count)]
         else:
             anchors, jaw_states = ([None] * count if array is None else array for array in end_buffers)
-            runs = [Run(out[k], integrals[k], grippers, obstacles, anchors[k], jaw_states[k]) for k in range(count)]
+            runs = [
+                Run(out[k], integrals[k], grippers, obstacles, activities[k], anchors[k], jaw_states[k])
+                for k in range(count)
+            ]
         if weights is None:
             return runs, None
-        change, omega2, damping, contact_energy, self_omega2, self_damping, *hinges, difference = self._summary_out[:]
-        activity = activity_of(change, difference)
+        change, omega2, damping, contact_energy, self_omega2, self_damping, *hinges, turn = self._summary_out[:]
+        activity = activity_of(change, float(activities[n_combined - 1]))
         x, v = result[0], result[1]
         self._last_result, self._last_address = (x, v), result_address or out_address
         if self._python_forces:
             omega2, damping, *hinges = self.detailed_spectral_bounds(x, hinges=multirate > 1)
-        return runs, (x, v, RunSummary(activity, omega2, damping, contact_energy, (self_omega2, self_damping), hinges))
+        contact_rates = self_omega2, self_damping
+        summary = RunSummary(activity, turn, omega2, damping, contact_energy, contact_rates, hinges)
+        return runs, (x, v, summary)
 
     def _addresses(self, x: Array, v: Array) -> tuple[int, int]:
         """Return the addresses of positions and velocities; those of the newest combination are known."""

@@ -75,6 +75,22 @@ class PlanQueries:
         bounds: list[float] = out.tolist()
         return bounds
 
+    def turn_in_step(self, x0: Array, x: Array, steps: int) -> float:
+        """Return the largest angle by which a spring turns in a step of an interval [rad].
+
+        Each spring's vector is assumed to change steadily over the interval, and half a step before and after. The
+        angle is the one at its shortest length. A spring (S1) turns its force round as its ends pass each other.
+
+        Args:
+            x0: positions at the start [m], shape (3, n).
+            x: positions at the end [m], shape (3, n).
+            steps: number of steps.
+        """
+        out = np.empty(1)
+        addresses = doubles("x0", x0, self._shape), doubles("x", x, self._shape)
+        check(self._library.cloth_turn_in_step(self._handle, *addresses, steps, address(out)))
+        return float(out[0])
+
     def velocity_displacement(self, t: float, x: Array, errors: Array, time: float) -> tuple[float, int]:
         """Return the largest displacement of a particle [m] that velocity errors cause later.
 

@@ -26,6 +26,8 @@ class Run(NamedTuple):
     #: Numbers of grippers and obstacles.
     grippers: int
     obstacles: int
+    #: Largest difference of a particle's velocity changes over both halves of the run [m/s].
+    half_difference: float
     #: Friction anchors at the end; None without friction.
     anchors: Array | None = None
     #: States of jaws at the end, shape (pinches, JAW_NUMBERS); None without jaws.
@@ -113,23 +115,13 @@ def n_integrals(grippers: int, obstacles: int) -> int:
 def activity_of(change: float, difference: float) -> float:
     """Return the activity of an interval [m/s].
 
-    A force that changes steadily causes little error, one that turns causes much, even if its size stays.
+    A constant force causes no error, one that turns causes much, even if its size stays.
 
     Args:
         change: largest change of a particle's velocity over the interval [m/s].
-        difference: largest difference of this change from that which previous intervals predict [m/s]; else 0.
+        difference: largest difference of a particle's velocity changes over both halves of the interval [m/s].
     """
     return max(CONSTANTS.steady_fraction * change, difference)
-
-
-class History(NamedTuple):
-    """Velocities at the starts of the last intervals."""
-
-    #: Velocities at the start of the last interval, and of the one before [m/s], each (3, n); None if there is none.
-    previous: Array
-    earlier: Array | None
-    #: Length of these intervals [s].
-    length: float
 
 
 class RunSummary(NamedTuple):
@@ -138,6 +130,8 @@ class RunSummary(NamedTuple):
     #: Activity [m/s], see `activity_of`. It is infinite if a number is not finite, a particle is inside an obstacle, or
     #: the cloth may intersect itself.
     activity: float
+    #: Angle by which a spring turns in a step of the first run [rad], see `PlanQueries.turn_in_step`.
+    turn: float
     #: Bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate [1/s] at the end.
     omega2: float
     damping: float

@@ -263,8 +263,6 @@ SLEEP_KEYS = (SLEEP_POSITIONS_KEY, SLEEP_MIDDLE_KEY, SLEEP_VELOCITIES_KEY, SLEEP
     "control.sleep_velocity",
     "control.sleep_impulse",
 )
-#: Keys of the velocities [m/s] at the starts of the last frame and of the one before, shape (3, particle_count).
-HISTORY_KEYS = (PREVIOUS_VELOCITIES_KEY, EARLIER_VELOCITIES_KEY) = ("control.velocities", "control.earlier_velocities")
 #: Controller states that belong to step control.
 STEP_CONTROL_STATES: tuple[type[ControllerState], ...] = (
     StabilityState,
@@ -279,7 +277,15 @@ STEP_CONTROL_STATES: tuple[type[ControllerState], ...] = (
     IntegratorChoiceState,
 )
 #: Keys of earlier versions; their content is dropped.
-LEGACY_KEYS = ("stepper", "automatic", "sleep", "control.error", "control.precision")
+LEGACY_KEYS = (
+    "stepper",
+    "automatic",
+    "sleep",
+    "control.error",
+    "control.precision",
+    "control.velocities",
+    "control.earlier_velocities",
+)
 
 
 def reset_step_control(state: HasMemory, *, entirely: bool = False) -> None:
@@ -295,5 +301,3 @@ def reset_step_control(state: HasMemory, *, entirely: bool = False) -> None:
             state.memory.pop(controller.key, None)
         elif controller.key in state.memory:
             state.memory[controller.key] = np.empty(0)
-    for key in HISTORY_KEYS:
-        state.memory.pop(key, None)
