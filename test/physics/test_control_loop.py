@@ -39,6 +39,16 @@ def test_calm_frames_take_one_run(values: dict[str, Any]) -> None:
     assert all(frame.rejected == 0 for frame in frames)
 
 
+def test_thrown_spring_costs_short_steps_near_its_anchor_only() -> None:
+    plan = compile(Model([1.0, 1.0], [PairSprings([[0, 1]], 0.098785, 8.17743)], anchors=[0]))
+    start, velocity = [[0.0, 0.0, 0.0], [-3.53828, 6.19e-5, 0.0]], [[0.0, 0.0, 0.0], [4.5679, 0.0, 0.0]]
+    state, integrator = State(start, velocity), make_integrator("auto", tolerance=1e-4, work=10.0)
+    frames = [integrator.advance(plan, state, k / 43, 1 / 43) for k in range(64)]
+    # It passes the anchor several times. Without steps that grow again within a frame it needs a million evaluations.
+    assert max(frame.evaluations for frame in frames) < 20000
+    assert sum(frame.evaluations for frame in frames) < 40000
+
+
 class _Wall(Force):
     """Force that is not finite beyond x = 0."""
 

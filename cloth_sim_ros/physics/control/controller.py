@@ -796,8 +796,8 @@ class Controller:
             self._attempts = 0
         self._met_limit, self._elapsed = math.inf, elapsed
         self._piece = None if is_stretch_end else piece._replace(pieces_left=piece.pieces_left - 1)
-        if is_stretch_end and self._is_rough and self.options.tolerance is not None:
-            self._choose_next(piece)
+        if self._is_rough and self.options.tolerance is not None:
+            self._choose_next(piece, is_stretch_end=is_stretch_end)
         return elapsed
 
     def _add_estimate(self, tableau: ExtrapolationTableau, error: float) -> None:
@@ -814,8 +814,8 @@ class Controller:
         else:
             self._is_uniform = False
 
-    def _choose_next(self, piece: Piece) -> None:
-        """Choose runs and steps after a rough stretch; steps grow by a factor of two at most.
+    def _choose_next(self, piece: Piece, *, is_stretch_end: bool) -> None:
+        """Choose runs and steps after a rough piece; steps grow by a factor of two at most.
 
         They are for the next stretch if it is longer, because the moment that needs short steps has then passed. The
         next frame starts with the longest steps so chosen; what is too coarse is rejected at little cost.
@@ -825,7 +825,11 @@ class Controller:
         refinement = max(1.0, 0.5 * self.refinement, refinement)
         if piece.max_step / refinement > self._longest_step:
             self._longest_step, self._longest_runs = piece.max_step / refinement, n_runs
-        if self._ends and self._ends[-1] - self._elapsed > 1.5 * self._stretch:
+        if not is_stretch_end:
+            # The moment that needs short steps may have passed: then the rest of the stretch is divided again.
+            if 2.0 * refinement <= self.refinement and self._errors[self.n_runs - 1] + self._end_error <= target:
+                self.n_runs, self.refinement, self._piece = n_runs, refinement, None
+        elif self._ends and self._ends[-1] - self._elapsed > 1.5 * self._stretch:
             self.n_runs, self.refinement = n_runs, min(refinement, self.refinement)
 
     def store(self) -> None:
