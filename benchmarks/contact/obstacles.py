@@ -197,7 +197,7 @@ def impacts(report: Report, options: argparse.Namespace) -> None:
                 # The frame is repeated in a single run that records the smallest gap.
                 steps = [math.ceil(FRAME / done.step)]
                 begin = motion.frames * FRAME - FRAME
-                (again,), _ = motion.plan.runs(begin, FRAME, start, steps, record_obstacles=True)
+                (again,), _ = motion.plan.runs(begin, FRAME, start, steps, record_obstacles=True, memory={})
                 deepest = min(deepest, again.min_gap)
                 finest, evaluations = min(finest, done.step), evaluations + done.evaluations
                 flagged += done.flagged

@@ -78,8 +78,7 @@ def reduce_contacts(
     old_thickness, contact = state.memory.pop(THICKNESS_KEY, None), plan.contact
     if contact is None or not contact.force.is_active:
         return
-    contact.load_state(state)
-    gaps, thickness = contact.contact_gaps(t, state.x), contact.force.thickness
+    gaps, thickness = contact.contact_gaps(t, state.x, state.memory), contact.force.thickness
     is_affected = np.full(gaps.shape, rows is None and relieved is None)
     if rows is not None:
         is_affected[rows] = True
@@ -97,7 +96,6 @@ def reduce_contacts(
         reduced = bound if reduced is None else np.minimum(bound, reduced)
     if reduced is not None and (reduced < thickness).any():
         state.memory[THICKNESS_KEY] = reduced
-    contact.load_state(state)
 
 
 def _is_within_reach(force: Contact, x: Array, particles: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -118,14 +116,14 @@ def begin_recovery(plan: Plan, state: State, t: float, duration: float) -> None:
     contact = plan.contact
     if contact is None or (reduced := state.memory.get(THICKNESS_KEY)) is None:
         return
-    contact.load_state(state)
-    gaps = contact.contact_gaps(t, state.x)
-    contact.force.start_recovery(t, duration, grown_thickness(reduced, gaps, contact.force.thickness, duration))
+    gaps = contact.contact_gaps(t, state.x, state.memory)
+    grown = grown_thickness(reduced, gaps, contact.force.thickness, duration)
+    contact.force.start_recovery(t, duration, grown, reduced)
 
 
 def end_recovery(plan: Plan, state: State, t: float) -> None:
     """Store the thickness at the end of a frame, at time t [s], in the state."""
-    if plan.contact is None or (thickness := plan.contact.force.controls.recovery[2]) is None:
+    if plan.contact is None or (thickness := plan.contact.force.controls.recovery.target) is None:
         return
     force = plan.contact.force
     force.start_recovery(t)
@@ -181,8 +179,7 @@ def relieved_particles(plan: Plan, state: State, t: float, before: Scene, scene:
 def particles_in_contact(plan: Plan, state: State, t: float, rows: Sequence[bool]) -> NDArray[np.int64]:
     """Return the indices of particles in contact with masked obstacles, the plan's first ones, at time t [s]."""
     assert plan.contact is not None
-    plan.contact.load_state(state)
-    gaps = plan.contact.contact_gaps(t, state.x)[: len(rows), :-1][np.array(rows)]
+    gaps = plan.contact.contact_gaps(t, state.x, state.memory)[: len(rows), :-1][np.array(rows)]
     return np.flatnonzero((gaps < plan.contact.force.thickness).any(axis=0))
 
 

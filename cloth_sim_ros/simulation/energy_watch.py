@@ -83,7 +83,7 @@ class EnergyWatch:
         Args:
             end_state: the state at the end of the frame, still moving.
         """
-        kinetic = self._plan.energies(0.0, end_state.x, end_state.v)[0]
+        kinetic = self._plan.energies(0.0, end_state.x, end_state.v, end_state.memory)[0]
         sums = self._sums
         self._sums = attrs.evolve(sums, total=sums.total - kinetic, dissipated=sums.dissipated + kinetic)
         return self._sums
@@ -97,6 +97,4 @@ class EnergyWatch:
         self._before, self._sums = saved
 
     def _energies(self, state: State, t: float) -> tuple[float, float]:
-        if self._plan.contact is not None:
-            self._plan.contact.load_state(state)
-        return self._plan.energies(t, state.x, state.v)
+        return self._plan.energies(t, state.x, state.v, state.memory)

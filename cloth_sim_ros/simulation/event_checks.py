@@ -211,10 +211,10 @@ def _check_faces(scene: Scene, solids: Sequence[Obstacle], poses: Array, state: 
     plan = compile(Model(np.ones(state.x.shape[1]), [contact], anchors=scene.anchored_particles()))
     assert plan.contact is not None
     try:
-        plan.contact.check_initial_penetration(0.0, state.x)
+        plan.contact.check_initial_penetration(0.0, state.x, {})
     except ValueError as error:
         raise EventError(str(error)) from error
     try:
-        check_gaps(plan.contact.contact_gaps(0.0, state.x), thickness, [solid.name for solid in solids])
+        check_gaps(plan.contact.contact_gaps(0.0, state.x, {}), thickness, [solid.name for solid in solids])
     except ValueError as error:
         raise EventError(f"{subject} {error}") from error

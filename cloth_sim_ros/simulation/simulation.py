@@ -81,7 +81,7 @@ class Simulation(ExclusiveAccess):
         if self.plan.contact is not None:
             thickness = scene.contact.thickness
             if not self.state.frame or self.state.thickness not in (None, thickness):
-                self.plan.contact.check_initial_penetration(self.time, self.state.x)
+                self.plan.contact.check_initial_penetration(self.time, self.state.x, self.state.memory)
                 reduce_contacts(self.plan, self.state, self.time, "the cloth")
             self.state.thickness = thickness
 
@@ -143,9 +143,7 @@ class Simulation(ExclusiveAccess):
     @exclusive
     def energy(self) -> float:
         """Return kinetic plus potential energy [J] of the present state."""
-        if self.plan.contact is not None:
-            self.plan.contact.load_state(self.state)
-        return self.plan.energy(self.time, self.state.x, self.state.v)
+        return self.plan.energy(self.time, self.state.x, self.state.v, self.state.memory)
 
     @exclusive
     def gaps(self) -> Array | None:
@@ -155,7 +153,7 @@ class Simulation(ExclusiveAccess):
         None without obstacles and pads.
         """
         contact = self.plan.contact
-        return None if contact is None else contact.contact_gaps_of(self.state, self.time)
+        return None if contact is None else contact.obstacle_gaps(self.time, self.state.x, self.state.memory)
 
     @exclusive
     def spectral_bounds(self, scene: Scene) -> tuple[float, float]:
@@ -357,6 +355,8 @@ class Simulation(ExclusiveAccess):
             if falls_asleep and self._energy_watch is not None and state_before_sleep is not None:
                 self.energy_report = self._energy_watch.stop(state_before_sleep)
         state.frame += 1
+        #: Controls of the last frame.
+        self.frame_controls = self.plan.controls
         recoveries.end_recovery(self.plan, state, self.time)
         return done
 
@@ -385,7 +385,8 @@ class Simulation(ExclusiveAccess):
         self._is_rest_verified = True
         if self._accumulator is not None:
             self._accumulator.reset()
-            accumulate(self._accumulator, self.plan, t, self.state.x, self.state.v, self._period)
+            state = self.state
+            accumulate(self._accumulator, self.plan, t, state.x, state.v, self._period, state.memory)
         return True
 
     def _reset(self) -> None:

@@ -129,17 +129,15 @@ class SleepRule:
         model = self._plan.model
         if not self._tolerance or not self._is_steady() or state.v[:, model.anchors].any():
             return False
-        if self._plan.contact is not None:
-            self._plan.contact.load_state(state)
         acceleration = np.empty_like(state.x)
-        self._plan.accelerations(t, state.x, np.zeros_like(state.v), acceleration)
+        self._plan.accelerations(t, state.x, np.zeros_like(state.v), acceleration, state.memory)
         coordinate = max(float(state.x.max()), -float(state.x.min()))
         omega2, _ = self._plan.spectral_bounds(state.x)
         rounding = _ROUNDING_FACTOR * float(np.finfo(np.float64).eps) * omega2 * coordinate
         max_acceleration = max(self._max_drift, rounding)
         contact = self._plan.contact
         if contact is not None and contact.force.jaws:
-            pad_accelerations = contact.jaw_accelerations(t, state.x, np.zeros_like(state.v))
+            pad_accelerations = contact.jaw_accelerations(t, state.x, np.zeros_like(state.v), state.memory)
             if not (np.abs(pad_accelerations) <= max_acceleration).all():
                 return False
         return bool(are_all_below(acceleration, max_acceleration))

@@ -8,6 +8,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, StateMemory, with_jaws
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.verify.reference_integrator import MotionState
 from cloth_sim_ros.verify.reference_motion import Equations, ReferenceMotion, SimulatedFrame
@@ -42,33 +43,31 @@ def dop853(
     from scipy.integrate import DOP853
 
     shape, n_coordinates, contact = start.x.shape, start.x.size, plan.contact
-    anchors = contact.set_anchors(start.anchors) if contact is not None else None
-    initial_jaws = contact.set_jaws(start.jaws) if contact is not None else None
-    jaws = np.empty((0, 2)) if initial_jaws is None else initial_jaws
+    jaws, memory = np.empty((0, 2)) if contact is None else contact.jaws_of(start.memory), dict(start.memory)
+
+    def memory_at(y: Array) -> StateMemory:
+        return with_jaws(memory, y[2 * n_coordinates :].reshape(jaws.shape).copy()) if len(jaws) else memory
 
     def derivative(time: float, y: Array) -> Array:
         out = np.empty_like(y)
         out[:n_coordinates] = y[n_coordinates : 2 * n_coordinates]
         x, v = y[:n_coordinates].reshape(shape), y[n_coordinates : 2 * n_coordinates].reshape(shape)
+        memory = memory_at(y)
         if contact is not None and len(jaws):
-            jaw_state = y[2 * n_coordinates :].reshape(jaws.shape)
-            contact.set_jaws(jaw_state.copy())
-            jaw_rates = [jaw_state[:, 1], contact.jaw_accelerations(time, x, v)]
+            jaw_rates = [memory[JAWS_KEY][:, 1], contact.jaw_accelerations(time, x, v, memory)]
             out[2 * n_coordinates :] = np.stack(jaw_rates, axis=1).ravel()
-        plan.accelerations(time, x, v, out[n_coordinates : 2 * n_coordinates].reshape(shape))
+        plan.accelerations(time, x, v, out[n_coordinates : 2 * n_coordinates].reshape(shape), memory)
         return out
 
     y = np.concatenate([start.x.ravel(), start.v.ravel(), jaws.ravel()])
     solver = DOP853(derivative, t, y, t + duration, rtol=relative_tolerance, atol=absolute_tolerance)
     while solver.status == "running":
         failure = solver.step()
-        if contact is not None and anchors is not None:
+        if contact is not None and contact.force.has_anchors:
             x, v = solver.y[: 2 * n_coordinates].copy().reshape(2, *shape)
-            if len(jaws):
-                contact.set_jaws(solver.y[2 * n_coordinates :].reshape(jaws.shape).copy())
-            anchors = contact.set_anchors(contact.combine_anchors(solver.t, x, v, anchors[None], [1.0]))
+            anchors = contact.anchors_of(memory)[None]
+            memory[ANCHORS_KEY] = contact.combine_anchors(solver.t, x, v, anchors, [1.0], memory_at(solver.y))
     if solver.status == "failed":
         raise ArithmeticError(f"DOP853 gave up at {solver.t} s: {failure}")
     x, v = solver.y[: 2 * n_coordinates].copy().reshape(2, *shape)
-    end_jaws = solver.y[2 * n_coordinates :].reshape(jaws.shape).copy() if len(jaws) else None
-    return MotionState(x, v, anchors, end_jaws)
+    return MotionState(x, v, memory_at(solver.y))

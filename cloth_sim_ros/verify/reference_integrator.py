@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from cloth_sim_ros.physics.integrators.limit import leapfrog_limit
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.plan.runs import Run, RunSummary
+from cloth_sim_ros.physics.state.controller_state import StateMemory
 
 #: Step counts of the runs of an interval: one run more than the simulation's maximum.
 STEP_COUNTS = (8, 10, 12, 16, 20)
@@ -42,10 +44,8 @@ class MotionState(NamedTuple):
     #: Positions [m] and velocities [m/s], shape (3, n) each.
     x: Array
     v: Array
-    #: Friction anchors, see `ContactBinding.anchors_shape`; None if there are none yet.
-    anchors: Array | None = None
-    #: Jaws of the grippers, see `ContactBinding`; None if they are open or absent.
-    jaws: Array | None = None
+    #: Friction anchors, jaws and contact thickness, as in `State.memory`.
+    memory: StateMemory = MappingProxyType({})
 
 
 @lru_cache(maxsize=16)
@@ -93,9 +93,7 @@ class ReferenceIntegrator:
         while elapsed < duration * (1.0 - 1e-12):
             remaining = duration - elapsed
             # Upper bound of the contact stiffness ahead.
-            if plan.contact is not None:
-                plan.contact.set_jaws(state.jaws)
-            predicted = plan.predict_contact(t + elapsed, remaining, state.x, state.v)
+            predicted = plan.predict_contact(t + elapsed, remaining, state.x, state.v, state.memory)
             limit = leapfrog_limit(rates[0] + predicted[0], rates[1] + predicted[1])
             max_interval = min(STABILITY_FRACTION * limit, max_step) * STEP_COUNTS[0] * self._interval_scale
             length = remaining / max(1, math.ceil(remaining / max_interval * (1.0 - 1e-12)))
@@ -137,15 +135,13 @@ def _extrapolate(
     plan: Plan, t: float, length: float, start: MotionState, counts: tuple[int, ...]
 ) -> tuple[MotionState, list[Run], RunSummary]:
     """Integrate an interval with several step counts; return the extrapolated state, the runs, and their summary."""
-    if plan.contact is not None:
-        plan.contact.set_anchors(start.anchors)
-        plan.contact.set_jaws(start.jaws)
-    runs, result = plan.runs(t, length, (start.x, start.v), counts, weights=weights(counts))
+    memory = start.memory
+    runs, result = plan.runs(t, length, (start.x, start.v), counts, weights=weights(counts), memory=memory)
     assert result is not None
     x, v, summary = result
-    if plan.contact is None:
-        return MotionState(x, v), runs, summary
-    return MotionState(x, v, *plan.contact.combine_ends(t + length, x, v, runs, weights(counts))), runs, summary
+    if plan.contact is not None:
+        memory = {**memory, **plan.contact.combine_ends(t + length, x, v, runs, weights(counts), memory)}
+    return MotionState(x, v, memory), runs, summary
 
 
 def max_distance(x: Array, y: Array) -> float:

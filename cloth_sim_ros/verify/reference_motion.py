@@ -13,7 +13,7 @@ from cloth_sim_ros.physics.model.controls import Controls, GripControls
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
 from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, THICKNESS_KEY
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.bodies.bodies import carry_over_anchors, change_obstacles
@@ -40,10 +40,6 @@ class SimulatedFrame:
     controls: Controls
     #: Grippers that closed at its beginning, or before it while paused.
     newly_closed: frozenset[int]
-    #: Thickness of contacts at its start, see `ContactBinding.thickness_shape`; None if all have the full one.
-    thickness: Array | None
-    #: Thickness of contacts at its end; None if unchanged.
-    thickness_at_end: Array | None
     #: Effective tolerance [m]; None if none is set.
     tolerance: float | None
     #: True if the simulation flagged the frame: its error may exceed its share of the tolerance.
@@ -74,7 +70,7 @@ class FrameCapture:
         new, reset = self._new, self._reset
         self._new, self._reset = frozenset(), False
         advance, scene = frame.advance, simulation.scene
-        contact, start = simulation.plan.contact, state_before.shallow_copy()
+        start = state_before.shallow_copy()
         change_obstacles(scene_before, scene, [start])
         return SimulatedFrame(
             index=frame.index,
@@ -84,10 +80,8 @@ class FrameCapture:
             before=start,
             after=simulation.state.shallow_copy(),
             reset=reset,
-            controls=simulation.plan.controls,
+            controls=simulation.frame_controls,
             newly_closed=new,
-            thickness=None if contact is None else contact.thickness,
-            thickness_at_end=None if contact is None else contact.target_thickness,
             tolerance=frame.tolerance,
             flagged=bool(advance and advance.flagged),
             step=advance.step if advance and advance.steps else float("inf"),
@@ -108,12 +102,7 @@ class Equations:
         grips, contact = frame.controls
         if grips is not None:
             grips = grips._replace(grasps=attrs.evolve(grips.grasps, offsets=motion.offsets))
-        if contact is not None:
-            contact = contact._replace(recovery=(frame.t, frame.duration, frame.thickness_at_end))
         self._plan.controls = Controls(grips, contact)
-        if self._plan.contact is not None:
-            self._plan.contact.sync()
-            self._plan.contact.set_thickness(frame.thickness)
         return self._plan
 
 
@@ -128,7 +117,8 @@ class ReferenceMotion:
     """
 
     def __init__(self, state: State) -> None:
-        self.state = MotionState(state.x, state.v, state.memory.get(ANCHORS_KEY), state.memory.get(JAWS_KEY))
+        memory = {key: state.memory[key] for key in (ANCHORS_KEY, JAWS_KEY) if key in state.memory}
+        self.state = MotionState(state.x, state.v, memory)
         self._scene: Scene | None = None
         count = len(state.memory.get("gripper.pose", ()))
         starts = state.memory.get("grip.starts", np.zeros(count + 1, dtype=np.int64))
@@ -146,11 +136,20 @@ class ReferenceMotion:
         return np.ascontiguousarray(np.concatenate([np.empty((0, 3)), *self._offsets]))
 
     def apply_grasps(self, frame: SimulatedFrame) -> None:
-        """Grasp and release like the simulation at the frame's beginning; keep the anchors of its obstacles."""
-        if self.state.anchors is not None and self._scene is not None and self._scene is not frame.scene:
-            self.state = self.state._replace(anchors=carry_over_anchors(self.state.anchors, self._scene, frame.scene))
-        self._scene = frame.scene
-        controls = frame.controls.grips
+        """Grasp and release like the simulation at the frame's beginning; keep the anchors of its obstacles.
+
+        Contacts get the simulation's thickness.
+        """
+        memory, (controls, contact) = dict(self.state.memory), frame.controls
+        thickness = None if contact is None else contact.recovery.start
+        anchors = memory.pop(ANCHORS_KEY, None)
+        if anchors is not None and self._scene is not None and self._scene is not frame.scene:
+            anchors = carry_over_anchors(anchors, self._scene, frame.scene)
+        memory.pop(THICKNESS_KEY, None)
+        memory |= {
+            key: array for key, array in ((ANCHORS_KEY, anchors), (THICKNESS_KEY, thickness)) if array is not None
+        }
+        self._scene, self.state = frame.scene, self.state._replace(memory=memory)
         if controls is not None:
             self._offsets = [self._grip_points(controls, frame.newly_closed, g) for g in range(len(controls.paths))]
 

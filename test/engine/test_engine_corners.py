@@ -109,7 +109,7 @@ class ReentrantForce(Force):
     def add_force(self, t, x, v, f):
         if self.plan is not None:
             plan, self.plan = self.plan, None
-            plan.runs(t, 0.01, (x.copy(), v.copy()), [1, 2])
+            plan.runs(t, 0.01, (x.copy(), v.copy()), [1, 2], memory={})
 
 
 def test_busy_plan_refuses_second_run():
@@ -118,18 +118,18 @@ def test_busy_plan_refuses_second_run():
     plan = compile(Model(np.ones(16), [force]))
     force.plan = plan
     with pytest.raises(RuntimeError, match="not re-entrant"):
-        plan.runs(0.0, 0.01, (x, v), [3])
+        plan.runs(0.0, 0.01, (x, v), [3], memory={})
     # The refusal leaves it as it was.
-    assert np.isfinite(plan.runs(0.0, 0.01, (x, v), [3])[0][0].x).all()
+    assert np.isfinite(plan.runs(0.0, 0.01, (x, v), [3], memory={})[0][0].x).all()
 
 
 QUESTIONS = {
     "rates": lambda plan, x, v: plan.spectral_bounds(x),
-    "energy": lambda plan, x, v: plan.energies(0.0, x, v),
-    "powers": lambda plan, x, v: plan.powers(0.0, x, v),
-    "bounds": lambda plan, x, v: plan.add_bounds(x, np.zeros((6, 16)), np.zeros((6, 16))),
+    "energy": lambda plan, x, v: plan.energies(0.0, x, v, memory={}),
+    "powers": lambda plan, x, v: plan.powers(0.0, x, v, memory={}),
+    "bounds": lambda plan, x, v: plan.add_bounds(x, np.zeros((6, 16)), np.zeros((6, 16)), memory={}),
     "gaps": lambda plan, x, v: plan.contact.self_gaps(x),
-    "ahead": lambda plan, x, v: plan.contact.predict_surface_contact(0.0, 0.01, x, v),
+    "ahead": lambda plan, x, v: plan.contact.predict_surface_contact(0.0, 0.01, x, v, memory={}),
     "rest": lambda plan, x, v: plan.contact.is_clear_of_itself(0.01, x, v),
 }
 
@@ -152,6 +152,6 @@ def test_busy_plan_refuses_queries(name):
 
     plan = compile(Model(model.masses, [*model.forces, QueryingForce()], anchors=model.anchors))
     with pytest.raises(RuntimeError, match="not re-entrant"):
-        plan.runs(0.0, 0.01, (x, v), [3])
+        plan.runs(0.0, 0.01, (x, v), [3], memory={})
     assert queried
     QUESTIONS[name](plan, x, v)

@@ -32,7 +32,7 @@ def exact(plan, state, duration):
 
     def slope(t, y):
         x, v = (np.ascontiguousarray(part.reshape(shape)) for part in (y[:size], y[size:]))
-        plan.accelerations(t, x, v, a)
+        plan.accelerations(t, x, v, a, memory={})
         return np.concatenate([y[size:], a.ravel()])
 
     y = np.concatenate([state.x.ravel(), state.v.ravel()])
@@ -73,14 +73,14 @@ def test_impact_at_20_m_per_s_penetrates_nothing(shape, listed, tolerance):
     # No work limit: this test is about explicit steps, and so few particles are cheap with any step.
     plan, state, integrator = drop(model, places, (0.0, 0.0, -20.0), tolerance=tolerance, work=0.0)
     balance = EnergyBalance(plan, state)
-    energy = plan.energy(0.0, state.x, state.v)
+    energy = plan.energy(0.0, state.x, state.v, memory=state.memory)
     for k in range(6):
         done = integrator.advance(plan, state, k * FRAME, FRAME, balance.accumulator)
         assert done.integrator != "implicit"
-        _, gap = plan.contact.obstacle_gaps((k + 1) * FRAME, state.x)[0]
+        _, gap = plan.contact.obstacle_gaps((k + 1) * FRAME, state.x, memory=state.memory)[0]
         assert gap > 0.0
         balance.close((k + 1) * FRAME, state)
-        now = plan.energy(0.0, state.x, state.v)
+        now = plan.energy(0.0, state.x, state.v, memory=state.memory)
         assert now <= energy * (1.0 + 2e-3)
         energy = min(energy, now)
     assert balance.dissipation > 0.05 * energy
@@ -113,7 +113,7 @@ def test_obstacle_at_10_m_per_s_penetrates_nothing(tolerance):
     balance = EnergyBalance(plan, state)
     for k in range(6):
         integrator.advance(plan, state, k * FRAME, FRAME, balance.accumulator)
-        gaps = plan.contact.obstacle_gaps((k + 1) * FRAME, state.x)
+        gaps = plan.contact.obstacle_gaps((k + 1) * FRAME, state.x, memory=state.memory)
         assert gaps[0, 1] > 0.0
         residual = balance.close((k + 1) * FRAME, state)
         # The recorded gap is as coarse as the steps, which without a tolerance are as long as stability allows.
@@ -142,7 +142,7 @@ def test_accelerating_particle_is_predicted():
     for k in range(12):
         integrator.advance(plan, state, k * FRAME, FRAME)
         fastest = max(fastest, float(np.abs(state.v).max()))
-        assert plan.contact.obstacle_gaps(0.0, state.x)[0, 1] > 0.0
+        assert plan.contact.obstacle_gaps(0.0, state.x, memory=state.memory)[0, 1] > 0.0
     assert fastest > 5.0
 
 
@@ -163,11 +163,11 @@ def test_fixed_step_above_contact_limit_is_reduced_or_refused(integrator):
 def test_implicit_steps_penetrate_nothing():
     model, places = flat_sheet(8, 8, contact("sphere", paths=[BELOW["sphere"](0.02)]), size=0.3)
     plan, state, integrator = drop(model, places, (0.0, 0.0, -3.0), integrator="implicit", tolerance=1e-3)
-    energy = plan.energy(0.0, state.x, state.v)
+    energy = plan.energy(0.0, state.x, state.v, memory=state.memory)
     for k in range(6):
         integrator.advance(plan, state, k * FRAME, FRAME)
-        assert plan.contact.obstacle_gaps(0.0, state.x)[0, 1] > 0.0
-        assert plan.energy(0.0, state.x, state.v) <= energy * (1.0 + 1e-3)
+        assert plan.contact.obstacle_gaps(0.0, state.x, memory=state.memory)[0, 1] > 0.0
+        assert plan.energy(0.0, state.x, state.v, memory=state.memory) <= energy * (1.0 + 1e-3)
 
 
 def test_restored_state_has_the_same_min_gap_and_steps():

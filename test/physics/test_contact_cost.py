@@ -36,7 +36,9 @@ def added(**values: Any) -> float:
     for _ in range(2):
         costs.append(cloth.plan.contact_cost(cloth.time, cloth.scene.period, cloth.state))
         # Meanwhile neighbour lists are built for another reach.
-        cloth.plan.predict_contact(cloth.time, 10.0 * cloth.scene.period, cloth.state.x, cloth.state.v + 1.0)
+        cloth.plan.predict_contact(
+            cloth.time, 10.0 * cloth.scene.period, cloth.state.x, cloth.state.v + 1.0, memory=cloth.state.memory
+        )
     assert costs[0] == costs[1]
     return costs[0] / CONSTANTS.operation_time
 

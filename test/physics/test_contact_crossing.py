@@ -39,7 +39,7 @@ def test_particle_hits_an_obstacle_on_its_path(shape):
         gap = min_gap(SHAPES[shape], path, start[:, 0], end[:, 0])
         if abs(gap) < SHALLOW:
             continue
-        assert plan.contact.ccd_hits(START, DURATION, start, end) == (gap < 0.0), (seed, gap)
+        assert plan.contact.ccd_hits(START, DURATION, start, end, memory={}) == (gap < 0.0), (seed, gap)
         met += gap < 0.0
     assert 0 < met < 16
 
@@ -53,7 +53,9 @@ def ball(*, velocity=(0.0, 0.0, 0.0), acceleration=(0.0, 0.0, 0.0)):
 
 def meets(path, start, end, obstacle="sphere"):
     plan = compile(Model([1.0], [contact(obstacle, paths=[path])]))
-    return plan.contact.ccd_hits(START, DURATION, *(np.array([position]).T.copy() for position in (start, end)))
+    return plan.contact.ccd_hits(
+        START, DURATION, *(np.array([position]).T.copy() for position in (start, end)), memory={}
+    )
 
 
 def test_particle_moving_with_a_fast_obstacle_does_not_hit_it():

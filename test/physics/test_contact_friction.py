@@ -44,8 +44,6 @@ def about(shape, rough=(0.6, 0.4), frequency=2000.0, seed=0):
         size=x.shape
     )
     anchors[0, :3] *= anchors[0, 3] > 0.0
-    state = State(x.T, v.T, memory={ANCHORS_KEY: anchors})
-    plan.contact.load_state(state)
     return contact_force, plan, masses, x, v, anchors
 
 
@@ -82,13 +80,16 @@ def by_formulas(contact_force, masses, x, v, anchors):
 def test_forces_and_anchors_are_those_of_the_formulas(shape):
     contact_force, plan, masses, x, v, anchors = about(shape)
     expected, dragged, dissipation = by_formulas(contact_force, masses, x, v, anchors)
+    memory = {ANCHORS_KEY: anchors}
     plain, _ = laws.contact(0.3, x, v, contact_force, masses)
     assert np.abs(expected - plain.force).max() > 10.0
     scale = np.abs(expected).max()
-    assert force(plan, x, v, 0.3) == pytest.approx(expected, rel=1e-8, abs=1e-9 * scale)
-    assert plan.contact.wrench_rates(0.3, x, v)[0, :3] == pytest.approx(-expected.sum(axis=1), abs=1e-9 * scale * COUNT)
-    assert plan.dissipation(0.3, x, v) == pytest.approx(dissipation, rel=1e-8)
-    new_anchors = plan.contact.combine_anchors(0.3, x, v, anchors[None], [1.0])
+    assert force(plan, x, v, 0.3, memory) == pytest.approx(expected, rel=1e-8, abs=1e-9 * scale)
+    assert plan.contact.wrench_rates(0.3, x, v, memory)[0, :3] == pytest.approx(
+        -expected.sum(axis=1), abs=1e-9 * scale * COUNT
+    )
+    assert plan.dissipation(0.3, x, v, memory) == pytest.approx(dissipation, rel=1e-8)
+    new_anchors = plan.contact.combine_anchors(0.3, x, v, anchors[None], [1.0], memory)
     assert new_anchors == pytest.approx(dragged, abs=1e-12)
     # Inside the cone not a bit moves.
     stays = (dragged[0] == anchors[0]).all(axis=0)
@@ -175,7 +176,7 @@ def test_sliding_converges_with_second_order(shape):
     plan = alone(contact(obstacle, paths=[path]), Gravity([0.0, 0.0, -9.81]), count=1)
     x, v = np.array([[0.05], [0.0], [0.97 * THICKNESS]]), np.array([[0.5], [0.2], [0.0]])
     counts = [100, 200, 400, 12800]
-    ends = [run.x for run in plan.runs(0.0, 0.05, (x, v), counts, record_obstacles=True)[0]]
+    ends = [run.x for run in plan.runs(0.0, 0.05, (x, v), counts, record_obstacles=True, memory={})[0]]
     errors = np.array([np.linalg.norm(end - ends[-1]) for end in ends[:-1]])
     assert (errors[:-1] > 3.4 * errors[1:]).all()
 
@@ -186,11 +187,11 @@ def test_friction_takes_energy_and_the_balance_closes():
     places[:, 2] = 0.98 * THICKNESS
     plan, state, integrator = drop(model, places, (1.0, 0.3, 0.0), tolerance=1e-5)
     balance = EnergyBalance(plan, state)
-    energy = plan.energy(0.0, state.x, state.v)
+    energy = plan.energy(0.0, state.x, state.v, memory=state.memory)
     for k in range(30):
         integrator.advance(plan, state, k * FRAME, FRAME, balance.accumulator)
         residual = balance.close((k + 1) * FRAME, state)
-        now = plan.energy(0.0, state.x, state.v)
+        now = plan.energy(0.0, state.x, state.v, memory=state.memory)
         assert now <= energy * (1.0 + 1e-6)
         assert abs(residual) < 1e-3 * balance.energy_turnover
         energy = now
@@ -230,7 +231,8 @@ def test_no_bit_depends_on_threads(listed):
     x, v = np.ascontiguousarray(places.T), np.zeros((3, len(places)))
     v[2] = -1.0
     runs = [
-        plan.runs(0.0, 0.02, (x, v), [700], record_obstacles=True, threads=threads)[0][0] for threads in (1, 2, 3, 8)
+        plan.runs(0.0, 0.02, (x, v), [700], record_obstacles=True, threads=threads, memory={})[0][0]
+        for threads in (1, 2, 3, 8)
     ]
     assert np.count_nonzero(runs[0].anchors[0, 3]) > 3
     for run in runs[1:]:

@@ -38,16 +38,18 @@ def test_forces_energies_and_powers_are_those_of_the_formulas(shape, damping):
     # Positions are accurate to 1e-16 m, which is 1e-13 of a thickness of 2 mm.
     scale = np.abs(expected.force).max()
     assert force(plan, x, v, 0.3) == pytest.approx(expected.force, rel=1e-9, abs=1e-10 * scale)
-    assert plan.energies(0.3, x, v)[1] == pytest.approx(expected.energy, rel=1e-9)
-    assert plan.dissipation(0.3, x, v) == pytest.approx(expected.dissipation, rel=1e-9)
-    assert plan.contact.wrench_rates(0.3, x, v) == pytest.approx(booked, rel=1e-9, abs=1e-9 * np.abs(booked).max())
-    assert plan.contact.obstacle_gaps(0.3, x)[0, 0] == np.count_nonzero(np.abs(expected.force).any(axis=0))
+    assert plan.energies(0.3, x, v, memory={})[1] == pytest.approx(expected.energy, rel=1e-9)
+    assert plan.dissipation(0.3, x, v, memory={}) == pytest.approx(expected.dissipation, rel=1e-9)
+    assert plan.contact.wrench_rates(0.3, x, v, memory={}) == pytest.approx(
+        booked, rel=1e-9, abs=1e-9 * np.abs(booked).max()
+    )
+    assert plan.contact.obstacle_gaps(0.3, x, memory={})[0, 0] == np.count_nonzero(np.abs(expected.force).any(axis=0))
 
 
 @every_shape
 def test_static_force_is_minus_the_energy_gradient(shape):
     _, plan, _, x, _ = about(shape, damping=0.0, path=still((0.3, -0.2, 0.1), (0.5, -0.5, 0.1, 0.7)), deepest=0.6)
-    slopes = gradient(lambda places: plan.energies(0.3, places, None)[1], x, step=1e-7)
+    slopes = gradient(lambda places: plan.energies(0.3, places, None, memory={})[1], x, step=1e-7)
     assert force(plan, x, t=0.3) == pytest.approx(-slopes, abs=1e-5 * np.abs(slopes).max())
 
 
@@ -58,7 +60,7 @@ def test_damping_never_gives_energy_and_never_pulls(shape):
     for speed in (1e-3, 0.1, 10.0, 1e3):
         damped_force = force(plan, x, speed * v, 0.3)
         static_force = force(undamped_plan, x, np.zeros_like(x), 0.3)
-        assert plan.dissipation(0.3, x, speed * v) >= 0.0
+        assert plan.dissipation(0.3, x, speed * v, memory={}) >= 0.0
         # Each along one normal: the force never pulls.
         assert (np.sum(damped_force * static_force, axis=0) >= 0.0).all()
 
@@ -112,9 +114,9 @@ def test_energy_and_force_are_not_finite_without_a_gap(shape):
     position, _, rotation, _ = laws.pose(contact_force.paths[0], 0.3)
     inside = (position + 0.05 * rotation @ [0.1, 0.2, -1.0])[:, None]
     single_plan = alone(contact_force, count=1)
-    assert plan.contact.obstacle_gaps(0.3, np.repeat(inside, COUNT, axis=1))[0, 1] < 0.0
+    assert plan.contact.obstacle_gaps(0.3, np.repeat(inside, COUNT, axis=1), memory={})[0, 1] < 0.0
     assert not np.isfinite(force(single_plan, inside, t=0.3)).all()
-    assert not np.isfinite(single_plan.energies(0.3, inside, None)[1])
+    assert not np.isfinite(single_plan.energies(0.3, inside, None, memory={})[1])
 
 
 def test_forces_of_several_obstacles_add_up():
@@ -132,7 +134,7 @@ def test_forces_of_several_obstacles_add_up():
     free = plan.model.inverse_masses > 0.0
     expected = laws.contact(0.1, x, v, contact_force, masses)[0].force * free
     assert force(plan, x, v, 0.1) == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
-    booked = plan.contact.wrench_rates(0.1, x, v)
+    booked = plan.contact.wrench_rates(0.1, x, v, memory={})
     assert booked[:, :3].sum(axis=0) == pytest.approx(-expected.sum(axis=1), rel=1e-9)
 
 
@@ -140,15 +142,15 @@ def test_predicted_bounds_are_those_of_the_stopping_gap():
     plan = alone(contact("plane", damping=0.0), count=1)
     for speed in (0.5, 3.0, 20.0):
         x, v = np.array([[0.0], [0.0], [0.01]]), np.array([[1.0], [0.0], [-speed]])
-        omega2, _ = plan.predict_contact(0.0, 0.05, x, v)
+        omega2, _ = plan.predict_contact(0.0, 0.05, x, v, memory={})
         # The slope of the force at (1 - s)^4 / s = (speed / U)^2, with a margin of the same energy again.
         gaps = np.linspace(1e-3, 1.0, 100_001)
         s = gaps[np.argmin(np.abs((1.0 - gaps) ** 4 / gaps - (speed / laws.STOPPING_SPEED) ** 2))]
         slope = laws.STOPPING_SPEED**2 / 2.0 / THICKNESS**2 * (2.0 / s**3 - 8.0 + 6.0 * s)
         assert slope <= omega2 <= 2.5 * slope
         # It moves away, or does not arrive.
-        assert plan.predict_contact(0.0, 0.05, x, -v) == (0.0, 0.0)
-        assert plan.predict_contact(0.0, 0.001 / speed, x, v) == (0.0, 0.0)
+        assert plan.predict_contact(0.0, 0.05, x, -v, memory={}) == (0.0, 0.0)
+        assert plan.predict_contact(0.0, 0.001 / speed, x, v, memory={}) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -174,4 +176,4 @@ def test_two_contact_forces_and_wrong_paths_are_refused():
     for paths, message in ((np.zeros((2, 26)), "paths have shape"), (np.full((1, 26), np.nan), "must be finite")):
         first.set_paths(paths)
         with pytest.raises(ValueError, match=message):
-            plan.contact.obstacle_gaps(0.0, np.zeros((3, 1)))
+            plan.contact.obstacle_gaps(0.0, np.zeros((3, 1)), memory={})

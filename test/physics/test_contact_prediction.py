@@ -26,9 +26,9 @@ def test_distant_obstacle_is_skipped_as_for_each_particle(shape, push):
         v = np.ascontiguousarray(rng.choice([0.0, 0.1, 10.0]) * rng.normal(size=x.shape))
         v[:, 0] = 0.0
         duration, t = float(rng.choice([0.0, 1e-3, 1.0 / 60.0])), float(rng.uniform(0.0, 0.1))
-        together = plan.contact.predict_energy(t, duration, x, v)
+        together = plan.contact.predict_energy(t, duration, x, v, memory={})
         x[:, 0] = rng.choice([-1.0, 1.0], 3) * 1e4
-        apart = plan.contact.predict_energy(t, duration, x, v)
+        apart = plan.contact.predict_energy(t, duration, x, v, memory={})
         assert together == apart
         seen.add("far" if together == 0.0 else "inside" if together == np.inf else "near")
     assert {"far", "near"} <= seen
@@ -45,6 +45,8 @@ def test_nan_position_is_near_every_obstacle(shape):
         plan.contact.force.set_paths(path[None])
         x = np.ascontiguousarray(places.T)
         x[rng.integers(3), rng.integers(1, x.shape[1])] = np.nan
-        together = plan.contact.predict_energy(0.0, 0.01, x, np.zeros_like(x))
+        together = plan.contact.predict_energy(0.0, 0.01, x, np.zeros_like(x), memory={})
         x[:, 0] = 1e4
-        assert np.array_equal(together, plan.contact.predict_energy(0.0, 0.01, x, np.zeros_like(x)), equal_nan=True)
+        assert np.array_equal(
+            together, plan.contact.predict_energy(0.0, 0.01, x, np.zeros_like(x), memory={}), equal_nan=True
+        )

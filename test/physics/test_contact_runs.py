@@ -44,12 +44,12 @@ def test_a_run_is_that_of_the_formulas(shape, listed):
     v = np.zeros_like(x)
     v[2, 1:] = -1.0
     plan = compile(model)
-    (run,), _ = plan.runs(0.0, 2e-3, (x, v), [50], record_obstacles=True)
+    (run,), _ = plan.runs(0.0, 2e-3, (x, v), [50], record_obstacles=True, memory={})
     expected = laws.leapfrog(model, 0.0, 2e-3, x, v, 50)
     assert run.x == pytest.approx(expected[0], abs=1e-11)
     assert run.v == pytest.approx(expected[1], abs=1e-7)
     assert np.abs(run.obstacle_integrals[0, :3]).max() > 1e-4
-    (single_run,), _ = plan.runs(0.0, 2e-3, (x, v), [50], single_precision=True, record_obstacles=True)
+    (single_run,), _ = plan.runs(0.0, 2e-3, (x, v), [50], single_precision=True, record_obstacles=True, memory={})
     assert single_run.x == pytest.approx(run.x, abs=3e-6)
     assert single_run.obstacle_integrals == pytest.approx(
         run.obstacle_integrals, rel=2e-2, abs=2e-2 * np.abs(run.obstacle_integrals).max()
@@ -79,6 +79,7 @@ def test_no_bit_depends_on_threads(listed, single_precision):
             record_power=True,
             record_obstacles=True,
             threads=threads,
+            memory={},
         )[0][0]
         for threads in (1, 2, 3, 8)
     ]
@@ -114,7 +115,7 @@ def test_obstacle_impulse_equals_the_cloths_momentum_loss(shape, listed):
     x, v = np.ascontiguousarray(places.T), np.zeros((3, len(places)))
     v[2] = -1.0
     duration, steps = 5e-3, 4000
-    (run,), _ = plan.runs(0.0, duration, (x, v), [steps], record_obstacles=True)
+    (run,), _ = plan.runs(0.0, duration, (x, v), [steps], record_obstacles=True, memory={})
     momentum_loss = ((v - run.v) * model.masses).sum(axis=1)
     assert run.obstacle_integrals[0, :3] == pytest.approx(momentum_loss, rel=1e-9, abs=1e-12)
     # About its moving position, at second order in the step.
@@ -122,9 +123,11 @@ def test_obstacle_impulse_equals_the_cloths_momentum_loss(shape, listed):
     halves = np.linspace(0.0, duration, 201)
     moments = np.zeros(3)
     for a, b in pairwise(halves):
-        (part,), _ = plan.runs(0.0, b, (x, v), [round(b / duration * steps)], record_obstacles=True)
+        (part,), _ = plan.runs(0.0, b, (x, v), [round(b / duration * steps)], record_obstacles=True, memory={})
         (before,), _ = (
-            plan.runs(0.0, a, (x, v), [round(a / duration * steps)], record_obstacles=True) if a else ((None,), None)
+            plan.runs(0.0, a, (x, v), [round(a / duration * steps)], record_obstacles=True, memory={})
+            if a
+            else ((None,), None)
         )
         force = part.obstacle_integrals[0, :3] - (before.obstacle_integrals[0, :3] if before is not None else 0.0)
         moments += np.cross(laws.pose(contact_force.paths[0], 0.5 * (a + b))[0], force)
@@ -158,7 +161,7 @@ def test_a_table_bears_the_weight_of_a_sheet_that_lies_on_it(listed):
     assert book.obstacle_wrenches[0, :3] == pytest.approx([0.0, 0.0, -weight], abs=1e-3 * weight)
     assert book.obstacle_wrenches[0, 3:] == pytest.approx(np.zeros(3), abs=1e-3 * weight)
     # Under a weight of 1 m/s^2 the force is a cube of the depth: 4 (1 - s)^3 = 2 d g / U^2, approximately.
-    s = plan.contact.obstacle_gaps(1.0, state.x)[0, 1] / THICKNESS
+    s = plan.contact.obstacle_gaps(1.0, state.x, memory=state.memory)[0, 1] / THICKNESS
     assert (1.0 - s) ** 3 * (1.0 + 3.0 * s) / s**2 == pytest.approx(2.0 * THICKNESS * 9.81 / 35.0**2, rel=1e-3)
 
 
@@ -171,7 +174,7 @@ def test_rotated_scene_gives_the_rotated_motion():
         plan = compile(model)
         x = np.ascontiguousarray(rotation.apply(places).T)
         v = np.ascontiguousarray(np.repeat(rotation.apply([[0.3, 0.0, -2.0]]), len(places), axis=0).T)
-        (run,), _ = plan.runs(0.0, 0.02, (x, v), [1500])
+        (run,), _ = plan.runs(0.0, 0.02, (x, v), [1500], memory={})
         assert run.encountered_energy > 0.0
         ends.append(rotation.inv().apply(run.x.T))
     assert ends[1] == pytest.approx(ends[0], abs=1e-9)

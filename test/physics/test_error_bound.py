@@ -92,7 +92,7 @@ def test_hung_sheet_is_within_tolerance() -> None:
     error, growth, size = 0.0, 1.0, 1e-7
     fields = np.random.default_rng(1).normal(size=(2, *x.shape)) * (plan.model.inverse_masses > 0.0)
     fields /= np.linalg.norm(fields, axis=1).max(axis=1)[:, None, None]
-    exact = MotionState(x, zeros, None, None)
+    exact = MotionState(x, zeros)
     perturbed = [exact._replace(x=x + size * fields[0]), exact._replace(v=size * fields[1])]
     for frame in range(74):
         advance = simulation.advance().advance

@@ -37,14 +37,14 @@ def test_the_energy_is_that_of_every_pair(shape, seed):
     expected = energy(SMALL[shape], path, triangles, x, masses)
     assert expected > 1e-4
     whole = expected + of_particles(plan, columns(x))
-    assert plan.energies(TIME, columns(x), None)[1] == pytest.approx(whole, rel=1e-7)
+    assert plan.energies(TIME, columns(x), None, memory={})[1] == pytest.approx(whole, rel=1e-7)
 
 
 @every_shape
 @each_seed
 def test_undamped_force_is_minus_the_energy_gradient(shape, seed):
     plan, _, x, _, _ = facing_scene(SMALL[shape], seed, damping=0.0)
-    slopes = gradient(lambda places: plan.energies(TIME, places, None)[1], columns(x), step=1e-8)
+    slopes = gradient(lambda places: plan.energies(TIME, places, None, memory={})[1], columns(x), step=1e-8)
     assert np.abs(slopes).max() > 1.0
     assert force(plan, columns(x), t=TIME) == pytest.approx(-slopes, abs=2e-5 * np.abs(slopes).max())
 
@@ -56,14 +56,14 @@ def test_recorded_wrench_is_the_force_on_the_cloth(shape, seed):
     rng = np.random.default_rng(seed)
     v = rng.normal(size=x.shape)
     cloth_force = force(plan, columns(x), columns(v), TIME).T
-    wrench = plan.contact.wrench_rates(TIME, columns(x), columns(v))[0]
+    wrench = plan.contact.wrench_rates(TIME, columns(x), columns(v), memory={})[0]
     size = np.abs(cloth_force).max()
     assert wrench[:3] == pytest.approx(-cloth_force.sum(axis=0), abs=1e-11 * size)
     position = laws.pose(path, TIME)[0]
     assert wrench[3:6] == pytest.approx(-np.cross(x - position, cloth_force).sum(axis=0), abs=1e-11 * size)
     # The obstacle's work is dissipated, moves the cloth, or is stored: by differences of time.
     h = 1e-8
-    ends = [plan.energies(TIME + s * h, columns(x + s * h * v), None)[1] for s in (1.0, -1.0)]
+    ends = [plan.energies(TIME + s * h, columns(x + s * h * v), None, memory={})[1] for s in (1.0, -1.0)]
     grown = (ends[0] - ends[1]) / (2.0 * h)
     terms = np.array([grown, (cloth_force * v).sum(), wrench[6], wrench[7]])
     assert wrench[7] >= 0.0
@@ -105,9 +105,9 @@ def test_feature_force_ends_at_half_the_thickness():
     box = SMALL["box"]
     for gap, acts in ((0.499, True), (0.501, False)):
         plan, _, x, _, _ = facing_scene(box, gap=gap, damping=0.0)
-        assert (plan.energies(TIME, columns(x), None)[1] > of_particles(plan, columns(x)) + 1e-15) == acts
+        assert (plan.energies(TIME, columns(x), None, memory={})[1] > of_particles(plan, columns(x)) + 1e-15) == acts
     plan, _, x, _, _ = facing_scene(box, anchors=range(16))
-    assert plan.energies(TIME, columns(x), None)[1] == 0.0
+    assert plan.energies(TIME, columns(x), None, memory={})[1] == 0.0
 
 
 def test_point_force_is_independent_of_the_triangulation():
@@ -122,7 +122,7 @@ def test_point_force_is_independent_of_the_triangulation():
     offsets = np.random.default_rng(0).uniform(0.02, 0.06, (60, 2))
     for offset in [*offsets, [0.03, 0.03], [0.04, 0.03], [0.035, 0.03], [0.04, 0.04]]:
         contact_force.set_paths(np.array([still((*offset, -0.005 - 0.5 * s * THICKNESS))]))
-        point_force = plan.contact.wrench_rates(0.0, columns(x), np.zeros_like(columns(x)))[0, :3]
+        point_force = plan.contact.wrench_rates(0.0, columns(x), np.zeros_like(columns(x)), memory={})[0, :3]
         particles, _ = laws.contact(0.0, columns(x), np.zeros_like(columns(x)), contact_force, masses)
         assert point_force + particles.force.sum(axis=1) == pytest.approx([0.0, 0.0, -expected], abs=1e-9 * expected)
 

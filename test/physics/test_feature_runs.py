@@ -49,7 +49,7 @@ def exact(plan, state, duration):
 
     def slope(t, y):
         x, v = (np.ascontiguousarray(part.reshape(shape)) for part in (y[:size], y[size:]))
-        plan.accelerations(t, x, v, a)
+        plan.accelerations(t, x, v, a, memory={})
         return np.concatenate([y[size:], a.ravel()])
 
     y = np.concatenate([state.x.ravel(), state.v.ravel()])
@@ -92,9 +92,9 @@ def test_hanging_sheet_rests_on_an_obstacle_under_a_cell(obstacle):
     path = below(obstacle, 0.003)
     plan, state, through = run_frames(obstacle, path, 40, anchors=[0, 4, 20, 24])
     assert not through
-    rates = plan.contact.wrench_rates(40 * FRAME, state.x, state.v)[0]
+    rates = plan.contact.wrench_rates(40 * FRAME, state.x, state.v, memory=state.memory)[0]
     assert rates[2] < -0.05
-    assert plan.contact.obstacle_gaps(40 * FRAME, state.x)[0, 0] == 0.0
+    assert plan.contact.obstacle_gaps(40 * FRAME, state.x, memory=state.memory)[0, 0] == 0.0
 
 
 @each_obstacle
@@ -124,7 +124,7 @@ def test_balls_under_cells_bear_the_weight():
     book = WorkAccumulator(plan.gripper_count, obstacle_count=4)
     integrator.advance(plan, state, 90 * FRAME, FRAME, book)
     weight = 9.81 * model.mass
-    assert plan.contact.obstacle_gaps(91 * FRAME, state.x)[:, 0].tolist() == [0.0] * 4
+    assert plan.contact.obstacle_gaps(91 * FRAME, state.x, memory=state.memory)[:, 0].tolist() == [0.0] * 4
     assert book.obstacle_wrenches[:, 2].sum() == pytest.approx(-weight, rel=1e-3)
 
 
@@ -149,7 +149,7 @@ def test_particles_alone_keep_out_a_large_ball():
         model, places, _ = coarse_scene(ball, paths=[still((0.0, 0.0, -0.2 - THICKNESS))], n=n, size=0.6)
         plan, state, integrator = drop(model, places, tolerance=1e-3)
         integrator.advance(plan, state, 0.0, FRAME)
-        assert plan.contact.supports_single_precision(FRAME, state.x, state.v) == needs_no_features
+        assert plan.contact.supports_single_precision(FRAME, state.x, state.v, memory=state.memory) == needs_no_features
 
 
 @pytest.mark.parametrize("listed", [False, True])
@@ -161,9 +161,11 @@ def test_no_bit_depends_on_threads_or_earlier_runs(listed):
     v[2] = -2.0
     plan, second_plan = (drop(model, places)[0] for _ in range(2))
     for k in range(3):
-        second_plan.runs(0.001 * k, 0.003, (x + 0.01 * k, -v), [30])
+        second_plan.runs(0.001 * k, 0.003, (x + 0.01 * k, -v), [30], memory={})
     runs = [
-        used_plan.runs(0.0, 0.01, (x, v), [500], record_power=True, record_obstacles=True, threads=threads)[0][0]
+        used_plan.runs(0.0, 0.01, (x, v), [500], record_power=True, record_obstacles=True, threads=threads, memory={})[
+            0
+        ][0]
         for used_plan, threads in ((plan, 1), (plan, 3), (second_plan, 2))
     ]
     assert runs[0].self_contact[0] > 0.0
@@ -197,7 +199,7 @@ def test_sheet_falling_on_a_small_obstacle_keeps_tolerance(obstacle, tolerance):
     kicked = exact(plan, State((state.x + kick).T, state.v.T), frames * FRAME)
     growth = furthest(end, kicked) / furthest(kick, np.zeros_like(kick))
     flagged = sum(integrator.advance(plan, state, k * FRAME, FRAME).flagged for k in range(frames))
-    assert plan.contact.predict_surface_contact(frames * FRAME, 0.0, state.x, state.v)[0] >= 0.0
+    assert plan.contact.predict_surface_contact(frames * FRAME, 0.0, state.x, state.v, memory=state.memory)[0] >= 0.0
     assert not flagged
     assert furthest(state.x, end) <= tolerance * max(1.0, growth)
 
@@ -206,11 +208,11 @@ def test_implicit_steps_penetrate_nothing():
     path = below(BLOCK, 0.02)
     model, places, triangles = coarse_scene(BLOCK, paths=[path])
     plan, state, integrator = drop(model, places, (0.0, 0.0, -2.0), integrator="implicit", tolerance=1e-3)
-    energy = plan.energy(0.0, state.x, state.v)
+    energy = plan.energy(0.0, state.x, state.v, memory=state.memory)
     for k in range(6):
         integrator.advance(plan, state, k * FRAME, FRAME)
         assert not intersected_triangles(BLOCK, path, (k + 1) * FRAME, triangles, state.positions)
-        assert plan.energy(0.0, state.x, state.v) <= energy * (1.0 + 1e-3)
+        assert plan.energy(0.0, state.x, state.v, memory=state.memory) <= energy * (1.0 + 1e-3)
 
 
 #: Runs a coarse sheet onto a corner, a coin and a mesh, and prints the digests.
@@ -229,7 +231,7 @@ model, places, _ = coarse_scene(BLOCK, coin, brick, paths=paths)
 plan, state, integrator = drop(model, places, (0.0, 0.0, -1.0), tolerance=1e-3)
 for k in range(4):
     integrator.advance(plan, state, k / 60.0, 1.0 / 60.0)
-print(state.digest(), plan.contact.wrench_rates(4 / 60.0, state.x, state.v).tobytes().hex())
+print(state.digest(), plan.contact.wrench_rates(4 / 60.0, state.x, state.v, state.memory).tobytes().hex())
 """
 
 

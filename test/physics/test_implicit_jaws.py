@@ -22,22 +22,20 @@ def step_jaws_with(rate, cloth, *, passes=False):
     """
     force = Contact([], thickness=0.002, jaws=[PADS])
     force.set_jaw_commands(np.array([[True, True]]))
-    jaw_states = []
 
-    def accelerations():
-        half_openings = jaw_states[-1][:, 0]
+    def accelerations(jaws):
+        half_openings = jaws[:, 0]
         return np.where((cloth[0] < half_openings) & (half_openings < cloth[1]) & (not passes), np.nan, 0.0)
 
-    def cross(ways):
+    def cross(jaws, half_openings):
         middle = 0.5 * sum(cloth)
-        return (ways - middle) * (jaw_states[-1][:, 0] - middle) < 0.0
+        return (half_openings - middle) * (jaws[:, 0] - middle) < 0.0
 
     before = np.array([[STOOD, rate]])
     moved = implicit_jaws.step_jaws(
         force,
         before,
         STEP,
-        set_jaws=jaw_states.append,
         accelerations=accelerations,
         find_hits=cross if passes else None,
     )

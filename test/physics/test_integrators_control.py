@@ -98,7 +98,7 @@ def test_accumulator_changes_no_bit_and_covers_the_whole_time(name: str) -> None
         fine.reset()
         for part in range(250):
             Leapfrog().advance(plan, state, frame * PERIOD + part * PERIOD / 250, PERIOD / 250)
-            accumulate(fine, plan, 0.0, state.x, state.v, PERIOD / 250)
+            accumulate(fine, plan, 0.0, state.x, state.v, PERIOD / 250, state.memory)
     assert accumulator.dissipation == pytest.approx(fine.dissipation, rel=0.2 if name == "symplectic_euler" else 0.02)
 
 

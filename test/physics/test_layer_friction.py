@@ -5,10 +5,12 @@
 import numpy as np
 import pytest
 from support import self_scenes as own
+from support.alone import NO_MEMORY
 
 from cloth_sim_ros.physics.model.forces.contact import Contact, ContactSurface
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.plan.plan import compile
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY
 
 THICKNESS = 4e-3
 MU = (0.6, 0.4)
@@ -22,27 +24,25 @@ def stacked(friction=MU, *, heights=(0.0, 0.7 * THICKNESS), rough=2e-4, damping=
     return compile(Model(masses, [force], **options)), np.ascontiguousarray(x.T), masses
 
 
-def set_random_anchors(plan, x):
-    """Set anchors at the particles' positions; return them."""
-    plan.contact.set_anchors(None)
-    anchors = plan.contact.combine_anchors(0.0, x, np.zeros_like(x), np.zeros((1, *plan.contact.anchors_shape)), [1.0])
-    return plan.contact.set_anchors(anchors)
+def anchored_at(plan, x):
+    """Return a memory with anchors at the particles' positions."""
+    none = np.zeros((1, *plan.contact.anchors_shape))
+    return {ANCHORS_KEY: plan.contact.combine_anchors(0.0, x, np.zeros_like(x), none, [1.0], {})}
 
 
-def forces(plan, x, v, masses):
+def forces(plan, x, v, masses, memory=NO_MEMORY):
     a = np.empty_like(x)
-    plan.accelerations(0.0, x, v, a)
+    plan.accelerations(0.0, x, v, a, memory)
     return masses * a
 
 
 def friction(x, v, *, moved=0.0, anchored=True, seed=3):
     """Return forces with friction minus those without, after particles moved from their anchors by some noise [m]."""
     plan, _, masses = stacked()
-    if anchored:
-        set_random_anchors(plan, x)
+    memory = anchored_at(plan, x) if anchored else NO_MEMORY
     away = x + moved * np.random.default_rng(seed).normal(size=x.shape)
     without, _, _ = stacked((0.0, 0.0))
-    return forces(plan, away, v, masses) - forces(without, away, v, masses), away
+    return forces(plan, away, v, masses, memory) - forces(without, away, v, masses), away
 
 
 @pytest.mark.parametrize("moved", [2e-8, 1e-3])
@@ -58,15 +58,15 @@ def test_self_friction_keeps_linear_and_angular_momentum(moved):
 
 def test_sticking_force_is_minus_the_energy_gradient():
     plan, x, masses = stacked(damping=0.0)
-    set_random_anchors(plan, x)
+    memory = anchored_at(plan, x)
     x = x + 2e-8 * np.random.default_rng(2).normal(size=x.shape)
     without, _, _ = stacked((0.0, 0.0), damping=0.0)
     none = np.zeros_like(x)
-    f = forces(plan, x, none, masses) - forces(without, x, none, masses)
+    f = forces(plan, x, none, masses, memory) - forces(without, x, none, masses)
     assert np.abs(f).max() > 1e-5
 
     def energy(y):
-        return plan.energy(0.0, y, none) - without.energy(0.0, y, none)
+        return plan.energy(0.0, y, none, memory) - without.energy(0.0, y, none, {})
 
     step = 1e-8
     for c, i in [(0, 7), (1, 30), (2, 12), (2, 33), (0, 41), (1, 18)]:
@@ -80,9 +80,9 @@ def test_sticking_force_is_minus_the_energy_gradient():
 def test_bounds_include_the_friction_spring():
     plan, x, masses = stacked()
     without, _, _ = stacked((0.0, 0.0))
-    set_random_anchors(plan, x)
+    memory = anchored_at(plan, x)
     friction_bounds, bare = (
-        checked_plan.contact.predict_surface_contact(0.0, 0.0, x, 0 * x) for checked_plan in (plan, without)
+        checked_plan.contact.predict_surface_contact(0.0, 0.0, x, 0 * x, memory) for checked_plan in (plan, without)
     )
     # Derivative of the forces by differences, in directions of the largest growth.
     none, rng = np.zeros_like(x), np.random.default_rng(5)
@@ -90,7 +90,7 @@ def test_bounds_include_the_friction_spring():
     for _ in range(30):
         u /= np.sqrt((masses * u * u).sum())
         step = 1e-10
-        with_ = forces(plan, x + step * u, none, masses) - forces(plan, x - step * u, none, masses)
+        with_ = forces(plan, x + step * u, none, masses, memory) - forces(plan, x - step * u, none, masses, memory)
         off = forces(without, x + step * u, none, masses) - forces(without, x - step * u, none, masses)
         k = -(with_ - off) / (2 * step)
         omega2, u = float((u * k).sum()), k / masses
@@ -102,10 +102,10 @@ def test_damping_and_sliding_only_take_energy():
     plan, x, _ = stacked()
     rng = np.random.default_rng(6)
     for moved, speed in ((0.0, 1e-3), (1e-7, 0.05), (1e-3, 0.5)):
-        set_random_anchors(plan, x)
+        memory = anchored_at(plan, x)
         away, v = x + moved * rng.normal(size=x.shape), speed * rng.normal(size=x.shape)
-        plan.contact.set_anchors(plan.contact.combine_anchors(0.0, away, v, set_random_anchors(plan, x)[None], [1.0]))
-        assert plan.contact.friction_power(0.0, away, v) > 0.0
+        anchors = plan.contact.combine_anchors(0.0, away, v, memory[ANCHORS_KEY][None], [1.0], memory)
+        assert plan.contact.friction_power(0.0, away, v, {ANCHORS_KEY: anchors}) > 0.0
 
 
 def test_friction_stays_within_the_cone_and_follows_both_sides():
@@ -113,28 +113,28 @@ def test_friction_stays_within_the_cone_and_follows_both_sides():
     heights = (0.0, 0.98 * THICKNESS, 1.96 * THICKNESS)
     plan, x, masses = stacked(heights=heights, rough=0.0)
     without, _, _ = stacked((0.0, 0.0), heights=heights, rough=0.0)
-    anchors = set_random_anchors(plan, x)
+    memory = anchored_at(plan, x)
     v = np.zeros_like(x)
     v[0, 25:50] = 0.5
-    a, b = forces(plan, x, v, masses), forces(without, x, v, masses)
+    a, b = forces(plan, x, v, masses, memory), forces(without, x, v, masses)
     friction_force = (a - b)[0]
     push = b[2, 50:].sum()
     assert friction_force[25:50].sum() < 0.0
-    assert (anchors[:, 3, 25:50] > 0.0).any(axis=1).all()
+    assert (memory[ANCHORS_KEY][:, 3, 25:50] > 0.0).any(axis=1).all()
     # Damping uses the rest of the cone.
     assert abs(friction_force[25:50].sum()) == pytest.approx(2 * MU[1] * push, rel=0.05)
 
 
 def test_derivative_product_is_the_difference_of_forces():
     plan, x, masses = stacked()
-    set_random_anchors(plan, x)
+    memory = anchored_at(plan, x)
     rng = np.random.default_rng(8)
     x = x + 2e-8 * rng.normal(size=x.shape)
     v = 1e-4 * rng.normal(size=x.shape)
     dx, dv = rng.normal(size=x.shape), rng.normal(size=x.shape)
     out, step = np.zeros_like(x), 1e-10
-    plan.add_jacobian_product(0.0, x, v, dx, dv, out)
-    both = [forces(plan, x + sign * step * dx, v + sign * step * dv, masses) for sign in (1, -1)]
+    plan.add_jacobian_product(0.0, x, v, dx, dv, out, memory)
+    both = [forces(plan, x + sign * step * dx, v + sign * step * dv, masses, memory) for sign in (1, -1)]
     assert (both[0] - both[1]) / (2 * step) == pytest.approx(out, rel=1e-4, abs=1e-3 * np.abs(out).max())
 
 
@@ -142,7 +142,7 @@ def test_invalid_coefficients_and_anchors_are_refused():
     with pytest.raises(ValueError, match=r"friction 0\.2 at rest and 0\.4 in motion"):
         stacked((0.2, 0.4))
     plan, x, _ = stacked()
-    anchors = set_random_anchors(plan, x).copy()
+    anchors = anchored_at(plan, x)[ANCHORS_KEY].copy()
     anchors[0, 0, :], anchors[0, 3, :] = 1e6, 1.0
     with pytest.raises(ValueError, match=r"in triangle 1000000\.0; it must be a whole number from 0 to 63"):
-        plan.contact.set_anchors(anchors)
+        plan.contact.upload({ANCHORS_KEY: anchors})

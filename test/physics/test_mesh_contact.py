@@ -66,7 +66,7 @@ def test_gaps_agree_with_the_winding_number_also_inside(body, seed):
     expected = BODIES[body].distance((x.T - position) @ rotation)[0]
     assert (expected < 0.0).any()
     single_plan = alone(contact_force, count=1)
-    gaps = [single_plan.contact.obstacle_gaps(0.3, x[:, k : k + 1].copy())[0, 1] for k in range(x.shape[1])]
+    gaps = [single_plan.contact.obstacle_gaps(0.3, x[:, k : k + 1].copy(), memory={})[0, 1] for k in range(x.shape[1])]
     assert gaps == pytest.approx(expected, abs=1e-12)
 
 
@@ -77,14 +77,16 @@ def test_forces_energies_and_powers_are_those_of_the_formulas(body):
     scale = np.abs(expected.force).max()
     assert scale > 1e4
     assert force(plan, x, v, 0.3) == pytest.approx(expected.force, rel=1e-8, abs=1e-9 * scale)
-    assert plan.energies(0.3, x, v)[1] == pytest.approx(expected.energy, rel=1e-9)
-    assert plan.contact.wrench_rates(0.3, x, v) == pytest.approx(booked, rel=1e-8, abs=1e-9 * np.abs(booked).max())
+    assert plan.energies(0.3, x, v, memory={})[1] == pytest.approx(expected.energy, rel=1e-9)
+    assert plan.contact.wrench_rates(0.3, x, v, memory={}) == pytest.approx(
+        booked, rel=1e-8, abs=1e-9 * np.abs(booked).max()
+    )
 
 
 @every_body
 def test_forces_and_derivatives_fit_the_energy(body):
     _, plan, _, x, _ = about(body, damping=0.0)
-    slopes = gradient(lambda places: plan.energies(0.3, places, None)[1], x, step=1e-9)
+    slopes = gradient(lambda places: plan.energies(0.3, places, None, memory={})[1], x, step=1e-9)
     assert force(plan, x, t=0.3) == pytest.approx(-slopes, abs=1e-4 * np.abs(slopes).max())
     dx = np.random.default_rng(1).normal(size=x.shape)
     ends = [force(plan, x + h * dx, t=0.3) for h in (1e-9, -1e-9)]
@@ -136,7 +138,7 @@ def test_ball_of_triangles_behaves_as_the_sphere():
         for k in range(60):
             integrator.advance(plan, state, k * FRAME, FRAME)
         assert not intersected_triangles(ball, path, 1.0, triangles, state.positions)
-        ends.append((state.x, plan.contact.wrench_rates(1.0, state.x, state.v)[0, 2]))
+        ends.append((state.x, plan.contact.wrench_rates(1.0, state.x, state.v, memory=state.memory)[0, 2]))
     assert inward < 2e-3
     assert np.abs(ends[1][0] - ends[0][0]).max() < 2.0 * inward
     assert ends[1][1] == pytest.approx(ends[0][1], rel=0.05)
@@ -152,7 +154,7 @@ def test_no_bit_depends_on_threads():
         x, v = np.ascontiguousarray(places.T), np.zeros((3, len(places)))
         v[2] = -2.0
         plan, _, _ = drop(model, places)
-        runs = [plan.runs(0.0, 0.01, (x, v), [500], record_obstacles=True, threads=k)[0][0] for k in (1, 3)]
+        runs = [plan.runs(0.0, 0.01, (x, v), [500], record_obstacles=True, threads=k, memory={})[0][0] for k in (1, 3)]
         assert max(runs[0].encountered_energy, runs[0].self_contact[0]) > 0.0
         assert np.array_equal(runs[0].x, runs[1].x)
         assert np.array_equal(runs[0].obstacle_integrals, runs[1].obstacle_integrals)

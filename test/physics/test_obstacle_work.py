@@ -40,7 +40,7 @@ def test_fallback_steps_record_the_work_of_an_obstacle(shape, position, speed, t
     """In one of eight steps it moves further than contact reaches; the law's force has no limit in between."""
     plan, state = driven(shape, position, speed, turn)
     book = WorkAccumulator(plan.gripper_count, obstacle_count=1)
-    before, momentum = plan.energy(0.0, state.x, state.v), plan.model.masses * state.v
+    before, momentum = plan.energy(0.0, state.x, state.v, memory=state.memory), plan.model.masses * state.v
     done = finish_implicitly(plan, state, 0.0, FRAME, book, instead_of="explicit steps", max_evaluations=math.inf)
     assert done.flagged
     gained = (plan.model.masses * state.v - momentum).sum(axis=1)
@@ -49,7 +49,7 @@ def test_fallback_steps_record_the_work_of_an_obstacle(shape, position, speed, t
     booked = -FRAME * book.obstacle_wrenches[0, 2]
     assert 0.2 * gained[2] < booked < 50.0 * gained[2]
     # Missing energy was dissipated; energy never appears.
-    energy_gain = plan.energy(FRAME, state.x, state.v) - before
+    energy_gain = plan.energy(FRAME, state.x, state.v, memory=state.memory) - before
     assert energy_gain <= book.work * (1.0 + 1e-9)
     assert book.work <= 2.0 * booked * max(np.abs(speed))
 
@@ -62,7 +62,7 @@ def test_contact_in_the_last_half_step_is_recorded():
     plan, state = driven("box", (0.0, 0.0, -0.1 - reached), (0.0, 0.0, speed))
     columns = ExtrapolationTableau(plan, state, 0.0, FRAME, (steps,), record_obstacles=True)
     x, v = columns.combine(1)
-    gained = plan.energy(FRAME, x, v) - plan.energy(0.0, state.x, state.v)
+    gained = plan.energy(FRAME, x, v, memory={}) - plan.energy(0.0, state.x, state.v, memory=state.memory)
     assert gained > 0.0
     assert np.abs(v).max() < 1e-9
     assert columns.work(1) == pytest.approx(gained, rel=0.5)
@@ -71,7 +71,7 @@ def test_contact_in_the_last_half_step_is_recorded():
 def test_abandoned_step_leaves_obstacles_in_place(monkeypatch):
     """During the search for velocities obstacles are ahead in time; a failure then must not leave them there."""
     plan, state = driven("box", (0.0, 0.0, -0.1 - 1.2 * THICKNESS), (0.0, 0.0, 10.0))
-    before = plan.contact.obstacle_gaps(FRAME, state.x)
+    before = plan.contact.obstacle_gaps(FRAME, state.x, memory=state.memory)
 
     def fails(*_):
         raise UnstableError("no matrix")
@@ -80,4 +80,4 @@ def test_abandoned_step_leaves_obstacles_in_place(monkeypatch):
     monkeypatch.setattr(ImplicitAdvance, "_solve_step", lambda *_: None)
     with pytest.raises(UnstableError):
         finish_implicitly(plan, state, 0.0, FRAME, None, instead_of="explicit steps", max_evaluations=math.inf)
-    assert np.array_equal(plan.contact.obstacle_gaps(FRAME, state.x), before)
+    assert np.array_equal(plan.contact.obstacle_gaps(FRAME, state.x, memory=state.memory), before)

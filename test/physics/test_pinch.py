@@ -73,7 +73,6 @@ def test_jaw_acceleration_is_that_of_the_formulas():
     rng = np.random.default_rng(1)
     state.v = rng.normal(size=state.x.shape) * 0.05
     state.memory[JAWS_KEY] = np.array([[half_opening, jaw_speed]])
-    plan.contact.load_state(state)
     boxes = [Obstacle(name=name, shape="box", size=jaw.size) for name in ("left", "right")]
     paths = [still((0.0, sign * (half_opening + 0.5 * jaw.size[1]), 0.0)) for sign in (1.0, -1.0)]
     for path, sign in zip(paths, (1.0, -1.0), strict=True):
@@ -85,7 +84,7 @@ def test_jaw_acceleration_is_that_of_the_formulas():
     free = plan.model.inverse_masses > 0.0
     outward = -pushes[0][1, free].sum() + pushes[1][1, free].sum()
     expected = (outward - 2.0 * 0.7 * (1.0 + jaw_speed / 0.2)) / jaw.inertia
-    accelerations = plan.contact.jaw_accelerations(0.0, state.x, state.v)
+    accelerations = plan.contact.jaw_accelerations(0.0, state.x, state.v, memory=state.memory)
     assert outward > 0.1
     # Friction acts along the surface: it does not move a jaw along its axis.
     assert accelerations == pytest.approx([expected], rel=1e-9)
@@ -101,10 +100,10 @@ def test_errors_stay_within_tolerance_of_dop853(friction):
         state.memory[JAWS_KEY] = start
         state.v[1, COLUMNS:] = 0.02 * np.sin(3.0 + 40.0 * state.x[2, COLUMNS:])
         if reference is None:
-            reference = dop853(plan, 0.0, 12 * FRAME, MotionState(state.x, state.v, None, start))
+            reference = dop853(plan, 0.0, 12 * FRAME, MotionState(state.x, state.v, {JAWS_KEY: start}))
         advance(plan, state, integrator, 12)
         assert np.abs(state.x - reference.x).max() < 12 * FRAME * tolerance
-        assert np.abs(state.memory[JAWS_KEY] - reference.jaws)[0, 0] < 12 * FRAME * tolerance
+        assert np.abs(state.memory[JAWS_KEY] - reference.memory[JAWS_KEY])[0, 0] < 12 * FRAME * tolerance
 
 
 @grids_and_lists
@@ -118,8 +117,11 @@ def test_no_bit_depends_on_threads(listed):
     state.memory[JAWS_KEY] = np.array([[1.1 * THICKNESS, -0.05]])
     runs = []
     for threads in (1, 2, 3, 8):
-        plan.contact.load_state(state)
-        runs.append(plan.runs(0.0, 0.02, (state.x, state.v), [900], record_obstacles=True, threads=threads)[0][0])
+        runs.append(
+            plan.runs(
+                0.0, 0.02, (state.x, state.v), [900], record_obstacles=True, threads=threads, memory=state.memory
+            )[0][0]
+        )
     assert np.abs(runs[0].obstacle_integrals[:, :3]).max(axis=1).min() > 0.0
     assert runs[0].jaw_states[0, 0] < THICKNESS
     for run in runs[1:]:
@@ -214,7 +216,7 @@ def test_every_integrator_closes_jaws_until_their_force(integrator, tolerance):
     close(force)
     state.memory[JAWS_KEY] = np.array([[1.2 * THICKNESS, -0.05]])
     advance(plan, state, steps, 12)
-    loads = plan.contact.wrench_rates(12 * FRAME, state.x, state.v)
+    loads = plan.contact.wrench_rates(12 * FRAME, state.x, state.v, memory=state.memory)
     assert loads[:, 1] == pytest.approx([0.2, -0.2], rel=1e-3)
 
 
@@ -265,16 +267,15 @@ def test_step_limit_includes_jaws_that_move_with_the_sheet(share):
     half_opening, count = 0.6 * THICKNESS, x.size
 
     def accelerations(coordinates):
-        plan.contact.set_jaws(np.array([[coordinates[-1], 0.0]]))
+        memory = {JAWS_KEY: np.array([[coordinates[-1], 0.0]])}
         out, moved = np.empty_like(x), np.ascontiguousarray(coordinates[:-1].reshape(x.shape))
-        plan.accelerations(0.0, moved, still_, out)
-        return np.concatenate([out.ravel(), plan.contact.jaw_accelerations(0.0, moved, still_)])
+        plan.accelerations(0.0, moved, still_, out, memory)
+        return np.concatenate([out.ravel(), plan.contact.jaw_accelerations(0.0, moved, still_, memory)])
 
     at, step = np.concatenate([x.ravel(), [half_opening]]), 1e-9
     slopes = [(accelerations(at + step * e) - accelerations(at - step * e)) / (2.0 * step) for e in np.eye(count + 1)]
     largest = -np.linalg.eigvals(np.array(slopes)).real.min()
-    plan.contact.set_jaws(np.array([[half_opening, 0.0]]))
-    energy = plan.contact.predict_energy(0.0, 0.0, x, still_)
+    energy = plan.contact.predict_energy(0.0, 0.0, x, still_, {JAWS_KEY: np.array([[half_opening, 0.0]])})
     bound = plan.contact.bounds_at_energy(energy)[0] + plan.spectral_bounds(x)[0]
     assert largest < 1.001 * bound
     # A particle between two jaws is in two contacts. The limit of one is hardly more than half of the eigenvalue.

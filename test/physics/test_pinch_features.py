@@ -81,17 +81,17 @@ def test_jaws_press_a_cell_with_their_force(listed):
     half_opening, rate = state.memory[JAWS_KEY][0]
     assert 0.1 * THICKNESS < half_opening < 0.5 * THICKNESS
     assert abs(rate) < 1e-9
-    loads = plan.contact.wrench_rates(40 * FRAME, state.x, state.v)
+    loads = plan.contact.wrench_rates(40 * FRAME, state.x, state.v, memory=state.memory)
     assert loads[:, 2] == pytest.approx([FORCE, -FORCE], rel=1e-6)
     # No particle is in reach.
-    assert plan.contact.obstacle_gaps(40 * FRAME, state.x)[:, 0].tolist() == [0.0, 0.0]
+    assert plan.contact.obstacle_gaps(40 * FRAME, state.x, memory=state.memory)[:, 0].tolist() == [0.0, 0.0]
     assert not crossed_triangles(small_jaw(), state)
 
 
 def test_jaws_meet_nothing_without_faces():
     plan, state, integrator, _ = between(faces=False)
     advance(plan, state, integrator, 40)
-    assert not plan.contact.wrench_rates(40 * FRAME, state.x, state.v)[:, :3].any()
+    assert not plan.contact.wrench_rates(40 * FRAME, state.x, state.v, memory=state.memory)[:, :3].any()
 
 
 @pytest.mark.parametrize("speed", [0.5, 5.0])
@@ -117,22 +117,26 @@ def test_force_on_jaws_is_the_energy_slope():
     jaw, half_opening, step = small_jaw(), 0.006, 1e-8
 
     def energy(half_opening, x=x):
-        plan.contact.set_jaws(np.array([[half_opening, 0.0]]))
-        return plan.energy(0.0, x, at_rest)
+        return plan.energy(0.0, x, at_rest, {JAWS_KEY: np.array([[half_opening, 0.0]])})
 
     # Down to where a corner is in reach.
     while energy(half_opening) == energy(0.1):
         half_opening -= 1e-4
     half_opening -= 2e-4
     slope = (energy(half_opening + step) - energy(half_opening - step)) / (2.0 * step)
-    plan.contact.set_jaws(np.array([[half_opening, 0.0]]))
+    memory = {JAWS_KEY: np.array([[half_opening, 0.0]])}
     drive = -2.0 * jaw.force / jaw.inertia
     assert abs(slope) > 0.01
-    assert plan.contact.jaw_accelerations(0.0, x, at_rest)[0] == pytest.approx(drive - slope / jaw.inertia, rel=1e-6)
+    assert plan.contact.jaw_accelerations(0.0, x, at_rest, memory)[0] == pytest.approx(
+        drive - slope / jaw.inertia, rel=1e-6
+    )
     a = np.empty_like(x)
-    plan.accelerations(0.0, x, at_rest, a)
+    plan.accelerations(0.0, x, at_rest, a, memory)
     # Forces on the jaws are opposite to those on the cloth, and so are torques about the gripper.
-    jaw_wrench, cloth_forces = plan.contact.wrench_rates(0.0, x, at_rest).sum(axis=0), (plan.model.masses * a).T
+    jaw_wrench, cloth_forces = (
+        plan.contact.wrench_rates(0.0, x, at_rest, memory).sum(axis=0),
+        (plan.model.masses * a).T,
+    )
     torques = np.cross(state.positions - MIDDLE, cloth_forces)
     assert np.abs(torques.sum(axis=0)).max() > 1e-4
     assert jaw_wrench[:3] == pytest.approx(-cloth_forces.sum(axis=0), abs=1e-12)
@@ -153,25 +157,25 @@ def test_step_limit_includes_jaws_that_move_with_a_cell(inertia):
     count = x.size
 
     def accelerations(coordinates):
-        plan.contact.set_jaws(np.array([[coordinates[-1], 0.0]]))
+        memory = {JAWS_KEY: np.array([[coordinates[-1], 0.0]])}
         out, moved = np.empty_like(x), np.ascontiguousarray(coordinates[:-1].reshape(x.shape))
-        plan.accelerations(0.0, moved, at_rest, out)
-        return np.concatenate([out.ravel(), plan.contact.jaw_accelerations(0.0, moved, at_rest)])
+        plan.accelerations(0.0, moved, at_rest, out, memory)
+        return np.concatenate([out.ravel(), plan.contact.jaw_accelerations(0.0, moved, at_rest, memory)])
 
     at, step = np.concatenate([x.ravel(), [half_opening]]), 1e-9
     slopes = [(accelerations(at + step * e) - accelerations(at - step * e)) / (2.0 * step) for e in np.eye(count + 1)]
     largest = -np.linalg.eigvals(np.array(slopes)).real.min()
-    plan.contact.set_jaws(np.array([[half_opening, 0.0]]))
-    bound = plan.contact.predict_surface_contact(0.0, 0.0, x, at_rest)[0] + plan.spectral_bounds(x)[0]
+    memory = {JAWS_KEY: np.array([[half_opening, 0.0]])}
+    bound = plan.contact.predict_surface_contact(0.0, 0.0, x, at_rest, memory)[0] + plan.spectral_bounds(x)[0]
     assert 0.2 * bound < largest < 1.001 * bound
 
 
 def test_the_motion_is_that_of_dop853():
     plan, state, integrator, _ = between(half_opening=0.8 * THICKNESS, tolerance=1e-6)
-    exact = dop853(plan, 0.0, 6 * FRAME, MotionState(state.x, state.v, None, state.memory[JAWS_KEY]))
+    exact = dop853(plan, 0.0, 6 * FRAME, MotionState(state.x, state.v, state.memory))
     advance(plan, state, integrator, 6)
     assert np.abs(state.x - exact.x).max() < 6 * FRAME * 1e-6
-    assert np.abs(state.memory[JAWS_KEY] - exact.jaws)[0, 0] < 6 * FRAME * 1e-6
+    assert np.abs(state.memory[JAWS_KEY] - exact.memory[JAWS_KEY])[0, 0] < 6 * FRAME * 1e-6
 
 
 def test_energy_balance_includes_the_work_of_jaws():
@@ -188,7 +192,7 @@ def test_energy_balance_includes_the_work_of_jaws():
 def test_other_integrators_press_a_cell_with_the_same_force(integrator):
     plan, state, steps, _ = between(half_opening=0.7 * THICKNESS, integrator=integrator)
     advance(plan, state, steps, 30)
-    loads = plan.contact.wrench_rates(30 * FRAME, state.x, state.v)
+    loads = plan.contact.wrench_rates(30 * FRAME, state.x, state.v, memory=state.memory)
     assert loads[:, 2] == pytest.approx([FORCE, -FORCE], rel=1e-3)
     assert not crossed_triangles(small_jaw(), state)
 
@@ -200,16 +204,16 @@ def test_implicit_steps_press_cells_of_two_grippers():
         (strong, weak), position=places, half_opening=0.7 * THICKNESS, integrator="implicit"
     )
     advance(plan, state, steps, 30)
-    loads = plan.contact.wrench_rates(30 * FRAME, state.x, state.v)
+    loads = plan.contact.wrench_rates(30 * FRAME, state.x, state.v, memory=state.memory)
     assert loads[:, 2] == pytest.approx([FORCE, -FORCE, 0.5 * FORCE, -0.5 * FORCE], rel=1e-3)
 
 
 def test_fallback_starts_from_the_jaws_at_frame_start():
     plan, state, *_ = between(half_opening=0.7 * THICKNESS, position=(0.0, 0.0, 0.0))
-    # As abandoned steps leave them: with the grasped particle inside.
-    plan.contact.set_jaws(np.array([[-0.004, 0.0]]))
+    # Abandoned steps leave the engine's jaws with the grasped particle inside.
+    plan.contact.upload({JAWS_KEY: np.array([[-0.004, 0.0]])})
     assert finish_implicitly(plan, state, 0.0, FRAME, None, instead_of="explicit", max_evaluations=math.inf).flagged
-    assert np.isfinite(plan.energy(FRAME, state.x, state.v))
+    assert np.isfinite(plan.energy(FRAME, state.x, state.v, memory=state.memory))
 
 
 def test_threads_change_no_bit(monkeypatch):
@@ -224,11 +228,10 @@ def test_threads_change_no_bit(monkeypatch):
 
 def test_jaws_inside_a_cell_are_refused():
     plan, state, _, force = between(half_opening=-0.004)
-    plan.contact.load_state(state)
     with pytest.raises(ValueError, match=r"'hand\.(left|right)_pad' comes through the cloth between particles"):
-        plan.contact.check_initial_penetration(0.0, state.x)
+        plan.contact.check_initial_penetration(0.0, state.x, memory=state.memory)
     force.set_jaw_commands(np.array([[False, False]]))
-    plan.contact.check_initial_penetration(0.0, state.x)
+    plan.contact.check_initial_penetration(0.0, state.x, memory=state.memory)
 
 
 def test_absent_jaws_cost_nothing():

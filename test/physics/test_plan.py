@@ -197,7 +197,7 @@ def test_run_integrals_equal_integrals_of_the_rates(values):
     x, v, part = start.x, start.v, duration / points
     for k in range(points):
         (middle,), _ = plan.runs(t + k * part, 0.5 * part, (x, v), [4])
-        accumulate(exact, plan, t + (k + 0.5) * part, middle.x, middle.v, part)
+        accumulate(exact, plan, t + (k + 0.5) * part, middle.x, middle.v, part, {})
         (end,), _ = plan.runs(t + k * part, part, (x, v), [8])
         x, v = end.x, end.v
     assert np.abs(exact.wrenches[:, :3]).max() > 1e-4
@@ -261,7 +261,7 @@ def test_bindings_keep_the_engine_plan_alive():
     del plan
     gc.collect()
     # The ball's radius is 0.2 m, the particles are at 0.2 sqrt(3) m from its centre.
-    assert contact_binding.obstacle_gaps(0.0, places)[0, 1] == pytest.approx(0.2 * (np.sqrt(3.0) - 1.0))
+    assert contact_binding.obstacle_gaps(0.0, places, {})[0, 1] == pytest.approx(0.2 * (np.sqrt(3.0) - 1.0))
     del contact_binding
     gc.collect()
     assert grip_binding.wrench_rates(0.0, places, np.zeros((3, 4))).shape == (1, 8)

@@ -28,14 +28,16 @@ def layers(**options):
 def forces(plan, x, v=None):
     x = np.ascontiguousarray(x)
     out = np.zeros_like(x)
-    plan.add_force(0.0, x, np.zeros_like(x) if v is None else np.ascontiguousarray(v), out)
+    plan.add_force(0.0, x, np.zeros_like(x) if v is None else np.ascontiguousarray(v), out, {})
     return out
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_energy_is_that_of_every_pair(seed):
     triangles, plan, x, masses = layers(rows=3, columns=4, seed=seed)
-    assert plan.energies(0.0, x, None)[1] == pytest.approx(own.energy(triangles, x.T, masses, THICKNESS), rel=1e-9)
+    assert plan.energies(0.0, x, None, memory={})[1] == pytest.approx(
+        own.energy(triangles, x.T, masses, THICKNESS), rel=1e-9
+    )
 
 
 def test_the_force_is_minus_the_gradient_of_the_energy():
@@ -47,7 +49,7 @@ def test_the_force_is_minus_the_gradient_of_the_energy():
             for sign in (1.0, -1.0):
                 y = x.copy()
                 y[c, i] += sign * step
-                ends.append(plan.energies(0.0, y, None)[1])
+                ends.append(plan.energies(0.0, y, None, memory={})[1])
             expected[c, i] = -(ends[0] - ends[1]) / (2.0 * step)
     assert calculated == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
 
@@ -90,7 +92,7 @@ def test_flat_sheet_squeezed_in_its_plane_has_no_self_contact():
     # The scale: about the force [N] between two such layers in contact.
     scale = 0.5 * masses.max() * own.U**2 / THICKNESS
     assert np.abs(forces(plan, squeezed.T)).max() < 1e-10 * scale
-    assert plan.energies(0.0, np.ascontiguousarray(squeezed.T), None)[1] == pytest.approx(0.0, abs=1e-12)
+    assert plan.energies(0.0, np.ascontiguousarray(squeezed.T), None, memory={})[1] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_no_force_acts_beyond_the_thickness():
@@ -107,7 +109,7 @@ def test_anchored_particles_push_and_are_not_pushed():
     free = compile(own.alone(triangles, rest_positions, masses, THICKNESS))
     ends = [np.empty_like(x.T, order="C") for _ in range(2)]
     for checked_plan, out in zip((plan, free), ends, strict=True):
-        checked_plan.accelerations(0.0, np.ascontiguousarray(x.T), np.zeros((3, len(x))), out)
+        checked_plan.accelerations(0.0, np.ascontiguousarray(x.T), np.zeros((3, len(x))), out, memory={})
     assert not ends[0][:, :25].any()
     assert np.array_equal(ends[0][:, 25:], ends[1][:, 25:])
     assert ends[0][2, 25:].max() > 0.0
@@ -119,7 +121,7 @@ def test_derivative_products_are_those_of_differences(seed):
     rng, step = np.random.default_rng(seed), 1e-8
     v, dx, dv = 0.5 * rng.normal(size=x.shape), rng.normal(size=x.shape), rng.normal(size=x.shape)
     out = np.zeros_like(x)
-    plan.add_jacobian_product(0.0, x, v, dx, dv, out)
+    plan.add_jacobian_product(0.0, x, v, dx, dv, out, memory={})
     ends = [forces(plan, x + sign * step * dx, v + sign * step * dv) for sign in (1.0, -1.0)]
     assert out == pytest.approx((ends[0] - ends[1]) / (2.0 * step), abs=1e-6 * np.abs(out).max())
 
@@ -128,10 +130,10 @@ def test_derivative_products_are_those_of_differences(seed):
 def test_damping_dissipates_what_it_reports(seed):
     _, plan, x, _ = layers(seed=seed)
     v = np.random.default_rng(seed).normal(size=x.shape)
-    dissipation = plan.dissipation(0.0, x, v)
+    dissipation = plan.dissipation(0.0, x, v, memory={})
     assert dissipation == pytest.approx(-float(((forces(plan, x, v) - forces(plan, x)) * v).sum()), rel=1e-9)
     assert dissipation > 0.0
-    assert plan.dissipation(0.0, x, -v) > 0.0
+    assert plan.dissipation(0.0, x, -v, memory={}) > 0.0
 
 
 @pytest.mark.parametrize("turning", [-1.0, 1.0])
@@ -143,7 +145,7 @@ def test_damping_of_nearly_parallel_edges_matches_its_report(turning):
     v = np.zeros_like(x)
     v[3:5, 1] = turning * x[3:5, 0]
     x, v = np.ascontiguousarray(x.T), np.ascontiguousarray(v.T)
-    dissipation = plan.dissipation(0.0, x, v)
+    dissipation = plan.dissipation(0.0, x, v, memory={})
     assert dissipation == pytest.approx(-float(((forces(plan, x, v) - forces(plan, x)) * v).sum()), rel=1e-9)
     assert dissipation > 0.0
 
@@ -152,13 +154,13 @@ def test_damping_of_nearly_parallel_edges_matches_its_report(turning):
 def test_bounds_are_above_the_largest_eigenvalue(seed):
     _, plan, x, _ = layers(seed=seed, rows=3, columns=3)
     blocks, damping_blocks = np.zeros((2, 6, x.shape[1]))
-    plan.add_bounds(x, blocks, damping_blocks)
+    plan.add_bounds(x, blocks, damping_blocks, memory={})
     size = x.size
     stiffness, bound = np.zeros((size, size)), np.zeros((size, size))
     for k in range(size):
         dx, out = np.zeros(size), np.zeros_like(x)
         dx[k] = 1.0
-        plan.add_jacobian_product(0.0, x, np.zeros_like(x), dx.reshape(x.shape), np.zeros_like(x), out)
+        plan.add_jacobian_product(0.0, x, np.zeros_like(x), dx.reshape(x.shape), np.zeros_like(x), out, memory={})
         stiffness[:, k] = -out.ravel()
     for entry, (row, column) in enumerate([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]):
         for i in range(x.shape[1]):

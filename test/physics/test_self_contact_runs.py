@@ -38,14 +38,14 @@ def test_a_run_is_that_of_the_forces(listed):
     model, places, velocities = folded(10, radius=0.035, listed=listed, gravity=False, drag=False)
     places[velocities[:, 2] < 0.0, 2] = 0.9 * THICKNESS
     plan, (x, v) = compile(model), arrays(places, velocities)
-    (run,), _ = plan.runs(0.0, 2e-3, (x, v), [100])
+    (run,), _ = plan.runs(0.0, 2e-3, (x, v), [100], memory={})
     a, before, last, h = np.empty_like(x), None, None, 2e-5
     y, w = x, v
-    plan.accelerations(0.0, y, w, a)
+    plan.accelerations(0.0, y, w, a, memory={})
     before = last = a.copy()
     for _ in range(100):
         y = y + 0.5 * h * w
-        plan.accelerations(0.0, y, w + 0.25 * h * (last + before), a)
+        plan.accelerations(0.0, y, w + 0.25 * h * (last + before), a, memory={})
         w = w + h * a
         y, last, before = y + 0.5 * h * w, a.copy(), last
     assert run.min_gap < THICKNESS
@@ -64,8 +64,8 @@ def test_no_bit_depends_on_pair_searches_or_threads(listed):
     for keeps, threads in ((True, 1), (False, 1), (True, 2), (True, 8)):
         plan = compile(model)
         plan.contact.reuse_pairs(keeps)
-        (run,), _ = plan.runs(0.0, 5e-3, start_at, [400], threads=threads)
-        (run,), _ = plan.runs(5e-3, 5e-3, (run.x, run.v), [400], threads=threads)
+        (run,), _ = plan.runs(0.0, 5e-3, start_at, [400], threads=threads, memory={})
+        (run,), _ = plan.runs(5e-3, 5e-3, (run.x, run.v), [400], threads=threads, memory={})
         ends.append(run)
     assert 0.0 < ends[0].min_gap < THICKNESS
     for run in ends[1:]:
@@ -81,10 +81,10 @@ def test_run_with_steps_too_long_for_contact_has_no_result(listed):
     model, places, velocities = folded(10, radius=0.035, speed=20.0, listed=listed, gravity=False, drag=False)
     places[velocities[:, 2] < 0.0, 2] = 5e-3
     plan, (x, v) = compile(model), arrays(places, velocities)
-    (run,), (_, _, summary) = plan.runs(0.0, 1.6e-3, (x, v), [4], weights=[1.0])
+    (run,), (_, _, summary) = plan.runs(0.0, 1.6e-3, (x, v), [4], weights=[1.0], memory={})
     assert np.isnan(run.x).all()
     assert not summary.is_finite
-    (fine,), (_, _, summary) = plan.runs(0.0, 1.6e-3, (x, v), [400], weights=[1.0])
+    (fine,), (_, _, summary) = plan.runs(0.0, 1.6e-3, (x, v), [400], weights=[1.0], memory={})
     assert summary.is_finite
     assert 0.0 < fine.min_gap < THICKNESS
 
@@ -96,10 +96,10 @@ def test_particle_on_the_other_side_after_a_step_fails_the_run(rise):
     plan = compile(own.alone(triangles, rest_positions, masses, THICKNESS))
     v = np.zeros_like(x)
     v[25:, 2] = -20.0
-    (run,), _ = plan.runs(0.0, 1.6e-3, arrays(x, v), [2])
+    (run,), _ = plan.runs(0.0, 1.6e-3, arrays(x, v), [2], memory={})
     assert np.isnan(run.x).all()
     v[25:, 2] = 20.0
-    (run,), _ = plan.runs(0.0, 1.6e-3, arrays(x, v), [2])
+    (run,), _ = plan.runs(0.0, 1.6e-3, arrays(x, v), [2], memory={})
     assert run.x[2, 25:] == pytest.approx(np.full(25, rise + 0.032), abs=1e-12)
 
 
@@ -125,7 +125,7 @@ def test_a_sheet_that_falls_on_itself_keeps_its_tolerance(tolerance):
 def test_layers_meeting_at_20_m_per_s_do_not_intersect(listed, tolerance):
     model, places, velocities = folded(12, radius=0.03, speed=20.0, listed=listed, drag=False)
     plan, state, integrator = start(model, places, velocities, tolerance=tolerance, work=0.0)
-    energy, least = plan.energy(0.0, state.x, state.v), np.inf
+    energy, least = plan.energy(0.0, state.x, state.v, memory=state.memory), np.inf
     balance = EnergyBalance(plan, state)
     for k in range(4):
         before = state.x.copy()
@@ -133,7 +133,7 @@ def test_layers_meeting_at_20_m_per_s_do_not_intersect(listed, tolerance):
         assert done.integrator != "implicit"
         least = min(least, plan.contact.self_gaps(state.x)[1])
         assert least > 0.0
-        now = plan.energy(0.0, state.x, state.v)
+        now = plan.energy(0.0, state.x, state.v, memory=state.memory)
         assert now <= energy * (1.0 + 2e-3)
         energy = min(energy, now)
         assert not np.array_equal(before, state.x)
@@ -155,14 +155,14 @@ def test_energy_balance_includes_contact_dissipation():
 def test_implicit_steps_penetrate_nothing():
     model, places, velocities = folded(10, radius=0.035, speed=2.0)
     plan, state, integrator = start(model, places, velocities, integrator="implicit", tolerance=1e-3)
-    energy, met = plan.energy(0.0, state.x, state.v), 0
+    energy, met = plan.energy(0.0, state.x, state.v, memory=state.memory), 0
     for k in range(8):
         start_at = state.x.copy()
         integrator.advance(plan, state, k * FRAME, FRAME)
         assert np.isfinite(state.x).all()
         assert not np.array_equal(start_at, state.x)
         met += plan.contact.self_gaps(state.x)[0]
-        assert plan.energy(0.0, state.x, state.v) <= energy * (1.0 + 1e-3)
+        assert plan.energy(0.0, state.x, state.v, memory=state.memory) <= energy * (1.0 + 1e-3)
     assert met > 0
 
 
@@ -173,7 +173,9 @@ def test_straight_paths_through_the_cloth_are_detected():
     for rise in (-2e-3, -4e-3, 30e-3):
         end = x.copy()
         end[25:, 2] += rise
-        ends[rise] = plan.contact.ccd_surface_hits(0.0, 0.0, np.ascontiguousarray(x.T), np.ascontiguousarray(end.T))
+        ends[rise] = plan.contact.ccd_surface_hits(
+            0.0, 0.0, np.ascontiguousarray(x.T), np.ascontiguousarray(end.T), memory={}
+        )
     assert ends == {-2e-3: False, -4e-3: True, 30e-3: False}
     # Edges that cross far from any particle.
     rods = np.array([[0, 1, 2], [3, 4, 5]])
@@ -181,7 +183,9 @@ def test_straight_paths_through_the_cloth_are_detected():
     plan = compile(own.alone(rods, places, np.ones(6), 0.05))
     end = places.copy()
     end[3:, 2] -= 0.2
-    assert plan.contact.ccd_surface_hits(0.0, 0.0, np.ascontiguousarray(places.T), np.ascontiguousarray(end.T))
+    assert plan.contact.ccd_surface_hits(
+        0.0, 0.0, np.ascontiguousarray(places.T), np.ascontiguousarray(end.T), memory={}
+    )
 
 
 @pytest.mark.parametrize(("speed", "is_predicted"), [(1.0, False), (6.0, False), (6.3, True)])
@@ -193,13 +197,13 @@ def test_edges_are_predicted_if_particles_may_not_stop_layers(speed, is_predicte
     velocities[3:, 2] = -speed
     plan = compile(own.alone(rods, places, np.ones(6), 0.05))
     x, v = arrays(places, velocities)
-    omega2, damping = plan.contact.predict_surface_contact(0.0, 0.2, x, v)
+    omega2, damping = plan.contact.predict_surface_contact(0.0, 0.2, x, v, memory={})
     assert (omega2 > 0.0) == (damping > 0.0) == is_predicted
     # The run resolves them either way, and they do not pass.
-    (run,), _ = plan.runs(0.0, 0.12 / speed, (x, v), [4000])
+    (run,), _ = plan.runs(0.0, 0.12 / speed, (x, v), [4000], memory={})
     assert run.self_contact[0] > 0.0
     assert 0.0 < run.min_gap < 0.025
-    assert not plan.contact.ccd_surface_hits(0.0, 0.0, x, run.x)
+    assert not plan.contact.ccd_surface_hits(0.0, 0.0, x, run.x, memory={})
 
 
 @both_loops
@@ -214,7 +218,7 @@ def test_frame_without_near_pairs_skips_contact_with_same_bits(listed, speed):
     ends = []
     for compared_model in (model, without):
         plan = compile(compared_model)
-        (run,), _ = plan.runs(0.0, 5e-3, arrays(places, velocities), [60])
+        (run,), _ = plan.runs(0.0, 5e-3, arrays(places, velocities), [60], memory={})
         ends.append(run)
     plan = compile(model)
     assert plan.contact.is_clear_of_itself(5e-3, *arrays(places, velocities)) == (speed < 1.0)
@@ -243,6 +247,6 @@ def test_frame_faster_than_assumed_is_repeated_with_contact():
     plan = compile(Model(model.masses, [*model.forces, push]))
     start_at = arrays(places, np.zeros_like(places))
     assert plan.contact.is_clear_of_itself(6e-3, *start_at)
-    (run,), _ = plan.runs(0.0, 6e-3, start_at, [3000])
+    (run,), _ = plan.runs(0.0, 6e-3, start_at, [3000], memory={})
     assert 0.0 < run.min_gap < THICKNESS
     assert run.self_contact[0] > 0.0

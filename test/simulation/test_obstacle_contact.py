@@ -201,7 +201,7 @@ def test_plan_has_obstacles_at_scene_poses() -> None:
     assert plan.contact is not None
     gaps = simulation.gaps()
     assert gaps is not None
-    assert np.array_equal(plan.contact.obstacle_gaps(0.0, state.x), gaps)
+    assert np.array_equal(plan.contact.obstacle_gaps(0.0, state.x, memory=state.memory), gaps)
 
 
 def test_cloth_inside_obstacle_is_refused_with_its_name() -> None:

@@ -46,7 +46,9 @@ def test_sheet_intersects_itself_only_without_self_contact(self_contact):
         before = simulation.state.x
         simulation.advance()
         met += simulation.plan.contact.self_gaps(simulation.state.x)[0]
-        passed += watch.plan.contact.ccd_surface_hits(0.0, 0.0, before, simulation.state.x)
+        passed += watch.plan.contact.ccd_surface_hits(
+            0.0, 0.0, before, simulation.state.x, memory=simulation.state.memory
+        )
     assert bool(met) == self_contact
     assert bool(passed) != self_contact
 
@@ -160,9 +162,9 @@ def test_self_intersection_check_equals_brute_force(seed):
     assert bool(crossing) == (seed == 2)
     if crossing:
         with pytest.raises(ValueError, match="passes through itself"):
-            plan.contact.check_initial_penetration(0.0, np.ascontiguousarray(x.T))
+            plan.contact.check_initial_penetration(0.0, np.ascontiguousarray(x.T), memory={})
     else:
-        plan.contact.check_initial_penetration(0.0, np.ascontiguousarray(x.T))
+        plan.contact.check_initial_penetration(0.0, np.ascontiguousarray(x.T), memory={})
 
 
 @pytest.mark.parametrize("self_contact", [True, False])

@@ -162,7 +162,7 @@ def test_large_motion_in_an_implicit_step_does_not_intersect() -> None:
     state = sheet.starting_state()
     Implicit(FRAME / 8.0).advance(plan, state, 0.0, FRAME)
     assert plan.contact is not None
-    plan.contact.check_initial_penetration(FRAME, state.x)
+    plan.contact.check_initial_penetration(FRAME, state.x, memory=state.memory)
     assert state.x[2].max() > 0.05
 
 
@@ -176,7 +176,7 @@ def test_anchors_inside_an_obstacle_keep_the_matrix_finite() -> None:
     x = sheet.starting_state().x
     # At the anchored corner the adjacent triangles intersect the ball.
     force.set_paths(still(x[:, 0] + np.sign(x[:, 5] - x[:, 0]) * (0.03, 0.01, 0.0))[None])
-    StageMatrix(Model(model.masses, [*model.forces, force], anchors=[0])).update(0.0, x, 1e-3)
+    StageMatrix(Model(model.masses, [*model.forces, force], anchors=[0])).update(0.0, x, 1e-3, {})
 
 
 def test_steps_that_end_on_a_surface_are_halved(monkeypatch: pytest.MonkeyPatch) -> None:

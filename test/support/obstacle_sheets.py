@@ -64,8 +64,7 @@ class Motion:
         contact = self.plan.contact
         if contact is None:
             raise RuntimeError("there is no obstacle")
-        contact.load_state(self.state)
-        return contact.wrench_rates(self.frames * FRAME, self.state.x, self.state.v)[:, :3]
+        return contact.wrench_rates(self.frames * FRAME, self.state.x, self.state.v, memory=self.state.memory)[:, :3]
 
 
 def slope(kind: str, count: int, degrees: float, friction: tuple[float, float], tolerance: float = 1e-4) -> Motion:

@@ -56,7 +56,9 @@ class RightSide:
         self.calls += 1
         half = self._half
         out[:half] = y[half:]
-        self._plan.accelerations(t, y[:half].reshape(3, -1), y[half:].reshape(3, -1), out[half:].reshape(3, -1))
+        self._plan.accelerations(
+            t, y[:half].reshape(3, -1), y[half:].reshape(3, -1), out[half:].reshape(3, -1), memory={}
+        )
 
     def start(self, state: State) -> Array:
         """The state as y."""

@@ -53,7 +53,9 @@ def test_contact_scenes_cover_every_kind_and_touch():
         run = run_contact(draw)
         assert not run.trouble
         plan = draw.scene.plan()
-        nearest = min(float(plan.contact.contact_gaps_of(frame.after, frame.t)[0, 1]) for frame in run.frames)
+        nearest = min(
+            float(plan.contact.obstacle_gaps(frame.t, frame.after.x, frame.after.memory)[0, 1]) for frame in run.frames
+        )
         assert 0.0 < nearest < draw.scene.contact.thickness
 
 

@@ -174,7 +174,7 @@ class WatchedSimulation(Simulation):
         if not values:
             return 0.0
         plan = self.scene.changed(values).plan()
-        return plan.energy(self.time, self.state.x, self.state.v) - self.energy()
+        return plan.energy(self.time, self.state.x, self.state.v, {}) - self.energy()
 
 
 class EnergyAccount:
@@ -205,8 +205,7 @@ class EnergyAccount:
         simulation = self._simulation
         energy = modified_energy = simulation.energy()
         if step is not None:
-            x, v = simulation.state.x, simulation.state.v
-            modified_energy = leapfrog_energy(simulation.plan, simulation.time, x, v, step)
+            modified_energy = leapfrog_energy(simulation.plan, simulation.time, simulation.state, step)
         energy, modified_energy = energy - self._external_work, modified_energy - self._external_work
         kinetic = _kinetic(self._simulation)
         self._energy_turned_over += abs(kinetic - self._kinetic) + abs(work)

@@ -138,7 +138,7 @@ def _mismatch(simulation: Simulation, system: ReferenceSystem, grasped: GripTabl
     v = (state.v + 0.1 * rng.normal(size=state.v.shape)) * free
     since = 0.3 * simulation.scene.period
     expected = np.empty_like(x)
-    simulation.plan.accelerations(t + since, x, v, expected)
+    simulation.plan.accelerations(t + since, x, v, expected, state.memory)
     system.set_grasped(grasped, t)
     accelerations = system.accelerations(x, v, since=since)
     # Stiff springs convert the rounding of positions to accelerations.

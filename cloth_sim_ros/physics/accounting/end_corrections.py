@@ -12,13 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.plan.runs import Run
-from cloth_sim_ros.physics.state.controller_state import JAWS_KEY
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, StateMemory, drift_jaws
 from cloth_sim_ros.physics.state.state import State
 
 
@@ -65,25 +63,19 @@ def end_correction(plan: Plan, start: State, run: Run, t: float, duration: float
         duration: length of the run [s].
         steps: number of its steps.
     """
-    contact = plan.contact
-    assert contact is not None
-    h = duration / steps
-    contact.load_state(start)
-    begin = _rate_change(plan, t, start.x, start.v, start.memory.get(JAWS_KEY), 0.5 * h)
-    contact.set_anchors(run.anchors)
-    end = _rate_change(plan, t + duration, run.x, run.v, run.jaw_states, -0.5 * h)
+    h, ends = duration / steps, {ANCHORS_KEY: run.anchors, JAWS_KEY: run.jaw_states}
+    begin = _rate_change(plan, t, start.x, start.v, start.memory, 0.5 * h)
+    end_memory = {**start.memory, **{key: array for key, array in ends.items() if array is not None}}
+    end = _rate_change(plan, t + duration, run.x, run.v, end_memory, -0.5 * h)
     correction: Array = (-h / 12.0) * (begin + end)
     correction[:, :6] = 0.0
     return correction
 
 
-def _rate_change(plan: Plan, t: float, x: Array, v: Array, jaws: Array | None, offset: float) -> Array:
-    """Return the change of the rates if the state moves on uniformly by a time `away` [s] from time t [s]."""
+def _rate_change(plan: Plan, t: float, x: Array, v: Array, memory: StateMemory, offset: float) -> Array:
+    """Return the change of the rates if the state moves on uniformly by a time `offset` [s] from time t [s]."""
     contact = plan.contact
     assert contact is not None
-    contact.set_jaws(jaws)
-    rates = contact.wrench_rates(t, x, v)
-    if jaws is not None:
-        contact.set_jaws(np.stack([jaws[:, 0] + offset * jaws[:, 1], jaws[:, 1]], axis=1))
-    change: Array = contact.wrench_rates(t + offset, x + offset * v, v) - rates
+    rates = contact.wrench_rates(t, x, v, memory)
+    change: Array = contact.wrench_rates(t + offset, x + offset * v, v, drift_jaws(memory, offset)) - rates
     return change

@@ -57,7 +57,4 @@ class EnergyBalance:
         return kinetic + potential - self._start - self.work - self.wind_work - self.recovery_work + self.dissipation
 
     def _energies(self, t: float, state: State) -> tuple[float, float]:
-        # The state's own anchors are needed: older ones would count slip as stretch.
-        if self._plan.contact is not None:
-            self._plan.contact.load_state(state)
-        return self._plan.energies(t, state.x, state.v)
+        return self._plan.energies(t, state.x, state.v, state.memory)

@@ -13,6 +13,7 @@ from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.plan.runs import Run, n_integrals
+from cloth_sim_ros.physics.state.controller_state import StateMemory
 
 
 class WorkAccumulator:
@@ -154,7 +155,15 @@ class WorkAccumulator:
 
 
 def accumulate(
-    sums: WorkAccumulator, plan: Plan, t: float, x: Array, v: Array, weight: float, *, record_obstacles: bool = True
+    sums: WorkAccumulator,
+    plan: Plan,
+    t: float,
+    x: Array,
+    v: Array,
+    weight: float,
+    memory: StateMemory,
+    *,
+    record_obstacles: bool = True,
 ) -> None:
     """Accumulate one quadrature point.
 
@@ -165,20 +174,21 @@ def accumulate(
         x: positions [m], shape (3, n).
         v: velocities [m/s], shape (3, n).
         weight: quadrature weight [s].
+        memory: memory of the state.
         record_obstacles: true to include obstacles and contacts that regain their thickness.
     """
-    dissipated, supplied = plan.powers(t, x, v) if sums.record_power else (0.0, 0.0)
+    dissipated, supplied = plan.powers(t, x, v, memory) if sums.record_power else (0.0, 0.0)
     empty = np.zeros((0, RECORD_NUMBERS))
     gripper_rates = plan.grip_wrench_rates(t, x, v, weight) if sums.gripper_count else empty
     obstacle_rates = empty
     if plan.contact is not None and sums.obstacle_count:
         obstacle_rates = np.zeros((sums.obstacle_count, RECORD_NUMBERS))
         if record_obstacles:
-            obstacle_rates = plan.contact.wrench_rates(t, x, v, weight)
+            obstacle_rates = plan.contact.wrench_rates(t, x, v, memory, weight)
     friction_work = recovery_work = 0.0
     if plan.contact is not None and sums.record_power:
-        friction_work = weight * plan.contact.friction_power(t, x, v)
-        recovery_work = weight * plan.contact.recovery_power(t, x, v) if record_obstacles else 0.0
+        friction_work = weight * plan.contact.friction_power(t, x, v, memory)
+        recovery_work = weight * plan.contact.recovery_power(t, x, v, memory) if record_obstacles else 0.0
     powers = weight * dissipated, weight * supplied
     integrals = np.concatenate([gripper_rates.ravel(), powers, obstacle_rates.ravel()])
     sums.add_sample(integrals, weight, friction_work, recovery_work)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Engine binding of a plan's contact with obstacles and with itself.
 
-It uploads geometry and state, and queries forces, energies and bounds.
+It uploads geometry, controls and the memory of a state, and queries forces, energies and bounds.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +17,25 @@ from numpy.typing import NDArray
 from cloth_sim_ros.engine import binding
 from cloth_sim_ros.engine.binding import PATH_NUMBERS, address, check, doubles, library, writable
 from cloth_sim_ros.physics.arithmetic.arrays import combine
-from cloth_sim_ros.physics.contact import implicit_jaws, self_contact_binding
+from cloth_sim_ros.physics.contact import self_contact_binding
 from cloth_sim_ros.physics.contact.feature_binding import FeatureBinding, upload_meshes
+from cloth_sim_ros.physics.contact.implicit_jaws import step_jaws
 from cloth_sim_ros.physics.control.constants import CONSTANTS
+from cloth_sim_ros.physics.model.controls import ThicknessRecovery
 from cloth_sim_ros.physics.model.forces.contact import Contact
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan_handle import PlanHandle
 from cloth_sim_ros.physics.plan.runs import Run
 from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
-from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, LAYER_SIDES, THICKNESS_KEY
+from cloth_sim_ros.physics.state.controller_state import (
+    ANCHORS_KEY,
+    JAWS_KEY,
+    LAYER_SIDES,
+    MISSING_MEMORY,
+    THICKNESS_KEY,
+    StateMemory,
+    with_jaws,
+)
 from cloth_sim_ros.physics.state.state import State
 
 #: Operations of a force evaluation: of a particle in reach of an obstacle; of its friction; of a pair in reach. A pair
@@ -36,6 +45,10 @@ PARTICLE_OPERATIONS, FRICTION_OPERATIONS, PAIR_OPERATIONS = 60, 150, 150
 
 class ContactBinding(Uncopyable):
     """Engine binding of the contact of one plan.
+
+    Friction anchors, jaw states and reduced thickness belong to a state. Therefore queries take its memory. If it has
+    none of them, there are no anchors, the jaws are open and contacts have the full thickness. The same holds for
+    anchors and jaws of other obstacles.
 
     Args:
         engine_plan: handle of the engine's plan.
@@ -47,13 +60,14 @@ class ContactBinding(Uncopyable):
         self._engine_plan, self.force = engine_plan, contact
         self._library, self._handle = library(), engine_plan.pointer
         self._shape = (3, particle_count)
-        # Paths and jaw commands that the engine has.
+        # Controls and arrays of a state's memory that the engine has.
         self._paths: Array | None = None
         self._jaw_commands: NDArray[np.bool_] = np.zeros((0, 2), dtype=bool)
-        self._time_offset = 0.0
         self._anchors: Array | None = None
-        # Reduced thickness in the engine, the start of its recovery, and the target thickness.
-        self._recovery: tuple[Array, float, Array | None] | None = None
+        self._jaws: Array | None = None
+        self._thickness: Array | None = None
+        self._recovery: ThicknessRecovery | None = None
+        self._time_offset = 0.0
         #: Output buffer of the engine's predictions, allocated once.
         self._out = (ctypes.c_double * 8)()
         self._out_address = ctypes.addressof(self._out)
@@ -68,7 +82,7 @@ class ContactBinding(Uncopyable):
         return len(self.force.obstacles)
 
     def _upload_obstacles(self) -> None:
-        """Upload obstacles and the law; `sync` uploads their paths."""
+        """Upload obstacles and the law."""
         force = self.force
         shapes = np.array([binding.SHAPES[obstacle.shape] for obstacle in force.obstacles], dtype=np.int64)
         sizes, paths = np.zeros((self.count, 3)), np.zeros((self.count, PATH_NUMBERS))
@@ -85,9 +99,17 @@ class ContactBinding(Uncopyable):
         if self._features is not None:
             self._features.upload(force.obstacles, force.thickness)
 
-    def sync(self) -> None:
-        """Upload the paths of obstacles and the jaw commands if they changed."""
-        force, (controlled_paths, commands, _) = self.force, self.force.controls
+    def upload(self, memory: StateMemory) -> None:
+        """Upload the controls, and anchors, jaws and thickness of a state's memory, as far as they changed.
+
+        Arrays are never changed, but replaced. Therefore their identity tells if the engine has them.
+
+        Raises:
+            ValueError: for `MISSING_MEMORY`, and for arrays that do not fit.
+        """
+        if memory is MISSING_MEMORY:
+            raise ValueError("contact depends on the memory of the state; pass State.memory, or {} for an empty one")
+        force, (controlled_paths, commands, recovery) = self.force, self.force.controls
         if controlled_paths is not self._paths:
             paths = np.array(controlled_paths, dtype=np.float64)
             if paths.shape != (self.count, PATH_NUMBERS):
@@ -97,20 +119,55 @@ class ContactBinding(Uncopyable):
             paths[:, :1] -= self._time_offset
             check(self._library.cloth_plan_contact_paths(self._handle, paths.ctypes.data))
             self._paths = controlled_paths
-        if commands is self._jaw_commands:
-            return
-        if not np.array_equal(commands, self._jaw_commands):
+        if commands is not self._jaw_commands:
             boxes = np.arange(force.n_solids, self.count, dtype=np.int64)
             rows = [jaw.engine_row(*flags) for jaw, flags in zip(force.jaws, commands.tolist(), strict=True)]
             drives = np.array(rows).reshape(len(rows), binding.DRIVE_NUMBERS)
             check(self._library.cloth_plan_jaws(self._handle, len(rows), boxes.ctypes.data, drives.ctypes.data))
-        self._jaw_commands = commands
+            self._jaw_commands = commands
+        thickness = memory.get(THICKNESS_KEY)
+        if thickness is not self._thickness or (thickness is not None and recovery is not self._recovery):
+            self._upload_thickness(thickness, recovery)
+        if force.has_memory:
+            self._upload_anchors_and_jaws(memory)
+
+    def _upload_thickness(self, thickness: Array | None, recovery: ThicknessRecovery) -> None:
+        """Upload the contact thickness [m] at the start of its recovery; None for the full one."""
+        addresses: list[int | None] = [None, None]
+        if thickness is not None:
+            target = recovery.target
+            rates = np.zeros_like(thickness) if target is None else (target - thickness) / recovery.duration
+            addresses = [doubles(THICKNESS_KEY, thickness, self.thickness_shape), address(rates)]
+        check(self._library.cloth_contact_thickness(self._handle, *addresses, recovery.t - self._time_offset))
+        self._thickness, self._recovery = thickness, recovery
+
+    def _upload_anchors_and_jaws(self, memory: StateMemory) -> None:
+        anchors, jaws = memory.get(ANCHORS_KEY), memory.get(JAWS_KEY)
+        if self.force.has_anchors and anchors is not self._anchors:
+            fitting = self.anchors_of(memory)
+            self_contact_binding.check_anchors(self.force, fitting)
+            check(self._library.cloth_contact_anchors(self._handle, doubles(ANCHORS_KEY, fitting, fitting.shape)))
+            self._anchors = anchors
+        if self.force.jaws and jaws is not self._jaws:
+            fitting = self.jaws_of(memory)
+            check(self._library.cloth_plan_jaw_states(self._handle, doubles(JAWS_KEY, fitting, fitting.shape)))
+            self._jaws = jaws
+
+    def anchors_of(self, memory: StateMemory) -> Array:
+        """Return the friction anchors of a state, shape `anchors_shape`."""
+        anchors = memory.get(ANCHORS_KEY)
+        return anchors if anchors is not None and anchors.shape == self.anchors_shape else np.zeros(self.anchors_shape)
+
+    def jaws_of(self, memory: StateMemory) -> Array:
+        """Return the jaw states of a state, shape `jaws_shape`."""
+        jaws = memory.get(JAWS_KEY)
+        if jaws is not None and jaws.shape == self.jaws_shape:
+            return jaws
+        return np.array([jaw.initial_state for jaw in self.force.jaws]).reshape(self.jaws_shape)
 
     def offset_time(self, duration: float) -> None:
         """Shift obstacle paths and thickness recovery by a duration [s]: at time t they are as at t plus duration."""
-        self._time_offset, self._paths = duration, None
-        if self._recovery is not None:
-            self.set_thickness(self._recovery[0])
+        self._time_offset, self._paths, self._recovery = duration, None, None
 
     @property
     def anchors_shape(self) -> tuple[int, int, int]:
@@ -125,71 +182,18 @@ class ContactBinding(Uncopyable):
         """Shape of jaw states: pinches; half opening between the faces [m] and jaw speed [m/s]."""
         return (len(self.force.jaws), binding.JAW_NUMBERS)
 
-    def load_state(self, state: State) -> None:
-        """Load the anchors, jaws and contact thickness of a state into the engine.
-
-        If the state has none, or those of other obstacles, there are no anchors and the jaws are open.
-        """
-        self.sync()
-        self.set_thickness(state.memory.get(THICKNESS_KEY))
-        if not self.force.has_memory:
-            return
-        anchors, jaws = state.memory.get(ANCHORS_KEY), state.memory.get(JAWS_KEY)
-        self.set_anchors(anchors if anchors is not None and anchors.shape == self.anchors_shape else None)
-        self.set_jaws(jaws if jaws is not None and jaws.shape == self.jaws_shape else None)
-
     @property
     def thickness_shape(self) -> tuple[int, int]:
         """Shape of contact thickness: obstacles, then the cloth itself; particles, then an obstacle's edges."""
         return (self.count + 1, self._shape[1] + 1)
 
-    @property
-    def thickness(self) -> Array | None:
-        """Contact thickness [m] in the engine; None if all contacts have the full one."""
-        return None if self._recovery is None else self._recovery[0]
-
-    @property
-    def target_thickness(self) -> Array | None:
-        """Target of the thickness recovery [m], see `Contact.start_recovery`; None if none grows."""
-        return None if self._recovery is None else self._recovery[2]
-
-    def set_thickness(self, reduced: Array | None) -> None:
-        """Set the contact thickness [m] at the start of its recovery; None sets the full one."""
-        if reduced is None:
-            if self._recovery is not None:
-                check(self._library.cloth_contact_thickness(self._handle, None, None, 0.0))
-                self._recovery = None
-            return
-        start, duration, target = self.force.controls.recovery
-        start -= self._time_offset
-        previous = self._recovery
-        if previous is not None and previous[0] is reduced and previous[1] == start and previous[2] is target:
-            return
-        rates = np.zeros_like(reduced) if target is None else (target - reduced) / duration
-        addresses = doubles(THICKNESS_KEY, reduced, self.thickness_shape), address(rates)
-        check(self._library.cloth_contact_thickness(self._handle, *addresses, start))
-        self._recovery = reduced, start, target
-
-    def set_jaws(self, jaws: Array | None) -> Array | None:
-        """Set the jaw states; None opens the jaws.
-
-        Returns:
-            The jaw states, shape `jaws_shape`; None if no gripper pinches.
-        """
-        self.sync()
-        if not self.force.jaws:
-            return None
-        if jaws is None:
-            jaws = np.array([jaw.initial_state for jaw in self.force.jaws])
-        check(self._library.cloth_plan_jaw_states(self._handle, doubles(JAWS_KEY, jaws, self.jaws_shape)))
-        return jaws
-
-    def supports_single_precision(self, duration: float, x: Array, v: Array) -> bool:
+    def supports_single_precision(self, duration: float, x: Array, v: Array, memory: StateMemory) -> bool:
         """Return true if runs over a duration [s] from a state may calculate in single precision.
 
         Single precision resolves neither the stretch of an anchor's spring nor a gap within the cloth.
         """
-        if self.force.has_friction or self.force.jaws or self._recovery is not None:
+        self.upload(memory)
+        if self.force.has_friction or self.force.jaws or THICKNESS_KEY in memory:
             return False
         if not self.is_clear_of_itself(duration, x, v):
             return False
@@ -206,17 +210,18 @@ class ContactBinding(Uncopyable):
         ends = [run.jaw_states for run in runs if run.jaw_states is not None]
         return combine(ends, weights) if ends else None
 
-    def jaw_accelerations(self, t: float, x: Array, v: Array) -> Array:
+    def jaw_accelerations(self, t: float, x: Array, v: Array, memory: StateMemory) -> Array:
         """Return the accelerations [m/s^2] of the jaws' half openings, shape (pinches,)."""
+        self.upload(memory)
         out = np.empty(len(self.force.jaws))
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
         check(self._library.cloth_jaw_accelerations(self._handle, t, *addresses))
         return out
 
     def combine_ends(
-        self, t: float, x: Array, v: Array, runs: Sequence[Run], weights: Sequence[float]
-    ) -> tuple[Array | None, Array | None]:
-        """Return anchors and jaws of a weighted combination of runs; None for those that do not exist.
+        self, t: float, x: Array, v: Array, runs: Sequence[Run], weights: Sequence[float], memory: StateMemory
+    ) -> dict[str, Array]:
+        """Return anchors and jaws of a weighted combination of runs, by their key in the memory of a state.
 
         Args:
             t: time at the end [s].
@@ -224,60 +229,35 @@ class ContactBinding(Uncopyable):
             v: combined velocities [m/s], shape (3, n).
             runs: the runs.
             weights: dimensionless weight of each run.
+            memory: of the state at the start of the runs.
         """
         jaws = self.combine_jaws(runs, weights)
-        self.set_jaws(jaws)
-        if not self.force.has_anchors:
-            return None, jaws
-        ends = np.array([run.anchors for run in runs])
-        return self.combine_anchors(t, x, v, ends, weights), jaws
+        ends = {} if jaws is None else {JAWS_KEY: jaws}
+        if self.force.has_anchors:
+            anchors = np.array([run.anchors for run in runs])
+            ends[ANCHORS_KEY] = self.combine_anchors(t, x, v, anchors, weights, {**memory, **ends})
+        return ends
 
-    def commit(self, state: State, t: float, runs: Sequence[Run], weights: Sequence[float]) -> None:
-        """Commit the anchors and jaws of a weighted combination of runs to its state.
-
-        Args:
-            state: state with the combined positions and velocities.
-            t: time of the state [s].
-            runs: the runs.
-            weights: dimensionless weight of each run.
-        """
-        if not self.force.has_memory:
-            return
-        anchors, jaws = self.combine_ends(t, state.x, state.v, runs, weights)
-        for name, array in ((ANCHORS_KEY, anchors), (JAWS_KEY, jaws)):
-            if array is not None:
-                state.memory[name] = array
-
-    def set_anchors(self, anchors: Array | None) -> Array | None:
-        """Set friction anchors; None sets none.
-
-        Returns:
-            The anchors, shape `anchors_shape`; None without friction.
-        """
-        self.sync()
-        if not self.force.has_anchors:
-            return None
-        anchors = np.zeros(self.anchors_shape) if anchors is None else anchors
-        if anchors is not self._anchors:
-            self_contact_binding.check_anchors(self.force, anchors)
-            check(self._library.cloth_contact_anchors(self._handle, doubles(ANCHORS_KEY, anchors, self.anchors_shape)))
-            self._anchors = anchors
-        return anchors
-
-    def friction_power(self, t: float, x: Array, v: Array) -> float:
-        """Return the power that friction between layers dissipates at time t [W], with the present anchors."""
-        return self_contact_binding.friction_power(self._handle, t, x, v) if self.force.has_self_friction else 0.0
-
-    def recovery_power(self, t: float, x: Array, v: Array) -> float:
-        """Return the power of contacts that regain their thickness at time t [W]."""
-        if self._recovery is None:
+    def friction_power(self, t: float, x: Array, v: Array, memory: StateMemory) -> float:
+        """Return the power that friction between layers dissipates at time t [W]."""
+        if not self.force.has_self_friction:
             return 0.0
+        self.upload(memory)
+        return self_contact_binding.friction_power(self._handle, t, x, v)
+
+    def recovery_power(self, t: float, x: Array, v: Array, memory: StateMemory) -> float:
+        """Return the power of contacts that regain their thickness at time t [W]."""
+        if THICKNESS_KEY not in memory:
+            return 0.0
+        self.upload(memory)
         out = np.empty(1)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
         check(self._library.cloth_contact_growth_power(self._handle, t, *addresses))
         return float(out[0])
 
-    def combine_anchors(self, t: float, x: Array, v: Array, ends: Array, weights: Sequence[float]) -> Array:
+    def combine_anchors(
+        self, t: float, x: Array, v: Array, ends: Array, weights: Sequence[float], memory: StateMemory
+    ) -> Array:
         """Return the anchors of a weighted combination of runs, from the anchors at the end of each run.
 
         Args:
@@ -286,7 +266,9 @@ class ContactBinding(Uncopyable):
             v: combined velocities [m/s], shape (3, n).
             ends: anchors of each run, shape (runs, *anchors_shape).
             weights: dimensionless weight of each run.
+            memory: memory with the combined jaws.
         """
+        self.upload(memory)
         out, weight_array = np.empty(self.anchors_shape), np.array(weights, dtype=np.float64)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
         ends_address = doubles("ends", ends, (len(weights), *self.anchors_shape))
@@ -302,17 +284,26 @@ class ContactBinding(Uncopyable):
             h: length of the step [s].
             state: state at the end of the step.
         """
+        x, v, memory, features = state.x, state.v, state.memory, self._features
         if self.force.jaws:
-            jaws, features, set_jaws = state.memory.get(JAWS_KEY), self._features, self.set_jaws
-            loads = partial(self.jaw_accelerations, t, state.x, state.v)
-            hits = None if features is None else partial(features.ccd_jaw_hits, t, state.x)
-            jaws = implicit_jaws.step_jaws(self.force, jaws, h, set_jaws=set_jaws, accelerations=loads, find_hits=hits)
-            state.memory[JAWS_KEY] = jaws
-            self.set_jaws(jaws)
-        if self.force.has_anchors and self._anchors is not None:
-            state.memory[ANCHORS_KEY] = self.combine_anchors(t, state.x, state.v, self._anchors[None], [1.0])
 
-    def predict_contact(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float, float]:
+            def accelerations(jaws: Array) -> Array:
+                return self.jaw_accelerations(t, x, v, with_jaws(memory, jaws))
+
+            def find_hits(jaws: Array, half_openings: Array) -> NDArray[np.bool_]:
+                assert features is not None
+                self.upload(with_jaws(memory, jaws))
+                return features.ccd_jaw_hits(t, x, half_openings)
+
+            hits = None if features is None else find_hits
+            start = self.jaws_of(memory)
+            memory[JAWS_KEY] = step_jaws(self.force, start, h, accelerations=accelerations, find_hits=hits)
+        if self.force.has_anchors:
+            memory[ANCHORS_KEY] = self.combine_anchors(t, x, v, self.anchors_of(memory)[None], [1.0], memory)
+
+    def predict_contact(
+        self, t: float, duration: float, x: Array, v: Array, memory: StateMemory
+    ) -> tuple[float, float, float]:
         """Predict the bounds and the cost of contact within a duration.
 
         The bounds hold after contact has taken up the energy of all present contacts, and of those that begin by then.
@@ -322,6 +313,7 @@ class ContactBinding(Uncopyable):
             duration: duration [s]; 0 for present contacts alone.
             x: positions [m], shape (3, n).
             v: velocities [m/s], shape (3, n).
+            memory: memory of the state.
 
         Returns:
             Squared angular frequency [1/s^2], damping rate [1/s], and operations of a force evaluation in reach.
@@ -329,7 +321,7 @@ class ContactBinding(Uncopyable):
         Raises:
             ValueError: if a particle is inside an obstacle, naming the obstacle.
         """
-        self.sync()
+        self.upload(memory)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), self._out_address
         # Neighbours may push, too. The energy of present contacts is known exactly.
         trust_factors = CONSTANTS.estimate_trust_factor, CONSTANTS.estimate_trust_factor if duration > 0.0 else 1.0
@@ -338,32 +330,35 @@ class ContactBinding(Uncopyable):
         if not math.isfinite(energy):
             from cloth_sim_ros.physics.contact.initial_penetration import check_outside
 
-            check_outside(t, self.force.obstacles, self.obstacle_gaps(t, x)[:, 1].tolist())
+            check_outside(t, self.force.obstacles, self.obstacle_gaps(t, x, memory)[:, 1].tolist())
         if not math.isfinite(self_omega2):
-            self.check_initial_penetration(t, x)
+            self.check_initial_penetration(t, x, memory)
         operations = PARTICLE_OPERATIONS * n_particles + FRICTION_OPERATIONS * n_friction + PAIR_OPERATIONS * n_pairs
         return omega2 + self_omega2, damping + self_damping, operations
 
-    def predict_surface_contact(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float]:
+    def predict_surface_contact(
+        self, t: float, duration: float, x: Array, v: Array, memory: StateMemory
+    ) -> tuple[float, float]:
         """Predict the bounds of contact of the cloth's triangles and edges, with the cloth and with obstacles.
 
         Returns:
             Squared angular frequency [1/s^2] and damping rate [1/s].
         """
-        return self._predict_surface_contact(t, duration, x, v)[:2]
+        return self._predict_surface_contact(t, duration, x, v, memory)[:2]
 
     def operation_count(self, t: float, duration: float, state: State) -> float:
         """Return the operations that contact adds to a force evaluation within a duration [s] from a state at time t
         [s].
         """
-        self.set_jaws(state.memory.get(JAWS_KEY))
-        _, n_particles, n_friction = self._predict_obstacle_contact(t, duration, state.x, state.v)
-        n_pairs = self._predict_surface_contact(t, duration, state.x, state.v)[2]
+        _, n_particles, n_friction = self._predict_obstacle_contact(t, duration, state.x, state.v, state.memory)
+        n_pairs = self._predict_surface_contact(t, duration, state.x, state.v, state.memory)[2]
         return PARTICLE_OPERATIONS * n_particles + FRICTION_OPERATIONS * n_friction + PAIR_OPERATIONS * n_pairs
 
-    def _predict_surface_contact(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float, float]:
+    def _predict_surface_contact(
+        self, t: float, duration: float, x: Array, v: Array, memory: StateMemory
+    ) -> tuple[float, float, float]:
         """Predict as `predict_surface_contact`; return the number of candidate pairs, too."""
-        self.sync()
+        self.upload(memory)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), self._out_address
         trust_factor = CONSTANTS.estimate_trust_factor if duration > 0.0 else 1.0
         check(self._library.cloth_predict_surface_contact(self._handle, t, duration, trust_factor, *addresses))
@@ -373,7 +368,6 @@ class ContactBinding(Uncopyable):
         """Return true if the cloth stays clear of itself for a duration [s], so that runs may skip self-contact."""
         if self.force.surface is None:
             return True
-        self.sync()
         out = np.empty(1, dtype=np.int64)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), address(out)
         check(self._library.cloth_self_culled(self._handle, duration, *addresses))
@@ -383,17 +377,19 @@ class ContactBinding(Uncopyable):
         """Set whether candidate pairs of the cloth are reused between evaluations; no bit depends on it."""
         check(self._library.cloth_self_cache_pairs(self._handle, enabled))
 
-    def predict_energy(self, t: float, duration: float, x: Array, v: Array) -> float:
+    def predict_energy(self, t: float, duration: float, x: Array, v: Array, memory: StateMemory) -> float:
         """Predict the energy per mass that contact may take up within a duration [s], in U^2/2; infinite inside an
         obstacle.
         """
-        return self._predict_obstacle_contact(t, duration, x, v)[0]
+        return self._predict_obstacle_contact(t, duration, x, v, memory)[0]
 
-    def _predict_obstacle_contact(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float, float]:
+    def _predict_obstacle_contact(
+        self, t: float, duration: float, x: Array, v: Array, memory: StateMemory
+    ) -> tuple[float, float, float]:
         """Predict the energy; return the numbers of candidate particles for all and for rough obstacles, too."""
         if not self.count:
             return 0.0, 0.0, 0.0
-        self.sync()
+        self.upload(memory)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape), self._out_address
         check(self._library.cloth_predict_obstacle_contact(self._handle, t, duration, *addresses))
         return self._out[0], self._out[1], self._out[2]
@@ -413,62 +409,57 @@ class ContactBinding(Uncopyable):
         squared = (1.0 - s) * (1.0 - s)
         return squared * squared / s if s else math.inf
 
-    def wrench_rates(self, t: float, x: Array, v: Array, weight: float = 1.0) -> Array:
+    def wrench_rates(self, t: float, x: Array, v: Array, memory: StateMemory, weight: float = 1.0) -> Array:
         """Return force, torque and power of each obstacle on the cloth, and the power that its contact dissipates.
 
         Args:
             t: time [s].
             x: positions [m], shape (3, n).
             v: velocities [m/s], shape (3, n).
+            memory: memory of the state.
             weight: factor on the result.
 
         Returns:
             Force [N] (3), torque about the obstacle's position [N m] (3), power [W], dissipated power [W], shape
             (obstacles, RECORD_NUMBERS).
         """
-        self.sync()
+        self.upload(memory)
         out = np.zeros((self.count, binding.RECORD_NUMBERS))
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
         check(self._library.cloth_contact_wrenches(self._handle, t, *addresses, weight, out.ctypes.data))
         return out
 
-    def obstacle_gaps(self, t: float, x: Array) -> Array:
+    def obstacle_gaps(self, t: float, x: Array, memory: StateMemory) -> Array:
         """Return for each obstacle the number of particles within the thickness and the least gap [m], (obstacles, 2).
 
         The gap is infinite if no particle is free.
         """
-        self.sync()
+        self.upload(memory)
         out = np.empty((self.count, 2))
         check(self._library.cloth_contact_gaps(self._handle, t, doubles("x", x, self._shape), out.ctypes.data))
         return out
 
-    def contact_gaps(self, t: float, x: Array) -> Array:
+    def contact_gaps(self, t: float, x: Array, memory: StateMemory) -> Array:
         """Return the gap of each contact at time t [m], shape `thickness_shape`; infinite without contact.
 
         Gaps of edges are doubled, because edges have half the thickness.
         """
-        self.sync()
+        self.upload(memory)
         out = np.empty(self.thickness_shape)
         check(self._library.cloth_contact_gap_rows(self._handle, t, doubles("x", x, self._shape), address(out)))
         return out
-
-    def contact_gaps_of(self, state: State, t: float) -> Array:
-        """Return `contact_gaps` of a state at time t [s]."""
-        self.load_state(state)
-        return self.obstacle_gaps(t, state.x)
 
     def self_gaps(self, x: Array) -> tuple[int, float]:
         """Return the number of self-contacts and their least gap [m], infinite if there are none."""
         if self.force.surface is None:
             return 0, math.inf
-        self.sync()
         out = np.empty(2)
         check(self._library.cloth_self_gaps(self._handle, doubles("x", x, self._shape), address(out)))
         return int(out[0]), float(out[1])
 
-    def add_bounds(self, t: float, x: Array, stiff: Array, damped: Array) -> None:
+    def add_bounds(self, t: float, x: Array, stiff: Array, damped: Array, memory: StateMemory) -> None:
         """Add blocks (6, n) of stiffness [N/m] and damping [N s/m] across the gaps."""
-        self.sync()
+        self.upload(memory)
         shape = (6, self._shape[1])
         position_address = doubles("x", x, self._shape)
         addresses = writable("stiff", stiff, shape), writable("damped", damped, shape)
@@ -476,7 +467,7 @@ class ContactBinding(Uncopyable):
         if self.force.surface is not None:
             check(self._library.cloth_self_bounds(self._handle, t, position_address, *addresses))
 
-    def ccd_hits(self, t: float, duration: float, start: Array, end: Array) -> bool:
+    def ccd_hits(self, t: float, duration: float, start: Array, end: Array, memory: StateMemory) -> bool:
         """Return true if a straight motion hits an obstacle or the cloth itself.
 
         Args:
@@ -484,19 +475,20 @@ class ContactBinding(Uncopyable):
             duration: duration of the motion [s].
             start: positions at the start [m], shape (3, n).
             end: positions at the end [m], shape (3, n).
+            memory: memory of the state.
         """
-        self.sync()
+        self.upload(memory)
         out = np.empty(1, dtype=np.int64)
         addresses = doubles("start", start, self._shape), doubles("end", end, self._shape), address(out)
         check(self._library.cloth_ccd_obstacles(self._handle, t, duration, *addresses))
-        return bool(out[0]) or self.ccd_surface_hits(t, duration, start, end)
+        return bool(out[0]) or self.ccd_surface_hits(t, duration, start, end, memory)
 
-    def check_initial_penetration(self, t: float, x: Array) -> None:
+    def check_initial_penetration(self, t: float, x: Array, memory: StateMemory) -> None:
         """Refuse a cloth that an obstacle penetrates between its particles, or that penetrates itself.
 
         See `initial_penetration`.
         """
-        self.sync()
+        self.upload(memory)
         if self._features is not None:
             self._features.check_initial_penetration(t, x, [obstacle.name for obstacle in self.force.obstacles])
         if self.force.surface is not None:
@@ -504,7 +496,7 @@ class ContactBinding(Uncopyable):
 
             check_initial_penetration(self._engine_plan, self.force.surface, self.force.thickness, x)
 
-    def ccd_surface_hits(self, t: float, duration: float, start: Array, end: Array) -> bool:
+    def ccd_surface_hits(self, t: float, duration: float, start: Array, end: Array, memory: StateMemory) -> bool:
         """Return true if the surface hits itself or an obstacle's features in a straight motion.
 
         Args:
@@ -512,12 +504,13 @@ class ContactBinding(Uncopyable):
             duration: duration of the motion [s].
             start: positions at the start [m], shape (3, n).
             end: positions at the end [m], shape (3, n).
+            memory: memory of the state.
         """
+        self.upload(memory)
         if self._features is not None and self._features.ccd_hits(t, duration, start, end):
             return True
         if self.force.surface is None:
             return False
-        self.sync()
         out = np.empty(1, dtype=np.int64)
         addresses = doubles("start", start, self._shape), doubles("end", end, self._shape), address(out)
         check(self._library.cloth_ccd_self(self._handle, *addresses))

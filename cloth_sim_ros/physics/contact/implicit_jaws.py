@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +18,11 @@ _BISECTIONS = 60
 
 def step_jaws(
     force: Contact,
-    start: Array | None,
+    start: Array,
     h: float,
     *,
-    set_jaws: Callable[[Array], Any],
-    accelerations: Callable[[], Array],
-    find_hits: Callable[[Array], NDArray[np.bool_]] | None,
+    accelerations: Callable[[Array], Array],
+    find_hits: Callable[[Array, Array], NDArray[np.bool_]] | None,
 ) -> Array:
     """Return the states of jaws after an implicit Euler step, given the cloth at its end.
 
@@ -33,29 +31,25 @@ def step_jaws(
 
     Args:
         force: contact, with its jaws.
-        start: half openings [m] and jaw speeds [m/s] at the start, shape (pinches, 2); None for open jaws.
+        start: half openings [m] and jaw speeds [m/s] at the start, shape (pinches, 2).
         h: length of the step [s].
-        set_jaws: sets the jaw states in the engine.
-        accelerations: returns the accelerations of the half openings [m/s^2] in the present states; not finite inside
-            the cloth.
-        find_hits: returns whether jaws pass through the cloth from given half openings [m] to the present ones; None if
-            only particles meet them.
+        accelerations: returns the accelerations of the half openings [m/s^2] in given jaw states; not finite inside the
+            cloth.
+        find_hits: returns whether jaws in given states have passed through the cloth since given half openings [m];
+            None if only particles meet them.
     """
-    if start is None:
-        start = np.array([jaw.initial_state for jaw in force.jaws])
     half_opening, jaw_speed = start.T.copy()
     opening = np.array([0.5 * jaw.opening for jaw in force.jaws])
     low, high = (-0.75 * force.thickness - half_opening) / h, (opening + force.thickness - half_opening) / h
-    set_jaws(np.stack([half_opening, np.zeros_like(half_opening)], axis=1))
-    is_clear = np.isfinite(accelerations())
+    is_clear = np.isfinite(accelerations(np.stack([half_opening, np.zeros_like(half_opening)], axis=1)))
     for _ in range(_BISECTIONS):
         mid_speed = 0.5 * (low + high)
-        set_jaws(np.stack([half_opening + h * mid_speed, mid_speed], axis=1))
-        excess = mid_speed - jaw_speed - h * accelerations()
+        jaws = np.stack([half_opening + h * mid_speed, mid_speed], axis=1)
+        excess = mid_speed - jaw_speed - h * accelerations(jaws)
         # If jaws were clear of the cloth at the start, the cloth keeps them on that side.
         is_past = ~np.isfinite(excess) & is_clear
         if find_hits is not None:
-            is_past |= find_hits(half_opening)
+            is_past |= find_hits(jaws, half_opening)
         inward = np.where(is_past, mid_speed > 0.0, excess > 0.0)
         low, high = np.where(inward, low, mid_speed), np.where(inward, mid_speed, high)
     mid_speed = np.where(force.jaw_commands[:, 0], high, 0.0)

@@ -12,7 +12,7 @@ from cloth_sim_ros.physics.integrators.base import NoRoomError
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau, max_rates
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.plan.runs import RunSummary
-from cloth_sim_ros.physics.state.controller_state import JAWS_KEY, THICKNESS_KEY, ContactState, StabilityState
+from cloth_sim_ros.physics.state.controller_state import ContactState, StabilityState
 from cloth_sim_ros.physics.state.state import State
 
 
@@ -54,10 +54,8 @@ class ContactStepLimit:
         """
         if (contact := self._plan.contact) is None:
             return 0.0
-        contact.set_jaws(state.memory.get(JAWS_KEY))
-        contact.set_thickness(state.memory.get(THICKNESS_KEY))
         try:
-            omega2, damping, operations = contact.predict_contact(t, duration, state.x, state.v)
+            omega2, damping, operations = contact.predict_contact(t, duration, state.x, state.v, state.memory)
         except ValueError as error:
             raise NoRoomError(str(error)) from error
         if not omega2 < math.inf:

@@ -229,7 +229,7 @@ class Controller:
         plan, state = self._plan, self._state
         is_moving = plan.contact is not None and not plan.contact.force.steady()
         has_python_forces = any(not isinstance(force, EngineForce) for force in plan.model.forces)
-        return is_moving or has_python_forces or plan.supply(self._t0, state.x, state.v) != 0.0
+        return is_moving or has_python_forces or plan.supply(self._t0, state.x, state.v, state.memory) != 0.0
 
     @property
     def _has_fallback(self) -> bool:
@@ -690,8 +690,6 @@ class Controller:
         step = 0.0 if steps_differ else piece.step
         moments = (t, self._state), (t + piece.length, end)
         drift = energy.measure_drift(*moments, step, work, refinement=self.refinement)
-        if self._plan.contact is not None:
-            self._plan.contact.load_state(self._state)
         self._checked_energy = omega2, drift
         return drift is not None
 

@@ -107,37 +107,31 @@ class EnergyRule:
 
     def _kinetic_energy(self, moment: Moment) -> float:
         t, state = moment
-        return self._plan.energies(t, state.x, state.v)[0]
+        return self._plan.energies(t, state.x, state.v, state.memory)[0]
 
     def _leapfrog_energy(self, moment: Moment, step: float) -> float:
         t, state = moment
-        self._load_contact(state)
-        return leapfrog_energy(self._plan, t, state.x, state.v, step)
+        return leapfrog_energy(self._plan, t, state, step)
 
     def _energy(self, moment: Moment) -> float:
         t, state = moment
-        self._load_contact(state)
-        return self._plan.energy(t, state.x, state.v)
-
-    def _load_contact(self, state: State) -> None:
-        if self._plan.contact is not None:
-            self._plan.contact.load_state(state)
+        return self._plan.energy(t, state.x, state.v, state.memory)
 
 
-def leapfrog_energy(plan: Plan, t: float, x: Array, v: Array, step: float) -> float:
+def leapfrog_energy(plan: Plan, t: float, state: State, step: float) -> float:
     """Return the energy that the leapfrog conserves at a step size [J]; half steps forward and back give v'Kv.
 
     Args:
         plan: equations of motion.
         t: time [s].
-        x: positions [m], shape (3, n).
-        v: velocities [m/s], shape (3, n).
+        state: the state.
         step: step size [s].
     """
+    x, v, memory = state.x, state.v, state.memory
     zeros, forward, backward = np.zeros_like(v), np.empty_like(v), np.empty_like(v)
-    plan.accelerations(t, x + 0.5 * step * v, zeros, forward)
-    plan.accelerations(t, x - 0.5 * step * v, zeros, backward)
-    return plan.energy(t, x, v) + 0.125 * step * weighted_dot(plan.model.masses, v, forward - backward)
+    plan.accelerations(t, x + 0.5 * step * v, zeros, forward, memory)
+    plan.accelerations(t, x - 0.5 * step * v, zeros, backward, memory)
+    return plan.energy(t, x, v, memory) + 0.125 * step * weighted_dot(plan.model.masses, v, forward - backward)
 
 
 def external_work(plan: Plan, state: State, tableau: ExtrapolationTableau, t: float, n_runs: int) -> tuple[float, int]:
@@ -150,9 +144,9 @@ def external_work(plan: Plan, state: State, tableau: ExtrapolationTableau, t: fl
         t: time at the start [s].
         n_runs: K, the number of combined runs.
     """
-    x, v = tableau.combine(n_runs)
+    (x, v), memory = tableau.combine(n_runs), state.memory
     moving = plan.contact is not None and not plan.contact.force.steady()
-    if not (moving or plan.supply(t, state.x, state.v) or plan.supply(t, x, v)):
+    if not (moving or plan.supply(t, state.x, state.v, memory) or plan.supply(t, x, v, memory)):
         return tableau.work(n_runs), 0
     # Runs record the work of air and obstacles on demand alone.
     span, counts, ratio, single = tableau.duration, tableau.counts, tableau.ratio, tableau.single_precision

@@ -59,10 +59,7 @@ def finish_implicitly(
     Raises:
         UnstableError: if the motion does not stay finite.
     """
-    if plan.contact is not None:
-        # The abandoned steps have moved the jaws.
-        plan.contact.load_state(state)
-    if not math.isfinite(plan.energy(t, state.x, state.v)):
+    if not math.isfinite(plan.energy(t, state.x, state.v, state.memory)):
         raise UnstableError(f"{instead_of}: not finite even by the smallest steps, from a motion without finite energy")
     from cloth_sim_ros.physics.integrators.implicit import Implicit
     from cloth_sim_ros.physics.integrators.implicit_advance import DESCENT_ITERATIONS, ImplicitAdvance

@@ -12,7 +12,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.state.controller_state import JAWS_KEY
+from cloth_sim_ros.physics.state.controller_state import drift_jaws
 from cloth_sim_ros.physics.state.state import State
 
 #: Fractions of the half step, measured back from its end, and weights of the fourth difference.
@@ -32,17 +32,13 @@ def missed_velocity_change(plan: Plan, state: State, t: float, half_step: float)
         t: its time [s].
         half_step: length [s]; negative for a half step that starts with the state.
     """
-    x, v, jaws = state.x, state.v, state.memory.get(JAWS_KEY)
+    x, v, memory = state.x, state.v, state.memory
     a, earlier, difference = np.empty_like(x), np.empty_like(x), np.empty_like(x)
-    if plan.contact is not None:
-        plan.contact.load_state(state)
-    plan.accelerations(t, x, v, a)
+    plan.accelerations(t, x, v, a, memory)
     difference[:] = a
     for fraction, weight in _DIFFERENCE_WEIGHTS:
         dt = fraction * half_step
-        if plan.contact is not None and jaws is not None:
-            plan.contact.set_jaws(np.stack([jaws[:, 0] - dt * jaws[:, 1], jaws[:, 1]], axis=1))
-        plan.accelerations(t - dt, x - dt * v + (0.5 * dt * dt) * a, v - dt * a, earlier)
+        plan.accelerations(t - dt, x - dt * v + (0.5 * dt * dt) * a, v - dt * a, earlier, drift_jaws(memory, -dt))
         difference += weight * earlier
     difference *= half_step
     return difference

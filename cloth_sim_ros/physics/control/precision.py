@@ -69,7 +69,7 @@ class PrecisionRule:
         memory, noise, plan = self.memory, self.noise, self._plan
         if (noise.n_samples >= _MAX_SAMPLES and self._is_known_at(state)) or n_runs > 1:
             return 0
-        if not plan.supports_single_precision(self._duration, state.x, state.v):
+        if not plan.supports_single_precision(self._duration, state.x, state.v, state.memory):
             return 0
         extent = float((state.x.max(axis=1) - state.x.min(axis=1)).max())
         if _SPACING * extent > self._rounding_budget:
@@ -80,16 +80,21 @@ class PrecisionRule:
         span = steps * step
         runs, energies = [], []
         for single in (False, True):
-            if plan.contact is not None:
-                plan.contact.load_state(state)
             (run,), _ = plan.runs(
-                t, span, (state.x, state.v), [steps], single_precision=single, record_power=True, record_obstacles=True
+                t,
+                span,
+                (state.x, state.v),
+                [steps],
+                single_precision=single,
+                record_power=True,
+                record_obstacles=True,
+                memory=state.memory,
             )
             accumulator = WorkAccumulator(plan.gripper_count, record_power=True, obstacle_count=plan.obstacle_count)
             accumulator.add_runs((1.0,), (run,), span)
             runs.append(run)
             supplied = accumulator.work + accumulator.wind_work + accumulator.recovery_work
-            energies.append(plan.energy(t + span, run.x, run.v) + accumulator.dissipation - supplied)
+            energies.append(plan.energy(t + span, run.x, run.v, state.memory) + accumulator.dissipation - supplied)
         # Over a few steps the energy changes by rounding may cancel; the kinetic energy of the difference does not.
         dv = runs[1].v - runs[0].v
         energy_change = max(abs(energies[1] - energies[0]), 0.5 * weighted_dot(plan.model.masses, dv, dv))

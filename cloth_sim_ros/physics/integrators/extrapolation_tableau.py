@@ -22,6 +22,7 @@ from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.plan.runs import Run, RunSummary, activity_of
+from cloth_sim_ros.physics.state.controller_state import with_jaws
 from cloth_sim_ros.physics.state.state import State
 
 #: Step counts of the runs, relative to the first. Wider ratios cost more; closer ones amplify rounding and high modes:
@@ -161,11 +162,11 @@ class ExtrapolationTableau:
                 activity = math.inf
             contact, contact_energy, self_contact = self._plan.contact, 0.0, (0.0, 0.0)
             if contact is not None:
-                contact.set_jaws(self.jaws(n_runs))
-                end = self.t + self.duration
-                contact_energy = contact.predict_energy(end, 0.0, x, v)
-                self_contact = contact.predict_surface_contact(end, 0.0, x, v)
-                if not contact_energy < math.inf or contact.ccd_surface_hits(end, 0.0, self._runs[n_runs - 1].x, x):
+                end, memory = self.t + self.duration, with_jaws(self._start.memory, self.jaws(n_runs))
+                contact_energy = contact.predict_energy(end, 0.0, x, v, memory)
+                self_contact = contact.predict_surface_contact(end, 0.0, x, v, memory)
+                finest = self._runs[n_runs - 1].x
+                if not contact_energy < math.inf or contact.ccd_surface_hits(end, 0.0, finest, x, memory):
                     activity = math.inf
             omega2, damping, *hinge_bounds = self._plan.detailed_spectral_bounds(x, hinges=self.ratio > 1)
             turn = self._plan.turn_in_step(self._start.x, x, self.counts[0])
@@ -244,10 +245,11 @@ class ExtrapolationTableau:
         """Write the end of T_K, K = n_runs, into a state: positions, velocities, jaws and friction anchors."""
         state.x, state.v = self.combine(n_runs)
         contact = self._plan.contact
-        if contact is None:
+        if contact is None or not contact.force.has_memory:
             return
         self._make_runs(n_runs)
-        contact.commit(state, self.t + self.duration, self._runs[:n_runs], weights(self.counts[:n_runs]))
+        end, runs, run_weights = self.t + self.duration, self._runs[:n_runs], weights(self.counts[:n_runs])
+        state.memory |= contact.combine_ends(end, state.x, state.v, runs, run_weights, self._start.memory)
 
     def work(self, n_runs: int) -> float:
         """Return the external work [J] over T_K, K = n_runs.
@@ -274,8 +276,6 @@ class ExtrapolationTableau:
         n_existing = len(self._runs)
         if n_existing >= n_runs:
             return
-        if self._plan.contact is not None:
-            self._plan.contact.load_state(self._start)
         runs, result = self._request_runs(n_existing, n_runs)
         self._runs.extend(runs)
         if result is not None:
@@ -306,4 +306,5 @@ class ExtrapolationTableau:
             record_obstacles=self._record_obstacles,
             multirate=self.ratio,
             concurrency=concurrency,
+            memory=self._start.memory,
         )

@@ -20,7 +20,7 @@ from cloth_sim_ros.physics.integrators.stage_matrix import ParticleBlocks, itera
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.gripper_path import rigid_velocities, step_displacement
 from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.state.controller_state import JAWS_KEY, THICKNESS_KEY
+from cloth_sim_ros.physics.state.controller_state import THICKNESS_KEY, StateMemory
 from cloth_sim_ros.physics.state.controller_state import ImplicitState as Memory
 from cloth_sim_ros.physics.state.state import State
 
@@ -125,7 +125,7 @@ class ImplicitAdvance:
         state, memory, integrator = self._state, self._memory, self._integrator
         min_steps = 1 if integrator.step is None else steps_for(self._duration, integrator.step)
         contact = self._plan.contact
-        if contact is not None and (end_thickness := contact.force.controls.recovery[2]) is not None:
+        if contact is not None and (end_thickness := contact.force.controls.recovery.target) is not None:
             growth = relative_growth(state.memory[THICKNESS_KEY], end_thickness)
             min_steps = max(min_steps, math.ceil(growth / _MAX_THICKNESS_GROWTH))
         is_step_known = memory.step > 0.0 and self._max_evaluations == math.inf
@@ -208,11 +208,9 @@ class ImplicitAdvance:
         distance = _CONVERGENCE_FRACTION * self._budget / steps
         self._convergence_distance = distance if math.isfinite(self._budget) else CONVERGED_DISTANCE
         self._curvature, self._n_unsolved, self._n_steps, self._min_step = math.inf, 0, 0, h
-        state, error_sum, contact = self._state, 0.0, self._plan.contact
+        state, error_sum = self._state, 0.0
         guess = np.empty_like(state.x)
-        if contact is not None:
-            contact.load_state(state)
-        self._plan.accelerations(self._t, state.x, state.v, guess)
+        self._plan.accelerations(self._t, state.x, state.v, guess, state.memory)
         for k in range(steps):
             self._reserve = DESCENT_ITERATIONS * (steps - k)
             step_result = self._take_step(self._t + k * h, h, guess)
@@ -229,8 +227,6 @@ class ImplicitAdvance:
             Its error [m] and its last acceleration [m/s^2]; None if even the smallest step has no result.
         """
         state, contact = self._state, self._plan.contact
-        if contact is not None:
-            contact.load_state(state)
         step, n_unsolved = self._solve_step(t, h, guess), 0
         if self._uses_safe_steps and (step is None or self._creates_energy(t, h, step)):
             if self._is_strict and self._halves_failed_steps:
@@ -249,7 +245,7 @@ class ImplicitAdvance:
             second = None if first is None else self._take_step(t + half_step, half_step, first[1])
             return None if first is None or second is None else (first[0] + second[0], second[1])
         if self._accumulator is not None:
-            _accumulate_step(self._accumulator, self._plan, t, h, step)
+            _accumulate_step(self._accumulator, self._plan, t, h, step, state.memory)
         state.x, state.v = step.x, step.v
         if contact is not None:
             contact.update_after_step(t + h, h, state)
@@ -306,18 +302,22 @@ class ImplicitAdvance:
         contact = self._plan.contact
         if contact is None:
             return False
-        return contact.ccd_hits(t, h, self._state.x, end) or contact.ccd_hits(t + h, 0.0, end, end)
+        start, memory = self._state.x, self._state.memory
+        return contact.ccd_hits(t, h, start, end, memory) or contact.ccd_hits(t + h, 0.0, end, end, memory)
 
     def _creates_energy(self, t: float, h: float, step: ImplicitStep) -> bool:
         gain, kinetic = self._energy_gain(t, h, step)
-        return not gain <= _MAX_ENERGY_GAIN * (kinetic + abs(_external_work(self._plan, t, h, step)))
+        return not gain <= _MAX_ENERGY_GAIN * (
+            kinetic + abs(_external_work(self._plan, t, h, step, self._state.memory))
+        )
 
     def _energy_gain(self, t: float, h: float, step: ImplicitStep) -> tuple[float, float]:
         """Return the energy that a step created, external work subtracted, and the kinetic energy at its end [J]."""
-        energy_before = self._plan.energy(t, self._state.x, self._state.v)
-        energy_after = self._plan.energy(t + h, step.x, step.v)
-        kinetic = self._plan.energies(t + h, step.x, step.v)[0]
-        work = _external_work(self._plan, t, h, step)
+        state = self._state
+        energy_before = self._plan.energy(t, state.x, state.v, state.memory)
+        energy_after = self._plan.energy(t + h, step.x, step.v, state.memory)
+        kinetic = self._plan.energies(t + h, step.x, step.v, state.memory)[0]
+        work = _external_work(self._plan, t, h, step, state.memory)
         return energy_after - energy_before - work - _ROUNDING * abs(energy_before), kinetic
 
     def _solve_stage(self, t: float, x: Array, v: Array, d: float, guess: Array) -> tuple[Array, Array] | None:
@@ -386,18 +386,15 @@ class ImplicitAdvance:
 
     def _newton_correction(self, t: float, x: Array, v: Array, d: float, u: Array) -> Array:
         """Return Newton's correction of a stage's velocities [m/s], shape (3, n)."""
-        masses = self._plan.model.masses
+        masses, memory = self._plan.model.masses, self._state.memory
         positions, a = x + d * u, np.empty_like(x)
-        self._plan.accelerations(t, positions, u, a)
+        self._plan.accelerations(t, positions, u, a, memory)
         self._evaluations += 1
-        thickness = None
-        if self._plan.contact is not None:
-            thickness = self._plan.contact.thickness
-            if not np.isfinite(a).all():
-                # Inside an obstacle there is no correction.
-                return np.full_like(a, np.nan)
+        if self._plan.contact is not None and not np.isfinite(a).all():
+            # Inside an obstacle there is no correction.
+            return np.full_like(a, np.nan)
         correction = masses * (v + d * a - u) * (self._plan.model.inverse_masses > 0.0)
-        self._matrix.update(t, positions, d, self._state.memory.get(JAWS_KEY), thickness)
+        self._matrix.update(t, positions, d, memory)
         self._matrix.solve(correction)
         return correction
 
@@ -413,12 +410,12 @@ class ImplicitAdvance:
         return fraction
 
     def _objective(self, t: float, x: Array, v: Array, d: float, u: Array) -> float:
-        positions = x + d * u
+        positions, plan, memory = x + d * u, self._plan, self._state.memory
         if self._uses_safe_steps and self._ccd_hits(t - 0.5 * d - self._obstacle_time_offset, d, positions):
             return math.inf
         # The force of moving air is nearly constant and has no potential.
-        dissipation = 0.5 * self._plan.dissipation(t, positions, u) - self._plan.supply(t, positions, u)
-        return self._plan.energy(t, positions, u - v) + d * dissipation
+        dissipation = 0.5 * plan.dissipation(t, positions, u, memory) - plan.supply(t, positions, u, memory)
+        return plan.energy(t, positions, u - v, memory) + d * dissipation
 
 
 def _max_length(vectors: Array) -> float:
@@ -435,7 +432,7 @@ def error_constant() -> float:
     return abs(third_coefficient - 1.0 / 6.0)
 
 
-def _obstacle_work_rates(plan: Plan, t: float, h: float, step: ImplicitStep) -> Array:
+def _obstacle_work_rates(plan: Plan, t: float, h: float, step: ImplicitStep, memory: StateMemory) -> Array:
     """Return impulse and work of obstacles over a step whose contact force is that at its end.
 
     The impulse of the implicit Euler method is h f, and the work is f'w with the displacement w of the obstacle. The
@@ -448,6 +445,7 @@ def _obstacle_work_rates(plan: Plan, t: float, h: float, step: ImplicitStep) -> 
         t: time at the start of the step [s].
         h: its length [s].
         step: the step.
+        memory: memory of the state at its start.
 
     Returns:
         Rows as of `ContactBinding.wrench_rates`.
@@ -455,7 +453,7 @@ def _obstacle_work_rates(plan: Plan, t: float, h: float, step: ImplicitStep) -> 
     contact = plan.contact
     assert contact is not None
     end_time, _, x, v = step.stages[-1]
-    rows = contact.wrench_rates(end_time, x, v, h)
+    rows = contact.wrench_rates(end_time, x, v, memory, h)
     for row, path in zip(rows, contact.force.paths, strict=True):
         if row.any():
             displacement = step_displacement(path, t, h)
@@ -463,7 +461,7 @@ def _obstacle_work_rates(plan: Plan, t: float, h: float, step: ImplicitStep) -> 
     return rows
 
 
-def _recovery_work(plan: Plan, h: float, step: ImplicitStep) -> float:
+def _recovery_work(plan: Plan, h: float, step: ImplicitStep, memory: StateMemory) -> float:
     """Return the work of contacts that regain their thickness over such a step [J].
 
     It is the power at the end of the step times its length. The contact energy d_i^2 b(g / d_i) is convex in gap and
@@ -471,29 +469,32 @@ def _recovery_work(plan: Plan, h: float, step: ImplicitStep) -> float:
     `_obstacle_work_rates`.
     """
     end_time, _, x, v = step.stages[-1]
-    return 0.0 if plan.contact is None else h * plan.contact.recovery_power(end_time, x, v)
+    return 0.0 if plan.contact is None else h * plan.contact.recovery_power(end_time, x, v, memory)
 
 
-def _external_work(plan: Plan, t: float, h: float, step: ImplicitStep) -> float:
+def _external_work(plan: Plan, t: float, h: float, step: ImplicitStep, memory: StateMemory) -> float:
     """Return the work of grippers, obstacles, moving air and growing contacts over a step [J]."""
     total = 0.0
     for stage_time, weight, x, v in step.stages:
-        total += weight * plan.supply(stage_time, x, v)
+        total += weight * plan.supply(stage_time, x, v, memory)
         if plan.gripper_count:
             total = ordered_sum(plan.grip_wrench_rates(stage_time, x, v, weight)[:, 6].tolist(), total)
         if plan.contact is not None and not step.acts_at_end:
-            total = ordered_sum(plan.contact.wrench_rates(stage_time, x, v, weight)[:, 6].tolist(), total)
-            total += weight * plan.contact.recovery_power(stage_time, x, v)
+            total = ordered_sum(plan.contact.wrench_rates(stage_time, x, v, memory, weight)[:, 6].tolist(), total)
+            total += weight * plan.contact.recovery_power(stage_time, x, v, memory)
     if not step.acts_at_end:
         return total
-    return ordered_sum(_obstacle_work_rates(plan, t, h, step)[:, 6].tolist(), total) + _recovery_work(plan, h, step)
+    total = ordered_sum(_obstacle_work_rates(plan, t, h, step, memory)[:, 6].tolist(), total)
+    return total + _recovery_work(plan, h, step, memory)
 
 
-def _accumulate_step(accumulator: WorkAccumulator, plan: Plan, t: float, h: float, step: ImplicitStep) -> None:
+def _accumulate_step(
+    accumulator: WorkAccumulator, plan: Plan, t: float, h: float, step: ImplicitStep, memory: StateMemory
+) -> None:
     """Accumulate a step of length h [s] that starts at time t [s]."""
     for stage_time, weight, x, v in step.stages:
-        accumulate(accumulator, plan, stage_time, x, v, weight, record_obstacles=not step.acts_at_end)
+        accumulate(accumulator, plan, stage_time, x, v, weight, memory, record_obstacles=not step.acts_at_end)
     if step.acts_at_end and accumulator.obstacle_count:
-        accumulator.add_obstacle_work(_obstacle_work_rates(plan, t, h, step))
+        accumulator.add_obstacle_work(_obstacle_work_rates(plan, t, h, step, memory))
     if step.acts_at_end and accumulator.record_power:
-        accumulator.add_recovery_work(_recovery_work(plan, h, step))
+        accumulator.add_recovery_work(_recovery_work(plan, h, step, memory))

@@ -18,6 +18,7 @@ from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.model.parts import ElementList
 from cloth_sim_ros.physics.plan.plan import Plan, compile
+from cloth_sim_ros.physics.state.controller_state import StateMemory
 
 #: Pairs do not widen the band if their stiffness is below this fraction of the largest one at both ends. Newton's
 #: iteration then converges by about this factor per step.
@@ -62,24 +63,20 @@ class StageMatrix:
             np.maximum.at(largest, ends[:, end_index], size)
         return ends[size >= _NEGLIGIBLE_FRACTION * largest[ends].min(axis=1)]
 
-    def update(self, t: float, x: Array, d: float, jaws: Array | None = None, thickness: Array | None = None) -> None:
+    def update(self, t: float, x: Array, d: float, memory: StateMemory) -> None:
         """Factorise M + d^2 K + d D with stiffness K and damping D.
 
         Args:
             t: time [s].
             x: positions [m], shape (3, n).
             d: coefficient of the stage [s].
-            jaws: jaw states, see `ContactBinding.jaws_shape`; None without jaws.
-            thickness: contact thicknesses [m], see `ContactBinding.thickness_shape`; None if none is reduced.
+            memory: memory of the state.
 
         Raises:
             UnstableError: if an entry is not finite.
         """
         stiffness, damping = np.zeros((2, 6, self._model.particle_count))
-        if self._other_forces.contact is not None:
-            self._other_forces.contact.set_jaws(jaws)
-            self._other_forces.contact.set_thickness(thickness)
-        self._other_forces.add_bounds(x, stiffness, damping, t)
+        self._other_forces.add_bounds(x, stiffness, damping, t, memory)
         self._matrix.update(self._blocks(x, d * d, d), self._model.masses, d * d * stiffness + d * damping)
 
     def _blocks(self, x: Array, stiffness: float, damping: float) -> list[Array]:
@@ -99,7 +96,7 @@ class ParticleBlocks:
     A correction by the blocks decreases the same objective, more slowly, for the price of a force evaluation.
 
     Args:
-        plan: equations of motion; its contact has the present jaws and thicknesses.
+        plan: equations of motion.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -108,10 +105,10 @@ class ParticleBlocks:
         self._is_free = plan.model.inverse_masses > 0.0
         self._blocks = np.empty((6, plan.model.particle_count))
 
-    def update(self, t: float, x: Array, d: float, jaws: Array | None = None, thickness: Array | None = None) -> None:
+    def update(self, t: float, x: Array, d: float, memory: StateMemory) -> None:
         """Calculate the blocks of M + d^2 K + d D, see `StageMatrix.update`."""
         stiffness, damping = np.zeros((2, 6, self._plan.model.particle_count))
-        self._plan.add_bounds(x, stiffness, damping, t)
+        self._plan.add_bounds(x, stiffness, damping, t, memory)
         blocks = d * d * stiffness + d * damping
         blocks[:3] += self._plan.model.masses
         self._blocks = np.where(self._is_free, blocks, np.array([[1.0, 1.0, 1.0, 0.0, 0.0, 0.0]]).T)

@@ -79,11 +79,9 @@ class SymplecticEuler(Integrator):
 
     def _limit_at(self, plan: Plan, state: State, t: float, lookahead: float) -> float:
         """Return the step limit at a time [s], including contact predicted over a duration [s]."""
-        if plan.contact is not None:
-            plan.contact.load_state(state)
         omega2, damping = plan.spectral_bounds(state.x)
         try:
-            contact_omega2, contact_damping = plan.predict_contact(t, lookahead, state.x, state.v)
+            contact_omega2, contact_damping = plan.predict_contact(t, lookahead, state.x, state.v, state.memory)
         except ValueError as error:
             raise base.NoRoomError(str(error)) from error
         return self.step_limit(omega2 + contact_omega2, damping + contact_damping)
@@ -97,11 +95,9 @@ class SymplecticEuler(Integrator):
             accumulator.reset()
         a = np.empty_like(state.x)
         for k in range(steps):
-            if plan.contact is not None:
-                plan.contact.load_state(state)
-            plan.accelerations(t + k * h, state.x, state.v, a)
+            plan.accelerations(t + k * h, state.x, state.v, a, state.memory)
             if accumulator is not None:
-                accumulate(accumulator, plan, t + k * h, state.x, state.v, h)
+                accumulate(accumulator, plan, t + k * h, state.x, state.v, h, state.memory)
             state.v += h * a
             state.x += h * state.v
             if plan.contact is not None:

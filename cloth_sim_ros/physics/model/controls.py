@@ -86,6 +86,17 @@ class GripControls(NamedTuple):
     grasps: Grasps
 
 
+class ThicknessRecovery(NamedTuple):
+    """Recovery of reduced contact thickness in a frame."""
+
+    #: Its start and its duration [s].
+    t: float = 0.0
+    duration: float = 0.0
+    #: Thickness at its end and at its start [m], shape `ContactBinding.thickness_shape`; None if none grows.
+    target: Array | None = None
+    start: Array | None = None
+
+
 class ContactControls(NamedTuple):
     """Controls of obstacles and jaws."""
 
@@ -93,9 +104,7 @@ class ContactControls(NamedTuple):
     paths: Array
     #: For each gripper that pinches: whether it is present, and whether it closes, shape (pinches, 2).
     jaw_commands: NDArray[np.bool_]
-    #: Recovery of reduced thickness: its start [s], its duration [s] and the thickness at its end [m], shape
-    #: `ContactBinding.thickness_shape`. The thickness is None if none grows.
-    recovery: tuple[float, float, Array | None] = (0.0, 0.0, None)
+    recovery: ThicknessRecovery = ThicknessRecovery()
 
 
 class Controls(NamedTuple):

@@ -35,7 +35,7 @@ class GripBinding(Uncopyable):
         self.count = grips.gripper_count
         self._paths_shape = (self.count, binding.PATH_NUMBERS)
 
-    def sync(self) -> None:
+    def upload(self) -> None:
         """Upload grasped particles and paths if they changed."""
         controls, uploaded = self.force.controls, self._uploaded
         if controls is uploaded:
@@ -67,7 +67,7 @@ class GripBinding(Uncopyable):
         Returns:
             Force [N] (3), torque [N m] (3), power [W], dissipated power [W], shape (grippers, RECORD_NUMBERS).
         """
-        self.sync()
+        self.upload()
         out = np.zeros((self.count, binding.RECORD_NUMBERS))
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
         check(self._library.cloth_grip_wrenches(self._handle, t, *addresses, weight, out.ctypes.data))

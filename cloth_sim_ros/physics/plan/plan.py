@@ -36,6 +36,7 @@ from cloth_sim_ros.physics.plan.reentrancy import non_reentrant
 from cloth_sim_ros.physics.plan.runs import Run, RunSummary, activity_of, n_integrals
 from cloth_sim_ros.physics.plan.thread_limit import available_threads
 from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
+from cloth_sim_ros.physics.state.controller_state import MISSING_MEMORY, StateMemory
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.contact.binding import ContactBinding
@@ -187,6 +188,7 @@ class Plan(PlanQueries, Uncopyable):
         threads: int | None = None,
         concurrency: int = 1,
         multirate: int = 1,
+        memory: StateMemory = MISSING_MEMORY,
     ) -> tuple[list[Run], tuple[Array, Array, RunSummary] | None]:
         """Run the leapfrog over an interval several times from one start, each with its own number of equal steps.
 
@@ -203,6 +205,7 @@ class Plan(PlanQueries, Uncopyable):
             concurrency: runs that are calculated at once, each by one thread, if possible. No bit depends on it.
             multirate: multirate ratio: hinges are evaluated once in this number of steps, in the middle one. It is
                 odd and divides all ``steps``.
+            memory: `State.memory` at the start; a plan without contact does not need it.
 
         Returns:
             The runs; and positions, velocities and the summary of their combination, None without weights.
@@ -212,7 +215,7 @@ class Plan(PlanQueries, Uncopyable):
             RuntimeError: if another call is running.
             Exception: an exception of a Python force.
         """
-        self._sync()
+        self._upload(memory)
         count, grippers, obstacles = len(steps), self.gripper_count, 0
         if steps != self._requested_steps:
             self._request_steps(steps)
@@ -346,9 +349,9 @@ class Plan(PlanQueries, Uncopyable):
         time = self.multirate_step_cost(multirate) * self._shape[1] * steps
         return available_threads() if time >= _THREAD_WAKE_CALLS * 1e3 * CONSTANTS.engine_call_time else 1
 
-    def accelerations(self, t: float, x: Array, v: Array, out: Array) -> None:
+    def accelerations(self, t: float, x: Array, v: Array, out: Array, memory: StateMemory = MISSING_MEMORY) -> None:
         """Set ``out`` (3, n) to the accelerations [m/s^2] at time t [s]; they are zero for anchored particles."""
-        self._sync()
+        self._upload(memory)
         shape = self._shape
         addresses = doubles("x", x, shape), doubles("v", v, shape), writable("out", out, shape)
         status = self._library.cloth_accelerations(self._handle, t, *addresses)
@@ -360,25 +363,30 @@ class Plan(PlanQueries, Uncopyable):
             self._python_callback.raise_pending()
         check(status)
 
-    def predict_contact(self, t: float, duration: float, x: Array, v: Array) -> tuple[float, float]:
+    def predict_contact(
+        self, t: float, duration: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY
+    ) -> tuple[float, float]:
         """Return what contact may add to `spectral_bounds` within a duration [s] from time t [s] on.
 
         Returns:
             Squared angular frequency [1/s^2] and damping rate [1/s].
         """
-        return (0.0, 0.0) if self.contact is None else self.contact.predict_contact(t, duration, x, v)[:2]
+        return (0.0, 0.0) if self.contact is None else self.contact.predict_contact(t, duration, x, v, memory)[:2]
 
-    def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
+    def add_force(self, t: float, x: Array, v: Array, f: Array, memory: StateMemory = MISSING_MEMORY) -> None:
         """Add the forces [N] on free particles at time t [s] to ``f`` (3, n)."""
         out = np.empty(self._shape)
-        self.accelerations(t, x, v, out)
+        self.accelerations(t, x, v, out, memory)
         f += out * self.model.masses
 
     def steady(self) -> bool:
         """Return true if all forces at given positions and velocities are constant until the next event."""
         return all(force.steady() for force in self.model.forces)
 
-    def supports_single_precision(self, duration: float, x: Array, v: Array) -> bool:
+    def supports_single_precision(
+        self, duration: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY
+    ) -> bool:
         """Return true if runs over a duration [s] from a state may calculate in single precision."""
-        contact = self.contact
-        return not self._python_forces and (contact is None or contact.supports_single_precision(duration, x, v))
+        if self._python_forces:
+            return False
+        return self.contact is None or self.contact.supports_single_precision(duration, x, v, memory)

@@ -14,13 +14,17 @@ from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.plan.grip_binding import GripBinding
+from cloth_sim_ros.physics.state.controller_state import MISSING_MEMORY, StateMemory
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.contact.binding import ContactBinding
 
 
 class PlanQueries:
-    """Queries of a plan at positions [m] and velocities [m/s], shape (3, particle_count), float64, C-contiguous."""
+    """Queries of a plan at positions [m] and velocities [m/s], shape (3, particle_count), float64, C-contiguous.
+
+    Contact also depends on the memory of the state, `State.memory`; a plan without contact does not need it.
+    """
 
     model: Model
     contact: ContactBinding | None
@@ -35,12 +39,12 @@ class PlanQueries:
     _query_out: ctypes.Array[ctypes.c_double]
     _query_address: int
 
-    def _sync(self) -> None:
-        """Upload grips, obstacles and the paths of both if they changed."""
+    def _upload(self, memory: StateMemory) -> None:
+        """Upload the controls and a state's memory as far as they changed."""
         if self.contact is not None:
-            self.contact.sync()
+            self.contact.upload(memory)
         if self._grip_binding is not None:
-            self._grip_binding.sync()
+            self._grip_binding.upload()
 
     def spectral_bounds(self, x: Array) -> tuple[float, float]:
         """Return bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate c/m [1/s] at
@@ -62,8 +66,9 @@ class PlanQueries:
             Squared frequency [1/s^2] and damping rate [1/s] of the whole; squared frequency and damping rate of hinges;
             squared frequency across springs.
         """
-        self._sync()
         addresses: list[int | None] = [doubles("x", x, self._shape), None, None]
+        if self._grip_binding is not None:
+            self._grip_binding.upload()
         if self._python_forces:
             blocks = np.zeros((2, 6, self.model.particle_count))
             for force in self._python_forces:
@@ -106,7 +111,8 @@ class PlanQueries:
         Returns:
             The displacement, and the number of Lanczos steps, each of two force evaluations.
         """
-        self._sync()
+        if self._grip_binding is not None:
+            self._grip_binding.upload()
         addresses = doubles("x", x, self._shape), doubles("errors", errors, self._shape), time, self._query_address
         check(self._library.cloth_velocity_displacement(self._handle, t, *addresses))
         displacement, steps = self._query_out
@@ -117,22 +123,24 @@ class PlanQueries:
         grips = self._grip_binding
         return self._min_damping_time if grips is None else min(self._min_damping_time, grips.min_damping_time())
 
-    def energies(self, t: float, x: Array, v: Array | None) -> tuple[float, float]:
+    def energies(
+        self, t: float, x: Array, v: Array | None, memory: StateMemory = MISSING_MEMORY
+    ) -> tuple[float, float]:
         """Return kinetic and potential energy [J] at time t [s]; the kinetic energy is 0 without velocities."""
-        self._sync()
+        self._upload(memory)
         out = np.empty(2)
         velocity_address = None if v is None else doubles("v", v, self._shape)
         check(self._library.cloth_energy(self._handle, t, doubles("x", x, self._shape), velocity_address, address(out)))
         return float(out[0]), ordered_sum((force.energy(t, x) for force in self._python_forces), float(out[1]))
 
-    def energy(self, t: float, x: Array, v: Array) -> float:
+    def energy(self, t: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY) -> float:
         """Return kinetic plus potential energy [J] at time t [s]."""
-        kinetic, potential = self.energies(t, x, v)
+        kinetic, potential = self.energies(t, x, v, memory)
         return kinetic + potential
 
-    def powers(self, t: float, x: Array, v: Array) -> tuple[float, float]:
+    def powers(self, t: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY) -> tuple[float, float]:
         """Return the dissipated power and the power of moving air [W]; joints of grippers are not included."""
-        self._sync()
+        self._upload(memory)
         out = np.empty(2)
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
         check(self._library.cloth_powers(self._handle, t, *addresses, address(out)))
@@ -155,22 +163,24 @@ class PlanQueries:
             return np.zeros((0, RECORD_NUMBERS))
         return self._grip_binding.wrench_rates(t, x, v, weight)
 
-    def dissipation(self, t: float, x: Array, v: Array) -> float:
+    def dissipation(self, t: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY) -> float:
         """Return the power that all damping dissipates [W], grips and contact included."""
-        dissipated = ordered_sum(self.grip_wrench_rates(t, x, v)[:, 7].tolist(), self.powers(t, x, v)[0])
+        dissipated = ordered_sum(self.grip_wrench_rates(t, x, v)[:, 7].tolist(), self.powers(t, x, v, memory)[0])
         if self.contact is None:
             return dissipated
-        return ordered_sum(self.contact.wrench_rates(t, x, v)[:, 7].tolist(), dissipated)
+        return ordered_sum(self.contact.wrench_rates(t, x, v, memory)[:, 7].tolist(), dissipated)
 
-    def supply(self, t: float, x: Array, v: Array) -> float:
+    def supply(self, t: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY) -> float:
         """Return the power of moving air on the cloth [W]."""
-        return self.powers(t, x, v)[1]
+        return self.powers(t, x, v, memory)[1]
 
-    def add_bounds(self, x: Array, stiff: Array, damped: Array, t: float = 0.0) -> None:
+    def add_bounds(
+        self, x: Array, stiff: Array, damped: Array, t: float = 0.0, memory: StateMemory = MISSING_MEMORY
+    ) -> None:
         """Add blocks that bound stiffness [N/m] and damping [N s/m] at time t [s], each (6, n): u'Ku <= sum of u_i' B_i
         u_i.
         """
-        self._sync()
+        self._upload(memory)
         shape = (6, self.model.particle_count)
         addresses = writable("stiff", stiff, shape), writable("damped", damped, shape)
         check(self._library.cloth_bounds(self._handle, doubles("x", x, self._shape), *addresses))
@@ -178,14 +188,16 @@ class PlanQueries:
         if self._grip_binding is not None:
             self._grip_binding.add_bounds(stiff, damped)
         if self.contact is not None:
-            self.contact.add_bounds(t, x, stiff, damped)
+            self.contact.add_bounds(t, x, stiff, damped, memory)
         for force in self._python_forces:
             force.add_stiffness(x, stiff)
             force.add_damping(x, damped)
 
-    def add_jacobian_product(self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array) -> None:
+    def add_jacobian_product(
+        self, t: float, x: Array, v: Array, dx: Array, dv: Array, out: Array, memory: StateMemory = MISSING_MEMORY
+    ) -> None:
         """Add the derivative of the forces along (dx, dv), ``(df/dx) dx + (df/dv) dv`` [N], to ``out`` (3, n)."""
-        self._sync()
+        self._upload(memory)
         arrays = {"x": x, "v": v, "dx": dx, "dv": dv}
         addresses = [doubles(name, array, self._shape) for name, array in arrays.items()]
         addresses.append(writable("out", out, self._shape))

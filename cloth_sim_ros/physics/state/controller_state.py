@@ -5,10 +5,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from operator import attrgetter
-from typing import Any, ClassVar, Protocol, Self
+from types import MappingProxyType
+from typing import Any, ClassVar, Protocol, Self, TypeAlias
 
 import attrs
 import numpy as np
@@ -253,6 +254,10 @@ JAWS_KEY = "contact.pinched"
 #: Key of contact thicknesses [m], present while some are reduced, shape (obstacles + 1, particles + 1). Rows: each
 #: obstacle, jaws included; the last row is self-contact. Columns: each particle; the last one is obstacle edges.
 THICKNESS_KEY = "contact.thickness"
+#: Named arrays of a state, `State.memory`. Forces of contact depend on its anchors, jaws and thickness.
+StateMemory: TypeAlias = Mapping[str, np.ndarray]
+#: Default of queries, which a plan with contact refuses.
+MISSING_MEMORY: StateMemory = MappingProxyType({})
 #: Key of flags, shape (grippers,): True once the jaws are reported to be at rest.
 JAWS_AT_REST_KEY = "contact.settled"
 #: Keys of the arrays of sleep, shape (3, particle_count): positions [m] at the start and at the middle of the observed
@@ -286,6 +291,21 @@ LEGACY_KEYS = (
     "control.velocities",
     "control.earlier_velocities",
 )
+
+
+def with_jaws(memory: StateMemory, jaws: np.ndarray | None) -> StateMemory:
+    """Return a state's memory with other jaw states; None keeps them."""
+    return memory if jaws is None else {**memory, JAWS_KEY: jaws}
+
+
+def drift_jaws(memory: StateMemory, duration: float) -> StateMemory:
+    """Return a state's memory after the jaws have moved uniformly for a duration [s], which may be negative."""
+    jaws = memory.get(JAWS_KEY)
+    return (
+        memory
+        if jaws is None
+        else with_jaws(memory, np.stack([jaws[:, 0] + duration * jaws[:, 1], jaws[:, 1]], axis=1))
+    )
 
 
 def reset_step_control(state: HasMemory, *, entirely: bool = False) -> None:

@@ -97,7 +97,7 @@ def describe_step_limiters(limiters: StepLimiters, sheet: Sheet) -> list[str]:
 def _limits(plan: Plan, x: Array) -> Array:
     """Return the longest stable step by the bounds of each particle [s], shape (n,)."""
     stiff, damped = np.zeros((2, 6, plan.model.particle_count))
-    plan.add_bounds(x, stiff, damped)
+    plan.add_bounds(x, stiff, damped, memory={})
     omega2, rates = (np.maximum(_largest(blocks), 0.0) / plan.model.masses for blocks in (stiff, damped))
     # As `leapfrog_limit`.
     with np.errstate(divide="ignore"):
@@ -115,7 +115,7 @@ def _stiffest(model: Model, x: Array, particle: int) -> tuple[str, float]:
     for force in model.forces:
         if not isinstance(force, Gravity | Drag | Wind | Grips):
             stiff, damped = np.zeros((2, 6, model.particle_count))
-            compile(Model(model.masses, [force])).add_bounds(x, stiff, damped)
+            compile(Model(model.masses, [force])).add_bounds(x, stiff, damped, memory={})
             stiffness[force.name] = float(_largest(stiff[:, [particle]])[0])
     total = sum(stiffness.values())
     if not total:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cloth_sim_ros.physics.model.controls import ContactControls, Controls, GripControls
+from cloth_sim_ros.physics.model.controls import ContactControls, Controls, GripControls, ThicknessRecovery
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, LAYER_SIDES, THICKNESS_KEY
 from cloth_sim_ros.physics.state.state import State
@@ -130,7 +130,7 @@ def _contact_controls(
     if pinching is not None and gripper_paths is not None:
         paths.append(pinching.rows(gripper_paths))
         commands = pinching.drive_flags()
-    return ContactControls(np.concatenate(paths), commands, (t, 0.0, None))
+    return ContactControls(np.concatenate(paths), commands, ThicknessRecovery(t))
 
 
 def stop_bodies(obstacles: Obstacles | None, grippers: Grippers) -> tuple[str, ...]:

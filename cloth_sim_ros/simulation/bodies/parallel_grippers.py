@@ -83,7 +83,7 @@ class ParallelGrippers:
         contact, k = plan.contact, self.names.index(name)
         if contact is None or not self.drive_flags()[k].all():
             return 0
-        counts = contact.contact_gaps_of(self._state, t)[contact.force.n_solids + 2 * k :][:2, 0]
+        counts = contact.obstacle_gaps(t, self._state.x, self._state.memory)[contact.force.n_solids + 2 * k :][:2, 0]
         return int(counts.min())
 
     def report_rested(self, plan: Plan, t: float) -> list[GraspResult]:
@@ -92,9 +92,9 @@ class ParallelGrippers:
         if is_rested.all() or plan.contact is None:
             return []
         results, is_driven = [], self.drive_flags()
-        plan.contact.load_state(self._state)
-        accelerations = plan.contact.jaw_accelerations(t, self._state.x, self._state.v).tolist()
-        for k, (jaw, (_, jaw_speed)) in enumerate(zip(self.pads, self._state.memory[JAWS_KEY].tolist(), strict=True)):
+        x, v, memory = self._state.x, self._state.v, self._state.memory
+        accelerations = plan.contact.jaw_accelerations(t, x, v, memory).tolist()
+        for k, (jaw, (_, jaw_speed)) in enumerate(zip(self.pads, memory[JAWS_KEY].tolist(), strict=True)):
             if is_rested[k] or not is_driven[k].all():
                 continue
             is_moving = abs(jaw_speed) > _REST_FRACTION * jaw.speed

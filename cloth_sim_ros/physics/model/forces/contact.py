@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from cloth_sim_ros.engine.binding import PATH_NUMBERS, SHAPES, finite, indices
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.contact.parallel_jaw import ParallelJaw
-from cloth_sim_ros.physics.model.controls import ContactControls
+from cloth_sim_ros.physics.model.controls import ContactControls, ThicknessRecovery
 from cloth_sim_ros.physics.model.forces.force import Array, EngineForce
 from cloth_sim_ros.physics.model.parts import ContactPart, Part
 from cloth_sim_ros.physics.model.sheets.merging import component_labels
@@ -154,15 +154,18 @@ class Contact(EngineForce):
         """Set for each gripper that pinches whether it is present and whether it closes, shape (pinches, 2)."""
         self.controls = self.controls._replace(jaw_commands=commands.copy())
 
-    def start_recovery(self, t: float, duration: float = 0.0, thickness: Array | None = None) -> None:
+    def start_recovery(
+        self, t: float, duration: float = 0.0, thickness: Array | None = None, start: Array | None = None
+    ) -> None:
         """Start the recovery of a reduced contact thickness.
 
         Args:
             t: start of the recovery [s].
             duration: its duration [s].
             thickness: thickness at its end [m]; None if none grows.
+            start: thickness at its start [m].
         """
-        self.controls = self.controls._replace(recovery=(t, duration, thickness))
+        self.controls = self.controls._replace(recovery=ThicknessRecovery(t, duration, thickness, start))
 
     @property
     def n_solids(self) -> int:
@@ -201,4 +204,4 @@ class Contact(EngineForce):
     def steady(self) -> bool:
         """Return true if no obstacle moves or turns over its path, and no thickness recovers."""
         paths, _, recovery = self.controls
-        return recovery[2] is None and not (paths[:, 4:13].any() or paths[:, 17:26].any())
+        return recovery.target is None and not (paths[:, 4:13].any() or paths[:, 17:26].any())
