@@ -282,6 +282,21 @@ def test_reset_too_near_is_refused_and_changes_nothing() -> None:
     assert cloth.state.digest() == before
 
 
+def test_controls_of_a_frame_keep_its_recovery() -> None:
+    cloth = lying()
+    cloth.advance([THICK])
+    before = cloth.state.memory[KEY]
+    cloth.advance()
+    contact, present = cloth.frame_controls.contact, cloth.plan.controls.contact
+    assert contact is not None
+    assert contact.recovery.start is before
+    assert contact.recovery.target is cloth.state.memory[KEY]
+    assert (contact.recovery.start < contact.recovery.target).any()
+    # Between frames nothing grows.
+    assert present is not None
+    assert present.recovery.target is None
+
+
 def test_snapshots_amid_a_recovery_give_the_same_bits() -> None:
     cloth = recovering()
     snapshot = cloth.snapshot()
