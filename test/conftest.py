@@ -24,7 +24,6 @@ ROOT = Path(__file__).resolve().parent.parent
 
 #: Files whose tests take longest, most of them with few tests. Run first, they leave no process alone at the end.
 _SLOW_FILES = (
-    "test_package.py",
     "test_pinch_features.py",
     "test_ros_benchmarks.py",
     "test_ros_restarts.py",

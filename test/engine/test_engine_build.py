@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import ctypes
+import json
 import os
 import shutil
 import subprocess
@@ -173,6 +174,18 @@ def test_the_engine_itself_is_built_without_a_warning(tmp_path: Path, compiler: 
     (library,) = build.build(tmp_path / "out", names=[name])
     assert library.name == build.file_name(name)
     assert library.is_file()
+
+
+def test_engine_for_other_processors_has_no_error(compiler: str) -> None:
+    # The compiler checks every template that is used and generates no code; a build takes seven times as long.
+    def check(name: str, unit: Path) -> str:
+        command = [compiler, *build.flags(name), "-fsyntax-only", unit]
+        return subprocess.run(command, cwd=build.ENGINE, check=False, capture_output=True, text=True).stderr
+
+    names = [name for name in build.names_for() if name not in instruction_set.libraries()]
+    with ThreadPoolExecutor(build.MAX_COMPILERS) as pool:
+        checks = [pool.submit(check, name, unit) for name in names for unit in build.translation_units()]
+        assert not "".join(check.result() for check in checks)
 
 
 def test_rebuild_only_after_a_change(sources: Path, tmp_path: Path) -> None:
@@ -419,6 +432,34 @@ def test_source_distribution_holds_all_sources(project: Path, tmp_path: Path) ->
     assert not [name for name in names if name.endswith((".so", ".o"))]
 
 
+def check_layout_of_ros2_run(install: Path, project: Path) -> None:
+    """Check an installed package: its commands, files and index entry, and a command in colcon's environment."""
+    prefix = install / "cloth_sim_ros"
+    commands = sorted((prefix / "lib" / "cloth_sim_ros").iterdir())
+    assert [path.name for path in commands] == json.loads((ROOT / "test/golden/package.json").read_text())["commands"]
+    assert all(os.access(path, os.X_OK) for path in commands)
+    share = prefix / "share" / "cloth_sim_ros"
+    for folder in ("config", "launch"):
+        assert {path.name for path in (share / folder).iterdir()} == {
+            path.name for path in (project / folder).iterdir() if path.is_file()
+        }
+    assert (share / "package.xml").is_file()
+    assert (prefix / "share" / "ament_index" / "resource_index" / "packages" / "cloth_sim_ros").is_file()
+    command = f". {install}/local_setup.sh && {prefix}/lib/cloth_sim_ros/cloth_session --help"
+    done = subprocess.run(
+        ["sh", "-c", command], cwd=install.parent, env=colcon_environment(), check=False, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "usage: cloth_session" in done.stdout
+
+
+def colcon_environment() -> dict[str, str]:
+    """Return the environment of a user of the installed package: this Python, and no other path of modules."""
+    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    environment.pop("PYTHONPATH", None)
+    return environment
+
+
 @pytest.mark.parametrize("options", [[], ["--symlink-install"]], ids=["copied", "linked"])
 def test_colcon_builds_the_engine(project: Path, tmp_path: Path, options: list[str]) -> None:
     for module in ("colcon_core", "colcon_ros", "colcon_python_setup_py"):
@@ -433,10 +474,8 @@ def test_colcon_builds_the_engine(project: Path, tmp_path: Path, options: list[s
     script = (
         f". {install}/local_setup.sh && python -c 'import cloth_sim_ros.engine; print(cloth_sim_ros.engine.__file__)'"
     )
-    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-    environment.pop("PYTHONPATH", None)
     done = subprocess.run(
-        ["sh", "-c", script], cwd=tmp_path, env=environment, check=False, capture_output=True, text=True
+        ["sh", "-c", script], cwd=tmp_path, env=colcon_environment(), check=False, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
     engine = Path(done.stdout.splitlines()[-1]).parent
@@ -444,7 +483,10 @@ def test_colcon_builds_the_engine(project: Path, tmp_path: Path, options: list[s
     for name in build.names_here()[:1] if options else build.names_for():
         assert (engine / build.file_name(name)).is_file()
     assert ctypes.CDLL(str(engine / build.file_name(build.names_here()[0]))).cloth_at(1) == 1
-    if not options:  # the installed sources build the same library
+    if not options:
+        assert engine.is_relative_to(install / "cloth_sim_ros")
+        check_layout_of_ros2_run(install, project)
+        # The installed sources build the same library.
         relative = [path.relative_to(engine).as_posix() for path in build.source_files(engine)]
         assert relative == [UNIT, "api/library.map", "core/small.hpp"]
         assert build.build(engine, sources=engine, on_message=pytest.fail)
