@@ -79,11 +79,16 @@ def install(folder: Path, extras: str) -> None:
     unfinished.unlink(missing_ok=True)
 
 
-def build_engine() -> None:
-    """Build the engine while pip fetches packages. pip's own build then finds it done, or reports the fault."""
+def build_engine(every: bool) -> None:
+    """Build the engine while pip fetches packages. pip's own build then finds it done, or reports the fault.
+
+    Args:
+        every: after the library that this machine loads build the others that it can run, which the tests compare.
+    """
     build = compiler.load_build()
     with contextlib.suppress(build.BuildError, OSError):
-        build.build(names=build.names_here()[:1])
+        for name in build.names_here()[: None if every else 1]:
+            build.build(names=[name])
 
 
 def packages(folder: Path) -> set[tuple[str, int]]:
@@ -123,9 +128,11 @@ def main() -> int:
     if not compiler.ensure():  # pip builds the engine
         return 1
     start = time.monotonic()
-    threading.Thread(target=build_engine, daemon=True).start()
+    builder = threading.Thread(target=build_engine, args=[arguments.extras == "dev"], daemon=True)
+    builder.start()
     try:
         install(folder, arguments.extras)
+        builder.join()
     except subprocess.CalledProcessError as error:
         step = "pip" if "pip" in error.cmd else "venv"
         report(

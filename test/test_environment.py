@@ -102,11 +102,11 @@ def project(tmp_path: Path) -> Path:
     return folder
 
 
-def make(project: Path, **variables: str) -> subprocess.CompletedProcess[str]:
+def make(project: Path, extras: str = "demo", **variables: str) -> subprocess.CompletedProcess[str]:
     environment = project / "env"
     return subprocess.run(
-        [sys.executable, project / "scripts" / "environment.py", "--folder", environment, "--extras", "demo",
-         "--stamp", environment / "has_demo"],
+        [sys.executable, project / "scripts" / "environment.py", "--folder", environment, "--extras", extras,
+         "--stamp", environment / f"has_{extras}"],
         env={**os.environ, **variables}, check=False, capture_output=True, text=True,
     )  # fmt: skip
 
@@ -125,6 +125,22 @@ def test_an_environment_made_by_hand_is_completed_once(project: Path) -> None:
     (project / "constraints.txt").write_text("# other pins\n")
     assert make(project).returncode == 0
     assert pip_calls(project) == 2
+
+
+@pytest.mark.parametrize(("extras", "names"), [("demo", ["wide"]), ("dev", ["wide", "plain"])])
+def test_engine_is_built_while_pip_runs(project: Path, extras: str, names: list[str]) -> None:
+    # The second library takes a second, and pip no time.
+    (project / "cloth_sim_ros" / "engine" / "build.py").write_text(
+        "import time\nfrom pathlib import Path\n"
+        "BuildError = NoCompilerError = RuntimeError\n"
+        "def find_compiler():\n    return ['g++']\n"
+        "def names_here():\n    return ['wide', 'plain']\n"
+        "def build(names):\n    time.sleep(len(names[0]) - 4)\n"
+        f"    Path({str(project)!r}, 'built').open('a').write(f'{{names[0]}}\\n')\n"
+    )
+    done = make(project, extras)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert (project / "built").read_text().split() == names
 
 
 def test_without_a_network_a_working_environment_is_kept(project: Path) -> None:
