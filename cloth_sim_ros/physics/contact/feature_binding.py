@@ -34,7 +34,7 @@ class FeatureBinding(Uncopyable):
         self._engine_plan, self._library, self._handle = engine_plan, library(), engine_plan.pointer
         self._shape, self._max_edge = (3, particle_count), faces.max_edge
         triangles = faces.triangles
-        check(self._library.cloth_plan_faces(self._handle, len(triangles), triangles.ctypes.data, faces.min_edge))
+        check(self._library.cloth_plan_faces(self._handle, len(triangles), triangles.ctypes.data, faces.search_length))
 
     def upload(self, obstacles: Sequence[Obstacle], thickness: float) -> None:
         """Upload the features of obstacles, except those that particles alone keep out."""

@@ -18,7 +18,7 @@ def upload_surface(handle: int, contact: Contact) -> None:
     if surface is None:
         return
     triangles = surface.triangles
-    check(library().cloth_plan_self(handle, len(triangles), triangles.ctypes.data, surface.min_edge))
+    check(library().cloth_plan_self(handle, len(triangles), triangles.ctypes.data, surface.search_length))
     if surface.joined is not None:
         check(library().cloth_self_joints(handle, surface.joined.ctypes.data))
     if contact.has_self_friction:

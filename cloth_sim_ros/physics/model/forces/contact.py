@@ -55,8 +55,11 @@ class ContactSurface:
         self.particle_count = len(points)
         #: Shortest and longest edge at rest [m].
         self.min_edge, self.max_edge = math.sqrt(float(square.min())), math.sqrt(float(square.max()))
+        #: Scale of searches for pairs [m]: in a compressed net, rest lengths would find all pairs.
+        self.search_length = self.min_edge
         if edge_lengths is not None:
             self.min_edge, self.max_edge = float(edge_lengths.min()), float(edge_lengths.max())
+            self.search_length = min(self.search_length, self.min_edge)
         if thickness > 0.5 * self.min_edge:
             raise ValueError(
                 f"contact thickness is {thickness:g} m, more than half the cloth's shortest edge, {self.min_edge:.4g} "
