@@ -181,6 +181,15 @@ def test_missed_piece_stays_in_the_report_of_its_frame() -> None:
     assert controller.exhausted
 
 
+def test_nanosecond_piece_gets_no_finer_steps() -> None:
+    controller = _controller()
+    piece = controller.choose_piece(0.0)
+    assert piece is not None
+    controller._errors = [1.0]  # private: the estimate of the piece [m]
+    assert controller.reject_inaccurate(piece, 1e-9)
+    assert not controller.reject_inaccurate(piece._replace(length=1e-10), 1e-9)
+
+
 def test_piece_rejected_for_its_energy_leaves_no_energy_behind() -> None:
     controller = _controller()
     piece = controller.choose_piece(0.0)

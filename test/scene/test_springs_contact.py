@@ -80,6 +80,24 @@ def test_edges_without_spring_have_starting_distances():
     assert lengths[0] == pytest.approx([0.1, 0.2, 0.2 * 2**0.5])
 
 
+def test_compressed_net_finds_as_many_pairs_as_at_rest():
+    counts = []
+    for rest_length in (0.05, 1e12):
+        scene = springs_scene({**net_tables(), "rest_lengths": rest_length}, **{"contact.self": True})
+        simulation = Simulation(scene)
+        simulation.state.v[0] += np.linspace(0.0, 100.0, 81)
+        counts.append(simulation.plan.contact.operation_count(0.0, 0.01, simulation.state))
+    assert counts[0] == counts[1]
+
+
+def test_work_limit_counts_contact_that_begins_in_a_frame():
+    scene = springs_scene({**net_tables(), "rest_lengths": 10.0}, **{"contact.self": True, "contact.thickness": 0.02})
+    simulation = Simulation(scene)
+    advance = simulation.advance().advance
+    assert advance.limited_by == "work"
+    assert advance.evaluations < 80_000
+
+
 @pytest.mark.parametrize(
     ("tables", "words"),
     [

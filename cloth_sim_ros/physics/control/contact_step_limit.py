@@ -32,6 +32,8 @@ class ContactStepLimit:
         self.contact_energy = 0.0
         #: Prediction for the whole advance until its use: time, duration [s], squared frequency [1/s^2], damping [1/s].
         self._prediction: tuple[float, float, float, float] | None = None
+        #: Estimated time that possible contacts add to a force evaluation, by the last prediction [ns].
+        self.contact_time = 0.0
 
     @property
     def sheet_limit(self) -> float:
@@ -61,7 +63,8 @@ class ContactStepLimit:
         if not omega2 < math.inf:
             raise NoRoomError("no step is short enough for contact: moving bodies have left the cloth no room")
         self._prediction = t, duration, omega2, damping
-        return CONSTANTS.operation_time * operations
+        self.contact_time = CONSTANTS.operation_time * operations
+        return self.contact_time
 
     def predicted_limit(self, t: float, duration: float, state: State) -> float:
         """Return the step limit with predicted contact [s], over a duration [s] from a state at time t [s]."""

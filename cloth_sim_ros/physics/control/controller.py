@@ -150,7 +150,7 @@ class Controller:
         self.max_evaluations = evaluation_budget(plan, options.work, duration, contact_time, self._ratio)
         limits = duration, memory.max_step, self._fallback_count, contact_time, self.limit
         self.work = WorkBudget(*work_cap(plan, self.max_evaluations, *limits), piece_call_work(plan, contact_time))
-        self._budget_ratio = self._ratio
+        self._budget_ratio, self._budget_contact_time = self._ratio, contact_time
         #: Ends of the frame and of the stretches that were halved, since the start of the frame [s].
         self._ends = [duration]
         # Even the longest stable steps may exceed the work limit of the frame.
@@ -308,11 +308,7 @@ class Controller:
         ratio, self._multirate_refinement = 1, 1.0
         if self._ratio > 1:
             ratio, self._multirate_refinement = self._multirate.ratio_within(max_step, stretch)
-        if ratio != self._budget_ratio:
-            cost_of = self._plan.multirate_step_cost
-            self._weight = cost_of(ratio) / cost_of(self._budget_ratio)
-        else:
-            self._weight = 1.0
+        self._weight = self._evaluation_weight(ratio)
         steps, n_pieces = self._count_steps(self.n_runs, self.refinement, stretch, max_step)
         reserved = self._rest_work(self._ends[-1])
         if not self.work.fits(self._work_of(self.n_runs, steps, n_pieces) + reserved):
@@ -322,6 +318,20 @@ class Controller:
             self._applied_refinement = max(self.refinement, self._required_refinement(self.n_runs, stretch))
         steps = max(1, math.ceil(steps / n_pieces / ratio)) * ratio
         return Piece(stretch / n_pieces, steps, ratio, max_step, n_pieces)
+
+    def _evaluation_weight(self, ratio: int) -> float:
+        """Return the cost of a force evaluation at a multirate ratio, relative to that of the work budget.
+
+        The budget knows the contacts that the whole frame predicted; a piece may predict more.
+        """
+        weight, cost_of = 1.0, self._plan.multirate_step_cost
+        if ratio != self._budget_ratio:
+            weight = cost_of(ratio) / cost_of(self._budget_ratio)
+        more_time = self._contact_limit.contact_time - self._budget_contact_time
+        if more_time > 0.0:
+            particle_time = cost_of(self._budget_ratio) * self._plan.model.particle_count
+            weight += more_time / (particle_time + self._budget_contact_time)
+        return weight
 
     def _count_steps(self, n_runs: int, refinement: float, length: float, max_step: float) -> tuple[int, int]:
         """Return the steps of the first run over a length [s], and the number of its pieces."""
@@ -629,7 +639,8 @@ class Controller:
             self._precision.n_misses += 1
         present_refinement = max(self.refinement, self._required_refinement(n_runs, piece.length))
         next_refinement = min(refinement, CONSTANTS.max_refinement_factor * present_refinement)
-        is_affordable = self._attempts < CONSTANTS.max_failed_attempts and self._fits(n_runs, next_refinement, piece)
+        is_affordable = self._attempts < CONSTANTS.max_failed_attempts and piece.length >= _MIN_PIECE * self._duration
+        is_affordable = is_affordable and self._fits(n_runs, next_refinement, piece)
         exceeds_order = not is_smooth and self._exceeds_order(refinement)
         # Halves cost less than much finer steps in all of a piece.
         is_much_finer = self._attempts > 0 and refinement > CONSTANTS.max_refinement_factor * present_refinement
