@@ -7,6 +7,8 @@ Parts that the scene does not use are not built.
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import PATH_NUMBERS
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum, row_sum
+from cloth_sim_ros.physics.model.controls import Grasps
 from cloth_sim_ros.physics.model.forces.drag import Drag
 from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.model.forces.gravity import Gravity
@@ -29,7 +32,7 @@ from cloth_sim_ros.physics.model.sheets.merging import component_labels
 from cloth_sim_ros.physics.model.sheets.mesh import MeshSheet
 from cloth_sim_ros.physics.model.sheets.raw import RawSprings
 from cloth_sim_ros.physics.model.sheets.surface import grid_cells, grid_hinges
-from cloth_sim_ros.physics.plan.gripper_path import normalized
+from cloth_sim_ros.physics.plan.gripper_path import normalized, to_body_frame
 from cloth_sim_ros.physics.plan.plan import Plan, compile
 from cloth_sim_ros.scene import sections
 from cloth_sim_ros.scene.gripper_pads import pads_of
@@ -93,6 +96,8 @@ class PhysicsScene(Protocol):
 
     @property
     def sheet(self) -> Sheet: ...
+
+    def initial_positions(self) -> Array: ...
 
 
 def build_sheet(scene: PhysicsScene) -> Sheet:
@@ -167,10 +172,9 @@ def joined_particles(scene: PhysicsScene, sheet: Sheet) -> NDArray[np.int64]:
     """
     count, pairs = len(sheet.positions()), list[tuple[int, int]]()
     joint_of: dict[frozenset[int], str] = {}
-    for joint in filter(None, scene.cloth.joints):
-        ends = joint.split("-")
-        if len(ends) != 2 or not all(ends):
-            raise ParameterError(f"cloth.joints has '{joint}'; give two particles, e.g. '12-340'")
+    for joint, ends in _joint_ends(scene):
+        if any(_is_obstacle(scene, sheet, end) for end in ends):
+            continue
         first, second = (_named("cloth.joints", end, sheet, count) for end in ends)
         if len(first) != len(second):
             raise ParameterError(
@@ -187,18 +191,66 @@ def joined_particles(scene: PhysicsScene, sheet: Sheet) -> NDArray[np.int64]:
             joint_of[frozenset(pair)] = joint
             pairs.append(pair)
     joints = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    if pairs and isinstance(sheet, MeshSheet) and not scene.contact.self_:
-        _check_pieces(sheet, joints)
+    if any(scene.cloth.joints) and isinstance(sheet, MeshSheet) and not scene.contact.self_:
+        _check_pieces(scene, sheet, joints)
     return joints
 
 
-def _check_pieces(sheet: MeshSheet, joints: NDArray[np.int64]) -> None:
-    """Refuse a mesh with a piece that no joint of (m, 2) connects with the first one."""
-    label = component_labels(np.concatenate([sheet.surface.edges, joints]), len(sheet.positions()))
+def obstacle_joints(scene: PhysicsScene, sheet: Sheet) -> list[tuple[str, int]]:
+    """Return the obstacle and the particle of each joint to a present obstacle, in the order of `obstacles`.
+
+    Raises:
+        ParameterError: as `joined_particles`; for a joint of two obstacles, or one that is named twice.
+    """
+    joints = _described_obstacle_joints(scene, sheet)
+    return [joint for name in scene.obstacle_names for joint in joints if joint[0] == name]
+
+
+def _described_obstacle_joints(scene: PhysicsScene, sheet: Sheet) -> list[tuple[str, int]]:
+    """Return the joints to obstacles, present or not."""
+    if not any(scene.cloth.joints):
+        return []
+    joints, count = list[tuple[str, int]](), len(sheet.positions())
+    for joint, ends in _joint_ends(scene):
+        obstacles = [end for end in ends if _is_obstacle(scene, sheet, end)]
+        if len(obstacles) == 2:
+            raise ParameterError(f"cloth.joints has '{joint}', which joins two obstacles; name a particle and one")
+        for name in obstacles:
+            particles = _named("cloth.joints", ends[1 - ends.index(name)], sheet, count)
+            joints += [(name, particle) for particle in particles]
+    for (name, particle), n_joints in Counter(joints).items():
+        if n_joints > 1:
+            raise ParameterError(
+                f"cloth.joints joins particle {particle} and obstacle '{name}' {n_joints} times; name the joint once, "
+                "or give a larger cloth.joint_stiffness"
+            )
+    return joints
+
+
+def _joint_ends(scene: PhysicsScene) -> Iterator[tuple[str, list[str]]]:
+    """Yield the joints of `cloth.joints` and the names of their two ends."""
+    for joint in filter(None, scene.cloth.joints):
+        ends = joint.split("-")
+        if len(ends) != 2 or not all(ends):
+            raise ParameterError(f"cloth.joints has '{joint}'; give two particles, e.g. '12-340'")
+        yield joint, ends
+
+
+def _is_obstacle(scene: PhysicsScene, sheet: Sheet, end: str) -> bool:
+    """Return True if the end of a joint names an obstacle, present or not; names of a grid's edges come first."""
+    return end in scene.described and not (isinstance(sheet, GridSheet) and sheet.has_edge(end))
+
+
+def _check_pieces(scene: PhysicsScene, sheet: MeshSheet, joints: NDArray[np.int64]) -> None:
+    """Refuse a mesh with a piece that neither joints (m, 2) nor obstacles connect with the first one."""
+    count, names = len(sheet.positions()), list(scene.described)
+    held = [(particle, count + names.index(name)) for name, particle in _described_obstacle_joints(scene, sheet)]
+    connections = np.concatenate([sheet.surface.edges, joints, np.array(held, dtype=np.int64).reshape(-1, 2)])
+    label = component_labels(connections, count + len(names))[:count]
     apart = np.flatnonzero(label != label[0])
     if apart.size:
         raise ParameterError(
-            f"cloth.joints leave the mesh in {label.max() + 1} pieces: nothing connects particle {apart[0]} with "
+            f"cloth.joints leave the mesh in {len(np.unique(label))} pieces: nothing connects particle {apart[0]} with "
             "particle 0; join them too, or set contact.self: true, which keeps pieces apart"
         )
 
@@ -213,13 +265,15 @@ def _named(parameter: str, name: str, sheet: Sheet, count: int) -> list[int]:
             raise ParameterError(f"{parameter} names particle {shown}; there are {count}, counted from 0")
         return [int(digits)]
     if name and not isinstance(sheet, GridSheet):
+        kinds = ", and no obstacle has that name" if parameter == "cloth.joints" else ""
         raise ParameterError(
-            f"{parameter} names '{name}'; only a grid has edges: give particle numbers, or none by ['']"
+            f"{parameter} names '{name}'; only a grid has edges{kinds}: give particle numbers, or none by ['']"
         )
     try:
         return [int(particle) for particle in sheet.edge(name)] if name and isinstance(sheet, GridSheet) else []
     except ValueError as error:
-        raise ParameterError(f"{parameter}: {error}, or give a particle's number") from error
+        kinds = "a particle's number" + (" or an obstacle's name" if parameter == "cloth.joints" else "")
+        raise ParameterError(f"{parameter}: {error}, or give {kinds}") from error
 
 
 def build_model(scene: PhysicsScene) -> Model:
@@ -233,8 +287,8 @@ def build_model(scene: PhysicsScene) -> Model:
         *uniform_forces(scene),
         *_air_panels(scene, sheet),
     ]
-    if scene.gripper_names:
-        forces.append(Grips(len(scene.gripper_names)))
+    if scene.gripper_names or obstacle_joints(scene, sheet):
+        forces.append(_grips(scene, sheet, masses))
     solids, pads, contact_parameters = scene.solids, pads_of(scene, ordered_sum(masses.tolist())), scene.contact
     if solids or pads or contact_parameters.self_:
         from cloth_sim_ros.physics.model.forces.contact import Contact
@@ -251,6 +305,54 @@ def build_model(scene: PhysicsScene) -> Model:
         contact.set_paths(np.concatenate([_starting_paths(scene), contact.paths[len(solids) :]]))
         forces.append(contact)
     return Model(masses, forces, anchors=anchored_particles(scene, sheet))
+
+
+def _grips(scene: PhysicsScene, sheet: Sheet, masses: Array) -> Grips:
+    """Build the force of grippers, which grasp nothing yet, and of joints to obstacles at their initial poses."""
+    joints, n_grippers = obstacle_joints(scene, sheet), len(scene.gripper_names)
+    if not joints:
+        return Grips(n_grippers)
+    paths, x = _starting_paths(scene), np.ascontiguousarray(scene.initial_positions().T)
+    poses = np.concatenate([paths[:, 1:4], paths[:, 13:17]], axis=1)
+    obstacles, grasps = joint_grasps(scene, joints, masses, attachment_points(joints, scene.obstacle_names, poses, x))
+    grips = Grips(n_grippers + len(obstacles))
+    starts = np.concatenate([np.zeros(n_grippers, dtype=np.int64), grasps.starts])
+    paths = np.concatenate([grips.paths[:n_grippers], paths[obstacles]])
+    grips.hold(paths, starts, grasps.particles, grasps.offsets, grasps.stiffness, grasps.damping)
+    return grips
+
+
+def attachment_points(joints: list[tuple[str, int]], names: list[str], poses: Array, x: Array) -> Array:
+    """Return the particles' positions in the frames of their obstacles [m], shape (joints, 3).
+
+    Args:
+        joints: as from `obstacle_joints`.
+        names: names of the obstacles.
+        poses: poses of the obstacles, shape (obstacles, 7).
+        x: positions [m], shape (3, n).
+    """
+    points = [to_body_frame(poses[names.index(name)], x[:, [particle]]) for name, particle in joints]
+    return np.concatenate(points)
+
+
+def joint_grasps(
+    scene: PhysicsScene, joints: list[tuple[str, int]], masses: Array, offsets: Array
+) -> tuple[NDArray[np.int64], Grasps]:
+    """Return the indices of joined obstacles, and their particles as grasps.
+
+    Args:
+        scene: gives obstacles, stiffness and damping.
+        joints: as from `obstacle_joints`.
+        masses: particle masses [kg], shape (n,).
+        offsets: points on the obstacles [m], shape (joints, 3).
+    """
+    particles, names = np.array([particle for _, particle in joints], dtype=np.int64), scene.obstacle_names
+    obstacles, counts = np.unique([names.index(name) for name, _ in joints], return_counts=True)
+    stiffness = np.full(len(joints), scene.cloth.joint_stiffness)
+    # An obstacle is a fixed end, so the lecture's m is the particle's mass.
+    damping = lecture_damping(scene.cloth.joint_damping, stiffness, masses[particles])
+    starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return obstacles, Grasps(starts, particles, offsets, stiffness, damping)
 
 
 def contact_surface(scene: PhysicsScene, sheet: Sheet) -> ContactSurface | None:

@@ -73,8 +73,9 @@ class ClothParameters:
     joints: tuple[str, ...] = parameter(
         "string[]",
         ("",),
-        "Joints (S4), springs of zero length, each between two particles, 12-340, or two edges or corners of a grid, "
-        "left-right; a mesh of several pieces needs them or contact.self; none: ['']",
+        "Joints (S4), springs of zero length, each between two particles, 12-340, two edges or corners of a grid, "
+        "left-right, or one of them and an obstacle, top-table; a mesh of several pieces needs them or contact.self; "
+        "none: ['']",
     )
     joint_stiffness: float = parameter(
         "double",

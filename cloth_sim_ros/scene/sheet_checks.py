@@ -9,7 +9,14 @@ from typing import Any
 
 from cloth_sim_ros.physics.model.sheets.grid import GridSheet
 from cloth_sim_ros.physics.model.sheets.raw import RawSprings
-from cloth_sim_ros.scene.build import PhysicsScene, anchored_particles, grid_threads_of, hinge_springs, joined_particles
+from cloth_sim_ros.scene.build import (
+    PhysicsScene,
+    anchored_particles,
+    grid_threads_of,
+    hinge_springs,
+    joined_particles,
+    obstacle_joints,
+)
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 
 
@@ -48,6 +55,7 @@ def check_sheet(scene: PhysicsScene) -> None:
         raise ParameterError(f"bending.model '{model}' is not for this cloth; choose {fitting}")
     anchored_particles(scene, sheet)
     joined_particles(scene, sheet)
+    obstacle_joints(scene, sheet)
     if (scene.wind.normal_drag or scene.wind.tangential_drag) and not len(sheet.triangles()):
         raise ParameterError(
             "wind.normal_drag and wind.tangential_drag need a surface; raw springs have none: set both to 0"

@@ -268,7 +268,7 @@ class Simulation(ExclusiveAccess):
         stopped = self._stopped if is_moved else ()
         is_lagging = is_moved and (stopped or self.grippers.speed_limited)
         sums = self._accumulator if is_moved else None
-        wrenches, obstacle_wrenches = bodies.frame_wrenches(sums, self.plan, self.grippers, self.pinching)
+        wrenches, obstacle_wrenches = bodies.frame_wrenches(sums, self.plan, self.grippers, self.pinching, self.joints)
         frame = Frame(
             index=self.frame,
             time=self.time,
@@ -368,7 +368,7 @@ class Simulation(ExclusiveAccess):
     def _plan_paths(self, t: float) -> None:
         """Plan the paths of grippers and obstacles over the frame that starts at time t [s]."""
         self.plan.controls, change = bodies.plan_controls(
-            self.plan, self._scene, self.obstacles, self.pinching, self.grippers, t
+            self.plan, self._scene, self.obstacles, self.pinching, self.grippers, self.joints, t
         )
         recoveries.begin_recovery(self.plan, self.state, t, self._period)
         if change > MAX_VELOCITY_CHANGE * self._period:
@@ -398,6 +398,7 @@ class Simulation(ExclusiveAccess):
         self.state.memory["paused"] = np.array([paused])
         self.grippers = bodies.build_grippers(self._scene, self.state)
         self.obstacles = bodies.build_obstacles(self._scene, self.state)
+        self.joints = bodies.build_joints(self._scene, self.model, self.state)
         self._place_bodies()
         reduce_contacts(self.plan, self.state, self.time, "the cloth as it starts")
 
@@ -418,6 +419,8 @@ class Simulation(ExclusiveAccess):
         self._scene, self._period = scene, scene.period
         self.plan = self._plan_cache.change(scene)
         self.model = self.plan.model
+        #: Joints between particles and obstacles; None without any.
+        self.joints = bodies.build_joints(scene, self.model, self.state)
         is_energy_watched = scene.diagnostics.energy
         grippers, obstacles = self.plan.gripper_count, self.plan.obstacle_count
         self._accumulator: WorkAccumulator | None = None

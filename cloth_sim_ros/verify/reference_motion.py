@@ -160,6 +160,8 @@ class ReferenceMotion:
     def _grip_points(self, controls: GripControls, newly_closed: frozenset[int], gripper: int) -> Array:
         starts, particles = controls.grasps.starts, controls.grasps.particles
         particles = particles[starts[gripper] : starts[gripper + 1]]
+        if self._scene is not None and gripper >= len(self._scene.gripper_names):  # a joint to an obstacle
+            return controls.grasps.offsets[starts[gripper] : starts[gripper + 1]]
         if gripper not in newly_closed and particles.size:
             return self._offsets[gripper]
         path = controls.paths[gripper]

@@ -99,6 +99,13 @@ def rotation_matrix(orientation: Array) -> Array:
     )
 
 
+def to_body_frame(pose: Array, points: Array) -> Array:
+    """Return points (3, m) [m] in the frame of a body with a pose, 7 numbers, shape (m, 3)."""
+    x, y, z = points - pose[:3, None]
+    rotation = rotation_matrix(pose[3:])
+    return np.stack([rotation[0, i] * x + rotation[1, i] * y + rotation[2, i] * z for i in range(3)], axis=1)
+
+
 def _step_poses(row: Array, t: float, h: float) -> tuple[list[Array], list[list[float]]]:
     """Return the poses of a path at the start t and the end t + h of a step [s].
 

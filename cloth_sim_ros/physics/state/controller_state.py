@@ -254,6 +254,8 @@ JAWS_KEY = "contact.pinched"
 #: Key of contact thicknesses [m], present while some are reduced, shape (obstacles + 1, particles + 1). Rows: each
 #: obstacle, jaws included; the last row is self-contact. Columns: each particle; the last one is obstacle edges.
 THICKNESS_KEY = "contact.thickness"
+#: Key of the points of joints in the frames of their obstacles [m], shape (joints, 3).
+JOINTS_KEY = "joint.offsets"
 #: Named arrays of a state, `State.memory`. Forces of contact depend on its anchors, jaws and thickness.
 StateMemory: TypeAlias = Mapping[str, np.ndarray]
 #: Default of queries, which a plan with contact refuses.

@@ -8,6 +8,7 @@ import os
 import statistics
 import sys
 import time
+from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,7 @@ from cloth_sim_ros.ros.check.step_limiters import describe_step_limiters, find_s
 from cloth_sim_ros.ros.check.unknown_overrides import unknown_sentences
 from cloth_sim_ros.ros.process.options import parser
 from cloth_sim_ros.ros.recording.initial_state import session_state
-from cloth_sim_ros.scene.build import joined_particles
+from cloth_sim_ros.scene.build import joined_particles, obstacle_joints
 from cloth_sim_ros.scene.mesh_notes import mesh_notes, silence_mesh_log
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.parameters.declare import ParameterError
@@ -133,6 +134,8 @@ def _print_cloth(scene: Scene, simulation: Simulation) -> None:
     if len(pairs := joined_particles(scene, scene.sheet)):
         away = simulation.state.x[:, pairs[:, 1]] - simulation.state.x[:, pairs[:, 0]]
         print(f"{pluralize(len(pairs), 'joint')}, at most {np.linalg.norm(away, axis=0).max():.3g} m long at the start")
+    for obstacle, n_joints in Counter(name for name, _ in obstacle_joints(scene, scene.sheet)).items():
+        print(f"{pluralize(n_joints, 'joint')} to obstacle '{obstacle}'")
     if sentence := _describe_rest_angles(scene):
         print(sentence)
     print(cloth_size(scene, simulation.state.x, simulation.model.masses))

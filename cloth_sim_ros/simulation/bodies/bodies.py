@@ -14,8 +14,9 @@ import numpy as np
 
 from cloth_sim_ros.physics.model.controls import ContactControls, Controls, GripControls, ThicknessRecovery
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, LAYER_SIDES, THICKNESS_KEY
+from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, JOINTS_KEY, LAYER_SIDES, THICKNESS_KEY
 from cloth_sim_ros.physics.state.state import State
+from cloth_sim_ros.scene.build import obstacle_joints
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.bodies.grippers import Grippers
 from cloth_sim_ros.simulation.bodies.kinematic_bodies import constant_paths
@@ -24,7 +25,9 @@ if TYPE_CHECKING:
     from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
     from cloth_sim_ros.physics.contact.obstacles import Obstacle
     from cloth_sim_ros.physics.model.forces.contact import Contact
+    from cloth_sim_ros.physics.model.model import Model
     from cloth_sim_ros.physics.plan.plan import Plan
+    from cloth_sim_ros.simulation.bodies.joints import ObstacleJoints
     from cloth_sim_ros.simulation.bodies.obstacles import Obstacles
     from cloth_sim_ros.simulation.bodies.parallel_grippers import ParallelGrippers
 
@@ -63,6 +66,22 @@ def build_obstacles(scene: Scene, state: State) -> Obstacles | None:
     return obstacles
 
 
+def build_joints(scene: Scene, model: Model, state: State) -> ObstacleJoints | None:
+    """Return the joints between particles and the present obstacles; None without any.
+
+    Raises:
+        ValueError: for a state with another number of joints.
+    """
+    if any(scene.cloth.joints) and obstacle_joints(scene, scene.sheet):
+        from cloth_sim_ros.simulation.bodies.joints import ObstacleJoints
+
+        return ObstacleJoints(scene, model.masses, state)
+    if JOINTS_KEY in state.memory:
+        count = len(state.memory[JOINTS_KEY])
+        raise ValueError(f"the state has {count} joints to obstacles, the scene none (cloth.joints)")
+    return None
+
+
 def build_parallel_grippers(plan: Plan, grippers: Grippers, state: State) -> ParallelGrippers | None:
     """Return the pinching grippers of a plan and a state; None without any.
 
@@ -88,6 +107,7 @@ def plan_controls(
     obstacles: Obstacles | None,
     pinching: ParallelGrippers | None,
     grippers: Grippers,
+    joints: ObstacleJoints | None,
     t: float,
 ) -> tuple[Controls, float]:
     """Plan the paths of grippers, obstacles and pads over the frame that starts at time t [s].
@@ -101,11 +121,14 @@ def plan_controls(
     if plan.grips is not None:
         speeds = [scene.of_gripper(name, "max_speed") for name in grippers.names]
         stiffness, damping = gripper.stiffness, gripper.damping
-        grips, change = grippers.plan_frame(plan.grips, plan.model, t, period, stiffness, damping, speeds)
+        present = plan.grips.controls.grasps if joints is None else joints.gripper_grasps(plan.grips.controls.grasps)
+        grips, change = grippers.plan_frame(present, plan.model, t, period, stiffness, damping, speeds)
     if plan.contact is None:
         return Controls(grips), change
     rows, obstacle_change = (None, 0.0) if obstacles is None else obstacles.plan_frame(t, period)
     contact = _contact_controls(plan.contact.force, rows, pinching, None if grips is None else grips.paths, t)
+    if joints is not None and grips is not None and rows is not None:
+        grips = joints.extend(grips, rows)
     return Controls(grips, contact), max(change, obstacle_change)
 
 
@@ -143,11 +166,17 @@ def stop_bodies(obstacles: Obstacles | None, grippers: Grippers) -> tuple[str, .
 
 
 def frame_wrenches(
-    accumulator: WorkAccumulator | None, plan: Plan, grippers: Grippers, pinching: ParallelGrippers | None
+    accumulator: WorkAccumulator | None,
+    plan: Plan,
+    grippers: Grippers,
+    pinching: ParallelGrippers | None,
+    joints: ObstacleJoints | None,
 ) -> tuple[Array, Array]:
     """Return the wrenches of the cloth on grippers and on obstacles in a frame; zeros without an accumulator."""
-    wrenches = accumulator.wrenches if accumulator else np.zeros((len(grippers.names), 6))
+    wrenches = accumulator.wrenches if accumulator else np.zeros((plan.gripper_count, 6))
     obstacle_wrenches = accumulator.obstacle_wrenches if accumulator else np.zeros((plan.obstacle_count, 6))
+    if joints is not None:
+        wrenches, obstacle_wrenches = joints.move_wrenches(wrenches, obstacle_wrenches)
     return wrenches, obstacle_wrenches if pinching is None else pinching.move_pad_wrenches(obstacle_wrenches, wrenches)
 
 
@@ -173,6 +202,10 @@ def change_obstacles(before: Scene, scene: Scene, states: Iterable[State]) -> No
             from cloth_sim_ros.simulation.bodies.obstacles import replace_obstacles
 
             replace_obstacles(state, before.obstacle_names, scene.obstacle_names, scene.described)
+            if any(scene.cloth.joints):
+                from cloth_sim_ros.simulation.bodies.joints import replace_joints
+
+                replace_joints(state, before, scene)
         if ANCHORS_KEY in state.memory:
             memory = dict(state.memory)
             anchors = carry_over_anchors(memory.pop(ANCHORS_KEY), before, scene)

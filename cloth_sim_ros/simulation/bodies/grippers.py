@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.model.controls import Grasps, GripControls
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.model.forces.grips import Grips
 from cloth_sim_ros.physics.model.forces.pair_springs import lecture_damping
 from cloth_sim_ros.physics.model.model import Model
-from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
+from cloth_sim_ros.physics.plan.gripper_path import to_body_frame
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.simulation.bodies.kinematic_bodies import (
     MAX_BODY_SPEED,
@@ -160,12 +159,7 @@ class Grippers:
         g = self.names.index(name)
         writable(self._state, "gripper.closed")[g] = True
         pose = self._state.memory["gripper.pose"][g]
-        displacements = self._state.x - pose[:3, None]
-        rotation = rotation_matrix(pose[3:])
-        # A world vector in the gripper's frame: R' d.
-        x, y, z = displacements[:, particles]
-        offsets = np.stack([rotation[0, i] * x + rotation[1, i] * y + rotation[2, i] * z for i in range(3)], axis=1)
-        self._replace(g, particles, offsets)
+        self._replace(g, particles, to_body_frame(pose, self._state.x[:, particles]))
 
     def pinch(self, name: str) -> GraspResult:
         """Start closing the pads of a gripper."""
@@ -188,7 +182,7 @@ class Grippers:
 
     def plan_frame(
         self,
-        grips: Grips,
+        present: Grasps,
         model: Model,
         t: float,
         duration: float,
@@ -199,7 +193,7 @@ class Grippers:
         """Plan each gripper's path over a frame.
 
         Args:
-            grips: the force that holds particles.
+            present: grasped particles of the frame before.
             model: gives the masses of the grasped particles.
             t: time at which the frame starts [s].
             duration: length of the frame [s].
@@ -215,7 +209,7 @@ class Grippers:
         self.speed_limited = {}
         end_pose = functools.partial(self._end_pose, duration, speeds) if self.pad_reaches or any(speeds) else None
         paths, changes = self._bodies.paths(t, duration, end_pose)
-        controls = GripControls(paths, self._grasps(grips, model, stiffness, damping))
+        controls = GripControls(paths, self._grasps(present, model, stiffness, damping))
         for g, change in enumerate(changes):
             if change > max_change and (is_closed[g] or g in self.pad_reaches):
                 max_change = change
@@ -252,10 +246,10 @@ class Grippers:
             self._lever_arms = cached = (starts, offsets, lever_arms)
         return cached[2][g]
 
-    def _grasps(self, grips: Grips, model: Model, stiffness: float, damping: float) -> Grasps:
+    def _grasps(self, present: Grasps, model: Model, stiffness: float, damping: float) -> Grasps:
         memory = self._state.memory
         particles, starts = memory["grip.particles"], memory["grip.starts"]
-        source, present = (particles, starts, memory["grip.offsets"], stiffness, damping), grips.controls.grasps
+        source = particles, starts, memory["grip.offsets"], stiffness, damping
         if present.source and all(map(operator.is_, source, present.source)):
             return present
         # Border particles have half or a quarter of the mass, of the grip and of the threads. Therefore they do not

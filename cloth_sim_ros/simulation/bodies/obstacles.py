@@ -15,7 +15,7 @@ import numpy as np
 
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.model.forces.force import Array
-from cloth_sim_ros.physics.plan.gripper_path import normalized, rotation_matrix
+from cloth_sim_ros.physics.plan.gripper_path import normalized, to_body_frame
 from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene import sections
 from cloth_sim_ros.simulation.bodies.kinematic_bodies import (
@@ -162,10 +162,7 @@ def gaps(solid: Obstacle, pose: Array, x: Array, *, max_distance: float = math.i
     squares = offsets[0] * offsets[0] + offsets[1] * offsets[1] + offsets[2] * offsets[2]
     distances: Array = np.sqrt(squares) - solid.bounding_radius
     nearby = np.flatnonzero(distances <= max_distance)
-    rotation = rotation_matrix(pose[3:])
-    x_, y_, z_ = offsets[:, nearby]
-    local_points = np.stack([rotation[0, i] * x_ + rotation[1, i] * y_ + rotation[2, i] * z_ for i in range(3)], axis=1)
-    distances[nearby] = solid.distance(local_points)[0]
+    distances[nearby] = solid.distance(to_body_frame(pose, x[:, nearby]))[0]
     return distances
 
 

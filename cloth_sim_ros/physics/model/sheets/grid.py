@@ -60,12 +60,23 @@ class GridSheet:
         """The surface of the grid's triangles."""
         return Surface.from_triangles(self.triangles(), particle_count=self.rows * self.columns)
 
+    def has_edge(self, name: str) -> bool:
+        """Return True for the name of an edge or a corner."""
+        return name in self._edges()
+
     def edge(self, name: str) -> NDArray[np.int64]:
         """Return the particles of an edge (top, bottom, left, right) or a corner (top_left, ...).
 
         Raises:
             ValueError: for another name.
         """
+        particles = self._edges()
+        if name not in particles:
+            raise ValueError(f"'{name}' is no edge or corner of a grid; there are {', '.join(particles)}")
+        return particles[name]
+
+    def _edges(self) -> dict[str, NDArray[np.int64]]:
+        """Return the particles of each edge and corner."""
         index = np.arange(self.rows * self.columns).reshape(self.rows, self.columns)
         rows = {"top": index[0], "bottom": index[-1]}
         columns = {"left": index[:, 0], "right": index[:, -1]}
@@ -73,9 +84,7 @@ class GridSheet:
         for row, first in rows.items():
             for end_name, column in (("left", 0), ("right", -1)):
                 particles[f"{row}_{end_name}"] = first[[column]]
-        if name not in particles:
-            raise ValueError(f"'{name}' is no edge or corner of a grid; there are {', '.join(particles)}")
-        return particles[name]
+        return particles
 
     def families(
         self, threads: Threads, *, k_d0: float, density: float, retardation: float = 0.0
