@@ -6,6 +6,7 @@
 
 #include <cstdint>
 #include <new>
+#include <span>
 
 #include "api/guard.hpp"
 #include "core/band.hpp"
@@ -67,10 +68,11 @@ CLOTH_API int cloth_band_join(double* upper, std::int64_t count_upper, double* l
 
 CLOTH_API int cloth_cuthill_mckee(std::int64_t count, const std::int64_t* pairs, std::int64_t pair_count,
                                   std::int64_t* order) {
-    for (std::int64_t e = 0; e < 2 * pair_count; ++e)
-        if (pairs[e] < 0 || pairs[e] >= count) return CLOTH_BAND_BAD_PARTICLE;
+    const std::span coupled(pairs, 2 * pair_count);
+    for (const std::int64_t p : coupled)
+        if (p < 0 || p >= count) return CLOTH_BAND_BAD_PARTICLE;
     try {
-        CuthillMcKee(count, pairs, pair_count).write_order(order);
+        CuthillMcKee(count, coupled).write_order({order, static_cast<std::size_t>(count)});
     } catch (const std::bad_alloc&) {
         return CLOTH_BAND_NO_MEMORY;
     }
@@ -78,7 +80,7 @@ CLOTH_API int cloth_cuthill_mckee(std::int64_t count, const std::int64_t* pairs,
 }
 
 CLOTH_API int cloth_sum(const double* values, std::int64_t count, double* total) {
-    *total = sum(values, count);
+    *total = sum({values, static_cast<std::size_t>(count)});
     return CLOTH_BAND_OK;
 }
 

@@ -14,6 +14,7 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <span>
 
 #include "core/simd.hpp"
 
@@ -280,13 +281,12 @@ inline void join(const Band& upper, const Band& lower, std::int64_t inner_upper,
         }
 }
 
-/// Sum of `count` numbers in a fixed order.
-inline double sum(const double* values, std::int64_t count) {
+/// Sum of numbers in a fixed order.
+inline double sum(std::span<const double> values) {
     PartialSums partial;
-    std::int64_t i = 0;
-    for (; i + 8 <= count; i += 8) partial.add(values + i);
+    for (; values.size() >= 8; values = values.subspan(8)) partial.add(values.data());
     double tail[8] = {};
-    std::copy(values + i, values + count, tail);
+    std::copy(values.begin(), values.end(), tail);
     partial.add(tail);
     return partial.total();
 }

@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <numeric>
+#include <span>
 #include <vector>
 
 namespace cloth::inline core {
@@ -21,14 +22,14 @@ class CuthillMcKee {
     }
 
 public:
-    /// Particles 0 ... count - 1 and their coupled pairs; duplicates and loops are ignored.
-    CuthillMcKee(Index count, const Index* pairs, Index pair_count)
+    /// Particles 0 ... count - 1 and the two particles of each coupled pair; duplicates and loops are ignored.
+    CuthillMcKee(Index count, std::span<const Index> pairs)
         : count_(count), first_(count + 1), level_(count), rank_(count), visited_round_(count), ordered_(count) {
         std::vector<Index> offset(count + 1);
-        for (Index e = 0; e < 2 * pair_count; ++e) ++offset[pairs[e] + 1];
+        for (const Index p : pairs) ++offset[p + 1];
         std::partial_sum(offset.begin(), offset.end(), offset.begin());
-        std::vector<Index> next(offset), ends(2 * pair_count);
-        for (Index e = 0; e < 2 * pair_count; ++e) ends[next[pairs[e]]++] = pairs[e ^ 1];
+        std::vector<Index> next(offset), ends(pairs.size());
+        for (std::size_t e = 0; e < pairs.size(); ++e) ends[next[pairs[e]]++] = pairs[e ^ 1];
         for (Index p = 0; p < count; ++p) {
             const auto begin = ends.begin() + offset[p], end = ends.begin() + offset[p + 1];
             std::sort(begin, end);
@@ -41,7 +42,7 @@ public:
     }
 
     /// Write the particles in order.
-    void write_order(Index* order) {
+    void write_order(std::span<Index> order) {
         std::vector<Index> starts(count_), best, trial;
         std::iota(starts.begin(), starts.end(), 0);
         std::sort(starts.begin(), starts.end(), by_degree());

@@ -14,7 +14,7 @@ using Pairs = std::vector<std::int64_t>;
 
 std::vector<std::int64_t> order_of(std::int64_t count, const Pairs& pairs) {
     std::vector<std::int64_t> order(count, -1);
-    CuthillMcKee(count, pairs.data(), static_cast<std::int64_t>(pairs.size() / 2)).write_order(order.data());
+    CuthillMcKee(count, pairs).write_order(order);
     return order;
 }
 
