@@ -49,6 +49,17 @@ def test_thrown_spring_costs_short_steps_near_its_anchor_only() -> None:
     assert sum(frame.evaluations for frame in frames) < 40000
 
 
+def test_impact_after_single_precision_takes_more_runs() -> None:
+    values = {"cloth.resolution": [7, 7], "cloth.size": [0.3, 0.3], "cloth.orientation": [0.0, 0.0, 0.0, 1.0]}
+    values |= {"cloth.position": [0.01, 0.0, 0.11], "cloth.anchors": [""], "tolerance": 1e-3, "grippers": [""]}
+    values |= {"obstacles": ["ball"], "ball.shape": "sphere", "ball.size": [0.1]}
+    simulation = Simulation(Scene.from_parameters(values))
+    frames = [simulation.advance().advance for _ in range(3)]
+    assert "by 2 runs" in frames[2].reason
+    # Steps short enough for a single run need 1,900 evaluations.
+    assert frames[2].evaluations < 900
+
+
 class _Wall(Force):
     """Force that is not finite beyond x = 0."""
 

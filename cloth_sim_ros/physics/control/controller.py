@@ -184,6 +184,8 @@ class Controller:
     #: Estimates of the present piece, the error at its ends [m], and its energy: frequencies and drift.
     _errors: Sequence[float] = ()
     _end_error = 0.0
+    #: False if single precision does not resolve the error of a further run.
+    _is_resolved = True
     #: Error budget of the present piece [m]; true if a piece was accepted although it missed its budget.
     _allowed, _has_missed = math.inf, False
     _checked_energy: tuple[tuple[float, float], float | None] | None = None
@@ -536,7 +538,7 @@ class Controller:
             allowed: its error budget [m].
         """
         errors: list[float] = []
-        options = self.options
+        options, self._is_resolved = self.options, True
         if not self.estimates_error:
             self.estimates_error = True
             self._applied_refinement = max(self.refinement, self._required_refinement(self.n_runs, piece.length))
@@ -548,8 +550,8 @@ class Controller:
                 is_affordable = self.work.fits(reserved + self._weight * tableau.counts[len(errors) + 1])
                 # If runs do not gain on one another, as at a force jump, a further run does not either.
                 is_useless = len(errors) > 1 and errors[-1] > errors[-2]
-                is_resolved = not tableau.single_precision or self._precision.resolves_error(len(errors) + 2)
-                if not is_affordable or is_useless or not is_resolved:
+                self._is_resolved = not tableau.single_precision or self._precision.resolves_error(len(errors) + 2)
+                if not is_affordable or is_useless or not self._is_resolved:
                     break
                 self._append_estimate(errors, tableau)
         self._errors, self.n_runs = errors, self._sufficient_runs(errors, allowed)
@@ -603,6 +605,11 @@ class Controller:
         floor = self._error.rounding_floor(self.n_runs, piece.steps if self._is_rough else 0)
         if self.in_fallback or error <= CONSTANTS.estimate_trust_factor * floor:
             return False  # no step reduces the error below rounding
+        if not self._is_resolved and self._fits(self.n_runs, self.refinement, piece):
+            # In double precision further runs may suffice.
+            self._precision.require_double()
+            self._attempts, self.rejected = self._attempts + 1, self.rejected + 1
+            return True
         target = CONSTANTS.error_target_fraction * allowed
         if errors[self.n_runs - 1] <= allowed:
             return self._choose_finer(self.n_runs, self.refinement * root(error / target, 3), False, piece)

@@ -31,6 +31,8 @@ _COMPARISON_TIME = 1.0
 #: Number of frames in which the power is measured; the largest counts. A flat sheet of 65 x 65 over one metre has
 #: coordinates without rounding until it moves.
 _MAX_SAMPLES = 4.0
+#: Attempts in single precision that may miss the budget. Rounding may be the cause; finer steps do not reduce it.
+_MAX_MISSES = 1
 
 
 class PrecisionRule:
@@ -48,7 +50,7 @@ class PrecisionRule:
         self, plan: Plan, memory: PrecisionState, noise: RoundingNoiseState, duration: float, budget: float
     ) -> None:
         self._plan, self.memory, self.noise, self._duration = plan, memory, noise, duration
-        #: Attempts that missed the budget. From the second on, rounding may be the cause; finer steps do not reduce it.
+        #: Attempts that missed the budget.
         self.n_misses = 0
         self._rounding_budget = CONSTANTS.single_precision_budget_fraction * budget
         #: Allowed uncertainty of an error estimate [m]; it can still show that an error is far below the budget.
@@ -131,7 +133,7 @@ class PrecisionRule:
             estimates_error: True if a further run estimates the error.
         """
         memory = self.memory
-        if self.n_misses > 1 or memory.rounding < 0.0:
+        if self.n_misses > _MAX_MISSES or memory.rounding < 0.0:
             return False
         factor = amplification(n_runs)
         rounding = factor * memory.rounding
@@ -147,6 +149,10 @@ class PrecisionRule:
         # The rounding of velocities was measured at a speed.
         is_known = speed <= CONSTANTS.estimate_trust_factor * memory.speed
         return is_known and speed * self._duration > CONSTANTS.single_precision_min_motion * rounding
+
+    def require_double(self) -> None:
+        """Allow no single precision until the end of the frame."""
+        self.n_misses = _MAX_MISSES + 1
 
     def resolves_error(self, n_runs: int) -> bool:
         """Return True if a combination of single-precision runs still resolves the error.
