@@ -20,7 +20,7 @@ import numpy as np
 from numpy import empty, zeros
 
 from cloth_sim_ros.engine import binding
-from cloth_sim_ros.engine.binding import FRAME, MAX_RUNS, address, check, doubles, library, writable
+from cloth_sim_ros.engine.binding import FRAME, MAX_RUNS, REENTRY_REFUSAL, address, check, doubles, library, writable
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.model.controls import Controls
 from cloth_sim_ros.physics.model.forces.force import Array, Force
@@ -32,7 +32,6 @@ from cloth_sim_ros.physics.plan.grip_binding import GripBinding
 from cloth_sim_ros.physics.plan.plan_handle import PlanHandle
 from cloth_sim_ros.physics.plan.python_forces import PythonForces
 from cloth_sim_ros.physics.plan.queries import PlanQueries
-from cloth_sim_ros.physics.plan.reentrancy import non_reentrant
 from cloth_sim_ros.physics.plan.runs import Run, RunSummary, activity_of, n_integrals
 from cloth_sim_ros.physics.plan.thread_limit import available_threads
 from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
@@ -94,7 +93,7 @@ class Plan(PlanQueries, Uncopyable):
         #: True if the parts can be shared by two threads: a grid needs enough rows.
         self._is_shareable = assembly.grid is None or assembly.grid.rows >= 16
         self._pair_counts = assembly.pair_counts()
-        self.call_lock = threading.Lock()
+        self._call_lock = threading.Lock()
         #: Results of a query, allocated once.
         self._query_out = (ctypes.c_double * 2)()
         self._query_address = addressof(self._query_out)
@@ -173,7 +172,6 @@ class Plan(PlanQueries, Uncopyable):
         """Rate of linear drag on every particle [1/s]."""
         return self._drag
 
-    @non_reentrant
     def runs(
         self,
         t: float,
@@ -215,86 +213,92 @@ class Plan(PlanQueries, Uncopyable):
             RuntimeError: if another call is running.
             Exception: an exception of a Python force.
         """
-        self._upload(memory)
-        count, grippers, obstacles = len(steps), self.gripper_count, 0
-        if steps != self._requested_steps:
-            self._request_steps(steps)
-        is_odd = type(multirate) is int and multirate > 0 and multirate % 2 == 1
-        if multirate != 1 and (not is_odd or any(n_steps % multirate for n_steps in steps)):
-            raise ValueError(
-                f"hinges every {multirate} steps of {list(steps)}; give an odd number that divides each of them"
+        # Calls of two threads, or of a Python force that runs its own plan, would write into the same memory.
+        if not self._call_lock.acquire(False):
+            raise RuntimeError(REENTRY_REFUSAL)
+        try:
+            self._upload(memory)
+            count, grippers, obstacles = len(steps), self.gripper_count, 0
+            if steps != self._requested_steps:
+                self._request_steps(steps)
+            is_odd = type(multirate) is int and multirate > 0 and multirate % 2 == 1
+            if multirate != 1 and (not is_odd or any(n_steps % multirate for n_steps in steps)):
+                raise ValueError(
+                    f"hinges every {multirate} steps of {list(steps)}; give an odd number that divides each of them"
+                )
+            if not (isfinite(t) and isfinite(duration)):
+                raise ValueError(f"a run from time {t} s over {duration} s; both must be finite")
+            x_address, v_address = self._addresses(*start)
+            out = empty((count, 2, *self._shape))
+            out_address = address(out)
+            result, result_address, summary_address = out[0], 0, 0
+            n_contact_numbers, end_buffers, end_addresses = 0, _NO_END_BUFFERS, _NO_ADDRESSES
+            if self.contact is not None:
+                obstacles = self.contact.count
+                n_contact_numbers = binding.CONTACT_SUMMARY_NUMBERS if self.contact.force.is_active else 0
+                end_buffers = self.contact.end_buffers(count)
+                end_addresses = [0 if array is None else address(array) for array in end_buffers]
+            integrals = zeros((count, n_integrals(grippers, obstacles) + n_contact_numbers))
+            activities = empty(count)
+            n_combined = count
+            if weights is not None:
+                n_combined = len(weights)
+                if not 1 <= n_combined <= count:
+                    raise ValueError(f"{n_combined} weights for {count} runs; give one for each run of the combination")
+                summary_address = addressof(self._summary_out)
+                if n_combined > 1:
+                    self._weights[:n_combined] = list(weights)
+                    result = empty((2, *self._shape))
+                    result_address = address(result)
+            FRAME.pack_into(
+                self._frame,
+                0,
+                t,
+                duration,
+                count,
+                self._steps_address,
+                self._weights_address,
+                single_precision,
+                self.threads_per_run(multirate) if threads is None else threads,
+                x_address,
+                v_address,
+                out_address,
+                result_address,
+                address(integrals),
+                record_power,
+                summary_address,
+                0 if self._python_forces else 1 + (multirate > 1),
+                record_obstacles,
+                *end_addresses,
+                multirate,
+                n_combined,
+                concurrency,
+                address(activities),
             )
-        if not (isfinite(t) and isfinite(duration)):
-            raise ValueError(f"a run from time {t} s over {duration} s; both must be finite")
-        x_address, v_address = self._addresses(*start)
-        out = empty((count, 2, *self._shape))
-        out_address = address(out)
-        result, result_address, summary_address = out[0], 0, 0
-        n_contact_numbers, end_buffers, end_addresses = 0, _NO_END_BUFFERS, _NO_ADDRESSES
-        if self.contact is not None:
-            obstacles = self.contact.count
-            n_contact_numbers = binding.CONTACT_SUMMARY_NUMBERS if self.contact.force.is_active else 0
-            end_buffers = self.contact.end_buffers(count)
-            end_addresses = [0 if array is None else address(array) for array in end_buffers]
-        integrals = zeros((count, n_integrals(grippers, obstacles) + n_contact_numbers))
-        activities = empty(count)
-        n_combined = count
-        if weights is not None:
-            n_combined = len(weights)
-            if not 1 <= n_combined <= count:
-                raise ValueError(f"{n_combined} weights for {count} runs; give one for each run of the combination")
-            summary_address = addressof(self._summary_out)
-            if n_combined > 1:
-                self._weights[:n_combined] = list(weights)
-                result = empty((2, *self._shape))
-                result_address = address(result)
-        FRAME.pack_into(
-            self._frame,
-            0,
-            t,
-            duration,
-            count,
-            self._steps_address,
-            self._weights_address,
-            single_precision,
-            self.threads_per_run(multirate) if threads is None else threads,
-            x_address,
-            v_address,
-            out_address,
-            result_address,
-            address(integrals),
-            record_power,
-            summary_address,
-            0 if self._python_forces else 1 + (multirate > 1),
-            record_obstacles,
-            *end_addresses,
-            multirate,
-            n_combined,
-            concurrency,
-            address(activities),
-        )
-        status = self._library.cloth_frame(self._handle, self._frame_address)
-        if status:
-            self._raise_for_status(status)
-        if end_buffers is _NO_END_BUFFERS:
-            runs = [Run(out[k], integrals[k], grippers, obstacles, activities[k]) for k in range(count)]
-        else:
-            anchors, jaw_states = ([None] * count if array is None else array for array in end_buffers)
-            runs = [
-                Run(out[k], integrals[k], grippers, obstacles, activities[k], anchors[k], jaw_states[k])
-                for k in range(count)
-            ]
-        if weights is None:
-            return runs, None
-        change, omega2, damping, contact_energy, self_omega2, self_damping, *hinges, turn = self._summary_out[:]
-        activity = activity_of(change, float(activities[n_combined - 1]))
-        x, v = result[0], result[1]
-        self._last_result, self._last_address = (x, v), result_address or out_address
-        if self._python_forces:
-            omega2, damping, *hinges = self.detailed_spectral_bounds(x, hinges=multirate > 1)
-        contact_rates = self_omega2, self_damping
-        summary = RunSummary(activity, turn, omega2, damping, contact_energy, contact_rates, hinges)
-        return runs, (x, v, summary)
+            status = self._library.cloth_frame(self._handle, self._frame_address)
+            if status:
+                self._raise_for_status(status)
+            if end_buffers is _NO_END_BUFFERS:
+                runs = [Run(out[k], integrals[k], grippers, obstacles, activities[k]) for k in range(count)]
+            else:
+                anchors, jaw_states = ([None] * count if array is None else array for array in end_buffers)
+                runs = [
+                    Run(out[k], integrals[k], grippers, obstacles, activities[k], anchors[k], jaw_states[k])
+                    for k in range(count)
+                ]
+            if weights is None:
+                return runs, None
+            change, omega2, damping, contact_energy, self_omega2, self_damping, *hinges, turn = self._summary_out[:]
+            activity = activity_of(change, float(activities[n_combined - 1]))
+            x, v = result[0], result[1]
+            self._last_result, self._last_address = (x, v), result_address or out_address
+            if self._python_forces:
+                omega2, damping, *hinges = self.detailed_spectral_bounds(x, hinges=multirate > 1)
+            contact_rates = self_omega2, self_damping
+            summary = RunSummary(activity, turn, omega2, damping, contact_energy, contact_rates, hinges)
+            return runs, (x, v, summary)
+        finally:
+            self._call_lock.release()
 
     def _addresses(self, x: Array, v: Array) -> tuple[int, int]:
         """Return the addresses of positions and velocities; those of the newest combination are known."""
