@@ -133,6 +133,7 @@ class ExtrapolationTableau:
         self._runs: list[Run] = []
         self._combined: dict[int, tuple[Array, Array]] = {}
         self._summaries: dict[int, RunSummary] = {}
+        self._changes: dict[int, tuple[float, float]] = {}
         self._distances: dict[int, float] = {}
         self._contact_summaries: dict[int, tuple[float, float, tuple[float, float]]] = {}
 
@@ -143,9 +144,8 @@ class ExtrapolationTableau:
             self._make_runs(n_runs)
             combination = self._combined.get(n_runs)
         if combination is None:
-            run_weights, runs = weights(self.counts[:n_runs]), self._runs[:n_runs]
-            combination = combine([run.x for run in runs], run_weights), combine([run.v for run in runs], run_weights)
-            self._combined[n_runs] = combination
+            x, v = combine([run.end_state for run in self._runs[:n_runs]], weights(self.counts[:n_runs]))
+            combination = self._combined[n_runs] = x, v
         return combination
 
     def summary(self, n_runs: int) -> RunSummary:
@@ -176,8 +176,11 @@ class ExtrapolationTableau:
 
     def change(self, n_runs: int) -> tuple[float, float]:
         """Return the largest distances of positions [m] and of velocities [m/s] of T_(K+1) from those of T_K."""
-        (x, v), (y, w) = self.combine(n_runs + 1), self.combine(n_runs)
-        return largest_distance(x, y), largest_distance(v, w)
+        change = self._changes.get(n_runs)
+        if change is None:
+            (x, v), (y, w) = self.combine(n_runs + 1), self.combine(n_runs)
+            change = self._changes[n_runs] = largest_distance(x, y), largest_distance(v, w)
+        return change
 
     def difference(self, n_runs: int) -> float:
         """Return the distance of T_(K+1) from T_K, K = n_runs [m]: the error estimate of T_K.
@@ -188,9 +191,9 @@ class ExtrapolationTableau:
         """
         distance = self._distances.get(n_runs)
         if distance is None:
-            (x, v), (y, w) = self.combine(n_runs + 1), self.combine(n_runs)
-            distance = largest_distance(x, y)
+            distance, _ = self.change(n_runs)
             if distance < math.inf:
+                (x, v), (_, w) = self.combine(n_runs + 1), self.combine(n_runs)
                 end = self.t + self.duration
                 displacement, steps = self._plan.velocity_displacement(end, x, v - w, VELOCITY_ERROR_TIME)
                 distance += displacement
@@ -268,7 +271,11 @@ class ExtrapolationTableau:
         accumulate_runs(accumulator, self._plan, self._start, self.t, self.duration, runs, counts, weights(counts))
 
     def _make_runs(self, n_runs: int) -> None:
-        """Compute the missing runs; if there is none yet, the engine combines them in the same call."""
+        """Calculate the missing runs; if there is none yet, the engine combines them in the same call.
+
+        Expected runs are calculated with them if a second thread is idle, or if they are shorter than a further call.
+        Such a run changes neither results nor counts before it is requested.
+        """
         n_requested = self._n_requested
         if n_runs > n_requested:
             self.evaluations += sum(self.counts[n_requested:n_runs]) + n_runs - n_requested
@@ -276,30 +283,19 @@ class ExtrapolationTableau:
         n_existing = len(self._runs)
         if n_existing >= n_runs:
             return
-        runs, result = self._request_runs(n_existing, n_runs)
-        self._runs.extend(runs)
-        if result is not None:
-            x, v, self._summaries[n_runs] = result
-            self._combined[n_runs] = x, v
-
-    def _request_runs(self, n_existing: int, n_runs: int) -> tuple[list[Run], tuple[Array, Array, RunSummary] | None]:
-        """Compute runs, and prefetch the runs that are expected next if a second thread is idle.
-
-        A prefetched run changes neither results nor counts before it is requested.
-        """
-        plan, steps = self._plan, self.counts[n_existing:n_runs]
-        n_expected = self._expected_runs
-        if n_existing and plan.threads_per_run(self.ratio) == 1:
-            # If the error is too large, the next two runs are often necessary for the next choice.
-            n_expected = n_runs + 1
-        prefetched_steps, concurrency = self.counts[n_existing : max(n_runs, n_expected)], 1
-        if len(prefetched_steps) > 1:
-            concurrency = plan.concurrent_runs(len(prefetched_steps), sum(prefetched_steps), self.ratio)
-        return plan.runs(
+        plan, concurrency = self._plan, 1
+        # If the error is too large, the next two runs are often necessary for the next choice.
+        is_next = n_existing > 0 and plan.threads_per_run(self.ratio) == 1
+        counts = self.counts[n_existing : max(n_runs, n_runs + 1 if is_next else self._expected_runs)]
+        if len(counts) > 1:
+            concurrency = plan.concurrent_runs(len(counts), sum(counts), self.ratio)
+            if concurrency == 1 and sum(counts) > plan.evaluations_per_call:
+                counts = self.counts[n_existing:n_runs]
+        runs, result = plan.runs(
             self.t,
             self.duration,
             (self._start.x, self._start.v),
-            prefetched_steps if concurrency > 1 else steps,
+            counts,
             weights=weights(self.counts[:n_runs]) if n_existing == 0 else None,
             single_precision=self.single_precision,
             record_power=self._record_power,
@@ -308,3 +304,7 @@ class ExtrapolationTableau:
             concurrency=concurrency,
             memory=self._start.memory,
         )
+        self._runs.extend(runs)
+        if result is not None:
+            x, v, self._summaries[n_runs] = result
+            self._combined[n_runs] = x, v

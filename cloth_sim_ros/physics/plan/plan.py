@@ -92,6 +92,10 @@ class Plan(PlanQueries, Uncopyable):
         self.step_cost, self._hinge_cost = assembly.step_cost(), assembly.hinge_cost()
         #: True if the parts can be shared by two threads: a grid needs enough rows.
         self._is_shareable = assembly.grid is None or assembly.grid.rows >= 16
+        #: Number of force evaluations that take as long as a call of the engine; 0 with contact or forces in Python.
+        self.evaluations_per_call = 0.0
+        if not (assembly.contact or self._python_forces):
+            self.evaluations_per_call = 1e3 * CONSTANTS.engine_call_time / (self.step_cost * model.particle_count)
         self._pair_counts = assembly.pair_counts()
         self._call_lock = threading.Lock()
         #: Results of a query, allocated once.
