@@ -10,7 +10,7 @@ import pytest
 
 from cloth_sim_ros.physics.contact.binding import FRICTION_OPERATIONS, PAIR_OPERATIONS, PARTICLE_OPERATIONS
 from cloth_sim_ros.physics.control.constants import CONSTANTS
-from cloth_sim_ros.physics.control.work_budget import evaluation_budget, work_cap
+from cloth_sim_ros.physics.control.work_budget import WorkBudget
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.simulation import Simulation
 
@@ -66,17 +66,17 @@ def test_edge_and_face_pairs_in_reach_cost() -> None:
 def test_work_limit_allows_fewer_evaluations_if_each_costs_more() -> None:
     plan = Scene.from_parameters({**OVER, "obstacles": [""]}).plan()
     bare = plan.step_cost * plan.model.particle_count
-    caps = [
-        sum(work_cap(plan, evaluation_budget(plan, 1000.0, 1 / 60, met), 1 / 60, 1e-3, 0.0, met)) for met in (0.0, bare)
-    ]
+    budgets = [WorkBudget(plan, 1000.0, 1 / 60, 1e-3, contact_time=contact_time) for contact_time in (0.0, bare)]
+    caps = [budget.cap + budget.reserve for budget in budgets]
     assert caps[0] == pytest.approx(2.0 * caps[1], rel=1e-2)
 
 
 def test_work_limit_always_fits_some_runs_during_contact() -> None:
     plan = Scene.from_parameters({**OVER, "obstacles": [""]}).plan()
     bare, longest = plan.step_cost * plan.model.particle_count, 1e-4
-    runs, little = CONSTANTS.min_work_cap / 60.0 / longest, evaluation_budget(plan, 1e-3, 1 / 60, bare)
-    assert work_cap(plan, little, 1 / 60, longest, 0.0, bare) == (pytest.approx(runs), pytest.approx(runs))
+    runs = CONSTANTS.min_work_cap / 60.0 / longest
     # The budget of explicit steps is halved after each fallback; the fallback itself stays.
-    assert work_cap(plan, little, 1 / 60, longest, 3.0, bare) == (pytest.approx(runs / 8.0), pytest.approx(runs))
-    assert work_cap(plan, little, 1 / 60, longest, 0.0)[0] < runs
+    for fallback_count, cap in ((0.0, runs), (3.0, runs / 8.0)):
+        budget = WorkBudget(plan, 1e-3, 1 / 60, longest, fallback_count, bare)
+        assert (budget.cap, budget.reserve) == (pytest.approx(cap), pytest.approx(runs))
+    assert WorkBudget(plan, 1e-3, 1 / 60, longest).cap < runs

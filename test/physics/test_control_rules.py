@@ -17,7 +17,7 @@ from cloth_sim_ros.physics.control.error import ErrorRule
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, finish_implicitly
 from cloth_sim_ros.physics.control.multirate import MAX_RATIO
 from cloth_sim_ros.physics.control.stability import MAX_UNDAMPED_STEPS, UNDAMPED_LIMIT_FRACTIONS
-from cloth_sim_ros.physics.control.work_budget import evaluation_budget, work_cap
+from cloth_sim_ros.physics.control.work_budget import WorkBudget
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import step_counts, weights
 from cloth_sim_ros.physics.integrators.stage_matrix import StageMatrix
 from cloth_sim_ros.physics.model.forces.force import Force
@@ -270,14 +270,11 @@ def test_doubled_activity_is_not_predicted() -> None:
 def test_each_fallback_halves_the_work_cap() -> None:
     plan = compile(critical()[0])
     # The cap excludes the reserve of the fallback, which is at most half of the work.
-    whole = evaluation_budget(plan, 10.0, 1 / 60)
-    caps = [
-        work_cap(plan, whole, 1 / 60, 1e-3, fallback_counts)[0] + FALLBACK_EVALUATIONS
-        for fallback_counts in (0.0, 1.0, 2.0)
-    ]
-    assert caps == [caps[0], caps[0] / 2, caps[0] / 4]
-    assert caps[0] == whole
-    assert work_cap(plan, FALLBACK_EVALUATIONS, 1 / 60, 1e-3, 0.0)[0] == FALLBACK_EVALUATIONS / 2
+    budgets = [WorkBudget(plan, 10.0, 1 / 60, 1e-3, fallback_count) for fallback_count in (0.0, 1.0, 2.0)]
+    whole = budgets[0].max_evaluations
+    assert [budget.cap + FALLBACK_EVALUATIONS for budget in budgets] == [whole, whole / 2, whole / 4]
+    little = WorkBudget(plan, 10.0 * FALLBACK_EVALUATIONS / whole, 1 / 60, 1e-3)
+    assert little.cap == pytest.approx(FALLBACK_EVALUATIONS / 2)
     simulation, rng, fallback_counts = violent_sheet(0.05), np.random.default_rng(2), []
     simulation.advance([Target("gripper", simulation.positions[-1]), Grasp("gripper", True)])
     for _ in range(40):

@@ -11,7 +11,6 @@ from cloth_sim_ros.physics.control.description import ExplicitSettings
 from cloth_sim_ros.physics.integrators.base import NoRoomError
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau, max_rates
 from cloth_sim_ros.physics.plan.plan import Plan
-from cloth_sim_ros.physics.plan.runs import RunSummary
 from cloth_sim_ros.physics.state.controller_state import ContactState, StabilityState
 from cloth_sim_ros.physics.state.state import State
 
@@ -22,14 +21,14 @@ class ContactStepLimit:
     Args:
         options: settings of the integrator.
         plan: equations of motion.
-        memory: recorded contact energy.
+        state: at the start; it has the contact energy of the last estimate.
         stability: spectral bounds of the sheet.
     """
 
-    def __init__(self, options: ExplicitSettings, plan: Plan, memory: ContactState, stability: StabilityState) -> None:
-        self._options, self._plan, self._memory, self._stability = options, plan, memory, stability
-        #: Largest contact energy per mass in the advance, in U^2/2, see `ContactState`.
-        self.contact_energy = 0.0
+    def __init__(self, options: ExplicitSettings, plan: Plan, state: State, stability: StabilityState) -> None:
+        self._options, self._plan, self._stability = options, plan, stability
+        #: Largest contact energy per mass of the last frame with an estimate, in U^2/2.
+        self._known_energy = 0.0 if plan.contact is None else ContactState.load(state).contact_energy
         #: Prediction for the whole advance until its use: time, duration [s], squared frequency [1/s^2], damping [1/s].
         self._prediction: tuple[float, float, float, float] | None = None
         #: Estimated time that possible contacts add to a force evaluation, by the last prediction [ns].
@@ -116,11 +115,7 @@ class ContactStepLimit:
         summary = tableau.summary(n_runs)
         if self._plan.contact is None:
             return self._options.step_limit(summary.omega2, summary.damping)
-        return self.limit_of_run(tableau.encountered_energy(n_runs), tableau.self_contact(n_runs), summary)
-
-    def limit_of_run(self, encountered_energy: float, self_contact: tuple[float, float], summary: RunSummary) -> float:
-        """Return the step limit of a run [s]: contact that it encountered, see `Run.contact_summary`, and its end."""
-        energy = max(encountered_energy, summary.contact_energy)
+        energy, self_contact = self._encountered(tableau, n_runs)
         rates = max_rates(self_contact, summary.self_contact)
         return self.limit_at_energy(energy, rates, summary.omega2, summary.damping)
 
@@ -141,12 +136,9 @@ class ContactStepLimit:
 
     def exceeds_known_energy(self, contact_energy: float) -> bool:
         """Return True if the contact energy clearly exceeds that of the last estimate, so its error is unknown."""
-        return contact_energy > CONSTANTS.estimate_trust_factor * self._memory.contact_energy
+        return contact_energy > CONSTANTS.estimate_trust_factor * self._known_energy
 
-    def store(self, state: State, *, has_estimate: bool) -> None:
-        """Store the contact energy of a frame; it changes only with an error estimate."""
-        if self._plan.contact is None:
-            return
-        if has_estimate:
-            self._memory.contact_energy = self.contact_energy
-        self._memory.store(state)
+    def store(self, state: State, contact_energy: float | None) -> None:
+        """Store the largest contact energy per mass of a frame, in U^2/2; None for a frame without an estimate."""
+        if self._plan.contact is not None:
+            ContactState(self._known_energy if contact_energy is None else contact_energy).store(state)

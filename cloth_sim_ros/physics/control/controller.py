@@ -41,7 +41,7 @@ from cloth_sim_ros.physics.control.force_jump import EVALUATIONS, missed_velocit
 from cloth_sim_ros.physics.control.multirate import MultirateRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.stability import MAX_UNDAMPED_STEPS, StabilityRule
-from cloth_sim_ros.physics.control.work_budget import WorkBudget, evaluation_budget, piece_call_work, work_cap
+from cloth_sim_ros.physics.control.work_budget import WorkBudget
 from cloth_sim_ros.physics.integrators.base import Advance, UnstableError, refuse_step, refuse_unbounded
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
     RATIO_SUMS,
@@ -54,7 +54,6 @@ from cloth_sim_ros.physics.model.forces.force import EngineForce
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state import controller_state
 from cloth_sim_ros.physics.state.controller_state import (
-    ContactState,
     ErrorState,
     FallbackState,
     StabilityState,
@@ -65,8 +64,6 @@ from cloth_sim_ros.physics.state.state import State
 _MIN_HALVED_STEPS = 2 * MAX_UNDAMPED_STEPS
 #: Shortest piece, relative to the frame; in a frame of 60 Hz it is a nanosecond.
 _MIN_PIECE = 2.0**-24
-#: State of contact in scenes without it.
-_NO_CONTACT = ContactState()
 
 
 class Piece(NamedTuple):
@@ -125,6 +122,7 @@ class Controller:
         if options.tolerance is not None:
             self.budget = CONSTANTS.error_budget_fraction * duration * options.tolerance
         self._error = ErrorRule(error, self.budget, options.n_runs, state)
+        self._precision = PrecisionRule(plan, state, duration, self.budget)
         #: Number of combined runs, refinement of their steps, and whether a further run estimates their error.
         self.n_runs, self.refinement = min(int(error.n_runs), options.n_runs), error.refinement
         self.estimates_error = has_tolerance and is_due
@@ -135,8 +133,7 @@ class Controller:
         memory.max_step = max(memory.max_step, min(max(sheet_limit, proven_step), duration))
         #: Step limit at the start [s].
         self.limit, contact_time = sheet_limit, 0.0
-        contact = _NO_CONTACT if plan.contact is None else ContactState.load(state)
-        self._contact_limit = ContactStepLimit(options, plan, contact, memory)
+        self._contact_limit = ContactStepLimit(options, plan, state, memory)
         if plan.contact is not None:
             contact_time = self._contact_limit.predict(t, duration, state)
             self.limit = self._contact_limit.predicted_limit(t, duration, state)
@@ -146,10 +143,9 @@ class Controller:
         max_step = min(CONSTANTS.stability_safety * sheet_limit, duration)
         self._ratio = self._choose_ratio(max_step) if plan.has_hinges else 1
         self._fallback_count = FallbackState.load(state).fallback_count if FallbackState.key in state.memory else 0.0
-        #: Limit of force evaluations of the frame, those of the fallback included, and the work of explicit steps.
-        self.max_evaluations = evaluation_budget(plan, options.work, duration, contact_time, self._ratio)
-        limits = duration, memory.max_step, self._fallback_count, contact_time, self.limit
-        self.work = WorkBudget(*work_cap(plan, self.max_evaluations, *limits), piece_call_work(plan, contact_time))
+        limits = memory.max_step, self._fallback_count, contact_time, self.limit, self._ratio
+        #: Work of explicit steps.
+        self.work = WorkBudget(plan, options.work, duration, *limits)
         self._budget_ratio, self._budget_contact_time = self._ratio, contact_time
         #: Ends of the frame and of the stretches that were halved, since the start of the frame [s].
         self._ends = [duration]
@@ -196,7 +192,6 @@ class Controller:
     _longest_step, _longest_runs, _applied_refinement = 0.0, 1, 1.0
     #: Rules that most frames do not need, created when they are.
     _energy_rule: EnergyRule | None = None
-    _precision_rule: PrecisionRule | None = None
     _multirate_rule: MultirateRule | None = None
 
     @property
@@ -205,14 +200,6 @@ class Controller:
             memory = controller_state.EnergyState.load(self._state)
             self._energy_rule = EnergyRule(self._plan, memory, self._last_refinement)
         return self._energy_rule
-
-    @property
-    def _precision(self) -> PrecisionRule:
-        if self._precision_rule is None:
-            precision = controller_state.PrecisionState.load(self._state)
-            noise = controller_state.RoundingNoiseState.load(self._state)
-            self._precision_rule = PrecisionRule(self._plan, precision, noise, self._duration, self.budget)
-        return self._precision_rule
 
     @property
     def _multirate(self) -> MultirateRule:
@@ -612,38 +599,16 @@ class Controller:
             return True
         target = CONSTANTS.error_target_fraction * allowed
         if errors[self.n_runs - 1] <= allowed:
-            return self._choose_finer(self.n_runs, self.refinement * root(error / target, 3), False, piece)
-        n_runs, refinement = self._choose_runs(piece, max(self.refinement, self._multirate_refinement), target)
-        if self._is_rough:
-            # Errors may be small by chance, so steps do not grow.
-            refinement = max(refinement, self.refinement)
-        # A single estimate does not show whether the motion is smooth.
-        is_smooth = len(errors) == 1 or CONSTANTS.estimate_trust_factor * min(errors) < errors[0]
-        return self._choose_finer(n_runs, refinement, is_smooth, piece)
-
-    def _choose_runs(self, piece: Piece, refinement: float, target: float) -> tuple[int, float]:
-        """Return runs and refinement that meet a target [m] with the fewest evaluations, from the piece's estimates."""
-        # The pieces of a stretch share the rounding error of one run, because it cancels over them.
-        fraction, rounded_steps = piece.length / self._stretch, piece.steps if self._is_rough else 0
-        return self._error.choose(
-            self._errors,
-            refinement,
-            target,
-            lambda n: fraction * self._error.rounding_floor(n, rounded_steps),
-            lambda n: self._stability.min_refinement(n, piece.length),
-        )
-
-    def _choose_finer(self, n_runs: int, refinement: float, is_smooth: bool, piece: Piece) -> bool:
-        """Choose runs and refinement of the next attempt; return False if none fits the work budget.
-
-        Args:
-            n_runs: wanted number of runs.
-            refinement: wanted refinement.
-            is_smooth: True if combinations gained on one another, as in a smooth motion.
-            piece: the rejected piece.
-        """
-        if self.options.tolerance is not None:
-            self._precision.n_misses += 1
+            # Only the ends of the piece exceed its budget.
+            n_runs, refinement, is_smooth = self.n_runs, self.refinement * root(error / target, 3), False
+        else:
+            n_runs, refinement = self._choose_runs(piece, max(self.refinement, self._multirate_refinement), target)
+            if self._is_rough:
+                # Errors may be small by chance, so steps do not grow.
+                refinement = max(refinement, self.refinement)
+            # A single estimate does not show whether the motion is smooth; else combinations gain on one another.
+            is_smooth = len(errors) == 1 or CONSTANTS.estimate_trust_factor * min(errors) < errors[0]
+        self._precision.n_misses += 1
         present_refinement = max(self.refinement, self._required_refinement(n_runs, piece.length))
         next_refinement = min(refinement, CONSTANTS.max_refinement_factor * present_refinement)
         is_affordable = self._attempts < CONSTANTS.max_failed_attempts and piece.length >= _MIN_PIECE * self._duration
@@ -668,6 +633,18 @@ class Controller:
         self.n_runs, self.refinement, self._piece = n_runs, next_refinement, None
         self._attempts, self.rejected = self._attempts + 1, self.rejected + 1
         return True
+
+    def _choose_runs(self, piece: Piece, refinement: float, target: float) -> tuple[int, float]:
+        """Return runs and refinement that meet a target [m] with the fewest evaluations, from the piece's estimates."""
+        # The pieces of a stretch share the rounding error of one run, because it cancels over them.
+        fraction, rounded_steps = piece.length / self._stretch, piece.steps if self._is_rough else 0
+        return self._error.choose(
+            self._errors,
+            refinement,
+            target,
+            lambda n: fraction * self._error.rounding_floor(n, rounded_steps),
+            lambda n: self._stability.min_refinement(n, piece.length),
+        )
 
     def _exceeds_order(self, refinement: float) -> bool:
         """Return True if the last refinement reduced the error less than its order predicts."""
@@ -868,14 +845,11 @@ class Controller:
         error.memory.store(state)
         if self.estimates_error or self.options.tolerance is None:
             self._energy.memory.store(state)
-            self._precision.memory.store(state)
-            if self._precision.noise.power >= 0.0 or controller_state.RoundingNoiseState.key in state.memory:
-                self._precision.noise.store(state)
+            self._precision.store(state)
         if self._plan.has_hinges:
             self._multirate.memory.ratio = float(self._multirate.ratio)
             self._multirate.memory.store(state)
-        self._contact_limit.contact_energy = self._contact_energy
-        self._contact_limit.store(state, has_estimate=self.estimates_error)
+        self._contact_limit.store(state, self._contact_energy if self.estimates_error else None)
         if self._fallback_count or self.in_fallback:
             FallbackState(min(64.0, self._fallback_count + 1.0) if self.in_fallback else 0.0).store(state)
 

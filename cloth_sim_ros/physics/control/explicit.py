@@ -121,7 +121,7 @@ def _finish_implicitly(
         duration,
         accumulator,
         instead_of=options.name,
-        max_evaluations=controller.max_evaluations - work.used,
+        max_evaluations=work.max_evaluations - work.used,
         max_time=CONSTANTS.implicit_finish_cost * limit,
     )
     return result._replace(

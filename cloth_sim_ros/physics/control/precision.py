@@ -10,6 +10,7 @@ measured too; in one second it may supply a small fraction of the kinetic energy
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import numpy as np
 
@@ -40,21 +41,30 @@ class PrecisionRule:
 
     Args:
         plan: equations of motion.
-        memory: measured effect on positions.
-        noise: measured energy input.
+        state: at the start; it has the measured effect.
         duration: of the advance [s].
         budget: error budget of the advance [m].
     """
 
-    def __init__(
-        self, plan: Plan, memory: PrecisionState, noise: RoundingNoiseState, duration: float, budget: float
-    ) -> None:
-        self._plan, self.memory, self.noise, self._duration = plan, memory, noise, duration
+    def __init__(self, plan: Plan, state: State, duration: float, budget: float) -> None:
+        self._plan, self._state, self._duration = plan, state, duration
+        self.memory = PrecisionState.load(state)
         #: Attempts that missed the budget.
         self.n_misses = 0
         self._rounding_budget = CONSTANTS.single_precision_budget_fraction * budget
         #: Allowed uncertainty of an error estimate [m]; it can still show that an error is far below the budget.
         self._estimate_uncertainty = CONSTANTS.estimate_trust_factor * CONSTANTS.low_error_fraction * budget
+
+    @cached_property
+    def noise(self) -> RoundingNoiseState:
+        """Measured energy input; most frames do not need it."""
+        return RoundingNoiseState.load(self._state)
+
+    def store(self, state: State) -> None:
+        """Store the measured effect, and the energy input once it is known."""
+        self.memory.store(state)
+        if self.noise.power >= 0.0 or RoundingNoiseState.key in state.memory:
+            self.noise.store(state)
 
     def measure(self, t: float, state: State, step: float, n_runs: int) -> int:
         """Measure the effect of single precision by a short pair of runs, if it is unknown and may fit.
