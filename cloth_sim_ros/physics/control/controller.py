@@ -898,15 +898,9 @@ class Controller:
             reason += "; finer steps did not reduce the error"
         elif flagged:
             reason += "; the tolerance is finer than rounding of the coordinates allows"
+        limited_by = "work" if self.exhausted else limit
+        error = self.error if options.tolerance is not None else None
+        work, name = self.work, options.name
         return Advance(
-            steps=self.steps,
-            evaluations=self.work.evaluations,
-            step=step,
-            limit=self.limit,
-            rejected=self.rejected,
-            integrator=options.name,
-            limited_by="work" if self.exhausted else limit,
-            error=self.error if options.tolerance is not None else None,
-            flagged=flagged,
-            reason=reason,
+            self.steps, work.evaluations, step, self.limit, self.rejected, name, limited_by, error, flagged, reason
         )

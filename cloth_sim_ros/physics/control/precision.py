@@ -10,7 +10,6 @@ measured too; in one second it may supply a small fraction of the kinetic energy
 from __future__ import annotations
 
 import math
-from functools import cached_property
 
 import numpy as np
 
@@ -47,18 +46,13 @@ class PrecisionRule:
     """
 
     def __init__(self, plan: Plan, state: State, duration: float, budget: float) -> None:
-        self._plan, self._state, self._duration = plan, state, duration
-        self.memory = PrecisionState.load(state)
+        self._plan, self._duration = plan, duration
+        self.memory, self.noise = PrecisionState.load(state), RoundingNoiseState.load(state)
         #: Attempts that missed the budget.
         self.n_misses = 0
         self._rounding_budget = CONSTANTS.single_precision_budget_fraction * budget
         #: Allowed uncertainty of an error estimate [m]; it can still show that an error is far below the budget.
         self._estimate_uncertainty = CONSTANTS.estimate_trust_factor * CONSTANTS.low_error_fraction * budget
-
-    @cached_property
-    def noise(self) -> RoundingNoiseState:
-        """Measured energy input; most frames do not need it."""
-        return RoundingNoiseState.load(self._state)
 
     def store(self, state: State) -> None:
         """Store the measured effect, and the energy input once it is known."""
@@ -142,8 +136,10 @@ class PrecisionRule:
             n_runs: number of combined runs.
             estimates_error: True if a further run estimates the error.
         """
-        memory = self.memory
+        memory, noise = self.memory, self.noise
         if self.n_misses > _MAX_MISSES or memory.rounding < 0.0:
+            return False
+        if not 0.0 <= noise.power * _COMPARISON_TIME <= CONSTANTS.max_energy_gain * noise.kinetic_energy:
             return False
         factor = amplification(n_runs)
         rounding = factor * memory.rounding
@@ -152,8 +148,6 @@ class PrecisionRule:
         if not (rounding <= self._rounding_budget and resolves_error):
             return False
         if factor * memory.common_rounding > self._estimate_uncertainty:
-            return False
-        if not 0.0 <= self.noise.power * _COMPARISON_TIME <= CONSTANTS.max_energy_gain * self.noise.kinetic_energy:
             return False
         speed = largest_component(state.v)
         # The rounding of velocities was measured at a speed.
