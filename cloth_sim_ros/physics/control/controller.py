@@ -25,8 +25,6 @@ and last half step of a piece, so these are checked too.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from functools import cached_property
 from typing import NamedTuple
 
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
@@ -64,6 +62,17 @@ from cloth_sim_ros.physics.state.state import State
 _MIN_HALVED_STEPS = 2 * MAX_UNDAMPED_STEPS
 #: Shortest piece, relative to the frame; in a frame of 60 Hz it is a nanosecond.
 _MIN_PIECE = 2.0**-24
+#: Attributes of the controller.
+_ATTRIBUTES = (
+    "_may_turn _budget_contact_time options _plan _state _t0 _duration rejected in_fallback exhausted _multirate_rule _may_supply "
+    "_start_velocities _stability _last_refinement budget _error _precision n_runs refinement estimates_error limit "
+    "_contact_limit _may_touch _ratio _fallback_count work _budget_ratio abandoned _start_bounds _energy_rule "
+    "_start_hinge_bounds _rest_rate _ends _elapsed _refined_time error n_pieces steps _first_run_steps "
+    "min_step _single_precision _max_ratio _is_rough _piece _met_limit _halved_step _attempts _longest_step "
+    "_longest_runs _sums _is_uniform _n_estimated _lower_order_error _contact_energy _has_missed _checked_energy "
+    "_stretch _multirate_refinement _weight _applied_refinement _allowed _activity _predicted "
+    "_piece_lower_order_error _piece_contact_energy _errors _end_error _is_resolved"
+)
 
 
 class Piece(NamedTuple):
@@ -100,8 +109,21 @@ class Controller:
         UnstableError: if no step is short enough.
     """
 
+    # A plain frame reads each attribute only a few times, and slots are faster then.
+    __slots__ = _ATTRIBUTES.split()
+
     def __init__(self, options: ExplicitSettings, plan: Plan, state: State, t: float, duration: float) -> None:
         self.options, self._plan, self._state, self._t0, self._duration = options, plan, state, t, duration
+        #: Rejected attempts.
+        self.rejected = 0
+        #: True while the reserve finishes the frame; if the work budget allows no finer steps.
+        self.in_fallback = self.exhausted = False
+        #: Rules that most frames do not need, created when they are.
+        self._energy_rule: EnergyRule | None = None
+        self._multirate_rule: MultirateRule | None = None
+        self._may_supply: bool | None = None
+        #: True if a spring may turn over within the present piece.
+        self._may_turn = False
         has_previous_frame = StabilityState.key in state.memory
         memory, error = StabilityState.load(state), ErrorState.load(state)
         self._stability = StabilityRule(plan, memory, state.x)
@@ -147,52 +169,11 @@ class Controller:
         #: Work of explicit steps.
         self.work = WorkBudget(plan, options.work, duration, *limits)
         self._budget_ratio, self._budget_contact_time = self._ratio, contact_time
-        #: Ends of the frame and of the stretches that were halved, since the start of the frame [s].
-        self._ends = [duration]
         # Even the longest stable steps may exceed the work limit of the frame.
         #: True if explicit steps are abandoned.
         self.abandoned = duration / sheet_limit > self.work.cap and self._has_fallback
-        self._rest_rate = self._work_rate()
         self._start_bounds = memory.omega2, memory.damping
-
-    # The start of a frame.
-
-    #: Rejected attempts.
-    rejected = 0
-    #: True while the reserve finishes the frame; if the work budget allows no finer steps.
-    in_fallback = exhausted = False
-    #: Sum of errors [m], number of pieces, steps of the result, steps of the first runs, and smallest step [s].
-    error, n_pieces, steps, _first_run_steps, min_step = 0.0, 0, 0, 0, math.inf
-    #: True if the motion is rough. The present piece, the step limit that its runs met [s], the step to keep for its
-    #: halves [s], and its rejected attempts.
-    _is_rough = False
-    #: True if a spring may turn over within the present piece.
-    _may_turn = False
-    _piece: Piece | None = None
-    _met_limit, _halved_step, _attempts = math.inf, 0.0, 0
-    #: Time since the start of the frame [s], and the part of it with refined steps [s].
-    _elapsed = _refined_time = 0.0
-    #: Sums of estimates, true if all have equal runs, and number of estimated pieces. Sum of errors of one run less
-    #: [m]. Largest contact energy.
-    _sums: ErrorSums | None = None
-    _is_uniform = True
-    _n_estimated, _lower_order_error, _contact_energy, _piece_contact_energy = 0, 0.0, 0.0, 0.0
-    #: Estimates of the present piece, the error at its ends [m], and its energy: frequencies and drift.
-    _errors: Sequence[float] = ()
-    _end_error = 0.0
-    #: False if single precision does not resolve the error of a further run.
-    _is_resolved = True
-    #: Error budget of the present piece [m]; true if a piece was accepted although it missed its budget.
-    _allowed, _has_missed = math.inf, False
-    _checked_energy: tuple[tuple[float, float], float | None] | None = None
-    #: True if the last runs used single precision; the largest multirate ratio.
-    _single_precision, _max_ratio = False, 1
-    #: Longest step that a rough piece suggests for the next frame [s], and its number of runs. Refinement of estimated
-    #: runs, that of stability included.
-    _longest_step, _longest_runs, _applied_refinement = 0.0, 1, 1.0
-    #: Rules that most frames do not need, created when they are.
-    _energy_rule: EnergyRule | None = None
-    _multirate_rule: MultirateRule | None = None
+        self._begin()
 
     @property
     def _energy(self) -> EnergyRule:
@@ -212,13 +193,17 @@ class Controller:
             self._start_hinge_bounds = self._multirate_rule.bounds
         return self._multirate_rule
 
-    @cached_property
+    @property
     def _has_external_work(self) -> bool:
         """True if forces in Python, moving air or moving obstacles may do work."""
-        plan, state = self._plan, self._state
-        is_moving = plan.contact is not None and not plan.contact.force.steady()
-        has_python_forces = any(not isinstance(force, EngineForce) for force in plan.model.forces)
-        return is_moving or has_python_forces or plan.supply(self._t0, state.x, state.v, state.memory) != 0.0
+        if self._may_supply is None:
+            plan, state = self._plan, self._state
+            is_moving = plan.contact is not None and not plan.contact.force.steady()
+            has_python_forces = any(not isinstance(force, EngineForce) for force in plan.model.forces)
+            self._may_supply = (
+                is_moving or has_python_forces or plan.supply(self._t0, state.x, state.v, state.memory) != 0.0
+            )
+        return self._may_supply
 
     @property
     def _has_fallback(self) -> bool:
@@ -243,14 +228,34 @@ class Controller:
         memory.omega2, memory.damping = self._start_bounds
         if self._multirate_rule is not None:
             self._multirate_rule.bounds = self._start_hinge_bounds
-        self.estimates_error, self._rest_rate = True, self._work_rate()
-        self._ends, self._is_rough, self._piece = [self._duration], self._may_turn, None
-        self._met_limit, self._halved_step, self._attempts, self._elapsed = math.inf, 0.0, 0, 0.0
-        self._sums, self._is_uniform, self._n_estimated = None, True, 0
-        self._lower_order_error = self._contact_energy = 0.0
+        self.estimates_error = True
+        self._begin()
+
+    def _begin(self) -> None:
+        """Set what the pieces of a frame change to its start."""
+        self._rest_rate = self._work_rate()
+        #: Ends of the frame and of the stretches that were halved, since the start of the frame [s]. Time since then
+        #: [s], and the part of it with refined steps [s].
+        self._ends, self._elapsed, self._refined_time = [self._duration], 0.0, 0.0
+        #: Sum of errors [m], number of pieces, steps of the result, steps of the first runs, and smallest step [s].
         self.error, self.n_pieces, self.steps, self._first_run_steps, self.min_step = 0.0, 0, 0, 0, math.inf
-        self._refined_time, self._energy_rule, self._has_missed = 0.0, None, False
-        self._longest_step, self._checked_energy = 0.0, None
+        #: True if the last runs used single precision; the largest multirate ratio.
+        self._single_precision, self._max_ratio = False, 1
+        #: True if the motion is rough. The present piece, the step limit that its runs met [s], the step to keep for
+        #: its halves [s], and its rejected attempts.
+        self._is_rough = self._may_turn
+        self._piece: Piece | None = None
+        self._met_limit, self._halved_step, self._attempts = math.inf, 0.0, 0
+        #: Longest step that a rough piece suggests for the next frame [s], and its number of runs.
+        self._longest_step, self._longest_runs = 0.0, 1
+        #: Sums of estimates, true if all have equal runs, and number of estimated pieces. Sum of errors of one run less
+        #: [m]. Largest contact energy. True if a piece was accepted although it missed its budget.
+        self._sums: ErrorSums | None = None
+        self._is_uniform, self._n_estimated, self._lower_order_error = True, 0, 0.0
+        self._contact_energy, self._has_missed = 0.0, False
+        #: Energy of the present piece: frequencies and drift.
+        self._energy_rule = None
+        self._checked_energy: tuple[tuple[float, float], float | None] | None = None
 
     def must_restart(self, *, is_missed: bool) -> bool:
         """Return True if the frame restarts with estimates, because pieces that were accepted may be wrong too.
@@ -486,8 +491,6 @@ class Controller:
 
         After a piece that missed its budget it is at least the piece's share of the frame's budget.
         """
-        if self.options.tolerance is None:
-            return math.inf
         is_stretch_end = piece.pieces_left == 1
         elapsed = self._ends[-1] if is_stretch_end else self._elapsed + piece.length
         self._allowed = self.budget * (elapsed / self._duration) - self.error
