@@ -38,12 +38,11 @@ def combine(arrays: Sequence[Array], weights: Sequence[float]) -> Array:
         raise ValueError(
             f"{len(weights)} weights for {len(arrays)} arrays; give each array one weight, and at least one array"
         )
-    out = np.empty_like(arrays[0])
-    addresses = (ctypes.c_void_p * len(arrays))(*(doubles("array", array, out.shape) for array in arrays))
-    weight_array = np.array(weights, dtype=np.float64)
-    check(
-        library().cloth_combine(len(arrays), ctypes.addressof(addresses), address(weight_array), out.size, address(out))
-    )
+    out, count = np.empty_like(arrays[0]), len(arrays)
+    addresses = (ctypes.c_void_p * count)(*[doubles("array", array, out.shape) for array in arrays])
+    factors = (ctypes.c_double * count)(*weights)
+    operands = ctypes.addressof(addresses), ctypes.addressof(factors)
+    check(library().cloth_combine(count, *operands, out.size, address(out)))
     return out
 
 

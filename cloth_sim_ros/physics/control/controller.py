@@ -33,7 +33,7 @@ from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.contact_step_limit import ContactStepLimit
 from cloth_sim_ros.physics.control.description import ExplicitSettings, describe, limiting_factor
 from cloth_sim_ros.physics.control.energy import EnergyRule, external_work
-from cloth_sim_ros.physics.control.error import ErrorRule, ErrorSums, is_for_duration
+from cloth_sim_ros.physics.control.error import ErrorRule, ErrorSums
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, is_implicit_feasible
 from cloth_sim_ros.physics.control.force_jump import EVALUATIONS, missed_velocity_change
 from cloth_sim_ros.physics.control.multirate import MultirateRule
@@ -129,7 +129,7 @@ class Controller:
         self._stability = StabilityRule(plan, memory, state.x)
         refuse_unbounded(memory.omega2, memory.damping)
         sheet_limit = options.step_limit(memory.omega2, memory.damping)
-        if not is_for_duration(error, duration):
+        if not abs(error.duration - duration) <= 1e-6 * duration:
             # Recorded errors belong to frames of another length.
             error = ErrorState(n_runs=error.n_runs, refinement=error.refinement, duration=duration)
             for key in (controller_state.PrecisionState.key, controller_state.RoundingNoiseState.key):
@@ -252,7 +252,7 @@ class Controller:
         #: [m]. Largest contact energy. True if a piece was accepted although it missed its budget.
         self._sums: ErrorSums | None = None
         self._is_uniform, self._n_estimated, self._lower_order_error = True, 0, 0.0
-        self._contact_energy, self._has_missed = 0.0, False
+        self._contact_energy, self._piece_contact_energy, self._has_missed = 0.0, 0.0, False
         #: Energy of the present piece: frequencies and drift.
         self._energy_rule = None
         self._checked_energy: tuple[tuple[float, float], float | None] | None = None
@@ -329,13 +329,12 @@ class Controller:
 
     def _count_steps(self, n_runs: int, refinement: float, length: float, max_step: float) -> tuple[int, int]:
         """Return the steps of the first run over a length [s], and the number of its pieces."""
-        if self.options.tolerance is None:
-            steps = steps_for(length, max_step / refinement)
-            return steps, 1 if n_runs == 1 else self._stability.n_pieces(n_runs, steps, length)
-        steps = steps_for(length, max_step / max(refinement, self._required_refinement(n_runs, length)))
-        if self._is_rough:
-            steps = max(steps, MAX_UNDAMPED_STEPS)
-        return steps, self._stability.n_pieces(n_runs, steps, length)
+        has_tolerance = self.options.tolerance is not None
+        if has_tolerance:
+            refinement = max(refinement, self._required_refinement(n_runs, length))
+        steps = max(steps_for(length, max_step / refinement), MAX_UNDAMPED_STEPS if self._is_rough else 1)
+        is_whole = n_runs == 1 and not has_tolerance
+        return steps, 1 if is_whole else self._stability.n_pieces(n_runs, steps, length)
 
     def _work_of(self, n_runs: int, steps: int, n_pieces: int) -> float:
         """Return the work of runs with an error estimate, in force evaluations, engine calls included."""
@@ -510,10 +509,11 @@ class Controller:
         self._predicted, self._piece_lower_order_error = self._error.predict(
             counts, piece.length, change, self._activity
         )
-        self._piece_contact_energy = tableau.contact_energy(n_runs)
-        if self._contact_limit.exceeds_known_energy(self._piece_contact_energy):
-            # The contact is harder than in the frame of the last estimate, or the first one.
-            self._predicted = math.inf
+        if self._plan.contact is not None:
+            self._piece_contact_energy = tableau.contact_energy(n_runs)
+            if self._contact_limit.exceeds_known_energy(self._piece_contact_energy):
+                # The contact is harder than in the frame of the last estimate, or the first one.
+                self._predicted = math.inf
         return math.inf if self.estimates_error else self._predicted
 
     def estimate(self, tableau: ExtrapolationTableau, t: float, piece: Piece, allowed: float) -> float:

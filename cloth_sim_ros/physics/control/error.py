@@ -10,11 +10,11 @@ not confirm the prediction, the next part is estimated too.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import attrs
-import numpy as np
 
 from cloth_sim_ros.physics.arithmetic.arrays import largest_component
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum, power, root
@@ -29,6 +29,7 @@ from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
 from cloth_sim_ros.physics.state.controller_state import ErrorState
 from cloth_sim_ros.physics.state.state import State
 
+_EPSILON = sys.float_info.epsilon
 #: Rounding error of a run, in units of epsilon times the largest coordinate. A combination amplifies it.
 _COORDINATE_ROUNDINGS = 4.0
 #: The predicted error of a single run grows with this power of the velocity change, as x''' may.
@@ -76,10 +77,14 @@ class ErrorRule:
         self._x, self._v = state.x, state.v
 
     @cached_property
-    def _roundings(self) -> tuple[float, float]:
-        """Rounding error of a run's positions [m], and of a step's velocities [m/s]; most frames do not need them."""
-        epsilon = float(np.finfo(np.float64).eps)
-        return _COORDINATE_ROUNDINGS * epsilon * largest_component(self._x), 0.5 * epsilon * largest_component(self._v)
+    def _position_rounding(self) -> float:
+        """Rounding error of a run's positions [m]; most frames do not need it."""
+        return _COORDINATE_ROUNDINGS * _EPSILON * largest_component(self._x)
+
+    @cached_property
+    def _velocity_rounding(self) -> float:
+        """Rounding error of a step's velocities [m/s]; only rough motions need it."""
+        return 0.5 * _EPSILON * largest_component(self._v)
 
     def rounding_floor(self, n_runs: int, steps: int = 0) -> float:
         """Return the distance of T_(K+1) from T_K that rounding alone causes [m], K = n_runs.
@@ -89,8 +94,8 @@ class ErrorRule:
             steps: steps whose roundings of velocities displace later. They add up over the few pieces of a rough
                 motion; over a frame they cancel.
         """
-        position, velocity = self._roundings
-        return amplification(n_runs + 1) * (position + VELOCITY_ERROR_TIME * velocity * steps)
+        displaced = VELOCITY_ERROR_TIME * self._velocity_rounding * steps if steps else 0.0
+        return amplification(n_runs + 1) * (self._position_rounding + displaced)
 
     def predict(
         self, counts: tuple[int, ...], length: float, change: tuple[float, float], activity: float
@@ -210,8 +215,3 @@ class ErrorRule:
 def coefficient_of(counts: tuple[int, ...], length: float) -> float:
     """Return the error coefficient of runs over a length [s], see `error_coefficient`."""
     return error_coefficient(counts) * power(length, len(counts) + 1)
-
-
-def is_for_duration(memory: ErrorState, duration: float) -> bool:
-    """Return True if the state of the rule belongs to frames of a duration [s]."""
-    return abs(memory.duration - duration) <= 1e-6 * duration
