@@ -277,9 +277,8 @@ class Controller:
     def choose_piece(self, t: float) -> Piece | None:
         """Return the next piece from time t [s]; None if explicit steps are abandoned."""
         if self._piece is None and not self.abandoned:
-            is_new_frame = not (self.n_pieces or self._attempts or self._is_rough or self.work.evaluations)
             self._piece = self._divide(t)
-            if self.estimates_error and is_new_frame and not self.exhausted:
+            if self.estimates_error and not (self.work.evaluations or self.exhausted):
                 self.work.add(self._precision.measure(t, self._state, self._piece.max_step, self.n_runs))
                 self._precision.update_kinetic_energy(self._state)
         return None if self.abandoned else self._piece

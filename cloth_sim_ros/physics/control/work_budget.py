@@ -53,17 +53,17 @@ class WorkBudget:
         evaluation_time = 1e-9 * plan.multirate_step_cost(ratio) * count + 1e-9 * contact_time
         self.max_evaluations, self.reserve = work * duration / evaluation_time, FALLBACK_EVALUATIONS
         budget, min_cap = self.max_evaluations, CONSTANTS.min_work_cap * duration / max_step
-        cap = math.ldexp(budget, -int(fallback_count))
+        self.cap = math.ldexp(budget, -int(fallback_count))
         if contact_time:
             step = CONSTANTS.stability_safety * limit
             single_run_work = CONSTANTS.estimate_trust_factor * RATIO_SUMS[2] * duration / step if limit else math.inf
             self.reserve = max(min(single_run_work, 0.5 * budget), min_cap)
             self.cap = math.ldexp(max(budget - self.reserve, self.reserve), -int(fallback_count))
         elif is_implicit_feasible(plan):
-            self.cap = max(cap - FALLBACK_EVALUATIONS, 0.5 * cap)
+            self.cap = max(self.cap - FALLBACK_EVALUATIONS, 0.5 * self.cap)
         else:
             # Without implicit steps, explicit ones get all of the work.
-            self.cap = max(cap, min_cap)
+            self.cap = max(self.cap, min_cap)
 
     @property
     def remaining(self) -> float:
