@@ -53,8 +53,8 @@ class ContactStepLimit:
         Raises:
             NoRoomError: if no step is short enough.
         """
-        if (contact := self._plan.contact) is None:
-            return 0.0
+        contact = self._plan.contact
+        assert contact is not None
         try:
             omega2, damping, operations = contact.predict_contact(t, duration, state.x, state.v, state.memory)
         except ValueError as error:

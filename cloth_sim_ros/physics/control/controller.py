@@ -64,13 +64,13 @@ _MIN_HALVED_STEPS = 2 * MAX_UNDAMPED_STEPS
 _MIN_PIECE = 2.0**-24
 #: Attributes of the controller.
 _ATTRIBUTES = (
-    "_may_turn _budget_contact_time options _plan _state _t0 _duration rejected in_fallback exhausted _multirate_rule _may_supply "
-    "_start_velocities _stability _last_refinement budget _error _precision n_runs refinement estimates_error limit "
-    "_contact_limit _may_touch _ratio _fallback_count work _budget_ratio abandoned _start_bounds _energy_rule "
-    "_start_hinge_bounds _rest_rate _ends _elapsed _refined_time error n_pieces steps _first_run_steps "
-    "min_step _single_precision _max_ratio _is_rough _piece _met_limit _halved_step _attempts _longest_step "
-    "_longest_runs _sums _is_uniform _n_estimated _lower_order_error _contact_energy _has_missed _checked_energy "
-    "_stretch _multirate_refinement _weight _applied_refinement _allowed _activity _predicted "
+    "_may_turn _budget_contact_time options _plan _state _t0 _duration rejected in_fallback exhausted "
+    "_multirate_rule _may_supply _stability _last_refinement budget _error _precision n_runs refinement "
+    "estimates_error limit _contact_limit _may_touch _ratio _fallback_count work _budget_ratio abandoned "
+    "_start_bounds _energy_rule _start_hinge_bounds _rest_rate _ends _elapsed _refined_time error n_pieces steps "
+    "_first_run_steps min_step _single_precision _max_ratio _is_rough _piece _met_limit _halved_step _attempts "
+    "_longest_step _longest_runs _sums _is_uniform _n_estimated _lower_order_error _contact_energy _has_missed "
+    "_checked_energy _stretch _multirate_refinement _weight _applied_refinement _allowed _activity _predicted "
     "_piece_lower_order_error _piece_contact_energy _errors _end_error _is_resolved"
 )
 
@@ -722,11 +722,6 @@ class Controller:
         n_runs = self.n_runs
         while self._may_touch and n_runs > 1 and not self._fits(n_runs, refinement, piece):
             n_runs -= 1
-        if has_failed and not (may_abandon and self._has_fallback):
-            raise UnstableError(
-                f"{options.name}: steps of {piece.step:.3g} s are {failure}, like {self._attempts} attempts with "
-                "longer ones; check that all forces are finite and derive from their energies"
-            )
         if not has_failed and self._fits(n_runs, refinement, piece):
             if options.tolerance is None:
                 if factor > 1.0:
@@ -738,12 +733,16 @@ class Controller:
             self.n_runs, self.refinement, self._piece = n_runs, refinement, None
             self._attempts += 1
             return
-        self.abandoned = self._has_fallback
+        self.abandoned = self._has_fallback and (may_abandon or not has_failed)
         if not self.abandoned:
-            raise UnstableError(
-                f"{options.name}: steps of {piece.step:.3g} s are {failure}, and finer ones exceed the frame's "
-                f"work limit of {options.work:g} times real time; raise 'work_limit' or reduce the cloth's stiffness"
+            consequence = (
+                f"like {self._attempts} attempts with longer ones; check that all forces are finite and derive from "
+                "their energies"
+                if has_failed
+                else f"and finer ones exceed the frame's work limit of {options.work:g} times real time; raise "
+                "'work_limit' or reduce the cloth's stiffness"
             )
+            raise UnstableError(f"{options.name}: steps of {piece.step:.3g} s are {failure}, {consequence}")
 
     # Acceptance.
 
