@@ -11,6 +11,7 @@ from cloth_sim_ros.physics.control.description import ExplicitSettings
 from cloth_sim_ros.physics.integrators.base import NoRoomError
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau, max_rates
 from cloth_sim_ros.physics.plan.plan import Plan
+from cloth_sim_ros.physics.plan.runs import RunSummary
 from cloth_sim_ros.physics.state.controller_state import ContactState, StabilityState
 from cloth_sim_ros.physics.state.state import State
 
@@ -79,19 +80,15 @@ class ContactStepLimit:
         omega2, damping = prediction[2:]
         return self._options.step_limit(stability.omega2 + omega2, stability.damping + damping)
 
-    def limit_at_energy(
-        self, energy: float, rates: tuple[float, float], omega2: float | None = None, damping: float | None = None
-    ) -> float:
+    def limit_at_energy(self, energy: float, rates: tuple[float, float], sheet: StabilityState | RunSummary) -> float:
         """Return the step limit with contact [s].
 
         Args:
             energy: energy per mass that contact with obstacles had to absorb, in U^2/2.
             rates: squared frequency [1/s^2] and damping rate [1/s] of self-contact.
-            omega2: squared frequency of the sheet [1/s^2]; the last bound by default.
-            damping: damping rate of the sheet [1/s]; the last bound by default.
+            sheet: spectral bounds of the sheet.
         """
-        omega2 = self._stability.omega2 if omega2 is None else omega2
-        damping = self._stability.damping if damping is None else damping
+        omega2, damping = sheet.omega2, sheet.damping
         if self._plan.contact is not None:
             contact_omega2, contact_damping = self._plan.contact.bounds_at_energy(energy)
             omega2, damping = omega2 + contact_omega2 + rates[0], damping + contact_damping + rates[1]
@@ -117,7 +114,7 @@ class ContactStepLimit:
             return self._options.step_limit(summary.omega2, summary.damping)
         energy, self_contact = self._encountered(tableau, n_runs)
         rates = max_rates(self_contact, summary.self_contact)
-        return self.limit_at_energy(energy, rates, summary.omega2, summary.damping)
+        return self.limit_at_energy(energy, rates, summary)
 
     def should_halve(self, max_step: float, duration: float) -> bool:
         """Return True if an interval should be halved before the first attempt, because an impact is short.

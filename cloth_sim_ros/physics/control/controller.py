@@ -14,12 +14,8 @@ The loop `explicit.integrate` asks in this order:
 - `accept` moves the state to the end of the piece. Only then rules learn from it; a rejected piece changes nothing.
 - `store` writes into the state what the next advance needs.
 
-A piece is shorter than the frame for three reasons. An undamped combination has few steps. A frame may be longer than
-`max_interval`. Where the motion is rough, pieces are halved, so that fine steps are limited to that moment. The motion
-is rough where refinement reduces the error less than its order predicts: a spring turned over, or a force jumped.
-
-Rough pieces have step counts without a common divisor, and each has an estimate. No run evaluates forces in the first
-and last half step of a piece, so these are checked too.
+docs/step_control.md has the rules. A stretch is a part of the frame that is divided into equal pieces: the whole frame,
+or what halving in a rough motion has left.
 """
 
 from __future__ import annotations
@@ -476,7 +472,7 @@ class Controller:
         else:
             # Contact did not stop a particle; with finer steps it would not have got that far.
             energy, rates = tableau.encountered_energy(n_runs), tableau.self_contact(n_runs)
-            limit = self._contact_limit.limit_at_energy(energy, rates)
+            limit = self._contact_limit.limit_at_energy(energy, rates, self._stability.memory)
             factor, failure = 2.0 if piece.step <= limit else 1.0, "not finite"
         # If a run ended on a surface, the limit is zero.
         self._met_limit = min(self._met_limit, limit or 0.5 * piece.step)

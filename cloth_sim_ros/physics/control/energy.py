@@ -66,16 +66,16 @@ class EnergyRule:
             work: external work over the run [J].
             refinement: refinement of its steps.
         """
-        before = self._leapfrog_energy(start, step)
-        rise = self._leapfrog_energy(end, step) - before - work
-        turnover = max(self._kinetic_energy(start), self._kinetic_energy(end)) + abs(work)
-        rounding_energy = _ROUNDING * abs(before) + self._rounding_energy(end[1].x)
+        conserved, energy, kinetic_energy = zip(self._energies(start, step), self._energies(end, step), strict=True)
+        rise = conserved[1] - conserved[0] - work
+        turnover = max(kinetic_energy) + abs(work)
+        rounding_energy = _ROUNDING * abs(conserved[0]) + self._rounding_energy(end[1].x)
         energy_drift = max(0.0, self.memory.energy_drift + rise)
         max_drift = CONSTANTS.max_energy_gain * turnover + rounding_energy
         max_oscillation = CONSTANTS.max_energy_oscillation * turnover + rounding_energy
         if not np.isfinite(rise):
             return None
-        if self._is_start(refinement) and self._energy(end) - self._energy(start) - work > max_oscillation:
+        if self._is_start(refinement) and energy[1] - energy[0] - work > max_oscillation:
             return None
         return None if rise > 0.0 and energy_drift > max_drift else energy_drift
 
@@ -105,17 +105,11 @@ class EnergyRule:
         omega2, _ = self._plan.spectral_bounds(x)
         return 0.5 * self._plan.model.mass * omega2 * displacement * displacement
 
-    def _kinetic_energy(self, moment: Moment) -> float:
+    def _energies(self, moment: Moment, step: float) -> tuple[float, float, float]:
+        """Return the energy that the leapfrog conserves, the physical energy and the kinetic energy [J]."""
         t, state = moment
-        return self._plan.energies(t, state.x, state.v, state.memory)[0]
-
-    def _leapfrog_energy(self, moment: Moment, step: float) -> float:
-        t, state = moment
-        return leapfrog_energy(self._plan, t, state, step)
-
-    def _energy(self, moment: Moment) -> float:
-        t, state = moment
-        return self._plan.energy(t, state.x, state.v, state.memory)
+        kinetic, potential = self._plan.energies(t, state.x, state.v, state.memory)
+        return leapfrog_energy(self._plan, t, state, step), kinetic + potential, kinetic
 
 
 def leapfrog_energy(plan: Plan, t: float, state: State, step: float) -> float:

@@ -40,21 +40,39 @@ def advance(
             state.restore_motion(start)
             controller.use_reserve()
             is_finished = integrate(controller, state, start, t, duration, accumulator)
-    except NoRoomError:
-        # Moving bodies left the cloth no space within the frame: no step is short enough.
-        is_finished = False
-        if not fallback.is_implicit_feasible(plan):
-            state.restore_motion(start)
-            raise
-    except BaseException:
-        # A force in Python may raise anything, after pieces that were accepted.
+    except BaseException as error:
         state.restore_motion(start)
-        raise
+        # No step is short enough if moving bodies left the cloth no space. A force in Python may raise anything.
+        if not (isinstance(error, NoRoomError) and fallback.is_implicit_feasible(plan)):
+            raise
+        is_finished = False
     if is_finished:
         controller.store()
         return controller.report()
     state.restore_motion(start)
-    return _finish_implicitly(controller, plan, state, t, duration, accumulator)
+    # Implicit steps finish the frame from its start.
+    work = controller.work
+    controller.store_bounds()
+    if accumulator is not None:
+        accumulator.reset()
+    limit = options.work * duration or math.inf
+    result = fallback.finish_implicitly(
+        plan,
+        state,
+        t,
+        duration,
+        accumulator,
+        instead_of=options.name,
+        max_evaluations=work.max_evaluations - work.used,
+        max_time=CONSTANTS.implicit_finish_cost * limit,
+    )
+    return result._replace(
+        evaluations=work.evaluations + result.evaluations,
+        limit=controller.limit,
+        rejected=controller.rejected,
+        limited_by="work",
+        error=result.error if options.tolerance is not None else None,
+    )
 
 
 def integrate(
@@ -103,31 +121,3 @@ def integrate(
         # Times of short pieces may round to the same number, so the next piece must not reuse these runs.
         elapsed, tableau = controller.accept(tableau, piece, error, accumulator), None
     return True
-
-
-def _finish_implicitly(
-    controller: Controller, plan: Plan, state: State, t: float, duration: float, accumulator: WorkAccumulator | None
-) -> Advance:
-    """Finish the frame by implicit steps from its start."""
-    work, options = controller.work, controller.options
-    controller.store_bounds()
-    if accumulator is not None:
-        accumulator.reset()
-    limit = options.work * duration or math.inf
-    result = fallback.finish_implicitly(
-        plan,
-        state,
-        t,
-        duration,
-        accumulator,
-        instead_of=options.name,
-        max_evaluations=work.max_evaluations - work.used,
-        max_time=CONSTANTS.implicit_finish_cost * limit,
-    )
-    return result._replace(
-        evaluations=work.evaluations + result.evaluations,
-        limit=controller.limit,
-        rejected=controller.rejected,
-        limited_by="work",
-        error=result.error if options.tolerance is not None else None,
-    )
