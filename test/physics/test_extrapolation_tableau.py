@@ -7,9 +7,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cloth_sim_ros import Model, PairSprings, State
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau, step_counts, weights
-from cloth_sim_ros.physics.model.forces.pair_springs import PairSprings
-from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.model.sheets.surface import grid_triangles
 from cloth_sim_ros.physics.plan.plan import compile
 from cloth_sim_ros.scene.scene import Scene
@@ -84,6 +83,26 @@ def test_prefetched_runs_change_no_result(values, expected_runs, monkeypatch):
         # A prefetched run is counted only after its request.
         assert at_once.evaluations == by_turns.evaluations == sum(step_counts(60, 4)[:runs]) + runs
     assert at_once.difference(1) == by_turns.difference(1)
+
+
+def test_brief_expected_runs_share_an_engine_call(monkeypatch):
+    plan, state = compile(Model([0.1, 0.1], [PairSprings([[0, 1]], 1.0, 1.0, 0.1)])), State([[0, 0, 0], [0, 0, 1.5]])
+    calculate, calls = plan.runs, []
+
+    def seen(t, duration, start, steps, **options):
+        calls.append(tuple(steps))
+        return calculate(t, duration, start, steps, **options)
+
+    monkeypatch.setattr(plan, "runs", seen)
+    monkeypatch.setattr(plan, "concurrent_runs", lambda *_: 1)
+    brief, long = step_counts(1), step_counts(int(plan.evaluations_per_call))
+    for counts in (brief, long):
+        runs = ExtrapolationTableau(plan, state, 0.0, 1 / 60, counts, expected_runs=2)
+        runs.combine(1)
+        assert runs.evaluations == counts[0] + 1
+        runs.combine(2)
+        assert runs.evaluations == sum(counts[:2]) + 2
+    assert calls == [brief[:2], long[:1], long[1:2]]
 
 
 @every_scene
