@@ -133,7 +133,7 @@ class Automatic(Integrator):
         else:
             explanation = "explicit steps are cheaper" if memory.implicit_cost else "explicit steps are affordable"
         # `_replace` is slower, and every frame runs this line.
-        return Advance(*result[:-1], reason=f"auto: {explanation}; {result.reason}")
+        return Advance._make((*result[:-1], f"auto: {explanation}; {result.reason}"))
 
     def _fits_work_limit(self, cost: float, duration: float) -> bool:
         """True if a frame of a cost [ns] fits the work limit."""

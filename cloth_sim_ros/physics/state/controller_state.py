@@ -35,7 +35,7 @@ class ControllerState:
     def load(cls, state: HasMemory) -> Self:
         """Return the numbers of a state, or defaults if it has none."""
         stored = state.memory.get(cls.key)
-        return cls() if stored is None or not stored.size else cls(*stored.tolist())
+        return cls() if stored is None else cls(*stored.tolist())  # an empty array gives defaults, too
 
     def store(self, state: HasMemory) -> None:
         """Write the numbers into a state."""
