@@ -27,7 +27,7 @@ from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.arithmetic.deterministic_math import root
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.contact_step_limit import ContactStepLimit
-from cloth_sim_ros.physics.control.description import ExplicitSettings, describe, limiting_factor
+from cloth_sim_ros.physics.control.description import ExplicitSettings, describe
 from cloth_sim_ros.physics.control.energy import EnergyRule, external_work
 from cloth_sim_ros.physics.control.error import ErrorRule, ErrorSums
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, is_implicit_feasible
@@ -875,16 +875,15 @@ class Controller:
         """Return the result of the advance."""
         options, step = self.options, self.min_step
         is_refined = self._refined_time > 0.5 * self._duration
-        limit = limiting_factor(options, self._first_run_steps, step, is_refined=is_refined)
         flagged = int(options.tolerance is not None and self.error > self.budget)
-        reason = describe(
+        limit, reason = describe(
             options.name,
             options.tolerance,
             options.step,
-            limit,
             self.n_runs,
             step,
             self._max_ratio,
+            is_one_step=self._first_run_steps == 1,
             is_refined=is_refined,
             single_precision=self._single_precision,
             n_pieces=self.n_pieces if self._is_rough else 1,

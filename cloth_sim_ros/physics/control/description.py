@@ -22,56 +22,45 @@ class ExplicitSettings(Protocol):
         """Return the largest stable step [s] for a squared frequency [1/s^2] and a damping rate [1/s]."""
 
 
-def limiting_factor(options: ExplicitSettings, steps: int, step: float, *, is_refined: bool) -> str:
-    """Return the limiting factor of a first run, one of `base.LIMITING_FACTORS`.
-
-    Args:
-        options: settings of the integrator.
-        steps: number of steps of the run.
-        step: their length [s].
-        is_refined: true if the steps are shorter than stability requires.
-    """
-    if options.step is not None and step > 0.99 * options.step:
-        return "step"
-    if options.tolerance is not None and is_refined:
-        return "accuracy"
-    return "frame" if steps == 1 else "stability"
-
-
 # Most frames have the steps of the previous one.
 @lru_cache(maxsize=64)
 def describe(
     name: str,
     tolerance: float | None,
     fixed_step: float | None,
-    limit: str,
     n_runs: int,
     step: float,
     ratio: int,
     *,
+    is_one_step: bool,
     is_refined: bool,
     single_precision: bool,
     n_pieces: int,
-) -> str:
-    """Return order, step and what set them in words.
+) -> tuple[str, str]:
+    """Return the limiting factor, one of `base.LIMITING_FACTORS`, and order, step and what set them in words.
 
     Args:
         name: of the integrator.
         tolerance: of positions [m]; None for none.
         fixed_step: fixed step [s]; None for none.
-        limit: limiting factor, see `limiting_factor`.
         n_runs: number of combined runs.
         step: smallest step [s].
         ratio: multirate ratio.
+        is_one_step: true if the first run has one step.
         is_refined: true if the steps are shorter than stability requires.
         single_precision: true if a run used single precision.
         n_pieces: number of pieces of a divided frame; 1 if it is whole.
     """
+    limit = "frame" if is_one_step else "stability"
+    if fixed_step is not None and step > 0.99 * fixed_step:
+        limit = "step"
+    elif tolerance is not None and is_refined:
+        limit = "accuracy"
     order = f"order {n_runs + 1}" + (f" by {n_runs} runs" if n_runs > 1 else "")
     pieces = f" in the finest of {n_pieces} stretches" if n_pieces > 1 else ""
     ending = pieces + (f"; bending every {ratio} steps" if ratio > 1 else "")
     ending += "; in single precision" if single_precision else ""
-    return f"{name}: {order}, {_step_text(tolerance, fixed_step, limit, step, is_refined)}{ending}"
+    return limit, f"{name}: {order}, {_step_text(tolerance, fixed_step, limit, step, is_refined)}{ending}"
 
 
 def _step_text(tolerance: float | None, fixed_step: float | None, limit: str, step: float, is_refined: bool) -> str:
