@@ -15,7 +15,7 @@ from functools import cached_property
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIOS
 from cloth_sim_ros.physics.integrators.limit import steps_for
-from cloth_sim_ros.physics.model.forces.force import Array, Force
+from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state.controller_state import StabilityState
 
@@ -26,11 +26,6 @@ MAX_COMBINED_RUNS = len(RATIOS) - 1
 #: fewer steps waves may grow by up to 3e-3 per step with three runs; there the error estimate detects them.
 MAX_UNDAMPED_STEPS = 6
 UNDAMPED_LIMIT_FRACTIONS = (1.0, 0.125, 0.75, 0.25)
-
-
-def _damps_waves(force: Force) -> bool:
-    """Return True if a force damps all waves strongly; grips and contact act locally, and air damps weakly."""
-    return force.damped and force.damps_waves
 
 
 class StabilityRule:
@@ -49,7 +44,8 @@ class StabilityRule:
 
     @cached_property
     def _damps_waves(self) -> bool:
-        return any(map(_damps_waves, self._plan.model.forces))
+        # Grips and contact act locally, and air damps weakly.
+        return any(force.damped and force.damps_waves for force in self._plan.model.forces)
 
     def is_damped(self, length: float) -> bool:
         """Return True if damping removes the fastest waves within a length [s]."""
