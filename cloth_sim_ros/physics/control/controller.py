@@ -14,8 +14,8 @@ The loop `explicit.integrate` asks in this order:
 - `accept` moves the state to the end of the piece. Only then rules learn from it; a rejected piece changes nothing.
 - `store` writes into the state what the next advance needs.
 
-docs/step_control.md has the rules. A stretch is a part of the frame that is divided into equal pieces: the whole frame,
-or what halving in a rough motion has left.
+docs/step_control.md has the rules. A stretch is a part of the frame that is divided into equal pieces. It is the whole
+frame, or what halving in a rough motion has left.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.contact_step_limit import ContactStepLimit
 from cloth_sim_ros.physics.control.description import ExplicitSettings, describe
 from cloth_sim_ros.physics.control.energy import EnergyRule, external_work
-from cloth_sim_ros.physics.control.error import ErrorRule, ErrorSums
+from cloth_sim_ros.physics.control.error import ErrorRule, ErrorSums, is_for_duration
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, is_implicit_feasible
 from cloth_sim_ros.physics.control.force_jump import EVALUATIONS, missed_velocity_change
 from cloth_sim_ros.physics.control.multirate import MultirateRule
@@ -125,7 +125,7 @@ class Controller:
         self._stability = StabilityRule(plan, memory, state.x)
         refuse_unbounded(memory.omega2, memory.damping)
         sheet_limit = options.step_limit(memory.omega2, memory.damping)
-        if not abs(error.duration - duration) <= 1e-6 * duration:
+        if not is_for_duration(error, duration):
             # Recorded errors belong to frames of another length.
             error = ErrorState(n_runs=error.n_runs, refinement=error.refinement, duration=duration)
             for key in (controller_state.PrecisionState.key, controller_state.RoundingNoiseState.key):
