@@ -249,8 +249,9 @@ class Controller:
         self._sums: ErrorSums | None = None
         self._is_uniform, self._n_estimated, self._lower_order_error = True, 0, 0.0
         self._contact_energy, self._piece_contact_energy, self._has_missed = 0.0, 0.0, False
-        #: Refinement of estimated runs, that of stability included. Energy of the present piece: frequencies and drift.
-        self._applied_refinement = 1.0
+        #: Refinement of estimated runs, that of stability included. Error at the ends of the present piece [m], and its
+        #: energy: frequencies and drift.
+        self._applied_refinement, self._end_error = 1.0, 0.0
         self._energy_rule = None
         self._checked_energy: tuple[tuple[float, float], float | None] | None = None
 
