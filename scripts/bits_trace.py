@@ -347,6 +347,7 @@ class TracedLibrary:
             "anchors": runs * _anchors(plan),
             "jaw_states": runs * binding.JAW_NUMBERS * plan["pinches"],
             "activities": runs,
+            "previous_v0": 3 * n,
         }
         names = [name for name, *_ in binding.FrameRequest._fields_]
         raw = bytes(frame)

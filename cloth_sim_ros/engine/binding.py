@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the C interface that this file binds.
-ABI = 17
+ABI = 18
 #: Errors by the status of a call.
 _ERRORS = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE, _BUSY = 4, 5
@@ -32,7 +32,7 @@ REENTRY_REFUSAL = (
 #: Maximum number of runs of one frame; see plan/frame_request.hpp.
 MAX_RUNS = 8
 #: Numbers of the summary of a frame; see `FrameRequest::summary` in plan/frame_request.hpp.
-SUMMARY_NUMBERS = 10
+SUMMARY_NUMBERS = 11
 #: Numbers of a gripper's path, and of its record of wrench and work; see plan/grips.hpp.
 PATH_NUMBERS, RECORD_NUMBERS = 26, 8
 #: Shapes of obstacles; see contact/shapes.hpp. Numbers of the contact summary of a run; see plan/frame_request.hpp.
@@ -91,6 +91,8 @@ class FrameRequest(ctypes.Structure):
         ("combined", ctypes.c_int64),
         ("concurrency", ctypes.c_int64),
         ("activities", ctypes.c_void_p),
+        ("previous_v0", ctypes.c_void_p),
+        ("previous_ratio", ctypes.c_double),
     )
 
 

@@ -12,10 +12,12 @@ import pytest
 from cloth_sim_ros import Gravity, Model, PairSprings, Scene, Simulation, State
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.control.controller import Controller
+from cloth_sim_ros.physics.control.error import ErrorRule, ErrorSums
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.plan.plan import compile
+from cloth_sim_ros.physics.state.controller_state import ErrorState
 
 PERIOD = 1.0 / 60.0
 
@@ -58,6 +60,16 @@ def test_impact_after_single_precision_takes_more_runs() -> None:
     assert "by 2 runs" in frames[2].reason
     # Steps short enough for a single run need 1,900 evaluations.
     assert frames[2].evaluations < 900
+
+
+def test_error_of_another_number_of_runs_is_estimated_again() -> None:
+    rule = ErrorRule(ErrorState(duration=0.01, n_runs=3.0), 1e-6, 8, State([[0.0, 0.0, 0.0]]))
+    sums = ErrorSums((6, 8, 10), 0.01, [1e-9, 1e-9, 1e-9], [(0.0, 0.0)] * 3, 1e-9, 1e-9, 1.0)
+    rule.record_estimate(sums, 3, 3, 1.0)
+    assert rule.memory.time_until_estimate > 0.0
+    # That of a single run may have been small by chance.
+    rule.record_estimate(sums, 3, 1, 1.0)
+    assert rule.memory.time_until_estimate == 0.0
 
 
 class _Wall(Force):

@@ -223,3 +223,19 @@ def test_turn_in_step_of_a_sheet_is_that_of_its_springs():
     turn = simulation.plan.turn_in_step(simulation.state.x, x, 3)
     assert turn == pytest.approx(compile(model).turn_in_step(simulation.state.x, x, 3), rel=1e-12)
     assert turn > 0.1
+
+
+@every_scene
+def test_change_from_the_interval_before(values):
+    simulation = started(values)
+    v0 = simulation.state.v
+    runs = tableau(simulation)
+    change = runs.combine(2)[1] - v0
+    size = np.linalg.norm(change, axis=0).max()
+    assert runs.summary(2).change_from_before == 0.0
+    # In half the time before, the velocities changed by 3/2 of the present change.
+    before = v0 - 1.5 * change, 0.5 * runs.duration
+    for n_first in (1, 2):  # the combination of the first call is the engine's
+        runs = tableau(simulation, before=before)
+        runs.combine(n_first)
+        assert runs.summary(2).change_from_before == pytest.approx(0.5 * size, rel=1e-12)

@@ -36,7 +36,7 @@ enum BandStatus : int {
 };
 
 static_assert(sizeof(double) == 8 && sizeof(void*) == 8 && sizeof(int) == 4);
-static_assert(sizeof(FrameRequest) == 176 && alignof(FrameRequest) == 8);
+static_assert(sizeof(FrameRequest) == 192 && alignof(FrameRequest) == 8);
 static_assert(offsetof(FrameRequest, t) == 0);
 static_assert(offsetof(FrameRequest, duration) == 8);
 static_assert(offsetof(FrameRequest, runs) == 16);
@@ -59,6 +59,8 @@ static_assert(offsetof(FrameRequest, multirate) == 144);
 static_assert(offsetof(FrameRequest, combined) == 152);
 static_assert(offsetof(FrameRequest, concurrency) == 160);
 static_assert(offsetof(FrameRequest, activities) == 168);
+static_assert(offsetof(FrameRequest, previous_v0) == 176);
+static_assert(offsetof(FrameRequest, previous_ratio) == 184);
 
 /// Number of this interface. The binding refuses any other.
 CLOTH_API int cloth_engine_abi();

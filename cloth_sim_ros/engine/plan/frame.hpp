@@ -48,6 +48,21 @@ inline double largest_distance(const double* x, const double* y, std::int64_t n)
     return not_finite ? std::numeric_limits<double>::infinity() : root(max_square);
 }
 
+/// A quarter of the largest difference of a particle's velocity change from v0 to v and `ratio` times that from v1 to v0.
+/// In a smooth motion it equals the difference of both halves of the interval.
+inline double change_from_before(const double* v, const double* v0, const double* v1, double ratio, std::int64_t n) {
+    double max_square = 0.0;
+    for (std::int64_t i = 0; i < n; ++i) {
+        double square = 0.0;
+        for (std::int64_t k = i; k < 3 * n; k += n) {
+            const double difference = fma(-ratio, v0[k] - v1[k], v[k] - v0[k]);
+            square = fma(difference, difference, square);
+        }
+        max_square = square > max_square ? square : max_square;
+    }
+    return 0.25 * root(max_square);
+}
+
 /// Size of a run's record of contact, see FrameRequest::records.
 inline std::int64_t contact_record_size(const Plan& plan) {
     return plan.has_contact() ? plan.contacts.count() * record_numbers + contact::ContactSummary::numbers + 4 : 0;
@@ -141,6 +156,9 @@ inline RunStatus execute_frame(Plan& plan, const FrameRequest& frame) {
     if (!frame.summary) return RunStatus::ok;
     frame.summary[0] = largest_distance(x + 3 * n, frame.v0, n);
     frame.summary[9] = turn_in_step(plan, frame.x0, x, frame.steps[0]);
+    frame.summary[10] = 0.0;
+    if (frame.previous_v0)
+        frame.summary[10] = change_from_before(x + 3 * n, frame.v0, frame.previous_v0, frame.previous_ratio, n);
     const double max_displacement = largest_distance(x, frame.x0, n);
     if (!(max_displacement < std::numeric_limits<double>::infinity())) frame.summary[0] = max_displacement;
     if (plan.contacts.count()) {

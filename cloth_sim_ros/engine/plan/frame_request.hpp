@@ -33,14 +33,15 @@ struct FrameRequest {
     /// between layers; work of contacts that recover their thickness [J]. Null if none is requested.
     double* records;
     std::int64_t record_powers;  ///< whether powers are recorded
-    /// Ten numbers about the end of the frame, or null. 0: largest change of a particle's velocity over the frame
+    /// Eleven numbers about the end of the frame, or null. 0: largest change of a particle's velocity over the frame
     /// [m/s]; infinite if the result is not finite, is beyond the surface of an obstacle, or the cloth may intersect
     /// itself. 1, 2: bounds of squared frequency [1/s^2] and damping rate [1/s] without contact. 3: energy per mass, in
     /// U^2/2, that contact with obstacles has to absorb from the end of the frame on. 4, 5: squared frequency [1/s^2]
     /// and damping rate [1/s] of contact on the surface. 6, 7: bounds of squared frequency [1/s^2] and damping rate
     /// [1/s] of hinges alone; 8: bound of the squared transverse frequency of springs. Zero without hinges, or if not
     /// requested. 9: angle by which a spring turns in a step of the
-    /// first run [rad], see `turn_in_step`.
+    /// first run [rad], see `turn_in_step`. 10: a quarter of the largest difference of a particle's velocity
+    /// change and that of the interval before, per time [m/s]; 0 if `previous_v0` is null.
     double* summary;
     std::int64_t bounds_level;      ///< 1: bounds of frequency and damping are requested; 2: those of hinges too
     std::int64_t record_obstacles;  ///< whether the work of obstacles is recorded
@@ -52,6 +53,8 @@ struct FrameRequest {
     /// For each run: largest difference of a particle's velocity changes over both halves of the run [m/s]; of a single
     /// step, its whole change.
     double* activities;
+    const double* previous_v0;  ///< velocities at the start of the interval before, or null
+    double previous_ratio;      ///< length of the frame relative to that interval
 };
 
 }  // namespace cloth::plan

@@ -67,7 +67,7 @@ _ATTRIBUTES = (
     "_first_run_steps min_step _single_precision _max_ratio _is_rough _piece _met_limit _halved_step _attempts "
     "_longest_step _longest_runs _sums _is_uniform _n_estimated _lower_order_error _contact_energy _has_missed "
     "_checked_energy _stretch _multirate_refinement _weight _applied_refinement _allowed _activity _predicted "
-    "_piece_lower_order_error _piece_contact_energy _errors _end_error _is_resolved"
+    "_piece_lower_order_error _piece_contact_energy _errors _end_error _needs_double _before _start_v"
 )
 
 
@@ -120,6 +120,8 @@ class Controller:
         self._may_supply: bool | None = None
         #: True if a spring may turn over within the present piece.
         self._may_turn = False
+        #: True if single precision does not resolve the error of further runs, which may suffice.
+        self._needs_double = False
         has_previous_frame = StabilityState.key in state.memory
         memory, error = StabilityState.load(state), ErrorState.load(state)
         self._stability = StabilityRule(plan, memory, state.x)
@@ -128,7 +130,11 @@ class Controller:
         if not is_for_duration(error, duration):
             # Recorded errors belong to frames of another length.
             error = ErrorState(n_runs=error.n_runs, refinement=error.refinement, duration=duration)
-            for key in (controller_state.PrecisionState.key, controller_state.RoundingNoiseState.key):
+            for key in (
+                controller_state.PREVIOUS_VELOCITIES_KEY,
+                controller_state.PrecisionState.key,
+                controller_state.RoundingNoiseState.key,
+            ):
                 state.memory.pop(key, None)
         has_tolerance, is_due = options.tolerance is not None, error.time_until_estimate <= 0.0
         self._last_refinement = 0.0
@@ -230,6 +236,9 @@ class Controller:
     def _begin(self) -> None:
         """Set what the pieces of a frame change to its start."""
         self._rest_rate = self._work_rate()
+        #: Velocities [m/s] at the start of the interval before, and its length [s].
+        previous = self._state.memory.get(controller_state.PREVIOUS_VELOCITIES_KEY)
+        self._start_v, self._before = self._state.v, None if previous is None else (previous, self._duration)
         #: Ends of the frame and of the stretches that were halved, since the start of the frame [s]. Time since then
         #: [s], and the part of it with refined steps [s].
         self._ends, self._elapsed, self._refined_time = [self._duration], 0.0, 0.0
@@ -329,9 +338,14 @@ class Controller:
         has_tolerance = self.options.tolerance is not None
         if has_tolerance:
             refinement = max(refinement, self._required_refinement(n_runs, length))
-        steps = max(steps_for(length, max_step / refinement), MAX_UNDAMPED_STEPS if self._is_rough else 1)
+        fewest = MAX_UNDAMPED_STEPS if self._is_rough else self._count_fewest_steps(n_runs)
+        steps = max(steps_for(length, max_step / refinement), fewest)
         is_whole = n_runs == 1 and not has_tolerance
         return steps, 1 if is_whole else self._stability.n_pieces(n_runs, steps, length)
+
+    def _count_fewest_steps(self, n_runs: int) -> int:
+        """Return the fewest steps of the first run: the activity of a single run needs two halves."""
+        return 2 if n_runs == 1 and self.options.tolerance is not None else 1
 
     def _work_of(self, n_runs: int, steps: int, n_pieces: int) -> float:
         """Return the work of runs with an error estimate, in force evaluations, engine calls included."""
@@ -446,6 +460,7 @@ class Controller:
             jaw_time=self._duration,
             ratio=piece.ratio,
             expected_runs=expected_runs,
+            before=self._before,
         )
 
     # Rule 1: stability.
@@ -504,7 +519,7 @@ class Controller:
         self._may_turn = summary.turn > CONSTANTS.max_turn and not self.in_fallback
         change = tableau.change(n_runs - 1) if n_runs > 1 else (0.0, 0.0)
         self._predicted, self._piece_lower_order_error = self._error.predict(
-            counts, piece.length, change, self._activity
+            counts, piece.length, change, max(self._activity, summary.change_from_before)
         )
         if self._plan.contact is not None:
             self._piece_contact_energy = tableau.contact_energy(n_runs)
@@ -523,9 +538,12 @@ class Controller:
             t: time at its start [s].
             piece: the piece.
             allowed: its error budget [m].
+
+        Returns:
+            The error; infinite if single precision does not resolve that of further runs, which may suffice.
         """
         errors: list[float] = []
-        options, self._is_resolved = self.options, True
+        options, self._needs_double = self.options, False
         if not self.estimates_error:
             self.estimates_error = True
             self._applied_refinement = max(self.refinement, self._required_refinement(self.n_runs, piece.length))
@@ -537,13 +555,14 @@ class Controller:
                 is_affordable = self.work.fits(reserved + self._weight * tableau.counts[len(errors) + 1])
                 # If runs do not gain on one another, as at a force jump, a further run does not either.
                 is_useless = len(errors) > 1 and errors[-1] > errors[-2]
-                self._is_resolved = not tableau.single_precision or self._precision.resolves_error(len(errors) + 2)
-                if not is_affordable or is_useless or not self._is_resolved:
+                is_resolved = not tableau.single_precision or self._precision.resolves_error(len(errors) + 2)
+                self._needs_double = not is_resolved and self._fits(self.n_runs, self.refinement, piece)
+                if not is_affordable or is_useless or not is_resolved:
                     break
                 self._append_estimate(errors, tableau)
         self._errors, self.n_runs = errors, self._sufficient_runs(errors, allowed)
         self._end_error = self._estimate_ends(tableau, t, piece) if self._is_rough else 0.0
-        return errors[self.n_runs - 1] + self._end_error
+        return math.inf if self._needs_double else errors[self.n_runs - 1] + self._end_error
 
     def _append_estimate(self, errors: list[float], tableau: ExtrapolationTableau) -> None:
         """Append the error estimate of the next combination [m].
@@ -588,15 +607,14 @@ class Controller:
             piece: the piece.
             allowed: its error budget [m].
         """
+        if self._needs_double:
+            self._precision.require_double()
+            self._attempts, self.rejected = self._attempts + 1, self.rejected + 1
+            return True
         errors, error = self._errors, self._errors[self.n_runs - 1] + self._end_error
         floor = self._error.rounding_floor(self.n_runs, piece.steps if self._is_rough else 0)
         if self.in_fallback or error <= CONSTANTS.estimate_trust_factor * floor:
             return False  # no step reduces the error below rounding
-        if not self._is_resolved and self._fits(self.n_runs, self.refinement, piece):
-            # In double precision further runs may suffice.
-            self._precision.require_double()
-            self._attempts, self.rejected = self._attempts + 1, self.rejected + 1
-            return True
         target = CONSTANTS.error_target_fraction * allowed
         if errors[self.n_runs - 1] <= allowed:
             # Only the ends of the piece exceed its budget.
@@ -782,6 +800,8 @@ class Controller:
         if self._checked_energy is not None:
             self._energy.accept(*self._checked_energy)
             self._checked_energy = None
+        if self._ends:
+            self._before = state.v, length
         tableau.commit(n_runs, state)
         if self.options.tolerance is not None:
             # Without a tolerance steps do not grow again, so attempts count over the frame.
@@ -840,6 +860,8 @@ class Controller:
             error.memory.time_until_estimate = 0.0  # one run less may suffice
         else:
             error.count_down()
+        if self.options.tolerance is not None:
+            state.memory[controller_state.PREVIOUS_VELOCITIES_KEY] = self._start_v
         self._stability.memory.store(state)
         error.memory.store(state)
         if self.estimates_error or self.options.tolerance is None:
@@ -877,6 +899,7 @@ class Controller:
         """Return the result of the advance."""
         options, step = self.options, self.min_step
         is_refined = self._refined_time > 0.5 * self._duration
+        has_long_limit = self._duration <= CONSTANTS.stability_safety * self.limit
         flagged = int(options.tolerance is not None and self.error > self.budget)
         limit, reason = describe(
             options.name,
@@ -885,7 +908,7 @@ class Controller:
             self.n_runs,
             step,
             self._max_ratio,
-            is_one_step=self._first_run_steps == 1,
+            has_fewest_steps=self._first_run_steps <= self._count_fewest_steps(self.n_runs) and has_long_limit,
             is_refined=is_refined,
             single_precision=self._single_precision,
             n_pieces=self.n_pieces if self._is_rough else 1,

@@ -32,7 +32,7 @@ def describe(
     step: float,
     ratio: int,
     *,
-    is_one_step: bool,
+    has_fewest_steps: bool,
     is_refined: bool,
     single_precision: bool,
     n_pieces: int,
@@ -46,12 +46,12 @@ def describe(
         n_runs: number of combined runs.
         step: smallest step [s].
         ratio: multirate ratio.
-        is_one_step: true if the first run has one step.
+        has_fewest_steps: true if stability needs no more steps than any frame has.
         is_refined: true if the steps are shorter than stability requires.
         single_precision: true if a run used single precision.
         n_pieces: number of pieces of a divided frame; 1 if it is whole.
     """
-    limit = "frame" if is_one_step else "stability"
+    limit = "frame" if has_fewest_steps else "stability"
     if fixed_step is not None and step > 0.99 * fixed_step:
         limit = "step"
     elif tolerance is not None and is_refined:
@@ -77,5 +77,5 @@ def _step_text(tolerance: float | None, fixed_step: float | None, limit: str, st
         return f"step {text} {origin}, no tolerance"
     if is_refined:
         return f"step {text} set by the tolerance {tolerance:g} m"
-    step_clause = "one step a frame" if limit == "frame" else f"step {text} set by stability"
+    step_clause = "fewest steps of a frame" if limit == "frame" else f"step {text} set by stability"
     return f"{step_clause}; it holds the tolerance {tolerance:g} m"

@@ -195,6 +195,8 @@ class ErrorRule:
             CONSTANTS.max_estimate_period * (4.0 if is_far_below and next_refinement == 1.0 else 1.0),
             2.0 * memory.estimate_period if is_trusted else 0.0,
         )
+        if not is_same:
+            memory.time_until_estimate = 0.0
 
     def set_period(self, max_period: float, period: float) -> None:
         """Set the time until the next estimate [s]: a period between one frame and a maximum."""

@@ -104,6 +104,7 @@ class ExtrapolationTableau:
         single_precision: runs use single precision.
         jaw_time: time within which an error of a jaw's rate counts [s], see `difference`.
         ratio: multirate ratio.
+        before: velocities [m/s] at the start of the interval before, and its length [s]; None for none.
         expected_runs: expected number of runs, for prefetching; results do not depend on it.
     """
 
@@ -121,13 +122,14 @@ class ExtrapolationTableau:
         jaw_time: float = 0.0,
         ratio: int = 1,
         expected_runs: int = 0,
+        before: tuple[Array, float] | None = None,
     ) -> None:
         self._plan, self._start, self.t, self.duration = plan, start, t, duration
         self._record_power, self._record_obstacles = record_power, record_obstacles
         self.counts = tuple(counts)
         self.single_precision, self.ratio = single_precision, ratio
         self._jaw_time = jaw_time
-        self._expected_runs = expected_runs
+        self._expected_runs, self._before = expected_runs, before
         #: Force evaluations of the requested runs, and their number. Prefetched runs are not included.
         self.evaluations, self._n_requested = 0, 0
         self._runs: list[Run] = []
@@ -170,7 +172,14 @@ class ExtrapolationTableau:
                     activity = math.inf
             omega2, damping, *hinge_bounds = self._plan.detailed_spectral_bounds(x, hinges=self.ratio > 1)
             turn = self._plan.turn_in_step(self._start.x, x, self.counts[0])
-            summary = RunSummary(activity, turn, omega2, damping, contact_energy, self_contact, hinge_bounds)
+            from_before = 0.0
+            if self._before is not None:
+                v0, ratio = self._start.v, self.duration / self._before[1]
+                predicted = combine([v0, self._before[0]], (1.0 + ratio, -ratio))
+                from_before = 0.25 * largest_distance(v, predicted)
+            summary = RunSummary(
+                activity, from_before, turn, omega2, damping, contact_energy, self_contact, hinge_bounds
+            )
             self._summaries[n_runs] = summary
         return summary
 
@@ -301,6 +310,7 @@ class ExtrapolationTableau:
             record_power=self._record_power,
             record_obstacles=self._record_obstacles,
             multirate=self.ratio,
+            before=self._before,
             concurrency=concurrency,
             memory=self._start.memory,
         )

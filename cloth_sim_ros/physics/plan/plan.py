@@ -191,6 +191,7 @@ class Plan(PlanQueries, Uncopyable):
         concurrency: int = 1,
         multirate: int = 1,
         memory: StateMemory = MISSING_MEMORY,
+        before: tuple[Array, float] | None = None,
     ) -> tuple[list[Run], tuple[Array, Array, RunSummary] | None]:
         """Run the leapfrog over an interval several times from one start, each with its own number of equal steps.
 
@@ -205,6 +206,7 @@ class Plan(PlanQueries, Uncopyable):
             record_obstacles: true to integrate wrenches and powers of obstacles.
             threads: threads of a run; None chooses. No bit depends on it.
             concurrency: runs that are calculated at once, each by one thread, if possible. No bit depends on it.
+            before: velocities [m/s] at the start of the interval before, (3, n), and its length [s]; None for none.
             multirate: multirate ratio: hinges are evaluated once in this number of steps, in the middle one. It is
                 odd and divides all ``steps``.
             memory: `State.memory` at the start; a plan without contact does not need it.
@@ -278,6 +280,8 @@ class Plan(PlanQueries, Uncopyable):
                 n_combined,
                 concurrency,
                 address(activities),
+                0 if before is None else doubles("before", before[0], self._shape),
+                0.0 if before is None else duration / before[1],
             )
             status = self._library.cloth_frame(self._handle, self._frame_address)
             if status:
@@ -292,14 +296,16 @@ class Plan(PlanQueries, Uncopyable):
                 ]
             if weights is None:
                 return runs, None
-            change, omega2, damping, contact_energy, self_omega2, self_damping, *hinges, turn = self._summary_out[:]
-            activity = activity_of(change, float(activities[n_combined - 1]))
+            size, omega2, damping, contact_energy, self_omega2, self_damping, *hinges, turn, change = self._summary_out[
+                :
+            ]
+            activity = activity_of(size, float(activities[n_combined - 1]))
             x, v = result[0], result[1]
             self._last_result, self._last_address = (x, v), result_address or out_address
             if self._python_forces:
                 omega2, damping, *hinges = self.detailed_spectral_bounds(x, hinges=multirate > 1)
             contact_rates = self_omega2, self_damping
-            summary = RunSummary(activity, turn, omega2, damping, contact_energy, contact_rates, hinges)
+            summary = RunSummary(activity, change, turn, omega2, damping, contact_energy, contact_rates, hinges)
             return runs, (x, v, summary)
         finally:
             self._call_lock.release()

@@ -130,6 +130,9 @@ class RunSummary(NamedTuple):
     #: Activity [m/s], see `activity_of`. It is infinite if a number is not finite, a particle is inside an obstacle, or
     #: the cloth may intersect itself.
     activity: float
+    #: A quarter of the largest difference of a particle's velocity change from that of the interval before, per time
+    #: [m/s]. In a smooth motion it equals the difference of both halves.
+    change_from_before: float
     #: Angle by which a spring turns in a step of the first run [rad], see `PlanQueries.turn_in_step`.
     turn: float
     #: Bounds of the squared highest angular frequency [1/s^2] and of the highest damping rate [1/s] at the end.

@@ -270,6 +270,8 @@ SLEEP_KEYS = (SLEEP_POSITIONS_KEY, SLEEP_MIDDLE_KEY, SLEEP_VELOCITIES_KEY, SLEEP
     "control.sleep_velocity",
     "control.sleep_impulse",
 )
+#: Key of the velocities [m/s] at the start of the last frame, shape (3, particle_count).
+PREVIOUS_VELOCITIES_KEY = "control.velocities"
 #: Controller states that belong to step control.
 STEP_CONTROL_STATES: tuple[type[ControllerState], ...] = (
     StabilityState,
@@ -290,7 +292,6 @@ LEGACY_KEYS = (
     "sleep",
     "control.error",
     "control.precision",
-    "control.velocities",
     "control.earlier_velocities",
 )
 
@@ -323,3 +324,4 @@ def reset_step_control(state: HasMemory, *, entirely: bool = False) -> None:
             state.memory.pop(controller.key, None)
         elif controller.key in state.memory:
             state.memory[controller.key] = np.empty(0)
+    state.memory.pop(PREVIOUS_VELOCITIES_KEY, None)

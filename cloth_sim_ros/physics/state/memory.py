@@ -65,7 +65,7 @@ def check(memory: Mapping[str, np.ndarray], particle_count: int) -> None:
         _check_array("relaxed", memory["relaxed"], _FLOAT, (1,))
         if not memory["relaxed"][0] >= 1.0:
             raise ValueError(f"memory 'relaxed' is {memory['relaxed'][0]}; it must be at least 1")
-    for name in controller_state.SLEEP_KEYS:
+    for name in (*controller_state.SLEEP_KEYS, controller_state.PREVIOUS_VELOCITIES_KEY):
         if name in memory:
             _check_array(name, memory[name], _FLOAT, (3, particle_count))
     if controller_state.SLEEP_VELOCITIES_KEY in memory and SleepState.key not in memory:
