@@ -142,11 +142,11 @@ class ToleranceGovernor:
 
 
 def is_accuracy_limited(advance: Advance, duration: float) -> bool:
-    """Return true if a frame took more steps than stability, or one step a frame, requires.
+    """Return true if a frame took more steps than stability requires; frames of two steps have the fewest.
 
     Args:
         advance: the steps of the frame.
         duration: simulated time of the frame [s].
     """
     longest = min(CONSTANTS.stability_safety * advance.limit, duration)
-    return advance.steps > _MIN_STEP_RATIO * steps_for(duration, longest)
+    return advance.steps > _MIN_STEP_RATIO * max(2, steps_for(duration, longest))
