@@ -54,6 +54,9 @@ class Constants:
         8.0, "least work limit of a frame with a large sheet or contact, in runs with the longest stable steps"
     )
 
+    run_change_cost: float = _constant(
+        1.1, "factor on the work of another number of runs, because the next frame needs an estimate then"
+    )
     multirate_pause: float = _constant(16.0, "error estimates without multirate hinges after a combination of runs")
 
     # Contact.

@@ -884,6 +884,7 @@ class Controller:
             target,
             self._error.rounding_floor,
             lambda n: self._stability.min_refinement(n, self._duration),
+            present_runs=self.n_runs,
         )
         # Steps grow by a factor of two at most, because a motion that reverses is slow for a moment.
         next_refinement = max(min(next_refinement, CONSTANTS.max_refinement_factor * refinement), 0.5 * refinement, 1.0)

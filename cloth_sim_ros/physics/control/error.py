@@ -140,6 +140,8 @@ class ErrorRule:
         target: float,
         floor_of: Callable[[int], float],
         min_refinement: Callable[[int], float],
+        *,
+        present_runs: int = 0,
     ) -> tuple[int, float]:
         """Return the runs and the refinement that meet a target with the fewest force evaluations.
 
@@ -149,6 +151,7 @@ class ErrorRule:
             target: aimed error [m].
             floor_of: returns the error that rounding alone causes with a number of runs [m].
             min_refinement: returns the refinement that stability requires of a number of runs.
+            present_runs: number of runs that needs no estimate in the next frame; 0 for none.
         """
         best = (1, refinement, math.inf)
         estimated_fraction = min(1.0, self.memory.duration / CONSTANTS.max_estimate_period)
@@ -158,6 +161,8 @@ class ErrorRule:
             scale = root(max(error, floor) / max(target, floor), n_runs + 1)
             required_refinement = max(min_refinement(n_runs), refinement * scale)
             work = required_refinement * (RATIO_SUMS[n_runs] + RATIOS[n_runs] * estimated_fraction)
+            if present_runs and n_runs != present_runs:
+                work *= CONSTANTS.run_change_cost
             if work < best[2]:
                 best = (n_runs, required_refinement, work)
         return best[0], best[1]
