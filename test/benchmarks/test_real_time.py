@@ -21,8 +21,8 @@ def test_real_time_tables_have_all_sizes_and_integrators(tmp_path: Path) -> None
     factors, evaluations, choices = json.loads(file.read_text())["tables"]
     assert [row[0] for row in factors["rows"]] == [row[0] for row in evaluations["rows"]] == ["6 x 6", "12 x 12"]
     for row in evaluations["rows"]:
-        # A stiffer sheet takes more steps: a hundred times the frequency.
-        assert row[2] > 10.0 * row[1]
+        # A stiffer sheet takes more steps: a hundred times the frequency, but accuracy limits the soft one.
+        assert row[2] > 5.0 * row[1]
     assert all(factor > 0.0 for row in factors["rows"] for factor in row[1:])
     assert [(row[1], row[2]) for row in choices["rows"]] == [(name, limit or "fixed step") for name, limit in CHOICES]
     estimates = {(row[1], row[2]): row[5] for row in choices["rows"]}

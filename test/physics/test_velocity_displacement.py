@@ -9,9 +9,10 @@ import math
 import numpy as np
 import pytest
 
-from cloth_sim_ros import Gravity, Model, PairSprings
+from cloth_sim_ros import Gravity, Model, PairSprings, Scene, Simulation
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import step_counts
 from cloth_sim_ros.physics.plan.plan import compile
+from cloth_sim_ros.simulation.events import Grasp, Target
 
 TIME = 0.5
 
@@ -49,3 +50,15 @@ def test_coprime_step_counts_share_no_divisor() -> None:
     counts = step_counts(24, coprime=True)
     assert all(math.gcd(n, m) == 1 for i, n in enumerate(counts) for m in counts[:i])
     assert counts[0] == 24
+
+
+def test_grips_do_not_reduce_the_displacement() -> None:
+    # What a stiff gripper holds keeps its velocity when it is released.
+    simulation = Simulation(Scene.from_parameters({"cloth.resolution": [6, 6]}))
+    x = simulation.state.x.copy()
+    errors = 1e-6 * np.random.default_rng(1).normal(size=x.shape) * (simulation.model.inverse_masses > 0.0)
+    free = simulation.plan.velocity_displacement(0.0, x, errors, TIME)
+    simulation.advance([Target("gripper", tuple(x[:, -1].tolist())), Grasp("gripper", True)])
+    assert simulation.plan.grips is not None
+    assert simulation.plan.grips.particles.size > 0
+    assert simulation.plan.velocity_displacement(0.0, x, errors, TIME) == free

@@ -223,17 +223,21 @@ inline RunStatus accelerations(Plan& plan, double t, const double* x, const doub
     contact::activate_features(plan);
     return evaluate(plan, t, x, v, out);
 }
-/// The same without contact and without forces in Python. The next runs choose again which contacts they evaluate.
+/// The same without contact, grips and forces in Python. The next runs choose again which contacts they evaluate.
 inline void elastic_accelerations(Plan& plan, double t, const double* x, const double* v, double* out) {
     plan.contacts.active.clear();
     plan.self_culled = true;
     contact::deactivate_features(plan);
-    // Restored even if memory is exhausted: forces in Python must not vanish.
-    struct CallbackGuard {
+    // Restored even if memory is exhausted: neither grips nor forces in Python may vanish.
+    struct Guard {
         Plan& plan;
         Callback callback = std::exchange(plan.callback, nullptr);
-        ~CallbackGuard() { plan.callback = callback; }
-    } const guard{plan};
+        Grips grips = std::exchange(plan.grips, Grips{});
+        ~Guard() {
+            plan.callback = callback;
+            plan.grips = std::move(grips);
+        }
+    } guard{plan};
     evaluate(plan, t, x, v, out);
 }
 

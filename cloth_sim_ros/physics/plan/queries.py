@@ -100,7 +100,7 @@ class PlanQueries:
         """Return the largest displacement of a particle [m] that velocity errors cause later.
 
         It is the largest particle of (A + 1/time^2)^(-1/2) e with A = M^-1 K, by the Lanczos method
-        (docs/derivations/time_stepping.md). Contact and forces in Python are left out, which makes it larger.
+        (docs/derivations/time_stepping.md). Contact, grips and forces in Python are left out, which makes it larger.
 
         Args:
             t: time [s].
