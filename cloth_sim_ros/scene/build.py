@@ -347,11 +347,11 @@ def joint_grasps(
         offsets: points on the obstacles [m], shape (joints, 3).
     """
     particles, names = np.array([particle for _, particle in joints], dtype=np.int64), scene.obstacle_names
-    obstacles, counts = np.unique([names.index(name) for name, _ in joints], return_counts=True)
+    obstacles, first = np.unique([names.index(name) for name, _ in joints], return_index=True)
     stiffness = np.full(len(joints), scene.cloth.joint_stiffness)
     # An obstacle is a fixed end, so the lecture's m is the particle's mass.
     damping = lecture_damping(scene.cloth.joint_damping, stiffness, masses[particles])
-    starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    starts = np.append(first, len(joints)).astype(np.int64)
     return obstacles, Grasps(starts, particles, offsets, stiffness, damping)
 
 
