@@ -556,7 +556,8 @@ class Controller:
                 # If runs do not gain on one another, as at a force jump, a further run does not either.
                 is_useless = len(errors) > 1 and errors[-1] > errors[-2]
                 is_resolved = not tableau.single_precision or self._precision.resolves_error(len(errors) + 2)
-                self._needs_double = not is_resolved and self._fits(self.n_runs, self.refinement, piece)
+                if is_affordable and not (is_useless or is_resolved):
+                    self._needs_double = self._fits(self.n_runs, self.refinement, piece)
                 if not is_affordable or is_useless or not is_resolved:
                     break
                 self._append_estimate(errors, tableau)
