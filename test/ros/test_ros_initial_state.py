@@ -16,6 +16,7 @@ pytest.importorskip("mcap")
 pytest.importorskip("rosbags")
 from support.session_maker import SessionMaker, carried_corner
 
+import cloth_sim_ros
 from cloth_sim_ros import Pause, Scene, SetParameters, Simulation, State
 from cloth_sim_ros.ros.recording.initial_state import session_state
 from cloth_sim_ros.scene.parameters.declare import ParameterError
@@ -188,6 +189,8 @@ def test_a_session_of_a_mesh_carries_the_mesh(tmp_path: Path) -> None:
 
 def test_missing_mcap_is_reported_with_the_reason(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (path,), _ = recorded(tmp_path)
+    # The package keeps its subpackage as an attribute, beside sys.modules.
+    monkeypatch.setattr(cloth_sim_ros, "session", cloth_sim_ros.session)
     for module in [name for name in sys.modules if name.startswith(("mcap", "cloth_sim_ros.session"))]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, "mcap", None)
