@@ -3,8 +3,8 @@
 """Error rule: number of combined runs and refinement of their steps.
 
 See Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.9. The error estimate of a combination T_K is
-its distance from T_(K+1), which costs a further run. Between two estimates the error is predicted. If an estimate does
-not confirm the prediction, the next part is estimated too.
+its distance from T_(K+1), which costs a further run. Between two estimates the error is predicted. An estimate that
+confirms its prediction doubles the time until the next one. Otherwise one frame without an estimate follows.
 """
 
 from __future__ import annotations

@@ -3,8 +3,9 @@
 """One advance by explicit steps: pieces that three rules accept or reject, within the work limit of a frame.
 
 A piece of length H is integrated by K leapfrog runs, and their combination has order K + 1. `Controller` chooses K,
-steps and H. The piece is accepted if its steps were stable, its error fits its budget, and, where no error is known, it
-creates no energy. In the style of ODEX: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.9.
+steps and H. The piece is accepted if its steps were stable and its error fits its budget. Without a finer choice it is
+accepted over its budget. A piece whose error is not known to fit may create no energy. In the style of ODEX: Hairer,
+Norsett, Wanner, Solving Ordinary Differential Equations I, II.9.
 """
 
 from __future__ import annotations
@@ -26,11 +27,12 @@ def advance(
 ) -> Advance:
     """Advance a state by a duration, see `Integrator.advance`.
 
-    Explicit steps may be abandoned, because they exceed the work limit or moving bodies leave the cloth no room. With
-    contact, a single run within a reserve of work then advances the frame, otherwise implicit steps do.
+    Explicit steps may be abandoned, because they exceed the work limit or create energy. The frame then starts again.
+    With contact and a tolerance, single runs within a reserve of work advance it. If that fails too, implicit steps do.
+    They also do without contact, without a tolerance, and if moving bodies leave the cloth no room.
 
     Raises:
-        UnstableError: if no step within the work limit is stable.
+        UnstableError: if no choice is left and there is no fallback.
         StepLimitError: if a fixed step exceeds the limit at the start.
     """
     controller, start = Controller(options, plan, state, t, duration), state.shallow_copy()

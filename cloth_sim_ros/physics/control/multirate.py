@@ -26,7 +26,7 @@ from cloth_sim_ros.physics.state.controller_state import MultirateState
 MAX_RATIO = 9
 #: Minimum number of impulses in a run; with fewer of them the runs of a combination do not differ enough.
 MIN_IMPULSES = 4
-#: Fraction of the stability limit that impulses use.
+#: Factor on limits of the impulse interval, and on the damping time, see `_max_impulse_interval`.
 _STABILITY_FRACTION = 0.6
 
 

@@ -15,9 +15,9 @@ from cloth_sim_ros.physics.plan.plan import Plan
 class WorkBudget:
     """Force evaluations of one advance, and their limit.
 
-    Each consecutive fallback halves the limit of the next frame. With contact, single runs of explicit steps finish a
-    frame, and the reserve is twice their work. Implicit steps would be slower, because contact couples distant
-    particles in their matrix, and they have no friction.
+    Each consecutive fallback halves the limit of explicit attempts once more. With contact, single runs of explicit
+    steps finish a frame, and the reserve is twice their work with an estimate. Implicit steps would be slower, because
+    contact couples distant particles in their matrix, and they have no friction.
 
     Args:
         plan: equations of motion.

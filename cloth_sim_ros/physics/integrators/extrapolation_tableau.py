@@ -26,7 +26,7 @@ from cloth_sim_ros.physics.state.controller_state import with_jaws
 from cloth_sim_ros.physics.state.state import State
 
 #: Step counts of the runs, relative to the first. Wider ratios cost more; closer ones amplify rounding and high modes:
-#: the sums of |w| for 1 to 5 runs are 1, 4.6, 17.7, 32 and 70.
+#: the sums of |w| for 1 to 5 runs are 1, 4.6, 17.7, 32 and 55.
 RATIOS = (1.0, 1.25, 1.5, 2.0, 2.5)
 #: Time within which an error of a velocity displaces [s]: frames of one second share its error equally, so that on
 #: average half of the second follows.
