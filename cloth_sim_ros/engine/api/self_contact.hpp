@@ -28,6 +28,12 @@ CLOTH_API int cloth_plan_self(Plan* plan, std::int64_t count, const std::int64_t
             s.triangles.push_back({corner(0), corner(1), corner(2)});
         }
         s.build_topology();
+        if (const auto& sheet = plan->grid) {
+            const auto spacing = [&](grid::Family k) {
+                return sheet->families[k].present ? sheet->families[k].rest_length : shortest;
+            };
+            self.separation.set(s, sheet->rows, sheet->columns, spacing(grid::right), spacing(grid::down));
+        }
         plan->self = std::make_unique<contact::SelfContact>(std::move(self));
     });
 }

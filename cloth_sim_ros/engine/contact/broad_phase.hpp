@@ -185,12 +185,16 @@ public:
     PairList edges;      ///< edge, later edge
     double reach = -1.0;
 
+    bool empty() const { return !triangles.size() && !edges.size(); }
+    void clear() {
+        triangles.clear();
+        edges.clear();
+    }
     /// Build the lists of all pairs within `max_distance` [m] at positions x, quads; for edges the distance is
     /// `edge_reduction` [m] shorter.
     void build(const Surface& s, const double* x, double max_distance, double edge_reduction = 0.0) {
         reach = max_distance;
-        triangles.clear();
-        edges.clear();
+        clear();
         if (s.triangles.empty()) return;
         const Quads at{x};
         double length = 0.0;

@@ -6,6 +6,7 @@
 
 #include "contact/self_friction.hpp"
 #include "contact/self_gaps.hpp"
+#include "contact/sheet_separation.hpp"
 
 namespace cloth::contact {
 
@@ -33,6 +34,8 @@ private:
 class SelfContact {
 public:
     Surface surface;
+    /// Bound that makes a search for pairs unnecessary where parts of a regular sheet are far from each other.
+    SheetSeparation separation;
     /// Friction coefficients between layers.
     FrictionCoefficients friction;
     bool has_friction() const { return friction.at_rest > 0.0; }
@@ -83,7 +86,7 @@ public:
             motion_ = motion_since(x, inner_.positions);
             if (!caches || !(margin + motion_ <= inner_.margin)) {
                 rebuild_inner(x, margin);
-                motion_ = 0.0;
+                motion_ = motion_since(x, inner_.positions);
             }
         }
         gaps.find(x, thickness, thickness + margin);
@@ -121,14 +124,13 @@ private:
     /// Return whether positions are finite. Clears lists of another thickness.
     bool check_positions(const double* x, double thickness) {
         if (!(motion_since(x, outer_.positions) < 1e30)) return false;
-        if (thickness != thickness_) outer_.pairs.reach = middle_.margin = inner_.margin = -1.0;
+        if (thickness != thickness_) outer_.margin = middle_.margin = inner_.margin = -1.0;
         thickness_ = thickness;
         return true;
     }
     /// Whether a list contains all pairs within the thickness and the margin. False for positions that are not finite.
     bool covers_outer(const double* x, double thickness, double margin) const {
-        return caches && thickness == thickness_ &&
-               thickness + margin + motion_since(x, outer_.positions) <= outer_.pairs.reach;
+        return caches && thickness == thickness_ && margin + motion_since(x, outer_.positions) <= outer_.margin;
     }
     bool covers_middle(const double* x, double thickness, double margin) const {
         return caches && thickness == thickness_ && margin + motion_since(x, middle_.positions) <= middle_.margin;
@@ -138,29 +140,43 @@ private:
         // The longer its range, the longer it is valid; but beyond the shortest edge it contains all neighbours in a
         // flat sheet.
         const double range = thickness_ + margin, longer = smaller(1.5 * range, max_reach * surface.shortest);
-        // Edges have half the thickness.
-        outer_.pairs.build(surface, x, larger(min_reach * surface.shortest, larger(1.2 * range, longer)),
-                           0.5 * thickness_);
+        double reach = larger(min_reach * surface.shortest, larger(1.2 * range, longer));
+        const double separated = separation.applies() ? separation.bound(x, 1.1 * range, reach) : 0.0;
+        if (separated >= 1.1 * range) {
+            reach = separated;
+            outer_.pairs.clear();
+        } else {
+            // Edges have half the thickness.
+            outer_.pairs.build(surface, x, reach, 0.5 * thickness_);
+        }
         outer_.positions.assign(x, x + 4 * surface.count);
+        outer_.margin = reach - thickness_;
     }
     void rebuild_middle(const double* x, double margin) {
         if (covers_middle(x, thickness_, margin)) return;
         rebuild_outer(x, margin + middle_margin * thickness_);
-        prune(x, outer_.pairs, margin + middle_margin * thickness_, middle_);
+        prune(x, outer_, margin + middle_margin * thickness_, middle_);
     }
     void rebuild_inner(const double* x, double margin) {
         margin +=
             smaller(larger(inner_margin_factor * margin, min_inner_margin * thickness_), middle_margin * thickness_);
         rebuild_middle(x, margin);
-        prune(x, middle_.pairs, margin, inner_);
+        prune(x, middle_, margin, inner_);
         gaps.set_candidates(surface, inner_.pairs.triangles, x, thickness_ + margin);
     }
-    /// Keep the pairs within the thickness and the margin.
-    void prune(const double* x, const SurfacePairs& from, double margin, ListLevel& to) {
-        from.triangle_squares(surface, x, squares_);
-        filter(from.triangles, thickness_ + margin, to.pairs.triangles, nullptr);
-        from.edge_squares(surface, x, squares_);
-        filter(from.edges, 0.5 * thickness_ + margin, to.pairs.edges, nullptr);
+    /// Keep the pairs within the thickness and the margin. Without pairs, both levels are valid as long as each other.
+    void prune(const double* x, const ListLevel& from, double margin, ListLevel& to) {
+        const SurfacePairs& pairs = from.pairs;
+        if (pairs.empty()) {
+            to.pairs.clear();
+            to.positions = from.positions;
+            to.margin = from.margin;
+            return;
+        }
+        pairs.triangle_squares(surface, x, squares_);
+        filter(pairs.triangles, thickness_ + margin, to.pairs.triangles, nullptr);
+        pairs.edge_squares(surface, x, squares_);
+        filter(pairs.edges, 0.5 * thickness_ + margin, to.pairs.edges, nullptr);
         to.positions.assign(x, x + 4 * surface.count);
         to.margin = margin;
     }
