@@ -12,24 +12,25 @@ using plan::Plan;
 
 struct Surface;
 
-/// Excludes self-contact from a frame in which no part of the cloth can reach another. At the start of the frame no
-/// pair may be nearer than the thickness and the distance covered in the frame at twice the present relative speed,
-/// plus `speed_margin`. If a run ends with a larger relative speed, all runs of the frame are repeated with
-/// self-contact. Cached pairs make no difference, so no bit depends on it.
+/// Excludes self-contact from a frame in which no part of the cloth can reach another. Two parts of a regular sheet
+/// must be separated by more than the thickness at the start of the frame and at the end of each run, even after the
+/// frame at twice their relative speed, plus `SelfContact::speed_margin`. Where that is not clear, no pair may be nearer at the start
+/// than the thickness and the distance covered at twice the largest relative speed, plus the margin; no run may end
+/// with a larger one. Otherwise all runs of the frame are repeated with self-contact. Cached pairs make no difference,
+/// so no bit depends on them.
 class SelfCulling {
 public:
     SelfCulling(Plan& plan, double duration, const double* x0, const double* v0);
-    /// Whether a run with end velocities v violates the assumptions.
-    bool is_violated(const double* v) const { return plan_.self_culled && !(relative_speed(v) <= speed_limit_); }
+    /// Whether a run with positions x and velocities v at its end violates the assumptions.
+    bool is_violated(const double* x, const double* v) const;
     void disable() { plan_.self_culled = false; }
 
 private:
-    /// Speed that particles may gain [m/s].
-    static constexpr double speed_margin = 0.1;
-
+    bool stays_separated(const double* x, const double* v) const;
     double relative_speed(const double* v) const;
     Plan& plan_;
-    double speed_limit_ = 0.0;
+    double duration_, speed_limit_ = 0.0;
+    bool is_separated_ = false;
 };
 
 /// Excludes features of obstacles that stay away from the cloth from a frame. If a run ends with a larger speed than

@@ -4,6 +4,8 @@
 // Self-contact: Verlet lists (neighbour lists) of near pairs, and stiffness bounds for step control.
 #pragma once
 
+#include <cstring>
+
 #include "contact/self_friction.hpp"
 #include "contact/self_gaps.hpp"
 #include "contact/sheet_separation.hpp"
@@ -11,24 +13,6 @@
 namespace cloth::contact {
 
 using laws::stopping_gap;
-
-/// Upper bound of the relative motion of any two particles: diagonal of the bounding box of all displacements. NaN if a
-/// displacement is not finite.
-class MotionBound {
-public:
-    CLOTH_INLINE void include(quad<double> displacement) {
-        low_ = smaller(displacement, low_);
-        high_ = larger(displacement, high_);
-        nan_check_ = fma(displacement, quad<double>{}, nan_check_);
-    }
-    double diameter() const {
-        const quad<double> w = high_ - low_ + nan_check_;
-        return root(norm2(Vec3<double>{w[0], w[1], w[2]}));
-    }
-
-private:
-    quad<double> low_ = quad<double>{} + 1e300, high_ = quad<double>{} - 1e300, nan_check_{};
-};
 
 /// Verlet lists of a surface, kept between calls. Positions are quads.
 class SelfContact {
@@ -46,6 +30,34 @@ public:
     /// it.
     static constexpr double min_reach = 0.6;
     bool caches = true;  ///< false rebuilds the lists in every call, for tests
+
+    /// Whether no two parts of a regular sheet at positions x, velocities v (quads) come within the thickness [m] in a
+    /// duration [s], at twice their relative speed and `speed_margin` more. False if that is not clear without a search
+    /// for pairs.
+    bool stays_separated(const double* x, const double* v, double thickness, double duration) {
+        if (!separation.applies()) return false;
+        const std::array<double, 2> limits{2.0 * duration, thickness + speed_margin * duration};
+        const std::size_t size = 4 * static_cast<std::size_t>(surface.count);
+        const auto is_same = [&](const Array<double>& a, const double* b) {
+            return a.size() == size && !std::memcmp(a.data(), b, size * sizeof(double));
+        };
+        if (!(limits == checked_limits_ && is_same(checked_x_, x) && is_same(checked_v_, v))) {
+            is_separated_ = separation.bound(x, v, limits[0], limits[1]) >= limits[1];
+            checked_limits_ = limits;
+            checked_x_.assign(x, x + size);
+            checked_v_.assign(v, v + size);
+        }
+        return is_separated_;
+    }
+    /// Speed that particles may gain in a frame [m/s].
+    static constexpr double speed_margin = 0.1;
+    /// Forget the pairs of the last `find`.
+    void clear_pairs() {
+        triangles.clear();
+        edges.clear();
+        triangle_squares.clear();
+        edge_squares.clear();
+    }
 
     std::array<Index, 4> triangle_corners(std::size_t k) const {
         const auto& t = surface.triangles[triangles.second[k]];
@@ -140,17 +152,11 @@ private:
         // The longer its range, the longer it is valid; but beyond the shortest edge it contains all neighbours in a
         // flat sheet.
         const double range = thickness_ + margin, longer = smaller(1.5 * range, max_reach * surface.shortest);
-        double reach = larger(min_reach * surface.shortest, larger(1.2 * range, longer));
-        const double separated = separation.applies() ? separation.bound(x, 1.1 * range, reach) : 0.0;
-        if (separated >= 1.1 * range) {
-            reach = separated;
-            outer_.pairs.clear();
-        } else {
-            // Edges have half the thickness.
-            outer_.pairs.build(surface, x, reach, 0.5 * thickness_);
-        }
+        // Edges have half the thickness.
+        outer_.pairs.build(surface, x, larger(min_reach * surface.shortest, larger(1.2 * range, longer)),
+                           0.5 * thickness_);
         outer_.positions.assign(x, x + 4 * surface.count);
-        outer_.margin = reach - thickness_;
+        outer_.margin = outer_.pairs.reach - thickness_;
     }
     void rebuild_middle(const double* x, double margin) {
         if (covers_middle(x, thickness_, margin)) return;
@@ -189,6 +195,10 @@ private:
                 if (squares) squares->push_back(squares_[k]);
             }
     }
+    /// Arguments and result of the last `stays_separated`.
+    std::array<double, 2> checked_limits_{-1.0, -1.0};
+    Array<double> checked_x_, checked_v_;
+    bool is_separated_ = false;
     /// Each level is a part of the one before.
     ListLevel outer_, middle_, inner_;
     double thickness_ = 0.0, motion_ = 0.0;

@@ -197,6 +197,10 @@ ContactBounds predict_self_contact(Plan& plan, double t, double duration, double
     std::vector<Scaling<double>> scalings;
     self_scalings(plan, t, scalings);
     law.reduce(&scalings);
+    if (!law.reduced() && self.stays_separated(positions.data(), velocities.data(), d, duration)) {
+        self.clear_pairs();
+        return {};
+    }
     if (!self.find(positions.data(), d, margin)) {
         const double infinite = std::numeric_limits<double>::infinity();
         return {infinite, infinite};
@@ -265,16 +269,29 @@ bool ccd_self(Plan& plan, const double* x0, const double* x1) {
     return intersected;
 }
 
-SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const double* v0) : plan_(plan) {
+SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const double* v0)
+    : plan_(plan), duration_(duration) {
     plan.self_culled = false;
     if (!plan.self) return;
+    plan.self_culled = is_separated_ = stays_separated(x0, v0);
+    if (is_separated_) return;
     SelfContact& self = *plan.self;
     const Array<double> positions = quads_of(plan, x0);
-    speed_limit_ = 2.0 * relative_speed(v0) + speed_margin;
+    speed_limit_ = 2.0 * relative_speed(v0) + SelfContact::speed_margin;
     const double margin = speed_limit_ * duration;
     plan.self_culled = plan.contacts.thickness + margin < SelfContact::min_reach * self.surface.shortest &&
                        self.find(positions.data(), plan.contacts.thickness, margin) && self.triangles.size() == 0 &&
                        self.edges.size() == 0;
+}
+
+bool SelfCulling::is_violated(const double* x, const double* v) const {
+    if (!plan_.self_culled) return false;
+    return is_separated_ ? !stays_separated(x, v) : !(relative_speed(v) <= speed_limit_);
+}
+
+bool SelfCulling::stays_separated(const double* x, const double* v) const {
+    const Array<double> positions = quads_of(plan_, x), velocities = quads_of(plan_, v);
+    return plan_.self->stays_separated(positions.data(), velocities.data(), plan_.contacts.thickness, duration_);
 }
 
 double SelfCulling::relative_speed(const double* v) const {

@@ -1,14 +1,13 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Lower bound of the distance between parts of a regular sheet, without a search for pairs.
+// Separation of a regular sheet from itself, without a list of pairs.
 #pragma once
 
 #include <cmath>
 #include <limits>
 
-#include "contact/surface.hpp"
-#include "core/algebra.hpp"
+#include "contact/broad_phase.hpp"
 
 namespace cloth::contact {
 
@@ -18,63 +17,66 @@ namespace cloth::contact {
 /// any matrix A,
 ///     |x(u) - x(w)| >= (s_min(A) - max |F - A|) |u - w|,
 /// because x(u) - x(w) is the integral of the deformation gradient F along the segment between them (mean value
-/// inequality). Parts are windows of two by two blocks of 2^l by 2^l cells: two cells are in adjacent blocks from some
-/// level l on, so their distance |u - w| is at least a block of the level below. Where a window bends too much for the
-/// bound, bounding boxes of the blocks below are compared.
+/// inequality). Their relative speed is at most max |dv/du| |u - w|. Parts are windows of two by two blocks of 2^l by 2^l
+/// cells: two cells are in adjacent blocks from some level l on, so |u - w| is at least a block of the level below. Where
+/// a window bends too much for the bound, the boxes of its blocks are compared, of ever finer ones, and pairs at last.
 class SheetSeparation {
 public:
     /// Set a sheet of rows by columns, particles row by row, with distances at rest [m] between columns and between
     /// rows. A surface whose triangles are not halves of its cells gets no bounds.
     void set(const Surface& s, std::int64_t rows, std::int64_t columns, double column_spacing, double row_spacing) {
         levels_.clear();
-        if (s.count != rows * columns || rows < 2 || columns < 2 || !are_halves_of_cells(s, rows, columns)) return;
+        if (s.count != rows * columns || rows < 2 || columns < 2 || !set_cells(s, rows, columns)) return;
         rows_ = rows, columns_ = columns, pitch_ = columns + lanes<double> + 1;
         spacing_[0] = column_spacing, spacing_[1] = row_spacing;
-        for (auto& plane : position_) plane.assign(rows * pitch_, 0.0);
+        for (auto& plane : component_) plane.assign(rows * pitch_, 0.0);
         for (std::int64_t r = rows - 1, c = columns - 1;; r = (r + 1) / 2, c = (c + 1) / 2) {
             levels_.emplace_back(r, c);
             if (r <= 2 && c <= 2) break;
         }
     }
     bool applies() const { return !levels_.empty(); }
-    /// Lower bound of the distance [m] at finite positions x, quads; the search for it ends below `needed`. Boxes are
-    /// compared where the bound is below `wanted`.
-    double bound(const double* x, double needed, double wanted) {
-        measure(x);
-        bool has_boxes = false;
+    /// Lower bound of the distance [m] that is left after a duration [s] at the present relative speed, at positions x
+    /// and velocities v, quads. Its calculation ends below `needed`, and for numbers that are not finite.
+    double bound(const double* x, const double* v, double duration, double needed) {
+        MotionBound extent;
+        for (std::int64_t i = 0; i < rows_ * columns_; ++i) {
+            extent.include(load4(x + 4 * i));
+            extent.include(load4(v + 4 * i));
+        }
+        if (!(extent.diameter() < 1e30)) return -1.0;
+        x_ = x, v_ = v, duration_ = duration, needed_ = needed;
+        has_boxes_ = false;
+        measure();
         double least = std::numeric_limits<double>::infinity();
-        const double shorter = smaller(spacing_[0], spacing_[1]);
         for (std::size_t l = 0; l < levels_.size(); ++l) {
             if (l) levels_[l].unite(levels_[l - 1], 0, gradient_planes);
             // In adjacent cells, a corner of a cell is next to its diagonal.
-            const double distance = l ? std::ldexp(shorter, static_cast<int>(l) - 1)
+            const double distance = l ? std::ldexp(smaller(spacing_[0], spacing_[1]), static_cast<int>(l) - 1)
                                       : spacing_[0] * spacing_[1] / std::hypot(spacing_[0], spacing_[1]);
             const Level& level = levels_[l];
-            for (std::int64_t r = 0; r < level.rows; ++r) {
+            for (std::int64_t r = 0; r < level.rows; ++r)
                 for (std::int64_t c = 0; c < level.columns; c += lanes<double>) {
                     const vec<double> bounds = distance * window_factor(level, r, c);
-                    unsigned bits = l ? bits_of(bounds < splat<vec<double>>(wanted)) : 0u;
                     for (int lane = 0; lane < lanes<double> && c + lane < level.columns; ++lane) {
                         double bound = bounds[lane];
-                        if (bits >> lane & 1u) {
-                            if (!has_boxes) build_boxes();
-                            has_boxes = true;
-                            bound = larger(box_distance(levels_[l - 1], 2 * r, 2 * (c + lane)), bound);
-                        }
+                        if (!(bound >= needed))
+                            bound = l ? window_bound(l - 1, 2 * r, 2 * (c + lane)) : window_distance(r, c + lane);
                         least = smaller(bound, least);
+                        if (!(least >= needed)) return least;
                     }
                 }
-                if (!(least >= needed)) return least;
-            }
         }
         return (1.0 - rounding) * least;
     }
 
 private:
-    /// Planes of a level: least and largest derivatives along columns, and along rows, by component; least and largest
-    /// positions.
-    static constexpr int gradient_planes = 12, planes = 18;
+    /// Planes of a level: squared largest derivative of the velocity [1/s^2]; least and largest derivatives of the
+    /// position along columns, and along rows, by component; least and largest positions; least and largest velocities.
+    static constexpr int first_derivative = 1, gradient_planes = 13, first_speed = 19, planes = 25;
     static constexpr double rounding = 1e-6;
+    using Corners = std::array<Index, 4>;
+    using Ends = std::array<Index, 2>;
 
     /// Blocks of cells. Each row is padded with copies of its last block.
     struct Level {
@@ -85,7 +87,8 @@ private:
             for (auto& numbers : plane) numbers.assign(r * pitch, 0.0);
         }
         /// Whether a plane has largest numbers.
-        static bool is_upper(int k) { return k / 3 % 2; }
+        static bool is_upper(int k) { return !k || (k - 1) / 3 % 2; }
+        static double unite(int k, double a, double b) { return is_upper(k) ? larger(a, b) : smaller(a, b); }
         void pad(int first, int last) {
             for (int k = first; k < last; ++k)
                 for (std::int64_t r = 0; r < rows; ++r) {
@@ -101,75 +104,101 @@ private:
                     const double* const lower = 2 * r + 1 < finer.rows ? upper + finer.pitch : upper;
                     double* const row = plane[k].data() + r * pitch;
                     // Of an odd number of blocks, the last is united with its copy.
-                    for (std::int64_t c = 0; c < columns; ++c) {
-                        const double a = upper[2 * c], b = upper[2 * c + 1], d = lower[2 * c], e = lower[2 * c + 1];
-                        row[c] = is_upper(k) ? larger(larger(a, b), larger(d, e)) : smaller(smaller(a, b), smaller(d, e));
-                    }
+                    for (std::int64_t c = 0; c < columns; ++c)
+                        row[c] = unite(k, unite(k, upper[2 * c], upper[2 * c + 1]),
+                                       unite(k, lower[2 * c], lower[2 * c + 1]));
                 }
             pad(first, last);
         }
     };
 
-    /// Whether each triangle is half of a cell, and no two of a cell overlap.
-    static bool are_halves_of_cells(const Surface& s, std::int64_t rows, std::int64_t columns) {
-        std::vector<int> missing((rows - 1) * (columns - 1), -1);
+    /// Set the triangles and the diagonal of each cell. Return whether all triangles are halves of cells, and no two
+    /// overlap.
+    bool set_cells(const Surface& s, std::int64_t rows, std::int64_t columns) {
+        cells_.assign((rows - 1) * (columns - 1), {});
         for (const auto& t : s.triangles) {
             std::int64_t row = rows, column = columns;
             for (const Index i : t) row = std::min(row, i / columns), column = std::min(column, i % columns);
             if (row + 1 >= rows || column + 1 >= columns) return false;
             // Corners of the cell, in turn about it.
-            const std::int64_t corner = row * columns + column;
-            const std::int64_t around[4] = {corner, corner + 1, corner + columns + 1, corner + columns};
+            const auto corner = static_cast<Index>(row * columns + column), next = static_cast<Index>(columns);
+            const Corners around{corner, corner + 1, corner + next + 1, corner + next};
             int absent = -1, n_absent = 0;
             for (int k = 0; k < 4; ++k)
                 if (std::find(t.begin(), t.end(), around[k]) == t.end()) absent = k, ++n_absent;
-            int& other = missing[row * (columns - 1) + column];
-            if (n_absent != 1 || (other >= 0 && other != (absent + 2) % 4)) return false;
-            other = absent;
+            Cell& cell = cells_[row * (columns - 1) + column];
+            if (n_absent != 1 || cell.size == 2 || (cell.size && cell.absent != (absent + 2) % 4)) return false;
+            cell.triangles[cell.size++] = t;
+            cell.absent = absent;
+            cell.diagonal = {around[(absent + 1) % 4], around[(absent + 3) % 4]};
         }
         return true;
     }
-    /// Set positions and the derivatives of each cell: both of its sides bound them, for either diagonal.
-    void measure(const double* x) {
-        using V = vec<double>;
+    /// Split quads into components.
+    void split(const double* a) {
         for (std::int64_t r = 0; r < rows_; ++r)
             for (std::int64_t c = 0; c < columns_; ++c)
-                for (int k = 0; k < 3; ++k) position_[k][r * pitch_ + c] = x[4 * (r * columns_ + c) + k];
+                for (int k = 0; k < 3; ++k) component_[k][r * pitch_ + c] = a[4 * (r * columns_ + c) + k];
+    }
+    /// Set the derivatives of each cell: its sides bound them, for either diagonal.
+    void measure() {
+        using V = vec<double>;
+        struct Sides {
+            V top, bottom, left, right;
+        };
         Level& cells = levels_[0];
         const V along = splat<V>(1.0 / spacing_[0]), across = splat<V>(1.0 / spacing_[1]);
-        for (int k = 0; k < 3; ++k)
+        const auto sides_of = [&](const double* corner) CLOTH_INLINED {
+            const V a = load(corner), b = load(corner + 1), d = load(corner + pitch_), e = load(corner + pitch_ + 1);
+            return Sides{along * (b - a), along * (e - d), across * (d - a), across * (e - b)};
+        };
+        const auto for_each_vector = [&](auto&& visit) CLOTH_INLINED {
             for (std::int64_t r = 0; r < cells.rows; ++r)
-                for (std::int64_t c = 0; c < cells.columns; c += lanes<double>) {
-                    const double* const corner = position_[k].data() + r * pitch_ + c;
-                    const V a = load(corner), b = load(corner + 1), d = load(corner + pitch_),
-                            e = load(corner + pitch_ + 1);
-                    const V top = along * (b - a), bottom = along * (e - d), left = across * (d - a),
-                            right = across * (e - b);
-                    const std::int64_t at = r * cells.pitch + c;
-                    store(cells.plane[k].data() + at, smaller(top, bottom));
-                    store(cells.plane[3 + k].data() + at, larger(top, bottom));
-                    store(cells.plane[6 + k].data() + at, smaller(left, right));
-                    store(cells.plane[9 + k].data() + at, larger(left, right));
+                for (std::int64_t c = 0; c < cells.columns; c += lanes<double>)
+                    visit(r * pitch_ + c, r * cells.pitch + c);
+        };
+        if (duration_ > 0.0) {
+            split(v_);
+            for_each_vector([&](std::int64_t from, std::int64_t to) CLOTH_INLINED {
+                Sides sums{};
+                for (const auto& component : component_) {
+                    const Sides sides = sides_of(component.data() + from);
+                    sums = {fma(sides.top, sides.top, sums.top), fma(sides.bottom, sides.bottom, sums.bottom),
+                            fma(sides.left, sides.left, sums.left), fma(sides.right, sides.right, sums.right)};
                 }
+                store(cells.plane[0].data() + to, larger(sums.top, sums.bottom) + larger(sums.left, sums.right));
+            });
+        }
+        split(x_);
+        for (int k = 0; k < 3; ++k)
+            for_each_vector([&](std::int64_t from, std::int64_t to) CLOTH_INLINED {
+                const Sides sides = sides_of(component_[k].data() + from);
+                store(cells.plane[first_derivative + k].data() + to, smaller(sides.top, sides.bottom));
+                store(cells.plane[first_derivative + 3 + k].data() + to, larger(sides.top, sides.bottom));
+                store(cells.plane[first_derivative + 6 + k].data() + to, smaller(sides.left, sides.right));
+                store(cells.plane[first_derivative + 9 + k].data() + to, larger(sides.left, sides.right));
+            });
         cells.pad(0, gradient_planes);
     }
     void build_boxes() {
         Level& cells = levels_[0];
-        for (int k = gradient_planes; k < planes; ++k)
+        for (int k = gradient_planes; k < planes; ++k) {
+            const double* const from = (k < first_speed ? x_ : v_) + (k - gradient_planes) % 3;
             for (std::int64_t r = 0; r < cells.rows; ++r)
                 for (std::int64_t c = 0; c < cells.columns; ++c) {
-                    const double* const corner = position_[k % 3].data() + r * pitch_ + c;
-                    const double a = corner[0], b = corner[1], d = corner[pitch_], e = corner[pitch_ + 1];
-                    cells.plane[k][r * cells.pitch + c] = Level::is_upper(k)
-                                                              ? larger(larger(a, b), larger(d, e))
-                                                              : smaller(smaller(a, b), smaller(d, e));
+                    const double* const corner = from + 4 * (r * columns_ + c);
+                    const double* const below = corner + 4 * columns_;
+                    cells.plane[k][r * cells.pitch + c] =
+                        Level::unite(k, Level::unite(k, corner[0], corner[4]), Level::unite(k, below[0], below[4]));
                 }
+        }
         cells.pad(gradient_planes, planes);
-        for (std::size_t l = 1; l < levels_.size(); ++l)
-            levels_[l].unite(levels_[l - 1], gradient_planes, planes);
+        for (std::size_t l = 1; l < levels_.size(); ++l) levels_[l].unite(levels_[l - 1], gradient_planes, planes);
+        has_boxes_ = true;
     }
-    /// s_min(A) - max |F - A| of a vector of windows, A in the middle of the derivatives.
-    static CLOTH_INLINE vec<double> window_factor(const Level& level, std::int64_t r, std::int64_t c) {
+    /// s_min(A) - max |F - A| of a vector of windows, A in the middle of the derivatives, less max |dv/du| times the
+    /// duration.
+    CLOTH_INLINE vec<double> window_factor(const Level& level, std::int64_t r, std::int64_t c) const {
         using V = vec<double>;
         const std::int64_t at = r * level.pitch + c, below = r + 1 < level.rows ? at + level.pitch : at;
         const auto united = [&](int k, auto&& choose) CLOTH_INLINED {
@@ -177,12 +206,14 @@ private:
             return choose(choose(load(from + at), load(from + at + 1)),
                           choose(load(from + below), load(from + below + 1)));
         };
+        const auto least = [](V a, V b) CLOTH_INLINED { return smaller(a, b); };
+        const auto largest = [](V a, V b) CLOTH_INLINED { return larger(a, b); };
         const V half = splat<V>(0.5);
         V center[2][3], spread{};
         for (int side = 0; side < 2; ++side)
             for (int k = 0; k < 3; ++k) {
-                const V low = united(6 * side + k, [](V a, V b) CLOTH_INLINED { return smaller(a, b); });
-                const V high = united(6 * side + 3 + k, [](V a, V b) CLOTH_INLINED { return larger(a, b); });
+                const V low = united(first_derivative + 6 * side + k, least);
+                const V high = united(first_derivative + 6 * side + 3 + k, largest);
                 center[side][k] = half * (low + high);
                 const V deviation = half * (high - low);
                 spread = fma(deviation, deviation, spread);
@@ -191,34 +222,155 @@ private:
         const V aa = norm2(a), bb = norm2(b), ab = dot(a, b), difference = aa - bb, twice = ab + ab;
         // Smaller eigenvalue of the transpose of A times A.
         const V square = half * (aa + bb - root(fma(difference, difference, twice * twice)));
-        return root(larger(square, V{})) - root(spread);
+        const V factor = root(larger(square, V{})) - root(spread);
+        return duration_ > 0.0 ? factor - duration_ * root(united(0, largest)) : factor;
     }
-    /// Least distance of the boxes of two blocks that are not adjacent, among four by four from a row and a column on.
-    static double box_distance(const Level& level, std::int64_t row, std::int64_t column) {
-        const std::int64_t rows = std::min(row + 4, level.rows), columns = std::min(column + 4, level.columns);
+    /// Bound of the pairs of blocks that are not adjacent, among four by four from a row and a column on.
+    double window_bound(std::size_t l, std::int64_t row, std::int64_t column) {
+        if (!has_boxes_) build_boxes();
+        const std::int64_t rows = std::min(row + 4, levels_[l].rows),
+                           columns = std::min(column + 4, levels_[l].columns);
         double least = std::numeric_limits<double>::infinity();
         for (std::int64_t r = row; r < rows; ++r)
             for (std::int64_t c = column; c < columns; ++c)
                 for (std::int64_t r2 = r; r2 < rows; ++r2)
                     for (std::int64_t c2 = column; c2 < columns; ++c2) {
-                        if (r2 - r < 2 && std::abs(c2 - c) < 2) continue;
-                        double square = 0.0;
-                        for (int k = 0; k < 3; ++k) {
-                            const double *const low = level.plane[12 + k].data(),
-                                         *const high = level.plane[15 + k].data();
-                            const std::int64_t one = r * level.pitch + c, other = r2 * level.pitch + c2;
-                            const double gap = larger(larger(low[one] - high[other], low[other] - high[one]), 0.0);
-                            square += gap * gap;
-                        }
-                        least = smaller(square, least);
+                        if (r2 - r < 2 && (std::abs(c2 - c) < 2 || (r2 == r && c2 < c))) continue;
+                        least = smaller(block_bound(l, r, c, r2, c2), least);
+                        if (!(least >= needed_)) return least;
                     }
-        return root(least);
+        return least;
     }
-
+    /// Bound of two blocks that are not adjacent.
+    double block_bound(std::size_t l, std::int64_t r, std::int64_t c, std::int64_t r2, std::int64_t c2) {
+        const Level& level = levels_[l];
+        const std::int64_t one = r * level.pitch + c, other = r2 * level.pitch + c2;
+        double gap_square = 0.0, speed_square = 0.0;
+        for (int k = 0; k < 3; ++k) {
+            const double *const low = level.plane[gradient_planes + k].data(), *const high =
+                                                                                   level.plane[gradient_planes + 3 + k]
+                                                                                       .data();
+            const double gap = larger(larger(low[one] - high[other], low[other] - high[one]), 0.0);
+            gap_square = cloth::fma(gap, gap, gap_square);
+            const double *const slowest = level.plane[first_speed + k].data(), *const fastest =
+                                                                                   level.plane[first_speed + 3 + k]
+                                                                                       .data();
+            const double speed = larger(fastest[one] - slowest[other], fastest[other] - slowest[one]);
+            speed_square = cloth::fma(speed, speed, speed_square);
+        }
+        const double bound = root(gap_square) - duration_ * root(speed_square);
+        if (bound >= needed_) return bound;
+        if (!l) return cells_distance({cell(r, c), cell(r2, c2)});
+        const Level& finer = levels_[l - 1];
+        double least = std::numeric_limits<double>::infinity();
+        for (std::int64_t i = 2 * r; i < std::min(2 * r + 2, finer.rows); ++i)
+            for (std::int64_t j = 2 * c; j < std::min(2 * c + 2, finer.columns); ++j)
+                for (std::int64_t i2 = 2 * r2; i2 < std::min(2 * r2 + 2, finer.rows); ++i2)
+                    for (std::int64_t j2 = 2 * c2; j2 < std::min(2 * c2 + 2, finer.columns); ++j2) {
+                        least = smaller(block_bound(l - 1, i, j, i2, j2), least);
+                        if (!(least >= needed_)) return least;
+                    }
+        return least;
+    }
+    std::int64_t cell(std::int64_t r, std::int64_t c) const { return r * (columns_ - 1) + c; }
+    /// Distance that is left of the pairs of two by two cells.
+    double window_distance(std::int64_t r, std::int64_t c) {
+        std::vector<std::int64_t>& cells = window_cells_;
+        cells.clear();
+        for (std::int64_t i = r; i < std::min(r + 2, rows_ - 1); ++i)
+            for (std::int64_t j = c; j < std::min(c + 2, columns_ - 1); ++j) cells.push_back(cell(i, j));
+        return cells_distance(cells);
+    }
+    /// Distance that is left of the pairs of some cells.
+    double cells_distance(const std::vector<std::int64_t>& cells) {
+        particles_.clear(), edges_.clear(), triangle_pairs_.clear(), edge_pairs_.clear();
+        const auto next = static_cast<Index>(columns_);
+        for (const std::int64_t k : cells) {
+            const auto corner = static_cast<Index>(k / (columns_ - 1) * columns_ + k % (columns_ - 1));
+            for (const Index i : {corner, corner + 1, corner + next, corner + next + 1})
+                if (std::find(particles_.begin(), particles_.end(), i) == particles_.end()) particles_.push_back(i);
+            // The sides to the left and above are those of a neighbour, if it is among the cells.
+            const auto contains = [&](std::int64_t other) {
+                return std::find(cells.begin(), cells.end(), other) != cells.end();
+            };
+            if (k % (columns_ - 1) == 0 || !contains(k - 1)) edges_.push_back({corner, corner + next});
+            if (!contains(k - (columns_ - 1))) edges_.push_back({corner, corner + 1});
+            edges_.push_back({corner + 1, corner + next + 1});
+            edges_.push_back({corner + next, corner + next + 1});
+            if (cells_[k].size) edges_.push_back(cells_[k].diagonal);
+        }
+        for (const std::int64_t k : cells)
+            for (int half = 0; half < cells_[k].size; ++half) {
+                const auto& t = cells_[k].triangles[half];
+                for (const Index i : particles_)
+                    if (i != t[0] && i != t[1] && i != t[2]) triangle_pairs_.push_back({i, t[0], t[1], t[2]});
+            }
+        for (std::size_t k = 0; k < edges_.size(); ++k)
+            for (std::size_t j = 0; j < k; ++j) {
+                const Ends &a = edges_[k], &b = edges_[j];
+                if (a[0] != b[0] && a[0] != b[1] && a[1] != b[0] && a[1] != b[1])
+                    edge_pairs_.push_back({a[0], a[1], b[0], b[1]});
+            }
+        const double of_triangles = distance_left<false>(triangle_pairs_);
+        return of_triangles >= needed_ ? smaller(distance_left<true>(edge_pairs_), of_triangles) : of_triangles;
+    }
+    /// Least distance of pairs, less the duration times the largest closing speed of their corners along it: at constant
+    /// velocities, no points of a pair come nearer.
+    template <bool Edges>
+    double distance_left(const std::vector<Corners>& pairs) const {
+        using V = vec<double>;
+        V least = splat<V>(std::numeric_limits<double>::infinity());
+        for (std::size_t k = 0; k < pairs.size(); k += lanes<double>) {
+            Vec3<V> at[4], velocity[4];
+            for (int j = 0; j < 4; ++j) {
+                quad<double> x[lanes<double>], v[lanes<double>];
+                for (int lane = 0; lane < lanes<double>; ++lane) {
+                    const std::int64_t i = pairs[std::min(k + lane, pairs.size() - 1)][j];
+                    x[lane] = load4(x_ + 4 * i), v[lane] = load4(v_ + 4 * i);
+                }
+                deinterleave(x, at[j].x, at[j].y, at[j].z);
+                deinterleave(v, velocity[j].x, velocity[j].y, velocity[j].z);
+            }
+            // Corners before `split` are of one side.
+            constexpr int split = Edges ? 2 : 1;
+            Vec3<V> away;
+            if constexpr (Edges)
+                away = near_segments(at[0], at[1], at[2], at[3]).away;
+            else
+                away = near_triangle(at[0], at[1], at[2], at[3]).away;
+            V slowest = dot(away, velocity[0]), fastest = dot(away, velocity[split]);
+            for (int j = 1; j < split; ++j) slowest = smaller(dot(away, velocity[j]), slowest);
+            for (int j = split + 1; j < 4; ++j) fastest = larger(dot(away, velocity[j]), fastest);
+            const V distance = root(norm2(away));
+            // Without a distance, no direction is known.
+            const V closing = select(distance > V{}, larger(fastest - slowest, V{}) / distance, V{});
+            least = smaller(distance - duration_ * closing, least);
+        }
+        double scalar = std::numeric_limits<double>::infinity();
+        for (int lane = 0; lane < lanes<double>; ++lane) scalar = smaller<double>(least[lane], scalar);
+        return scalar;
+    }
+    /// A cell with up to two triangles; `absent`: the corner that the last one lacks.
+    struct Cell {
+        std::array<std::array<Index, 3>, 2> triangles;
+        Ends diagonal;
+        int size = 0, absent = -1;
+    };
     std::int64_t rows_ = 0, columns_ = 0, pitch_ = 0;
     double spacing_[2] = {};
-    std::vector<double> position_[3];
+    std::vector<Cell> cells_;
     std::vector<Level> levels_;
+    /// Positions or velocities by component, rows padded.
+    std::vector<double> component_[3];
+    /// Arguments of `bound`, and whether the levels have their boxes.
+    const double *x_ = nullptr, *v_ = nullptr;
+    double duration_ = 0.0, needed_ = 0.0;
+    bool has_boxes_ = false;
+    /// Pairs of some cells.
+    std::vector<std::int64_t> window_cells_;
+    std::vector<Index> particles_;
+    std::vector<Ends> edges_;
+    std::vector<Corners> triangle_pairs_, edge_pairs_;
 };
 
 }  // namespace cloth::contact

@@ -131,7 +131,7 @@ inline RunStatus execute_runs(Plan& plan, const FrameRequest& frame) {
         if (done != RunStatus::ok) return done;
         const bool violated = contact_size && obstacle_culling.is_violated(
                                                   run.v, run.contact_record + plan.contacts.count() * record_numbers);
-        if (violated || self_culling.is_violated(run.v) || feature_culling.is_violated(run.v)) {
+        if (violated || self_culling.is_violated(run.x, run.v) || feature_culling.is_violated(run.v)) {
             if (violated) obstacle_culling.disable();
             self_culling.disable();
             feature_culling.disable();

@@ -1,0 +1,146 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Bound of a sheet's separation from itself against all pairs.
+#include "contact/sheet_separation.hpp"
+
+#include <algorithm>
+
+#include "samples.hpp"
+
+namespace cloth::tests {
+
+using namespace contact;
+
+namespace {
+
+enum Shape { flat, arch, wrinkled, folded, crumpled };
+
+/// A sheet with a spacing of 0.1 m, alternating diagonals, positions and velocities as quads.
+struct MovingSheet {
+    Surface surface;
+    Index rows, columns;
+    std::vector<double> x, v;
+    SheetSeparation separation;
+
+    MovingSheet(Index r, Index c) : rows(r), columns(c) {
+        surface.count = rows * columns;
+        for (Index i = 0; i + 1 < rows; ++i)
+            for (Index j = 0; j + 1 < columns; ++j) {
+                const Index a = i * columns + j, b = a + 1, d = a + columns, e = d + 1;
+                if ((i + j) % 2) {
+                    surface.triangles.push_back({a, d, b});
+                    surface.triangles.push_back({b, d, e});
+                } else {
+                    surface.triangles.push_back({a, e, b});
+                    surface.triangles.push_back({d, e, a});
+                }
+            }
+        surface.build_topology();
+        x.assign(4 * surface.count, 0.0), v.assign(4 * surface.count, 0.0);
+        separation.set(surface, rows, columns, 0.1, 0.1);
+    }
+    void set(std::vector<double>& a, Index i, Vec3<double> p) {
+        a[4 * i] = p.x, a[4 * i + 1] = p.y, a[4 * i + 2] = p.z;
+    }
+    void arrange(Shape shape, double speed, Random& random) {
+        const Vec3<double> spin = random.vector(), drift = random.vector();
+        for (Index i = 0; i < surface.count; ++i) {
+            const double a = 0.1 * (i % columns), b = 0.1 * static_cast<double>(i / columns);
+            Vec3<double> p{a, b, 0.0};
+            if (shape == arch) p = {a, 0.3 * std::sin(b / 0.3), 0.3 * std::cos(b / 0.3)};
+            if (shape == wrinkled) p = Vec3<double>{a, b, 0.06 * std::sin(9.0 * a)} + 0.015 * random.vector();
+            if (shape == folded) p = {a, std::min(b, 1.0 - b), b > 0.5 ? 0.04 : 0.0};
+            if (shape == crumpled) p = 0.3 * random.vector();
+            set(x, i, p);
+            set(v, i, speed * (drift + cross(spin, p) + 0.3 * random.vector()));
+        }
+    }
+    Vec3<double> at(Index i, double t) const {
+        return {x[4 * i] + t * v[4 * i], x[4 * i + 1] + t * v[4 * i + 1], x[4 * i + 2] + t * v[4 * i + 2]};
+    }
+    /// Least distance of all pairs that share no particle, while all move at constant velocities.
+    double least_distance(double duration) const {
+        double square = 1e30;
+        for (const double t : {0.0, 0.25 * duration, 0.5 * duration, 0.75 * duration, duration}) {
+            for (const auto& c : surface.triangles)
+                for (Index i = 0; i < surface.count; ++i)
+                    if (i != c[0] && i != c[1] && i != c[2])
+                        square =
+                            std::min(square, near_triangle(at(i, t), at(c[0], t), at(c[1], t), at(c[2], t)).square);
+            for (const auto& a : surface.edges)
+                for (const auto& b : surface.edges)
+                    if (!surface.share_end(a, b))
+                        square =
+                            std::min(square, near_segments(at(a[0], t), at(a[1], t), at(b[0], t), at(b[1], t)).square);
+        }
+        return std::sqrt(square);
+    }
+};
+
+}  // namespace
+
+TEST_CASE("the bound is below the least distance of all pairs, now and later") {
+    Random random;
+    int n_clear = 0, n_unclear = 0;
+    for (const auto& [rows, columns] : {std::pair<Index, Index>{2, 2}, {2, 9}, {9, 2}, {5, 12}, {11, 10}})
+        for (const Shape shape : {flat, arch, wrinkled, folded, crumpled})
+            for (const double speed : {0.0, 0.2, 2.0}) {
+                MovingSheet sheet(rows, columns);
+                REQUIRE(sheet.separation.applies());
+                sheet.arrange(shape, speed, random);
+                for (const double needed : {0.004, 0.02, 0.05}) {
+                    const double bound = sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.02, needed);
+                    ++(bound >= needed ? n_clear : n_unclear);
+                    if (bound >= needed) CHECK(bound <= sheet.least_distance(0.02));
+                }
+            }
+    // Neither is a matter of course.
+    CHECK(n_clear > 60);
+    CHECK(n_unclear > 50);
+}
+
+TEST_CASE("a sheet that is far from itself is found so, and one near itself is not") {
+    Random random;
+    MovingSheet sheet(11, 10);
+    for (const Shape shape : {flat, arch, wrinkled}) {
+        sheet.arrange(shape, 0.0, random);
+        CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.0, 0.02) >= 0.02);
+    }
+    sheet.arrange(folded, 0.0, random);
+    CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.0, 0.0347) >= 0.0347);
+    CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.0, 0.035) < 0.035);
+    // Both halves approach each other at 1 m/s.
+    for (Index i = 0; i < sheet.surface.count; ++i) sheet.set(sheet.v, i, {0.0, 0.0, i / 10 > 5 ? -0.5 : 0.5});
+    CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.01, 0.02) >= 0.02);
+    CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.03, 0.02) < 0.02);
+}
+
+TEST_CASE("numbers that are not finite are not clear") {
+    Random random;
+    MovingSheet sheet(5, 6);
+    sheet.arrange(flat, 0.0, random);
+    sheet.x[4 * 7] = std::numeric_limits<double>::quiet_NaN();
+    CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.01, 0.01) < 0.01);
+    sheet.arrange(flat, 0.0, random);
+    sheet.v[4 * 7 + 2] = std::numeric_limits<double>::infinity();
+    CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.01, 0.01) < 0.01);
+}
+
+TEST_CASE("a surface whose triangles are not halves of cells gets no bound") {
+    MovingSheet sheet(4, 5);
+    for (const auto& triangle : {std::array<Index, 3>{0, 2, 5}, std::array<Index, 3>{0, 1, 6}}) {
+        Surface surface = sheet.surface;
+        surface.triangles.push_back(triangle);
+        sheet.separation.set(surface, 4, 5, 0.1, 0.1);
+        CHECK_FALSE(sheet.separation.applies());
+    }
+    // Both diagonals of a cell.
+    Surface surface;
+    surface.count = 4;
+    surface.triangles = {{0, 1, 2}, {0, 1, 3}};
+    sheet.separation.set(surface, 2, 2, 0.1, 0.1);
+    CHECK_FALSE(sheet.separation.applies());
+}
+
+}  // namespace cloth::tests
