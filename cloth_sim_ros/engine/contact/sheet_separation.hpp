@@ -210,11 +210,11 @@ private:
         const auto largest = [](V a, V b) CLOTH_INLINED { return larger(a, b); };
         const V half = splat<V>(0.5);
         V center[2][3], spread{};
-        for (int side = 0; side < 2; ++side)
+        for (int axis = 0; axis < 2; ++axis)
             for (int k = 0; k < 3; ++k) {
-                const V low = united(first_derivative + 6 * side + k, least);
-                const V high = united(first_derivative + 6 * side + 3 + k, largest);
-                center[side][k] = half * (low + high);
+                const V low = united(first_derivative + 6 * axis + k, least);
+                const V high = united(first_derivative + 6 * axis + 3 + k, largest);
+                center[axis][k] = half * (low + high);
                 const V deviation = half * (high - low);
                 spread = fma(deviation, deviation, spread);
             }
@@ -244,18 +244,18 @@ private:
     /// Bound of two blocks that are not adjacent.
     double block_bound(std::size_t l, std::int64_t r, std::int64_t c, std::int64_t r2, std::int64_t c2) {
         const Level& level = levels_[l];
-        const std::int64_t one = r * level.pitch + c, other = r2 * level.pitch + c2;
+        const std::int64_t first = r * level.pitch + c, second = r2 * level.pitch + c2;
         double gap_square = 0.0, speed_square = 0.0;
         for (int k = 0; k < 3; ++k) {
             const double *const low = level.plane[gradient_planes + k].data(), *const high =
                                                                                    level.plane[gradient_planes + 3 + k]
                                                                                        .data();
-            const double gap = larger(larger(low[one] - high[other], low[other] - high[one]), 0.0);
+            const double gap = larger(larger(low[first] - high[second], low[second] - high[first]), 0.0);
             gap_square = cloth::fma(gap, gap, gap_square);
             const double *const slowest = level.plane[first_speed + k].data(), *const fastest =
                                                                                    level.plane[first_speed + 3 + k]
                                                                                        .data();
-            const double speed = larger(fastest[one] - slowest[other], fastest[other] - slowest[one]);
+            const double speed = larger(fastest[first] - slowest[second], fastest[second] - slowest[first]);
             speed_square = cloth::fma(speed, speed, speed_square);
         }
         const double bound = root(gap_square) - duration_ * root(speed_square);
@@ -290,8 +290,8 @@ private:
             for (const Index i : {corner, corner + 1, corner + next, corner + next + 1})
                 if (std::find(particles_.begin(), particles_.end(), i) == particles_.end()) particles_.push_back(i);
             // The sides to the left and above are those of a neighbour, if it is among the cells.
-            const auto contains = [&](std::int64_t other) {
-                return std::find(cells.begin(), cells.end(), other) != cells.end();
+            const auto contains = [&](std::int64_t neighbor) {
+                return std::find(cells.begin(), cells.end(), neighbor) != cells.end();
             };
             if (k % (columns_ - 1) == 0 || !contains(k - 1)) edges_.push_back({corner, corner + next});
             if (!contains(k - (columns_ - 1))) edges_.push_back({corner, corner + 1});

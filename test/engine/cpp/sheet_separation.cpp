@@ -60,7 +60,7 @@ struct MovingSheet {
         return {x[4 * i] + t * v[4 * i], x[4 * i + 1] + t * v[4 * i + 1], x[4 * i + 2] + t * v[4 * i + 2]};
     }
     /// Least distance of all pairs that share no particle, while all move at constant velocities.
-    double least_distance(double duration) const {
+    double min_distance(double duration) const {
         double square = 1e30;
         for (const double t : {0.0, 0.25 * duration, 0.5 * duration, 0.75 * duration, duration}) {
             for (const auto& c : surface.triangles)
@@ -92,7 +92,7 @@ TEST_CASE("the bound is below the least distance of all pairs, now and later") {
                 for (const double needed : {0.004, 0.02, 0.05}) {
                     const double bound = sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.02, needed);
                     ++(bound >= needed ? n_clear : n_unclear);
-                    if (bound >= needed) CHECK(bound <= sheet.least_distance(0.02));
+                    if (bound >= needed) CHECK(bound <= sheet.min_distance(0.02));
                 }
             }
     // Neither is a matter of course.
