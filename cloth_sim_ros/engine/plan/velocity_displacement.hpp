@@ -49,44 +49,50 @@ inline double radau_entry(const double* diagonal, const double* off_diagonal, in
     return pivot > 0.0 ? off_diagonal[size - 1] * off_diagonal[size - 1] / pivot : 0.0;
 }
 
-/// First column of f(H) for a symmetric tridiagonal matrix H of `size` rows, by cyclic Jacobi rotations.
-inline void envelope_column(const double* diagonal, const double* off_diagonal, int size, double inverse_time2,
-                            double* column) {
+/// A number of the lower bound, and the same one of the upper bound.
+using Bounds = CappedVector<double, 16>::type;
+
+/// First columns of f(H) for the first `size` rows of a symmetric tridiagonal matrix, and for one row more, by cyclic
+/// Jacobi rotations. Each rotation waits for the one before; therefore both matrices are rotated at once.
+inline void envelope_columns(const double* diagonal, const double* off_diagonal, int size, double inverse_time2,
+                             Bounds* column) {
     constexpr int most = max_lanczos_steps + 1;
-    double h[most][most] = {}, u[most][most] = {};
-    for (int i = 0; i < size; ++i) {
-        h[i][i] = diagonal[i];
-        u[i][i] = 1.0;
-        if (i + 1 < size) h[i][i + 1] = h[i + 1][i] = off_diagonal[i];
+    constexpr Bounds none = {}, one = {1.0, 1.0};
+    Bounds h[most][most] = {}, u[most][most] = {};
+    for (int i = 0; i <= size; ++i) {
+        h[i][i] = Bounds{i < size ? diagonal[i] : 0.0, diagonal[i]};
+        u[i][i] = one;
+        if (i < size) h[i][i + 1] = h[i + 1][i] = Bounds{i + 1 < size ? off_diagonal[i] : 0.0, off_diagonal[i]};
     }
     constexpr int max_sweeps = 30;
     for (int sweep = 0; sweep < max_sweeps; ++sweep) {
-        double off = 0.0, largest = 0.0;
-        for (int i = 0; i < size; ++i) {
+        Bounds off = none, largest = none;
+        for (int i = 0; i <= size; ++i) {
             largest = larger(largest, absolute(h[i][i]));
             for (int j = 0; j < i; ++j) off = larger(off, absolute(h[i][j]));
         }
-        if (off <= 1e-15 * largest) break;
-        for (int p = 0; p < size; ++p)
-            for (int q = p + 1; q < size; ++q) {
-                if (h[p][q] == 0.0) continue;
-                const double theta = (h[q][q] - h[p][p]) / (2.0 * h[p][q]);
-                const double t = (theta < 0.0 ? -1.0 : 1.0) / (absolute(theta) + root(theta * theta + 1.0));
-                const double c = 1.0 / root(t * t + 1.0), s = t * c;
-                const auto rotate = [&](double& a, double& b) {
-                    const double old = a;
+        const auto finished = off <= 1e-15 * largest;
+        if (!any(~finished)) break;
+        for (int p = 0; p <= size; ++p)
+            for (int q = p + 1; q <= size; ++q) {
+                const auto is_zero = finished | (h[p][q] == none);
+                const Bounds theta = (h[q][q] - h[p][p]) / (2.0 * h[p][q]);
+                const Bounds slope = select(theta < none, -one, one) / (absolute(theta) + root(theta * theta + 1.0));
+                const Bounds t = select(is_zero, none, slope), c = 1.0 / root(t * t + 1.0), s = t * c;
+                const auto rotate = [&](Bounds& a, Bounds& b) {
+                    const Bounds old = a;
                     a = c * old - s * b;
                     b = s * old + c * b;
                 };
-                for (int i = 0; i < size; ++i) rotate(h[i][p], h[i][q]);
-                for (int i = 0; i < size; ++i) rotate(h[p][i], h[q][i]);
-                for (int i = 0; i < size; ++i) rotate(u[i][p], u[i][q]);
+                for (int i = 0; i <= size; ++i) rotate(h[i][p], h[i][q]);
+                for (int i = 0; i <= size; ++i) rotate(h[p][i], h[q][i]);
+                for (int i = 0; i <= size; ++i) rotate(u[i][p], u[i][q]);
             }
     }
-    std::fill(column, column + size, 0.0);
-    for (int k = 0; k < size; ++k) {
-        const double f = u[0][k] / root(larger(h[k][k], 0.0) + inverse_time2);
-        for (int i = 0; i < size; ++i) column[i] += f * u[i][k];
+    std::fill(column, column + size + 1, none);
+    for (int k = 0; k <= size; ++k) {
+        const Bounds f = u[0][k] / root(larger(h[k][k], none) + inverse_time2);
+        for (int i = 0; i <= size; ++i) column[i] += f * u[i][k];
     }
 }
 
@@ -117,12 +123,12 @@ inline DisplacementEstimate velocity_displacement(Plan& plan, double t, const do
                   *const zeros = backward + size, *const sum = zeros + size;
     std::fill(zeros, zeros + size, 0.0);
     const auto basis = [&](int k) { return sum + (k + 1) * size; };
-    double diagonal[max_lanczos_steps + 1], off_diagonal[max_lanczos_steps], column[max_lanczos_steps + 1];
-    const auto displacement = [&](int count) {
-        envelope_column(diagonal, off_diagonal, count, inverse_time2, column);
-        for (std::int64_t i = 0; i < size; ++i) sum[i] = first_norm * column[0] * basis(0)[i];
+    double diagonal[max_lanczos_steps + 1], off_diagonal[max_lanczos_steps];
+    Bounds column[max_lanczos_steps + 1];
+    const auto displacement = [&](int bound, int count) {
+        for (std::int64_t i = 0; i < size; ++i) sum[i] = first_norm * column[0][bound] * basis(0)[i];
         for (int j = 1; j < count; ++j)
-            for (std::int64_t i = 0; i < size; ++i) sum[i] = fma(first_norm * column[j], basis(j)[i], sum[i]);
+            for (std::int64_t i = 0; i < size; ++i) sum[i] = fma(first_norm * column[j][bound], basis(j)[i], sum[i]);
         return largest_distance(sum, zeros, n);
     };
     for (std::int64_t i = 0; i < size; ++i) basis(0)[i] = errors[i] / first_norm;
@@ -142,11 +148,12 @@ inline DisplacementEstimate velocity_displacement(Plan& plan, double t, const do
         }
         off_diagonal[k] = root(mass_product(plan, next, next));
         for (std::int64_t i = 0; i < size; ++i) next[i] /= off_diagonal[k];
-        const double lower = displacement(k + 1);
+        diagonal[k + 1] = radau_entry(diagonal, off_diagonal, k + 1);
+        envelope_columns(diagonal, off_diagonal, k + 1, inverse_time2, column);
+        const double lower = displacement(0, k + 1);
         estimate = {lower, k + 1};
         if (off_diagonal[k] < 1e-8 * (absolute(diagonal[k]) + inverse_time2)) break;
-        diagonal[k + 1] = radau_entry(diagonal, off_diagonal, k + 1);
-        const double upper = diagonal[k + 1] > 0.0 ? displacement(k + 2) : lower;
+        const double upper = diagonal[k + 1] > 0.0 ? displacement(1, k + 2) : lower;
         if (upper > lower) estimate.displacement = smaller(root(lower) * root(upper), max_reserve * lower);
         if (upper <= bounds_agree * lower) break;
     }
