@@ -8,6 +8,7 @@ Decisions depend on their results. Therefore the engine adds in one fixed order,
 from __future__ import annotations
 
 import ctypes
+import struct
 from collections.abc import Sequence
 
 import numpy as np
@@ -39,10 +40,9 @@ def combine(arrays: Sequence[Array], weights: Sequence[float]) -> Array:
             f"{len(weights)} weights for {len(arrays)} arrays; give each array one weight, and at least one array"
         )
     out, count = np.empty_like(arrays[0]), len(arrays)
-    addresses = (ctypes.c_void_p * count)(*[doubles("array", array, out.shape) for array in arrays])
-    factors = (ctypes.c_double * count)(*weights)
-    operands = ctypes.addressof(addresses), ctypes.addressof(factors)
-    check(library().cloth_combine(count, *operands, out.size, address(out)))
+    addresses = struct.pack(f"{count}P", *[doubles("array", array, out.shape) for array in arrays])
+    factors = struct.pack(f"{count}d", *weights)
+    check(library().cloth_combine(count, addresses, factors, out.size, address(out)))
     return out
 
 
@@ -62,4 +62,4 @@ def weighted_dot(masses: Array, a: Array, b: Array) -> float:
 
 def largest_component(vectors: Array) -> float:
     """Return the largest absolute component of vectors, shape (3, n)."""
-    return max(float(vectors.max()), -float(vectors.min()))
+    return float(np.abs(vectors).max())
