@@ -431,9 +431,10 @@ class Controller:
     ) -> ExtrapolationTableau:
         """Return the runs of a piece from time t [s]; those of its previous attempt if it had the same steps."""
         counts = step_counts(piece.steps, ratio=piece.ratio, coprime=self._is_rough)
-        single_precision = False
-        if self.options.tolerance is not None and not self._is_rough:
-            single_precision = self._precision.allows_single_precision(
+        single_precision = is_estimated = False
+        if self.options.tolerance is not None:
+            is_estimated = self.estimates_error or not self._error.is_predictable(counts[: self.n_runs], piece.length)
+            single_precision = not self._is_rough and self._precision.allows_single_precision(
                 self._state, self.n_runs, estimates_error=self.estimates_error
             )
         if (
@@ -443,10 +444,8 @@ class Controller:
         ):
             return previous
         self.work.used += self.work.call_work
-        expected_runs = self.n_runs + self.estimates_error
-        is_repeated = self._attempts > 0 or self._is_rough
-        if self.estimates_error and self.n_runs == 2 and is_repeated and self._plan.threads_per_run(piece.ratio) == 1:
-            # Two runs and the estimating run rarely suffice then.
+        expected_runs = self.n_runs + is_estimated
+        if is_estimated and self._needs_more_runs(counts[: expected_runs + 1], piece.ratio):
             expected_runs += 1
         return ExtrapolationTableau(
             self._plan,
@@ -462,6 +461,13 @@ class Controller:
             expected_runs=expected_runs,
             before=self._before,
         )
+
+    def _needs_more_runs(self, counts: tuple[int, ...], ratio: int) -> bool:
+        """Return True if the runs of an estimate rarely suffice, so that one more is calculated with them."""
+        if sum(counts) <= self._plan.evaluations_per_call:
+            return self.refinement > 1.0
+        is_repeated = self._attempts > 0 or self._is_rough
+        return self.n_runs == 2 and is_repeated and self._plan.threads_per_run(ratio) == 1
 
     # Rule 1: stability.
 

@@ -97,6 +97,18 @@ class ErrorRule:
         displaced = VELOCITY_ERROR_TIME * self._velocity_rounding * steps if steps else 0.0
         return amplification(n_runs + 1) * (self._position_rounding + displaced)
 
+    def is_predictable(self, counts: tuple[int, ...], length: float) -> bool:
+        """Return True if the last estimate may predict the error of a piece.
+
+        Args:
+            counts: step counts of the combined runs.
+            length: of the piece [s].
+        """
+        memory = self.memory
+        # A run of a few steps has an error that longer steps change in another way.
+        has_order = counts[0] >= CONSTANTS.min_ordered_steps or length / counts[0] <= memory.step
+        return memory.step > 0.0 and has_order and len(counts) == memory.n_runs
+
     def predict(
         self, counts: tuple[int, ...], length: float, change: tuple[float, float], activity: float
     ) -> tuple[float, float]:
@@ -110,9 +122,7 @@ class ErrorRule:
         """
         memory = self.memory
         step, fraction = length / counts[0], length / memory.duration
-        # A run of a few steps has an error that longer steps change in another way.
-        has_order = memory.step > 0.0 and (counts[0] >= CONSTANTS.min_ordered_steps or step <= memory.step)
-        if len(counts) != memory.n_runs or not has_order:
+        if not self.is_predictable(counts, length):
             return math.inf, math.inf
         activity_ratio = max(1.0, activity / memory.activity) if memory.activity else math.inf
         trust_factor = CONSTANTS.estimate_trust_factor
