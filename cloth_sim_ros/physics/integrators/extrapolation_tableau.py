@@ -159,7 +159,7 @@ class ExtrapolationTableau:
         if summary is None:
             x, v = self.combine(n_runs)
             change = largest_distance(v, self._start.v)
-            activity = activity_of(change, float(self._runs[n_runs - 1].half_difference))
+            activity = activity_of(change, self._runs[n_runs - 1].half_difference)
             if not (math.isfinite(largest_distance(x, self._start.x)) and math.isfinite(change)):
                 activity = math.inf
             contact, contact_energy, self_contact = self._plan.contact, 0.0, (0.0, 0.0)

@@ -104,7 +104,9 @@ class Plan(PlanQueries, Uncopyable):
         # The engine's request is allocated once; each frame writes into it.
         self._steps, self._weights = (ctypes.c_int64 * MAX_RUNS)(), (ctypes.c_double * MAX_RUNS)()
         self._summary_out = (ctypes.c_double * binding.SUMMARY_NUMBERS)()
+        self._activities = (ctypes.c_double * MAX_RUNS)()
         self._steps_address, self._weights_address = addressof(self._steps), addressof(self._weights)
+        self._summary_address, self._activities_address = addressof(self._summary_out), addressof(self._activities)
         self._frame = binding.FrameRequest()
         #: Numbers of steps in the request.
         self._requested_steps: tuple[int, ...] | None = None
@@ -227,11 +229,8 @@ class Plan(PlanQueries, Uncopyable):
             count, grippers, obstacles = len(steps), self.gripper_count, 0
             if steps != self._requested_steps:
                 self._request_steps(steps)
-            is_odd = type(multirate) is int and multirate > 0 and multirate % 2 == 1
-            if multirate != 1 and (not is_odd or any(n_steps % multirate for n_steps in steps)):
-                raise ValueError(
-                    f"hinges every {multirate} steps of {list(steps)}; give an odd number that divides each of them"
-                )
+            if multirate != 1:
+                _check_multirate(multirate, steps)
             if not (isfinite(t) and isfinite(duration)):
                 raise ValueError(f"a run from time {t} s over {duration} s; both must be finite")
             x_address, v_address = self._addresses(*start)
@@ -245,13 +244,12 @@ class Plan(PlanQueries, Uncopyable):
                 end_buffers = self.contact.end_buffers(count)
                 end_addresses = [0 if array is None else address(array) for array in end_buffers]
             integrals = zeros((count, n_integrals(grippers, obstacles) + n_contact_numbers))
-            activities = empty(count)
             n_combined = count
             if weights is not None:
                 n_combined = len(weights)
                 if not 1 <= n_combined <= count:
                     raise ValueError(f"{n_combined} weights for {count} runs; give one for each run of the combination")
-                summary_address = addressof(self._summary_out)
+                summary_address = self._summary_address
                 if n_combined > 1:
                     self._weights[:n_combined] = list(weights)
                     result = empty((2, *self._shape))
@@ -279,13 +277,14 @@ class Plan(PlanQueries, Uncopyable):
                 multirate,
                 n_combined,
                 concurrency,
-                address(activities),
+                self._activities_address,
                 0 if before is None else doubles("before", before[0], self._shape),
                 0.0 if before is None else duration / before[1],
             )
             status = self._library.cloth_frame(self._handle, self._frame_address)
             if status:
                 self._raise_for_status(status)
+            activities = self._activities
             if end_buffers is _NO_END_BUFFERS:
                 runs = [Run(out[k], integrals[k], grippers, obstacles, activities[k]) for k in range(count)]
             else:
@@ -296,10 +295,9 @@ class Plan(PlanQueries, Uncopyable):
                 ]
             if weights is None:
                 return runs, None
-            size, omega2, damping, contact_energy, self_omega2, self_damping, *hinges, turn, change = self._summary_out[
-                :
-            ]
-            activity = activity_of(size, float(activities[n_combined - 1]))
+            summary_out = self._summary_out[:]
+            size, omega2, damping, contact_energy, self_omega2, self_damping, *hinges, turn, change = summary_out
+            activity = activity_of(size, activities[n_combined - 1])
             x, v = result[0], result[1]
             self._last_result, self._last_address = (x, v), result_address or out_address
             if self._python_forces:
@@ -404,3 +402,12 @@ class Plan(PlanQueries, Uncopyable):
         if self._python_forces:
             return False
         return self.contact is None or self.contact.supports_single_precision(duration, x, v, memory)
+
+
+def _check_multirate(multirate: int, steps: Sequence[int]) -> None:
+    """Refuse a multirate ratio that is not odd, or does not divide all steps."""
+    is_odd = type(multirate) is int and multirate > 0 and multirate % 2 == 1
+    if not is_odd or any(n_steps % multirate for n_steps in steps):
+        raise ValueError(
+            f"hinges every {multirate} steps of {list(steps)}; give an odd number that divides each of them"
+        )
