@@ -189,6 +189,27 @@ def test_attempts_without_a_tolerance_count_over_a_frame() -> None:
         assert integrator.advance(plan, state, k / 30.0, 1.0 / 30.0).rejected <= 13
 
 
+def test_estimates_of_small_sheets_share_an_engine_call() -> None:
+    values = {"cloth.resolution": [4, 4], "material.stretch_modulus": 100.0, "cloth.anchors": ["top_left"]}
+    simulation = Simulation(Scene.from_parameters({**values, "grippers": [""], "bending.model": "none"}))
+    plan, estimated_calls = simulation.plan, []
+    calculate, steps_of_calls = plan.runs, []
+
+    def seen(t: float, duration: float, start: tuple[Array, Array], steps: Any, **options: Any) -> Any:
+        steps_of_calls.append(tuple(steps))
+        return calculate(t, duration, start, steps, **options)
+
+    plan.runs = seen  # type: ignore[method-assign]
+    for _ in range(60):
+        before = ErrorState.load(simulation.state)
+        steps_of_calls.clear()
+        simulation.advance()
+        if before.time_until_estimate == 0.0 and before.n_runs == 1.0 < before.refinement:
+            estimated_calls.append([len(steps) for steps in steps_of_calls])
+    # The third run shows whether two combined runs are cheaper.
+    assert [3] in estimated_calls and [2, 1] not in estimated_calls
+
+
 def _controller(work: float = 0.0) -> Controller:
     plan = compile(Model([0.1, 0.1], [PairSprings([[0, 1]], 1.0, 1e5, 0.0)], anchors=[0]))
     state = State([[0.0, 0.0, 0.0], [1.001, 0.0, 0.0]])
