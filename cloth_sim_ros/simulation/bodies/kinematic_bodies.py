@@ -138,9 +138,10 @@ class KinematicBodies:
         memory = self._state.memory
         poses, twists, previous_turns, targets = map(memory.__getitem__, self._names)
         ends = targets
-        if end_pose is not None:
-            poses_and_targets = zip(poses.tolist(), targets.tolist(), strict=True)
-            ends = np.array([end_pose(k, *pose_and_target) for k, pose_and_target in enumerate(poses_and_targets)])
+        if end_pose is not None and poses is not targets:
+            target_poses = targets.tolist()
+            end_poses = [end_pose(k, *pair) for k, pair in enumerate(zip(poses.tolist(), target_poses, strict=True))]
+            ends = targets if end_poses == target_poses else np.array(end_poses)
         rows, end_twists, turns, changes = self._planner.plan(t, duration, poses, twists, previous_turns, ends)
         pose, twist, turn, _ = self._names
         # Arrays of a state are never written to, so two names may share one.
