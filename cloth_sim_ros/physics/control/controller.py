@@ -235,7 +235,9 @@ class Controller:
 
     def _begin(self) -> None:
         """Set what the pieces of a frame change to its start."""
-        self._rest_rate = self._work_rate()
+        #: Force evaluations per second of the choice at the start, with an error estimate.
+        self._rest_rate = self.refinement / (CONSTANTS.stability_safety * self._stability.memory.max_step)
+        self._rest_rate *= RATIO_SUMS[self.n_runs + 1]
         #: Velocities [m/s] at the start of the interval before, and its length [s].
         previous = self._state.memory.get(controller_state.PREVIOUS_VELOCITIES_KEY)
         self._start_v, self._before = self._state.v, None if previous is None else (previous, self._duration)
@@ -273,11 +275,6 @@ class Controller:
             is_missed: True if the predicted error of a piece exceeds its budget.
         """
         return (is_missed and self._n_estimated < self.n_pieces) or (self._may_turn and not self._is_rough)
-
-    def _work_rate(self) -> float:
-        """Return the force evaluations per second of the present choice with an error estimate."""
-        steps = self.refinement / (CONSTANTS.stability_safety * self._stability.memory.max_step)
-        return steps * RATIO_SUMS[self.n_runs + 1]
 
     # Pieces.
 

@@ -73,7 +73,7 @@ class PrecisionRule:
             Force evaluations of the measurement.
         """
         memory, noise, plan = self.memory, self.noise, self._plan
-        if (noise.n_samples >= _MAX_SAMPLES and self._is_known_at(state)) or n_runs > 1:
+        if n_runs > 1 or (noise.n_samples >= _MAX_SAMPLES and self._is_known_at(state)):
             return 0
         if not plan.supports_single_precision(self._duration, state.x, state.v, state.memory):
             return 0

@@ -65,19 +65,17 @@ class Run(NamedTuple):
     @property
     def encountered_energy(self) -> float:
         """Largest energy per mass that an obstacle contact took up during the run, in U^2/2."""
-        return float(self.integrals[self._base_size]) if self._has_contact else 0.0
+        return self.contact_summary[0]
 
     @property
     def min_gap(self) -> float:
         """Least gap during the run [m]; infinite without contact."""
-        return float(self.integrals[self._base_size + 1]) if self._has_contact else math.inf
+        return self.contact_summary[1]
 
     @property
     def self_contact(self) -> tuple[float, float]:
         """Squared frequency [1/s^2] and damping rate [1/s] of self-contact that the run resolved."""
-        if not self._has_contact:
-            return 0.0, 0.0
-        return float(self.integrals[self._base_size + 3]), float(self.integrals[self._base_size + 4])
+        return self.contact_summary[2]
 
     @property
     def contact_summary(self) -> tuple[float, float, tuple[float, float]]:
