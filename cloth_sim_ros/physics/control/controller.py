@@ -29,7 +29,7 @@ from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.contact_step_limit import ContactStepLimit
 from cloth_sim_ros.physics.control.description import ExplicitSettings, describe
 from cloth_sim_ros.physics.control.energy import EnergyRule, external_work
-from cloth_sim_ros.physics.control.error import ErrorRule, ErrorSums, is_for_duration
+from cloth_sim_ros.physics.control.error import ErrorRule, ErrorSums
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, is_implicit_feasible
 from cloth_sim_ros.physics.control.force_jump import EVALUATIONS, missed_velocity_change
 from cloth_sim_ros.physics.control.multirate import MultirateRule
@@ -127,7 +127,7 @@ class Controller:
         self._stability = StabilityRule(plan, memory, state.x)
         refuse_unbounded(memory.omega2, memory.damping)
         sheet_limit = options.step_limit(memory.omega2, memory.damping)
-        if not is_for_duration(error, duration):
+        if abs(error.duration - duration) > 1e-6 * duration:
             # Recorded errors belong to frames of another length.
             error = ErrorState(n_runs=error.n_runs, refinement=error.refinement, duration=duration)
             for key in (
@@ -491,7 +491,7 @@ class Controller:
                 self._multirate.ratio = self._ratio = 1
         else:
             # Contact did not stop a particle; with finer steps it would not have got that far.
-            energy, rates = tableau.encountered_energy(n_runs), tableau.self_contact(n_runs)
+            energy, rates = tableau.encountered_contact(n_runs)
             limit = self._contact_limit.limit_at_energy(energy, rates, self._stability.memory)
             factor, failure = 2.0 if piece.step <= limit else 1.0, "not finite"
         # If a run ended on a surface, the limit is zero.

@@ -232,8 +232,3 @@ class ErrorRule:
 def coefficient_of(counts: tuple[int, ...], length: float) -> float:
     """Return the error coefficient of runs over a length [s], see `error_coefficient`."""
     return error_coefficient(counts) * power(length, len(counts) + 1)
-
-
-def is_for_duration(memory: ErrorState, duration: float) -> bool:
-    """Return True if the state of the rule belongs to frames of a duration [s]."""
-    return abs(memory.duration - duration) <= 1e-6 * duration

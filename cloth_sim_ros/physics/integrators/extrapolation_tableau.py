@@ -226,16 +226,15 @@ class ExtrapolationTableau:
         differences = np.abs(next_jaws - jaws)
         return max(float(differences[:, 0].max()), float(differences[:, 1].max()) * self._jaw_time)
 
-    def encountered_energy(self, n_runs: int) -> float:
-        """Return the energy per mass, in U^2/2, that contact had to absorb in the runs of T_K.
+    def encountered_contact(self, n_runs: int) -> tuple[float, tuple[float, float]]:
+        """Return the contact that the runs of T_K, K = n_runs, encountered.
 
-        For an approach that the runs did not complete, it is the energy that contact would have had to absorb.
+        Returns:
+            Energy per mass, in U^2/2, that contact had to absorb, or would have had to in a completed approach; squared
+            frequency [1/s^2] and damping rate [1/s] of self-contact.
         """
-        return self._contact_summary(n_runs)[0]
-
-    def self_contact(self, n_runs: int) -> tuple[float, float]:
-        """Return squared frequency [1/s^2] and damping rate [1/s] of self-contact in the runs of T_K, K = n_runs."""
-        return self._contact_summary(n_runs)[2]
+        energy, _, rates = self._contact_summary(n_runs)
+        return energy, rates
 
     def contact_energy(self, n_runs: int) -> float:
         """Return the largest contact energy per mass in the runs of T_K, K = n_runs, in U^2/2."""
