@@ -97,7 +97,7 @@ class ContactStepLimit:
     @staticmethod
     def _encountered(tableau: ExtrapolationTableau, n_runs: int) -> tuple[float, tuple[float, float]]:
         """Return energy per mass at obstacles and rates of self-contact that T_K encountered, K = n_runs."""
-        energy, rates = tableau.encountered_contact(n_runs)
+        energy, _, rates = tableau.contact_summary(n_runs)
         return max(energy, tableau.summary(n_runs).contact_energy), rates
 
     def has_contact(self, tableau: ExtrapolationTableau, n_runs: int) -> bool:

@@ -491,7 +491,7 @@ class Controller:
                 self._multirate.ratio = self._ratio = 1
         else:
             # Contact did not stop a particle; with finer steps it would not have got that far.
-            energy, rates = tableau.encountered_contact(n_runs)
+            energy, _, rates = tableau.contact_summary(n_runs)
             limit = self._contact_limit.limit_at_energy(energy, rates, self._stability.memory)
             factor, failure = 2.0 if piece.step <= limit else 1.0, "not finite"
         # If a run ended on a surface, the limit is zero.
@@ -525,7 +525,7 @@ class Controller:
             counts, piece.length, change, max(self._activity, summary.change_from_before)
         )
         if self._plan.contact is not None:
-            self._piece_contact_energy = tableau.contact_energy(n_runs)
+            _, self._piece_contact_energy, _ = tableau.contact_summary(n_runs)
             if self._contact_limit.exceeds_known_energy(self._piece_contact_energy):
                 # The contact is harder than in the frame of the last estimate, or the first one.
                 self._predicted = math.inf

@@ -81,11 +81,6 @@ class ErrorRule:
         """Rounding error of a run's positions [m]; most frames do not need it."""
         return _COORDINATE_ROUNDINGS * _EPSILON * largest_component(self._x)
 
-    @cached_property
-    def _velocity_rounding(self) -> float:
-        """Rounding error of a step's velocities [m/s]; only rough motions need it."""
-        return 0.5 * _EPSILON * largest_component(self._v)
-
     def rounding_floor(self, n_runs: int, steps: int = 0) -> float:
         """Return the distance of T_(K+1) from T_K that rounding alone causes [m], K = n_runs.
 
@@ -94,16 +89,13 @@ class ErrorRule:
             steps: steps whose roundings of velocities displace later. They add up over the few pieces of a rough
                 motion; over a frame they cancel.
         """
-        displaced = VELOCITY_ERROR_TIME * self._velocity_rounding * steps if steps else 0.0
+        displaced = 0.0
+        if steps:
+            displaced = VELOCITY_ERROR_TIME * (0.5 * _EPSILON * largest_component(self._v)) * steps
         return amplification(n_runs + 1) * (self._position_rounding + displaced)
 
     def is_predictable(self, counts: tuple[int, ...], length: float) -> bool:
-        """Return True if the last estimate may predict the error of a piece.
-
-        Args:
-            counts: step counts of the combined runs.
-            length: of the piece [s].
-        """
+        """Return True if the last estimate may predict the error of a piece; for arguments see `predict`."""
         memory = self.memory
         # A run of a few steps has an error that longer steps change in another way.
         has_order = counts[0] >= CONSTANTS.min_ordered_steps or length / counts[0] <= memory.step

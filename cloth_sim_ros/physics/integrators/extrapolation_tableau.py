@@ -226,30 +226,21 @@ class ExtrapolationTableau:
         differences = np.abs(next_jaws - jaws)
         return max(float(differences[:, 0].max()), float(differences[:, 1].max()) * self._jaw_time)
 
-    def encountered_contact(self, n_runs: int) -> tuple[float, tuple[float, float]]:
-        """Return the contact that the runs of T_K, K = n_runs, encountered.
+    def contact_summary(self, n_runs: int) -> tuple[float, float, tuple[float, float]]:
+        """Return the contact in the runs of T_K, K = n_runs; zeros without contact.
 
         Returns:
-            Energy per mass, in U^2/2, that contact had to absorb, or would have had to in a completed approach; squared
-            frequency [1/s^2] and damping rate [1/s] of self-contact.
+            Energy per mass, in U^2/2, that contact had to absorb, or would have had to in a completed approach; the
+            largest one in a contact; squared frequency [1/s^2] and damping rate [1/s] of self-contact.
         """
-        energy, _, rates = self._contact_summary(n_runs)
-        return energy, rates
-
-    def contact_energy(self, n_runs: int) -> float:
-        """Return the largest contact energy per mass in the runs of T_K, K = n_runs, in U^2/2."""
-        contact = self._plan.contact
-        return 0.0 if contact is None else contact.contact_energy(self._contact_summary(n_runs)[1])
-
-    def _contact_summary(self, n_runs: int) -> tuple[float, float, tuple[float, float]]:
-        """Return the contact summary of the runs of T_K, see `Run.contact_summary`; cached."""
-        if self._plan.contact is None:
-            return 0.0, math.inf, (0.0, 0.0)
-        summary = self._contact_summaries.get(n_runs)
+        contact, summary = self._plan.contact, self._contact_summaries.get(n_runs)
+        if contact is None:
+            return 0.0, 0.0, (0.0, 0.0)
         if summary is None:
             self._make_runs(n_runs)
             energies, gaps, rates = zip(*(run.contact_summary for run in self._runs[:n_runs]), strict=True)
-            summary = self._contact_summaries[n_runs] = max(energies), min(gaps), max_rates(*rates)
+            summary = max(energies), contact.contact_energy(min(gaps)), max_rates(*rates)
+            self._contact_summaries[n_runs] = summary
         return summary
 
     def commit(self, n_runs: int, state: State) -> None:
