@@ -28,7 +28,7 @@ from cloth_sim_ros.scene.scene import Scene
 from validation.report import Report, Table, print_progress
 
 _CONTACT_PARTS = ("slopes", "drift", "weight", "capstan", "impacts", "order", "pinch", "layers", "starts", "cost")
-PARTS = (*_CONTACT_PARTS, "folds", "hanging")
+PARTS = (*_CONTACT_PARTS, "folds", "hanging", "separated")
 G = 9.81
 #: Offsets from the friction angle at which a sheet must stick or slip, and at which its acceleration is measured [deg].
 STICTION_MARGIN, SLIDING_MARGIN = 0.1, 5.0
@@ -287,4 +287,5 @@ _MEASURES: dict[str, Callable[[Report, argparse.Namespace], None]] = {
     "cost": cost,
     "folds": contact_self.folds,
     "hanging": contact_self.hanging,
+    "separated": contact_self.separated,
 }

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cost of self-contact: the towel of config/fold.yaml, and a hanging sheet."""
+"""Cost of self-contact: the towel of config/fold.yaml, a hanging sheet, and sheets that stay away from themselves."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import numpy as np
 from support.obstacle_sheets import FRAME, SHEET, Motion
 
 from benchmarks.timing import time_interleaved
+from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
@@ -46,6 +47,8 @@ CLOSING_TIME, OPENING_TIME = 1.0, 4.8
 THICKNESSES = {30: 4e-3, 64: 3e-3}
 #: Resolutions of the hanging sheets.
 HANGING_RESOLUTIONS = (30, 64)
+#: Frames of each motion of a separated sheet, and its largest cost with self-contact, relative to that without.
+SEPARATED_FRAMES, MAX_SEPARATED_RATIO = 90, 1.15
 #: Frames per second of simulated time.
 FRAMES_PER_SECOND = round(1.0 / FRAME)
 
@@ -173,4 +176,55 @@ def hanging(report: Report, options: argparse.Namespace) -> None:
         table.rows.append([f"{count} x {count}", ratio, 1.1])
         if not ratio <= 1.1:
             report.fail(f"a sheet of {count} x {count} that hangs costs {ratio:.3g} times with contact.self")
+    report.tables.append(table)
+
+
+def _carried(scene: Scene) -> None:
+    """Carry a sheet by a corner, at up to 0.35 m/s."""
+    x = scene.initial_positions()
+    corner = x[np.argmax(x[:, 0] - x[:, 2])]
+    simulation = Simulation(scene)
+    for k in range(SEPARATED_FRAMES):
+        t = k * FRAME
+        offset = 0.1 * math.sin(2.0 * t), 0.2 * (1.0 - math.cos(1.5 * t)), 0.1 * (1.0 - math.cos(t))
+        simulation.advance([Target("gripper", tuple(corner + offset)), *([] if k else [Grasp("gripper", True)])])
+
+
+def _spinning(scene: Scene) -> None:
+    """Let a free sheet fall while it spins at 3.2 rad/s."""
+    x = scene.initial_positions()
+    simulation = Simulation(scene, State(x, np.cross([0.5, 3.0, 1.0], x - x.mean(axis=0))))
+    for _ in range(SEPARATED_FRAMES):
+        simulation.advance([])
+
+
+def _above_table(scene: Scene) -> None:
+    """Drop a flat sheet on a table from three thicknesses."""
+    x = scene.initial_positions()
+    height = np.full(len(x), 3.0 * scene.contact.thickness)
+    x = np.column_stack([x[:, 0], x[:, 2] - x[:, 2].min(), height])
+    simulation = Simulation(scene, State(x, np.zeros_like(x)))
+    for _ in range(SEPARATED_FRAMES):
+        simulation.advance([])
+
+
+def separated(report: Report, options: argparse.Namespace) -> None:
+    """Measure the default cloth with and without self-contact while no part of it comes near another."""
+    table = Table("A sheet away from itself", ["motion", "with contact.self: times", "at most"])
+    on_table = {"obstacles": ["table"], "table.shape": "plane", "table.position": [0.0, 0.0, 0.0]}
+    for name, motion, values in (
+        ("is carried by a corner", _carried, {}),
+        ("spins in free fall", _spinning, {"cloth.anchors": []}),
+        ("falls on a table from 3 d", _above_table, {"cloth.anchors": [], **on_table}),
+    ):
+        scenes = {on: Scene.from_parameters({**values, "contact.self": on}) for on in (True, False)}
+        candidates = {
+            setting: (lambda scene=scenes[on], motion=motion: motion(scene))
+            for setting, on in (("with", True), ("without", False))
+        }
+        turns = time_interleaved(candidates, seconds=options.seconds, clock=time.process_time)
+        ratio = turns.ratio("with", "without")
+        table.rows.append([name, ratio, MAX_SEPARATED_RATIO])
+        if not ratio <= MAX_SEPARATED_RATIO:
+            report.fail(f"a sheet that {name} costs {ratio:.3g} times with contact.self")
     report.tables.append(table)

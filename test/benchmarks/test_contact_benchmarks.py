@@ -96,11 +96,13 @@ def test_fold_grippers_close_and_open():
 def test_self_contact_cost_is_reported(capsys, monkeypatch):
     monkeypatch.setattr(contact_self, "THICKNESSES", {12: 4e-3})
     monkeypatch.setattr(contact_self, "HANGING_RESOLUTIONS", (6,))
+    monkeypatch.setattr(contact_self, "SEPARATED_FRAMES", 3)
     # The cost depends on the machine.
-    main(["contact", "--parts", "folds", "hanging", "--fold", "0.2", "--seconds", "0.1"])
+    main(["contact", "--parts", "folds", "hanging", "separated", "--fold", "0.2", "--seconds", "0.1"])
     out = capsys.readouterr().out
     assert "12 x 12" in out
     assert "6 x 6" in out
+    assert "spins in free fall" in out
 
 
 def test_fold_record_finds_the_worst_second():
