@@ -310,6 +310,8 @@ class TracedLibrary:
             return lambda: b"d" + struct.pack("<d", value)
         if kind == "f":
             return self._frame(value._obj, plan)
+        if isinstance(value, bytes):
+            value = ctypes.cast(ctypes.c_char_p(value), ctypes.c_void_p).value
         if kind == "a":
             addresses = (ctypes.c_int64 * arguments[0]).from_address(value)
             several = [self._memory(address, 8 * arguments[3]) for address in addresses]
