@@ -28,6 +28,7 @@ CLOTH_API int cloth_plan_self(Plan* plan, std::int64_t count, const std::int64_t
             s.triangles.push_back({corner(0), corner(1), corner(2)});
         }
         s.build_topology();
+        // Particles of a grid are numbered row by row.
         if (const auto& sheet = plan->grid) {
             const auto spacing = [&](grid::Family k) {
                 return sheet->families[k].present ? sheet->families[k].rest_length : shortest;

@@ -31,13 +31,13 @@ public:
     static constexpr double min_reach = 0.6;
     bool caches = true;  ///< false rebuilds the lists in every call, for tests
 
-    /// Whether no two parts of a regular sheet at positions x, velocities v (quads) come within the thickness [m] in a
+    /// Whether no two parts of a regular sheet at positions x, velocities v, (3, n), come within the thickness [m] in a
     /// duration [s], at twice their relative speed and `speed_margin` more. False if that is not clear without a search
     /// for pairs.
     bool stays_separated(const double* x, const double* v, double thickness, double duration) {
         if (!separation.applies()) return false;
         const std::array<double, 2> limits{2.0 * duration, thickness + speed_margin * duration};
-        const std::size_t size = 4 * static_cast<std::size_t>(surface.count);
+        const std::size_t size = 3 * static_cast<std::size_t>(surface.count);
         const auto is_same = [&](const Array<double>& a, const double* b) {
             return a.size() == size && !std::memcmp(a.data(), b, size * sizeof(double));
         };

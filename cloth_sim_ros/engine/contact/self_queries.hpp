@@ -185,6 +185,10 @@ ContactBounds predict_self_contact(Plan& plan, double t, double duration, double
                                    const double* v) {
     SelfContact& self = *plan.self;
     const double d = plan.contacts.thickness;
+    if (!plan.contacts.reduced.any() && self.stays_separated(x, v, d, duration)) {
+        self.clear_pairs();
+        return {};
+    }
     const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, v);
     MotionBound motion;
     for (std::int64_t i = 0; i < plan.count; ++i) motion.include(load4(velocities.data() + 4 * i));
@@ -197,10 +201,6 @@ ContactBounds predict_self_contact(Plan& plan, double t, double duration, double
     std::vector<Scaling<double>> scalings;
     self_scalings(plan, t, scalings);
     law.reduce(&scalings);
-    if (!law.reduced() && self.stays_separated(positions.data(), velocities.data(), d, duration)) {
-        self.clear_pairs();
-        return {};
-    }
     if (!self.find(positions.data(), d, margin)) {
         const double infinite = std::numeric_limits<double>::infinity();
         return {infinite, infinite};
@@ -290,8 +290,7 @@ bool SelfCulling::is_violated(const double* x, const double* v) const {
 }
 
 bool SelfCulling::stays_separated(const double* x, const double* v) const {
-    const Array<double> positions = quads_of(plan_, x), velocities = quads_of(plan_, v);
-    return plan_.self->stays_separated(positions.data(), velocities.data(), plan_.contacts.thickness, duration_);
+    return plan_.self->stays_separated(x, v, plan_.contacts.thickness, duration_);
 }
 
 double SelfCulling::relative_speed(const double* v) const {

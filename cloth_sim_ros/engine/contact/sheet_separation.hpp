@@ -5,6 +5,7 @@
 #pragma once
 
 #include <cmath>
+#include <cstring>
 #include <limits>
 
 #include "contact/broad_phase.hpp"
@@ -37,17 +38,11 @@ public:
     }
     bool applies() const { return !levels_.empty(); }
     /// Lower bound of the distance [m] that is left after a duration [s] at the present relative speed, at positions x
-    /// and velocities v, quads. Its calculation ends below `needed`, and for numbers that are not finite.
+    /// and velocities v, (3, n). Its calculation ends below `needed`, and for numbers that are not finite.
     double bound(const double* x, const double* v, double duration, double needed) {
-        MotionBound extent;
-        for (std::int64_t i = 0; i < rows_ * columns_; ++i) {
-            extent.include(load4(x + 4 * i));
-            extent.include(load4(v + 4 * i));
-        }
-        if (!(extent.diameter() < 1e30)) return -1.0;
         x_ = x, v_ = v, duration_ = duration, needed_ = needed;
         has_boxes_ = false;
-        measure();
+        if (!measure()) return -1.0;
         double least = std::numeric_limits<double>::infinity();
         for (std::size_t l = 0; l < levels_.size(); ++l) {
             if (l) levels_[l].unite(levels_[l - 1], 0, gradient_planes);
@@ -57,14 +52,18 @@ public:
             const Level& level = levels_[l];
             for (std::int64_t r = 0; r < level.rows; ++r)
                 for (std::int64_t c = 0; c < level.columns; c += lanes<double>) {
+                    // Padding repeats the last window.
                     const vec<double> bounds = distance * window_factor(level, r, c);
-                    for (int lane = 0; lane < lanes<double> && c + lane < level.columns; ++lane) {
+                    const unsigned unclear = bits_of(!(bounds >= splat<vec<double>>(needed)));
+                    for (int lane = 0; lane < lanes<double>; ++lane) {
                         double bound = bounds[lane];
-                        if (!(bound >= needed))
+                        if (unclear >> lane & 1u) {
+                            if (c + lane >= level.columns) continue;
                             bound = l ? window_bound(l - 1, 2 * r, 2 * (c + lane)) : window_distance(r, c + lane);
+                        }
                         least = smaller(bound, least);
-                        if (!(least >= needed)) return least;
                     }
+                    if (!(least >= needed)) return least;
                 }
         }
         return (1.0 - rounding) * least;
@@ -134,14 +133,22 @@ private:
         }
         return true;
     }
-    /// Split quads into components.
-    void split(const double* a) {
-        for (std::int64_t r = 0; r < rows_; ++r)
-            for (std::int64_t c = 0; c < columns_; ++c)
-                for (int k = 0; k < 3; ++k) component_[k][r * pitch_ + c] = a[4 * (r * columns_ + c) + k];
+    /// Copy an array (3, n) into padded rows. Return whether all numbers are finite.
+    bool copy(const double* a) {
+        using V = vec<double>;
+        V check{};
+        for (int k = 0; k < 3; ++k)
+            for (std::int64_t r = 0; r < rows_; ++r) {
+                double* const row = component_[k].data() + r * pitch_;
+                std::memcpy(row, a + (k * rows_ + r) * columns_, columns_ * sizeof(double));
+                for (std::int64_t c = 0; c < columns_; c += lanes<double>) check = fma(load(row + c), V{}, check);
+            }
+        double sum = 0.0;
+        for (int lane = 0; lane < lanes<double>; ++lane) sum += check[lane];
+        return sum == 0.0;
     }
-    /// Set the derivatives of each cell: its sides bound them, for either diagonal.
-    void measure() {
+    /// Set the derivatives of each cell: its sides bound them, for either diagonal. Return whether all numbers are finite.
+    bool measure() {
         using V = vec<double>;
         struct Sides {
             V top, bottom, left, right;
@@ -157,8 +164,8 @@ private:
                 for (std::int64_t c = 0; c < cells.columns; c += lanes<double>)
                     visit(r * pitch_ + c, r * cells.pitch + c);
         };
+        if (!copy(v_)) return false;
         if (duration_ > 0.0) {
-            split(v_);
             for_each_vector([&](std::int64_t from, std::int64_t to) CLOTH_INLINED {
                 Sides sums{};
                 for (const auto& component : component_) {
@@ -169,7 +176,7 @@ private:
                 store(cells.plane[0].data() + to, larger(sums.top, sums.bottom) + larger(sums.left, sums.right));
             });
         }
-        split(x_);
+        if (!copy(x_)) return false;
         for (int k = 0; k < 3; ++k)
             for_each_vector([&](std::int64_t from, std::int64_t to) CLOTH_INLINED {
                 const Sides sides = sides_of(component_[k].data() + from);
@@ -179,17 +186,18 @@ private:
                 store(cells.plane[first_derivative + 9 + k].data() + to, larger(sides.left, sides.right));
             });
         cells.pad(0, gradient_planes);
+        return true;
     }
     void build_boxes() {
         Level& cells = levels_[0];
         for (int k = gradient_planes; k < planes; ++k) {
-            const double* const from = (k < first_speed ? x_ : v_) + (k - gradient_planes) % 3;
+            const double* const from = (k < first_speed ? x_ : v_) + (k - gradient_planes) % 3 * rows_ * columns_;
             for (std::int64_t r = 0; r < cells.rows; ++r)
                 for (std::int64_t c = 0; c < cells.columns; ++c) {
-                    const double* const corner = from + 4 * (r * columns_ + c);
-                    const double* const below = corner + 4 * columns_;
+                    const double* const corner = from + r * columns_ + c;
+                    const double* const below = corner + columns_;
                     cells.plane[k][r * cells.pitch + c] =
-                        Level::unite(k, Level::unite(k, corner[0], corner[4]), Level::unite(k, below[0], below[4]));
+                        Level::unite(k, Level::unite(k, corner[0], corner[1]), Level::unite(k, below[0], below[1]));
                 }
         }
         cells.pad(gradient_planes, planes);
@@ -322,15 +330,13 @@ private:
         V least = splat<V>(std::numeric_limits<double>::infinity());
         for (std::size_t k = 0; k < pairs.size(); k += lanes<double>) {
             Vec3<V> at[4], velocity[4];
-            for (int j = 0; j < 4; ++j) {
-                quad<double> x[lanes<double>], v[lanes<double>];
-                for (int lane = 0; lane < lanes<double>; ++lane) {
+            const std::int64_t n = rows_ * columns_;
+            for (int lane = 0; lane < lanes<double>; ++lane)
+                for (int j = 0; j < 4; ++j) {
                     const std::int64_t i = pairs[std::min(k + lane, pairs.size() - 1)][j];
-                    x[lane] = load4(x_ + 4 * i), v[lane] = load4(v_ + 4 * i);
+                    at[j].x[lane] = x_[i], at[j].y[lane] = x_[n + i], at[j].z[lane] = x_[2 * n + i];
+                    velocity[j].x[lane] = v_[i], velocity[j].y[lane] = v_[n + i], velocity[j].z[lane] = v_[2 * n + i];
                 }
-                deinterleave(x, at[j].x, at[j].y, at[j].z);
-                deinterleave(v, velocity[j].x, velocity[j].y, velocity[j].z);
-            }
             // Corners before `split` are of one side.
             constexpr int split = Edges ? 2 : 1;
             Vec3<V> away;

@@ -16,7 +16,7 @@ namespace {
 
 enum Shape { flat, arch, wrinkled, folded, crumpled };
 
-/// A sheet with a spacing of 0.1 m, alternating diagonals, positions and velocities as quads.
+/// A sheet with a spacing of 0.1 m, alternating diagonals, positions and velocities (3, n).
 struct MovingSheet {
     Surface surface;
     Index rows, columns;
@@ -37,11 +37,11 @@ struct MovingSheet {
                 }
             }
         surface.build_topology();
-        x.assign(4 * surface.count, 0.0), v.assign(4 * surface.count, 0.0);
+        x.assign(3 * surface.count, 0.0), v.assign(3 * surface.count, 0.0);
         separation.set(surface, rows, columns, 0.1, 0.1);
     }
     void set(std::vector<double>& a, Index i, Vec3<double> p) {
-        a[4 * i] = p.x, a[4 * i + 1] = p.y, a[4 * i + 2] = p.z;
+        a[i] = p.x, a[surface.count + i] = p.y, a[2 * surface.count + i] = p.z;
     }
     void arrange(Shape shape, double speed, Random& random) {
         const Vec3<double> spin = random.vector(), drift = random.vector();
@@ -57,7 +57,8 @@ struct MovingSheet {
         }
     }
     Vec3<double> at(Index i, double t) const {
-        return {x[4 * i] + t * v[4 * i], x[4 * i + 1] + t * v[4 * i + 1], x[4 * i + 2] + t * v[4 * i + 2]};
+        const std::int64_t n = surface.count;
+        return {x[i] + t * v[i], x[n + i] + t * v[n + i], x[2 * n + i] + t * v[2 * n + i]};
     }
     /// Least distance of all pairs that share no particle, while all move at constant velocities.
     double min_distance(double duration) const {
@@ -120,10 +121,10 @@ TEST_CASE("numbers that are not finite are not clear") {
     Random random;
     MovingSheet sheet(5, 6);
     sheet.arrange(flat, 0.0, random);
-    sheet.x[4 * 7] = std::numeric_limits<double>::quiet_NaN();
+    sheet.x[7] = std::numeric_limits<double>::quiet_NaN();
     CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.01, 0.01) < 0.01);
     sheet.arrange(flat, 0.0, random);
-    sheet.v[4 * 7 + 2] = std::numeric_limits<double>::infinity();
+    sheet.v[2 * 30 + 7] = std::numeric_limits<double>::infinity();
     CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.01, 0.01) < 0.01);
 }
 
