@@ -25,6 +25,7 @@ REASONS = {
         1e-6: "two lengths of frames that differ by rounding",
     },
     "controller.py": {
+        1e-6: "two lengths of frames that differ by rounding",
         1.5: "between the length of a stretch and its double",
         3.0: "order of a missed jump's error",
         4.0: "checks of half steps and their displacements, reserved for a stretch; multirate estimates",

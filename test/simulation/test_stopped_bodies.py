@@ -188,7 +188,7 @@ def test_steps_that_end_on_a_surface_are_halved(monkeypatch: pytest.MonkeyPatch)
         if columns not in attempts:
             attempts.append(columns)
         if len(attempts) <= 2:
-            monkeypatch.setattr(ExtrapolationTableau, "encountered_energy", lambda *_: math.inf)
+            monkeypatch.setattr(ExtrapolationTableau, "contact_summary", lambda *_: (math.inf, 0.0, (0.0, 0.0)))
             return summary._replace(activity=math.nan)
         monkeypatch.undo()
         return summary

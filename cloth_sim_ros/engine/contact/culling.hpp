@@ -12,12 +12,16 @@ using plan::Plan;
 
 struct Surface;
 
-/// Excludes self-contact from a frame in which no part of the cloth can reach another. Two parts of a regular sheet
-/// must be separated by more than the thickness at the start of the frame and at the end of each run, even after the
-/// frame at twice their relative speed, plus `SelfContact::speed_margin`. Where that is not clear, no pair may be nearer at the start
-/// than the thickness and the distance covered at twice the largest relative speed, plus the margin; no run may end
-/// with a larger one. Otherwise all runs of the frame are repeated with self-contact. Cached pairs make no difference,
-/// so no bit depends on them.
+/// Excludes self-contact from a frame in which no part of the cloth comes near another, by one of two tests.
+///
+/// A regular sheet must stay separated from itself (`SelfContact::stays_separated`) after the start of the frame. At
+/// the end of each run it must have been: on straight paths from the start, and backwards at the velocities there.
+///
+/// Where that is not clear at the start, no pair may be nearer than the thickness and the distance covered at twice the
+/// largest relative speed, plus a margin. No run may end with a larger relative speed.
+///
+/// Otherwise all runs of the frame are repeated with self-contact. Cached pairs make no difference, so no bit depends
+/// on them.
 class SelfCulling {
 public:
     SelfCulling(Plan& plan, double duration, const double* x0, const double* v0);
@@ -26,9 +30,9 @@ public:
     void disable() { plan_.self_culled = false; }
 
 private:
-    bool stays_separated(const double* x, const double* v) const;
     double relative_speed(const double* v) const;
     Plan& plan_;
+    const double* x0_;
     double duration_, speed_limit_ = 0.0;
     bool is_separated_ = false;
 };

@@ -31,12 +31,14 @@ public:
     static constexpr double min_reach = 0.6;
     bool caches = true;  ///< false rebuilds the lists in every call, for tests
 
-    /// Whether no two parts of a regular sheet at positions x, velocities v, (3, n), come within the thickness [m] in a
-    /// duration [s], at twice their relative speed and `speed_margin` more. False if that is not clear without a search
-    /// for pairs.
+    /// Distance [m] that a sheet must keep from itself in a frame of a duration [s], if runs skip contact. It covers
+    /// what paths in the frame deviate from straight ones.
+    static double separation_needed(double thickness, double duration) { return thickness + speed_margin * duration; }
+    /// Whether a regular sheet at positions x and velocities v, (3, n), stays separated from itself for a duration [s]
+    /// at these velocities. False if that is not clear without a search for pairs.
     bool stays_separated(const double* x, const double* v, double thickness, double duration) {
         if (!separation.applies()) return false;
-        const std::array<double, 2> limits{2.0 * duration, thickness + speed_margin * duration};
+        const std::array<double, 2> limits{duration, separation_needed(thickness, duration)};
         const std::size_t size = 3 * static_cast<std::size_t>(surface.count);
         const auto is_same = [&](const Array<double>& a, const double* b) {
             return a.size() == size && !std::memcmp(a.data(), b, size * sizeof(double));
@@ -48,6 +50,17 @@ public:
             checked_v_.assign(v, v + size);
         }
         return is_separated_;
+    }
+    /// Whether a sheet that `stays_separated` has done so on its way from positions x0 to x and velocities v at the end
+    /// of a frame: on straight paths, and backwards from the end at the velocities v.
+    bool stayed_separated(const double* x0, const double* x, const double* v, double thickness, double duration) {
+        const std::size_t size = 3 * static_cast<std::size_t>(surface.count);
+        const double needed = separation_needed(thickness, duration);
+        motion_back_.resize(size);
+        for (std::size_t k = 0; k < size; ++k) motion_back_[k] = -v[k];
+        if (!(separation.bound(x, motion_back_.data(), duration, needed) >= needed)) return false;
+        for (std::size_t k = 0; k < size; ++k) motion_back_[k] = x0[k] - x[k];
+        return separation.bound(x, motion_back_.data(), 1.0, needed) >= needed;
     }
     /// Speed that particles may gain in a frame [m/s].
     static constexpr double speed_margin = 0.1;
@@ -198,6 +211,8 @@ private:
     /// Arguments and result of the last `stays_separated`.
     std::array<double, 2> checked_limits_{-1.0, -1.0};
     Array<double> checked_x_, checked_v_;
+    /// Velocities or displacement of `stayed_separated`, reversed.
+    std::vector<double> motion_back_;
     bool is_separated_ = false;
     /// Each level is a part of the one before.
     ListLevel outer_, middle_, inner_;

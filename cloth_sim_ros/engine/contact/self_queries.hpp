@@ -185,7 +185,8 @@ ContactBounds predict_self_contact(Plan& plan, double t, double duration, double
                                    const double* v) {
     SelfContact& self = *plan.self;
     const double d = plan.contacts.thickness;
-    if (!plan.contacts.reduced.any() && self.stays_separated(x, v, d, duration)) {
+    // A reduced thickness is below the full one.
+    if (self.stays_separated(x, v, d, duration)) {
         self.clear_pairs();
         return {};
     }
@@ -270,12 +271,12 @@ bool ccd_self(Plan& plan, const double* x0, const double* x1) {
 }
 
 SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const double* v0)
-    : plan_(plan), duration_(duration) {
+    : plan_(plan), x0_(x0), duration_(duration) {
     plan.self_culled = false;
     if (!plan.self) return;
-    plan.self_culled = is_separated_ = stays_separated(x0, v0);
-    if (is_separated_) return;
     SelfContact& self = *plan.self;
+    plan.self_culled = is_separated_ = self.stays_separated(x0, v0, plan.contacts.thickness, duration);
+    if (is_separated_) return;
     const Array<double> positions = quads_of(plan, x0);
     speed_limit_ = 2.0 * relative_speed(v0) + SelfContact::speed_margin;
     const double margin = speed_limit_ * duration;
@@ -286,11 +287,8 @@ SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const do
 
 bool SelfCulling::is_violated(const double* x, const double* v) const {
     if (!plan_.self_culled) return false;
-    return is_separated_ ? !stays_separated(x, v) : !(relative_speed(v) <= speed_limit_);
-}
-
-bool SelfCulling::stays_separated(const double* x, const double* v) const {
-    return plan_.self->stays_separated(x, v, plan_.contacts.thickness, duration_);
+    if (!is_separated_) return !(relative_speed(v) <= speed_limit_);
+    return !plan_.self->stayed_separated(x0_, x, v, plan_.contacts.thickness, duration_);
 }
 
 double SelfCulling::relative_speed(const double* v) const {

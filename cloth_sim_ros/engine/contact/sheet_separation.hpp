@@ -14,13 +14,14 @@ namespace cloth::contact {
 
 /// Bounds the distance of all pairs of a particle and a triangle, and of two edges, that share no particle.
 ///
-/// The sheet is the image x(u) of a rectangle of cells, linear on triangles. For two points u and w of a convex part and
-/// any matrix A,
+/// The sheet is the image x(u) of a rectangle of cells, linear on triangles. For two points u and w of a convex part
+/// and any matrix A,
 ///     |x(u) - x(w)| >= (s_min(A) - max |F - A|) |u - w|,
 /// because x(u) - x(w) is the integral of the deformation gradient F along the segment between them (mean value
-/// inequality). Their relative speed is at most max |dv/du| |u - w|. Parts are windows of two by two blocks of 2^l by 2^l
-/// cells: two cells are in adjacent blocks from some level l on, so |u - w| is at least a block of the level below. Where
-/// a window bends too much for the bound, the boxes of its blocks are compared, of ever finer ones, and pairs at last.
+/// inequality). Their relative speed is at most max |dv/du| |u - w|. Parts are windows of two by two blocks of 2^l by
+/// 2^l cells: two cells are in adjacent blocks from some level l on, so |u - w| is at least a block of the level below.
+/// Where a window bends too much for the bound, boxes of its blocks are compared, then finer ones, and pairs at last.
+/// Distances do not tell if an edge has pierced a triangle.
 class SheetSeparation {
 public:
     /// Set a sheet of rows by columns, particles row by row, with distances at rest [m] between columns and between
@@ -37,18 +38,20 @@ public:
         }
     }
     bool applies() const { return !levels_.empty(); }
-    /// Lower bound of the distance [m] that is left after a duration [s] at the present relative speed, at positions x
-    /// and velocities v, (3, n). Its calculation ends below `needed`, and for numbers that are not finite.
+    /// Lower bound of the distance [m] during a duration [s] at constant velocities v from positions x, (3, n). Its
+    /// calculation ends below `needed`, for numbers beyond `largest`, and where it takes too much work.
     double bound(const double* x, const double* v, double duration, double needed) {
         x_ = x, v_ = v, duration_ = duration, needed_ = needed;
         has_boxes_ = false;
-        if (!measure()) return -1.0;
+        work_left_ = work_per_cell * static_cast<std::int64_t>(cells_.size()) + min_work;
+        if (!(duration >= 0.0 && duration < largest && measure())) return -1.0;
         double least = std::numeric_limits<double>::infinity();
         for (std::size_t l = 0; l < levels_.size(); ++l) {
             if (l) levels_[l].unite(levels_[l - 1], 0, gradient_planes);
             // In adjacent cells, a corner of a cell is next to its diagonal.
-            const double distance = l ? std::ldexp(smaller(spacing_[0], spacing_[1]), static_cast<int>(l) - 1)
-                                      : spacing_[0] * spacing_[1] / std::hypot(spacing_[0], spacing_[1]);
+            const double distance =
+                l ? std::ldexp(smaller(spacing_[0], spacing_[1]), static_cast<int>(l) - 1)
+                  : spacing_[0] * spacing_[1] / root(cloth::fma(spacing_[0], spacing_[0], spacing_[1] * spacing_[1]));
             const Level& level = levels_[l];
             for (std::int64_t r = 0; r < level.rows; ++r)
                 for (std::int64_t c = 0; c < level.columns; c += lanes<double>) {
@@ -62,8 +65,8 @@ public:
                             bound = l ? window_bound(l - 1, 2 * r, 2 * (c + lane)) : window_distance(r, c + lane);
                         }
                         least = smaller(bound, least);
+                        if (!(least >= needed)) return least;
                     }
-                    if (!(least >= needed)) return least;
                 }
         }
         return (1.0 - rounding) * least;
@@ -73,7 +76,9 @@ private:
     /// Planes of a level: squared largest derivative of the velocity [1/s^2]; least and largest derivatives of the
     /// position along columns, and along rows, by component; least and largest positions; least and largest velocities.
     static constexpr int first_derivative = 1, gradient_planes = 13, first_speed = 19, planes = 25;
-    static constexpr double rounding = 1e-6;
+    static constexpr double rounding = 1e-6, largest = 1e30;
+    /// Work limit, in pairs of blocks: beyond it a search for pairs is cheaper. Work of the pairs of some cells.
+    static constexpr std::int64_t work_per_cell = 16, min_work = 4096, cells_work = 100;
     using Corners = std::array<Index, 4>;
     using Ends = std::array<Index, 2>;
 
@@ -133,21 +138,22 @@ private:
         }
         return true;
     }
-    /// Copy an array (3, n) into padded rows. Return whether all numbers are finite.
+    /// Copy an array (3, n) into padded rows. Return whether all numbers are finite and below `largest`.
     bool copy(const double* a) {
         using V = vec<double>;
-        V check{};
+        V excess{};
         for (int k = 0; k < 3; ++k)
             for (std::int64_t r = 0; r < rows_; ++r) {
                 double* const row = component_[k].data() + r * pitch_;
                 std::memcpy(row, a + (k * rows_ + r) * columns_, columns_ * sizeof(double));
-                for (std::int64_t c = 0; c < columns_; c += lanes<double>) check = fma(load(row + c), V{}, check);
+                for (std::int64_t c = 0; c < columns_; c += lanes<double>)
+                    excess += select(absolute(load(row + c)) < splat<V>(largest), V{}, splat<V>(1.0));
             }
         double sum = 0.0;
-        for (int lane = 0; lane < lanes<double>; ++lane) sum += check[lane];
+        for (int lane = 0; lane < lanes<double>; ++lane) sum += excess[lane];
         return sum == 0.0;
     }
-    /// Set the derivatives of each cell: its sides bound them, for either diagonal. Return whether all numbers are finite.
+    /// Set the derivatives of each cell: its sides bound them, for either diagonal. Return false beyond `largest`.
     bool measure() {
         using V = vec<double>;
         struct Sides {
@@ -251,6 +257,7 @@ private:
     }
     /// Bound of two blocks that are not adjacent.
     double block_bound(std::size_t l, std::int64_t r, std::int64_t c, std::int64_t r2, std::int64_t c2) {
+        if (--work_left_ < 0) return -1.0;
         const Level& level = levels_[l];
         const std::int64_t first = r * level.pitch + c, second = r2 * level.pitch + c2;
         double gap_square = 0.0, speed_square = 0.0;
@@ -291,6 +298,8 @@ private:
     }
     /// Distance that is left of the pairs of some cells.
     double cells_distance(const std::vector<std::int64_t>& cells) {
+        work_left_ -= cells_work;
+        if (work_left_ < 0) return -1.0;
         particles_.clear(), edges_.clear(), triangle_pairs_.clear(), edge_pairs_.clear();
         const auto next = static_cast<Index>(columns_);
         for (const std::int64_t k : cells) {
@@ -322,8 +331,8 @@ private:
         const double of_triangles = distance_left<false>(triangle_pairs_);
         return of_triangles >= needed_ ? smaller(distance_left<true>(edge_pairs_), of_triangles) : of_triangles;
     }
-    /// Least distance of pairs, less the duration times the largest closing speed of their corners along it: at constant
-    /// velocities, no points of a pair come nearer.
+    /// Least distance of pairs, less the duration times the largest closing speed of their corners along it: no points
+    /// of a pair come nearer at constant velocities.
     template <bool Edges>
     double distance_left(const std::vector<Corners>& pairs) const {
         using V = vec<double>;
@@ -372,6 +381,7 @@ private:
     const double *x_ = nullptr, *v_ = nullptr;
     double duration_ = 0.0, needed_ = 0.0;
     bool has_boxes_ = false;
+    std::int64_t work_left_ = 0;
     /// Pairs of some cells.
     std::vector<std::int64_t> window_cells_;
     std::vector<Index> particles_;

@@ -6,6 +6,8 @@
 
 #include <algorithm>
 
+#include "contact/obstacles.hpp"
+#include "contact/self_contact.hpp"
 #include "samples.hpp"
 
 namespace cloth::tests {
@@ -115,6 +117,41 @@ TEST_CASE("a sheet that is far from itself is found so, and one near itself is n
     for (Index i = 0; i < sheet.surface.count; ++i) sheet.set(sheet.v, i, {0.0, 0.0, i / 10 > 5 ? -0.5 : 0.5});
     CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.01, 0.02) >= 0.02);
     CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.03, 0.02) < 0.02);
+}
+
+TEST_CASE("a part that passed another in a frame has not stayed separated") {
+    Random random;
+    MovingSheet sheet(11, 10);
+    sheet.arrange(folded, 0.0, random);
+    SelfContact self;
+    self.surface = sheet.surface;
+    self.separation = sheet.separation;
+    const double thickness = 0.004, duration = 0.02;
+    CHECK(self.stays_separated(sheet.x.data(), sheet.v.data(), thickness, duration));
+    const auto stayed = [&](double height, double speed) {
+        std::vector<double> x = sheet.x, v = sheet.v;
+        for (Index i = 60; i < sheet.surface.count; ++i) x[2 * 110 + i] = height, v[2 * 110 + i] = speed;
+        return self.stayed_separated(sheet.x.data(), x.data(), v.data(), thickness, duration);
+    };
+    CHECK(stayed(0.04, 0.0));
+    // From rest to rest, beyond the other half.
+    CHECK_FALSE(stayed(-0.04, 0.0));
+    // It comes from where the other half is.
+    CHECK(stayed(0.05, 0.5));
+    CHECK_FALSE(stayed(0.05, 3.0));
+}
+
+TEST_CASE("layers whose boxes overlap everywhere end the search") {
+    Random random;
+    MovingSheet sheet(65, 65);
+    sheet.arrange(flat, 0.0, random);
+    // Folded in the middle, 8 mm apart, tilted by 45 degrees.
+    for (Index i = 0; i < sheet.surface.count; ++i) {
+        const double a = 0.1 * (i % 65), b = 0.1 * static_cast<double>(i / 65);
+        const double along = std::min(b, 6.4 - b), height = b > 3.2 ? 0.008 : 0.0;
+        sheet.set(sheet.x, i, {a, (along - height) * 0.7071, (along + height) * 0.7071});
+    }
+    CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.0, 0.007) < 0.007);
 }
 
 TEST_CASE("numbers that are not finite are not clear") {
