@@ -21,24 +21,6 @@ struct Quads {
     }
 };
 
-/// Upper bound of the relative motion of any two particles: diagonal of the bounding box of all displacements. NaN if a
-/// displacement is not finite.
-class MotionBound {
-public:
-    CLOTH_INLINE void include(quad<double> displacement) {
-        low_ = smaller(displacement, low_);
-        high_ = larger(displacement, high_);
-        nan_check_ = fma(displacement, quad<double>{}, nan_check_);
-    }
-    double diameter() const {
-        const quad<double> w = high_ - low_ + nan_check_;
-        return root(norm2(Vec3<double>{w[0], w[1], w[2]}));
-    }
-
-private:
-    quad<double> low_ = quad<double>{} + 1e300, high_ = quad<double>{} - 1e300, nan_check_{};
-};
-
 /// Pairs by index, ascending by the first and then by the second, padded by a vector.
 struct PairList {
     std::vector<Index> first, second;

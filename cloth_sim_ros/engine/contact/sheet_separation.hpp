@@ -8,7 +8,8 @@
 #include <cstring>
 #include <limits>
 
-#include "contact/broad_phase.hpp"
+#include "contact/primitives.hpp"
+#include "contact/surface.hpp"
 
 namespace cloth::contact {
 
@@ -262,20 +263,22 @@ private:
         const std::int64_t first = r * level.pitch + c, second = r2 * level.pitch + c2;
         double gap_square = 0.0, speed_square = 0.0;
         for (int k = 0; k < 3; ++k) {
-            const double *const low = level.plane[gradient_planes + k].data(), *const high =
-                                                                                   level.plane[gradient_planes + 3 + k]
-                                                                                       .data();
+            const auto plane = [&](int at) { return level.plane[at + k].data(); };
+            const double* const low = plane(gradient_planes);
+            const double* const high = plane(gradient_planes + 3);
             const double gap = larger(larger(low[first] - high[second], low[second] - high[first]), 0.0);
             gap_square = cloth::fma(gap, gap, gap_square);
-            const double *const slowest = level.plane[first_speed + k].data(), *const fastest =
-                                                                                   level.plane[first_speed + 3 + k]
-                                                                                       .data();
+            const double* const slowest = plane(first_speed);
+            const double* const fastest = plane(first_speed + 3);
             const double speed = larger(fastest[first] - slowest[second], fastest[second] - slowest[first]);
             speed_square = cloth::fma(speed, speed, speed_square);
         }
         const double bound = root(gap_square) - duration_ * root(speed_square);
         if (bound >= needed_) return bound;
-        if (!l) return cells_distance({cell(r, c), cell(r2, c2)});
+        if (!l) {
+            compared_cells_ = {cell(r, c), cell(r2, c2)};
+            return cells_distance();
+        }
         const Level& finer = levels_[l - 1];
         double least = std::numeric_limits<double>::infinity();
         for (std::int64_t i = 2 * r; i < std::min(2 * r + 2, finer.rows); ++i)
@@ -288,16 +291,16 @@ private:
         return least;
     }
     std::int64_t cell(std::int64_t r, std::int64_t c) const { return r * (columns_ - 1) + c; }
-    /// Distance that is left of the pairs of two by two cells.
+    /// Bound of the pairs of two by two cells.
     double window_distance(std::int64_t r, std::int64_t c) {
-        std::vector<std::int64_t>& cells = window_cells_;
-        cells.clear();
+        compared_cells_.clear();
         for (std::int64_t i = r; i < std::min(r + 2, rows_ - 1); ++i)
-            for (std::int64_t j = c; j < std::min(c + 2, columns_ - 1); ++j) cells.push_back(cell(i, j));
-        return cells_distance(cells);
+            for (std::int64_t j = c; j < std::min(c + 2, columns_ - 1); ++j) compared_cells_.push_back(cell(i, j));
+        return cells_distance();
     }
-    /// Distance that is left of the pairs of some cells.
-    double cells_distance(const std::vector<std::int64_t>& cells) {
+    /// Bound of the pairs of `compared_cells_`.
+    double cells_distance() {
+        const std::vector<std::int64_t>& cells = compared_cells_;
         work_left_ -= cells_work;
         if (work_left_ < 0) return -1.0;
         particles_.clear(), edges_.clear(), triangle_pairs_.clear(), edge_pairs_.clear();
@@ -382,8 +385,8 @@ private:
     double duration_ = 0.0, needed_ = 0.0;
     bool has_boxes_ = false;
     std::int64_t work_left_ = 0;
-    /// Pairs of some cells.
-    std::vector<std::int64_t> window_cells_;
+    /// Cells whose pairs are compared, and these pairs.
+    std::vector<std::int64_t> compared_cells_;
     std::vector<Index> particles_;
     std::vector<Ends> edges_;
     std::vector<Corners> triangle_pairs_, edge_pairs_;
