@@ -61,25 +61,31 @@ public:
         const auto is_same = [&](const Array<double>& a, const double* b) {
             return a.size() == size && !std::memcmp(a.data(), b, size * sizeof(double));
         };
-        if (!(limits == checked_limits_ && is_same(checked_x_, x) && is_same(checked_v_, v))) {
-            is_separated_ = separation.bound(x, v, limits[0], limits[1]) >= limits[1];
-            checked_limits_ = limits;
-            checked_x_.assign(x, x + size);
-            checked_v_.assign(v, v + size);
-        }
+        if (!(limits == checked_limits_ && is_same(checked_x_, x) && is_same(checked_v_, v)))
+            keep_check(x, v, limits, separation.bound(x, {v, duration}, limits[1]) >= limits[1]);
         return is_separated_;
     }
     /// Whether a sheet that `stays_separated` has done so on its way from positions x0 to x and velocities v at the end
     /// of a frame: on straight paths, and backwards from the end at the velocities v.
     bool stayed_separated(const double* x0, const double* x, const double* v, double thickness, double duration) {
-        const std::size_t size = 3 * static_cast<std::size_t>(surface.count);
         const double needed = separation_needed(thickness, duration);
-        motion_back_.resize(size);
-        for (std::size_t k = 0; k < size; ++k) motion_back_[k] = -v[k];
-        if (!(separation.bound(x, motion_back_.data(), duration, needed) >= needed)) return false;
-        for (std::size_t k = 0; k < size; ++k) motion_back_[k] = x0[k] - x[k];
-        return separation.bound(x, motion_back_.data(), 1.0, needed) >= needed;
+        const auto reversed = [&](auto&& component) -> const double* {
+            motion_back_.resize(3 * static_cast<std::size_t>(surface.count));
+            for (std::size_t k = 0; k < motion_back_.size(); ++k) motion_back_[k] = component(k);
+            return motion_back_.data();
+        };
+        const SheetSeparation::Motion straight{reversed([&](std::size_t k) { return x0[k] - x[k]; }), 1.0};
+        if (separation.is_clear(x, {straight, {v, duration}}, needed)) {
+            // A next frame that starts here stays separated.
+            keep_check(x, v, {duration, needed}, true);
+            return true;
+        }
+        return separation.bound(x, straight, needed) >= needed &&
+               separation.bound(x, {reversed([&](std::size_t k) { return -v[k]; }), duration}, needed) >= needed;
     }
+    /// Whether it is clear without a search for pairs that a regular sheet at positions x, (3, n), is not in contact
+    /// with itself. False for any other surface.
+    bool is_clear(const double* x, double thickness) { return separation.is_clear(x, {}, thickness); }
     /// Speed that particles may gain in a frame [m/s].
     static constexpr double speed_margin = 0.1;
     /// Forget the pairs of the last `find`.
@@ -226,7 +232,14 @@ private:
                 if (squares) squares->push_back(squares_[k]);
             }
     }
-    /// Arguments and result of the last `stays_separated`.
+    void keep_check(const double* x, const double* v, const std::array<double, 2>& limits, bool is_separated) {
+        const std::size_t size = 3 * static_cast<std::size_t>(surface.count);
+        checked_limits_ = limits;
+        checked_x_.assign(x, x + size);
+        checked_v_.assign(v, v + size);
+        is_separated_ = is_separated;
+    }
+    /// Arguments and result of `stays_separated`.
     std::array<double, 2> checked_limits_{-1.0, -1.0};
     Array<double> checked_x_, checked_v_;
     /// Velocities or displacement of `stayed_separated`, reversed.

@@ -54,6 +54,7 @@ inline void for_each_self_contact(SelfContact& self, const SelfLaw<V>& law, doub
 template <class F>
 inline void for_each_self_contact(Plan& plan, double t, const double* x, const double* v, F&& visit) {
     const Contacts& contacts = plan.contacts;
+    if (plan.self->is_clear(x, contacts.thickness)) return;
     const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, v);
     const Quads at[2] = {{positions.data()}, {nullptr}}, velocity[2] = {{velocities.data()}, {nullptr}};
     SelfLaw<double> law(contacts.thickness, contacts.damping);
@@ -154,6 +155,7 @@ void add_self_product(Plan& plan, double t, const double* x, const double* v, co
 template <class F>
 inline void for_each_full_contact(Plan& plan, const double* x, F&& visit) {
     const Contacts& contacts = plan.contacts;
+    if (plan.self->is_clear(x, contacts.thickness)) return;
     const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, nullptr);
     const Quads at[2] = {{positions.data()}, {nullptr}}, velocity[2] = {{velocities.data()}, {nullptr}};
     const SelfLaw<double> law(contacts.thickness, contacts.damping);
@@ -305,6 +307,8 @@ inline double volume(Vec3<double> a, Vec3<double> b, Vec3<double> c, Vec3<double
 
 void find_self_intersection(Plan& plan, const double* x, std::int64_t* out) {
     const Surface& s = plan.self->surface;
+    std::fill(out, out + 5, std::int64_t{-1});
+    if (plan.self->is_clear(x, plan.contacts.thickness)) return;
     const Array<double> positions = quads_of(plan, x);
     const Quads at{positions.data()};
     double longest = 0.0;
@@ -331,7 +335,6 @@ void find_self_intersection(Plan& plan, const double* x, std::int64_t* out) {
             if (s.has(s.fan[k], edge[1]) && intersects(e, s.fan[k])) return true;
         return false;
     };
-    std::fill(out, out + 5, std::int64_t{-1});
     for (std::size_t k = 0; k < pairs.edges.size(); ++k) {
         const auto &a = s.edges[pairs.edges.first[k]], &b = s.edges[pairs.edges.second[k]];
         if (any_triangle_of(a, b) || any_triangle_of(b, a)) return;

@@ -6,6 +6,7 @@
 
 #include <cmath>
 #include <cstring>
+#include <initializer_list>
 #include <limits>
 
 #include "contact/primitives.hpp"
@@ -39,42 +40,30 @@ public:
         }
     }
     bool applies() const { return !levels_.empty(); }
-    /// Lower bound of the distance [m] during a duration [s] at constant velocities v from positions x, (3, n). Its
-    /// calculation ends below `needed`, for numbers beyond `largest`, and where it takes too much work.
-    double bound(const double* x, const double* v, double duration, double needed) {
-        x_ = x, v_ = v, duration_ = duration, needed_ = needed;
+    /// Motion of all particles at constant velocities, (3, n), for a duration [s].
+    struct Motion {
+        const double* v;
+        double duration;
+    };
+    /// Lower bound of the distance [m] during a motion from positions x, (3, n). Its calculation ends below `needed`,
+    /// for numbers beyond `largest`, and where it takes too much work.
+    double bound(const double* x, Motion motion, double needed) {
+        x_ = x, v_ = motion.v, duration_ = motion.duration, needed_ = needed;
         has_boxes_ = false;
         work_left_ = work_per_cell * static_cast<std::int64_t>(cells_.size()) + min_work;
-        if (!(duration >= 0.0 && duration < largest && measure())) return -1.0;
-        double least = std::numeric_limits<double>::infinity();
-        for (std::size_t l = 0; l < levels_.size(); ++l) {
-            if (l) levels_[l].unite(levels_[l - 1], 0, gradient_planes);
-            // In adjacent cells, a corner of a cell is next to its diagonal.
-            const double distance =
-                l ? std::ldexp(smaller(spacing_[0], spacing_[1]), static_cast<int>(l) - 1)
-                  : spacing_[0] * spacing_[1] / root(cloth::fma(spacing_[0], spacing_[0], spacing_[1] * spacing_[1]));
-            const Level& level = levels_[l];
-            for (std::int64_t r = 0; r < level.rows; ++r)
-                for (std::int64_t c = 0; c < level.columns; c += lanes<double>) {
-                    // Padding repeats the last window.
-                    const vec<double> bounds = distance * window_factor(level, r, c);
-                    const unsigned unclear = bits_of(!(bounds >= splat<vec<double>>(needed)));
-                    for (int lane = 0; lane < lanes<double>; ++lane) {
-                        double bound = bounds[lane];
-                        if (unclear >> lane & 1u) {
-                            if (c + lane >= level.columns) continue;
-                            bound = l ? window_bound(l - 1, 2 * r, 2 * (c + lane)) : window_distance(r, c + lane);
-                        }
-                        least = smaller(bound, least);
-                        if (!(least >= needed)) return least;
-                    }
-                }
-        }
-        return (1.0 - rounding) * least;
+        if (!measure(x, {motion})) return -1.0;
+        return bound_by_windows(needed, [&](std::size_t l, std::int64_t r, std::int64_t c) {
+            return l ? window_bound(l - 1, 2 * r, 2 * c) : window_distance(r, c);
+        });
+    }
+    /// Whether windows alone bound the distance by `needed` [m] in each of some motions from positions x, in either
+    /// direction. Then `bound` does so as well, and nothing has pierced anything at x.
+    bool is_clear(const double* x, std::initializer_list<Motion> motions, double needed) {
+        return applies() && measure(x, motions) && bound_by_windows(needed, [](auto...) { return -1.0; }) >= needed;
     }
 
 private:
-    /// Planes of a level: squared largest derivative of the velocity [1/s^2]; least and largest derivatives of the
+    /// Planes of a level: squared largest derivative of a motion's displacement; least and largest derivatives of the
     /// position along columns, and along rows, by component; least and largest positions; least and largest velocities.
     static constexpr int first_derivative = 1, gradient_planes = 13, first_speed = 19, planes = 25;
     static constexpr double rounding = 1e-6, largest = 1e30;
@@ -117,6 +106,36 @@ private:
         }
     };
 
+    /// Minimum of the bounds of all windows, or a lower number below `needed`. `unclear` bounds a window of a level, at
+    /// a row and a column, that bends too much.
+    template <class F>
+    double bound_by_windows(double needed, F&& unclear) {
+        double least = std::numeric_limits<double>::infinity();
+        for (std::size_t l = 0; l < levels_.size(); ++l) {
+            if (l) levels_[l].unite(levels_[l - 1], 0, gradient_planes);
+            // In adjacent cells, a corner of a cell is next to its diagonal.
+            const double distance =
+                l ? std::ldexp(smaller(spacing_[0], spacing_[1]), static_cast<int>(l) - 1)
+                  : spacing_[0] * spacing_[1] / root(cloth::fma(spacing_[0], spacing_[0], spacing_[1] * spacing_[1]));
+            const Level& level = levels_[l];
+            for (std::int64_t r = 0; r < level.rows; ++r)
+                for (std::int64_t c = 0; c < level.columns; c += lanes<double>) {
+                    // Padding repeats the last window.
+                    const vec<double> bounds = distance * window_factor(level, r, c);
+                    const unsigned is_unclear = bits_of(!(bounds >= splat<vec<double>>(needed)));
+                    for (int lane = 0; lane < lanes<double>; ++lane) {
+                        double bound = bounds[lane];
+                        if (is_unclear >> lane & 1u) {
+                            if (c + lane >= level.columns) continue;
+                            bound = unclear(l, r, c + lane);
+                        }
+                        least = smaller(bound, least);
+                        if (!(least >= needed)) return least;
+                    }
+                }
+        }
+        return (1.0 - rounding) * least;
+    }
     /// Set the triangles and the diagonal of each cell. Return whether all triangles are halves of cells, and no two
     /// overlap.
     bool set_cells(const Surface& s, std::int64_t rows, std::int64_t columns) {
@@ -155,7 +174,7 @@ private:
         return sum == 0.0;
     }
     /// Set the derivatives of each cell: its sides bound them, for either diagonal. Return false beyond `largest`.
-    bool measure() {
+    bool measure(const double* x, std::initializer_list<Motion> motions) {
         using V = vec<double>;
         struct Sides {
             V top, bottom, left, right;
@@ -171,8 +190,11 @@ private:
                 for (std::int64_t c = 0; c < cells.columns; c += lanes<double>)
                     visit(r * pitch_ + c, r * cells.pitch + c);
         };
-        if (!copy(v_)) return false;
-        if (duration_ > 0.0) {
+        std::fill(cells.plane[0].begin(), cells.plane[0].end(), 0.0);
+        for (const Motion& motion : motions) {
+            const double duration = motion.duration;
+            if (!(duration >= 0.0 && duration < largest && copy(motion.v))) return false;
+            const V square = splat<V>(duration * duration);
             for_each_vector([&](std::int64_t from, std::int64_t to) CLOTH_INLINED {
                 Sides sums{};
                 for (const auto& component : component_) {
@@ -180,10 +202,12 @@ private:
                     sums = {fma(sides.top, sides.top, sums.top), fma(sides.bottom, sides.bottom, sums.bottom),
                             fma(sides.left, sides.left, sums.left), fma(sides.right, sides.right, sums.right)};
                 }
-                store(cells.plane[0].data() + to, larger(sums.top, sums.bottom) + larger(sums.left, sums.right));
+                const V derivative = larger(sums.top, sums.bottom) + larger(sums.left, sums.right);
+                double* const out = cells.plane[0].data() + to;
+                store(out, larger(load(out), square * derivative));
             });
         }
-        if (!copy(x_)) return false;
+        if (!copy(x)) return false;
         for (int k = 0; k < 3; ++k)
             for_each_vector([&](std::int64_t from, std::int64_t to) CLOTH_INLINED {
                 const Sides sides = sides_of(component_[k].data() + from);
@@ -211,8 +235,8 @@ private:
         for (std::size_t l = 1; l < levels_.size(); ++l) levels_[l].unite(levels_[l - 1], gradient_planes, planes);
         has_boxes_ = true;
     }
-    /// s_min(A) - max |F - A| of a vector of windows, A in the middle of the derivatives, less max |dv/du| times the
-    /// duration.
+    /// s_min(A) - max |F - A| of a vector of windows, A in the middle of the derivatives, less the largest derivative of
+    /// the motions' displacements.
     CLOTH_INLINE vec<double> window_factor(const Level& level, std::int64_t r, std::int64_t c) const {
         using V = vec<double>;
         const std::int64_t at = r * level.pitch + c, below = r + 1 < level.rows ? at + level.pitch : at;
@@ -237,8 +261,7 @@ private:
         const V aa = norm2(a), bb = norm2(b), ab = dot(a, b), difference = aa - bb, twice = ab + ab;
         // Smaller eigenvalue of the transpose of A times A.
         const V square = half * (aa + bb - root(fma(difference, difference, twice * twice)));
-        const V factor = root(larger(square, V{})) - root(spread);
-        return duration_ > 0.0 ? factor - duration_ * root(united(0, largest)) : factor;
+        return root(larger(square, V{})) - root(spread) - root(united(0, largest));
     }
     /// Bound of the pairs of blocks that are not adjacent, among four by four from a row and a column on.
     double window_bound(std::size_t l, std::int64_t row, std::int64_t column) {

@@ -93,7 +93,7 @@ TEST_CASE("the bound is below the least distance of all pairs, now and later") {
                 REQUIRE(sheet.separation.applies());
                 sheet.arrange(shape, speed, random);
                 for (const double needed : {0.004, 0.02, 0.05}) {
-                    const double bound = sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.02, needed);
+                    const double bound = sheet.separation.bound(sheet.x.data(), {sheet.v.data(), 0.02}, needed);
                     ++(bound >= needed ? n_clear : n_unclear);
                     if (bound >= needed) CHECK(bound <= sheet.min_distance(0.02));
                 }
@@ -108,15 +108,38 @@ TEST_CASE("a sheet that is far from itself is found so, and one near itself is n
     MovingSheet sheet(11, 10);
     for (const Shape shape : {flat, arch, wrinkled}) {
         sheet.arrange(shape, 0.0, random);
-        CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.0, 0.02) >= 0.02);
+        CHECK(sheet.separation.bound(sheet.x.data(), {sheet.v.data(), 0.0}, 0.02) >= 0.02);
     }
     sheet.arrange(folded, 0.0, random);
-    CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.0, 0.0347) >= 0.0347);
-    CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.0, 0.035) < 0.035);
+    CHECK(sheet.separation.bound(sheet.x.data(), {sheet.v.data(), 0.0}, 0.0347) >= 0.0347);
+    CHECK(sheet.separation.bound(sheet.x.data(), {sheet.v.data(), 0.0}, 0.035) < 0.035);
     // Both halves approach each other at 1 m/s.
     for (Index i = 0; i < sheet.surface.count; ++i) sheet.set(sheet.v, i, {0.0, 0.0, i / 10 > 5 ? -0.5 : 0.5});
-    CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.01, 0.02) >= 0.02);
-    CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.03, 0.02) < 0.02);
+    CHECK(sheet.separation.bound(sheet.x.data(), {sheet.v.data(), 0.01}, 0.02) >= 0.02);
+    CHECK(sheet.separation.bound(sheet.x.data(), {sheet.v.data(), 0.03}, 0.02) < 0.02);
+}
+
+TEST_CASE("what is clear in two motions is clear in each, in either direction") {
+    Random random;
+    int n_clear = 0, n_unclear = 0;
+    for (const Shape shape : {flat, arch, wrinkled, crumpled})
+        for (const double speed : {0.2, 1.0, 5.0}) {
+            MovingSheet sheet(5, 12), other(5, 12);
+            other.arrange(shape, 5.2 - speed, random);
+            sheet.arrange(shape, speed, random);
+            std::vector<double> reversed = sheet.v;
+            for (double& component : reversed) component = -component;
+            const double* const x = sheet.x.data();
+            for (const double needed : {0.004, 0.02, 0.05}) {
+                const bool clear =
+                    sheet.separation.is_clear(x, {{sheet.v.data(), 0.01}, {other.v.data(), 0.01}}, needed);
+                ++(clear ? n_clear : n_unclear);
+                for (const double* const v : {sheet.v.data(), other.v.data(), reversed.data()})
+                    if (clear) CHECK(sheet.separation.bound(x, {v, 0.01}, needed) >= needed);
+            }
+        }
+    CHECK(n_clear > 5);
+    CHECK(n_unclear > 10);
 }
 
 TEST_CASE("a part that passed another in a frame has not stayed separated") {
@@ -151,7 +174,7 @@ TEST_CASE("layers whose boxes overlap everywhere end the search") {
         const double along = std::min(b, 6.4 - b), height = b > 3.2 ? 0.008 : 0.0;
         sheet.set(sheet.x, i, {a, (along - height) * 0.7071, (along + height) * 0.7071});
     }
-    CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.0, 0.007) < 0.007);
+    CHECK(sheet.separation.bound(sheet.x.data(), {sheet.v.data(), 0.0}, 0.007) < 0.007);
 }
 
 TEST_CASE("numbers that are not finite are not clear") {
@@ -159,10 +182,10 @@ TEST_CASE("numbers that are not finite are not clear") {
     MovingSheet sheet(5, 6);
     sheet.arrange(flat, 0.0, random);
     sheet.x[7] = std::numeric_limits<double>::quiet_NaN();
-    CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.01, 0.01) < 0.01);
+    CHECK(sheet.separation.bound(sheet.x.data(), {sheet.v.data(), 0.01}, 0.01) < 0.01);
     sheet.arrange(flat, 0.0, random);
     sheet.v[2 * 30 + 7] = std::numeric_limits<double>::infinity();
-    CHECK(sheet.separation.bound(sheet.x.data(), sheet.v.data(), 0.01, 0.01) < 0.01);
+    CHECK(sheet.separation.bound(sheet.x.data(), {sheet.v.data(), 0.01}, 0.01) < 0.01);
 }
 
 TEST_CASE("a surface whose triangles are not halves of cells gets no bound") {
