@@ -348,7 +348,7 @@ class TracedLibrary:
             "summary": binding.SUMMARY_NUMBERS,
             "anchors": runs * _anchors(plan),
             "jaw_states": runs * binding.JAW_NUMBERS * plan["pinches"],
-            "activities": runs,
+            "activities": 2 * runs,
             "previous_v0": 3 * n,
         }
         names = [name for name, *_ in binding.FrameRequest._fields_]

@@ -70,9 +70,9 @@ public:
             run_.power_integrals[1] += run_.step * powers_.sum(powers_.external);
         }
         if (run_.activity) {
-            *run_.activity = 0.0;
-            for (const plan::HalfDifference& difference : differences_)
-                *run_.activity = std::max(*run_.activity, difference.largest());
+            plan::HalfDifference difference(run_);
+            for (const plan::HalfDifference& part : differences_) difference.add(part);
+            difference.store(run_.activity);
         }
         if (done == RunStatus::ok) off_grid_.finish();
         return done;

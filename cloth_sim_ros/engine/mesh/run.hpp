@@ -140,7 +140,7 @@ private:
                 const std::int64_t at = 4 * plan_.rank[i];
                 difference.add(i, n, middle_.data() + at, velocity_.data() + at, 1);
             }
-            *run_.activity = difference.largest();
+            difference.store(run_.activity);
         }
         off_grid_.finish();
     }

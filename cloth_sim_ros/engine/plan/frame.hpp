@@ -94,7 +94,9 @@ inline std::vector<Run> runs_of(const Plan& plan, const FrameRequest& frame) {
             .anchors = frame.anchors ? frame.anchors + k * plan.anchor_count() : nullptr,
             .jaw_states = frame.jaw_states ? frame.jaw_states + k * n_jaws * contact::jaw_state_size : nullptr,
             .multirate = frame.multirate,
-            .activity = frame.activities ? frame.activities + k : nullptr,
+            .activity = frame.activities ? frame.activities + 2 * k : nullptr,
+            .previous_v0 = frame.previous_v0,
+            .previous_ratio = frame.previous_ratio,
         });
     }
     return runs;

@@ -50,8 +50,9 @@ struct FrameRequest {
     std::int64_t multirate;         ///< steps per evaluation of hinges
     std::int64_t combined;          ///< number of the runs in the combination, from the first on
     std::int64_t concurrency;       ///< maximum number of concurrent runs
-    /// For each run: largest difference of a particle's velocity changes over both halves of the run [m/s]; of a single
-    /// step, its whole change.
+    /// For each run two numbers, (runs, 2). 0: largest difference of a particle's velocity changes over both halves of
+    /// the run [m/s]; of a single step, its whole change. 1: largest change of a particle's jerk from the start to the
+    /// middle of the run, times T^2/4 [m/s]; 0 if `previous_v0` is null, and for a single step.
     double* activities;
     const double* previous_v0;  ///< velocities at the start of the interval before, or null
     double previous_ratio;      ///< length of the frame relative to that interval

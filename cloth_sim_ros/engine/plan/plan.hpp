@@ -150,17 +150,19 @@ struct Run {
     std::int64_t steps;
     bool single_precision;
     int bands;
-    const double *x0, *v0;             ///< at the start, (3, n)
-    double *x, *v;                     ///< at the end; v may be null
-    double* gripper_record;            ///< (grippers, record_numbers), or null
-    double* power_integrals;           ///< time integrals of dissipated and external power [J], or null
-    double* contact_record = nullptr;  ///< (obstacles, record_numbers), then the `ContactSummary`, or null
-    bool record_obstacles = false;     ///< whether the work of obstacles is recorded
-    double* anchors = nullptr;         ///< at the end, (obstacles, anchor_numbers, n), or null
-    double* jaw_states = nullptr;      ///< jaw states at the end, (jaws, jaw_state_size), or null
-    std::int64_t multirate = 1;        ///< steps per evaluation of hinges, in the middle one; odd, divides `steps`
-    double* activity = nullptr;        ///< see FrameRequest::activities, or null
-    int workspace = 0;                 ///< index of the workspace
+    const double *x0, *v0;                ///< at the start, (3, n)
+    double *x, *v;                        ///< at the end; v may be null
+    double* gripper_record;               ///< (grippers, record_numbers), or null
+    double* power_integrals;              ///< time integrals of dissipated and external power [J], or null
+    double* contact_record = nullptr;     ///< (obstacles, record_numbers), then the `ContactSummary`, or null
+    bool record_obstacles = false;        ///< whether the work of obstacles is recorded
+    double* anchors = nullptr;            ///< at the end, (obstacles, anchor_numbers, n), or null
+    double* jaw_states = nullptr;         ///< jaw states at the end, (jaws, jaw_state_size), or null
+    std::int64_t multirate = 1;           ///< steps per evaluation of hinges, in the middle one; odd, divides `steps`
+    double* activity = nullptr;           ///< see FrameRequest::activities, or null
+    const double* previous_v0 = nullptr;  ///< velocities at the start of the interval before, or null
+    double previous_ratio = 0.0;          ///< length of the run relative to that interval
+    int workspace = 0;                    ///< index of the workspace
 
     /// Whether the velocities after a step are those of the middle of the run.
     bool ends_first_half(std::int64_t step) const { return activity && step >= 0 && step + 1 == steps / 2; }
@@ -168,7 +170,7 @@ struct Run {
     bool evaluates_hinges(std::int64_t step) const { return step < 0 || step % multirate == multirate / 2; }
 };
 
-/// Largest difference of a particle's velocity changes over both halves of a run.
+/// Largest difference of a particle's velocity changes over both halves of a run, and its largest change of jerk.
 class HalfDifference {
 public:
     explicit HalfDifference(const Run& run)
@@ -178,21 +180,31 @@ public:
     /// Add particle i of n, with its velocities in the middle and at the end, components `stride` apart.
     template <class T>
     void add(std::int64_t i, std::int64_t n, const T* middle, const T* end, std::int64_t stride) {
-        double square = 0.0;
+        double square = 0.0, jerk_square = 0.0;
         for (int c = 0; c < 3; ++c) {
             const double v0 = run_->v0[c * n + i], v = static_cast<double>(end[c * stride]);
             const double half = first_ ? static_cast<double>(middle[c * stride]) : v0;
             const double difference = fma(later_, v - half, -earlier_ * (half - v0));
             square = fma(difference, difference, square);
+            if (!run_->previous_v0 || !first_) continue;
+            // At constant jerk, the velocity change differs from that of the interval before by four such differences.
+            const double from_before = fma(-run_->previous_ratio, v0 - run_->previous_v0[c * n + i], v - v0);
+            const double jerk_change = fma(-0.25, from_before, difference);
+            jerk_square = fma(jerk_change, jerk_change, jerk_square);
         }
         max_square_ = square > max_square_ ? square : max_square_;
+        max_jerk_square_ = jerk_square > max_jerk_square_ ? jerk_square : max_jerk_square_;
     }
-    double largest() const { return root(max_square_); }
+    void add(const HalfDifference& part) {
+        max_square_ = part.max_square_ > max_square_ ? part.max_square_ : max_square_;
+        max_jerk_square_ = part.max_jerk_square_ > max_jerk_square_ ? part.max_jerk_square_ : max_jerk_square_;
+    }
+    void store(double* activity) const { activity[0] = root(max_square_), activity[1] = root(max_jerk_square_); }
 
 private:
     const Run* run_;
     std::int64_t first_;
-    double scale_, later_, earlier_, max_square_ = 0.0;
+    double scale_, later_, earlier_, max_square_ = 0.0, max_jerk_square_ = 0.0;
 };
 
 enum class RunStatus : int { ok, callback_failed };

@@ -522,7 +522,7 @@ class Controller:
         self._may_turn = summary.turn > CONSTANTS.max_turn and not self.in_fallback
         change = tableau.change(n_runs - 1) if n_runs > 1 else (0.0, 0.0)
         self._predicted, self._piece_lower_order_error = self._error.predict(
-            counts, piece.length, change, max(self._activity, summary.change_from_before)
+            counts, piece.length, change, max(self._activity, summary.change_from_before), tableau.jerk_change
         )
         if self._plan.contact is not None:
             _, self._piece_contact_energy, _ = tableau.contact_summary(n_runs)
@@ -821,7 +821,14 @@ class Controller:
         self._n_estimated, errors = self._n_estimated + 1, self._errors
         changes = [] if self._is_rough else [tableau.change(k) for k in range(1, len(errors) + 1)]
         sums = ErrorSums(
-            tableau.counts, tableau.duration, list(errors), changes, error, self._predicted, self._activity
+            tableau.counts,
+            tableau.duration,
+            list(errors),
+            changes,
+            error,
+            self._predicted,
+            self._activity,
+            tableau.jerk_change,
         )
         if self._sums is None:
             self._sums = sums

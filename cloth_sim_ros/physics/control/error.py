@@ -50,8 +50,9 @@ class ErrorSums:
     #: Estimated error of the chosen combination, and its prediction [m].
     error: float
     predicted: float
-    #: Largest activity of a piece [m/s].
+    #: Largest activity and largest change of jerk of a piece [m/s].
     activity: float
+    jerk_change: float
 
     def add(self, piece: ErrorSums) -> None:
         """Add the estimates of a further piece."""
@@ -60,6 +61,7 @@ class ErrorSums:
         self.changes = [(x + dx, v + dv) for (x, v), (dx, dv) in pairs]
         self.error, self.predicted = self.error + piece.error, self.predicted + piece.predicted
         self.activity = max(self.activity, piece.activity)
+        self.jerk_change = max(self.jerk_change, piece.jerk_change)
 
 
 class ErrorRule:
@@ -102,7 +104,7 @@ class ErrorRule:
         return memory.step > 0.0 and has_order and len(counts) == memory.n_runs
 
     def predict(
-        self, counts: tuple[int, ...], length: float, change: tuple[float, float], activity: float
+        self, counts: tuple[int, ...], length: float, change: tuple[float, float], activity: float, jerk_change: float
     ) -> tuple[float, float]:
         """Return the predicted errors of a piece, and of the combination of one run less [m].
 
@@ -111,6 +113,7 @@ class ErrorRule:
             length: of the piece [s].
             change: of positions [m] and of velocities [m/s] by the last run of the combination; zeros for a single run.
             activity: activity of the piece [m/s].
+            jerk_change: change of jerk of the piece [m/s]; read for a single run only.
         """
         memory = self.memory
         step, fraction = length / counts[0], length / memory.duration
@@ -123,6 +126,11 @@ class ErrorRule:
             # The motion differs from the one with the last estimate, for example after an impact.
             return math.inf, math.inf
         if len(counts) == 1:
+            if jerk_change > trust_factor * memory.jerk_change:
+                # Steps h cause a velocity error of h^2/24 times the change of jerk over the piece.
+                displacement = VELOCITY_ERROR_TIME * jerk_change / (3.0 * counts[0] * counts[0])
+                if displacement > CONSTANTS.error_target_fraction * self.budget * (length / memory.duration):
+                    return math.inf, math.inf
             scale = memory.safety_factor * step * step / memory.coefficient
             return scale * memory.error * power(activity_ratio, _ACTIVITY_EXPONENT) * fraction, 0.0
         lower_order_error = change[0] + memory.velocity_weight * change[1]
@@ -183,6 +191,7 @@ class ErrorRule:
         is_predicted = math.isfinite(sums.predicted)
         is_far_below = error <= CONSTANTS.low_error_fraction * self.budget
         memory.n_runs, memory.refinement, memory.activity = float(next_runs), next_refinement, sums.activity
+        memory.jerk_change = sums.jerk_change
         memory.error = max(errors[next_runs - 1], self.rounding_floor(next_runs))
         memory.coefficient, memory.step = coefficient_of(counts[:next_runs], length), length / counts[0]
         if next_runs > 1:

@@ -183,6 +183,12 @@ class ExtrapolationTableau:
             self._summaries[n_runs] = summary
         return summary
 
+    @property
+    def jerk_change(self) -> float:
+        """Change of jerk in the first run [m/s], see `Run.jerk_change`."""
+        self._make_runs(1)
+        return self._runs[0].jerk_change
+
     def change(self, n_runs: int) -> tuple[float, float]:
         """Return the largest distances of positions [m] and of velocities [m/s] of T_(K+1) from those of T_K."""
         change = self._changes.get(n_runs)

@@ -102,9 +102,9 @@ class Plan(PlanQueries, Uncopyable):
         self._query_out = (ctypes.c_double * 2)()
         self._query_address = addressof(self._query_out)
         # The engine's request is allocated once; each frame writes into it.
-        self._steps, self._weights = (ctypes.c_int64 * MAX_RUNS)(), (ctypes.c_double * MAX_RUNS)()
+        self._steps, self._weights = (ctypes.c_int64 * MAX_RUNS)(), (ctypes.c_double * (2 * MAX_RUNS))()
         self._summary_out = (ctypes.c_double * binding.SUMMARY_NUMBERS)()
-        self._activities = (ctypes.c_double * MAX_RUNS)()
+        self._activities = (ctypes.c_double * (2 * MAX_RUNS))()
         self._steps_address, self._weights_address = addressof(self._steps), addressof(self._weights)
         self._summary_address, self._activities_address = addressof(self._summary_out), addressof(self._activities)
         self._frame = binding.FrameRequest()
@@ -286,18 +286,28 @@ class Plan(PlanQueries, Uncopyable):
                 self._raise_for_status(status)
             activities = self._activities
             if end_buffers is _NO_END_BUFFERS:
-                runs = [Run(out[k], integrals[k], grippers, obstacles, activities[k]) for k in range(count)]
+                runs = [
+                    Run(out[k], integrals[k], grippers, obstacles, *activities[2 * k : 2 * k + 2]) for k in range(count)
+                ]
             else:
                 anchors, jaw_states = ([None] * count if array is None else array for array in end_buffers)
                 runs = [
-                    Run(out[k], integrals[k], grippers, obstacles, activities[k], anchors[k], jaw_states[k])
+                    Run(
+                        out[k],
+                        integrals[k],
+                        grippers,
+                        obstacles,
+                        *activities[2 * k : 2 * k + 2],
+                        anchors[k],
+                        jaw_states[k],
+                    )
                     for k in range(count)
                 ]
             if weights is None:
                 return runs, None
             summary_out = self._summary_out[:]
             size, omega2, damping, contact_energy, self_omega2, self_damping, *hinges, turn, change = summary_out
-            activity = activity_of(size, activities[n_combined - 1])
+            activity = activity_of(size, activities[2 * n_combined - 2])
             x, v = result[0], result[1]
             self._last_result, self._last_address = (x, v), result_address or out_address
             if self._python_forces:

@@ -28,6 +28,8 @@ class Run(NamedTuple):
     obstacles: int
     #: Largest difference of a particle's velocity changes over both halves of the run [m/s].
     half_difference: float
+    #: Largest change of a particle's jerk from the start to the middle of the run, times T^2/4 [m/s]; 0 if unknown.
+    jerk_change: float
     #: Friction anchors at the end; None without friction.
     anchors: Array | None = None
     #: States of jaws at the end, shape (pinches, JAW_NUMBERS); None without jaws.

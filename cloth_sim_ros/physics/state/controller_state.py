@@ -137,6 +137,8 @@ class ErrorState(ControllerState):
     activity: float = bounded_number(0.0, minimum=0.0)
     #: Length of the frames [s]; a frame of another length needs a new estimate.
     duration: float = bounded_number(0.0, minimum=0.0)
+    #: Largest change of jerk over a part whose error was estimated [m/s], see `Run.jerk_change`.
+    jerk_change: float = bounded_number(0.0, minimum=0.0)
 
 
 @attrs.define
