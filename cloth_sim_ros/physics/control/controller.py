@@ -441,7 +441,7 @@ class Controller:
         ):
             return previous
         self.work.used += self.work.call_work
-        expected_runs = self.n_runs + is_estimated
+        expected_runs = self._count_estimates(counts) + 1 if is_estimated else self.n_runs
         if is_estimated and self._needs_more_runs(counts[: expected_runs + 1], piece.ratio):
             expected_runs += 1
         return ExtrapolationTableau(
@@ -550,7 +550,7 @@ class Controller:
         if not self.estimates_error:
             self.estimates_error = True
             self._applied_refinement = max(self.refinement, self._required_refinement(self.n_runs, piece.length))
-        for _ in range(self.n_runs):
+        for _ in range(self._count_estimates(tableau.counts)):
             self._append_estimate(errors, tableau)
         if (errors[-1] > allowed and not self.in_fallback) or self.refinement > 1.0:
             target, reserved = CONSTANTS.error_target_fraction * allowed, self._rest_work(self._elapsed + piece.length)
@@ -564,6 +564,7 @@ class Controller:
                 if not is_affordable or is_useless or not is_resolved:
                     break
                 self._append_estimate(errors, tableau)
+        self._confirm(errors)
         self._errors, self.n_runs = errors, self._sufficient_runs(errors, allowed)
         self._end_error = self._estimate_ends(tableau, t, piece) if self._is_rough else 0.0
         return math.inf if self._needs_double else errors[self.n_runs - 1] + self._end_error
@@ -581,17 +582,26 @@ class Controller:
             error = max(error, errors[-1] * gain * gain)
         errors.append(error)
 
-    def _sufficient_runs(self, errors: list[float], allowed: float) -> int:
-        """Return the number of existing runs whose error fits a budget [m]; the chosen one if none fits.
+    def _count_estimates(self, counts: tuple[int, ...]) -> int:
+        """Return the number of estimates that the chosen runs need.
 
-        If the motion is rough, all further estimates must confirm it, because one of them may be small by chance.
+        The error of a single run of a few steps does not follow its order, so its estimate may be small by chance. A
+        second one confirms it.
         """
-        fits = [error <= allowed for error in errors]
-        if fits[self.n_runs - 1] or self.in_fallback:
+        is_confirmed = self.n_runs == 1 and counts[0] < CONSTANTS.min_ordered_steps and not self.in_fallback
+        return min(self.n_runs + is_confirmed, max(self.options.n_runs, self.n_runs))
+
+    def _confirm(self, errors: list[float]) -> None:
+        """Raise each estimate to the later ones above rounding: an estimate below a later one is small by chance."""
+        for k in range(len(errors) - 1, 0, -1):
+            if errors[k] > CONSTANTS.estimate_trust_factor * self._error.rounding_floor(k + 1):
+                errors[k - 1] = max(errors[k - 1], errors[k])
+
+    def _sufficient_runs(self, errors: list[float], allowed: float) -> int:
+        """Return the number of existing runs whose error fits a budget [m]; the chosen one if none fits."""
+        if errors[self.n_runs - 1] <= allowed or self.in_fallback:
             return self.n_runs
-        n_confirming = len(errors) if self._is_rough else 0
-        sufficient = [k for k, fit in enumerate(fits, start=1) if fit and all(fits[k - 1 : n_confirming])]
-        return sufficient[0] if sufficient else self.n_runs
+        return next((k for k, error in enumerate(errors, start=1) if error <= allowed), self.n_runs)
 
     def _estimate_ends(self, tableau: ExtrapolationTableau, t: float, piece: Piece) -> float:
         """Return the error that a force jump in the first or last half step of a piece may cause [m]."""
