@@ -592,16 +592,23 @@ class Controller:
         return min(self.n_runs + is_confirmed, max(self.options.n_runs, self.n_runs))
 
     def _confirm(self, errors: list[float]) -> None:
-        """Raise each estimate to the later ones above rounding: an estimate below a later one is small by chance."""
+        """Raise each estimate that is far below a later one above rounding: it is small by chance."""
         for k in range(len(errors) - 1, 0, -1):
-            if errors[k] > CONSTANTS.estimate_trust_factor * self._error.rounding_floor(k + 1):
-                errors[k - 1] = max(errors[k - 1], errors[k])
+            floor = self._error.rounding_floor(k + 1)
+            if errors[k] > CONSTANTS.estimate_trust_factor * max(errors[k - 1], floor):
+                errors[k - 1] = errors[k]
 
     def _sufficient_runs(self, errors: list[float], allowed: float) -> int:
-        """Return the number of existing runs whose error fits a budget [m]; the chosen one if none fits."""
-        if errors[self.n_runs - 1] <= allowed or self.in_fallback:
+        """Return the number of existing runs whose error fits a budget [m]; the chosen one if none fits.
+
+        If the motion is rough, all further estimates must fit too.
+        """
+        fits = [error <= allowed for error in errors]
+        if fits[self.n_runs - 1] or self.in_fallback:
             return self.n_runs
-        return next((k for k, error in enumerate(errors, start=1) if error <= allowed), self.n_runs)
+        n_confirming = len(errors) if self._is_rough else 0
+        sufficient = [k for k, fit in enumerate(fits, start=1) if fit and all(fits[k - 1 : n_confirming])]
+        return sufficient[0] if sufficient else self.n_runs
 
     def _estimate_ends(self, tableau: ExtrapolationTableau, t: float, piece: Piece) -> float:
         """Return the error that a force jump in the first or last half step of a piece may cause [m]."""

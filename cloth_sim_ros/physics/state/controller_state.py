@@ -51,12 +51,14 @@ class ControllerState:
         names = cls.__match_args__
         if not array.size:
             return
-        if array.dtype != np.float64 or array.shape != (len(names),):
+        fields: tuple[Any, ...] = attrs.fields(cls)  # type: ignore[arg-type]
+        n_first = sum(not field.metadata["is_later"] for field in fields)
+        if array.dtype != np.float64 or array.ndim != 1 or not n_first <= len(array) <= len(names):
             raise ValueError(
                 f"memory '{cls.key}' is of type {array.dtype} and shape {array.shape}; it must be float64 and "
                 f"({len(names)},)"
             )
-        for field, value in zip(attrs.fields(cls), array.tolist(), strict=True):  # type: ignore[arg-type]
+        for field, value in zip(fields, array.tolist(), strict=False):
             if not math.isfinite(value) or value < field.metadata.get("minimum", -math.inf):
                 minimum = field.metadata.get("minimum", -math.inf)
                 bound = "finite" if minimum == -math.inf else f"finite and at least {minimum:g}"
@@ -72,9 +74,9 @@ def _value_getter(rule: Any) -> Callable[[Any], Any]:
     return lambda instance: (getattr(instance, names[0]),)
 
 
-def bounded_number(default: float, *, minimum: float = -math.inf) -> Any:
-    """Declare a field with its default and its minimum."""
-    return attrs.field(default=default, metadata={"minimum": minimum})
+def bounded_number(default: float, *, minimum: float = -math.inf, is_later: bool = False) -> Any:
+    """Declare a field with its default and its minimum; a later one is missing in states of earlier versions."""
+    return attrs.field(default=default, metadata={"minimum": minimum, "is_later": is_later})
 
 
 @attrs.define
@@ -138,7 +140,7 @@ class ErrorState(ControllerState):
     #: Length of the frames [s]; a frame of another length needs a new estimate.
     duration: float = bounded_number(0.0, minimum=0.0)
     #: Largest change of jerk over a part whose error was estimated [m/s], see `Run.jerk_change`.
-    jerk_change: float = bounded_number(0.0, minimum=0.0)
+    jerk_change: float = bounded_number(0.0, minimum=0.0, is_later=True)
 
 
 @attrs.define
