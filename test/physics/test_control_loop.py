@@ -64,7 +64,7 @@ def test_impact_after_single_precision_takes_more_runs() -> None:
 
 def test_error_of_another_number_of_runs_is_estimated_again() -> None:
     rule = ErrorRule(ErrorState(duration=0.01, n_runs=3.0), 1e-6, 8, State([[0.0, 0.0, 0.0]]))
-    sums = ErrorSums((6, 8, 10), 0.01, [1e-9, 1e-9, 1e-9], [(0.0, 0.0)] * 3, 1e-9, 1e-9, 1.0)
+    sums = ErrorSums((6, 8, 10), 0.01, [1e-9, 1e-9, 1e-9], [(0.0, 0.0)] * 3, 1e-9, 1e-9, 1.0, 0.0)
     rule.record_estimate(sums, 3, 3, 1.0)
     assert rule.memory.time_until_estimate > 0.0
     # That of a single run may have been small by chance.

@@ -287,7 +287,8 @@ class Plan(PlanQueries, Uncopyable):
             activities = self._activities
             if end_buffers is _NO_END_BUFFERS:
                 runs = [
-                    Run(out[k], integrals[k], grippers, obstacles, *activities[2 * k : 2 * k + 2]) for k in range(count)
+                    Run(out[k], integrals[k], grippers, obstacles, activities[2 * k], activities[2 * k + 1])
+                    for k in range(count)
                 ]
             else:
                 anchors, jaw_states = ([None] * count if array is None else array for array in end_buffers)
@@ -297,7 +298,8 @@ class Plan(PlanQueries, Uncopyable):
                         integrals[k],
                         grippers,
                         obstacles,
-                        *activities[2 * k : 2 * k + 2],
+                        activities[2 * k],
+                        activities[2 * k + 1],
                         anchors[k],
                         jaw_states[k],
                     )
