@@ -49,6 +49,9 @@ class Constants:
     )
     first_gain: float = _constant(0.1, "plausible gain of two combined runs over one in a rough motion")
     max_turn: float = _constant(0.25, "largest angle by which a spring may turn in a step of a smooth motion [rad]")
+    smooth_turn: float = _constant(
+        0.015, "angle by which a spring may turn in a step without a change of jerk that the activity misses [rad]"
+    )
     max_failed_attempts: float = _constant(12.0, "attempts of a piece after which steps without a work limit fail")
     min_work_cap: float = _constant(
         8.0, "least work limit of a frame with a large sheet or contact, in runs with the longest stable steps"

@@ -522,7 +522,11 @@ class Controller:
         self._may_turn = summary.turn > CONSTANTS.max_turn and not self.in_fallback
         change = tableau.change(n_runs - 1) if n_runs > 1 else (0.0, 0.0)
         self._predicted, self._piece_lower_order_error = self._error.predict(
-            counts, piece.length, change, max(self._activity, summary.change_from_before), tableau.jerk_change
+            counts,
+            piece.length,
+            change,
+            max(self._activity, summary.change_from_before),
+            tableau.jerk_change if summary.turn > CONSTANTS.smooth_turn else 0.0,
         )
         if self._plan.contact is not None:
             _, self._piece_contact_energy, _ = tableau.contact_summary(n_runs)

@@ -104,7 +104,7 @@ class ErrorRule:
         return memory.step > 0.0 and has_order and len(counts) == memory.n_runs
 
     def predict(
-        self, counts: tuple[int, ...], length: float, change: tuple[float, float], activity: float, jerk_change: float
+        self, counts: tuple[int, ...], length: float, change: tuple[float, float], activity: float, jerk_change: float = 0.0
     ) -> tuple[float, float]:
         """Return the predicted errors of a piece, and of the combination of one run less [m].
 
@@ -113,7 +113,7 @@ class ErrorRule:
             length: of the piece [s].
             change: of positions [m] and of velocities [m/s] by the last run of the combination; zeros for a single run.
             activity: activity of the piece [m/s].
-            jerk_change: change of jerk of the piece [m/s]; read for a single run only.
+            jerk_change: change of jerk of a single run whose springs turn [m/s].
         """
         memory = self.memory
         step, fraction = length / counts[0], length / memory.duration
