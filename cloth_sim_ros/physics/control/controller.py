@@ -568,7 +568,8 @@ class Controller:
                 if not is_affordable or is_useless or not is_resolved:
                     break
                 self._append_estimate(errors, tableau)
-        self._confirm(errors)
+        if not self._is_rough:
+            self._confirm(errors)
         self._errors, self.n_runs = errors, self._sufficient_runs(errors, allowed)
         self._end_error = self._estimate_ends(tableau, t, piece) if self._is_rough else 0.0
         return math.inf if self._needs_double else errors[self.n_runs - 1] + self._end_error
@@ -596,7 +597,10 @@ class Controller:
         return min(self.n_runs + is_confirmed, max(self.options.n_runs, self.n_runs))
 
     def _confirm(self, errors: list[float]) -> None:
-        """Raise each estimate that is far below a later one above rounding: it is small by chance."""
+        """Raise each estimate that is far below a later one above rounding: it is small by chance.
+
+        In a rough motion all estimates must fit instead.
+        """
         for k in range(len(errors) - 1, 0, -1):
             floor = self._error.rounding_floor(k + 1)
             if errors[k] > CONSTANTS.estimate_trust_factor * max(errors[k - 1], floor):

@@ -104,7 +104,12 @@ class ErrorRule:
         return memory.step > 0.0 and has_order and len(counts) == memory.n_runs
 
     def predict(
-        self, counts: tuple[int, ...], length: float, change: tuple[float, float], activity: float, jerk_change: float = 0.0
+        self,
+        counts: tuple[int, ...],
+        length: float,
+        change: tuple[float, float],
+        activity: float,
+        jerk_change: float = 0.0,
     ) -> tuple[float, float]:
         """Return the predicted errors of a piece, and of the combination of one run less [m].
 
