@@ -52,7 +52,7 @@ class ControllerState:
         if not array.size:
             return
         fields: tuple[Any, ...] = attrs.fields(cls)  # type: ignore[arg-type]
-        n_first = sum(not field.metadata["is_later"] for field in fields)
+        n_first = len([field for field in fields if not field.metadata["is_later"]])
         if array.dtype != np.float64 or array.ndim != 1 or not n_first <= len(array) <= len(names):
             raise ValueError(
                 f"memory '{cls.key}' is of type {array.dtype} and shape {array.shape}; it must be float64 and "
