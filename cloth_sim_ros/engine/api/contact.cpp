@@ -30,8 +30,7 @@ CLOTH_API int cloth_plan_contact(Plan* plan, std::int64_t count, const std::int6
         plan->contacts = std::move(contacts);
         plan->contacts.anchors.assign(plan->anchor_count(), 0.0);
         if (!plan->features) return;
-        plan->features->obstacles.assign(count, {});
-        plan->features->is_active.assign(count, 0);
+        plan->features->resize(count);
     });
 }
 CLOTH_API int cloth_plan_mesh(Plan* plan, std::int64_t obstacle, std::int64_t vertices, const double* positions,

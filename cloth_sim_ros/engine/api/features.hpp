@@ -23,13 +23,13 @@ static void predict_surface_contact(Plan& plan, double t, double duration, doubl
     };
     if (plan.self)
         add(contact::predict_self_contact(plan, t, duration, expected, x, v),
-            [&] { return plan.self->triangles.size() + plan.self->edges.size(); });
+            [&] { return plan.self->neighbors().triangles.size() + plan.self->neighbors().edges.size(); });
     if (!plan.features) return;
     add(contact::predict_feature_contact(plan, t, duration, expected, x, v), [&] {
         // The lists of an absent obstacle are of an earlier call.
         std::size_t pairs = 0;
         for (std::int64_t k = 0; k < plan.contacts.count(); ++k) {
-            const contact::FeatureVerletList& neighbors = plan.features->obstacles[k];
+            const contact::FeatureVerletList& neighbors = plan.features->neighbors()[k];
             if (plan.features->has(plan.contacts, k)) pairs += neighbors.triangles.size() + neighbors.edges.size();
         }
         return pairs;
@@ -76,7 +76,7 @@ CLOTH_API int cloth_plan_features(Plan* plan, std::int64_t obstacle, std::int64_
         for (std::int64_t k = 0; k < edges; ++k)
             features.edges.push_back(
                 {static_cast<contact::Index>(ends[2 * k]), static_cast<contact::Index>(ends[2 * k + 1])});
-        plan->features->obstacles[obstacle].features = std::move(features);
+        plan->features->obstacles[obstacle] = std::move(features);
     });
 }
 CLOTH_API int cloth_features_culled(Plan* plan, double t, double duration, const double* x, const double* v,

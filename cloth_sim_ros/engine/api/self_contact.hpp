@@ -11,8 +11,8 @@ namespace cloth::api {
 
 CLOTH_API int cloth_plan_self(Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest) {
     return guarded(plan, [&] {
-        contact::SelfContact self;
-        contact::Surface& s = self.surface;
+        auto self = std::make_unique<contact::SelfContact>();
+        contact::Surface& s = self->surface;
         s.count = plan->count;
         s.shortest = shortest;
         s.masses.resize(plan->count);
@@ -33,9 +33,9 @@ CLOTH_API int cloth_plan_self(Plan* plan, std::int64_t count, const std::int64_t
             const auto spacing = [&](grid::Family k) {
                 return sheet->families[k].present ? sheet->families[k].rest_length : shortest;
             };
-            self.separation.set(s, sheet->rows, sheet->columns, spacing(grid::right), spacing(grid::down));
+            self->separation.set(s, sheet->rows, sheet->columns, spacing(grid::right), spacing(grid::down));
         }
-        plan->self = std::make_unique<contact::SelfContact>(std::move(self));
+        plan->self = std::move(self);
     });
 }
 CLOTH_API int cloth_self_joints(Plan* plan, const std::int64_t* lowest) {
@@ -56,7 +56,7 @@ CLOTH_API int cloth_self_friction_power(Plan* plan, double t, const double* x, c
     return guarded(plan, [&] { *out = contact::self_friction_power(*plan, t, x, v); });
 }
 CLOTH_API int cloth_self_cache_pairs(Plan* plan, std::int64_t caches) {
-    return guarded(plan, [&] { plan->self->caches = caches != 0; });
+    return guarded(plan, [&] { plan->self->set_caches(caches != 0); });
 }
 CLOTH_API int cloth_self_bounds(Plan* plan, double t, const double* x, double* stiff, double* damp) {
     return guarded(plan, [&] { contact::add_self_bounds(*plan, t, x, stiff, damp); });

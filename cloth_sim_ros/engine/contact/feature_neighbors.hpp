@@ -176,34 +176,34 @@ inline double rotation_displacement(const Pose& a, const Pose& b, double reach) 
     return root(square) * reach;
 }
 
-/// Features of one obstacle and their Verlet lists, kept between calls.
+/// Verlet lists of the features of one obstacle, kept between calls. Concurrent runs need one each.
 class FeatureVerletList {
 public:
-    Features features;
     /// Pairs of the last `find`.
     PairList triangles, edges;
 
     /// Find the pairs nearer than thickness + margin [m], in addition to the radius. Return false if a position is not
     /// finite, or if that distance is at least four times the shortest edge.
-    bool find(const Surface& s, const double* x, const Pose& pose, double thickness, double margin) {
-        return update(s, x, pose, thickness, margin, std::numeric_limits<double>::infinity());
+    bool find(const Surface& s, const double* x, const FeaturesAt& from, double thickness, double margin) {
+        return update(s, x, from, thickness, margin, std::numeric_limits<double>::infinity());
     }
     /// The same for each step of a run. `motion`: upper bound of the relative motion of cloth and obstacle since the
     /// last call [m]; infinite after any other call.
-    bool update(const Surface& s, const double* x, const Pose& pose, double thickness, double margin, double motion) {
+    bool update(const Surface& s, const double* x, const FeaturesAt& from, double thickness, double margin,
+                double motion) {
         const double range = thickness + margin;
         if (!(range < 4.0 * s.shortest)) return false;
         motion_ += motion;
         if (thickness != thickness_ || !(margin + motion_ <= inner_.margin)) {
-            if (!(motion_since(s, x, pose, ReferenceState{}) < 1e30)) return false;
-            motion_ = motion_since(s, x, pose, inner_.reference);
+            if (!(motion_since(s, x, from, ReferenceState{}) < 1e30)) return false;
+            motion_ = motion_since(s, x, from, inner_.reference);
             if (thickness != thickness_ || !(margin + motion_ <= inner_.margin)) {
                 thickness_ = thickness;
-                rebuild_inner(s, x, pose, margin + 0.6 * thickness);
+                rebuild_inner(s, x, from, margin + 0.6 * thickness);
                 motion_ = 0.0;
             }
         }
-        filter(s, {features, pose}, x, inner_.pairs, features.radius + range, triangles, edges);
+        filter(s, from, x, inner_.pairs, from.features.radius + range, triangles, edges);
         return true;
     }
     /// Squared distance of a pair [m^2].
@@ -227,28 +227,30 @@ private:
         double margin = -1.0;
     };
     /// Relative motion of cloth and obstacle since the reference; since the origin if there is none.
-    double motion_since(const Surface& s, const double* x, const Pose& pose, const ReferenceState& reference) const {
+    double motion_since(const Surface& s, const double* x, const FeaturesAt& from,
+                        const ReferenceState& reference) const {
         MotionBound motion;
         const bool has_reference = !reference.positions.empty();
         for (std::int64_t i = 0; i < s.count; ++i) {
             const quad<double> x_i = load4(x + 4 * i);
             motion.include(has_reference ? quad<double>(x_i - load4(reference.positions.data() + 4 * i)) : x_i);
         }
+        const Pose& pose = from.pose;
         const Vec3<double> displacement = has_reference ? pose.position - reference.pose.position : pose.position;
         motion.include(quad<double>{displacement.x, displacement.y, displacement.z, 0.0});
-        return motion.diameter() + (has_reference ? rotation_displacement(pose, reference.pose, features.reach) : 0.0);
+        return motion.diameter() +
+               (has_reference ? rotation_displacement(pose, reference.pose, from.features.reach) : 0.0);
     }
-    void rebuild_inner(const Surface& s, const double* x, const Pose& pose, double margin) {
-        const double range = thickness_ + margin;
+    void rebuild_inner(const Surface& s, const double* x, const FeaturesAt& from, double margin) {
+        const double range = thickness_ + margin, radius = from.features.radius;
         if (outer_.reference.positions.empty() ||
-            !(features.radius + range + motion_since(s, x, pose, outer_.reference) <= outer_.pairs.reach)) {
-            const double outer_range = larger(SelfContact::min_reach * s.shortest, 1.5 * range);
-            outer_.pairs.build(s, {features, pose}, x, features.radius + outer_range);
-            store_reference(s, x, pose, outer_.reference);
+            !(radius + range + motion_since(s, x, from, outer_.reference) <= outer_.pairs.reach)) {
+            const double outer_range = larger(SelfVerletList::min_reach * s.shortest, 1.5 * range);
+            outer_.pairs.build(s, from, x, radius + outer_range);
+            store_reference(s, x, from.pose, outer_.reference);
         }
-        filter(s, {features, pose}, x, outer_.pairs, features.radius + range, inner_.pairs.triangles,
-               inner_.pairs.edges);
-        store_reference(s, x, pose, inner_.reference);
+        filter(s, from, x, outer_.pairs, radius + range, inner_.pairs.triangles, inner_.pairs.edges);
+        store_reference(s, x, from.pose, inner_.reference);
         inner_.margin = margin;
     }
     static void store_reference(const Surface& s, const double* x, const Pose& pose, ReferenceState& reference) {
@@ -273,16 +275,28 @@ private:
     double thickness_ = 0.0, motion_ = 0.0;  ///< upper bound since the inner list was built
 };
 
-/// The surface of the cloth and the features of all obstacles. `is_active[k]`: whether runs evaluate obstacle k.
+/// The surface of the cloth and the features of each obstacle. `is_active[k]`: whether runs evaluate obstacle k.
 struct FeatureContactModel {
     Surface surface;  ///< triangles with three free corners: anchored particles are not pushed
     double mass = 0.0;
-    std::vector<FeatureVerletList> obstacles;
+    std::vector<Features> obstacles;
     std::vector<char> is_active;
+
+    /// Set the number of obstacles; none has features then.
+    void resize(std::int64_t count) {
+        obstacles.assign(count, {});
+        is_active.assign(count, 0);
+        for (auto& lists : neighbors_) lists.clear();
+    }
+    /// Verlet lists of each obstacle, of a workspace. Queries use those of the first.
+    std::vector<FeatureVerletList>& neighbors(int workspace = 0) {
+        neighbors_[workspace].resize(obstacles.size());
+        return neighbors_[workspace];
+    }
 
     bool any() const { return std::find(is_active.begin(), is_active.end(), 1) != is_active.end(); }
     bool has(const Contacts& contacts, std::int64_t k) const {
-        return !obstacles[k].features.points.empty() && contacts.present(k);
+        return !obstacles[k].points.empty() && contacts.present(k);
     }
     bool has_any(const Contacts& contacts) const {
         for (std::int64_t k = 0; k < contacts.count(); ++k)
@@ -293,6 +307,9 @@ struct FeatureContactModel {
         for (std::int64_t k = 0; k < contacts.count(); ++k) is_active[k] = has(contacts, k);
     }
     FeatureLaw<double> law(const Contacts& contacts) const { return {contacts.thickness, contacts.damping, mass}; }
+
+private:
+    std::array<std::vector<FeatureVerletList>, plan::max_concurrency> neighbors_;
 };
 
 /// Call point(k, first, last) with the range of triangles of each point, and edge(k) with each pair of edges of `find`.

@@ -22,12 +22,13 @@ inline void for_each_feature_contact(Plan& plan, double t, const double* const (
     Array<double> quads[4];
     FeatureContact<V> m;
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
-        FeatureVerletList& neighbors = contact.obstacles[k];
+        FeatureVerletList& neighbors = contact.neighbors()[k];
         if (!contact.has(contacts, k)) continue;
         if (quads[0].empty())
             for (int a = 0; a < 4; ++a) quads[a] = quads_of(plan, a < 2 ? x[a] : v[a - 2]);
         const Pose pose = contacts.obstacle_pose(k, t);
-        if (!neighbors.find(contact.surface, quads[0].data(), pose, law.thickness(), 0.0)) continue;
+        const FeaturesAt from{contact.obstacles[k], pose, pose.position - pose_at(contacts.path(k), t).position};
+        if (!neighbors.find(contact.surface, quads[0].data(), from, law.thickness(), 0.0)) continue;
         law.reduce(ignore_reduction ? full_thickness<double>()
                                     : contacts.reduced.scaling(k, plan.count, plan.count + 1, t));
         const auto of = [&](int a) {
@@ -38,8 +39,7 @@ inline void for_each_feature_contact(Plan& plan, double t, const double* const (
                     return with_slope(value(c), slope(c));
             };
         };
-        const FeaturesAt from{neighbors.features, pose, pose.position - pose_at(contacts.path(k), t).position};
-        for_each_feature_contact<V>(contact, neighbors, pose, law, of(0), of(2), m,
+        for_each_feature_contact<V>(contact.surface, neighbors, from, law, of(0), of(2), m,
                                     [&](const FeatureContact<V>& term) { visit(law, k, from, term); });
     }
 }
@@ -145,21 +145,22 @@ ContactBounds predict_feature_contact(Plan& plan, double t, double duration, dou
     FeatureStiffnessBound bound(contact.mass);
     FeatureContact<double> m;
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
-        FeatureVerletList& neighbors = contact.obstacles[k];
+        FeatureVerletList& neighbors = contact.neighbors()[k];
         if (!contact.has(contacts, k)) continue;
         const Pose pose = contacts.driven_pose(k, t, duration);
+        const FeaturesAt from{contact.obstacles[k], pose};
         bound.set_obstacle(contacts, k);
         law.reduce(contacts.reduced.scaling(k, plan.count, plan.count + 1, t));
         MotionBound motion;
         for (std::int64_t i = 0; i < plan.count; ++i) motion.include(load4(velocities.data() + 4 * i));
         motion.include(quad<double>{pose.velocity.x, pose.velocity.y, pose.velocity.z, 0.0});
-        const double speed = motion.diameter() + root(norm2(pose.spin)) * neighbors.features.reach;
+        const double speed = motion.diameter() + root(norm2(pose.spin)) * from.features.reach;
         // The next call sees pairs further away.
         const double margin = smaller(speed * duration, 2.0 * contact.surface.shortest);
-        if (!neighbors.find(contact.surface, positions.data(), pose, law.thickness(), margin))
+        if (!neighbors.find(contact.surface, positions.data(), from, law.thickness(), margin))
             return {infinite, infinite};
         for_each_feature_contact<double>(
-            contact, neighbors, pose, law, at, velocity, m,
+            contact.surface, neighbors, from, law, at, velocity, m,
             [&](const auto& term) { bound.include(contact.surface, term); }, &bound, duration);
     }
     bound.flush();
@@ -173,15 +174,15 @@ inline bool ccd_obstacle_features(FeatureContactModel& contact, std::int64_t k, 
                                   const Pose& start_pose, const Pose& end_pose, const double* from, const double* to) {
     const Surface& s = contact.surface;
     const Quads start{from}, end{to};
-    FeatureVerletList& neighbors = contact.obstacles[k];
-    const Features& features = neighbors.features;
+    FeatureVerletList& neighbors = contact.neighbors()[k];
+    const Features& features = contact.obstacles[k];
     const FeaturesAt begin{features, start_pose}, finish{features, end_pose};
     MotionBound motion;
     for (std::int64_t i = 0; i < s.count; ++i) motion.include(load4(to + 4 * i) - load4(from + 4 * i));
     const Vec3<double> displacement = end_pose.position - start_pose.position;
     motion.include(quad<double>{displacement.x, displacement.y, displacement.z, 0.0});
     const double max_motion = motion.diameter() + rotation_displacement(start_pose, end_pose, features.reach);
-    if (!neighbors.find(s, from, start_pose, thickness, max_motion)) return true;
+    if (!neighbors.find(s, from, begin, thickness, max_motion)) return true;
     // Advance along the path; the sides of a pair approach at most by `length` from its start to its end.
     const auto intersects = [&](int corners, const Index* corner, Index a, Index b, auto&& square) {
         Vec3<double> displacements[3];
@@ -257,8 +258,8 @@ FeatureCulling::FeatureCulling(Plan& plan, double t, double duration, const doub
     speed_limit_ = 2.0 * max_particle_speed(v0) + speed_margin;
     Array<double> positions;
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
-        FeatureVerletList& neighbors = contact.obstacles[k];
-        const Features& features = neighbors.features;
+        FeatureVerletList& neighbors = contact.neighbors()[k];
+        const Features& features = contact.obstacles[k];
         if (!contact.has(contacts, k)) continue;
         const double* const path = contacts.path(k);
         double path_length = 0.0, path_angle = 0.0, power = 1.0;
@@ -280,7 +281,7 @@ FeatureCulling::FeatureCulling(Plan& plan, double t, double duration, const doub
         // Distance between the bounding balls of cloth and obstacle.
         const double distance = root(norm2(center_ - pose.position)) - radius_ - features.reach - features.radius;
         if (distance > thickness + margin) continue;
-        const bool is_valid = neighbors.find(s, positions.data(), pose, thickness, margin);
+        const bool is_valid = neighbors.find(s, positions.data(), {features, pose}, thickness, margin);
         contact.is_active[k] = !is_valid || neighbors.triangles.size() || neighbors.edges.size();
     }
     for (std::int64_t k = 0; k < contacts.count(); ++k)
@@ -333,7 +334,7 @@ void find_feature_intersection(Plan& plan, double t, const double* x, std::int64
     std::fill(out, out + 3, std::int64_t{-1});
     const double origin[3] = {}, min_step = 1e-3 * contacts.thickness;
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
-        const Features& features = contact.obstacles[k].features;
+        const Features& features = contact.obstacles[k];
         if (!contact.has(contacts, k)) continue;
         const Pose pose = contacts.obstacle_pose(k, t);
         const FeaturesAt from{features, pose};

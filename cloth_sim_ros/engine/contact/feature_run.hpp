@@ -91,13 +91,10 @@ private:
 /// Call `visit` with each contact of an obstacle's features in its Verlet lists. If `bound` is given, add pairs that
 /// come into contact within `duration` [s] to it.
 template <class V, class X, class U, class F>
-inline void for_each_feature_contact(const FeatureContactModel& contact, const FeatureVerletList& neighbors,
-                                     const Pose& pose, const FeatureLaw<V>& law, X&& at, U&& velocity,
-                                     FeatureContact<V>& m, F&& visit, FeatureStiffnessBound* bound = nullptr,
-                                     double duration = 0.0) {
-    const Surface& s = contact.surface;
-    const FeaturesAt from{neighbors.features, pose};
-    const double radius = neighbors.features.radius;
+inline void for_each_feature_contact(const Surface& s, const FeatureVerletList& neighbors, const FeaturesAt& from,
+                                     const FeatureLaw<V>& law, X&& at, U&& velocity, FeatureContact<V>& m, F&& visit,
+                                     FeatureStiffnessBound* bound = nullptr, double duration = 0.0) {
+    const double radius = from.features.radius;
     for_each_feature(
         neighbors,
         [&](Index k, std::size_t first, std::size_t last) {
@@ -123,7 +120,7 @@ inline void for_each_feature_contact(const FeatureContactModel& contact, const F
             if (!m.gaps.empty()) visit(m);
             if constexpr (std::is_same_v<V, double>) {
                 if (!bound || !m.gaps.empty()) return;
-                const auto& obstacle_edge = neighbors.features.edges[neighbors.edges.first[pair]];
+                const auto& obstacle_edge = from.features.edges[neighbors.edges.first[pair]];
                 const auto n = near_segments(at(edge[0]), at(edge[1]), from.position(obstacle_edge[0]),
                                              from.position(obstacle_edge[1]));
                 const double away = root(n.square), weight[2] = {1.0 - n.first, n.first};
@@ -151,7 +148,8 @@ inline bool feature_may_intersect(double square, double radius, const Vec3<doubl
 class FeatureRun {
 public:
     FeatureRun(FeatureContactModel& contact, const Contacts& contacts, const Run& run)
-        : contact_(contact), contacts_(contacts), run_(run), law_(contact.law(contacts)), bound_(contact.mass),
+        : contact_(contact), neighbors_(contact.neighbors(run.workspace)), contacts_(contacts), run_(run),
+          law_(contact.law(contacts)), bound_(contact.mass),
           sums_(run.record_obstacles ? contacts.count() * record_numbers : 0, 0.0) {
         poses_.resize(contact.obstacles.size());
     }
@@ -167,13 +165,13 @@ public:
             if (!contact_.is_active[k]) continue;
             const Pose path_pose = pose_at(contacts_.path(k), t), pose = obstacle_pose(k, path_pose);
             if (!update_neighbors(k, x, pose)) return;
-            const FeaturesAt from{contact_.obstacles[k].features, pose, pose.position - path_pose.position};
+            const FeaturesAt from{contact_.obstacles[k], pose, pose.position - path_pose.position};
             bound_.set_obstacle(contacts_, k);
             law_.reduce(contacts_.reduced.scaling(k, contact_.surface.count, contact_.surface.count + 1, t));
             JawRun::JawLoad jaw_load;
             double* const sums = run_.record_obstacles && step >= 0 ? sums_.data() + k * record_numbers : nullptr;
             for_each_feature_contact<double>(
-                contact_, contact_.obstacles[k], pose, law_, at, velocity, feature_contact_,
+                contact_.surface, neighbors_[k], from, law_, at, velocity, feature_contact_,
                 [&](const FeatureContact<double>& m) {
                     bound_.include(contact_.surface, m);
                     law_.forces(
@@ -236,26 +234,28 @@ private:
     /// Update the neighbours of an obstacle, and check the motion since the last step for intersections.
     bool update_neighbors(std::int64_t k, const double* x, const Pose& pose) {
         if (intersected_) return false;
-        FeatureVerletList& neighbors = contact_.obstacles[k];
+        const FeaturesAt from{contact_.obstacles[k], pose};
+        FeatureVerletList& neighbors = neighbors_[k];
         double motion = 0.0, since = std::numeric_limits<double>::infinity();
         if (has_previous_) {
             MotionBound bound = cloth_;
             const Vec3<double> displacement = pose.position - poses_[k].position;
             bound.include(quad<double>{displacement.x, displacement.y, displacement.z, 0.0});
-            since = motion = bound.diameter() + rotation_displacement(pose, poses_[k], neighbors.features.reach);
+            since = motion = bound.diameter() + rotation_displacement(pose, poses_[k], from.features.reach);
         }
         // A pair within twice `motion` [m] of contact may come into contact in one of the next two steps.
-        intersected_ = !neighbors.update(contact_.surface, x, pose, law_.thickness(), 2.0 * motion, since);
-        if (!intersected_ && motion > 0.0) check_intersections(neighbors, x, pose, poses_[k], motion);
+        intersected_ = !neighbors.update(contact_.surface, x, from, law_.thickness(), 2.0 * motion, since);
+        if (!intersected_ && motion > 0.0) check_intersections(neighbors, x, from, poses_[k], motion);
         poses_[k] = pose;
         return !intersected_;
     }
-    void check_intersections(const FeatureVerletList& neighbors, const double* x, const Pose& pose,
+    void check_intersections(const FeatureVerletList& neighbors, const double* x, const FeaturesAt& current,
                              const Pose& previous_pose, double motion) {
         const Surface& s = contact_.surface;
-        const FeaturesAt current{neighbors.features, pose}, previous{neighbors.features, previous_pose};
+        const Features& features = current.features;
+        const FeaturesAt previous{features, previous_pose};
         const Quads at{x}, was{positions_.data()};
-        const double radius = neighbors.features.radius, threshold = (radius + motion) * (radius + motion);
+        const double radius = features.radius, threshold = (radius + motion) * (radius + motion);
         Vec3<double> displacement[3];
         const auto corner_motion = [&](Index c) { return at(c) - was(c); };
         const auto point_motion = [&](Index point) { return current.position(point) - previous.position(point); };
@@ -272,13 +272,13 @@ private:
             const double square = FeatureVerletList::edge_square(s, current, at, edge, neighbors.edges.second[k]);
             if (square > threshold) continue;
             for (int c = 0; c < 2; ++c) displacement[c] = corner_motion(s.edges[neighbors.edges.second[k]][c]);
-            intersected_ =
-                feature_may_intersect(square, radius, displacement, 2, point_motion(neighbors.features.edges[edge][0]),
-                                      point_motion(neighbors.features.edges[edge][1]));
+            intersected_ = feature_may_intersect(square, radius, displacement, 2, point_motion(features.edges[edge][0]),
+                                                 point_motion(features.edges[edge][1]));
         }
     }
 
-    FeatureContactModel& contact_;
+    const FeatureContactModel& contact_;
+    std::vector<FeatureVerletList>& neighbors_;
     const Contacts& contacts_;
     const Run& run_;
     FeatureLaw<double> law_;

@@ -4,11 +4,14 @@
 // Self-contact: Verlet lists (neighbour lists) of near pairs, and stiffness bounds for step control.
 #pragma once
 
+#include <array>
 #include <cstring>
+#include <memory>
 
 #include "contact/self_friction.hpp"
 #include "contact/self_gaps.hpp"
 #include "contact/sheet_separation.hpp"
+#include "plan/workspace.hpp"
 
 namespace cloth::contact {
 
@@ -32,62 +35,21 @@ private:
     quad<double> low_ = quad<double>{} + 1e300, high_ = quad<double>{} - 1e300, nan_check_{};
 };
 
-/// Verlet lists of a surface, kept between calls. Positions are quads.
-class SelfContact {
+/// Verlet lists of a surface, kept between calls. Positions are quads. Concurrent runs need one each.
+class SelfVerletList {
 public:
-    Surface surface;
-    /// Bound that makes a search for pairs unnecessary where parts of a regular sheet are far from each other.
-    SheetSeparation separation;
-    /// Friction coefficients between layers.
-    FrictionCoefficients friction;
-    bool has_friction() const { return friction.at_rest > 0.0; }
+    /// The surface must outlive the lists. Without `caches` each call rebuilds them, for tests.
+    SelfVerletList(const Surface& surface, bool caches) : surface(surface), caches(caches) {}
+
+    const Surface& surface;
+    bool caches;
     /// Pairs of the last `find`.
     PairList triangles, edges;
     std::vector<double> triangle_squares, edge_squares;
     /// Least range of a list, as a fraction of the shortest edge: next-nearest neighbours in a flat sheet are beyond
     /// it.
     static constexpr double min_reach = 0.6;
-    bool caches = true;  ///< false rebuilds the lists in every call, for tests
 
-    /// Distance [m] that a sheet must keep from itself in a frame of a duration [s], if runs skip contact. It covers
-    /// what paths in the frame deviate from straight ones.
-    static double separation_needed(double thickness, double duration) { return thickness + speed_margin * duration; }
-    /// Whether a regular sheet at positions x and velocities v, (3, n), stays separated from itself for a duration [s]
-    /// at these velocities. False if that is not clear without a search for pairs.
-    bool stays_separated(const double* x, const double* v, double thickness, double duration) {
-        if (!separation.applies()) return false;
-        const std::array<double, 2> limits{duration, separation_needed(thickness, duration)};
-        const std::size_t size = 3 * static_cast<std::size_t>(surface.count);
-        const auto is_same = [&](const Array<double>& a, const double* b) {
-            return a.size() == size && !std::memcmp(a.data(), b, size * sizeof(double));
-        };
-        if (!(limits == checked_limits_ && is_same(checked_x_, x) && is_same(checked_v_, v)))
-            keep_check(x, v, limits, separation.bound(x, {v, duration}, limits[1]) >= limits[1]);
-        return is_separated_;
-    }
-    /// Whether a sheet that `stays_separated` has done so on its way from positions x0 to x and velocities v at the end
-    /// of a frame: on straight paths, and backwards from the end at the velocities v.
-    bool stayed_separated(const double* x0, const double* x, const double* v, double thickness, double duration) {
-        const double needed = separation_needed(thickness, duration);
-        const auto reversed = [&](auto&& component) -> const double* {
-            motion_back_.resize(3 * static_cast<std::size_t>(surface.count));
-            for (std::size_t k = 0; k < motion_back_.size(); ++k) motion_back_[k] = component(k);
-            return motion_back_.data();
-        };
-        const SheetSeparation::Motion straight{reversed([&](std::size_t k) { return x0[k] - x[k]; }), 1.0};
-        if (separation.is_clear(x, {straight, {v, duration}}, needed)) {
-            // A next frame that starts here stays separated.
-            keep_check(x, v, {duration, needed}, true);
-            return true;
-        }
-        return separation.bound(x, straight, needed) >= needed &&
-               separation.bound(x, {reversed([&](std::size_t k) { return -v[k]; }), duration}, needed) >= needed;
-    }
-    /// Whether it is clear without a search for pairs that a regular sheet at positions x, (3, n), is not in contact
-    /// with itself. False for any other surface.
-    bool is_clear(const double* x, double thickness) { return separation.is_clear(x, {}, thickness); }
-    /// Speed that particles may gain in a frame [m/s].
-    static constexpr double speed_margin = 0.1;
     /// Forget the pairs of the last `find`.
     void clear_pairs() {
         triangles.clear();
@@ -232,6 +194,76 @@ private:
                 if (squares) squares->push_back(squares_[k]);
             }
     }
+    /// Each level is a part of the one before.
+    ListLevel outer_, middle_, inner_;
+    double thickness_ = 0.0, motion_ = 0.0;
+    std::vector<double> squares_;
+};
+
+/// Self-contact of a plan.
+class SelfContact {
+public:
+    Surface surface;
+    /// Bound that makes a search for pairs unnecessary where parts of a regular sheet are far from each other.
+    SheetSeparation separation;
+    /// Friction coefficients between layers.
+    FrictionCoefficients friction;
+    bool has_friction() const { return friction.at_rest > 0.0; }
+
+    /// Verlet lists of a workspace. Queries use those of the first.
+    SelfVerletList& neighbors(int workspace = 0) {
+        auto& lists = neighbors_[workspace];
+        if (!lists) lists = std::make_unique<SelfVerletList>(surface, caches_);
+        return *lists;
+    }
+    /// Whether Verlet lists are kept between calls.
+    void set_caches(bool caches) {
+        caches_ = caches;
+        for (const auto& lists : neighbors_)
+            if (lists) lists->caches = caches;
+    }
+
+    /// Distance [m] that a sheet must keep from itself in a frame of a duration [s], if runs skip contact. It covers
+    /// what paths in the frame deviate from straight ones.
+    static double separation_needed(double thickness, double duration) { return thickness + speed_margin * duration; }
+    /// Whether a regular sheet at positions x and velocities v, (3, n), stays separated from itself for a duration [s]
+    /// at these velocities. False if that is not clear without a search for pairs.
+    bool stays_separated(const double* x, const double* v, double thickness, double duration) {
+        if (!separation.applies()) return false;
+        const std::array<double, 2> limits{duration, separation_needed(thickness, duration)};
+        const std::size_t size = 3 * static_cast<std::size_t>(surface.count);
+        const auto is_same = [&](const Array<double>& a, const double* b) {
+            return a.size() == size && !std::memcmp(a.data(), b, size * sizeof(double));
+        };
+        if (!(limits == checked_limits_ && is_same(checked_x_, x) && is_same(checked_v_, v)))
+            keep_check(x, v, limits, separation.bound(x, {v, duration}, limits[1]) >= limits[1]);
+        return is_separated_;
+    }
+    /// Whether a sheet that `stays_separated` has done so on its way from positions x0 to x and velocities v at the end
+    /// of a frame: on straight paths, and backwards from the end at the velocities v.
+    bool stayed_separated(const double* x0, const double* x, const double* v, double thickness, double duration) {
+        const double needed = separation_needed(thickness, duration);
+        const auto reversed = [&](auto&& component) -> const double* {
+            motion_back_.resize(3 * static_cast<std::size_t>(surface.count));
+            for (std::size_t k = 0; k < motion_back_.size(); ++k) motion_back_[k] = component(k);
+            return motion_back_.data();
+        };
+        const SheetSeparation::Motion straight{reversed([&](std::size_t k) { return x0[k] - x[k]; }), 1.0};
+        if (separation.is_clear(x, {straight, {v, duration}}, needed)) {
+            // A next frame that starts here stays separated.
+            keep_check(x, v, {duration, needed}, true);
+            return true;
+        }
+        return separation.bound(x, straight, needed) >= needed &&
+               separation.bound(x, {reversed([&](std::size_t k) { return -v[k]; }), duration}, needed) >= needed;
+    }
+    /// Whether it is clear without a search for pairs that a regular sheet at positions x, (3, n), is not in contact
+    /// with itself. False for any other surface.
+    bool is_clear(const double* x, double thickness) { return separation.is_clear(x, {}, thickness); }
+    /// Speed that particles may gain in a frame [m/s].
+    static constexpr double speed_margin = 0.1;
+
+private:
     void keep_check(const double* x, const double* v, const std::array<double, 2>& limits, bool is_separated) {
         const std::size_t size = 3 * static_cast<std::size_t>(surface.count);
         checked_limits_ = limits;
@@ -245,10 +277,8 @@ private:
     /// Velocities or displacement of `stayed_separated`, reversed.
     std::vector<double> motion_back_;
     bool is_separated_ = false;
-    /// Each level is a part of the one before.
-    ListLevel outer_, middle_, inner_;
-    double thickness_ = 0.0, motion_ = 0.0;
-    std::vector<double> squares_;
+    std::array<std::unique_ptr<SelfVerletList>, plan::max_concurrency> neighbors_;
+    bool caches_ = true;
 };
 
 /// Stiffness bound of self-contact: the energy per mass that it absorbs, in units of U^2/2, for particles and for
@@ -357,13 +387,13 @@ private:
 /// Call particle(i, first, last) with the range of triangles of each particle, and edge(k) with each pair of edges of
 /// `find`.
 template <class P, class E>
-inline void for_each_neighbor(const SelfContact& self, P&& particle, E&& edge) {
-    const PairList& t = self.triangles;
+inline void for_each_neighbor(const SelfVerletList& neighbors, P&& particle, E&& edge) {
+    const PairList& t = neighbors.triangles;
     for (std::size_t first = 0, last; first < t.size(); first = last) {
         for (last = first; last < t.size() && t.first[last] == t.first[first];) ++last;
         particle(t.first[first], first, last);
     }
-    for (std::size_t k = 0; k < self.edges.size(); ++k) edge(k);
+    for (std::size_t k = 0; k < neighbors.edges.size(); ++k) edge(k);
 }
 
 }  // namespace cloth::contact

@@ -22,9 +22,9 @@ inline Array<double> quads_of(const Plan& plan, const double* a) {
 /// Call `visit` with each contact and the functions of position and velocity, at positions x and velocities v (quads,
 /// with derivatives dx and dv if V has them). Positions that are not finite have no contact.
 template <class V, class F>
-inline void for_each_self_contact(SelfContact& self, const SelfLaw<V>& law, double thickness, const Quads (&x)[2],
-                                  const Quads (&v)[2], F&& visit) {
-    if (!self.find(x[0].from, thickness, 0.0)) return;
+inline void for_each_self_contact(SelfVerletList& neighbors, const SelfLaw<V>& law, double thickness,
+                                  const Quads (&x)[2], const Quads (&v)[2], F&& visit) {
+    if (!neighbors.find(x[0].from, thickness, 0.0)) return;
     const auto of = [](const Quads(&a)[2]) {
         return [&a](Index c) {
             if constexpr (std::is_same_v<V, double>)
@@ -34,20 +34,20 @@ inline void for_each_self_contact(SelfContact& self, const SelfLaw<V>& law, doub
         };
     };
     const auto at = of(x), velocity = of(v);
-    const Surface& s = self.surface;
+    const Surface& s = neighbors.surface;
     Contact<V> m;
     const auto emit = [&] {
         if (!m.gaps.empty()) visit(m, at, velocity);
     };
     for_each_neighbor(
-        self,
+        neighbors,
         [&](Index i, std::size_t first, std::size_t last) {
-            const Index* const triangles = self.triangles.second.data();
+            const Index* const triangles = neighbors.triangles.second.data();
             law.particle(s, i, triangles + first, triangles + last, at, velocity, m);
             emit();
         },
         [&](std::size_t k) {
-            law.edges(s, s.edges[self.edges.first[k]], s.edges[self.edges.second[k]], at, velocity, m);
+            law.edges(s, s.edges[neighbors.edges.first[k]], s.edges[neighbors.edges.second[k]], at, velocity, m);
             emit();
         });
 }
@@ -61,7 +61,7 @@ inline void for_each_self_contact(Plan& plan, double t, const double* x, const d
     std::vector<Scaling<double>> scalings;
     self_scalings(plan, t, scalings);
     law.reduce(&scalings);
-    for_each_self_contact<double>(*plan.self, law, contacts.thickness, at, velocity,
+    for_each_self_contact<double>(plan.self->neighbors(), law, contacts.thickness, at, velocity,
                                   [&](const Contact<double>& m, auto& x_at, auto& v_at) { visit(law, m, x_at, v_at); });
 }
 
@@ -148,7 +148,7 @@ void add_self_product(Plan& plan, double t, const double* x, const double* v, co
             out[2 * plan.count + particle_of_rank[c]] += force.z.slope;
         });
     };
-    for_each_self_contact<Dual>(*plan.self, law, contacts.thickness, at, velocity, add);
+    for_each_self_contact<Dual>(plan.self->neighbors(), law, contacts.thickness, at, velocity, add);
 }
 
 /// Call `visit` with each contact within the full thickness.
@@ -159,7 +159,7 @@ inline void for_each_full_contact(Plan& plan, const double* x, F&& visit) {
     const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, nullptr);
     const Quads at[2] = {{positions.data()}, {nullptr}}, velocity[2] = {{velocities.data()}, {nullptr}};
     const SelfLaw<double> law(contacts.thickness, contacts.damping);
-    for_each_self_contact<double>(*plan.self, law, contacts.thickness, at, velocity,
+    for_each_self_contact<double>(plan.self->neighbors(), law, contacts.thickness, at, velocity,
                                   [&](const Contact<double>& m, auto&, auto&) { visit(m); });
 }
 
@@ -186,10 +186,11 @@ void self_gap_row(Plan& plan, const double* x, double* out) {
 ContactBounds predict_self_contact(Plan& plan, double t, double duration, double expected, const double* x,
                                    const double* v) {
     SelfContact& self = *plan.self;
+    SelfVerletList& neighbors = self.neighbors();
     const double d = plan.contacts.thickness;
     // A reduced thickness is below the full one.
     if (self.stays_separated(x, v, d, duration)) {
-        self.clear_pairs();
+        neighbors.clear_pairs();
         return {};
     }
     const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, v);
@@ -204,7 +205,7 @@ ContactBounds predict_self_contact(Plan& plan, double t, double duration, double
     std::vector<Scaling<double>> scalings;
     self_scalings(plan, t, scalings);
     law.reduce(&scalings);
-    if (!self.find(positions.data(), d, margin)) {
+    if (!neighbors.find(positions.data(), d, margin)) {
         const double infinite = std::numeric_limits<double>::infinity();
         return {infinite, infinite};
     }
@@ -215,19 +216,19 @@ ContactBounds predict_self_contact(Plan& plan, double t, double duration, double
     // nevertheless, in a twist, are seen by the run itself.
     const double min_edge_speed = ContactLaw<double>::speed * root(0.5 * law.law(false).shape(0.5 * d) / expected);
     for_each_neighbor(
-        self,
+        neighbors,
         [&](Index i, std::size_t first, std::size_t last) {
-            const Index* const triangles = self.triangles.second.data();
+            const Index* const triangles = neighbors.triangles.second.data();
             law.particle(s, i, triangles + first, triangles + last, at, velocity, m);
             bound.include(s, m);
             add_layer_loads(plan, law, m, at, velocity, load);
             for (std::size_t k = first; k < last; ++k)
-                bound.add_approaching(self.triangle_corners(k), false, law, at, velocity, duration);
+                bound.add_approaching(neighbors.triangle_corners(k), false, law, at, velocity, duration);
         },
         [&](std::size_t k) {
-            law.edges(s, s.edges[self.edges.first[k]], s.edges[self.edges.second[k]], at, velocity, m);
+            law.edges(s, s.edges[neighbors.edges.first[k]], s.edges[neighbors.edges.second[k]], at, velocity, m);
             bound.include(s, m);
-            bound.add_approaching(self.edge_corners(k), true, law, at, velocity, duration, min_edge_speed);
+            bound.add_approaching(neighbors.edge_corners(k), true, law, at, velocity, duration, min_edge_speed);
         });
     bound.flush();
     load.flush();
@@ -237,13 +238,13 @@ ContactBounds predict_self_contact(Plan& plan, double t, double duration, double
 }
 
 bool ccd_self(Plan& plan, const double* x0, const double* x1) {
-    SelfContact& self = *plan.self;
+    SelfVerletList& neighbors = plan.self->neighbors();
     const double d = plan.contacts.thickness;
     const Array<double> from = quads_of(plan, x0), to = quads_of(plan, x1);
     MotionBound motion;
     for (std::int64_t i = 0; i < plan.count; ++i) motion.include(load4(to.data() + 4 * i) - load4(from.data() + 4 * i));
     const double max_motion = motion.diameter();
-    if (!self.find(from.data(), d, max_motion)) return true;
+    if (!neighbors.find(from.data(), d, max_motion)) return true;
     const Quads start{from.data()}, end{to.data()};
     const auto intersects = [&](const std::array<Index, 4>& corner, bool edges) {
         Vec3<double> displacement[4];
@@ -265,10 +266,10 @@ bool ccd_self(Plan& plan, const double* x0, const double* x1) {
         return false;
     };
     bool intersected = false;
-    for (std::size_t k = 0; k < self.triangles.size() && !intersected; ++k)
-        intersected = intersects(self.triangle_corners(k), false);
-    for (std::size_t k = 0; k < self.edges.size() && !intersected; ++k)
-        intersected = intersects(self.edge_corners(k), true);
+    for (std::size_t k = 0; k < neighbors.triangles.size() && !intersected; ++k)
+        intersected = intersects(neighbors.triangle_corners(k), false);
+    for (std::size_t k = 0; k < neighbors.edges.size() && !intersected; ++k)
+        intersected = intersects(neighbors.edge_corners(k), true);
     return intersected;
 }
 
@@ -282,9 +283,10 @@ SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const do
     const Array<double> positions = quads_of(plan, x0);
     speed_limit_ = 2.0 * relative_speed(v0) + SelfContact::speed_margin;
     const double margin = speed_limit_ * duration;
-    plan.self_culled = plan.contacts.thickness + margin < SelfContact::min_reach * self.surface.shortest &&
-                       self.find(positions.data(), plan.contacts.thickness, margin) && self.triangles.size() == 0 &&
-                       self.edges.size() == 0;
+    SelfVerletList& neighbors = self.neighbors();
+    plan.self_culled = plan.contacts.thickness + margin < SelfVerletList::min_reach * self.surface.shortest &&
+                       neighbors.find(positions.data(), plan.contacts.thickness, margin) &&
+                       neighbors.triangles.size() == 0 && neighbors.edges.size() == 0;
 }
 
 bool SelfCulling::is_violated(const double* x, const double* v) const {

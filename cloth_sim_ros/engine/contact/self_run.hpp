@@ -43,8 +43,8 @@ inline double min_of(const std::vector<double>& values) {
 /// Self-contact over a run, on one thread.
 class SelfRun {
 public:
-    SelfRun(SelfContact& self, double thickness, double damping, double step)
-        : self_(self), law_(thickness, damping), vector_law_(thickness, damping), thickness_(thickness),
+    SelfRun(SelfVerletList& neighbors, double thickness, double damping, double step)
+        : neighbors_(neighbors), law_(thickness, damping), vector_law_(thickness, damping), thickness_(thickness),
           damping_(damping), step_(step) {}
 
     /// Use the reduced thickness of a plan over a run.
@@ -53,9 +53,9 @@ public:
         run_ = &run;
     }
     /// Enable friction between layers, with initial anchors and the frequency of their springs [1/s].
-    void enable_friction(double frequency, const LayerAnchors& anchors) {
+    void enable_friction(const FrictionCoefficients& coefficients, double frequency, const LayerAnchors& anchors) {
         frequency_ = frequency;
-        friction_.emplace(self_.surface, self_.friction, frequency, law_, step_, anchors);
+        friction_.emplace(neighbors_.surface, coefficients, frequency, law_, step_, anchors);
     }
     /// Add the forces of a step at positions x and velocities v to f, all quads, and the power of damping and friction
     /// [W] to `dissipation`.
@@ -67,15 +67,16 @@ public:
         }
         double growth_power = 0.0;
         add_particles(v, f, dissipation, growth_power);
-        const Surface& s = self_.surface;
+        const Surface& s = neighbors_.surface;
         const Quads at{x}, velocity{v};
         const auto add_force = [&](Index c, Vec3<double> force) {
             f[4 * c] += force.x, f[4 * c + 1] += force.y, f[4 * c + 2] += force.z;
         };
-        for (std::size_t k = 0; k < self_.edges.size(); ++k) {
-            law_.edges(s, s.edges[self_.edges.first[k]], s.edges[self_.edges.second[k]], at, velocity, contact_);
+        for (std::size_t k = 0; k < neighbors_.edges.size(); ++k) {
+            law_.edges(s, s.edges[neighbors_.edges.first[k]], s.edges[neighbors_.edges.second[k]], at, velocity,
+                       contact_);
             if (contact_.gaps.empty()) {
-                bound_.add_approaching(self_.edge_corners(k), true, law_, at, velocity, 2.0 * step_);
+                bound_.add_approaching(neighbors_.edge_corners(k), true, law_, at, velocity, 2.0 * step_);
                 continue;
             }
             law_.forces(contact_, add_force);
@@ -104,10 +105,10 @@ public:
 private:
     /// Contacts of particles, by the law of SelfLaw::particle: sums over each particle's gaps, then forces.
     void add_particles(const double* v, double* f, double* dissipation, double& growth_power) {
-        SelfGaps& gaps = self_.gaps;
+        SelfGaps& gaps = neighbors_.gaps;
         if (!gaps.size) return;
         gaps.evaluate(vector_law_, law_, v);
-        sums_.begin(self_.surface.count, gaps.size);
+        sums_.begin(neighbors_.surface.count, gaps.size);
         double approach_speed = 0.0;
         for (std::size_t k = 0; k < gaps.size; ++k) {
             const double gap = gaps.gap(k), closing = gaps.closing(k);
@@ -124,24 +125,24 @@ private:
             for (std::size_t k = 0; k < gaps.ends[0]; ++k) min_gap = smaller(gaps.gap(k), min_gap);
         }
         if (min_gap < thickness_) bound_.gap = smaller(min_gap, bound_.gap);
-        sums_.finalize(self_.surface, law_, dissipation, growth_power);
+        sums_.finalize(neighbors_.surface, law_, dissipation, growth_power);
         if (sums_.max_energy > 0.0) bound_.include_energy(false, sums_.max_energy);
-        sums_.add_forces(self_.surface, gaps, f);
-        bound_.gather_row_sums(self_.surface, f);
+        sums_.add_forces(neighbors_.surface, gaps, f);
+        bound_.gather_row_sums(neighbors_.surface, f);
     }
     /// Friction of the particles in contact.
     template <class F>
     void add_friction(std::int64_t step, const Quads& at, const Quads& velocity, F&& add_force, double* dissipation) {
-        const PairList& pairs = self_.inner_pairs();
+        const PairList& pairs = neighbors_.inner_pairs();
         double friction_power = 0.0;
         for (std::size_t first = 0, last; first < pairs.size(); first = last) {
             const Index i = pairs.first[first];
             bool in_contact = false;
             for (last = first; last < pairs.size() && pairs.first[last] == i; ++last)
-                in_contact = in_contact || self_.gaps.square[last] < thickness_ * thickness_;
+                in_contact = in_contact || neighbors_.gaps.square[last] < thickness_ * thickness_;
             if (!in_contact) continue;
             const Index* const triangles = pairs.second.data();
-            law_.particle(self_.surface, i, triangles + first, triangles + last, at, velocity, contact_);
+            law_.particle(neighbors_.surface, i, triangles + first, triangles + last, at, velocity, contact_);
             friction_->add(step, contact_, at, velocity, add_force, dissipation ? &friction_power : nullptr);
         }
         friction_->flush();
@@ -152,7 +153,7 @@ private:
     /// Update the Verlet list, and check the motion since the last step for intersections.
     bool update_neighbors(const double* x) {
         if (intersected_) return false;
-        const std::int64_t n = self_.surface.count;
+        const std::int64_t n = neighbors_.surface.count;
         double motion = 0.0, since = std::numeric_limits<double>::infinity();
         if (previous_.empty()) {
             previous_.assign(x, x + 4 * n);
@@ -162,7 +163,7 @@ private:
             since = motion = bound.diameter();
         }
         // A pair within twice `motion` [m] of contact may come into contact in one of the next two steps.
-        intersected_ = !self_.update(x, thickness_, 2.0 * motion, since);
+        intersected_ = !neighbors_.update(x, thickness_, 2.0 * motion, since);
         if (!intersected_ && motion > 0.0) check_intersections(x, motion);
         std::memcpy(previous_.data(), x, 4 * n * sizeof(double));
         return !intersected_;
@@ -172,19 +173,19 @@ private:
     void check_intersections(const double* x, double motion) {
         const Quads current{x}, previous{previous_.data()};
         const auto displacement = [&](Index c) { return current(c) - previous(c); };
-        const SelfGaps& gaps = self_.gaps;
+        const SelfGaps& gaps = neighbors_.gaps;
         // Usually nothing is that near.
         if (min_of(gaps.square) <= motion * motion)
             for (std::size_t k = 0; k < gaps.square.size(); ++k)
                 if (gaps.square[k] <= motion * motion)
                     intersected_ =
                         intersected_ || may_intersect(gaps.square[k], gaps.corners(k).data(), false, displacement);
-        for (std::size_t k = 0; k < self_.edges.size(); ++k)
-            if (self_.edge_squares[k] <= motion * motion)
-                intersected_ = intersected_ ||
-                               may_intersect(self_.edge_squares[k], self_.edge_corners(k).data(), true, displacement);
+        for (std::size_t k = 0; k < neighbors_.edges.size(); ++k)
+            if (neighbors_.edge_squares[k] <= motion * motion)
+                intersected_ = intersected_ || may_intersect(neighbors_.edge_squares[k],
+                                                             neighbors_.edge_corners(k).data(), true, displacement);
     }
-    SelfContact& self_;
+    SelfVerletList& neighbors_;
     SelfLaw<double> law_;
     ContactLaw<vec<double>> vector_law_;
     double thickness_, damping_, step_;

@@ -33,8 +33,10 @@ OffGridForces<T>::OffGridForces(Plan& plan, const Run& run)
     grip_sums.assign(plan.grips.count() * record_numbers, 0.0);
     if constexpr (sizeof(T) == 8) {
         if (plan.is_self_active()) {
-            self = std::make_unique<SelfRun>(*plan.self, plan.contacts.thickness, plan.contacts.damping, run.step);
-            if (plan.self->has_friction()) self->enable_friction(plan.contacts.frequency, plan.layer_anchors());
+            self = std::make_unique<SelfRun>(plan.self->neighbors(run.workspace), plan.contacts.thickness,
+                                             plan.contacts.damping, run.step);
+            if (plan.self->has_friction())
+                self->enable_friction(plan.self->friction, plan.contacts.frequency, plan.layer_anchors());
             if (plan.contacts.reduced.any()) self->reduce(plan, run);
         }
         if (plan.is_feature_active()) features = std::make_unique<FeatureRun>(*plan.features, plan.contacts, run);
