@@ -120,7 +120,8 @@ public:
     /// Whether a run with end velocities v and this summary violates the assumptions.
     bool is_violated(const double* v, const double* summary) const {
         if (!plan_.contacts.may_skip_blocks && covers_all_) return false;
-        return summary[2] != 0.0 || (!covers_all_ && !(max_speed(v, plan_.count) <= 2.0 * speed_limit_));
+        return summary[ContactSummary::violation] != 0.0 ||
+               (!covers_all_ && !(max_speed(v, plan_.count) <= 2.0 * speed_limit_));
     }
     void disable() {
         plan_.contacts.activate_all();

@@ -129,13 +129,13 @@ struct Contacts {
 /// Contact summary of a run. `energy`: largest energy per mass that contact has to absorb, in units of U^2/2. `gap`:
 /// least gap [m]. `violated`: whether a skipped block moved faster than assumed.
 struct ContactSummary {
-    static constexpr int numbers = 3;
+    static constexpr int numbers = 3, violation = 2;
     double energy = 0.0, gap = 1e30;
     bool violated = false;
     void write(double* out) const {
         out[0] = energy;
         out[1] = gap;
-        out[2] = violated ? 1.0 : 0.0;
+        out[violation] = violated ? 1.0 : 0.0;
     }
 };
 /// Particles in a block of a list.

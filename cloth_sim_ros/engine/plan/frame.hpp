@@ -6,6 +6,7 @@
 #pragma once
 
 #include <limits>
+#include <span>
 #include <utility>
 
 #include "contact/culling.hpp"
@@ -22,9 +23,11 @@ template <class T>
 inline RunStatus execute_run(Plan& plan, const Run& run) {
     return plan.grid ? run_grid<T>(plan, run) : run_lists<T>(plan, run);
 }
+/// Whether runs that request single precision use it.
+inline bool allows_single_precision(const Plan& plan) { return !plan.is_surface_active(); }
 inline RunStatus execute_run(Plan& plan, const Run& run) {
-    return run.single_precision && !plan.is_surface_active() ? execute_run<float>(plan, run)
-                                                             : execute_run<double>(plan, run);
+    return run.single_precision && allows_single_precision(plan) ? execute_run<float>(plan, run)
+                                                                 : execute_run<double>(plan, run);
 }
 
 inline void combine(std::int64_t arrays, const double* const* from, const double* weights, std::int64_t size,
@@ -102,45 +105,74 @@ inline std::vector<Run> runs_of(const Plan& plan, const FrameRequest& frame) {
     return runs;
 }
 
-/// Execute runs concurrently, each on one thread. They share read-only data and write into workspaces of their own.
-inline void execute_concurrently(Plan& plan, const FrameRequest& frame, std::vector<Run>& runs) {
-    if (frame.single_precision)
+/// Execute some runs concurrently, each on one thread. They share read-only data and write into workspaces of their own.
+inline void execute_concurrently(Plan& plan, const FrameRequest& frame, std::span<const Run> runs) {
+    if (frame.single_precision && allows_single_precision(plan))
         plan.prepare_tables<float>();
     else
         plan.prepare_tables<double>();
     const int threads = static_cast<int>(std::min<std::int64_t>(frame.concurrency, max_concurrency));
     ThreadPool::shared().for_each_job(static_cast<int>(runs.size()), threads, [&](int index, int workspace) {
-        runs[index].bands = 1;
-        runs[index].workspace = workspace;
-        execute_run(plan, runs[index]);
+        Run run = runs[index];
+        run.bands = 1;
+        run.workspace = workspace;
+        execute_run(plan, run);
     });
 }
 
+/// Contact that the runs of a frame leave out: the three classes together.
+class FrameCulling {
+public:
+    FrameCulling(Plan& plan, const FrameRequest& frame)
+        : plan_(plan), obstacles_(plan, frame.duration, frame.x0, frame.v0),
+          self_(plan, frame.duration, frame.x0, frame.v0),
+          features_(plan, frame.t, frame.duration, frame.x0, frame.v0) {}
+    /// Whether a run violates the assumptions.
+    bool is_violated(const Run& run) const {
+        return violates_obstacles(run) || self_.is_violated(run.x, run.v) || features_.is_violated(run.v);
+    }
+    /// Leave out no contact that the run concerns.
+    void disable_for(const Run& run) {
+        if (violates_obstacles(run)) obstacles_.disable();
+        self_.disable();
+        features_.disable();
+    }
+
+private:
+    bool violates_obstacles(const Run& run) const {
+        return run.contact_record && obstacles_.is_violated(run.v, run.contact_summary(plan_));
+    }
+    const Plan& plan_;
+    contact::ObstacleCulling obstacles_;
+    contact::SelfCulling self_;
+    contact::FeatureCulling features_;
+};
+
+/// Execute the runs of a frame. If a requested one violates the culling, all requested ones are repeated, so that their
+/// bits do not depend on their order. No bit of them depends on the others.
 inline RunStatus execute_runs(Plan& plan, const FrameRequest& frame) {
-    std::vector<Run> runs = runs_of(plan, frame);
-    if (frame.concurrency > 1 && runs.size() > 1 && plan.has_independent_runs()) {
-        execute_concurrently(plan, frame, runs);
-        return RunStatus::ok;
-    }
-    const std::int64_t contact_size = contact_record_size(plan),
-                       size = plan.grips.grippers * record_numbers + 2 + contact_size;
-    contact::ObstacleCulling obstacle_culling(plan, frame.duration, frame.x0, frame.v0);
-    contact::SelfCulling self_culling(plan, frame.duration, frame.x0, frame.v0);
-    contact::FeatureCulling feature_culling(plan, frame.t, frame.duration, frame.x0, frame.v0);
-    for (std::int64_t k = 0; k < frame.runs; ++k) {
-        const Run& run = runs[k];
-        const RunStatus done = execute_run(plan, run);
-        if (done != RunStatus::ok) return done;
-        const bool violated = contact_size && obstacle_culling.is_violated(
-                                                  run.v, run.contact_record + plan.contacts.count() * record_numbers);
-        if (violated || self_culling.is_violated(run.x, run.v) || feature_culling.is_violated(run.v)) {
-            if (violated) obstacle_culling.disable();
-            self_culling.disable();
-            feature_culling.disable();
-            std::fill(frame.records, frame.records + frame.runs * size, 0.0);
-            k = -1;
+    const std::vector<Run> runs = runs_of(plan, frame);
+    const auto requested = static_cast<std::size_t>(frame.combined);
+    FrameCulling culling(plan, frame);
+    bool is_repeated = false, drops = false;
+    for (std::size_t count = runs.size();; count = requested) {
+        const bool is_concurrent = frame.concurrency > 1 && count > 1 && plan.has_independent_runs();
+        if (is_concurrent) execute_concurrently(plan, frame, {runs.data(), count});
+        std::size_t k = 0;
+        for (; k < count; ++k) {
+            const RunStatus done = is_concurrent ? RunStatus::ok : execute_run(plan, runs[k]);
+            if (done != RunStatus::ok) return done;
+            if (culling.is_violated(runs[k])) break;
         }
+        drops = drops || k < count;
+        if (k >= requested) break;
+        culling.disable_for(runs[k]);
+        const std::int64_t size = plan.grips.grippers * record_numbers + 2 + contact_record_size(plan);
+        std::fill(frame.records, frame.records + frame.runs * size, 0.0);
+        is_repeated = true;
     }
+    for (std::size_t k = 0; drops && k < runs.size(); ++k)
+        runs[k].contact_summary(plan)[contact::ContactSummary::violation] = k >= requested || is_repeated ? 1.0 : 0.0;
     return RunStatus::ok;
 }
 

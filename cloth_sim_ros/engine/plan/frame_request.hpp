@@ -29,7 +29,7 @@ struct FrameRequest {
     double* out;     ///< positions and velocities of each run, (runs, 2, 3, n)
     double* result;  ///< of the combination, (2, 3, n), or null: then the first run is the result
     /// For each run: the records of the grippers; dissipated and external power. With contact also: the records of the
-    /// obstacles; the `ContactSummary`; squared frequency and damping rate of contact on the surface; friction work
+    /// obstacles; the `ContactSummary`, with a violation if the run was repeated without culling, or dropped; squared frequency and damping rate of contact on the surface; friction work
     /// between layers; work of contacts that recover their thickness [J]. Null if none is requested.
     double* records;
     std::int64_t record_powers;  ///< whether powers are recorded
@@ -48,8 +48,10 @@ struct FrameRequest {
     double* anchors;                ///< of each run at its end, as in `Contacts`, or null
     double* jaw_states;             ///< of each run at its end, (runs, jaws, jaw_state_size), or null
     std::int64_t multirate;         ///< steps per evaluation of hinges
-    std::int64_t combined;          ///< number of the runs in the combination, from the first on
-    std::int64_t concurrency;       ///< maximum number of concurrent runs
+    /// Number of the requested runs, from the first on. They are combined. The others are prefetched: all of them are
+    /// dropped if any run violates the culling of contact.
+    std::int64_t combined;
+    std::int64_t concurrency;  ///< maximum number of concurrent runs
     /// For each run two numbers, (runs, 2). 0: largest difference of a particle's velocity changes over both halves of
     /// the run [m/s]; of a single step, its whole change. 1: largest change of a particle's jerk from the start to the
     /// middle of the run, times T^2/4 [m/s]; 0 if `previous_v0` is null, and for a single step.

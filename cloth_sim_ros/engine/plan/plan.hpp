@@ -123,11 +123,12 @@ struct Plan {
     }
     bool is_self_active() const { return self != nullptr && !self_culled; }
     bool is_feature_active() const;
-    /// Whether forces act on triangles and edges of the cloth: in double precision, on one thread.
+    /// Whether forces act on triangles and edges of the cloth: in double precision, on one thread a run.
     bool is_surface_active() const { return is_self_active() || is_feature_active(); }
     double body_acceleration(int axis) const { return gravity[axis] + wind[axis]; }
-    /// Whether runs may be concurrent: then they write into their workspaces only, after `prepare_tables`.
-    bool has_independent_runs() const { return !has_contact() && !features && !callback; }
+    /// Whether runs may be concurrent: then they write into their workspaces only, after `prepare_tables`. Python
+    /// evaluates forces in one thread.
+    bool has_independent_runs() const { return !callback; }
     template <class T>
     void prepare_tables() {
         assign_lists();
@@ -164,6 +165,8 @@ struct Run {
     double previous_ratio = 0.0;          ///< length of the run relative to that interval
     int workspace = 0;                    ///< index of the workspace
 
+    /// The `ContactSummary` in the record.
+    double* contact_summary(const Plan& plan) const { return contact_record + plan.contacts.count() * record_numbers; }
     /// Whether the velocities after a step are those of the middle of the run.
     bool ends_first_half(std::int64_t step) const { return activity && step >= 0 && step + 1 == steps / 2; }
     /// Whether hinges are evaluated in a step. At the start they are evaluated without effect on the motion.

@@ -296,12 +296,21 @@ class ExtrapolationTableau:
             concurrency = plan.concurrent_runs(len(counts), sum(counts), self.ratio)
             if concurrency == 1 and sum(counts) > plan.evaluations_per_call:
                 counts = self.counts[n_existing:n_runs]
-        runs, result = plan.runs(
+        runs = self._execute(n_existing, counts, n_runs, concurrency)
+        is_other_request = n_existing > n_requested or len(runs) > n_runs - n_existing > 0
+        if n_existing > 0 and is_other_request and runs[0].violated_culling:
+            # Those runs are repeated together that are requested together.
+            del self._runs[n_requested:]
+            self._execute(n_requested, self.counts[n_requested:n_runs], n_runs, concurrency)
+
+    def _execute(self, first: int, counts: Sequence[int], n_runs: int, concurrency: int) -> list[Run]:
+        """Calculate and store the runs from index ``first`` on in one call, with T_K, K = n_runs, if it is 0."""
+        runs, result = self._plan.runs(
             self.t,
             self.duration,
             (self._start.x, self._start.v),
             counts,
-            weights=weights(self.counts[:n_runs]) if n_existing == 0 else None,
+            weights=weights(self.counts[:n_runs]) if first == 0 else None,
             single_precision=self.single_precision,
             record_power=self._record_power,
             record_obstacles=self._record_obstacles,
@@ -314,3 +323,4 @@ class ExtrapolationTableau:
         if result is not None:
             x, v, self._summaries[n_runs] = result
             self._combined[n_runs] = x, v
+        return runs

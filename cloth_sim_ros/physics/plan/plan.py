@@ -32,7 +32,7 @@ from cloth_sim_ros.physics.plan.grip_binding import GripBinding
 from cloth_sim_ros.physics.plan.plan_handle import PlanHandle
 from cloth_sim_ros.physics.plan.python_forces import PythonForces
 from cloth_sim_ros.physics.plan.queries import PlanQueries
-from cloth_sim_ros.physics.plan.runs import Run, RunSummary, activity_of, n_integrals
+from cloth_sim_ros.physics.plan.runs import VIOLATION_INDEX, Run, RunSummary, activity_of, n_integrals
 from cloth_sim_ros.physics.plan.thread_limit import available_threads
 from cloth_sim_ros.physics.plan.uncopyable import Uncopyable
 from cloth_sim_ros.physics.state.controller_state import MISSING_MEMORY, StateMemory
@@ -214,7 +214,8 @@ class Plan(PlanQueries, Uncopyable):
             memory: `State.memory` at the start; a plan without contact does not need it.
 
         Returns:
-            The runs; and positions, velocities and the summary of their combination, None without weights.
+            The runs; and positions, velocities and the summary of their combination, None without weights. Runs beyond
+            the combination are missing if one of the runs violates the culling of contact.
 
         Raises:
             ValueError: for steps, weights or a ratio out of range.
@@ -285,6 +286,8 @@ class Plan(PlanQueries, Uncopyable):
             if status:
                 self._raise_for_status(status)
             activities = self._activities
+            if n_contact_numbers and n_combined < count and integrals[-1, VIOLATION_INDEX]:
+                count = n_combined
             if end_buffers is _NO_END_BUFFERS:
                 runs = [
                     Run(out[k], integrals[k], grippers, obstacles, activities[2 * k], activities[2 * k + 1])
@@ -361,14 +364,15 @@ class Plan(PlanQueries, Uncopyable):
         """Return the number of runs to calculate at once.
 
         It is above 1 if the engine calculates alone and the runs are long enough to wake a thread. Sharing each run
-        between threads must not be better.
+        between threads must not be better. Runs with contact rarely share their steps.
 
         Args:
             runs: number of runs.
             steps: number of steps of all runs together.
             multirate: multirate ratio.
         """
-        if self.contact is not None or self._python_forces or (runs % 2 and self.threads_per_run(multirate) > 1):
+        is_shared = self.contact is None and self.threads_per_run(multirate) > 1
+        if self._python_forces or (runs % 2 and is_shared):
             return 1
         time = self.multirate_step_cost(multirate) * self._shape[1] * steps
         return available_threads() if time >= _THREAD_WAKE_CALLS * 1e3 * CONSTANTS.engine_call_time else 1

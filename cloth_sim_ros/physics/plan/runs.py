@@ -8,9 +8,13 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from cloth_sim_ros.engine import binding
 from cloth_sim_ros.engine.binding import RECORD_NUMBERS
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.model.forces.force import Array
+
+#: Index of the number among the integrals of a run with contact that tells if the run was repeated without culling.
+VIOLATION_INDEX = 2 - binding.CONTACT_SUMMARY_NUMBERS
 
 
 class Run(NamedTuple):
@@ -20,8 +24,8 @@ class Run(NamedTuple):
     end_state: Array
     #: Integrals in this order. For each gripper RECORD_NUMBERS. Powers of damping and of moving air [J]. For each
     #: obstacle RECORD_NUMBERS. With contact also: largest energy per mass in obstacle contacts, in U^2/2; least gap
-    #: [m]; a number for the engine; spectral bounds of self-contact; friction work between layers [J]; recovery work
-    #: [J].
+    #: [m]; 1 if the requested runs were repeated without culling, else 0; spectral bounds of self-contact; friction
+    #: work between layers [J]; recovery work [J].
     integrals: Array
     #: Numbers of grippers and obstacles.
     grippers: int
@@ -87,6 +91,11 @@ class Run(NamedTuple):
             return 0.0, math.inf, (0.0, 0.0)
         energy, gap, _, omega2, damping = self.integrals[size : size + 5].tolist()
         return energy, gap, (omega2, damping)
+
+    @property
+    def violated_culling(self) -> bool:
+        """True if the requested runs were repeated because one of them violated the culling of contact."""
+        return self._has_contact and bool(self.integrals[VIOLATION_INDEX])
 
     @property
     def friction_work(self) -> float:
