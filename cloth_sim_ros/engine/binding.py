@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Number of the C interface that this file binds.
-ABI = 18
+ABI = 19
 #: Errors by the status of a call.
 _ERRORS = {1: "the engine failed", 2: "there is not enough memory"}
 NOT_FINITE, _BUSY = 4, 5
@@ -111,7 +111,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_plan_air": (_INT, _P, _P),
     "cloth_plan_order": (_INT, _P, _P),
     "cloth_plan_callback": (_INT, _P, CALLBACK),
-    "cloth_plan_grips": (_INT, _P, _I, _I, _P, _P, _P, _P, _P),
+    "cloth_plan_grips": (_INT, _P, _I, _I, _P, _P, _P, _P, _P, _P),
     "cloth_plan_gripper_paths": (_INT, _P, _P),
     "cloth_plan_contact": (_INT, _P, _I, _P, _P, _P, _P, _P, _D, _D, _D),
     "cloth_plan_contact_paths": (_INT, _P, _P),
@@ -123,6 +123,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "cloth_energy": (_INT, _P, _D, _P, _P, _P),
     "cloth_powers": (_INT, _P, _D, _P, _P, _P),
     "cloth_grip_wrenches": (_INT, _P, _D, _P, _P, _D, _P),
+    "cloth_prescribe": (_INT, _P, _D, _P, _P, _P),
     "cloth_contact_wrenches": (_INT, _P, _D, _P, _P, _D, _P),
     "cloth_contact_gaps": (_INT, _P, _D, _P, _P),
     "cloth_contact_bounds": (_INT, _P, _D, _P, _P, _P),

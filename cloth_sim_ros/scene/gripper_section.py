@@ -14,6 +14,8 @@ from cloth_sim_ros.scene.parameters.declare import parameter
 MAX_SPEED = 10.0
 #: Grasp modes of a gripper.
 MODES = ATTACH, PINCH = ("attach", "pinch")
+#: Models of the grip of an attached particle.
+GRIP_MODELS = SPRING, PRESCRIBED = ("spring", "prescribed")
 
 
 @attrs.frozen(kw_only=True)
@@ -26,6 +28,14 @@ class GripperParameters:
         "Grasp mode: attach binds particles to the gripper; pinch closes two pads that hold the cloth by friction. "
         "<gripper>.mode overrides it for one gripper",
         choices=MODES,
+    )
+    model: str = parameter(
+        "string",
+        "spring",
+        "Model of the grip in mode attach: spring ties each particle by a zero-length spring; prescribed makes each "
+        "particle follow its point of the gripper exactly, which sets no step. <gripper>.model overrides it for one "
+        "gripper",
+        choices=GRIP_MODELS,
     )
     radius: float = parameter(
         "double",
@@ -40,7 +50,8 @@ class GripperParameters:
     stiffness: float = parameter(
         "double",
         1000.0,
-        "Stiffness of the zero-length spring that holds a grasped particle; in proportion to mass at borders",
+        "In model spring: stiffness of the zero-length spring that holds a grasped particle; in proportion to mass at "
+        "borders",
         unit="N/m",
         min=0.0,
         max=1e8,

@@ -29,7 +29,7 @@ from cloth_sim_ros.scene import gripper_pads as scene_pinch
 from cloth_sim_ros.scene import gripper_parameters, limits, relaxation, sections
 from cloth_sim_ros.scene import obstacles as scene_obstacles
 from cloth_sim_ros.scene.build import Sheet, anchored_particles, build_model, build_plan, build_sheet, grid_threads_of
-from cloth_sim_ros.scene.gripper_section import PINCH
+from cloth_sim_ros.scene.gripper_section import PINCH, PRESCRIBED
 from cloth_sim_ros.scene.parameters import declare as parameters
 from cloth_sim_ros.scene.parameters import parameter_file
 from cloth_sim_ros.scene.parameters.declare import ParameterError, parameter, section
@@ -278,6 +278,16 @@ class Scene:
     def pinching(self) -> list[str]:
         """Names of the grippers in mode pinch."""
         return [name for name in self.gripper_names if self.pinches(name)]
+
+    @property
+    def prescribing(self) -> list[str]:
+        """Names of the grippers that prescribe the motion of the particles that they grasp."""
+        return [name for name in self.attaching if self.of_gripper(name, "model") == PRESCRIBED]
+
+    @property
+    def attaching(self) -> list[str]:
+        """Names of the grippers in mode attach."""
+        return [name for name in self.gripper_names if not self.pinches(name)]
 
     def pinches(self, gripper: str) -> bool:
         """Return True if a gripper is in mode pinch."""

@@ -34,8 +34,8 @@ class Frame:
     grasps: tuple[GraspResult, ...]
     #: Result of each pinching gripper whose closed pads came to rest in this frame.
     pinches: tuple[GraspResult, ...] = ()
-    #: Names of obstacles and pinching grippers that stopped because they would have crushed the cloth. A stopped body
-    #: keeps its pose of the frame's start until its next target.
+    #: Names of obstacles and grippers that stopped because they would have crushed the cloth: pinching ones, and those
+    #: with prescribed particles. A stopped body keeps its pose of the frame's start until its next target.
     stopped: tuple[str, ...] = ()
     #: Name and end pose, position [m] and quaternion x, y, z, w, of each gripper that did not reach its target because
     #: of its speed limit or a stop.

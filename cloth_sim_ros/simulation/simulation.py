@@ -331,6 +331,12 @@ class Simulation(ExclusiveAccess):
         else:
             before = None if self.plan.contact is None else state.shallow_copy()
             self._plan_paths(start)
+            if before is not None and (
+                blocked := bodies.blocked_grippers(self.plan, self.grippers, state, start, period)
+            ):
+                state.restore(before)
+                self._stopped = tuple(self.grippers.hold_position(blocked))
+                self._plan_paths(start)
             if is_asleep(state) and self._may_stay_asleep(start):
                 done = self._sleep.frame(self._integrator.name)
         if done is None:
@@ -342,8 +348,9 @@ class Simulation(ExclusiveAccess):
             except UnstableError:
                 if before is not None:
                     state.restore(before)
-                    self._stopped = bodies.stop_bodies(self.obstacles, self.grippers)
-                if not self._stopped:
+                    stopped = bodies.stop_bodies(self.obstacles, self.grippers)
+                    self._stopped = (*self._stopped, *(name for name in stopped if name not in self._stopped))
+                if before is None or not stopped:
                     raise
                 # With stopped bodies a solution always exists: the cloth at rest.
                 self._plan_paths(start)

@@ -35,7 +35,8 @@ def dop853(
 ) -> MotionState:
     """Integrate from time t [s] over a duration [s].
 
-    Friction anchors are updated after each step. The jaws are integrated together with the particles.
+    Friction anchors are updated after each step. The jaws are integrated together with the particles. Prescribed
+    particles are at their points in each evaluation.
 
     Raises:
         ArithmeticError: if no step is small enough.
@@ -50,8 +51,9 @@ def dop853(
 
     def derivative(time: float, y: Array) -> Array:
         out = np.empty_like(y)
-        out[:n_coordinates] = y[n_coordinates : 2 * n_coordinates]
-        x, v = y[:n_coordinates].reshape(shape), y[n_coordinates : 2 * n_coordinates].reshape(shape)
+        x, v = y[: 2 * n_coordinates].copy().reshape(2, *shape)
+        plan.prescribe(time, x, v)
+        out[:n_coordinates] = v.ravel()
         memory = memory_at(y)
         if contact is not None and len(jaws):
             jaw_rates = [memory[JAWS_KEY][:, 1], contact.jaw_accelerations(time, x, v, memory)]
@@ -70,4 +72,5 @@ def dop853(
     if solver.status == "failed":
         raise ArithmeticError(f"DOP853 gave up at {solver.t} s: {failure}")
     x, v = solver.y[: 2 * n_coordinates].copy().reshape(2, *shape)
+    plan.prescribe(t + duration, x, v)
     return MotionState(x, v, memory_at(solver.y))

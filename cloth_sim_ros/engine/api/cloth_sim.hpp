@@ -78,10 +78,11 @@ CLOTH_API int cloth_plan_air(Plan* plan, const double* common);
 /// Set the rank of each particle in runs without a grid.
 CLOTH_API int cloth_plan_order(Plan* plan, const std::int64_t* rank);
 CLOTH_API int cloth_plan_callback(Plan* plan, Callback callback);
-/// Set the grips; cloth_plan_gripper_paths sets their motion.
+/// Set the grips; cloth_plan_gripper_paths sets their motion. `prescribed`: whether each particle follows its point
+/// exactly.
 CLOTH_API int cloth_plan_grips(Plan* plan, std::int64_t grippers, std::int64_t count, const std::int64_t* particles,
                                const std::int64_t* owners, const double* offsets, const double* stiffness,
-                               const double* damping);
+                               const double* damping, const std::uint8_t* prescribed);
 /// Set the paths of the grippers, if all their numbers are finite.
 CLOTH_API int cloth_plan_gripper_paths(Plan* plan, const double* paths);
 CLOTH_API int cloth_frame(Plan* plan, const FrameRequest* frame);
@@ -95,8 +96,10 @@ CLOTH_API int cloth_energy(Plan* plan, double t, const double* x, const double* 
 /// Power of damping and drag, and power of the wind [W], without the joints of grippers.
 CLOTH_API int cloth_powers(Plan* plan, double t, const double* x, const double* v, double* out);
 /// Add the weighted wrench records of the grippers to (grippers, record_numbers).
-CLOTH_API int cloth_grip_wrenches(const Plan* plan, double t, const double* x, const double* v, double weight,
-                                  double* out);
+CLOTH_API int cloth_grip_wrenches(Plan* plan, double t, const double* x, const double* v, double weight, double* out);
+/// Set positions and velocities (3, n) of prescribed particles at time t; `out`: the records of the impulses that
+/// change their velocities, (grippers, record_numbers), or null.
+CLOTH_API int cloth_prescribe(Plan* plan, double t, double* x, double* v, double* out);
 CLOTH_API int cloth_spectral_bounds(Plan* plan, const double* x, const double* stiff, const double* damp,
                                     std::int64_t hinges, double* out);
 /// Angle [rad] of plan::turn_in_step.

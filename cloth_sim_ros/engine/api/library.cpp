@@ -13,7 +13,7 @@
 
 namespace cloth::api {
 
-CLOTH_API int cloth_engine_abi() { return 18; }
+CLOTH_API int cloth_engine_abi() { return 19; }
 CLOTH_API const char* cloth_engine_name() {
 #if defined(__AVX512F__)
     return "avx512";
@@ -32,6 +32,7 @@ CLOTH_API Plan* cloth_plan_new(std::int64_t count, const double* masses, const d
         plan->count = count;
         plan->masses.assign(masses, masses + count);
         plan->inverse.assign(inverse, inverse + count);
+        plan->free_inverse = plan->inverse;
         for (std::int64_t i = 0; i < count; ++i) plan->rank.push_back(i);
         return plan.release();
     } catch (const std::bad_alloc&) {
@@ -83,7 +84,7 @@ CLOTH_API int cloth_plan_callback(Plan* plan, Callback callback) {
 }
 CLOTH_API int cloth_plan_grips(Plan* plan, std::int64_t grippers, std::int64_t count, const std::int64_t* particles,
                                const std::int64_t* owners, const double* offsets, const double* stiffness,
-                               const double* damping) {
+                               const double* damping, const std::uint8_t* prescribed) {
     return guarded(plan, [&] {
         std::vector<std::int64_t> order(count);
         std::iota(order.begin(), order.end(), std::int64_t{0});
@@ -97,8 +98,12 @@ CLOTH_API int cloth_plan_grips(Plan* plan, std::int64_t grippers, std::int64_t c
             grips.offset.push_back({offsets[3 * k], offsets[3 * k + 1], offsets[3 * k + 2]});
             grips.stiffness.push_back(stiffness[k]);
             grips.damping.push_back(damping[k]);
+            // An anchored particle keeps its position.
+            grips.prescribed.push_back(prescribed[k] && plan->inverse[particles[k]] > 0.0);
+            grips.has_prescribed = grips.has_prescribed || grips.prescribed.back();
         }
-        plan->grips = std::move(grips);
+        grips.velocity_before.resize(count);
+        plan->set_grips(std::move(grips));
     });
 }
 
@@ -124,7 +129,7 @@ CLOTH_API int cloth_frame(Plan* plan, const FrameRequest* frame) {
 CLOTH_API int cloth_accelerations(Plan* plan, double t, const double* x, const double* v, double* out) {
     int status = ok;
     const int call_status = guarded(plan, [&] {
-        if (plan::accelerations(*plan, t, x, v, out) != plan::RunStatus::ok) status = callback_failed;
+        if (plan::free_accelerations(*plan, t, x, v, out) != plan::RunStatus::ok) status = callback_failed;
     });
     return call_status ? call_status : status;
 }
@@ -151,13 +156,23 @@ CLOTH_API int cloth_powers(Plan* plan, double t, const double* x, const double* 
         plan::total_powers(*plan, t, x, v, out[0], out[1]);
     });
 }
-CLOTH_API int cloth_grip_wrenches(const Plan* plan, double t, const double* x, const double* v, double weight,
-                                  double* out) {
-    return guarded(plan, [&] {
+CLOTH_API int cloth_grip_wrenches(Plan* plan, double t, const double* x, const double* v, double weight, double* out) {
+    int status = ok;
+    const int call_status = guarded(plan, [&] {
         const std::size_t size = plan->grips.grippers * plan::record_numbers;
         std::vector<double> wrenches(size, 0.0);
         plan::add_grip_wrenches(*plan, t, x, v, wrenches.data());
+        if (plan::add_prescribed_wrenches(*plan, t, x, v, wrenches.data()) != plan::RunStatus::ok)
+            status = callback_failed;
         for (std::size_t k = 0; k < size; ++k) out[k] += weight * wrenches[k];
+    });
+    return call_status ? call_status : status;
+}
+CLOTH_API int cloth_prescribe(Plan* plan, double t, double* x, double* v, double* out) {
+    return guarded(plan, [&] {
+        std::vector<double> wrenches(plan->grips.grippers * plan::record_numbers, 0.0);
+        plan::prescribe(*plan, t, x, v, wrenches.data());
+        if (out) std::copy(wrenches.begin(), wrenches.end(), out);
     });
 }
 CLOTH_API int cloth_spectral_bounds(Plan* plan, const double* x, const double* stiff, const double* damp,

@@ -13,9 +13,6 @@ namespace cloth::contact {
 
 using laws::ContactLaw, laws::full_thickness, laws::Scaling;
 
-CLOTH_INLINE double value_of(double a) { return a; }
-CLOTH_INLINE double value_of(Dual a) { return a.value; }
-
 /// A gap between points of the surface: its vector is the sum of weights times corner positions; the weights add up to
 /// zero.
 template <class V>

@@ -115,6 +115,8 @@ template <class V>
 inline Vec3<Dual> with_slope(Vec3<V> a, Vec3<V> slope) {
     return {{a.x, slope.x}, {a.y, slope.y}, {a.z, slope.z}};
 }
+CLOTH_INLINE double value_of(double a) { return a; }
+CLOTH_INLINE double value_of(Dual a) { return a.value; }
 inline Vec3<double> slope_of(Vec3<Dual> a) { return {a.x.slope, a.y.slope, a.z.slope}; }
 
 }  // namespace cloth::inline core

@@ -216,8 +216,9 @@ private:
                     run_.v[at + j] = final_value<T>(v0[j], 0.0, v[j], T(0));
             }
             for (std::int64_t j = 0; run_.activity && j < columns; ++j)
-                differences_[b].add(row * columns + j, n, middle_.data() + 3 * pitch_ * row + j,
-                                    from + velocity * pitch_ + j, pitch_);
+                if (!off_grid_.has_prescribed() || plan_.free_inverse[row * columns + j] > 0.0)
+                    differences_[b].add(row * columns + j, n, middle_.data() + 3 * pitch_ * row + j,
+                                        from + velocity * pitch_ + j, pitch_);
         }
     }
 
@@ -280,6 +281,8 @@ private:
             add_air_row(at, cells_.of(row), plan_.cells_air(), cell_rows, row, owned, powers);
         }
         step_row_(at, constants_, motion_of<T>(run_, step), owned);
+        if (owned && off_grid_.has_prescribed())
+            off_grid_.prescribe_row(b, row, step, at, row >= border_[b] && row < border_[b + 1]);
         if (run_.ends_first_half(step) && row >= border_[b] && row < border_[b + 1]) {
             const T* const from = row_of(b, row) + velocity * pitch_;
             std::copy(from, from + 3 * pitch_, middle_.data() + 3 * pitch_ * row);

@@ -79,6 +79,7 @@ private:
         if (done != RunStatus::ok) return done;
         T* const f = (*off_grid_.partitions)[thread].f.data();
         for (std::int64_t grip = 0; grip < plan_.grips.count(); ++grip) {
+            if (plan_.grips.prescribed[grip]) continue;
             const std::int64_t rank = plan_.rank[plan_.grips.particle[grip]];
             if (rank < borders_[thread] || rank >= borders_[thread + 1]) continue;
             const T *const x = off_grid_.x.data() + 4 * rank, *const v = off_grid_.v.data() + 4 * rank;
@@ -121,9 +122,25 @@ private:
                 store4(position_quads + i, end);
             }
         }
+        if (!Evaluate && off_grid_.has_prescribed()) prescribe(step, thread);
         if (run_.ends_first_half(step))
             std::copy(velocity + 4 * borders_[thread], velocity + 4 * borders_[thread + 1],
                       middle_.data() + 4 * borders_[thread]);
+    }
+    /// Move prescribed particles to their points after a step.
+    void prescribe(std::int64_t step, int thread) {
+        for (std::int64_t grip = 0; grip < plan_.grips.count(); ++grip) {
+            const std::int64_t rank = plan_.rank[plan_.grips.particle[grip]], at = 4 * rank;
+            if (!plan_.grips.prescribed[grip] || rank < borders_[thread] || rank >= borders_[thread + 1]) continue;
+            const T* const a = previous_acceleration_.data() + at;
+            Vec3<T> x, v, damping_v;
+            off_grid_.prescribe(thread, grip, step, {a[0], a[1], a[2]}, true, x, v, damping_v);
+            const auto put = [&](Array<T>& to, Vec3<T> p) { to[at] = p.x, to[at + 1] = p.y, to[at + 2] = p.z; };
+            put(off_grid_.x, x);
+            put(velocity_, v);
+            put(off_grid_.v, damping_v);
+            if constexpr (sizeof(T) == 4) put(compensation_, {T(0), T(0), T(0)});
+        }
     }
     void unload() {
         const std::int64_t n = plan_.count;
@@ -138,6 +155,7 @@ private:
             plan::HalfDifference difference(run_);
             for (std::int64_t i = 0; i < n; ++i) {
                 const std::int64_t at = 4 * plan_.rank[i];
+                if (off_grid_.has_prescribed() && !(plan_.free_inverse[i] > 0.0)) continue;
                 difference.add(i, n, middle_.data() + at, velocity_.data() + at, 1);
             }
             difference.store(run_.activity);

@@ -53,9 +53,11 @@ inline double largest_distance(const double* x, const double* y, std::int64_t n)
 
 /// A quarter of the largest difference of a particle's velocity change from v0 to v and `ratio` times that from v1 to v0.
 /// In a smooth motion it equals the difference of both halves of the interval.
-inline double change_from_before(const double* v, const double* v0, const double* v1, double ratio, std::int64_t n) {
+inline double change_from_before(const Plan& plan, const double* v, const double* v0, const double* v1, double ratio) {
+    const std::int64_t n = plan.count;
     double max_square = 0.0;
     for (std::int64_t i = 0; i < n; ++i) {
+        if (plan.grips.has_prescribed && !(plan.free_inverse[i] > 0.0)) continue;
         double square = 0.0;
         for (std::int64_t k = i; k < 3 * n; k += n) {
             const double difference = fma(-ratio, v0[k] - v1[k], v[k] - v0[k]);
@@ -120,6 +122,11 @@ inline void execute_concurrently(Plan& plan, const FrameRequest& frame, std::spa
     });
 }
 
+/// Prescribed particles are at their points at the end of a run, exactly.
+inline void prescribe_end(const Plan& plan, const FrameRequest& frame, const Run& run) {
+    plan.grips.prescribe(frame.t + frame.duration, plan.count, run.x, run.v);
+}
+
 /// Contact that the runs of a frame leave out: the three classes together.
 class FrameCulling {
 public:
@@ -162,6 +169,7 @@ inline RunStatus execute_runs(Plan& plan, const FrameRequest& frame) {
         for (; k < count; ++k) {
             const RunStatus done = is_concurrent ? RunStatus::ok : execute_run(plan, runs[k]);
             if (done != RunStatus::ok) return done;
+            prescribe_end(plan, frame, runs[k]);
             if (culling.is_violated(runs[k])) break;
         }
         drops = drops || k < count;
@@ -176,8 +184,26 @@ inline RunStatus execute_runs(Plan& plan, const FrameRequest& frame) {
     return RunStatus::ok;
 }
 
-inline RunStatus execute_frame(Plan& plan, const FrameRequest& frame) {
+/// Copy a state (3, n) with prescribed particles at their points at a time, and store the velocities before.
+inline void prescribe_start(Plan& plan, double t, const double* x, const double* v) {
     const std::int64_t n = plan.count;
+    plan.prescribed_start.resize(6 * n);
+    double* const start = plan.prescribed_start.data();
+    std::copy_n(x, 3 * n, start);
+    std::copy_n(v, 3 * n, start + 3 * n);
+    for (std::int64_t grip = 0; grip < plan.grips.count(); ++grip)
+        plan.grips.velocity_before[grip] = particle(v, n, plan.grips.particle[grip]);
+    plan.grips.prescribe(t, n, start, start + 3 * n);
+}
+
+inline RunStatus execute_frame(Plan& plan, const FrameRequest& request) {
+    const std::int64_t n = plan.count;
+    FrameRequest frame = request;
+    if (plan.grips.has_prescribed) {
+        prescribe_start(plan, frame.t, frame.x0, frame.v0);
+        frame.x0 = plan.prescribed_start.data();
+        frame.v0 = frame.x0 + 3 * n;
+    }
     const RunStatus done = execute_runs(plan, frame);
     if (done != RunStatus::ok) return done;
     const double* x = frame.out;
@@ -188,11 +214,17 @@ inline RunStatus execute_frame(Plan& plan, const FrameRequest& frame) {
         x = frame.result;
     }
     if (!frame.summary) return RunStatus::ok;
+    // The motion of prescribed particles has no error. Its changes do not count; those of their neighbours do.
+    for (std::int64_t grip = 0; plan.grips.has_prescribed && grip < plan.grips.count(); ++grip)
+        for (int c = 0; plan.grips.prescribed[grip] && c < 3; ++c) {
+            const std::int64_t at = c * n + plan.grips.particle[grip];
+            plan.prescribed_start[3 * n + at] = x[3 * n + at];
+        }
     frame.summary[0] = largest_distance(x + 3 * n, frame.v0, n);
     frame.summary[9] = turn_in_step(plan, frame.x0, x, frame.steps[0]);
     frame.summary[10] = 0.0;
     if (frame.previous_v0)
-        frame.summary[10] = change_from_before(x + 3 * n, frame.v0, frame.previous_v0, frame.previous_ratio, n);
+        frame.summary[10] = change_from_before(plan, x + 3 * n, frame.v0, frame.previous_v0, frame.previous_ratio);
     const double max_displacement = largest_distance(x, frame.x0, n);
     if (!(max_displacement < std::numeric_limits<double>::infinity())) frame.summary[0] = max_displacement;
     if (plan.contacts.count()) {
@@ -256,6 +288,44 @@ inline RunStatus accelerations(Plan& plan, double t, const double* x, const doub
     plan.self_culled = false;
     contact::activate_features(plan);
     return evaluate(plan, t, x, v, out);
+}
+/// The same, zero for prescribed particles.
+inline RunStatus free_accelerations(Plan& plan, double t, const double* x, const double* v, double* out) {
+    const RunStatus done = accelerations(plan, t, x, v, out);
+    for (std::int64_t grip = 0; plan.grips.has_prescribed && grip < plan.grips.count(); ++grip)
+        for (int c = 0; plan.grips.prescribed[grip] && c < 3; ++c)
+            out[c * plan.count + plan.grips.particle[grip]] = 0.0;
+    return done;
+}
+/// Add the wrench and the power of grippers with prescribed particles at time t, (grippers, record_numbers).
+inline RunStatus add_prescribed_wrenches(Plan& plan, double t, const double* x, const double* v, double* wrenches) {
+    const Grips& grips = plan.grips;
+    if (!grips.has_prescribed) return RunStatus::ok;
+    const std::int64_t n = plan.count;
+    Array<double> a(3 * n);
+    const RunStatus done = accelerations(plan, t, x, v, a.data());
+    for (std::int64_t grip = 0; done == RunStatus::ok && grip < grips.count(); ++grip) {
+        if (!grips.prescribed[grip]) continue;
+        const auto point = grips.point(pose_at(grips.path_of(grip), Dual{t, 1.0}), grip);
+        const auto value = [](Vec3<Dual> p) { return Vec3<double>{p.x.value, p.y.value, p.z.value}; };
+        const std::int64_t i = grips.particle[grip];
+        const Vec3<double> f = plan.masses[i] * (particle(a.data(), n, i) - slope_of(point.velocity)),
+                           torque = cross(value(point.arm), f);
+        const double rates[record_numbers] = {
+            f.x, f.y, f.z, torque.x, torque.y, torque.z, -dot(f, value(point.velocity)), 0.0};
+        for (int k = 0; k < record_numbers; ++k) wrenches[grips.gripper[grip] * record_numbers + k] += rates[k];
+    }
+    return done;
+}
+/// Set positions and velocities (3, n) of prescribed particles at time t, and add the records of the impulses that
+/// change their velocities, (grippers, record_numbers).
+inline void prescribe(Plan& plan, double t, double* x, double* v, double* wrenches) {
+    plan.grips.for_each_prescribed(t, [&](std::int64_t grip, const Grips::Point& point) {
+        plan.grips.velocity_before[grip] = particle(v, plan.count, plan.grips.particle[grip]);
+        plan.grips.accumulate_inertia(wrenches + plan.grips.gripper[grip] * record_numbers, grip, point, point,
+                                      plan.masses[plan.grips.particle[grip]]);
+    });
+    plan.grips.prescribe(t, plan.count, x, v);
 }
 /// The same without contact, grips and forces in Python. The next runs choose again which contacts they evaluate.
 inline void elastic_accelerations(Plan& plan, double t, const double* x, const double* v, double* out) {

@@ -164,6 +164,7 @@ void OffGridForces<T>::add_row_forces(int thread, std::int64_t row, std::int64_t
     const auto& particles = plan.grips.particle;
     auto grip = particles.empty() ? particles.end() : std::lower_bound(particles.begin(), particles.end(), first);
     for (; grip != particles.end() && *grip < last; ++grip) {
+        if (plan.grips.prescribed[grip - particles.begin()]) continue;
         const std::int64_t j = *grip - first;
         const T *const x = at.row[0] + position * at.pitch + j, *const v = at.row[0] + damping_velocity * at.pitch + j;
         const Vec3<T> f = grip_force(thread, grip - particles.begin(), step, {x[0], x[at.pitch], x[2 * at.pitch]},
@@ -197,6 +198,50 @@ Vec3<T> OffGridForces<T>::grip_force(int thread, std::int64_t grip, std::int64_t
         grips.accumulate(grip_sums.data() + grip * record_numbers, grip, point, force, velocity, run.step);
     }
     return {T(force.x), T(force.y), T(force.z)};
+}
+
+template <class T>
+void OffGridForces<T>::prescribe(int thread, std::int64_t grip, std::int64_t step, Vec3<T> a, bool record, Vec3<T>& x_,
+                                 Vec3<T>& v_, Vec3<T>& damping_v) {
+    const Grips& grips = plan.grips;
+    const std::int64_t path = grips.gripper[grip];
+    if (record && step >= 0) {
+        const Pose& pose = poses[thread].at(path, step);
+        const double mass = plan.masses[grips.particle[grip]];
+        const Vec3<double> f{mass * double(a.x), mass * double(a.y), mass * double(a.z)};
+        grips.accumulate_prescribed(grip_sums.data() + grip * record_numbers, pose, grips.point(pose, grip), f, mass,
+                                    run.step);
+    }
+    const bool at_end = step + 1 == run.steps;
+    const Grips::Point point = at_end ? grips.point_at(grip, run.t + static_cast<double>(run.steps) * run.step)
+                                      : grips.point(poses[thread].at(path, step + 1), grip);
+    const auto narrowed = [](Vec3<double> p) { return Vec3<T>{T(p.x), T(p.y), T(p.z)}; };
+    const Vec3<double> relative{point.position.x - origin[0], point.position.y - origin[1],
+                                point.position.z - origin[2]};
+    x_ = narrowed(relative);
+    v_ = damping_v = narrowed(point.velocity);
+}
+
+template <class T>
+void OffGridForces<T>::prescribe_row(int thread, std::int64_t row, std::int64_t step, const RowView<T>& at,
+                                     bool record) {
+    const std::int64_t columns = plan.grid->columns, first = row * columns, last = first + columns;
+    const auto& particles = plan.grips.particle;
+    for (auto grip = std::lower_bound(particles.begin(), particles.end(), first);
+         grip != particles.end() && *grip < last; ++grip) {
+        if (!plan.grips.prescribed[grip - particles.begin()]) continue;
+        T* const numbers = at.row[0] + (*grip - first);
+        const auto slot = [&](Slot k, int c) -> T& { return numbers[(k + c) * at.pitch]; };
+        const auto put = [&](Slot k, Vec3<T> p) { slot(k, 0) = p.x, slot(k, 1) = p.y, slot(k, 2) = p.z; };
+        const Vec3<T> a{slot(grid::previous_acceleration, 0), slot(grid::previous_acceleration, 1),
+                        slot(grid::previous_acceleration, 2)};
+        Vec3<T> x_, v_, damping_v;
+        prescribe(thread, grip - particles.begin(), step, a, record, x_, v_, damping_v);
+        put(grid::position, x_);
+        put(grid::velocity, v_);
+        put(damping_velocity, damping_v);
+        if constexpr (sizeof(T) == 4) put(grid::compensation, {T(0), T(0), T(0)});
+    }
 }
 
 template <class T>
@@ -236,6 +281,13 @@ void OffGridForces<T>::finish() {
     if constexpr (sizeof(T) == 8)
         if ((self || features) && run.steps) finish_surface();
     if (!run.gripper_record) return;
+    if (has_prescribed()) {
+        const double end = run.t + static_cast<double>(run.steps) * run.step;
+        plan.grips.for_each_prescribed(run.t, [&](std::int64_t grip, const Grips::Point& from) {
+            plan.grips.accumulate_inertia(grip_sums.data() + grip * record_numbers, grip, from,
+                                          plan.grips.point_at(grip, end), plan.masses[plan.grips.particle[grip]]);
+        });
+    }
     for (std::int64_t grip = 0; grip < plan.grips.count(); ++grip)
         for (int k = 0; k < record_numbers; ++k)
             run.gripper_record[plan.grips.gripper[grip] * record_numbers + k] += grip_sums[grip * record_numbers + k];
@@ -262,7 +314,8 @@ void OffGridForces<T>::allocate(const std::vector<std::int64_t>& borders) {
             prediction.assign(4 * (plan.count + 1), T(0));
         quarter_impulse_factors.resize(plan.count);
         for (std::int64_t i = 0; i < plan.count; ++i)
-            quarter_impulse_factors[plan.rank[i]] = static_cast<T>(0.25 * run.multirate * run.step * plan.inverse[i]);
+            quarter_impulse_factors[plan.rank[i]] =
+                static_cast<T>(0.25 * run.multirate * run.step * plan.free_inverse[i]);
         for (Partition<T>& partition : *partitions) {
             partition.hinge_forces.resize(4 * (plan.count + 1));
             partition.hinge_velocities.resize(4 * (plan.count + 1));

@@ -42,6 +42,8 @@ struct OffGridForces {
 
     OffGridForces(Plan& plan, const Run& run);
     ~OffGridForces();
+    /// Whether grips prescribe the motion of particles.
+    bool has_prescribed() const { return plan.grips.has_prescribed; }
     bool needed() const { return has_lists || is_single_threaded(); }
     /// Whether these forces are needed in a step.
     bool is_active(std::int64_t step) const {
@@ -88,6 +90,12 @@ struct OffGridForces {
     void add_row_forces(int thread, std::int64_t row, std::int64_t step, const RowView<T>& at, bool record);
     /// Force on the particle of a grip at a step, from its position and velocity in the run.
     Vec3<T> grip_force(int thread, std::int64_t grip, std::int64_t step, Vec3<T> x_, Vec3<T> v_, bool record);
+    /// Move a prescribed particle to its point after a step, and record the force on it in the step, mass times `a`.
+    /// Position, velocity and damping velocity are written.
+    void prescribe(int thread, std::int64_t grip, std::int64_t step, Vec3<T> a, bool record, Vec3<T>& x_, Vec3<T>& v_,
+                   Vec3<T>& damping_v);
+    /// The same for a row of the sheet that has moved.
+    void prescribe_row(int thread, std::int64_t row, std::int64_t step, const RowView<T>& at, bool record);
     /// A run whose surface may have intersected itself or an obstacle has no result.
     void finish_surface()
         requires(sizeof(T) == 8);

@@ -35,6 +35,8 @@ struct Plan {
 
     std::int64_t count = 0;
     std::vector<double> masses, inverse;
+    /// Inverse masses, zero also for particles whose motion a gripper prescribes.
+    std::vector<double> free_inverse;
     std::optional<Grid> grid;
     GridTables<double> tables;
     GridTables<float> single_tables;
@@ -46,6 +48,8 @@ struct Plan {
     /// Rate of linear drag [1/s], accelerations by gravity and by wind through that drag [m/s^2].
     double drag = 0.0, gravity[3] = {}, wind[3] = {};
     Grips grips;
+    /// Positions and velocities (2, 3, n) at the start of the present frame, if particles are prescribed.
+    std::vector<double> prescribed_start;
     Contacts contacts;
     /// Self-contact, with the thickness and damping of `contacts`.
     std::unique_ptr<SelfContact> self;
@@ -75,6 +79,12 @@ struct Plan {
     }
     template <class T>
     const GridTables<T>& grid_tables();
+    void set_grips(Grips next) {
+        grips = std::move(next);
+        free_inverse = inverse;
+        for (std::int64_t grip = 0; grip < grips.count(); ++grip)
+            if (grips.prescribed[grip]) free_inverse[grips.particle[grip]] = 0.0;
+    }
     void add_list(List list) {
         lists.push_back(std::move(list));
         slots.clear();

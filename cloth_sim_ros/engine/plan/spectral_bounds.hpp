@@ -184,7 +184,7 @@ private:
             eigenvalues(quantity.blocks.data(), count, quantity.current.data());
             double bound = quantity.target;
             for (std::int64_t j = 0; j < count; ++j) {
-                quantity.current[j] *= plan_.inverse[particles_[j]];
+                quantity.current[j] *= plan_.free_inverse[particles_[j]];
                 bound = std::max(bound, quantity.current[j]);
             }
             quantity.best = std::min(quantity.best, bound);
@@ -222,9 +222,9 @@ inline SpectralBounds hinge_bounds(const Plan& plan, const double* x, double* bl
     eigenvalues(hinge_blocks.data(), n, k.data());
     eigenvalues(hinge_blocks.data() + 6 * n, n, c.data());
     for (std::int64_t i = 0; i < n; ++i) {
-        k[i] *= plan.inverse[i];
-        c[i] *= plan.inverse[i];
-        transverse[i] *= plan.inverse[i];
+        k[i] *= plan.free_inverse[i];
+        c[i] *= plan.free_inverse[i];
+        transverse[i] *= plan.free_inverse[i];
     }
     const SpectralBounds hinges = PerronBound(plan, x, hinge_blocks, k, c, true).result();
     SpectralBounds r{};
@@ -274,9 +274,9 @@ SpectralBounds spectral_bounds(Plan& plan, const double* x, const double* stiff,
     }
     bool free = false;
     for (std::int64_t i = 0; i < n; ++i) {
-        k[i] *= plan.inverse[i];
-        c[i] *= plan.inverse[i];
-        free = free || plan.inverse[i] > 0.0;
+        k[i] *= plan.free_inverse[i];
+        c[i] *= plan.free_inverse[i];
+        free = free || plan.free_inverse[i] > 0.0;
     }
     const SpectralBounds all = blocks.empty() ? SpectralBounds{largest_or_nan(k.data(), n), largest_or_nan(c.data(), n)}
                                               : PerronBound(plan, x, blocks, k, c, false).result();

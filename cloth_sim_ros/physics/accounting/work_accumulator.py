@@ -80,6 +80,11 @@ class WorkAccumulator:
         self._sums = self._sums.copy()
         self._obstacle_sums[:] += rates
 
+    def add_gripper_impulses(self, impulses: Array) -> None:
+        """Add impulses, work and dissipation of grippers at one moment, shape (grippers, RECORD_NUMBERS)."""
+        self._sums = self._sums.copy()
+        self._gripper_sums[:] += impulses
+
     def add_recovery_work(self, work: float) -> None:
         """Add work [J] of contacts that regain their thickness."""
         self._recovery_work += work
@@ -179,7 +184,7 @@ def accumulate(
     """
     dissipated, supplied = plan.powers(t, x, v, memory) if sums.record_power else (0.0, 0.0)
     empty = np.zeros((0, RECORD_NUMBERS))
-    gripper_rates = plan.grip_wrench_rates(t, x, v, weight) if sums.gripper_count else empty
+    gripper_rates = plan.grip_wrench_rates(t, x, v, weight, memory) if sums.gripper_count else empty
     obstacle_rates = empty
     if plan.contact is not None and sums.obstacle_count:
         obstacle_rates = np.zeros((sums.obstacle_count, RECORD_NUMBERS))

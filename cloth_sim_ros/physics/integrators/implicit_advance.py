@@ -103,6 +103,8 @@ class ImplicitAdvance:
         tolerance = integrator.tolerance
         self._budget = math.inf if tolerance is None else CONSTANTS.error_budget_fraction * duration * tolerance
         self._memory = Memory.load(state)
+        #: Prescribed particles, and true for each particle that is neither prescribed nor anchored.
+        self._prescribed, self._is_free = plan.prescribed_particles(), plan.free_particles()
         self._matrix = stage_matrix(plan.model) if factorizes else ParticleBlocks(plan)
         self._evaluations, self._is_strict = 0, is_strict
         #: Limit of force evaluations of an advance by safe steps, and the reserve for descents in its remaining steps.
@@ -209,6 +211,11 @@ class ImplicitAdvance:
         self._convergence_distance = distance if math.isfinite(self._budget) else CONVERGED_DISTANCE
         self._curvature, self._n_unsolved, self._n_steps, self._min_step = math.inf, 0, 0, h
         state, error_sum = self._state, 0.0
+        if self._prescribed.size:
+            state.x, state.v = state.x.copy(), state.v.copy()
+            impulses = self._plan.prescribe(self._t, state.x, state.v)
+            if self._accumulator is not None:
+                self._accumulator.add_gripper_impulses(impulses)
         guess = np.empty_like(state.x)
         self._plan.accelerations(self._t, state.x, state.v, guess, state.memory)
         for k in range(steps):
@@ -267,11 +274,14 @@ class ImplicitAdvance:
             return None
         k2x, k2v = second
         error = error_constant() * h * h / (1.0 - GAMMA) * _max_length(k1v - k2v)
-        end = base_x + d * k2x
+        middle, end, end_v = x + d * k1x, base_x + d * k2x, base_v + d * k2v
+        if self._prescribed.size:
+            self._plan.prescribe(t + d, middle, k1x)
+            self._plan.prescribe(t + h, end, end_v)
         if self._ccd_hits(t, h, end):
             return None
-        stages = ((t + d, h - d, x + d * k1x, k1x), (t + h, d, end, k2x))
-        return ImplicitStep(end, base_v + d * k2v, k2v, error, stages)
+        stages = ((t + d, h - d, middle, k1x), (t + h, d, end, k2x))
+        return ImplicitStep(end, end_v, k2v, error, stages)
 
     def _descent_step(self, t: float, h: float, guess: Array) -> ImplicitStep | None:
         """Return an implicit Euler step that decreases its objective and creates no energy.
@@ -285,16 +295,24 @@ class ImplicitAdvance:
         end = x + h * u
         if self._ccd_hits(t, h, end):
             return None
-        error = 0.5 * h * _max_length(u - (v + h * guess))
+        deviation, end_v = u - (v + h * guess), u
+        if self._prescribed.size:
+            end_v = u.copy()
+            self._plan.prescribe(t + h, end, end_v)
+            deviation[:, self._prescribed] = 0.0
+        error = 0.5 * h * _max_length(deviation)
         # Simpson's rule along the straight path of the step: a gripper may reverse within it.
         sixth = h / 6.0
         stages = ((t, sixth, x, u), (t + 0.5 * h, 4.0 * sixth, x + 0.5 * h * u, u), (t + h, sixth, end, u))
-        step = ImplicitStep(end, u, (u - v) / h, error, stages, acts_at_end=self._plan.contact is not None)
+        step = ImplicitStep(end, end_v, (u - v) / h, error, stages, acts_at_end=self._plan.contact is not None)
         gain, kinetic = self._energy_gain(t, h, step)
         if gain > 0.0:
             # The minimisation bounds the potential energy by the total energy before: a lower speed suffices.
             speed_factor = math.sqrt(max(0.0, 1.0 - gain / kinetic)) if kinetic > 0.0 else 0.0
-            step = attrs.evolve(step, v=speed_factor * u, a=(speed_factor * u - v) / h)
+            end_v = speed_factor * u
+            step = attrs.evolve(step, v=end_v, a=(end_v - v) / h)
+            if self._prescribed.size:
+                self._plan.prescribe(t + h, end, end_v)
         return step
 
     def _ccd_hits(self, t: float, h: float, end: Array) -> bool:
@@ -322,8 +340,8 @@ class ImplicitAdvance:
 
     def _solve_stage(self, t: float, x: Array, v: Array, d: float, guess: Array) -> tuple[Array, Array] | None:
         """Solve a = a(t, x + d u, u), u = v + d a; return u [m/s] and a [m/s^2], or None without convergence."""
-        is_free = self._plan.model.inverse_masses > 0.0
-        u = v + d * guess * is_free
+        x, v = self._stage_start(t, x, v, d)
+        u = v + d * guess * self._is_free
         previous_size = math.inf
         for iteration in range(MAX_ITERATIONS):
             if self._uses_safe_steps and self._evaluations + 1 + self._reserve > self._max_evaluations:
@@ -344,6 +362,15 @@ class ImplicitAdvance:
                 return u, (u - v) / d
             previous_size = size
         return None
+
+    def _stage_start(self, t: float, x: Array, v: Array, d: float) -> tuple[Array, Array]:
+        """Return the start of a stage from which its slopes lead prescribed particles to their points at time t [s]."""
+        if not self._prescribed.size:
+            return x, v
+        x, v = x.copy(), v.copy()
+        self._plan.prescribe(t, x, v)
+        x[:, self._prescribed] -= d * v[:, self._prescribed]
+        return x, v
 
     def _descend_clear(self, t: float, x: Array, v: Array, d: float, guess: Array) -> Array:
         """Return velocities u [m/s] of a stage that decrease its objective, with obstacles at their end positions.
@@ -367,12 +394,18 @@ class ImplicitAdvance:
         Starts are the extrapolated motion, the present velocities, rest, and motions with each moving obstacle, which
         keep their distance from it.
         """
-        is_free = self._plan.model.inverse_masses > 0.0
+        is_free = self._is_free
         starts = [v + d * guess * is_free, v.copy(), np.zeros_like(v)]
         if self._plan.contact is not None:
             paths = self._plan.contact.force.paths
             moving_paths = [row for row in paths if row[4:13].any() or row[17:26].any()]
             starts += [rigid_velocities(row, t - 0.5 * d, d, x) * is_free for row in moving_paths]
+        if self._prescribed.size:
+            # The chord of their path in this step.
+            end, unused = x.copy(), v.copy()
+            self._plan.prescribe(t + 0.5 * d, end, unused)
+            for start in starts:
+                start[:, self._prescribed] = ((end - x) / d)[:, self._prescribed]
         objectives = [self._objective(t, x, v, d, start) for start in starts]
         best = min(range(len(starts)), key=lambda i: objectives[i] if math.isfinite(objectives[i]) else math.inf)
         u = starts[best]
@@ -393,8 +426,8 @@ class ImplicitAdvance:
         if self._plan.contact is not None and not np.isfinite(a).all():
             # Inside an obstacle there is no correction.
             return np.full_like(a, np.nan)
-        correction = masses * (v + d * a - u) * (self._plan.model.inverse_masses > 0.0)
-        self._matrix.update(t, positions, d, memory)
+        correction = masses * (v + d * a - u) * self._is_free
+        self._matrix.update(t, positions, d, memory, self._prescribed)
         self._matrix.solve(correction)
         return correction
 
@@ -478,7 +511,8 @@ def _external_work(plan: Plan, t: float, h: float, step: ImplicitStep, memory: S
     for stage_time, weight, x, v in step.stages:
         total += weight * plan.supply(stage_time, x, v, memory)
         if plan.gripper_count:
-            total = ordered_sum(plan.grip_wrench_rates(stage_time, x, v, weight)[:, 6].tolist(), total)
+            rates = plan.grip_wrench_rates(stage_time, x, v, weight, memory)
+            total = ordered_sum(rates[:, 6].tolist(), total)
         if plan.contact is not None and not step.acts_at_end:
             total = ordered_sum(plan.contact.wrench_rates(stage_time, x, v, memory, weight)[:, 6].tolist(), total)
             total += weight * plan.contact.recovery_power(stage_time, x, v, memory)

@@ -23,6 +23,9 @@ from cloth_sim_ros.physics.state.controller_state import StateMemory
 #: Pairs do not widen the band if their stiffness is below this fraction of the largest one at both ends. Newton's
 #: iteration then converges by about this factor per step.
 _NEGLIGIBLE_FRACTION = 0.05
+#: Mass of a particle that does not yield to any force [kg].
+_IMMOVABLE_MASS = 1e30
+NO_PARTICLES: NDArray[np.int64] = np.empty(0, dtype=np.int64)
 
 
 class StageMatrix:
@@ -63,7 +66,9 @@ class StageMatrix:
             np.maximum.at(largest, ends[:, end_index], size)
         return ends[size >= _NEGLIGIBLE_FRACTION * largest[ends].min(axis=1)]
 
-    def update(self, t: float, x: Array, d: float, memory: StateMemory) -> None:
+    def update(
+        self, t: float, x: Array, d: float, memory: StateMemory, prescribed: NDArray[np.int64] = NO_PARTICLES
+    ) -> None:
         """Factorise M + d^2 K + d D with stiffness K and damping D.
 
         Args:
@@ -71,13 +76,19 @@ class StageMatrix:
             x: positions [m], shape (3, n).
             d: coefficient of the stage [s].
             memory: memory of the state.
+            prescribed: particles whose motion a gripper prescribes.
 
         Raises:
             UnstableError: if an entry is not finite.
         """
         stiffness, damping = np.zeros((2, 6, self._model.particle_count))
         self._other_forces.add_bounds(x, stiffness, damping, t, memory)
-        self._matrix.update(self._blocks(x, d * d, d), self._model.masses, d * d * stiffness + d * damping)
+        masses = self._model.masses
+        if prescribed.size:
+            # Their corrections vanish, and the rows keep their order.
+            masses = masses.copy()
+            masses[prescribed] = _IMMOVABLE_MASS
+        self._matrix.update(self._blocks(x, d * d, d), masses, d * d * stiffness + d * damping)
 
     def _blocks(self, x: Array, stiffness: float, damping: float) -> list[Array]:
         return [
@@ -105,13 +116,17 @@ class ParticleBlocks:
         self._is_free = plan.model.inverse_masses > 0.0
         self._blocks = np.empty((6, plan.model.particle_count))
 
-    def update(self, t: float, x: Array, d: float, memory: StateMemory) -> None:
+    def update(
+        self, t: float, x: Array, d: float, memory: StateMemory, prescribed: NDArray[np.int64] = NO_PARTICLES
+    ) -> None:
         """Calculate the blocks of M + d^2 K + d D, see `StageMatrix.update`."""
         stiffness, damping = np.zeros((2, 6, self._plan.model.particle_count))
         self._plan.add_bounds(x, stiffness, damping, t, memory)
         blocks = d * d * stiffness + d * damping
         blocks[:3] += self._plan.model.masses
-        self._blocks = np.where(self._is_free, blocks, np.array([[1.0, 1.0, 1.0, 0.0, 0.0, 0.0]]).T)
+        is_free = self._is_free.copy()
+        is_free[prescribed] = False
+        self._blocks = np.where(is_free, blocks, np.array([[1.0, 1.0, 1.0, 0.0, 0.0, 0.0]]).T)
 
     def solve(self, right: Array) -> None:
         """Replace ``right`` (3, n) by the solution of each block."""

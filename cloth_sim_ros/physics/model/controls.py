@@ -35,6 +35,17 @@ class Grasps:
     damping: Array
     #: What they were computed from; while it stays the same, so do they.
     source: tuple[Any, ...] = ()
+    #: True for each particle that follows its point exactly, shape (m,); None for none. Such a grip has no spring.
+    prescribed: NDArray[np.bool_] | None = None
+
+    @property
+    def prescribed_particles(self) -> NDArray[np.int64]:
+        """Particles that follow their points exactly, ascending."""
+        cached: NDArray[np.int64] | None = self.__dict__.get("_prescribed_particles")
+        if cached is None:
+            selected = self.particles[:0] if self.prescribed is None else self.particles[self.prescribed]
+            cached = self.__dict__["_prescribed_particles"] = np.sort(selected)
+        return cached
 
     def gripper_indices(self, gripper_count: int) -> NDArray[np.int64]:
         """Return the gripper index of each grip, shape (m,).
@@ -50,7 +61,9 @@ class Grasps:
         return np.repeat(np.arange(gripper_count), np.diff(self.starts))
 
     def validated(self, gripper_count: int, particle_count: int) -> tuple[NDArray[Any], ...]:
-        """Return copies for the engine: particles, gripper indices, offsets, stiffness, damping. It checks them once.
+        """Return copies for the engine: particles, gripper indices, offsets, stiffness, damping, prescribed.
+
+        It checks them once.
 
         Raises:
             ValueError: for arrays that do not fit together or are out of range.
@@ -74,8 +87,15 @@ class Grasps:
             finite("stiffness of grips", self.stiffness, (count,), lower=0.0),
             finite("damping of grips", self.damping, (count,), lower=0.0),
         )
-        # Copies: later writes into the caller's arrays must not change them.
-        return tuple(array.copy() for array in (particles, gripper_indices, *coefficients))
+        prescribed = np.zeros(count, dtype=np.bool_) if self.prescribed is None else np.asarray(self.prescribed)
+        if prescribed.shape != (count,) or prescribed.dtype != np.bool_:
+            raise ValueError(f"prescribed is {prescribed.tolist()}; give {count} of true and false, one for each grip")
+        followers = self.prescribed_particles
+        if (repeated := followers[1:][followers[1:] == followers[:-1]]).size:
+            raise ValueError(f"two grips prescribe the motion of particle {repeated[0]}; keep one of them")
+        # Copies: later writes into the caller's arrays must not change them. A prescribed particle has no spring.
+        springs = [np.where(prescribed, 0.0, coefficient) for coefficient in coefficients[1:]]
+        return tuple(array.copy() for array in (particles, gripper_indices, coefficients[0], *springs, prescribed))
 
 
 class GripControls(NamedTuple):

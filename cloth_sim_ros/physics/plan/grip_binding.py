@@ -5,9 +5,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cloth_sim_ros.engine import binding
-from cloth_sim_ros.engine.binding import address, check, doubles, library
+from cloth_sim_ros.engine.binding import address, check, doubles, library, writable
 from cloth_sim_ros.physics.model.controls import GripControls
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.model.forces.grips import Grips
@@ -55,8 +56,26 @@ class GripBinding(Uncopyable):
         check(status)
         self._uploaded = controls
 
+    @property
+    def prescribed_particles(self) -> NDArray[np.int64]:
+        """Particles whose motion a gripper prescribes, ascending."""
+        return self.force.controls.grasps.prescribed_particles
+
+    def prescribe(self, t: float, x: Array, v: Array) -> Array:
+        """Set positions [m] and velocities [m/s], (3, n), of the prescribed particles at time t [s].
+
+        Returns:
+            Impulse [N s] (3), angular impulse [N m s] (3), work [J] and dissipation [J] of each gripper by the change
+            of the velocities, shape (grippers, RECORD_NUMBERS). The signs are those of `wrench_rates`.
+        """
+        self.upload()
+        out = np.zeros((self.count, binding.RECORD_NUMBERS))
+        addresses = writable("x", x, self._shape), writable("v", v, self._shape)
+        check(self._library.cloth_prescribe(self._handle, t, *addresses, out.ctypes.data))
+        return out
+
     def wrench_rates(self, t: float, x: Array, v: Array, weight: float = 1.0) -> Array:
-        """Return force, torque and power of each gripper on the cloth, and the power that its joints dissipate.
+        """Return force and torque of the cloth on each gripper, its power on the cloth, and what its joints dissipate.
 
         Args:
             t: time [s].

@@ -378,7 +378,10 @@ class Plan(PlanQueries, Uncopyable):
         return available_threads() if time >= _THREAD_WAKE_CALLS * 1e3 * CONSTANTS.engine_call_time else 1
 
     def accelerations(self, t: float, x: Array, v: Array, out: Array, memory: StateMemory = MISSING_MEMORY) -> None:
-        """Set ``out`` (3, n) to the accelerations [m/s^2] at time t [s]; they are zero for anchored particles."""
+        """Set ``out`` (3, n) to the accelerations [m/s^2] at time t [s].
+
+        They are zero for anchored particles, and for those whose motion a gripper prescribes.
+        """
         self._upload(memory)
         shape = self._shape
         addresses = doubles("x", x, shape), doubles("v", v, shape), writable("out", out, shape)

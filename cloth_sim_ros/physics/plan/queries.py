@@ -8,6 +8,7 @@ import ctypes
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cloth_sim_ros.engine.binding import RECORD_NUMBERS, address, check, doubles, writable
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
@@ -18,6 +19,9 @@ from cloth_sim_ros.physics.state.controller_state import MISSING_MEMORY, StateMe
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.contact.binding import ContactBinding
+
+
+_NO_PARTICLES: NDArray[np.int64] = np.empty(0, dtype=np.int64)
 
 
 class PlanQueries:
@@ -147,7 +151,25 @@ class PlanQueries:
         dissipated = ordered_sum((force.dissipation(t, x, v) for force in self._python_forces), float(out[0]))
         return dissipated, ordered_sum((force.supply(t, x, v) for force in self._python_forces), float(out[1]))
 
-    def grip_wrench_rates(self, t: float, x: Array, v: Array, weight: float = 1.0) -> Array:
+    def prescribed_particles(self) -> NDArray[np.int64]:
+        """Return the particles whose motion a gripper prescribes, ascending."""
+        return _NO_PARTICLES if self._grip_binding is None else self._grip_binding.prescribed_particles
+
+    def free_particles(self) -> NDArray[np.bool_]:
+        """Return true for each particle that is neither anchored nor prescribed, shape (n,)."""
+        is_free = self.model.inverse_masses > 0.0
+        is_free[self.prescribed_particles()] = False
+        return is_free
+
+    def prescribe(self, t: float, x: Array, v: Array) -> Array:
+        """Set positions and velocities of the prescribed particles, see `GripBinding.prescribe`."""
+        if self._grip_binding is None:
+            return np.zeros((0, RECORD_NUMBERS))
+        return self._grip_binding.prescribe(t, x, v)
+
+    def grip_wrench_rates(
+        self, t: float, x: Array, v: Array, weight: float = 1.0, memory: StateMemory = MISSING_MEMORY
+    ) -> Array:
         """Return force, torque and power of each gripper on the cloth, and the power that its joints dissipate.
 
         Args:
@@ -155,17 +177,22 @@ class PlanQueries:
             x: positions [m], shape (3, n).
             v: velocities [m/s], shape (3, n).
             weight: factor on the result.
+            memory: `State.memory`; contact acts on prescribed particles too.
 
         Returns:
             Force [N] (3), torque [N m] (3), power [W], dissipated power [W], shape (grippers, RECORD_NUMBERS).
         """
         if self._grip_binding is None:
             return np.zeros((0, RECORD_NUMBERS))
+        if self.contact is not None and self.prescribed_particles().size:
+            self.contact.upload(memory)
         return self._grip_binding.wrench_rates(t, x, v, weight)
 
     def dissipation(self, t: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY) -> float:
         """Return the power that all damping dissipates [W], grips and contact included."""
-        dissipated = ordered_sum(self.grip_wrench_rates(t, x, v)[:, 7].tolist(), self.powers(t, x, v, memory)[0])
+        dissipated = ordered_sum(
+            self.grip_wrench_rates(t, x, v, 1.0, memory)[:, 7].tolist(), self.powers(t, x, v, memory)[0]
+        )
         if self.contact is None:
             return dissipated
         return ordered_sum(self.contact.wrench_rates(t, x, v, memory)[:, 7].tolist(), dissipated)

@@ -69,6 +69,7 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
     (("tolerance",), lambda scene: scene.step > 0.0, "step is set, and a fixed step holds no tolerance"),
     (
         (
+            "gripper.model",
             "gripper.radius",
             "gripper.stiffness",
             "gripper.damping",
@@ -90,9 +91,14 @@ _RULES: tuple[tuple[tuple[str, ...], Callable[[Scene], bool], str], ...] = (
         "no gripper pinches (gripper.mode)",
     ),
     (
-        ("gripper.radius", "gripper.stiffness", "gripper.damping"),
+        ("gripper.model", "gripper.radius", "gripper.stiffness", "gripper.damping"),
         lambda scene: bool(scene.pinching) and scene.pinching == scene.gripper_names,
         "no gripper attaches (gripper.mode)",
+    ),
+    (
+        ("gripper.stiffness", "gripper.damping"),
+        lambda scene: bool(scene.attaching) and scene.prescribing == scene.attaching,
+        "no gripper holds by springs (gripper.model)",
     ),
     (
         ("contact.thickness", "contact.damping"),

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cloth_sim_ros.physics.arithmetic.arrays import largest_distance
 from cloth_sim_ros.physics.model.controls import ContactControls, Controls, GripControls, ThicknessRecovery
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY, JOINTS_KEY, LAYER_SIDES, THICKNESS_KEY
@@ -20,6 +21,9 @@ from cloth_sim_ros.scene.build import obstacle_joints
 from cloth_sim_ros.scene.scene import Scene
 from cloth_sim_ros.simulation.bodies.grippers import Grippers
 from cloth_sim_ros.simulation.bodies.kinematic_bodies import constant_paths
+
+#: Least gap of a prescribed particle as a fraction of the contact thickness, and samples of its path in a frame.
+_MIN_GAP_FRACTION, _PATH_SAMPLES = 0.1, 4
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
@@ -38,7 +42,7 @@ def build_grippers(scene: Scene, state: State) -> Grippers:
     Raises:
         ValueError: for a state with another number of grippers.
     """
-    grippers = Grippers(scene.gripper_names, state)
+    grippers = Grippers(scene.gripper_names, state, scene.prescribing)
     n_poses = len(state.memory["gripper.pose"])
     if n_poses != len(grippers.names):
         raise ValueError(
@@ -156,9 +160,62 @@ def _contact_controls(
     return ContactControls(np.concatenate(paths), commands, ThicknessRecovery(t))
 
 
+def blocked_grippers(plan: Plan, grippers: Grippers, state: State, t: float, duration: float) -> list[int]:
+    """Return the indices of the grippers whose paths press a prescribed particle into an obstacle.
+
+    Such a particle does not yield, so its contact force would have no bound. A path is blocked if the particle comes
+    closer to an obstacle than before, and closer than a tenth of the contact thickness.
+
+    Args:
+        plan: equations of motion, with the paths of the frame.
+        grippers: the grippers.
+        state: state at the start of the frame.
+        t: time at its start [s].
+        duration: its length [s].
+    """
+    candidates = grippers.prescribing()
+    if plan.contact is None or not candidates:
+        return []
+    min_gap = _MIN_GAP_FRACTION * plan.contact.force.thickness
+    particles = np.concatenate([grippers.grasped_particles(g) for g in candidates])
+    times = [t + k * duration / _PATH_SAMPLES for k in range(_PATH_SAMPLES + 1)]
+    path = [_prescribed_positions(plan, state, time) for time in times]
+    travel = max(largest_distance(positions, path[0]) for positions in path)
+    ends = (_min_gap_of(plan, times[k], state, path[k][:, particles]) for k in (0, -1))
+    if min(ends) > min_gap + travel:
+        return []
+    blocked = []
+    for g in candidates:
+        particles = grippers.grasped_particles(g)
+        gaps = [
+            _min_gap_of(plan, time, state, positions[:, particles]) for time, positions in zip(times, path, strict=True)
+        ]
+        if min(gaps) < min(min_gap, gaps[0]):
+            blocked.append(g)
+    return blocked
+
+
+def _prescribed_positions(plan: Plan, state: State, t: float) -> Array:
+    """Return the positions of a state with prescribed particles at their points at time t [s], shape (3, n) [m]."""
+    positions, unused = state.x.copy(), state.v.copy()
+    plan.prescribe(t, positions, unused)
+    return positions
+
+
+def _min_gap_of(plan: Plan, t: float, state: State, points: Array) -> float:
+    """Return the least gap between some points (3, m) [m] and the obstacles at time t [s]."""
+    assert plan.contact is not None
+    is_free = plan.model.inverse_masses > 0.0
+    # The engine measures free particles: each one is at one of the points.
+    positions = np.repeat(points[:, :1], len(is_free), axis=1)
+    positions[:, is_free] = points[:, np.arange(int(is_free.sum())) % points.shape[1]]
+    return float(plan.contact.obstacle_gaps(t, positions, state.memory)[:, 1].min(initial=np.inf))
+
+
 def stop_bodies(obstacles: Obstacles | None, grippers: Grippers) -> tuple[str, ...]:
-    """Stop obstacles and pinching grippers at their present poses until their next targets, because they crush the
-    cloth.
+    """Stop bodies that can crush the cloth at their present poses until their next targets.
+
+    They are obstacles, pinching grippers, and grippers that prescribe the motion of particles.
 
     Return the names of the bodies that moved.
     """

@@ -7,7 +7,7 @@ from __future__ import annotations
 import functools
 import itertools
 import operator
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import attrs
@@ -53,11 +53,14 @@ class Grippers:
     Args:
         names: names of the grippers; their order is that of every array.
         state: keeps poses and grips; missing entries are added.
+        prescribing: names of the grippers that prescribe the motion of the particles that they grasp.
     """
 
-    def __init__(self, names: list[str], state: State) -> None:
+    def __init__(self, names: list[str], state: State, prescribing: Collection[str] = ()) -> None:
         self.names = names
         self._state = state
+        #: True for each gripper that prescribes the motion of its particles, shape (gripper_count,).
+        self._prescribes: NDArray[np.bool_] = np.array([name in prescribing for name in names], dtype=np.bool_)
         #: Distance from the origin to the outermost point of the pads [m], by index of each pinching gripper.
         self.pad_reaches: dict[int, float] = {}
         #: Commanded speed [m/s] by name, of each gripper that the speed limit slowed in the newest frame.
@@ -128,9 +131,23 @@ class Grippers:
         """
         return min(speed_limit or MAX_BODY_SPEED, MAX_BODY_SPEED) if index in self.pad_reaches else speed_limit
 
-    def hold_position(self) -> list[str]:
-        """Hold the present pose of pinching grippers until their next target; return the names of those that moved."""
-        return [self.names[g] for g in self._bodies.hold_position(sorted(self.pad_reaches))]
+    def hold_position(self, among: Collection[int] | None = None) -> list[str]:
+        """Hold the present poses of some grippers until their next targets; return the names of those that moved.
+
+        Args:
+            among: their indices; by default those that can crush the cloth: pinching grippers, and those that prescribe
+                the motion of particles.
+        """
+        indices = {*self.pad_reaches, *self.prescribing()} if among is None else among
+        return [self.names[g] for g in self._bodies.hold_position(sorted(indices))]
+
+    def prescribing(self) -> list[int]:
+        """Return the indices of the grippers that prescribe the motion of at least one particle."""
+        if not self._prescribes.any():
+            return []
+        starts = self._state.memory["grip.starts"]
+        indices: list[int] = np.flatnonzero(self._prescribes & (starts[1:] > starts[:-1])).tolist()
+        return indices
 
     def close(self, name: str, model: Model, radius: float) -> GraspResult:
         """Grasp the free particles within the radius [m] of a gripper's present position."""
@@ -145,14 +162,29 @@ class Grippers:
         x, y, z = self._state.x - pose[:3, None]
         distance = np.sqrt(x * x + y * y + z * z)
         is_in_reach = distance <= radius
-        particles = np.flatnonzero(is_in_reach & (model.inverse_masses > 0.0))
+        is_free = is_in_reach & (model.inverse_masses > 0.0)
+        is_available = is_free.copy()
+        # Two prescribed motions contradict each other, and a spring would pull at a particle that cannot yield.
+        is_available[self._prescribed_particles()] = False
+        particles = np.flatnonzero(is_available)
         self.attach(name, particles)
         if particles.size:
             return GraspResult(name, True, int(particles.size))
+        if is_free.any():
+            reason = f"all {int(is_free.sum())} free particles within {radius} m follow a gripper (gripper.model)"
+            return GraspResult(name, True, 0, reason)
         if is_in_reach.any():
             return GraspResult(name, True, 0, f"all {int(is_in_reach.sum())} particles within {radius} m are anchored")
         reason = f"no particle within {radius} m of it; the nearest is {float(distance.min()):.3g} m away"
         return GraspResult(name, True, 0, reason)
+
+    def _prescribed_particles(self) -> NDArray[np.int64]:
+        """Return the particles whose motion a gripper prescribes."""
+        memory = self._state.memory
+        particles: NDArray[np.int64] = memory["grip.particles"][
+            np.repeat(self._prescribes, np.diff(memory["grip.starts"]))
+        ]
+        return particles
 
     def attach(self, name: str, particles: NDArray[np.int64]) -> None:
         """Close a placed gripper and attach particles at their present positions."""
@@ -255,8 +287,12 @@ class Grippers:
         # Border particles have half or a quarter of the mass, of the grip and of the threads. Therefore they do not
         # limit the step.
         stiffnesses = stiffness * model.masses[particles] / model.masses.max()
+        prescribed = None
+        if self._prescribes.any():
+            prescribed = np.repeat(self._prescribes, np.diff(starts))
+            stiffnesses[prescribed] = 0.0
         dampings = lecture_damping(damping, stiffnesses, model.masses[particles])
-        return Grasps(starts, particles, memory["grip.offsets"], stiffnesses, dampings, source)
+        return Grasps(starts, particles, memory["grip.offsets"], stiffnesses, dampings, source, prescribed)
 
     def _replace(self, gripper: int, particles: np.ndarray, offsets: Array) -> None:
         """Set the particles that one gripper grasps. Other grips stay unchanged."""

@@ -9,6 +9,7 @@ began: at the start, or when the obstacle was added.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cloth_sim_ros.physics.model.controls import Grasps, GripControls
 from cloth_sim_ros.physics.model.forces.force import Array
@@ -62,6 +63,7 @@ class ObstacleJoints:
                 np.concatenate([grasps.stiffness, joints.stiffness]),
                 np.concatenate([grasps.damping, joints.damping]),
                 (grasps, offsets),
+                _with_joints(grasps.prescribed, len(offsets)),
             )
         return GripControls(np.concatenate([grips.paths, obstacle_paths[self.obstacles]]), extended)
 
@@ -76,6 +78,11 @@ class ObstacleJoints:
         total = obstacle_wrenches.copy()
         total[self.obstacles] += grip_wrenches[gripper_count:]
         return grip_wrenches[:gripper_count], total
+
+
+def _with_joints(prescribed: NDArray[np.bool_] | None, count: int) -> NDArray[np.bool_] | None:
+    """Return the flags of prescribed particles with those of a number of joints, which are springs, behind them."""
+    return None if prescribed is None else np.concatenate([prescribed, np.zeros(count, dtype=np.bool_)])
 
 
 def replace_joints(state: State, before: Scene, scene: Scene) -> None:

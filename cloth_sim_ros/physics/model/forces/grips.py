@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Grips: zero-length springs (S4) between grippers and grasped particles."""
+"""Grips: zero-length springs (S4) between grippers and grasped particles, or prescribed motions of these."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from cloth_sim_ros.physics.old_names import with_old_names
 class Grips(EngineForce):
     """Zero-length springs between grasped particles and points fixed to moving grippers.
 
-    ``F = -k s - k_d ds/dt`` on the particle, with s its separation from its point on the gripper.
+    ``F = -k s - k_d ds/dt`` on the particle, with s its separation from its point on the gripper. A grip may instead
+    prescribe the motion of its particle, which then follows its point exactly (docs/derivations/prescribed_grip.md).
 
     A gripper's path is a row of PATH_NUMBERS numbers. The first is the start time t0; s = t - t0 below. Then follow p0
     to p3 of the position p0 + p1 s + p2 s^2 + p3 s^3 [m]. The last are the orientation q0 (x, y, z, w) at s = 0 and r1
@@ -59,6 +60,7 @@ class Grips(EngineForce):
         offsets: Array,
         stiffness: Array,
         damping: Array,
+        prescribed: NDArray[np.bool_] | None = None,
     ) -> None:
         """Set the grasped particles: gripper g grasps ``particles[starts[g]:starts[g + 1]]``.
 
@@ -69,10 +71,15 @@ class Grips(EngineForce):
             offsets: points in their gripper's frame [m], shape (m, 3).
             stiffness: k [N/m], shape (m,).
             damping: k_d [N s/m], shape (m,).
+            prescribed: true for each particle that follows its point exactly, shape (m,); None for none. Such a grip
+                has no spring.
         """
         # Copies: later writes into the caller's arrays must not change them.
         columns = np.array(offsets), np.array(stiffness), np.array(damping)
-        grasps = Grasps(np.array(starts), np.array(particles), *columns)
+        followers = None if prescribed is None else np.array(prescribed, dtype=np.bool_)
+        if followers is not None:
+            columns = columns[0], np.where(followers, 0.0, columns[1]), np.where(followers, 0.0, columns[2])
+        grasps = Grasps(np.array(starts), np.array(particles), *columns, (), followers)
         #: Paths of the grippers and grasped particles.
         self.controls = GripControls(np.array(paths, dtype=np.float64), grasps)
 
