@@ -111,6 +111,38 @@ def test_wrench_at_rest_is_the_weight_also_asleep() -> None:
     assert moved.advance.steps > 0
 
 
+def test_sheet_on_a_table_falls_asleep_in_a_gripper() -> None:
+    cloth, _ = closed(
+        Scene.from_parameters({**LYING, "table.friction": [0.5, 0.4], "air.drag": 8.0, "tolerance": 1e-2})
+    )
+    frame = cloth.advance()
+    while not cloth.asleep:
+        frame = cloth.advance()
+        assert cloth.frame < 3000
+    asleep = cloth.advance()
+    assert asleep.advance is not None
+    assert asleep.advance.steps == 0
+    # The table pushes against the particle as before.
+    assert asleep.wrenches[0, 2] == pytest.approx(frame.wrenches[0, 2], abs=1e-3)
+
+
+def test_joints_to_obstacles_are_springs_beside_prescribed_grips() -> None:
+    values = {
+        **SMALL,
+        "obstacles": ["pole"],
+        "pole.shape": "sphere",
+        "pole.size": [0.02],
+        "pole.position": [0.0, 1.0, 1.0],
+    }
+    values |= {"cloth.joints": ["0-pole"], "contact.thickness": 0.004}
+    cloth, start = closed(Scene.from_parameters(values))
+    for k in range(10):
+        cloth.advance([target(start, k)])
+    grasped = cloth.grippers.grasped_particles(0)
+    assert cloth.plan.prescribed_particles().tolist() == grasped.tolist()
+    assert np.abs(cloth.positions[grasped] - points(cloth)).max() < 1e-14
+
+
 @pytest.mark.parametrize("integrator", ["auto", "implicit"])
 def test_energy_balance_closes(integrator: str) -> None:
     cloth, start = closed(Scene.from_parameters({**HUNG, "integrator": integrator, "tolerance": 1e-5}))
