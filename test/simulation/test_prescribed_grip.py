@@ -17,6 +17,7 @@ from cloth_sim_ros.physics.state.state import State
 from cloth_sim_ros.scene.parameters.declare import ParameterError
 from cloth_sim_ros.scene.parameters.warnings import ineffective_parameters
 from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.simulation.bodies import bodies
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.verify.accuracy import certify
@@ -284,6 +285,28 @@ def test_gripper_stops_before_its_particle_enters_an_obstacle() -> None:
     for _ in range(30):
         cloth.advance()
     assert np.isfinite(cloth.positions).all()
+
+
+def test_gripper_that_crushes_the_cloth_stops(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Without the test of its path, the frame that has no solution stops it.
+    monkeypatch.setattr(bodies, "blocked_grippers", lambda *_: [])
+    cloth, start = closed(Scene.from_parameters({**LYING, "tolerance": 1e-2}))
+    frames = [cloth.advance([Target("gripper", (start[0], start[1], start[2] - 0.0064 * k))]) for k in range(1, 4)]
+    assert [frame.stopped for frame in frames] == [(), ("gripper",), ("gripper",)]
+    assert cloth.positions[-1, 2] == pytest.approx(start[2] - 0.0064)
+
+
+def test_state_with_a_particle_in_two_prescribing_grippers_is_refused() -> None:
+    values = {**HUNG, "grippers": ["left", "right"], "gripper.model": "spring"}
+    cloth = Simulation(Scene.from_parameters(values))
+    position = tuple(cloth.positions[-1].tolist())
+    events: list[Event] = [Target("left", position), Target("right", position), Grasp("left", True)]
+    cloth.advance([*events, Grasp("right", True)])
+    mixed = Simulation(Scene.from_parameters({**values, "left.model": "prescribed"}), cloth.state)
+    mixed.advance()
+    assert np.abs(mixed.positions[-3:] - cloth.positions[-3:]).max() < 0.1
+    with pytest.raises(ValueError, match=r"the state has particle \d+ in two grippers, which both prescribe"):
+        Simulation(Scene.from_parameters({**values, "gripper.model": "prescribed"}), cloth.state)
 
 
 def test_prescribed_grip_sets_no_step() -> None:

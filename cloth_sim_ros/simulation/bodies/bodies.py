@@ -40,7 +40,7 @@ def build_grippers(scene: Scene, state: State) -> Grippers:
     """Return the grippers of a scene with a state's poses and grips.
 
     Raises:
-        ValueError: for a state with another number of grippers.
+        ValueError: for a state with another number of grippers, or with two prescribed motions of one particle.
     """
     grippers = Grippers(scene.gripper_names, state, scene.prescribing)
     n_poses = len(state.memory["gripper.pose"])
@@ -48,6 +48,7 @@ def build_grippers(scene: Scene, state: State) -> Grippers:
         raise ValueError(
             f"the state has {n_poses} grippers, the scene {len(grippers.names)} ({', '.join(grippers.names) or 'none'})"
         )
+    grippers.check_prescribed_particles()
     return grippers
 
 

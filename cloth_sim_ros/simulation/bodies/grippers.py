@@ -178,6 +178,19 @@ class Grippers:
         reason = f"no particle within {radius} m of it; the nearest is {float(distance.min()):.3g} m away"
         return GraspResult(name, True, 0, reason)
 
+    def check_prescribed_particles(self) -> None:
+        """Refuse a state in which two grippers prescribe the motion of one particle.
+
+        Raises:
+            ValueError: naming the particle.
+        """
+        particles = np.sort(self._prescribed_particles())
+        if (repeated := particles[1:][particles[1:] == particles[:-1]]).size:
+            raise ValueError(
+                f"the state has particle {repeated[0]} in two grippers, which both prescribe its motion: set "
+                "gripper.model to spring, or start from another state"
+            )
+
     def _prescribed_particles(self) -> NDArray[np.int64]:
         """Return the particles whose motion a gripper prescribes."""
         memory = self._state.memory
