@@ -293,6 +293,7 @@ def test_descent_steps_lead_to_the_points(max_time: float, monkeypatch: pytest.M
     sheet = Carried()
     state = sheet.state()
     accumulator = WorkAccumulator(1, record_power=True)
+    # private: only its arguments show where a descent evaluates forces
     correction, distances = ImplicitAdvance._newton_correction, []
 
     def watched(self: ImplicitAdvance, t: float, x: Array, v: Array, d: float, u: Array) -> Array:

@@ -296,7 +296,7 @@ def test_gripper_that_crushes_the_cloth_stops(monkeypatch: pytest.MonkeyPatch) -
     assert cloth.positions[-1, 2] == pytest.approx(start[2] - 0.0064)
 
 
-def test_state_with_a_particle_in_two_prescribing_grippers_is_refused() -> None:
+def test_state_with_two_motions_of_a_particle_is_refused() -> None:
     values = {**HUNG, "grippers": ["left", "right"], "gripper.model": "spring"}
     cloth = Simulation(Scene.from_parameters(values))
     position = tuple(cloth.positions[-1].tolist())
