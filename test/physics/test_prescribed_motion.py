@@ -62,33 +62,44 @@ class Carried:
         listed: its springs are listed in place of a grid.
         path: path of the gripper; by default one that accelerates and turns.
         anchors: anchored particles.
+        rows: rows of particles.
+        held: particles that the gripper carries.
     """
 
-    def __init__(self, *, listed: bool = False, path: np.ndarray | None = None, anchors: Any = ()) -> None:
+    def __init__(
+        self,
+        *,
+        listed: bool = False,
+        path: np.ndarray | None = None,
+        anchors: Any = (),
+        rows: int = ROWS,
+        held: np.ndarray = HELD,
+    ) -> None:
+        self.held = held
         families = [_family("right", 30.0, 1.0, 0.02), _family("down", 31.0, 1.0, 0.021)]
         families += [_family("diagonal", 12.0, math.sqrt(2.0), 0.01), _family("right2", 3.0, 2.0, 0.004)]
-        springs = GridSprings(ROWS, COLUMNS, tuple(families))
+        springs = GridSprings(rows, COLUMNS, tuple(families))
         self.grips = Grips(1)
         forces = [springs.pair_springs if listed else springs, Gravity(GRAVITY), Drag(0.3), self.grips]
-        count = ROWS * COLUMNS
+        count = rows * COLUMNS
         self.plan: Plan = compile(Model(np.full(count, MASS), forces, anchors=anchors))
         random = np.random.default_rng(0)
         row, column = np.divmod(np.arange(count), COLUMNS)
         self.x = np.stack([SPACING * column, SPACING * row, 0.0 * row]) + 0.002 * random.standard_normal((3, count))
         self.v = 0.1 * random.standard_normal((3, count))
         self.path = turning_path(self.x[:, 0]) if path is None else path
-        self.hold(np.ones(len(HELD), dtype=bool))
+        self.hold(np.ones(len(held), dtype=bool))
 
     def hold(self, prescribed: np.ndarray | None) -> None:
-        offsets = to_body_frame(self.path[0, [1, 2, 3, 13, 14, 15, 16]], self.x[:, HELD])
-        stiffness, damping = np.full(len(HELD), 1000.0), np.full(len(HELD), 0.5)
-        self.grips.hold(self.path, np.array([0, len(HELD)]), HELD, offsets, stiffness, damping, prescribed)
+        offsets, count = to_body_frame(self.path[0, [1, 2, 3, 13, 14, 15, 16]], self.x[:, self.held]), len(self.held)
+        stiffness, damping = np.full(count, 1000.0), np.full(count, 0.5)
+        self.grips.hold(self.path, np.array([0, count]), self.held, offsets, stiffness, damping, prescribed)
 
     def points(self, t: float) -> tuple[np.ndarray, np.ndarray]:
         """Positions [m] and velocities [m/s] of the held points, (3, 4) each, by the path of the gripper."""
         x, v = self.x.copy(), self.v.copy()
         self.plan.prescribe(t, x, v)
-        return x[:, HELD], v[:, HELD]
+        return x[:, self.held], v[:, self.held]
 
     def state(self) -> State:
         return State(self.x.T, self.v.T)
@@ -228,11 +239,25 @@ def test_closing_is_an_inelastic_impulse() -> None:
 
 def test_bounds_are_those_of_anchored_particles() -> None:
     held, anchored = Carried(), Carried(anchors=HELD)
-    for detailed in (held.plan, anchored.plan):
-        assert detailed.spectral_bounds(held.x)[0] > 0.0
     assert held.plan.spectral_bounds(held.x) == anchored.plan.spectral_bounds(held.x)
     held.hold(None)
     assert held.plan.spectral_bounds(held.x)[0] > 1.02 * anchored.plan.spectral_bounds(held.x)[0]
+    # All but the border, whose particles have fewer springs.
+    inner = np.arange(ROWS * COLUMNS).reshape(ROWS, COLUMNS)[1:-1, 1:-1].ravel()
+    carried, bordered = Carried(held=inner), Carried(anchors=inner)
+    bounds = carried.plan.spectral_bounds(held.x)
+    assert bounds == bordered.plan.spectral_bounds(held.x)
+    assert bounds[0] < 0.9 * anchored.plan.spectral_bounds(held.x)[0]
+
+
+@pytest.mark.parametrize("listed", [False, True])
+def test_run_starts_with_the_velocities_of_the_points(listed: bool) -> None:
+    sheet = Carried(listed=listed)
+    x, v = sheet.x.copy(), sheet.v.copy()
+    sheet.plan.prescribe(0.0, x, v)
+    assert np.abs(v - sheet.v).max() > 0.1
+    ends = [sheet.plan.runs(0.0, FRAME, start, (20,))[0][0].end_state for start in ((sheet.x, sheet.v), (x, v))]
+    assert np.array_equal(*ends)
 
 
 def test_anchored_particles_stay_although_a_gripper_prescribes() -> None:
@@ -358,8 +383,10 @@ def test_spring_and_prescribed_grips_stand_side_by_side() -> None:
     assert all(a < 1e-12 for a in distances[flags])
 
 
-def test_bits_depend_on_neither_threads_nor_concurrency() -> None:
-    sheet = Carried()
+# A tall sheet has bands whose copies of rows overlap the held ones.
+@pytest.mark.parametrize(("rows", "held"), [(ROWS, HELD), (40, np.arange(18 * COLUMNS, 22 * COLUMNS))])
+def test_bits_depend_on_neither_threads_nor_concurrency(rows: int, held: np.ndarray) -> None:
+    sheet = Carried(rows=rows, held=held)
     runs = [
         sheet.plan.runs(0.0, FRAME, (sheet.x, sheet.v), (24, 36), threads=threads, concurrency=concurrency)[0]
         for threads, concurrency in itertools.product((1, 2), (1, 2))
