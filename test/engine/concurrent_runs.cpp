@@ -142,7 +142,8 @@ std::vector<double> run_frame(const Scene& scene, std::int64_t concurrency) {
         v[2 * n + i] = 0.02 * static_cast<double>(i * 5 % 3) - (upper ? 0.3 : 0.0);
     }
     const std::int64_t anchors = 5 * 4 * n;
-    const std::int64_t sizes[] = {6 * n * runs, record_size(scene) * runs, anchors * runs, 2 * runs, 6 * n, 11, 2 * runs};
+    const std::int64_t sizes[] = {6 * n * runs, record_size(scene) * runs, anchors * runs, 2 * runs, 6 * n, 11,
+                                  2 * runs};
     std::vector<double> all;
     std::int64_t at[8] = {};
     for (int k = 0; k < 7; ++k) at[k + 1] = at[k] + sizes[k];

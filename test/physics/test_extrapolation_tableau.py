@@ -198,7 +198,7 @@ def test_activity_is_the_difference_of_both_halves(values, steps, single_precisi
         assert run.jerk_change == 0.0
     before = state.v + np.random.default_rng(2).normal(size=state.v.shape), 0.7 * steps * step
     from_before = end - state.v - (state.v - before[0]) / 0.7
-    jerk_change = np.linalg.norm(difference - 0.25 * from_before, axis=0).max() if first else 0.0
+    jerk_change = np.linalg.norm(difference - from_before / 3.4, axis=0).max() if first else 0.0
     for threads in (1, 2):
         run = plan.runs(
             0.0,

@@ -17,11 +17,11 @@ from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.control.fallback import finish_implicitly
 from cloth_sim_ros.physics.integrators.base import Integrator
-from cloth_sim_ros.physics.integrators.extrapolation_tableau import weights
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau, weights
 from cloth_sim_ros.physics.integrators.implicit_advance import ImplicitAdvance
 from cloth_sim_ros.physics.integrators.stage_matrix import StageMatrix
 from cloth_sim_ros.physics.model.forces.drag import Drag
-from cloth_sim_ros.physics.model.forces.force import Array
+from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.model.forces.gravity import Gravity
 from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
 from cloth_sim_ros.physics.model.forces.grips import Grips
@@ -222,6 +222,34 @@ def test_motion_of_prescribed_particles_is_no_activity(listed: bool) -> None:
     assert result[2].activity == 0.0
     assert result[2].change_from_before == 0.0
     assert result[2].omega2 == 0.0
+
+
+def test_summaries_of_both_paths_leave_prescribed_particles_out() -> None:
+    sheet = Carried()
+    before = sheet.v - 1.0, FRAME
+    arguments = sheet.plan, sheet.state(), 0.0, FRAME, (20, 25, 30)
+    engine, python = (ExtrapolationTableau(*arguments, before=before) for _ in range(2))
+    # Only the first combination is calculated by the engine.
+    python.combine(2)
+    assert python.summary(1).activity == pytest.approx(engine.summary(1).activity, rel=1e-12)
+    assert python.summary(1).change_from_before == pytest.approx(engine.summary(1).change_from_before, rel=1e-12)
+
+
+def test_error_of_a_python_force_reaches_wrenches() -> None:
+    class Broken(Force):
+        """Force that fails."""
+
+        name = "broken"
+
+        def add_force(self, t: float, x: Array, v: Array, f: Array) -> None:
+            raise ZeroDivisionError("of the force")
+
+    grips = Grips(1)
+    path = turning_path(np.zeros(3))
+    grips.hold(path, np.array([0, 1]), np.array([0]), np.zeros((1, 3)), np.ones(1), np.ones(1), np.ones(1, dtype=bool))
+    plan = compile(Model([MASS], [Broken(), grips]))
+    with pytest.raises(ZeroDivisionError, match="of the force"):
+        plan.grip_wrench_rates(0.0, np.zeros((3, 1)), np.zeros((3, 1)))
 
 
 def test_closing_is_an_inelastic_impulse() -> None:

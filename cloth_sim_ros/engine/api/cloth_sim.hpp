@@ -82,7 +82,7 @@ CLOTH_API int cloth_plan_callback(Plan* plan, Callback callback);
 /// exactly.
 CLOTH_API int cloth_plan_grips(Plan* plan, std::int64_t grippers, std::int64_t count, const std::int64_t* particles,
                                const std::int64_t* owners, const double* offsets, const double* stiffness,
-                               const double* damping, const std::uint8_t* prescribed);
+                               const double* damping, const std::int64_t* prescribed);
 /// Set the paths of the grippers, if all their numbers are finite.
 CLOTH_API int cloth_plan_gripper_paths(Plan* plan, const double* paths);
 CLOTH_API int cloth_frame(Plan* plan, const FrameRequest* frame);

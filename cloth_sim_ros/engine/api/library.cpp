@@ -84,7 +84,7 @@ CLOTH_API int cloth_plan_callback(Plan* plan, Callback callback) {
 }
 CLOTH_API int cloth_plan_grips(Plan* plan, std::int64_t grippers, std::int64_t count, const std::int64_t* particles,
                                const std::int64_t* owners, const double* offsets, const double* stiffness,
-                               const double* damping, const std::uint8_t* prescribed) {
+                               const double* damping, const std::int64_t* prescribed) {
     return guarded(plan, [&] {
         std::vector<std::int64_t> order(count);
         std::iota(order.begin(), order.end(), std::int64_t{0});

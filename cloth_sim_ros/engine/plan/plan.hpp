@@ -189,7 +189,8 @@ public:
     explicit HalfDifference(const Run& run)
         : run_(&run), first_(run.steps / 2), scale_(first_ ? 0.5 * static_cast<double>(run.steps) : 1.0),
           later_(scale_ / static_cast<double>(run.steps - first_)),
-          earlier_(first_ ? scale_ / static_cast<double>(first_) : 0.0) {}
+          earlier_(first_ ? scale_ / static_cast<double>(first_) : 0.0),
+          before_(run.previous_ratio / (2.0 + 2.0 * run.previous_ratio)) {}
     /// Add particle i of n, with its velocities in the middle and at the end, components `stride` apart.
     template <class T>
     void add(std::int64_t i, std::int64_t n, const T* middle, const T* end, std::int64_t stride) {
@@ -200,9 +201,9 @@ public:
             const double difference = fma(later_, v - half, -earlier_ * (half - v0));
             square = fma(difference, difference, square);
             if (!run_->previous_v0 || !first_) continue;
-            // At constant jerk, the velocity change differs from that of the interval before by four such differences.
+            // At constant jerk, the velocity change differs from that of an equal interval before by four such differences.
             const double from_before = fma(-run_->previous_ratio, v0 - run_->previous_v0[c * n + i], v - v0);
-            const double jerk_change = fma(-0.25, from_before, difference);
+            const double jerk_change = fma(-before_, from_before, difference);
             jerk_square = fma(jerk_change, jerk_change, jerk_square);
         }
         max_square_ = square > max_square_ ? square : max_square_;
@@ -218,6 +219,8 @@ private:
     const Run* run_;
     std::int64_t first_;
     double scale_, later_, earlier_, max_square_ = 0.0, max_jerk_square_ = 0.0;
+    /// Half difference at constant jerk, relative to the difference from the interval before.
+    double before_;
 };
 
 enum class RunStatus : int { ok, callback_failed };

@@ -158,7 +158,9 @@ class ExtrapolationTableau:
             summary = self._summaries.get(n_runs)
         if summary is None:
             x, v = self.combine(n_runs)
-            change = largest_distance(v, self._start.v)
+            # The motion of prescribed particles is given.
+            free = self._plan.free_particles()
+            change = largest_distance(v * free, self._start.v * free)
             activity = activity_of(change, self._runs[n_runs - 1].half_difference)
             if not (math.isfinite(largest_distance(x, self._start.x)) and math.isfinite(change)):
                 activity = math.inf
@@ -176,7 +178,7 @@ class ExtrapolationTableau:
             if self._before is not None:
                 v0, ratio = self._start.v, self.duration / self._before[1]
                 predicted = combine([v0, self._before[0]], (1.0 + ratio, -ratio))
-                from_before = 0.25 * largest_distance(v, predicted)
+                from_before = 0.25 * largest_distance(v * free, predicted * free)
             summary = RunSummary(
                 activity, from_before, turn, omega2, damping, contact_energy, self_contact, hinge_bounds
             )

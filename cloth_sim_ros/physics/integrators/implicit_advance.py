@@ -330,11 +330,15 @@ class ImplicitAdvance:
         )
 
     def _energy_gain(self, t: float, h: float, step: ImplicitStep) -> tuple[float, float]:
-        """Return the energy that a step created, external work subtracted, and the kinetic energy at its end [J]."""
+        """Return the energy that a step created, external work subtracted, and the kinetic energy at its end [J].
+
+        The latter is that of free particles, because the motion of prescribed ones is given.
+        """
         state = self._state
         energy_before = self._plan.energy(t, state.x, state.v, state.memory)
         energy_after = self._plan.energy(t + h, step.x, step.v, state.memory)
-        kinetic = self._plan.energies(t + h, step.x, step.v, state.memory)[0]
+        v = step.v * self._is_free
+        kinetic = self._plan.energies(t + h, step.x, v, state.memory)[0]
         work = _external_work(self._plan, t, h, step, state.memory)
         return energy_after - energy_before - work - _ROUNDING * abs(energy_before), kinetic
 

@@ -94,15 +94,18 @@ class SymplecticEuler(Integrator):
         if accumulator is not None:
             accumulator.reset()
         a = np.empty_like(state.x)
-        impulses = plan.prescribe(t, state.x, state.v)
-        if accumulator is not None:
-            accumulator.add_gripper_impulses(impulses)
+        is_prescribed = plan.prescribed_particles().size > 0
+        if is_prescribed:
+            impulses = plan.prescribe(t, state.x, state.v)
+            if accumulator is not None:
+                accumulator.add_gripper_impulses(impulses)
         for k in range(steps):
             plan.accelerations(t + k * h, state.x, state.v, a, state.memory)
             if accumulator is not None:
                 accumulate(accumulator, plan, t + k * h, state.x, state.v, h, state.memory)
             state.v += h * a
             state.x += h * state.v
-            plan.prescribe(t + (k + 1) * h, state.x, state.v)
+            if is_prescribed:
+                plan.prescribe(t + (k + 1) * h, state.x, state.v)
             if plan.contact is not None:
                 plan.contact.update_after_step(t + (k + 1) * h, h, state)

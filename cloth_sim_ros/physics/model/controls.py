@@ -95,7 +95,10 @@ class Grasps:
             raise ValueError(f"two grips prescribe the motion of particle {repeated[0]}; keep one of them")
         # Copies: later writes into the caller's arrays must not change them. A prescribed particle has no spring.
         springs = [np.where(prescribed, 0.0, coefficient) for coefficient in coefficients[1:]]
-        return tuple(array.copy() for array in (particles, gripper_indices, coefficients[0], *springs, prescribed))
+        return tuple(
+            array.copy()
+            for array in (particles, gripper_indices, coefficients[0], *springs, prescribed.astype(np.int64))
+        )
 
 
 class GripControls(NamedTuple):

@@ -74,7 +74,7 @@ class GripBinding(Uncopyable):
         check(self._library.cloth_prescribe(self._handle, t, *addresses, out.ctypes.data))
         return out
 
-    def wrench_rates(self, t: float, x: Array, v: Array, weight: float = 1.0) -> Array:
+    def wrench_rates(self, t: float, x: Array, v: Array, weight: float = 1.0) -> tuple[int, Array]:
         """Return force and torque of the cloth on each gripper, its power on the cloth, and what its joints dissipate.
 
         Args:
@@ -84,13 +84,14 @@ class GripBinding(Uncopyable):
             weight: factor on the result.
 
         Returns:
-            Force [N] (3), torque [N m] (3), power [W], dissipated power [W], shape (grippers, RECORD_NUMBERS).
+            Status of the engine. Force [N] (3), torque [N m] (3), power [W], dissipated power [W], shape (grippers,
+            RECORD_NUMBERS).
         """
         self.upload()
         out = np.zeros((self.count, binding.RECORD_NUMBERS))
         addresses = doubles("x", x, self._shape), doubles("v", v, self._shape)
-        check(self._library.cloth_grip_wrenches(self._handle, t, *addresses, weight, out.ctypes.data))
-        return out
+        status: int = self._library.cloth_grip_wrenches(self._handle, t, *addresses, weight, out.ctypes.data)
+        return status, out
 
     def min_damping_time(self) -> float:
         """Return the least c / k [s] of the grips; infinity if there are none."""

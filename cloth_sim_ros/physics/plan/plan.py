@@ -364,14 +364,16 @@ class Plan(PlanQueries, Uncopyable):
         """Return the number of runs to calculate at once.
 
         It is above 1 if the engine calculates alone and the runs are long enough to wake a thread. Sharing each run
-        between threads must not be better. Runs with contact rarely share their steps.
+        between threads must not be better. Runs with contact of the surface do not share their steps.
 
         Args:
             runs: number of runs.
             steps: number of steps of all runs together.
             multirate: multirate ratio.
         """
-        is_shared = self.contact is None and self.threads_per_run(multirate) > 1
+        force = None if self.contact is None else self.contact.force
+        has_surface = force is not None and (force.surface is not None or force.faces is not None)
+        is_shared = not has_surface and self.threads_per_run(multirate) > 1
         if self._python_forces or (runs % 2 and is_shared):
             return 1
         time = self.multirate_step_cost(multirate) * self._shape[1] * steps
@@ -388,11 +390,6 @@ class Plan(PlanQueries, Uncopyable):
         status = self._library.cloth_accelerations(self._handle, t, *addresses)
         if status:
             self._raise_for_status(status)
-
-    def _raise_for_status(self, status: int) -> None:
-        if status == 3 and self._python_callback is not None:
-            self._python_callback.raise_pending()
-        check(status)
 
     def predict_contact(
         self, t: float, duration: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY

@@ -15,6 +15,7 @@ from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum
 from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.model.model import Model
 from cloth_sim_ros.physics.plan.grip_binding import GripBinding
+from cloth_sim_ros.physics.plan.python_forces import PythonForces
 from cloth_sim_ros.physics.state.controller_state import MISSING_MEMORY, StateMemory
 
 if TYPE_CHECKING:
@@ -36,12 +37,19 @@ class PlanQueries:
     _handle: int
     _shape: tuple[int, int]
     _python_forces: list[Force]
+    _python_callback: PythonForces | None
     _drag: float
     _grip_binding: GripBinding | None
     _pair_counts: list[int]
     _min_damping_time: float
     _query_out: ctypes.Array[ctypes.c_double]
     _query_address: int
+
+    def _raise_for_status(self, status: int) -> None:
+        """Raise the error of a call, or that of a force in Python."""
+        if status == 3 and self._python_callback is not None:
+            self._python_callback.raise_pending()
+        check(status)
 
     def _upload(self, memory: StateMemory) -> None:
         """Upload the controls and a state's memory as far as they changed."""
@@ -186,7 +194,9 @@ class PlanQueries:
             return np.zeros((0, RECORD_NUMBERS))
         if self.contact is not None and self.prescribed_particles().size:
             self.contact.upload(memory)
-        return self._grip_binding.wrench_rates(t, x, v, weight)
+        status, rates = self._grip_binding.wrench_rates(t, x, v, weight)
+        self._raise_for_status(status)
+        return rates
 
     def dissipation(self, t: float, x: Array, v: Array, memory: StateMemory = MISSING_MEMORY) -> float:
         """Return the power that all damping dissipates [W], grips and contact included."""

@@ -209,7 +209,7 @@ def _min_gap_of(plan: Plan, t: float, state: State, points: Array) -> float:
     is_free = plan.model.inverse_masses > 0.0
     # The engine measures free particles: each one is at one of the points.
     positions = np.repeat(points[:, :1], len(is_free), axis=1)
-    positions[:, is_free] = points[:, np.arange(int(is_free.sum())) % points.shape[1]]
+    positions[:, is_free] = points[:, np.arange(np.count_nonzero(is_free)) % points.shape[1]]
     return float(plan.contact.obstacle_gaps(t, positions, state.memory)[:, 1].min(initial=np.inf))
 
 
