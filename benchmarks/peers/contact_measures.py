@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measures of cloth in contact: penetration, stretch, self-intersection, creep."""
+"""Measures of cloth in contact: penetration, self-intersection, creep."""
 
 from __future__ import annotations
 
@@ -45,18 +45,6 @@ def depth(frames: Array, solid: Obstacle, places: Array) -> float:
     away = frames - np.broadcast_to(places, (len(frames), 3))[:, None, :]
     gaps, _ = solid.distance(away.reshape(-1, 3))
     return max(0.0, -float(gaps.min()))
-
-
-def stretch(frames: Array, triangles: NDArray[np.int64]) -> float:
-    """Return the largest ratio of an edge length to that in the first frame.
-
-    Args:
-        frames: positions [m], (frames, n, 3).
-        triangles: (t, 3).
-    """
-    ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    rest_lengths = np.linalg.norm(frames[0][ends[:, 1]] - frames[0][ends[:, 0]], axis=1)
-    return max(float((np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1) / rest_lengths).max()) for x in frames)
 
 
 def crossings(frames: Array, triangles: NDArray[np.int64], rest_positions: Array) -> list[int]:

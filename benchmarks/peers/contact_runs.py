@@ -14,43 +14,25 @@ from support.problems import PERIOD
 
 from benchmarks.peers import jobs as peer_jobs
 from benchmarks.peers.contact_scenes import ContactScene
-from benchmarks.peers.jobs import PeerSolver
+from benchmarks.peers.jobs import Attempt, Peer
+from benchmarks.peers.runner import largest_stretch
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.simulation.events import Event, Grasp, Target
 from cloth_sim_ros.simulation.simulation import Simulation
 from cloth_sim_ros.simulation.sleep import wake
 
-
-@attrs.frozen(kw_only=True)
-class ContactPeer(PeerSolver):
-    """Solver of another engine for contact, with the step of its examples."""
-
-    #: Steps in a frame of 1/60 s.
-    steps: int
-    #: Differences in one scene, by its name.
-    apart: dict[str, str] = attrs.field(factory=dict)
+#: Stretch of an edge above which a peer's sheet is torn.
+TORN = 1.5
 
 
 @attrs.frozen(eq=False, kw_only=True)
-class EngineRecording:
-    """Positions at the start and at the end of every frame."""
+class EngineRecording(Attempt):
+    """Run of a scene with contact, and the positions at the start and at the end of every whole frame."""
 
     #: Particles [m], (frames + 1, n, 3).
     frames: Array
     #: Centres of the pads [m], (frames + 1, pads, 3).
     pads: Array
-    #: Simulated time [s], including an unfinished frame, and wall time of the steps [s].
-    simulated: float
-    wall: float
-    #: Whether all positions stayed finite.
-    finite: bool = True
-    versions: dict[str, str] = attrs.field(factory=dict)
-    remarks: list[str] = attrs.field(factory=list)
-
-    @property
-    def factor(self) -> float:
-        """Simulated seconds per wall second."""
-        return self.simulated / self.wall
 
     @property
     def seen(self) -> float:
@@ -66,20 +48,29 @@ def run_product(contact_scene: ContactScene, seconds: float) -> EngineRecording:
         seconds: limit of the wall time of the frames [s].
     """
     simulation = Simulation(contact_scene.scene)
-    frames, pads, wall = [simulation.positions], [contact_scene.pad_positions], 0.0
+    frames, pads, wall, cpu = [simulation.positions], [contact_scene.pad_positions], 0.0, 0.0
     for frame in range(contact_scene.frames):
         commands = _events(contact_scene, frame)
-        begin = time.perf_counter()
+        begin, cpu_begin = time.perf_counter(), time.process_time()
         wake(simulation.state)
         simulation.advance(commands)
-        wall += time.perf_counter() - begin
+        wall, cpu = wall + time.perf_counter() - begin, cpu + time.process_time() - cpu_begin
         frames.append(simulation.positions)
         pinching = simulation.pinching
         pads.append(contact_scene.pad_positions if pinching is None else pinching.poses()[:, :3])
         if wall >= seconds:
             break
-    simulated = (len(frames) - 1) * PERIOD
-    return EngineRecording(frames=np.array(frames), pads=np.array(pads), simulated=simulated, wall=wall)
+    stretch = max(largest_stretch(x, contact_scene.edges, contact_scene.edge_lengths) for x in frames)
+    return EngineRecording(
+        steps=1,
+        whole=True,
+        stretch=stretch,
+        n_steps=len(frames) - 1,
+        wall=wall,
+        cpu=cpu,
+        frames=np.array(frames),
+        pads=np.array(pads),
+    )
 
 
 def _events(contact_scene: ContactScene, frame: int) -> list[Event]:
@@ -98,16 +89,16 @@ def _events(contact_scene: ContactScene, frame: int) -> list[Event]:
 
 
 def run_peer(
-    peer: ContactPeer, contact_scene: ContactScene, seconds: float, *, environment: Path, threads: int = 1
+    peer: Peer, contact_scene: ContactScene, steps: int, seconds: float, *, environment: Path
 ) -> EngineRecording:
-    """Run a scene by another engine, in a process of the peers' environment.
+    """Run a scene by another engine on one thread, in a process of the peers' environment.
 
     Args:
         peer: the engine.
         contact_scene: the scene.
+        steps: steps per frame of 1/60 s.
         seconds: limit of the wall time of the steps [s].
         environment: where the engines are installed.
-        threads: limit for engines with several threads.
 
     Raises:
         PeerFailed: if the engine gives no result.
@@ -115,17 +106,16 @@ def run_peer(
     with tempfile.TemporaryDirectory() as folder:
         sheet, record = Path(folder, "sheet.npz"), Path(folder, "record.npz")
         np.savez(sheet, **contact_scene.tables())
-        job = {"sheet": str(sheet), "record": str(record), "steps": peer.steps, "frames": contact_scene.frames}
-        job |= {"hold": contact_scene.hold, "seconds": seconds}
-        answer = peer_jobs.answer(peer, job, folder=Path(folder), environment=environment, threads=threads)
+        attempt = peer_jobs.attempt(
+            peer,
+            sheet,
+            steps,
+            environment=environment,
+            frames=contact_scene.frames,
+            seconds=seconds,
+            whole=TORN,
+            record=str(record),
+            hold=contact_scene.hold,
+        )
         with np.load(record) as arrays:
-            frames, pads = arrays["frames"], arrays["pads"]
-    return EngineRecording(
-        frames=frames,
-        pads=pads,
-        simulated=answer["n_steps"] / peer.steps * PERIOD,
-        wall=answer["wall"],
-        finite=answer["finite"],
-        versions=answer["versions"],
-        remarks=answer["remarks"],
-    )
+            return EngineRecording(frames=arrays["frames"], pads=arrays["pads"], **attrs.asdict(attempt))

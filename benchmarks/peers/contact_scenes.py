@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from support.problems import PERIOD
 
+from benchmarks.peers.jobs import thread_edges
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.model.forces.force import Array
 from cloth_sim_ros.scene.scene import Scene
 
 THICKNESS, FRICTION, GRAVITY, TOLERANCE = 2e-3, 0.5, 9.81, 1e-3
-#: Drag of the air [1/s]; strong enough for sheets to come to rest.
-DRAG = 2.0
+#: Drag of the air [1/s]; strong enough for sheets to come to rest. Bending modulus of the peers' sheets [N m].
+DRAG, PEER_BENDING = 2.0, 8.3e-5
 #: Radius of the ball of the drape, and initial height of the sheet above it [m].
 RADIUS, DROP_HEIGHT = 0.1, 0.01
 #: Size of the folded sheet [m]; time for which its edge is carried [s]; distance from the other edge at the end [m].
@@ -40,6 +41,14 @@ _COMMON: dict[str, Any] = {
     "contact.thickness": THICKNESS,
     "grippers": [""],
     "tolerance": TOLERANCE,
+}
+
+
+#: The peers' sheet as the product's material: isotropic, with zero Poisson ratio.
+PEER_MATERIAL: dict[str, Any] = {
+    "material.shear_modulus": 500.0,
+    "material.bending_modulus": PEER_BENDING,
+    "bending.model": "altitude",
 }
 
 
@@ -81,6 +90,18 @@ class ContactScene:
         return triangles
 
     @property
+    def edges(self) -> NDArray[np.int64]:
+        """Edges along the threads, (m, 2)."""
+        columns, rows = self.scene.cloth.resolution
+        return thread_edges(rows, columns)
+
+    @property
+    def edge_lengths(self) -> Array:
+        """Lengths of these edges at rest [m], (m,)."""
+        lengths: Array = np.linalg.norm(np.subtract(*self.start[self.edges.T]), axis=1)
+        return lengths
+
+    @property
     def start(self) -> Array:
         """Initial positions [m], (n, 3)."""
         return self.scene.starting_state().positions
@@ -89,8 +110,9 @@ class ContactScene:
         """Return the scene as plain tables for a peer.
 
         `kind` is the name of the scene. The sheet has `positions` (n, 3) [m], `masses` [kg], `anchored` (n,),
-        `triangles`, `thickness` [m], `friction` and `modulus` [N/m] along the threads. Its `retardation` [s] is the
-        damping over the stiffness of its springs. `own` tells if self-contact is on; `held` and `path` describe held
+        `triangles`, `edges` along the threads, `edge_lengths` [m], `thickness` [m], `friction`, `modulus` [N/m] along
+        the threads and `bending` modulus [N m]. Its `retardation` [s] is the damping over the stiffness of its springs.
+        `own` tells if self-contact is on; `held` and `path` describe held
         particles. The world has `gravity` [m/s^2] and `drag` of the air [1/s]. A ball has `radius` [m] about the
         origin; pads have `pad_size` [m], `pad_places` [m] and `force` [N]. A table's top is at z = 0.
         """
@@ -103,9 +125,12 @@ class ContactScene:
             "masses": model.masses,
             "anchored": model.inverse_masses == 0.0,
             "triangles": self.triangles,
+            "edges": self.edges,
+            "edge_lengths": self.edge_lengths,
             "thickness": THICKNESS,
             "friction": FRICTION,
             "modulus": material.stretch_modulus,
+            "bending": PEER_BENDING,
             "retardation": material.damping * np.sqrt(heaviest / material.stretch_modulus),
             "gravity": np.array([0.0, 0.0, -GRAVITY]),
             "drag": DRAG,
@@ -136,10 +161,14 @@ def drape(resolution: int) -> ContactScene:
     return ContactScene(name="drape", scene=scene, duration=3.0, solids=(ball,), solid_positions=np.zeros((1, 3)))
 
 
-def fold(resolution: int) -> ContactScene:
+def fold(resolution: int, **changes: Any) -> ContactScene:
     """Return the fold: one edge of a sheet on a table is carried to the other edge and released.
 
     The other edge is anchored, because otherwise sliding on the table would decide the line of the fold.
+
+    Args:
+        resolution: particles a side.
+        changes: other values of parameters of the product's scene.
     """
     friction = [FRICTION, FRICTION]
     spacing = FOLD_SIZE / (resolution - 1)
@@ -158,7 +187,7 @@ def fold(resolution: int) -> ContactScene:
         "grippers": names,
         "gripper.radius": 0.4 * spacing,
     }
-    scene = Scene.from_parameters({**_COMMON, **values})
+    scene = Scene.from_parameters({**_COMMON, **values, **changes})
     # The first row of a grid is the upper edge.
     held = np.arange(resolution)
     start = scene.starting_state().positions[held]

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Engine MuJoCo flex: an elastic membrane, or edges of constrained length."""
+"""Engine MuJoCo flex: an elastic shell."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 
 #: Thickness that converts the sheet's modulus [N/m] to Young's [Pa]; small, for a low bending stiffness [m].
 _THICKNESS = 1e-3
-#: Mass [kg] and damping [N s/m] of each pad.
-_PAD_MASS, _PAD_DAMPING = 0.05, 10.0
+#: Mass [kg] and damping [N s/m] of each pad; mass added to a carried particle [kg].
+_PAD_MASS, _PAD_DAMPING, _CARRIER = 0.05, 10.0, 100.0
 
 _MODEL = """
 <mujoco>
@@ -28,32 +28,23 @@ _MODEL = """
   </worldbody>
 </mujoco>
 """
-_OPTIONS = {
-    "elastic": 'integrator="discrete" solver="CG" tolerance="1e-6" iterations="400"',
-    "edges": 'integrator="implicitfast" solver="CG" tolerance="1e-6" iterations="400" impratio="10" '
-    'noslip_iterations="10"',
-}
-_MATERIALS = {
-    "elastic": '<elasticity young="{young!r}" poisson="0" thickness="{thickness!r}" damping="{damping!r}" '
-    'elastic2d="both"/>',
-    "edges": '<edge equality="true" solref="0.005 1"/>',
-}
 _CONTACT_MODEL = """
 <mujoco>
-  <option timestep="{step!r}" cone="elliptic" gravity="{gravity}" {options}/>
+  <option timestep="{step!r}" cone="elliptic" gravity="{gravity}" integrator="discrete" solver="{solver}"
+          tolerance="1e-6" iterations="400">
+    <flag autoreset="disable" ipc="{ipc}"/>
+  </option>
   <size memory="4G"/>
   <default><geom solref="0.003 1" friction="{friction!r} 0.005 0.0001" condim="3"/></default>
   <worldbody>
     {solids}
-    <body name="hand" mocap="true"/>
     <flexcomp name="sheet" type="direct" dim="2" point="{points}" element="{elements}" mass="1" radius="{radius!r}">
       <contact selfcollide="{own}" condim="3" friction="{friction!r} 0.005 0.0001"
                solref="0.01 1" solimp=".95 .99 .0001"/>
-      {material}
+      <elasticity young="{young!r}" poisson="0" thickness="{thickness!r}" damping="{damping!r}" elastic2d="both"/>
       {pins}
     </flexcomp>
   </worldbody>
-  <equality>{held}</equality>
 </mujoco>
 """
 _PAD = """<body pos="{place}"><joint type="slide" axis="0 1 0" damping="{damping!r}"/>
@@ -116,32 +107,30 @@ class MujocoEngine:
 
 
 class MujocoContactEngine(MujocoEngine):
-    """Scenes with contact; variants elastic, a membrane, and edges, whose lengths are constraints."""
+    """Scenes with contact; variants cg and newton, its solvers, and ipc, its intersection-free contact."""
 
     def __init__(self, sheet: dict[str, Any], step: float, variant: str) -> None:
         import mujoco
 
         self._mujoco = mujoco
-        material = _MATERIALS[variant].format(
-            young=float(sheet["modulus"]) / _THICKNESS, thickness=_THICKNESS, damping=float(sheet["retardation"])
-        )
+        # A shell of this thickness has the bending modulus.
+        thickness = float(np.sqrt(12.0 * sheet["bending"] / sheet["modulus"]))
         anchored = np.flatnonzero(sheet["anchored"])
         text = _CONTACT_MODEL.format(
             step=float(step),
             gravity=_numbers(sheet["gravity"]),
-            options=_OPTIONS[variant],
+            solver="CG" if variant == "cg" else "Newton",
+            ipc="enable" if variant == "ipc" else "disable",
             friction=float(sheet["friction"]),
             solids=_solids(sheet),
             points=_numbers(sheet["positions"].ravel()),
             elements=_numbers(sheet["triangles"].ravel()),
             radius=float(sheet["thickness"]),
             own="auto" if sheet["own"] else "none",
-            material=material,
+            young=float(sheet["modulus"]) / thickness,
+            thickness=thickness,
+            damping=float(sheet["retardation"]),
             pins=f'<pin id="{_numbers(anchored)}"/>' if len(anchored) else "",
-            held="".join(
-                f'<connect body1="sheet_{k}" body2="hand" anchor="0 0 0" solref="0.005 1" solimp=".99 .999 .0001"/>'
-                for k in sheet["held"].tolist()
-            ),
         )
         model = mujoco.MjModel.from_xml_string(text)
         # Masses of the product: smaller at the border.
@@ -152,8 +141,9 @@ class MujocoContactEngine(MujocoEngine):
             model.dof_damping[first : first + 3] = float(sheet["drag"]) * mass
         self._model, self._data = model, mujoco.MjData(model)
         mujoco.mj_setConst(model, self._data)
-        self._connects = np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_CONNECT))
-        self._start = sheet["positions"][sheet["held"]]
+        self._held = model.body_dofadr[bodies[sheet["held"]]][:, None] + np.arange(3)
+        self._add_inertia(_CARRIER)
+        self._step, self._start = step, sheet["positions"][sheet["held"]]
         self._path: Any = iter(())
         self._pads = np.zeros((0, 3))
         if sheet["kind"] == "pinch":
@@ -162,21 +152,26 @@ class MujocoContactEngine(MujocoEngine):
             self._data.qfrc_applied[:2] = -np.sign(self._pads[:, 1]) * float(sheet["force"])
         mujoco.mj_forward(model, self._data)
 
+    def _add_inertia(self, mass: float) -> None:
+        """Add mass [kg] to the held particles, whose inertia the model also caches."""
+        self._model.dof_armature[self._held] += mass
+        self._model.dof_M0[self._held] += mass
+
     def lead(self, begin: Any, end: Any, steps: int) -> None:
-        """Move held particles by a common displacement in the next steps."""
-        away = np.array([(position - self._start).mean(axis=0) for position in (begin, end)])
-        self._path = iter([away[0] + (k + 1) / steps * (away[1] - away[0]) for k in range(steps)])
+        """Move held particles in the next steps."""
+        self._path = iter([begin + (k + 1) / steps * (end - begin) - self._start for k in range(steps)])
 
     def let_go(self) -> None:
         """Release the held particles."""
-        self._data.eq_active[self._connects] = 0
+        self._add_inertia(-_CARRIER)
 
     def advance(self, steps: int) -> None:
         """Take some steps."""
         for _ in range(steps):
             target = next(self._path, None)
             if target is not None:
-                self._data.mocap_pos[0] = target
+                # The coordinates of a vertex are its displacements.
+                self._data.qvel[self._held] = (target - self._data.qpos[self._held]) / self._step
             super().advance(1)
 
     def positions(self) -> Any:

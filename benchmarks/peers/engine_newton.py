@@ -5,15 +5,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 #: Solver iterations per step, and steps between rebuilds of the bounding volume tree, as in its examples.
 _ITERATIONS, _REBUILD_PERIOD = 10, 10
-#: Stiffness [N/m] and damping [N s/m] of contact, hinges [N, N s], and range of self-contact beyond
-#: the margin [margins], as in its example of a twisted cloth, whose areal density is the same.
-_STIFFNESS, _DAMPING, _HINGE, _HINGE_DAMPING, _FURTHER = 1e3, 1e-1, 1e-3, 1e-2, 0.75
+#: Stiffness [N/m] and damping [N s/m] of contact, and range of self-contact beyond the margin [margins], as in its
+#: example of a twisted cloth, whose areal density is the same.
+_STIFFNESS, _DAMPING, _FURTHER = 1e3, 1e-1, 0.75
 
 
 class NewtonEngine:
@@ -66,16 +67,16 @@ class NewtonEngine:
         first, second = model.state(), model.state()
         once(first, second)
         self._states = model.state(), model.state()
-        self._graphs = []
+        self._launches: list[Callable[[], None]] = []
         for before, after in (self._states, self._states[::-1]):
             with self._warp.ScopedCapture() as capture:
                 once(before, after)
-            self._graphs.append(capture.graph)
+            self._launches.append(partial(self._warp.capture_launch, capture.graph))
 
     def advance(self, steps: int) -> None:
         """Take some steps."""
         for _ in range(steps):
-            self._warp.capture_launch(self._graphs[self._turn])
+            self._launches[self._turn]()
             self._turn ^= 1
 
     def positions(self) -> Any:
@@ -88,7 +89,7 @@ class NewtonEngine:
 
 
 class NewtonContactEngine(NewtonEngine):
-    """Scenes with contact by VBD: a membrane of triangles, contact by penalties; one variant."""
+    """Scenes with contact by penalties: a shell of triangles; variants vbd and style3d."""
 
     def __init__(self, sheet: dict[str, Any], step: float, variant: str) -> None:
         import newton
@@ -98,30 +99,40 @@ class NewtonContactEngine(NewtonEngine):
         self._warp = warp
         self._held, self._active = sheet["held"], int(newton.ParticleFlags.ACTIVE)
         thickness, friction = float(sheet["thickness"]), float(sheet["friction"])
+        modulus, retardation, bending = (float(sheet[name]) for name in ("modulus", "retardation", "bending"))
         builder = newton.ModelBuilder()
         builder.gravity = tuple(sheet["gravity"].tolist())
         solid = newton.ModelBuilder.ShapeConfig(ke=_STIFFNESS, kd=_DAMPING, mu=friction)
         self._pads = self._add_solids(builder, sheet, solid, warp)
-        builder.add_cloth_mesh(
-            pos=warp.vec3(0.0, 0.0, 0.0),
-            rot=warp.quat_identity(),
-            scale=1.0,
-            vel=warp.vec3(0.0, 0.0, 0.0),
-            vertices=[warp.vec3(*position) for position in sheet["positions"].tolist()],
-            indices=sheet["triangles"].ravel().tolist(),
-            density=1.0,
+        cloth = {
+            "pos": warp.vec3(0.0, 0.0, 0.0),
+            "rot": warp.quat_identity(),
+            "scale": 1.0,
+            "vel": warp.vec3(0.0, 0.0, 0.0),
+            "vertices": [warp.vec3(*position) for position in sheet["positions"].tolist()],
+            "indices": sheet["triangles"].ravel().tolist(),
+            "density": 1.0,
+            "particle_radius": thickness,
+        }
+        if variant == "style3d":
+            newton.solvers.SolverStyle3D.register_custom_attributes(builder)
+            newton.solvers.style3d.add_cloth_mesh(
+                builder,
+                **cloth,
+                panel_verts=_panel(sheet["positions"], sheet["triangles"]).tolist(),
+                tri_aniso_ke=warp.vec3(modulus, modulus, 0.5 * modulus),
+                edge_aniso_ke=warp.vec3(bending, bending, bending),
+            )
+        else:
             # Lame's constants of a membrane of the modulus along the threads, with zero Poisson ratio. Its damping
-            # acts on the rate of the metric, twice that of the strain, hence a quarter of the viscosity.
-            tri_ke=0.5 * float(sheet["modulus"]),
-            tri_ka=0.0,
-            tri_kd=0.25 * float(sheet["modulus"] * sheet["retardation"]),
-            edge_ke=_HINGE,
-            edge_kd=_HINGE_DAMPING,
-            particle_radius=thickness,
-        )
+            # acts on the rate of the metric, twice that of the strain, hence a quarter of the viscosity. A hinge turns
+            # by the curvature times the spacing.
+            hinge = bending / float(sheet["edge_lengths"][0])
+            membrane = {"tri_ke": 0.5 * modulus, "tri_ka": 0.0, "tri_kd": 0.25 * modulus * retardation}
+            builder.add_cloth_mesh(**cloth, **membrane, edge_ke=hinge, edge_kd=hinge * retardation)
+            builder.color(include_bending=True)
         # Masses of the product, which differ from thirds of triangles at the border.
         builder.particle_mass[:] = sheet["masses"].tolist()
-        builder.color(include_bending=True)
         with warp.ScopedDevice("cpu"):
             model = builder.finalize()
             model.particle_grid, model.particle_max_radius = None, 0.0
@@ -129,14 +140,21 @@ class NewtonContactEngine(NewtonEngine):
             self._flags = model.particle_flags.numpy()
             self._flags[self._held] &= ~self._active
             self._flags[sheet["anchored"]] &= ~self._active
-            self_contact = {"particle_self_contact_margin": thickness}
-            self_contact["particle_self_contact_gap"] = _FURTHER * thickness
-            solver = newton.solvers.SolverVBD(
-                model,
-                iterations=_ITERATIONS,
-                particle_enable_self_contact=bool(sheet["own"]),
-                **(self_contact if sheet["own"] else {}),
-            )
+            if variant == "style3d":
+                solver = newton.solvers.SolverStyle3D(model)
+                # Layers keep twice its radius.
+                solver.collision.radius = 0.5 * thickness
+                if not sheet["own"]:
+                    solver.collision.stiff_vf = solver.collision.stiff_ee = solver.collision.stiff_ef = 0.0
+            else:
+                self_contact = {"particle_self_contact_margin": thickness}
+                self_contact["particle_self_contact_gap"] = _FURTHER * thickness
+                solver = newton.solvers.SolverVBD(
+                    model,
+                    iterations=_ITERATIONS,
+                    particle_enable_self_contact=bool(sheet["own"]),
+                    **(self_contact if sheet["own"] else {}),
+                )
             pipeline = newton.CollisionPipeline(model)
             contacts, control = pipeline.contacts(), model.control()
 
@@ -144,7 +162,13 @@ class NewtonContactEngine(NewtonEngine):
                 pipeline.collide(before, contacts)
                 solver.step(before, after, control, contacts, step)
 
-            self._record(model, once)
+            if variant == "style3d":
+                # It asks for results in between, so that its steps cannot be recorded.
+                self._states = model.state(), model.state()
+                self._launches = [partial(once, *self._states), partial(once, *self._states[::-1])]
+                once(model.state(), model.state())
+            else:
+                self._record(model, once)
         self._solver, self._self_contact = solver, bool(sheet["own"])
         self._turn = self._n_steps = 0
         self._path: Any = iter(())
@@ -194,7 +218,7 @@ class NewtonContactEngine(NewtonEngine):
                 self._places[self._turn][self._held] = target
                 self._places[1 - self._turn][self._held] = target
             self._forces[self._turn][:] = self._drag * self._speeds[self._turn]
-            self._warp.capture_launch(self._graphs[self._turn])
+            self._launches[self._turn]()
             self._turn ^= 1
             self._n_steps += 1
 
@@ -205,6 +229,14 @@ class NewtonContactEngine(NewtonEngine):
     def pads(self) -> Any:
         """Positions of the pads [m], (pads, 3)."""
         return self._pads
+
+
+def _panel(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return the coordinates in the plane of a flat sheet [m], (n, 2), with triangles of positive area."""
+    plane = positions[:, np.ptp(positions, axis=0) > 0.0]
+    a, b, c = plane[triangles[0]]
+    (ux, uy), (vx, vy) = b - a, c - a
+    return plane if ux * vy > uy * vx else plane * [-1.0, 1.0]
 
 
 #: Name by which `runner` loads the class.

@@ -1,6 +1,6 @@
 # Copyright 2026 the cloth_sim_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Jobs for other engines: sheet tables, one run per process, longest stable step."""
+"""Jobs for other engines: sheet tables, one run per process, longest step."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from typing import Any
 
 import attrs
 import numpy as np
+from numpy.typing import NDArray
 from support.problems import PERIOD, Problem
 from support.raw_sheet import SHEET
 
@@ -26,7 +27,7 @@ from cloth_sim_ros.physics.model.forces.grid_springs import GridSprings
 _START_TIMEOUT = 600.0
 #: Upper bound of steps per frame in the search.
 _MAX_STEPS = 4096
-#: Bisections between the longest step that kept the sheet whole and the shortest that did not.
+#: Bisections between the longest valid step and the shortest invalid one.
 _REFINEMENTS = 2
 
 
@@ -35,7 +36,7 @@ class PeerFailed(RuntimeError):
 
 
 @attrs.frozen
-class PeerSolver:
+class Peer:
     """Solver of another engine, and the script that runs it."""
 
     name: str
@@ -45,14 +46,12 @@ class PeerSolver:
     variant: str
     #: Difference of its model from the product's.
     differs: str
-
-
-@attrs.frozen
-class Peer(PeerSolver):
-    """Solver of the throughput comparison, with a search for the longest step."""
-
     #: First steps per frame of the search, by particles a side.
-    first_steps: Callable[[int], int]
+    first_steps: Callable[[int], int] = lambda n: 1
+    #: Differences in one contact scene, by its name.
+    apart: dict[str, str] = attrs.field(factory=dict, eq=False)
+    #: Whether its material bends and shears like that of the reference in contact.
+    comparable: bool = True
 
 
 @attrs.frozen(kw_only=True)
@@ -61,20 +60,27 @@ class Attempt:
 
     #: Steps per frame of 1/60 s.
     steps: int
+    #: Whether no edge is torn and all positions are finite.
     whole: bool
     #: Largest stretch of an edge at a frame, and at the end.
     stretch: float
     #: Number of steps.
     n_steps: int
-    #: Wall time of the steps [s].
+    #: Wall time and processor time of the steps [s].
     wall: float
-    versions: dict[str, str]
-    remarks: list[str]
+    cpu: float
+    versions: dict[str, str] = attrs.field(factory=dict)
+    remarks: list[str] = attrs.field(factory=list)
 
     @property
     def factor(self) -> float:
         """Simulated seconds per wall second."""
         return self.simulated / self.wall
+
+    @property
+    def cpu_factor(self) -> float:
+        """Simulated seconds per second of processor time."""
+        return self.simulated / self.cpu
 
     @property
     def simulated(self) -> float:
@@ -103,8 +109,7 @@ def sheet_tables(problem: Problem) -> dict[str, Any]:
         elif isinstance(force, Drag):
             drag = force.rate
     springs = sheet.pair_springs
-    threads = [family for family in sheet.families if family.name in ("right", "down")]
-    along = GridSprings(sheet.rows, sheet.columns, threads).pair_springs
+    edges = thread_edges(n_per_side, n_per_side)
     return {
         "positions": state.positions,
         "masses": model.masses,
@@ -117,10 +122,17 @@ def sheet_tables(problem: Problem) -> dict[str, Any]:
         "rest_lengths": springs.rest_length,
         "stiffness": springs.rigidity,
         "damping": springs.damping,
-        "edges": along.pairs,
-        "edge_lengths": along.rest_length,
+        "edges": edges,
+        "edge_lengths": np.linalg.norm(np.subtract(*state.positions[edges.T]), axis=1),
         "triangles": _checkerboard(index),
     }
+
+
+def thread_edges(rows: int, columns: int) -> NDArray[np.int64]:
+    """Return the edges of a grid along its threads, (m, 2)."""
+    index = np.arange(rows * columns).reshape(rows, columns)
+    ends = ((index[:, :-1], index[:, 1:]), (index[:-1], index[1:]))
+    return np.concatenate([np.stack([first.ravel(), second.ravel()], axis=1) for first, second in ends])
 
 
 def _checkerboard(index: np.ndarray) -> np.ndarray:
@@ -142,6 +154,7 @@ def attempt(
     seconds: float,
     whole: float,
     threads: int = 1,
+    **scene: Any,
 ) -> Attempt:
     """Run an engine with fixed steps per frame, in a process of the peers' environment.
 
@@ -154,30 +167,13 @@ def attempt(
         seconds: limit of the wall time of the steps [s].
         whole: stretch of an edge above which the sheet is torn and the run ends.
         threads: limit for engines with several threads.
+        scene: `record` and `hold` of a scene with contact; see `runner`.
 
     Raises:
         PeerFailed: if the engine gives no result.
     """
     job = {"sheet": str(sheet.absolute()), "steps": steps, "frames": frames, "seconds": seconds, "whole": whole}
-    return Attempt(steps=steps, **answer(peer, job, folder=sheet.parent, environment=environment, threads=threads))
-
-
-def answer(
-    solver: PeerSolver, job: dict[str, Any], *, folder: Path, environment: Path, threads: int = 1
-) -> dict[str, Any]:
-    """Run a job of `runner` in a process of the environment, and return its answer.
-
-    Args:
-        solver: the engine.
-        job: the job without the solver and the length of a frame.
-        folder: working folder; some engines leave a log there.
-        environment: where the engines are installed.
-        threads: limit for engines with several threads.
-
-    Raises:
-        PeerFailed: if the engine gives no result.
-    """
-    job = {**job, "script": solver.script, "variant": solver.variant, "frame": PERIOD}
+    job |= {**scene, "script": peer.script, "variant": peer.variant, "frame": PERIOD}
     variables = peer_environment.clean_variables(
         OMP_NUM_THREADS=str(threads),
         OPENBLAS_NUM_THREADS=str(threads),
@@ -186,12 +182,13 @@ def answer(
     )
     python = peer_environment.python_of(environment.absolute())
     command = [str(python), "-I", str(Path(__file__).with_name("runner.py"))]
-    limit = _START_TIMEOUT + 2.0 * job["seconds"]
+    limit = _START_TIMEOUT + 2.0 * seconds
     try:
         done = subprocess.run(
             command,
             input=json.dumps(job),
-            cwd=folder,
+            # Some engines leave a log there.
+            cwd=sheet.parent,
             env=variables,
             capture_output=True,
             text=True,
@@ -199,45 +196,45 @@ def answer(
             check=False,
         )
     except subprocess.TimeoutExpired as error:
-        raise PeerFailed(f"{solver.name}: no result after {limit:.0f} s") from error
+        raise PeerFailed(f"{peer.name}: no result after {limit:.0f} s") from error
     if done.returncode:
         lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
         status = done.returncode
         end = f"ended with status {status}" if status > 0 else f"was killed by {signal.Signals(-status).name}"
-        raise PeerFailed(f"{solver.name}: {end}: {lines[-1] if lines else 'no word of why'}")
-    said: dict[str, Any] = json.loads(done.stdout)
-    return said
+        raise PeerFailed(f"{peer.name}: {end}: {lines[-1] if lines else 'no word of why'}")
+    return Attempt(steps=steps, **json.loads(done.stdout))
 
 
-def longest_step(run: Callable[[int], Attempt], first: int) -> Attempt | None:
-    """Find the longest step that keeps the sheet whole, to about a fifth; None if none was found.
+def longest_step(is_valid: Callable[[int], bool | None], first: int) -> int | None:
+    """Find the longest valid step, to about a fifth, if every shorter step is valid; None if none was found.
 
     Args:
-        run: runs with so many steps in a frame.
-        first: steps in a frame to begin with.
+        is_valid: runs with a number of steps per frame; None if the run took too long, as then finer ones do too.
+        first: steps per frame of the first run.
+
+    Returns:
+        The number of steps per frame.
     """
-    best, torn, steps = None, 0, first
-    while best is None and steps <= _MAX_STEPS:
-        tried = run(steps)
-        if tried.whole:
-            best = tried
+    best, invalid, steps = 0, 0, first
+    while not best and steps <= _MAX_STEPS:
+        valid = is_valid(steps)
+        if valid is None:
+            return None
+        if valid:
+            best = steps
         else:
-            torn, steps = steps, 2 * steps
-    if best is None:
-        return None
-    while torn == 0 and best.steps > 1:
-        tried = run(best.steps // 2)
-        if tried.whole:
-            best = tried
+            invalid, steps = steps, 2 * steps
+    while not invalid and best > 1:
+        if is_valid(best // 2):
+            best //= 2
         else:
-            torn = tried.steps
+            invalid = best // 2
     for _ in range(_REFINEMENTS):
-        middle = round(math.sqrt(torn * best.steps))
-        if torn == 0 or middle in (torn, best.steps):
+        middle = round(math.sqrt(invalid * best))
+        if not invalid or middle in (invalid, best):
             break
-        tried = run(middle)
-        if tried.whole:
-            best = tried
+        if is_valid(middle):
+            best = middle
         else:
-            torn = middle
-    return best
+            invalid = middle
+    return best or None

@@ -10,8 +10,8 @@ A job names the `script`, a file beside this one whose `Engine` runs the sheet, 
 limits the wall time. A sheet with a stretch above `whole` counts as torn.
 
 A job with `record` is a scene with contact (see `contact_scenes`) for the file's `ContactEngine`. The runner then
-writes the positions of particles and pads at every frame to the npz file `record` and does not check the stretch.
-`hold` is the number of frames in which particles are held.
+writes the positions of particles and pads at every whole frame to the npz file `record`. `hold` is the number of
+frames in which particles are held.
 
 The constructor `Engine(sheet, step, variant)` compiles everything. An engine has `advance(steps)`, `positions()` [m]
 of shape (particle_count, 3), `remarks()`, and `distributions`, the names of its packages. A `ContactEngine` also has
@@ -60,55 +60,43 @@ def check_start(engine: Any, sheet: dict[str, Any]) -> None:
 def measure(engine: Any, sheet: dict[str, Any], job: dict[str, Any]) -> dict[str, Any]:
     """Advance until the end, the time limit, or a torn sheet; return the result."""
     check_start(engine, sheet)
-    wall, largest, n_steps, whole = 0.0, 0.0, 0, True
-    last = job["frames"] * job["steps"]
-    while n_steps < last and whole and wall < job["seconds"]:
-        done, frame_wall = advance_frame(engine, job["steps"], job["seconds"] - wall)
-        n_steps, wall = n_steps + done, wall + frame_wall
-        stretch = largest_stretch(engine.positions(), sheet["edges"], sheet["edge_lengths"])
+    wall = cpu = largest = 0.0
+    n_steps, steps, hold, recorded = 0, job["steps"], job.get("hold", 0), "record" in job
+    frames, pads = ([engine.positions()], [engine.pads()]) if recorded else ([], [])
+    for frame in range(job["frames"]):
+        if frame < hold:
+            engine.lead(sheet["path"][frame], sheet["path"][frame + 1], steps)
+        elif frame == hold > 0:
+            engine.let_go()
+        done, frame_wall, frame_cpu = advance_frame(engine, steps, job["seconds"] - wall)
+        n_steps, wall, cpu = n_steps + done, wall + frame_wall, cpu + frame_cpu
+        positions = engine.positions()
+        stretch = largest_stretch(positions, sheet["edges"], sheet["edge_lengths"])
         # A nan position makes the stretch nan, which does not count as whole.
         whole = stretch <= job["whole"]
         largest = max(largest, stretch) if np.isfinite(stretch) else float("inf")
-    return {"whole": whole, "stretch": largest, "n_steps": n_steps, "wall": wall, "remarks": engine.remarks()}
+        if recorded and whole and done == steps:
+            frames.append(positions)
+            pads.append(engine.pads())
+        if not whole or wall >= job["seconds"]:
+            break
+    if recorded:
+        np.savez(job["record"], frames=np.array(frames), pads=np.array(pads))
+    result = {"whole": whole, "stretch": largest, "n_steps": n_steps, "wall": wall, "cpu": cpu}
+    return result | {"remarks": engine.remarks()}
 
 
-def advance_frame(engine: Any, steps: int, seconds: float) -> tuple[int, float]:
-    """Take the steps of a frame within a time limit [s]; return their number and wall time [s]."""
-    n_steps, wall = 0, 0.0
+def advance_frame(engine: Any, steps: int, seconds: float) -> tuple[int, float, float]:
+    """Take the steps of a frame within a wall time [s]; return their number, wall time and processor time [s]."""
+    n_steps, wall, cpu = 0, 0.0, 0.0
     while n_steps < steps and wall < seconds:
         # A frame of a slow engine may take minutes, so the clock is also read within it.
         slice_steps = min(-(-steps // _SLICES), steps - n_steps)
-        begin = time.perf_counter()
+        begin, cpu_begin = time.perf_counter(), time.process_time()
         engine.advance(slice_steps)
-        wall += time.perf_counter() - begin
+        wall, cpu = wall + time.perf_counter() - begin, cpu + time.process_time() - cpu_begin
         n_steps += slice_steps
-    return n_steps, wall
-
-
-def record(engine: Any, sheet: dict[str, Any], job: dict[str, Any]) -> dict[str, Any]:
-    """Advance until the end, the time limit, or a nan position; write the positions of every whole frame."""
-    check_start(engine, sheet)
-    frames, pads, wall, n_steps = [engine.positions()], [engine.pads()], 0.0, 0
-    finite = True
-    for frame in range(job["frames"]):
-        if frame < job["hold"]:
-            engine.lead(sheet["path"][frame], sheet["path"][frame + 1], job["steps"])
-        elif frame == job["hold"] > 0:
-            engine.let_go()
-        done, frame_wall = advance_frame(engine, job["steps"], job["seconds"] - wall)
-        n_steps, wall = n_steps + done, wall + frame_wall
-        if done < job["steps"]:
-            break
-        now = engine.positions()
-        finite = bool(np.isfinite(now).all())
-        if not finite:
-            break
-        frames.append(now)
-        pads.append(engine.pads())
-        if wall >= job["seconds"]:
-            break
-    np.savez(job["record"], frames=np.array(frames), pads=np.array(pads))
-    return {"n_steps": n_steps, "wall": wall, "finite": finite, "remarks": engine.remarks()}
+    return n_steps, wall, cpu
 
 
 def main() -> None:
@@ -122,7 +110,7 @@ def main() -> None:
     kind = "ContactEngine" if "record" in job else "Engine"
     Engine = runpy.run_path(str(Path(__file__).parent / job["script"]))[kind]
     engine = Engine(sheet, job["frame"] / job["steps"], job["variant"])
-    result = record(engine, sheet, job) if "record" in job else measure(engine, sheet, job)
+    result = measure(engine, sheet, job)
     result["versions"] = {name: importlib.metadata.version(name) for name in engine.distributions}
     output.write(json.dumps(result) + "\n")
     output.flush()

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from benchmarks.peers.contact_runs import ContactPeer
+from benchmarks.peers.contact_scenes import PEER_BENDING
 from benchmarks.peers.jobs import Peer
 
 #: Requirements for pip, by package.
@@ -31,74 +31,79 @@ PEERS = (
     Peer("PyBullet springs", "pybullet", "engine_pybullet.py", "springs", _BULLET, lambda n: n),
     Peer("pyPBD XPBD", "pyPBD", "engine_pypbd.py", "xpbd", _PBD, lambda n: max(n // 8, 1)),
 )
-_MEMBRANE = (
-    "an isotropic elastic membrane of the product's modulus along the threads, with zero Poisson ratio and the "
-    "product's damping"
+_SHELL = (
+    "an isotropic elastic shell of the product's modulus along the threads, with zero Poisson ratio, a bending modulus "
+    f"of {PEER_BENDING:g} N m"
 )
-_MUJOCO = (
-    "steps of 1/480 s, CG, elliptic cones; solref 0.01 and solimp 0.95, 0.99 of the sheet, solref 0.003 of solids, as "
-    "in its examples; our drag"
+_DAMPED = f"{_SHELL}, and the product's damping and drag"
+_PENALTIES = (
+    "single precision, 10 iterations a step; contact is a penalty of 1000 N/m and 0.1 N s/m on particles alone, which "
+    "begins at the thickness; friction as it comes, smoothed below 10 mm/s; on the processor, but it is made for GPUs"
+)
+_STILL = "pads stand still, where the penalties of the particles between them begin with the force"
+_FLEX_CONTACT = (
+    f"{_DAMPED}; its discrete integrator, tolerance 1e-6, elliptic cones; solref 0.01 and solimp 0.95, 0.99 of the "
+    "sheet, solref 0.003 of solids, as in its examples"
 )
 _DRIVEN = "pads of 0.05 kg on slides, damped by 10 N s/m"
-CONTACT_PEERS: tuple[ContactPeer, ...] = (
-    ContactPeer(
-        name="Newton VBD",
-        package="newton",
-        script="engine_newton.py",
-        variant="vbd",
-        steps=10,
-        differs=(
-            f"{_MEMBRANE}, with hinges of 0.001 N; single precision, steps of 1/600 s of 10 iterations; contact is a "
-            "penalty of 1000 N/m and 0.1 N s/m on particles alone, which begins at the thickness, as in its example of "
-            "a cloth that is twisted; friction as it comes, smoothed below 10 mm/s; our drag, once a step; on the "
-            "processor, though it is made for GPUs"
-        ),
+_FLEX_APART = {"fold": "layers keep twice the thickness", "pinch": _DRIVEN}
+CONTACT_PEERS = (
+    Peer(
+        "Newton VBD",
+        "newton",
+        "engine_newton.py",
+        "vbd",
+        f"{_DAMPED}, the drag once a step; {_PENALTIES}",
         apart={
-            "fold": "contact with itself begins at the thickness and is looked for at 1.75 times that",
-            "pinch": "pads stand still, where the penalties of the particles between them begin with the force",
+            "fold": "self-contact begins at the thickness; its search radius is 1.75 times that",
+            "pinch": _STILL,
         },
     ),
-    ContactPeer(
-        name="MuJoCo flex",
-        package="mujoco",
-        script="engine_mujoco.py",
-        variant="elastic",
-        steps=8,
-        differs=f"{_MEMBRANE}, which bends as a plate of 1 mm does; its discrete integrator, {_MUJOCO}",
-        apart={
-            "fold": "layers keep twice the thickness; the edge is tied by soft constraints to what carries it",
-            "pinch": _DRIVEN,
-        },
+    Peer(
+        "Newton Style3D",
+        "newton",
+        "engine_newton.py",
+        "style3d",
+        f"{_SHELL}, and the product's drag, once a step; it has no damping; {_PENALTIES}",
+        apart={"fold": "layers repel each other within the thickness", "pinch": _STILL},
     ),
-    ContactPeer(
-        name="MuJoCo flex, edges",
-        package="mujoco",
-        script="engine_mujoco.py",
-        variant="edges",
-        steps=8,
-        differs=(
-            "edges of fixed length by soft constraints, solref 0.005, no bending; impratio 10, noslip of 10 "
-            f"iterations, its implicitfast integrator, {_MUJOCO}"
-        ),
-        apart={
-            "fold": "layers keep twice the thickness; the edge is tied by soft constraints to what carries it",
-            "pinch": _DRIVEN,
-        },
+    Peer(
+        "MuJoCo flex, CG",
+        "mujoco",
+        "engine_mujoco.py",
+        "cg",
+        f"{_FLEX_CONTACT}; its CG solver, which is faster and less accurate",
+        apart=_FLEX_APART,
     ),
-    ContactPeer(
-        name="PyBullet deformable",
-        package="pybullet",
-        script="engine_pybullet.py",
-        variant="springs",
-        steps=17,
-        differs=(
-            "springs along a triangulation's edges, all of one stiffness, far below ours, and a hundredth of it across "
-            "them; all particles of one mass; steps of 1/1020 s; its collision margin is our thickness; no drag of the "
-            "air"
-        ),
+    Peer(
+        "MuJoCo flex, Newton",
+        "mujoco",
+        "engine_mujoco.py",
+        "newton",
+        f"{_FLEX_CONTACT}; its Newton solver, which its documentation recommends",
+        apart=_FLEX_APART,
+    ),
+    Peer(
+        "MuJoCo flex, ipc",
+        "mujoco",
+        "engine_mujoco.py",
+        "ipc",
+        f"{_FLEX_CONTACT}; its Newton solver; its intersection-free contact, which has no friction and keeps the sheet "
+        "1 mm from static obstacles and from itself, half the product's thickness",
+        apart={"pinch": f"{_DRIVEN}; contact with them is the ordinary one, with friction"},
+    ),
+    Peer(
+        "PyBullet deformable",
+        "pybullet",
+        "engine_pybullet.py",
+        "springs",
+        "springs along a triangulation's edges, all of one stiffness, the largest that the step bears and at most the "
+        "product's, and a hundredth of it across them; all particles of one mass; its collision margin is the "
+        "product's thickness; no drag of the air",
         apart={
             "fold": "the table is a box; the edge is tied to a heavy body that carries it",
             "pinch": f"{_DRIVEN}, which stop 0.8 mm from each other",
         },
+        comparable=False,
     ),
 )

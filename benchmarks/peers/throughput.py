@@ -131,8 +131,7 @@ def measure(options: argparse.Namespace, folder: Path, resolution: int, peers: l
         longest: dict[Peer, EngineEntry] = {}
         for peer in peers:
             try:
-                logged = _logged(peer, resolution, attempt)
-                longest_attempt = peer_jobs.longest_step(logged, peer.first_steps(resolution))
+                longest_attempt = _search(peer, resolution, attempt)
             except PeerFailed as error:
                 field.failed.append(f"N = {resolution}: {error}")
                 continue
@@ -171,16 +170,18 @@ def _score(problem: Problem, resolution: int) -> SheetComparison:
     )
 
 
-def _logged(peer: Peer, resolution: int, attempt: Callable[[Peer, int], Attempt]) -> Callable[[int], Attempt]:
-    """Wrap `attempt` for one peer; log each result."""
+def _search(peer: Peer, resolution: int, attempt: Callable[[Peer, int], Attempt]) -> Attempt | None:
+    """Run a peer at its longest step that keeps the sheet whole; log each attempt."""
+    tried: dict[int, Attempt] = {}
 
-    def run_logged(steps: int) -> Attempt:
-        done = attempt(peer, steps)
+    def is_whole(steps: int) -> bool:
+        done = tried[steps] = attempt(peer, steps)
         how = "whole" if done.whole else "torn"
         print_progress(f"N = {resolution}: {peer.name}, {steps} steps a frame: {how} after {done.simulated:.2f} s")
-        return done
+        return done.whole
 
-    return run_logged
+    steps = peer_jobs.longest_step(is_whole, peer.first_steps(resolution))
+    return None if steps is None else tried[steps]
 
 
 def _throughput(fields: list[SheetComparison]) -> Table:

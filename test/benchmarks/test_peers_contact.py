@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import attrs
 import numpy as np
@@ -22,9 +23,11 @@ from benchmarks.peers import contact_measures
 from benchmarks.peers import contact_runs as peer_contact
 from benchmarks.peers import contact_scenes as peer_scenes
 from benchmarks.peers import environment as peer_environment
-from benchmarks.peers.contact_runs import ContactPeer, EngineRecording
+from benchmarks.peers import jobs as peer_jobs
+from benchmarks.peers.contact import ContactResult
+from benchmarks.peers.contact_runs import EngineRecording
 from benchmarks.peers.contact_scenes import ContactScene
-from benchmarks.peers.jobs import PeerFailed
+from benchmarks.peers.jobs import Peer, PeerFailed
 from benchmarks.peers.solvers import CONTACT_PEERS
 from cloth_sim_ros.physics.contact.obstacles import Obstacle
 from cloth_sim_ros.physics.model.sheets.grid import grid_triangles
@@ -33,7 +36,8 @@ from validation.report import Report
 TRIANGLE = np.array([[0, 1, 2]])
 RESOLUTION = 8
 
-# It sinks by 1 mm a frame, and held particles follow their path; variants are its faults.
+# It sinks by 60 mm/s, if it is coarse only with steps of over 3 ms. Held particles follow their path. Other variants
+# are its faults.
 ENGINE = """
 import time
 
@@ -48,7 +52,8 @@ class ContactEngine:
             raise RuntimeError("no such solver")
         self.places, self.held = sheet["positions"].copy(), sheet["held"]
         self.pad_places, self.step, self.variant = sheet["pad_places"], step, variant
-        self.way = self.ended = None
+        self.sinks = 0.0 if variant == "coarse" and step < 3e-3 else 0.06 * step
+        self.way = None
 
     def lead(self, begin, end, steps):
         self.way = [begin + (k + 1) / steps * (end - begin) for k in range(steps)]
@@ -59,7 +64,7 @@ class ContactEngine:
     def advance(self, steps):
         time.sleep(0.05 if self.variant == "slow" else 0.0)
         for _ in range(steps):
-            self.places[:, 2] -= 1e-3 / 4
+            self.places[:, 2] -= self.sinks
             if self.way:
                 self.places[self.held] = self.way[0]
                 self.way = self.way[1:] or self.way
@@ -89,18 +94,11 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def stand_in(tmp_path: Path) -> ContactPeer:
+def stand_in(tmp_path: Path) -> Peer:
     script = tmp_path / "engine.py"
     script.write_text(ENGINE)
-    return ContactPeer(
-        name="Stand-in",
-        package="newton",
-        script=str(script),
-        variant="good",
-        differs="is no cloth at all",
-        steps=4,
-        apart={"fold": "its layers are one"},
-    )
+    apart = {"fold": "its layers are one"}
+    return Peer("Stand-in", "newton", str(script), "good", "is no cloth at all", apart=apart, comparable=False)
 
 
 def shortened_scene(name: str, frames: int) -> ContactScene:
@@ -108,10 +106,11 @@ def shortened_scene(name: str, frames: int) -> ContactScene:
     return attrs.evolve(peer_scenes.CONTACT_SCENES[name](RESOLUTION), duration=frames * PERIOD)
 
 
-def synthetic_recording(contact_scene: ContactScene, frames: np.ndarray) -> EngineRecording:
+def synthetic_recording(contact_scene: ContactScene, frames: np.ndarray, **run: Any) -> EngineRecording:
     """Return a recording of given positions with static pads."""
     pads = np.broadcast_to(contact_scene.pad_positions, (len(frames), *contact_scene.pad_positions.shape))
-    return EngineRecording(frames=frames, pads=pads, simulated=(len(frames) - 1) * PERIOD, wall=1.0)
+    run = {"steps": 1, "whole": True, "stretch": 1.0, "n_steps": len(frames) - 1, "wall": 1.0, "cpu": 0.5, **run}
+    return EngineRecording(frames=frames, pads=pads, **run)
 
 
 def test_ball_depth_includes_triangle_interiors() -> None:
@@ -177,7 +176,8 @@ def test_pinch_result_uses_the_clamped_particles() -> None:
     frames[:, ~between, 2] += 0.01 * np.sin(seconds)[:, None]
     result = peers_contact.evaluate(contact_scene, "made up", synthetic_recording(contact_scene, frames))
     assert result.creep == pytest.approx(5e-6)
-    assert (result.depth, result.outcome, result.factor) == (0.0, "", pytest.approx(10.0))
+    assert (result.depth, result.outcome, result.violations) == (0.0, "", [])
+    assert result.recording.cpu_factor == pytest.approx(20.0)
     # From 0.5 s on all particles are below the pads: the creep is unknown.
     frames[31:, :, 2] -= 0.06
     dropped = peers_contact.evaluate(contact_scene, "made up", synthetic_recording(contact_scene, frames))
@@ -221,6 +221,65 @@ def test_product_failures_are_violated_guarantees() -> None:
     # On a ball only particles are guaranteed to stay outside; the depth of triangles is only reported.
     peers_contact.check_product(attrs.evolve(held, scene="drape", depth=1e-3), report)
     assert len(report.failures) == 5
+
+
+def fake_attempt(valid_from: int, late_from: int, **invalid: Any) -> Callable[[int], ContactResult]:
+    """Return an engine that violates a limit below `valid_from` steps a frame and is late from `late_from` on."""
+
+    def attempt(steps: int) -> ContactResult:
+        fault = invalid if steps < valid_from else {}
+        late = steps >= late_from
+        fields = {"complete": not late, "outcome": "ended at 0.50 s of 3" if late else "", **fault}
+        run = {name: fields.pop(name) for name in ("stretch", "whole") if name in fields}
+        recording = synthetic_recording(peer_scenes.drape(RESOLUTION), np.zeros((2, 64, 3)), steps=steps, **run)
+        result = ContactResult(scene="drape", engine="made up", recording=recording, depth=0.0, inside=0.0)
+        return attrs.evolve(result, **fields)
+
+    return attempt
+
+
+@pytest.mark.parametrize(
+    ("fault", "text"),
+    [
+        ({"depth": 2.1e-4}, "sinks by over 0.2 mm"),
+        ({"stretch": 1.021}, "stretches by over 2 %"),
+        ({"crossed": 1}, "crosses itself"),
+        ({"whole": False, "complete": False, "outcome": "torn after 0.10 s"}, "torn after 0.10 s"),
+        ({"outcome": "dropped at 0.10 s"}, "dropped at 0.10 s"),
+    ],
+)
+def test_search_ends_at_the_longest_valid_step(fault: dict[str, Any], text: str) -> None:
+    chosen, tried = peers_contact.search(fake_attempt(5, 1000, **fault))
+    assert [result.recording.steps for result in tried] == [1, 2, 4, 8, 6, 5]
+    assert [result.violations for result in tried] == [[text]] * 3 + [[]] * 3
+    assert (chosen.step, chosen.violations) == ("1/300 s", [])
+
+
+def test_values_at_the_limits_are_valid() -> None:
+    chosen, tried = peers_contact.search(fake_attempt(5, 1000, depth=2e-4, stretch=1.02, crossed=0))
+    assert (chosen.step, len(tried)) == ("1/60 s", 1)
+
+
+def test_search_shows_the_shortest_complete_step_without_a_valid_one() -> None:
+    chosen, tried = peers_contact.search(fake_attempt(1000, 8, depth=3e-4, crossed=2))
+    assert [result.recording.steps for result in tried] == [1, 2, 4, 8]
+    assert (chosen.step, chosen.violations) == ("1/240 s", ["crosses itself", "sinks by over 0.2 mm"])
+    assert tried[-1].violations[-1] == "ended at 0.50 s of 3"
+    # Nothing ran the whole motion.
+    chosen, tried = peers_contact.search(fake_attempt(1, 1))
+    assert (chosen.step, chosen.violations, len(tried)) == ("1/60 s", ["ended at 0.50 s of 3"], 1)
+
+
+def test_fold_reference_precedes_contact_of_layers() -> None:
+    frames = peers_contact.fold_reference(20, peer_scenes.TOLERANCE)
+    contact_scene = peer_scenes.fold(20, **peer_scenes.PEER_MATERIAL, **{"contact.self": False})
+    apart = peer_contact.run_product(attrs.evolve(contact_scene, duration=peers_contact.ERROR_TIMES[-1]), 60.0)
+    assert np.abs(frames - apart.frames).max() < 1e-5
+    assert peers_contact.deviation(frames, 20) < 1e-6
+    moved = frames.copy()
+    moved[45, 7, 2] += 1e-3
+    assert peers_contact.deviation(moved, 20) == pytest.approx(1e-3, rel=1e-3)
+    assert math.isnan(peers_contact.deviation(frames[:60], 20))
 
 
 def test_edge_path_leads_to_the_opposite_edge() -> None:
@@ -297,35 +356,38 @@ def test_product_run_never_sleeps() -> None:
     assert (np.diff(recording.frames, axis=0) != 0.0).any(axis=(1, 2)).all()
 
 
-def test_peer_is_recorded_frame_by_frame(stand_in: ContactPeer, environment: Path) -> None:
+def test_peer_is_recorded_frame_by_frame(stand_in: Peer, environment: Path) -> None:
     contact_scene = attrs.evolve(peer_scenes.fold(RESOLUTION), duration=4 * PERIOD)
-    contact_scene = attrs.evolve(contact_scene, path=contact_scene.path[60:63])
-    recording = peer_contact.run_peer(stand_in, contact_scene, 60.0, environment=environment)
+    contact_scene = attrs.evolve(contact_scene, path=contact_scene.path[20:23])
+    recording = peer_contact.run_peer(stand_in, contact_scene, 4, 60.0, environment=environment)
     sunk = recording.frames - contact_scene.start
     assert sunk[:, -1, 2] == pytest.approx([0.0, -1e-3, -2e-3, -3e-3, -4e-3])
     held = recording.frames[:, contact_scene.held]
     assert held[1:3] == pytest.approx(contact_scene.path[1:])
     # After the release it sinks like the others.
     assert held[4] == pytest.approx(contact_scene.path[2] - [0.0, 0.0, 2e-3])
-    assert (recording.simulated, recording.finite) == (pytest.approx(4 * PERIOD), True)
+    assert (recording.simulated, recording.whole) == (pytest.approx(4 * PERIOD), True)
+    longest = np.linalg.norm(np.diff(recording.frames[2, [0, RESOLUTION]], axis=0)) / (0.3 / (RESOLUTION - 1))
+    assert recording.stretch == pytest.approx(longest)
     assert recording.remarks == ["was watched"]
     assert recording.versions == {"numpy": np.__version__}
 
 
-def test_peer_stops_at_time_limit_or_nan_positions(stand_in: ContactPeer, environment: Path) -> None:
+def test_peer_stops_at_time_limit_or_nan_positions(stand_in: Peer, environment: Path) -> None:
     contact_scene = shortened_scene("drape", 100)
-    slow = peer_contact.run_peer(attrs.evolve(stand_in, variant="slow"), contact_scene, 0.12, environment=environment)
+    slow_peer = attrs.evolve(stand_in, variant="slow")
+    slow = peer_contact.run_peer(slow_peer, contact_scene, 4, 0.12, environment=environment)
     # Three of the four steps of the first frame.
     assert len(slow.frames) == 1
     assert slow.simulated == pytest.approx(0.75 * PERIOD)
     assert peers_contact.evaluate(contact_scene, "slow", slow).outcome == "ended at 0.00 s of 1.66667"
     not_finite = peer_contact.run_peer(
-        attrs.evolve(stand_in, variant="nan"), contact_scene, 60.0, environment=environment
+        attrs.evolve(stand_in, variant="nan"), contact_scene, 4, 60.0, environment=environment
     )
-    assert (not_finite.finite, len(not_finite.frames)) == (False, 1)
-    assert peers_contact.evaluate(contact_scene, "lost", not_finite).outcome == "blew up after 0.00 s"
+    assert (not_finite.whole, len(not_finite.frames)) == (False, 1)
+    assert peers_contact.evaluate(contact_scene, "lost", not_finite).outcome == "torn after 0.00 s"
     with pytest.raises(PeerFailed, match="Stand-in: ended with status 1: RuntimeError: no such solver"):
-        peer_contact.run_peer(attrs.evolve(stand_in, variant="raises"), contact_scene, 60.0, environment=environment)
+        peer_contact.run_peer(attrs.evolve(stand_in, variant="raises"), contact_scene, 4, 60.0, environment=environment)
 
 
 @pytest.fixture
@@ -338,26 +400,39 @@ def shortened(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_report_lists_failed_and_absent_engines(
-    stand_in: ContactPeer, environment: Path, shortened: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    stand_in: Peer, environment: Path, shortened: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    coarse = attrs.evolve(stand_in, variant="coarse")
+    sinking = attrs.evolve(stand_in, name="Sinking")
     broken = attrs.evolve(stand_in, name="Broken", variant="raises")
     absent = attrs.evolve(stand_in, name="Absent", package="mujoco")
-    monkeypatch.setattr(peers_contact, "CONTACT_PEERS", (stand_in, broken, absent))
+    monkeypatch.setattr(peers_contact, "CONTACT_PEERS", (coarse, sinking, broken, absent))
     monkeypatch.setattr(peer_environment, "prepare", lambda *_: {"mujoco": "there is no wheel of it"})
+    monkeypatch.setattr(peer_jobs, "_MAX_STEPS", 8)
     file = tmp_path / "report.json"
     options = ["--resolution", str(RESOLUTION), "--environment", str(environment), "--json", str(file)]
     assert main(["peers-contact", *options, "--peers", "newton", "mujoco", "--scenes", "drape", "fold"]) == 0
     written = json.loads(file.read_text())
-    (table,) = written["tables"]
-    names = ["cloth_sim_ros", "Stand-in", "Broken", "Absent"]
-    assert [row[:2] for row in table["rows"]] == [[scene, name] for scene in ("drape", "fold") for name in names]
-    ends = [row[-1] for row in table["rows"]]
-    assert ends == ["", "", "FAILED", "ABSENT"] * 2
-    assert table["rows"][2][2:8] == table["rows"][3][2:8] == ["-"] * 6
+    table, tried = written["tables"]
+    rows = [dict(zip(table["columns"], row, strict=True)) for row in table["rows"]]
+    names = ["cloth_sim_ros", "Stand-in", "Sinking", "Broken", "Absent"]
+    assert [(row["scene"], row["engine"]) for row in rows] == [
+        (scene, name) for scene in ("drape", "fold") for name in names
+    ]
+    assert [row["outcome"] for row in rows[:5]] == ["", "", "", "FAILED", "ABSENT"]
+    assert rows[3].keys() == rows[0].keys()
+    assert {row["seconds"] for row in rows[:3]} == {pytest.approx(0.05)}
     # The table is at 0, the sheet starts a thickness above.
-    deep = dict(zip(table["columns"], table["rows"][5], strict=True))
-    assert (deep["deepest mm"], deep["frames crossed"]) == (pytest.approx(1.0), 0)
-    assert deep["seconds"] == pytest.approx(0.05)
+    ours, stand_in_row, sinking_row = rows[5:8]
+    assert (ours["step"], ours["deepest mm"], ours["frames crossed"]) == ("tolerance 1 mm", 0, 0)
+    assert ours["error mm"] < 0.1
+    assert (stand_in_row["step"], stand_in_row["deepest mm"], stand_in_row["outcome"]) == ("1/360 s", 0, "")
+    assert (sinking_row["step"], sinking_row["deepest mm"]) == ("1/480 s", pytest.approx(1.0))
+    assert sinking_row["outcome"] == "no valid step: sinks by over 0.2 mm"
+    assert stand_in_row["error mm"] == "-"
+    steps = [(row[2], row[-1]) for row in tried["rows"] if row[:2] == ["fold", "Stand-in"]]
+    deep = "sinks by over 0.2 mm"
+    assert steps == [*((f"1/{60 * n} s", deep) for n in (1, 2, 4)), ("1/480 s", ""), ("1/360 s", ""), ("1/300 s", deep)]
     notes = written["notes"]
     assert "ABSENT: mujoco: there is no wheel of it" in notes
     assert "FAILED: fold: Broken: ended with status 1: RuntimeError: no such solver" in notes
@@ -400,5 +475,4 @@ def test_contact_peer_scripts_do_not_import_the_package(environment: Path) -> No
         done = subprocess.run(command, check=True, capture_output=True, text=True)
         assert done.stdout == "[]\n", name
     for peer in CONTACT_PEERS:
-        assert peer.steps >= 1
         assert peer.apart.keys() <= peer_scenes.CONTACT_SCENES.keys()
