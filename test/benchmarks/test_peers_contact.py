@@ -249,10 +249,10 @@ def fake_attempt(valid_from: int, late_from: int, **invalid: Any) -> Callable[[i
     ],
 )
 def test_search_ends_at_the_longest_valid_step(fault: dict[str, Any], text: str) -> None:
-    chosen, tried = peers_contact.search(fake_attempt(5, 1000, **fault))
+    chosen, tried = peers_contact.search(fake_attempt(6, 1000, **fault))
     assert [result.recording.steps for result in tried] == [1, 2, 4, 8, 6, 5]
-    assert [result.violations for result in tried] == [[text]] * 3 + [[]] * 3
-    assert (chosen.step, chosen.violations) == ("1/300 s", [])
+    assert [result.violations for result in tried] == [[text], [text], [text], [], [], [text]]
+    assert (chosen.step, chosen.violations) == ("1/360 s", [])
 
 
 def test_values_at_the_limits_are_valid() -> None:
@@ -275,7 +275,7 @@ def test_fold_reference_precedes_contact_of_layers() -> None:
     contact_scene = peer_scenes.fold(20, **peer_scenes.PEER_MATERIAL, **{"contact.self": False})
     apart = peer_contact.run_product(attrs.evolve(contact_scene, duration=peers_contact.ERROR_TIMES[-1]), 60.0)
     assert np.abs(frames - apart.frames).max() < 1e-5
-    assert peers_contact.deviation(frames, 20) < 1e-6
+    assert 0.0 < peers_contact.deviation(frames, 20) < 1e-6
     moved = frames.copy()
     moved[45, 7, 2] += 1e-3
     assert peers_contact.deviation(moved, 20) == pytest.approx(1e-3, rel=1e-3)
