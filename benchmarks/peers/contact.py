@@ -136,8 +136,8 @@ def run(options: argparse.Namespace) -> Report:
                 continue
             report.environment |= result.recording.versions
             tried.rows += [entry.row(entry.step, ", ".join(entry.violations)) for entry in results]
-            outcome = f"no valid step: {', '.join(result.violations)}" if result.violations else ""
-            table.rows.append(result.row(result.step, outcome))
+            invalid = f"no valid step in {options.seconds:g} s: {', '.join(result.violations)}"
+            table.rows.append(result.row(result.step, invalid if result.violations else ""))
             report.notes += [f"{contact_scene.name}: {peer.name} {remark}" for remark in result.recording.remarks]
     report.tables += [table, tried]
     _explain(options, contact_scenes, peers, report)

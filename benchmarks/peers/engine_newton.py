@@ -233,7 +233,7 @@ class NewtonContactEngine(NewtonEngine):
 
 def _panel(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Return the coordinates in the plane of a flat sheet [m], (n, 2), with triangles of positive area."""
-    plane = positions[:, np.ptp(positions, axis=0) > 0.0]
+    plane = positions[:, np.sort(np.argsort(np.ptp(positions, axis=0))[1:])]
     a, b, c = plane[triangles[0]]
     (ux, uy), (vx, vy) = b - a, c - a
     return plane if ux * vy > uy * vx else plane * [-1.0, 1.0]

@@ -428,7 +428,7 @@ def test_report_lists_failed_and_absent_engines(
     assert ours["error mm"] < 0.1
     assert (stand_in_row["step"], stand_in_row["deepest mm"], stand_in_row["outcome"]) == ("1/360 s", 0, "")
     assert (sinking_row["step"], sinking_row["deepest mm"]) == ("1/480 s", pytest.approx(1.0))
-    assert sinking_row["outcome"] == "no valid step: sinks by 1 mm"
+    assert sinking_row["outcome"] == "no valid step in 60 s: sinks by 1 mm"
     assert stand_in_row["error mm"] == "-"
     steps = [(row[2], row[-1]) for row in tried["rows"] if row[:2] == ["fold", "Stand-in"]]
     deep = "sinks by 1 mm"
