@@ -110,8 +110,8 @@ class ContactScene:
         """Return the scene as plain tables for a peer.
 
         `kind` is the name of the scene. The sheet has `positions` (n, 3) [m], `masses` [kg], `anchored` (n,),
-        `triangles`, `edges` along the threads, `edge_lengths` [m], `thickness` [m], `friction`, `modulus` [N/m] along
-        the threads and `bending` modulus [N m]. Its `retardation` [s] is the damping over the stiffness of its springs.
+        `triangles`, `thickness` [m], `friction`, `modulus` [N/m] along the threads and `bending` modulus [N m]. Its
+        `edges` along the threads have `edge_lengths` [m]. Its `retardation` [s] is the damping over the stiffness of its springs.
         `own` tells if self-contact is on; `held` and `path` describe held
         particles. The world has `gravity` [m/s^2] and `drag` of the air [1/s]. A ball has `radius` [m] about the
         origin; pads have `pad_size` [m], `pad_places` [m] and `force` [N]. A table's top is at z = 0.

@@ -260,7 +260,7 @@ def test_values_at_the_limits_are_valid() -> None:
     assert (chosen.step, len(tried)) == ("1/60 s", 1)
 
 
-def test_search_shows_the_shortest_complete_step_without_a_valid_one() -> None:
+def test_search_without_a_valid_step_shows_the_shortest() -> None:
     chosen, tried = peers_contact.search(fake_attempt(1000, 8, depth=3e-4, crossed=2))
     assert [result.recording.steps for result in tried] == [1, 2, 4, 8]
     assert (chosen.step, chosen.violations) == ("1/240 s", ["crosses itself in 2 frames", "sinks by 0.3 mm"])
@@ -423,9 +423,9 @@ def test_report_lists_failed_and_absent_engines(
     assert rows[3].keys() == rows[0].keys()
     assert [row["seconds"] for row in rows[:3]] == [pytest.approx(0.05)] * 3
     # The table is at 0, the sheet starts a thickness above.
-    ours, stand_in_row, sinking_row = rows[5:8]
-    assert (ours["step"], ours["deepest mm"], ours["frames crossed"]) == ("tolerance 1 mm", 0, 0)
-    assert ours["error mm"] < 0.1
+    product_row, stand_in_row, sinking_row = rows[5:8]
+    assert (product_row["step"], product_row["deepest mm"], product_row["frames crossed"]) == ("tolerance 1 mm", 0, 0)
+    assert product_row["error mm"] < 0.1
     assert (stand_in_row["step"], stand_in_row["deepest mm"], stand_in_row["outcome"]) == ("1/360 s", 0, "")
     assert (sinking_row["step"], sinking_row["deepest mm"]) == ("1/480 s", pytest.approx(1.0))
     assert sinking_row["outcome"] == "no valid step in 60 s: sinks by 1 mm"
