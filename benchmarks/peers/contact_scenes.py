@@ -111,10 +111,10 @@ class ContactScene:
 
         `kind` is the name of the scene. The sheet has `positions` (n, 3) [m], `masses` [kg], `anchored` (n,),
         `triangles`, `thickness` [m], `friction`, `modulus` [N/m] along the threads and `bending` modulus [N m]. Its
-        `edges` along the threads have `edge_lengths` [m]. Its `retardation` [s] is the damping over the stiffness of its springs.
-        `own` tells if self-contact is on; `held` and `path` describe held
-        particles. The world has `gravity` [m/s^2] and `drag` of the air [1/s]. A ball has `radius` [m] about the
-        origin; pads have `pad_size` [m], `pad_places` [m] and `force` [N]. A table's top is at z = 0.
+        `edges` along the threads have `edge_lengths` [m]. Its `retardation` [s] is the damping over the stiffness of
+        its springs. `own` tells if self-contact is on; `held` and `path` describe held particles. The world has
+        `gravity` [m/s^2] and `drag` of the air [1/s]. A ball has `radius` [m] about the origin; pads have `pad_size`
+        [m], `pad_places` [m] and `force` [N]. A table's top is at z = 0.
         """
         cloth, material, model = self.scene.cloth, self.scene.material, self.scene.model()
         spacing = cloth.size[0] / (cloth.resolution[0] - 1)
