@@ -11,7 +11,7 @@ import pytest
 from support.contact_scenes import flat_sheet
 from support.self_scenes import folded, self_contact
 
-from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau
+from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau, step_counts
 from cloth_sim_ros.physics.model.sheets.grid import GridSheet
 from cloth_sim_ros.physics.plan.plan import Plan, compile
 from cloth_sim_ros.physics.state.controller_state import ANCHORS_KEY, JAWS_KEY
@@ -96,7 +96,7 @@ def test_contact_has_the_same_bits_on_any_threads(
 ) -> None:
     calls = observe(monkeypatch, threads)
     assert pinch_layers()[0] == pinched[0]
-    assert sum(len(steps) > 1 and concurrency == threads for steps, concurrency in calls) > len(calls) / 2
+    assert sum(len(steps) > 1 and concurrency == threads for steps, concurrency in calls) > 20
 
 
 def test_concurrent_runs_ignore_the_age_of_lists(pinched: tuple[list[str], Simulation]) -> None:
@@ -120,6 +120,19 @@ def test_concurrent_runs_ignore_the_age_of_lists(pinched: tuple[list[str], Simul
         assert all(np.isfinite(run.end_state).all() for run in runs)
     plan.contact.reuse_pairs(True)
     assert all(end == ends[0] for end in ends)
+
+
+def test_runs_after_the_next_are_prefetched_without_contact(
+    pinched: tuple[list[str], Simulation], culled: tuple[Plan, State], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    simulation, (free_plan, free_state) = pinched[1], culled
+    monkeypatch.setattr(Plan, "concurrent_runs", lambda *_: 2)
+    calls = observe(monkeypatch, 2)
+    for plan, state, first in ((simulation.plan, simulation.state, 600), (free_plan, free_state, 20)):
+        runs = ExtrapolationTableau(plan, state, simulation.time, 5e-3, step_counts(first))
+        runs.combine(1)
+        runs.combine(2)
+    assert [steps for steps, _ in calls] == [[600], [750], [20], [25, 30]]
 
 
 def test_separated_sheet_runs_concurrently() -> None:

@@ -291,8 +291,8 @@ class ExtrapolationTableau:
         if n_existing >= n_runs:
             return
         plan, concurrency = self._plan, 1
-        # If the error is too large, the next two runs are often necessary for the next choice.
-        is_next = n_existing > 0 and plan.threads_per_run(self.ratio) == 1
+        # If the error is too large, the next choice often needs the next two runs. In contact it rarely does.
+        is_next = n_existing > 0 and plan.threads_per_run(self.ratio) == 1 and not self._is_in_contact
         counts = self.counts[n_existing : max(n_runs, n_runs + 1 if is_next else self._expected_runs)]
         if len(counts) > 1:
             concurrency = plan.concurrent_runs(len(counts), sum(counts), self.ratio)
@@ -304,6 +304,12 @@ class ExtrapolationTableau:
             # Those runs are repeated together that are requested together.
             del self._runs[n_requested:]
             self._execute(n_requested, self.counts[n_requested:n_runs], n_runs, concurrency)
+
+    @property
+    def _is_in_contact(self) -> bool:
+        """True if the last run was in contact."""
+        contact = self._plan.contact
+        return contact is not None and contact.contact_energy(self._runs[-1].min_gap) > 0.0
 
     def _execute(self, first: int, counts: Sequence[int], n_runs: int, concurrency: int) -> list[Run]:
         """Calculate and store the runs from index ``first`` on in one call, with T_K, K = n_runs, if it is 0."""
