@@ -33,6 +33,7 @@ CLOTH_API int cloth_plan_self(Plan* plan, std::int64_t count, const std::int64_t
             const auto spacing = [&](grid::Family k) {
                 return sheet->families[k].present ? sheet->families[k].rest_length : shortest;
             };
+            self->columns = sheet->columns;
             self->separation.set(s, sheet->rows, sheet->columns, spacing(grid::right), spacing(grid::down));
         }
         plan->self = std::move(self);
@@ -40,9 +41,11 @@ CLOTH_API int cloth_plan_self(Plan* plan, std::int64_t count, const std::int64_t
 }
 CLOTH_API int cloth_self_joints(Plan* plan, const std::int64_t* lowest) {
     return guarded(plan, [&] {
-        std::vector<contact::Index>& joined = plan->self->surface.joined;
-        for (std::int64_t i = 0; i < plan->count; ++i)
-            joined[plan->rank[i]] = static_cast<contact::Index>(plan->rank[lowest[i]]);
+        contact::Surface& s = plan->self->surface;
+        for (std::int64_t i = 0; i < plan->count; ++i) {
+            s.joined[plan->rank[i]] = static_cast<contact::Index>(plan->rank[lowest[i]]);
+            s.has_joints = s.has_joints || lowest[i] != i;
+        }
     });
 }
 CLOTH_API int cloth_self_friction(Plan* plan, double at_rest, double sliding) {

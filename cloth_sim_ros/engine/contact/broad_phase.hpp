@@ -21,17 +21,63 @@ struct Quads {
     }
 };
 
-/// Pairs by index, ascending by the first and then by the second, padded by a vector.
+/// An axis-aligned box.
+struct AxisBox {
+    Vec3<double> low, high;
+
+    explicit AxisBox(Vec3<double> a) : low(a), high(a) {}
+    void include(Vec3<double> a) {
+        low = {smaller(a.x, low.x), smaller(a.y, low.y), smaller(a.z, low.z)};
+        high = {larger(a.x, high.x), larger(a.y, high.y), larger(a.z, high.z)};
+    }
+    AxisBox expanded(double by) const {
+        const Vec3<double> margin{by, by, by};
+        AxisBox b(low - margin);
+        b.high = high + margin;
+        return b;
+    }
+    bool overlaps(const AxisBox& b) const {
+        return b.high.x >= low.x && b.low.x <= high.x && b.high.y >= low.y && b.low.y <= high.y && b.high.z >= low.z &&
+               b.low.z <= high.z;
+    }
+    Vec3<double> center() const { return 0.5 * (low + high); }
+};
+
+/// Pairs by index, ascending by the first and then by the second.
 struct PairList {
     std::vector<Index> first, second;
+    /// Squared distances [m^2] when they were measured, padded by a vector.
+    std::vector<double> square;
     std::size_t size() const { return first.size(); }
     void clear() {
         first.clear();
         second.clear();
+        square.clear();
     }
     void add(Index a, Index b) {
         first.push_back(a);
         second.push_back(b);
+    }
+    /// Set to the pairs of a list that are measured within a range. Return the indices of the others.
+    const std::vector<Index>& select(const PairList& from, double reach) {
+        const std::size_t size = from.size();
+        std::size_t n = 0, n_omitted = 0;
+        each_below(from.square.data(), size, reach * reach, [&](std::size_t) { ++n; });
+        // One more, because each pair is written before it is known to count.
+        for (auto* all : {&first, &second}) all->resize(n + 1);
+        square.resize(n + lanes<double>);
+        omitted_.resize(size - n + 1);
+        n = 0;
+        for (std::size_t k = 0; k < size; ++k) {
+            first[n] = from.first[k], second[n] = from.second[k], square[n] = from.square[k];
+            omitted_[n_omitted] = static_cast<Index>(k);
+            const bool is_near = from.square[k] < reach * reach;
+            n += is_near ? 1 : 0;
+            n_omitted += is_near ? 0 : 1;
+        }
+        for (auto* all : {&first, &second}) all->resize(n);
+        omitted_.resize(n_omitted);
+        return omitted_;
     }
     /// Sort by the first; the second already ascend for each first.
     void sort(std::int64_t firsts) { sort(first, second, firsts); }
@@ -42,6 +88,7 @@ struct PairList {
     }
 
 private:
+    std::vector<Index> omitted_;
     /// Stable counting sort by one of each pair, which is below a limit.
     static void sort(std::vector<Index>& by, std::vector<Index>& paired, std::int64_t limit) {
         std::vector<Index> offset(limit + 1, 0);
@@ -58,20 +105,25 @@ private:
     }
 };
 
-/// Squared distances of pairs, a vector at a time; corners(k) returns the corners of a pair.
-template <int Corners, class F, class D>
-inline void squares(std::size_t size, const double* x, F&& corners, D&& distance, double* out) {
-    using V = vec<double>;
-    for (std::size_t k = 0; k < size; k += lanes<double>) {
-        quad<double> rows[Corners][lanes<double>];
-        for (int lane = 0; lane < lanes<double>; ++lane) {
-            const std::array<Index, Corners> c = corners(std::min(k + lane, size - 1));
-            for (int j = 0; j < Corners; ++j) rows[j][lane] = load4(x + 4 * c[j]);
-        }
-        Vec3<V> at[Corners];
-        for (int j = 0; j < Corners; ++j) deinterleave(rows[j], at[j].x, at[j].y, at[j].z);
-        store(out + k, distance(at));
+/// Corners of pair k: of two edges, or the particle and those of the triangle.
+template <bool Edges>
+CLOTH_INLINE std::array<Index, 4> pair_corners(const Surface& s, const PairList& pairs, std::size_t k) {
+    const Index first = pairs.first[k], second = pairs.second[k];
+    if constexpr (Edges)
+        return {s.edges[first][0], s.edges[first][1], s.edges[second][0], s.edges[second][1]};
+    else
+        return {first, s.triangles[second][0], s.triangles[second][1], s.triangles[second][2]};
+}
+/// Positions of the corners of a vector of pairs from k on; the last one is repeated.
+template <bool Edges>
+CLOTH_INLINE void gather_pairs(const Surface& s, const PairList& pairs, std::size_t k, const double* x,
+                               Vec3<vec<double>>* at) {
+    quad<double> rows[4][lanes<double>];
+    for (int lane = 0; lane < lanes<double>; ++lane) {
+        const auto corners = pair_corners<Edges>(s, pairs, std::min(k + lane, pairs.size() - 1));
+        for (int j = 0; j < 4; ++j) rows[j][lane] = load4(x + 4 * static_cast<std::int64_t>(corners[j]));
     }
+    for (int j = 0; j < 4; ++j) deinterleave(rows[j], at[j].x, at[j].y, at[j].z);
 }
 
 /// Points sorted into the cells of a grid. Cells along x are consecutive, and so are their points: a row of cells is
@@ -144,20 +196,25 @@ private:
     std::vector<Index> order_;
 };
 
-/// Boxes or points in the order of cells, so that a row of them is compared with a box a vector at a time.
+/// Boxes in the order of cells, so that a row of them is compared with a box a vector at a time. Each has keys: boxes
+/// with an equal key don't count.
+template <int Keys>
 class SortedBoxes {
 public:
     explicit SortedBoxes(std::int64_t count) {
         for (auto* all : {&low_, &high_})
             for (auto& numbers : *all) numbers.resize(count + lanes<double>);
+        for (auto& numbers : key_) numbers.resize(count + lanes<double>);
     }
-    void put(std::int64_t slot, Vec3<double> low, Vec3<double> high) {
-        low_[0][slot] = low.x, low_[1][slot] = low.y, low_[2][slot] = low.z;
-        high_[0][slot] = high.x, high_[1][slot] = high.y, high_[2][slot] = high.z;
+    void put(std::int64_t slot, const AxisBox& box, const std::array<Index, Keys>& keys) {
+        low_[0][slot] = box.low.x, low_[1][slot] = box.low.y, low_[2][slot] = box.low.z;
+        high_[0][slot] = box.high.x, high_[1][slot] = box.high.y, high_[2][slot] = box.high.z;
+        for (int k = 0; k < Keys; ++k) key_[k][slot] = static_cast<double>(keys[k]);
     }
     /// Call `visit` with each slot of a range, which may be empty, whose box overlaps another.
-    template <class F>
-    void for_each_overlap(std::int64_t begin, std::int64_t end, Vec3<double> low, Vec3<double> high, F&& visit) {
+    template <std::size_t N, class F>
+    void for_each_overlap(std::int64_t begin, std::int64_t end, const AxisBox& box, const std::array<Index, N>& keys,
+                          F&& visit) {
         using V = vec<double>;
         const V unit = splat<V>(1.0);
         for (std::int64_t k = begin; k < end; k += lanes<double>) {
@@ -166,16 +223,20 @@ public:
                 return smaller(V(load(high_[axis].data() + k) - from * unit),
                                V(to * unit - load(low_[axis].data() + k)));
             };
-            const V overlap = smaller(smaller(axis_overlap(0, low.x, high.x), axis_overlap(1, low.y, high.y)),
-                                      axis_overlap(2, low.z, high.z));
-            unsigned bits = bits_of(overlap >= V{});
+            const V overlap =
+                smaller(smaller(axis_overlap(0, box.low.x, box.high.x), axis_overlap(1, box.low.y, box.high.y)),
+                        axis_overlap(2, box.low.z, box.high.z));
+            auto counts = overlap >= V{};
+            for (const auto& key : key_)
+                for (const Index other : keys) counts &= load(key.data() + k) != static_cast<double>(other) * unit;
+            unsigned bits = bits_of(counts);
             if (end - k < lanes<double>) bits &= (1u << (end - k)) - 1u;
             for (; bits; bits &= bits - 1u) visit(k + std::countr_zero(bits));
         }
     }
 
 private:
-    std::vector<double> low_[3], high_[3];
+    std::vector<double> low_[3], high_[3], key_[Keys];
 };
 
 /// Pairs of a surface within a range of each other.
@@ -190,8 +251,8 @@ public:
         triangles.clear();
         edges.clear();
     }
-    /// Build the lists of all pairs within `max_distance` [m] at positions x, quads; for edges the distance is
-    /// `edge_reduction` [m] shorter.
+    /// Build the lists of all pairs within `max_distance` [m] at positions x, quads, and measure them; for edges the
+    /// distance is `edge_reduction` [m] shorter.
     void build(const Surface& s, const double* x, double max_distance, double edge_reduction = 0.0) {
         reach = max_distance;
         clear();
@@ -200,114 +261,84 @@ public:
         double length = 0.0;
         for (const auto& e : s.edges) length = larger(norm2(at(e[0]) - at(e[1])), length);
         length = root(length);
-        find_triangles(s, at, length);
-        find_edges(s, at, length, max_distance - edge_reduction);
+        SurfacePairs near;
+        near.reach = reach;
+        near.find_triangles(s, at, length);
+        near.find_edges(s, at, length, max_distance - edge_reduction);
+        near.measure(s, x);
+        triangles.select(near.triangles, reach);
+        edges.select(near.edges, max_distance - edge_reduction);
     }
-    /// Squared distances of the pairs of a list, padded by a vector.
-    void triangle_squares(const Surface& s, const double* x, std::vector<double>& out) const {
-        out.resize(triangles.size() + lanes<double>);
-        const auto corners = [&](std::size_t k) CLOTH_INLINED {
-            const auto& t = s.triangles[triangles.second[k]];
-            return std::array<Index, 4>{triangles.first[k], t[0], t[1], t[2]};
-        };
-        const auto distance = [](const Vec3<vec<double>>* at)
-                                  CLOTH_INLINED { return near_triangle(at[0], at[1], at[2], at[3]).square; };
-        squares<4>(triangles.size(), x, corners, distance, out.data());
+    /// Measure the squared distances of all pairs.
+    void measure(const Surface& s, const double* x) {
+        measure<false>(s, x, triangles);
+        measure<true>(s, x, edges);
     }
-    void edge_squares(const Surface& s, const double* x, std::vector<double>& out) const {
-        out.resize(edges.size() + lanes<double>);
-        const auto corners = [&](std::size_t k) CLOTH_INLINED {
-            const auto &a = s.edges[edges.first[k]], &b = s.edges[edges.second[k]];
-            return std::array<Index, 4>{a[0], a[1], b[0], b[1]};
-        };
-        const auto distance = [](const Vec3<vec<double>>* at)
-                                  CLOTH_INLINED { return near_segments(at[0], at[1], at[2], at[3]).square; };
-        squares<4>(edges.size(), x, corners, distance, out.data());
-    }
+    void measure_edges(const Surface& s, const double* x) { measure<true>(s, x, edges); }
 
 private:
-    struct Box {
-        Vec3<double> low, high;
-        explicit Box(Vec3<double> a) : low(a), high(a) {}
-        void include(Vec3<double> a) {
-            low = {smaller(a.x, low.x), smaller(a.y, low.y), smaller(a.z, low.z)};
-            high = {larger(a.x, high.x), larger(a.y, high.y), larger(a.z, high.z)};
+    template <bool Edges>
+    static void measure(const Surface& s, const double* x, PairList& pairs) {
+        pairs.square.resize(pairs.size() + lanes<double>);
+        for (std::size_t k = 0; k < pairs.size(); k += lanes<double>) {
+            Vec3<vec<double>> at[4];
+            gather_pairs<Edges>(s, pairs, k, x, at);
+            if constexpr (Edges)
+                store(pairs.square.data() + k, near_segments(at[0], at[1], at[2], at[3]).square);
+            else
+                store(pairs.square.data() + k, near_triangle(at[0], at[1], at[2], at[3]).square);
         }
-        Box expanded(double by) const {
-            const Vec3<double> margin{by, by, by};
-            Box b(low - margin);
-            b.high = high + margin;
-            return b;
-        }
-    };
-
-    /// Keep the pairs of a list within a range.
-    static void prune(PairList& list, const std::vector<double>& squares, double reach) {
-        std::size_t n_left = 0;
-        for (std::size_t k = 0; k < list.size(); ++k) {
-            list.first[n_left] = list.first[k];
-            list.second[n_left] = list.second[k];
-            n_left += squares[k] < reach * reach ? 1 : 0;
-        }
-        list.first.resize(n_left);
-        list.second.resize(n_left);
     }
     void find_triangles(const Surface& s, const Quads& at, double length) {
         Cells cells(s.count, fineness * (length + reach));
         cells.fill(at);
-        SortedBoxes points(s.count);
-        for (std::int64_t slot = 0; slot < s.count; ++slot) points.put(slot, at(cells[slot]), at(cells[slot]));
+        SortedBoxes<1> points(s.count);
+        for (std::int64_t slot = 0; slot < s.count; ++slot)
+            points.put(slot, AxisBox(at(cells[slot])), {s.joined[cells[slot]]});
         for (std::size_t t = 0; t < s.triangles.size(); ++t) {
-            Box box(at(s.triangles[t][0]));
-            box.include(at(s.triangles[t][1]));
-            box.include(at(s.triangles[t][2]));
+            const auto& corner = s.triangles[t];
+            AxisBox box(at(corner[0]));
+            box.include(at(corner[1]));
+            box.include(at(corner[2]));
             box = box.expanded(reach);
+            const std::array<Index, 3> keys{s.joined[corner[0]], s.joined[corner[1]], s.joined[corner[2]]};
             cells.for_each_row(box.low, box.high, [&](std::int64_t begin, std::int64_t end) {
-                points.for_each_overlap(begin, end, box.low, box.high, [&](std::int64_t slot) {
-                    const Index i = cells[slot];
-                    if (!s.has(t, i)) triangles.add(i, static_cast<Index>(t));
-                });
+                points.for_each_overlap(begin, end, box, keys,
+                                        [&](std::int64_t slot) { triangles.add(cells[slot], static_cast<Index>(t)); });
             });
         }
-        std::vector<double> distances;
-        triangle_squares(s, at.from, distances);
-        prune(triangles, distances, reach);
         triangles.sort(s.count);
     }
     void find_edges(const Surface& s, const Quads& at, double length, double reach) {
         const std::int64_t count = static_cast<std::int64_t>(s.edges.size());
-        std::vector<Box> boxes;
+        std::vector<AxisBox> boxes;
         boxes.reserve(count);
-        for (const auto& e : s.edges) {
-            boxes.emplace_back(at(e[0]));
-            boxes.back().include(at(e[1]));
-        }
         // Edges are sorted by their centers; none extends further than half the largest extent along an axis.
         Vec3<double> half{};
-        for (const Box& box : boxes) {
+        for (const auto& e : s.edges) {
+            AxisBox box(at(e[0]));
+            box.include(at(e[1]));
+            boxes.push_back(box);
             const Vec3<double> extent = 0.5 * (box.high - box.low);
             half = {larger(extent.x, half.x), larger(extent.y, half.y), larger(extent.z, half.z)};
         }
         Cells cells(count, fineness * (length + reach));
-        cells.fill([&](std::int64_t e) { return 0.5 * (boxes[e].low + boxes[e].high); });
-        SortedBoxes sorted(count);
-        for (std::int64_t slot = 0; slot < count; ++slot)
-            sorted.put(slot, boxes[cells[slot]].low, boxes[cells[slot]].high);
+        cells.fill([&](std::int64_t e) { return boxes[e].center(); });
+        const auto keys = [&](Index e) {
+            return std::array<Index, 2>{s.joined[s.edges[e][0]], s.joined[s.edges[e][1]]};
+        };
+        SortedBoxes<2> sorted(count);
+        for (std::int64_t slot = 0; slot < count; ++slot) sorted.put(slot, boxes[cells[slot]], keys(cells[slot]));
         // Each pair is found once, by the one that is first in the order of cells.
         for (std::int64_t edge_slot = 0; edge_slot < count; ++edge_slot) {
             const Index e = cells[edge_slot];
-            const Box box = boxes[e].expanded(reach);
-            const auto& a = s.edges[e];
+            const AxisBox box = boxes[e].expanded(reach);
             cells.for_each_row(box.low - half, box.high + half, [&](std::int64_t begin, std::int64_t end) {
-                sorted.for_each_overlap(std::max(begin, edge_slot + 1), end, box.low, box.high, [&](std::int64_t slot) {
-                    const Index edge2 = cells[slot];
-                    if (!s.share_end(a, s.edges[edge2])) edges.add(std::min(e, edge2), std::max(e, edge2));
+                sorted.for_each_overlap(std::max(begin, edge_slot + 1), end, box, keys(e), [&](std::int64_t slot) {
+                    edges.add(std::min(e, cells[slot]), std::max(e, cells[slot]));
                 });
             });
         }
-        std::vector<double> distances;
-        edge_squares(s, at.from, distances);
-        prune(edges, distances, reach);
         edges.sort_both(count);
     }
     /// Cell size as a fraction of the search distance.

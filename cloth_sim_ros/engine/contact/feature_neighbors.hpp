@@ -10,28 +10,6 @@
 
 namespace cloth::contact {
 
-/// An axis-aligned box.
-struct AxisBox {
-    Vec3<double> low, high;
-
-    explicit AxisBox(Vec3<double> a) : low(a), high(a) {}
-    void include(Vec3<double> a) {
-        low = {smaller(a.x, low.x), smaller(a.y, low.y), smaller(a.z, low.z)};
-        high = {larger(a.x, high.x), larger(a.y, high.y), larger(a.z, high.z)};
-    }
-    AxisBox expanded(double by) const {
-        const Vec3<double> margin{by, by, by};
-        AxisBox b(low - margin);
-        b.high = high + margin;
-        return b;
-    }
-    bool overlaps(const AxisBox& b) const {
-        return b.high.x >= low.x && b.low.x <= high.x && b.high.y >= low.y && b.low.y <= high.y && b.high.z >= low.z &&
-               b.low.z <= high.z;
-    }
-    Vec3<double> center() const { return 0.5 * (low + high); }
-};
-
 /// Clip the segment from a to b to a box: the fractions `first` to `last`, in reverse order if it is outside.
 inline void clip(const AxisBox& box, Vec3<double> a, Vec3<double> b, double& first, double& last) {
     first = 0.0, last = 1.0;

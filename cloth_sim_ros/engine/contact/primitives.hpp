@@ -34,11 +34,17 @@ struct OnTriangle {
     V weight[3], square;
     Vec3<V> away;
 };
+/// Squared distances of a point from the edges of a triangle, from corner 0 to 1, 1 to 2, 2 to 0, and from its corners.
+template <class V>
+struct PartSquares {
+    V edge[3], corner[3];
+};
 /// Inside, or on the nearest edge. A degenerate triangle has edges only.
 template <class V>
-CLOTH_INLINE OnTriangle<V> near_triangle(Vec3<V> p, Vec3<V> a, Vec3<V> b, Vec3<V> c) {
+CLOTH_INLINE OnTriangle<V> near_triangle(Vec3<V> p, Vec3<V> a, Vec3<V> b, Vec3<V> c, PartSquares<V>* parts = nullptr) {
     const V zero{}, unit = splat<V>(1.0);
     const OnSegment<V> ab = near_segment(p, a, b), bc = near_segment(p, b, c), ca = near_segment(p, c, a);
+    if (parts) *parts = {{ab.square, bc.square, ca.square}, {norm2(p - a), norm2(p - b), norm2(p - c)}};
     OnTriangle<V> n{{unit - ab.fraction, ab.fraction, zero}, ab.square, ab.away};
     const auto choose = [&](auto yes, V u, V v, V w, V square, Vec3<V> away) CLOTH_INLINED {
         n.weight[0] = select(yes, u, n.weight[0]);

@@ -8,6 +8,7 @@
 #include <cstring>
 #include <memory>
 
+#include "contact/motion_bound.hpp"
 #include "contact/self_friction.hpp"
 #include "contact/self_gaps.hpp"
 #include "contact/sheet_separation.hpp"
@@ -17,35 +18,17 @@ namespace cloth::contact {
 
 using laws::stopping_gap;
 
-/// Upper bound of the relative motion of any two particles: diagonal of the bounding box of all displacements. NaN if a
-/// displacement is not finite.
-class MotionBound {
-public:
-    CLOTH_INLINE void include(quad<double> displacement) {
-        low_ = smaller(displacement, low_);
-        high_ = larger(displacement, high_);
-        nan_check_ = fma(displacement, quad<double>{}, nan_check_);
-    }
-    double diameter() const {
-        const quad<double> w = high_ - low_ + nan_check_;
-        return root(norm2(Vec3<double>{w[0], w[1], w[2]}));
-    }
-
-private:
-    quad<double> low_ = quad<double>{} + 1e300, high_ = quad<double>{} - 1e300, nan_check_{};
-};
-
 /// Verlet lists of a surface, kept between calls. Positions are quads. Concurrent runs need one each.
 class SelfVerletList {
 public:
-    /// The surface must outlive the lists. Without `caches` each call rebuilds them, for tests.
-    SelfVerletList(const Surface& surface, bool caches) : surface(surface), caches(caches) {}
+    /// The surface must outlive the lists. `columns`: see Patches. Without `caches` each call rebuilds them, for tests.
+    SelfVerletList(const Surface& surface, std::int64_t columns, bool caches)
+        : surface(surface), caches(caches), patches_(surface, columns) {}
 
     const Surface& surface;
     bool caches;
     /// Pairs of the last `find`.
     PairList triangles, edges;
-    std::vector<double> triangle_squares, edge_squares;
     /// Least range of a list, as a fraction of the shortest edge: next-nearest neighbours in a flat sheet are beyond
     /// it.
     static constexpr double min_reach = 0.6;
@@ -54,56 +37,49 @@ public:
     void clear_pairs() {
         triangles.clear();
         edges.clear();
-        triangle_squares.clear();
-        edge_squares.clear();
-    }
-
-    std::array<Index, 4> triangle_corners(std::size_t k) const {
-        const auto& t = surface.triangles[triangles.second[k]];
-        return {triangles.first[k], t[0], t[1], t[2]};
-    }
-    std::array<Index, 4> edge_corners(std::size_t k) const {
-        const auto &a = surface.edges[edges.first[k]], &b = surface.edges[edges.second[k]];
-        return {a[0], a[1], b[0], b[1]};
     }
 
     /// Find the pairs of a particle and a triangle nearer than thickness + margin [m], and the pairs of edges nearer
     /// than thickness / 2 + margin. Return false if a position is not finite, or if thickness + margin is at least four
     /// times the shortest edge.
     bool find(const double* x, double thickness, double margin) {
-        if (!(thickness + margin < 4.0 * surface.shortest)) return false;
-        const bool use_middle = margin <= middle_margin * thickness;
-        if (!(use_middle ? covers_middle(x, thickness, margin) : covers_outer(x, thickness, margin))) {
-            if (!check_positions(x, thickness)) return false;
-            if (use_middle)
-                rebuild_middle(x, margin);
-            else
-                rebuild_outer(x, margin);
-        }
-        const SurfacePairs& from = use_middle ? middle_.pairs : outer_.pairs;
-        from.triangle_squares(surface, x, squares_);
-        filter(from.triangles, thickness + margin, triangles, &triangle_squares);
-        from.edge_squares(surface, x, squares_);
-        filter(from.edges, 0.5 * thickness + margin, edges, &edge_squares);
+        if (!(thickness + margin < 4.0 * surface.shortest) || !check_positions(x, thickness)) return false;
+        for (ListLevel* level : levels()) level->margin_left = -1.0;
+        const bool use_inner = inner_covers(x, margin), use_middle = margin <= max_inner_margin * thickness;
+        SurfacePairs& from = use_inner ? inner_.pairs : use_middle ? middle_.pairs : outer_.pairs;
+        if (use_inner || !(use_middle ? update_middle(x, margin, 0.0) : update_outer(x, margin)))
+            from.measure(surface, x);
+        triangles.select(from.triangles, thickness + margin);
+        edges.select(from.edges, 0.5 * thickness + margin);
         return true;
     }
     /// The same for each step of a run, with `gaps` in place of triangles. `motion`: upper bound of the relative motion
     /// of particles since the last call [m]; infinite after any other call.
     bool update(const double* x, double thickness, double margin, double motion) {
         if (!(thickness + margin < 4.0 * surface.shortest)) return false;
-        motion_ += motion;
-        if (!caches || thickness != thickness_ || !(margin + motion_ <= inner_.margin)) {
-            if (!check_positions(x, thickness)) return false;
-            motion_ = motion_since(x, inner_.positions);
-            if (!caches || !(margin + motion_ <= inner_.margin)) {
+        double margin_left = std::numeric_limits<double>::infinity();
+        for (ListLevel* level : levels()) margin_left = smaller(level->margin_left -= motion, margin_left);
+        if (!caches || thickness != thickness_ || !(margin <= margin_left))
+            if (thickness != thickness_ || !inner_covers(x, margin)) {
+                if (!check_positions(x, thickness)) return false;
                 rebuild_inner(x, margin);
-                motion_ = motion_since(x, inner_.positions);
             }
-        }
         gaps.find(x, thickness, thickness + margin);
-        inner_.pairs.edge_squares(surface, x, squares_);
-        filter(inner_.pairs.edges, 0.5 * thickness + margin, edges, &edge_squares);
+        inner_.pairs.measure_edges(surface, x);
+        edges.select(inner_.pairs.edges, 0.5 * thickness + margin);
         return true;
+    }
+    /// Whether `find` would find no pairs.
+    bool has_no_pairs(const double* x, double thickness, double margin) {
+        // Usually the nearest pair of the last search answers that.
+        if (triangles.size()) {
+            const double *const squares = triangles.square.data(), range = thickness + margin;
+            const Quads at{x};
+            const auto c = pair_corners<false>(surface, triangles,
+                                               std::min_element(squares, squares + triangles.size()) - squares);
+            if (near_triangle(at(c[0]), at(c[1]), at(c[2]), at(c[3])).square < range * range) return false;
+        }
+        return find(x, thickness, margin) && !triangles.size() && !edges.size();
     }
     /// Result of `update`, and the pairs of a particle and a triangle that it evaluated, as many as `gaps.square`.
     SelfGaps gaps;
@@ -111,99 +87,97 @@ public:
 
 private:
     static constexpr double max_reach = 0.95;  ///< as a fraction of the shortest edge
-    /// Margin of the middle list, as a fraction of the thickness, and of the inner list: a multiple of the look-ahead
-    /// distance, at least a fraction of the thickness.
-    static constexpr double middle_margin = 0.3, inner_margin_factor = 6.0, min_inner_margin = 0.02;
+    /// Margin of the inner list beyond the look-ahead distance: a multiple of that, within fractions of the thickness.
+    /// The middle list has as much again, but at least another fraction.
+    static constexpr double inner_margin_factor = 4.0, min_inner_margin = 0.02, max_inner_margin = 0.3,
+                            min_middle_margin = 0.3;
 
-    /// A level of the Verlet list: pairs, positions when they were found, and margin beyond the thickness.
+    /// A level of the Verlet list: pairs, the distances of those that it omits from the level before, and a lower bound
+    /// of the margin beyond the thickness that is left to these.
     struct ListLevel {
         SurfacePairs pairs;
-        Array<double> positions;
-        double margin = -1.0;
+        Patches::Distances omitted;
+        double margin_left = -1.0;
+        bool is_valid = false;
     };
 
-    /// Relative motion of particles since reference positions; since the origin if there are none.
-    double motion_since(const double* x, const Array<double>& reference) const {
-        MotionBound motion;
-        if (static_cast<std::int64_t>(reference.size()) == 4 * surface.count)
-            for (std::int64_t i = 0; i < surface.count; ++i)
-                motion.include(load4(x + 4 * i) - load4(reference.data() + 4 * i));
-        else
-            for (std::int64_t i = 0; i < surface.count; ++i) motion.include(load4(x + 4 * i));
-        return motion.diameter();
-    }
+    std::array<ListLevel*, 3> levels() { return {&outer_, &middle_, &inner_}; }
     /// Return whether positions are finite. Clears lists of another thickness.
     bool check_positions(const double* x, double thickness) {
-        if (!(motion_since(x, outer_.positions) < 1e30)) return false;
-        if (thickness != thickness_) outer_.margin = middle_.margin = inner_.margin = -1.0;
+        MotionBound motion;
+        motion.include(x, nullptr, surface.count);
+        if (!(motion.diameter() < 1e30)) return false;
+        for (ListLevel* level : levels()) level->is_valid = level->is_valid && thickness == thickness_;
         thickness_ = thickness;
         return true;
     }
-    /// Whether a list contains all pairs within the thickness and the margin. False for positions that are not finite.
-    bool covers_outer(const double* x, double thickness, double margin) const {
-        return caches && thickness == thickness_ && margin + motion_since(x, outer_.positions) <= outer_.margin;
+    /// Whether a list contains all pairs of the level before within the thickness and a margin. False for positions that
+    /// are not finite.
+    bool covers(ListLevel& level, const double* x, double margin) {
+        if (!caches || !level.is_valid) return false;
+        if (!(margin <= level.margin_left)) level.margin_left = patches_.bound(level.omitted, x) - thickness_;
+        return margin <= level.margin_left;
     }
-    bool covers_middle(const double* x, double thickness, double margin) const {
-        return caches && thickness == thickness_ && margin + motion_since(x, middle_.positions) <= middle_.margin;
+    /// Whether the inner list contains all pairs.
+    bool inner_covers(const double* x, double margin) {
+        return covers(outer_, x, margin) && covers(middle_, x, margin) && covers(inner_, x, margin);
     }
-    void rebuild_outer(const double* x, double margin) {
-        if (covers_outer(x, thickness_, margin)) return;
+    /// Let a list contain all pairs within the thickness and a margin. Return whether it is rebuilt, and measured.
+    bool update_outer(const double* x, double margin) {
+        if (covers(outer_, x, margin)) return false;
         // The longer its range, the longer it is valid; but beyond the shortest edge it contains all neighbours in a
         // flat sheet.
         const double range = thickness_ + margin, longer = smaller(1.5 * range, max_reach * surface.shortest);
         // Edges have half the thickness.
         outer_.pairs.build(surface, x, larger(min_reach * surface.shortest, larger(1.2 * range, longer)),
                            0.5 * thickness_);
-        outer_.positions.assign(x, x + 4 * surface.count);
-        outer_.margin = outer_.pairs.reach - thickness_;
+        patches_.set_beyond(outer_.omitted, surface, x, outer_.pairs.reach);
+        outer_.margin_left = outer_.pairs.reach - thickness_;
+        outer_.is_valid = true;
+        middle_.is_valid = inner_.is_valid = false;
+        return true;
     }
-    void rebuild_middle(const double* x, double margin) {
-        if (covers_middle(x, thickness_, margin)) return;
-        rebuild_outer(x, margin + middle_margin * thickness_);
-        prune(x, outer_, margin + middle_margin * thickness_, middle_);
+    bool update_middle(const double* x, double margin, double extra) {
+        if (covers(outer_, x, margin) && covers(middle_, x, margin)) return false;
+        margin += larger(extra, min_middle_margin * thickness_);
+        if (!update_outer(x, margin)) outer_.pairs.measure(surface, x);
+        prune(x, outer_, margin, middle_);
+        inner_.is_valid = false;
+        return true;
     }
     void rebuild_inner(const double* x, double margin) {
-        margin +=
-            smaller(larger(inner_margin_factor * margin, min_inner_margin * thickness_), middle_margin * thickness_);
-        rebuild_middle(x, margin);
+        const double extra =
+            smaller(larger(inner_margin_factor * margin, min_inner_margin * thickness_), max_inner_margin * thickness_);
+        margin += extra;
+        if (!update_middle(x, margin, extra)) middle_.pairs.measure(surface, x);
         prune(x, middle_, margin, inner_);
-        gaps.set_candidates(surface, inner_.pairs.triangles, x, thickness_ + margin);
+        gaps.set_candidates(surface, inner_.pairs.triangles);
     }
-    /// Keep the pairs within the thickness and the margin. Without pairs, both levels are valid as long as each other.
+    /// Keep the pairs within the thickness and the margin, which are measured at x.
     void prune(const double* x, const ListLevel& from, double margin, ListLevel& to) {
-        const SurfacePairs& pairs = from.pairs;
-        if (pairs.empty()) {
-            to.pairs.clear();
-            to.positions = from.positions;
-            to.margin = from.margin;
-            return;
-        }
-        pairs.triangle_squares(surface, x, squares_);
-        filter(pairs.triangles, thickness_ + margin, to.pairs.triangles, nullptr);
-        pairs.edge_squares(surface, x, squares_);
-        filter(pairs.edges, 0.5 * thickness_ + margin, to.pairs.edges, nullptr);
-        to.positions.assign(x, x + 4 * surface.count);
-        to.margin = margin;
-    }
-    void filter(const PairList& from, double reach, PairList& to, std::vector<double>* squares) const {
-        to.clear();
-        if (squares) squares->clear();
-        for (std::size_t k = 0; k < from.size(); ++k)
-            if (squares_[k] < reach * reach) {
-                to.add(from.first[k], from.second[k]);
-                if (squares) squares->push_back(squares_[k]);
-            }
+        patches_.clear(to.omitted, x);
+        const PairList &near = from.pairs.triangles, &near_edges = from.pairs.edges;
+        for (const Index k : to.pairs.triangles.select(near, thickness_ + margin))
+            patches_.include<false>(to.omitted, near.first[k], near.second[k], root(near.square[k]));
+        for (const Index k : to.pairs.edges.select(near_edges, 0.5 * thickness_ + margin))
+            patches_.include<true>(to.omitted, near_edges.first[k], near_edges.second[k],
+                                   root(near_edges.square[k]) + 0.5 * thickness_);
+        patches_.finish(to.omitted);
+        to.margin_left = margin;
+        to.is_valid = true;
     }
     /// Each level is a part of the one before.
     ListLevel outer_, middle_, inner_;
-    double thickness_ = 0.0, motion_ = 0.0;
-    std::vector<double> squares_;
+    Patches patches_;
+    double thickness_ = 0.0;
 };
 
 /// Self-contact of a plan.
 class SelfContact {
 public:
     Surface surface;
+    /// Columns of a sheet on a grid, zero of any other surface.
+    std::int64_t columns = 0;
     /// Bound that makes a search for pairs unnecessary where parts of a regular sheet are far from each other.
     SheetSeparation separation;
     /// Friction coefficients between layers.
@@ -213,7 +187,7 @@ public:
     /// Verlet lists of a workspace. Queries use those of the first.
     SelfVerletList& neighbors(int workspace = 0) {
         auto& lists = neighbors_[workspace];
-        if (!lists) lists = std::make_unique<SelfVerletList>(surface, caches_);
+        if (!lists) lists = std::make_unique<SelfVerletList>(surface, columns, caches_);
         return *lists;
     }
     /// Whether Verlet lists are kept between calls.
@@ -313,35 +287,50 @@ public:
     /// Include the row sums collected as the fourth number of each quad, times the inverse mass, and clear them.
     void gather_row_sums(const Surface& s, double* f) {
         // Four independent maxima, because each waits for the one before.
-        quad<double> max[4] = {};
-        for (std::int64_t i = 0; i < s.count; ++i) {
-            const quad<double> force = load4(f + 4 * i);
-            max[i % 4] = larger(quad<double>(force * s.inverse[i]), max[i % 4]);
-            store4(f + 4 * i, quad<double>{force[0], force[1], force[2], 0.0});
-        }
-        for (const quad<double>& lane_max : max) row_sum_[0] = larger(lane_max[3], row_sum_[0]);
+        double max[4] = {};
+        const auto include = [&](std::int64_t i, double& to) {
+            to = larger(f[4 * i + 3] * s.inverse[i], to);
+            f[4 * i + 3] = 0.0;
+        };
+        std::int64_t i = 0;
+        for (; i + 4 <= s.count; i += 4)
+            for (int k = 0; k < 4; ++k) include(i + k, max[k]);
+        for (; i < s.count; ++i) include(i, max[0]);
+        for (const double lane_max : max) row_sum_[0] = larger(lane_max, row_sum_[0]);
     }
-    /// Add a pair that comes into contact within a duration [s], because the step has to be short enough for its
-    /// closing speed before that. Slower ones than `min_speed` [m/s] are ignored.
-    void add_approaching(const std::array<Index, 4>& corner, bool edges, const SelfLaw<double>& law, const Quads& at,
-                         const Quads& velocity, double duration, double min_speed = 0.0) {
-        Vec3<double> offset, relative_velocity;
-        const Vec3<double> v[4] = {velocity(corner[0]), velocity(corner[1]), velocity(corner[2]), velocity(corner[3])};
-        if (edges) {
-            const auto n = near_segments(at(corner[0]), at(corner[1]), at(corner[2]), at(corner[3]));
-            offset = n.away;
-            relative_velocity = v[0] + n.first * (v[1] - v[0]) - v[2] - n.second * (v[3] - v[2]);
-        } else {
-            const auto n = near_triangle(at(corner[0]), at(corner[1]), at(corner[2]), at(corner[3]));
-            offset = n.away;
-            relative_velocity = v[0] - n.weight[0] * v[1] - n.weight[1] * v[2] - n.weight[2] * v[3];
+    /// Add the pairs of a list that come into contact within a duration [s], because the step has to be short enough for
+    /// their closing speeds before that. Slower ones than `min_speed` [m/s] are ignored. Positions and velocities are
+    /// quads.
+    template <bool Edges>
+    void add_approaching(const Surface& s, const PairList& pairs, const SelfLaw<double>& law, const double* x,
+                         const double* velocities, double duration, double min_speed = 0.0) {
+        using V = vec<double>;
+        V max{};
+        for (std::size_t k = 0; k < pairs.size(); k += lanes<double>) {
+            Vec3<V> at[4], v[4], offset, relative_velocity;
+            gather_pairs<Edges>(s, pairs, k, x, at);
+            gather_pairs<Edges>(s, pairs, k, velocities, v);
+            if constexpr (Edges) {
+                const auto n = near_segments(at[0], at[1], at[2], at[3]);
+                offset = n.away;
+                relative_velocity = v[0] + n.first * (v[1] - v[0]) - v[2] - n.second * (v[3] - v[2]);
+            } else {
+                const auto n = near_triangle(at[0], at[1], at[2], at[3]);
+                offset = n.away;
+                relative_velocity = v[0] - n.weight[0] * v[1] - n.weight[1] * v[2] - n.weight[2] * v[3];
+            }
+            const Scaling<V> scaling = law.lane_scaling([&](int lane) {
+                const auto c = pair_corners<Edges>(s, pairs, std::min(k + lane, pairs.size() - 1));
+                return Edges ? law.scaling({c[0], c[1]}, {c[2], c[3]}) : law.scaling(c[0]);
+            });
+            const V distance = root(norm2(offset)),
+                    closing = scaling.closing(distance, -dot(offset, relative_velocity) / distance),
+                    remaining = scaling.gap(distance) - splat<V>(law.thickness(Edges));
+            const auto approaches =
+                (remaining >= V{}) & (remaining < splat<V>(duration) * closing) & (closing >= splat<V>(min_speed));
+            max = larger(select(approaches, closing, V{}), max);
         }
-        const Scaling<double> scaling =
-            edges ? law.scaling({corner[0], corner[1]}, {corner[2], corner[3]}) : law.scaling(corner[0]);
-        const double distance = root(norm2(offset)),
-                     closing = scaling.closing(distance, -dot(offset, relative_velocity) / distance);
-        const double remaining = scaling.gap(distance) - law.thickness(edges);
-        if (remaining >= 0.0 && remaining < duration * closing && closing >= min_speed) add_contact(edges, closing);
+        for (int lane = 0; lane < lanes<double>; ++lane) add_contact(Edges, max[lane]);
     }
     /// Include the row sums collected since the last call, and clear them.
     void flush() {
@@ -384,16 +373,25 @@ private:
     std::vector<Index> loaded_[2];
 };
 
-/// Call particle(i, first, last) with the range of triangles of each particle, and edge(k) with each pair of edges of
-/// `find`.
-template <class P, class E>
-inline void for_each_neighbor(const SelfVerletList& neighbors, P&& particle, E&& edge) {
-    const PairList& t = neighbors.triangles;
-    for (std::size_t first = 0, last; first < t.size(); first = last) {
-        for (last = first; last < t.size() && t.first[last] == t.first[first];) ++last;
-        particle(t.first[first], first, last);
+/// Call particle(i, begin, end) with each particle that is nearer than `distance` to triangles, and with these. `square`:
+/// squared distances of the pairs.
+template <class F>
+inline void for_each_particle(const PairList& pairs, const std::vector<double>& square, double distance, F&& particle) {
+    std::vector<Index> near;
+    for (std::size_t first = 0, last; first < pairs.size(); first = last) {
+        near.clear();
+        for (last = first; last < pairs.size() && pairs.first[last] == pairs.first[first]; ++last)
+            if (square[last] < distance * distance) near.push_back(pairs.second[last]);
+        if (!near.empty()) particle(pairs.first[first], near.data(), near.data() + near.size());
     }
-    for (std::size_t k = 0; k < neighbors.edges.size(); ++k) edge(k);
+}
+/// Call particle(i, begin, end) with each particle in contact and its triangles, and edge(k) with each pair of edges in
+/// contact, after `find`. A reduced thickness is below the full one.
+template <class P, class E>
+inline void for_each_neighbor(const SelfVerletList& neighbors, double thickness, P&& particle, E&& edge) {
+    for_each_particle(neighbors.triangles, neighbors.triangles.square, thickness, particle);
+    for (std::size_t k = 0; k < neighbors.edges.size(); ++k)
+        if (neighbors.edges.square[k] < 0.25 * thickness * thickness) edge(k);
 }
 
 }  // namespace cloth::contact

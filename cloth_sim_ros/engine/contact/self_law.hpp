@@ -90,6 +90,17 @@ public:
         return result;
     }
 
+    /// Scaling of each lane, scaling_of(lane).
+    template <class F>
+    Scaling<vec<double>> lane_scaling(F&& scaling_of) const {
+        Scaling<vec<double>> lanes_scaling = full_thickness<vec<double>>();
+        for (int lane = 0; reduced() && lane < lanes<double>; ++lane) {
+            const Scaling<double> scalar = scaling_of(lane);
+            lanes_scaling.scale[lane] = scalar.scale, lanes_scaling.growth[lane] = scalar.growth;
+        }
+        return lanes_scaling;
+    }
+
     /// Evaluate the energy of particle i with the triangles from `begin` to `end`: that of triangles, minus that of
     /// edges between two of them, plus that of inner particles. Therefore a flat surface counts once, independent of
     /// its triangulation (Euler's formula; Li et al., Convergent IPC, 2023).
@@ -218,8 +229,9 @@ public:
                growing(value_of(damped(m)) * value_of(m.lever), value_of(m.shape));
     }
     /// The same over mass, rate and square of the scale, by damped pushes times gaps and energy.
-    static double growing(double lever, double shape) {
-        return fma(ContactLaw<double>::speed * ContactLaw<double>::speed, shape, lever);
+    template <class W>
+    static W growing(W lever, W shape) {
+        return fma(splat<W>(ContactLaw<double>::speed * ContactLaw<double>::speed), shape, lever);
     }
     const ContactLaw<V>& law(bool edges) const { return edges ? edge_law_ : particle_law_; }
 

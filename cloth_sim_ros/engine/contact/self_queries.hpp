@@ -40,10 +40,9 @@ inline void for_each_self_contact(SelfVerletList& neighbors, const SelfLaw<V>& l
         if (!m.gaps.empty()) visit(m, at, velocity);
     };
     for_each_neighbor(
-        neighbors,
-        [&](Index i, std::size_t first, std::size_t last) {
-            const Index* const triangles = neighbors.triangles.second.data();
-            law.particle(s, i, triangles + first, triangles + last, at, velocity, m);
+        neighbors, thickness,
+        [&](Index i, const Index* begin, const Index* end) {
+            law.particle(s, i, begin, end, at, velocity, m);
             emit();
         },
         [&](std::size_t k) {
@@ -195,7 +194,7 @@ ContactBounds predict_self_contact(Plan& plan, double t, double duration, double
     }
     const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, v);
     MotionBound motion;
-    for (std::int64_t i = 0; i < plan.count; ++i) motion.include(load4(velocities.data() + 4 * i));
+    motion.include(velocities.data(), nullptr, plan.count);
     // At most half the shortest edge, so that neighbours in a flat sheet don't count. The next call sees pairs further
     // away.
     const double margin = smaller(motion.diameter() * duration, 0.5 * self.surface.shortest);
@@ -216,20 +215,18 @@ ContactBounds predict_self_contact(Plan& plan, double t, double duration, double
     // nevertheless, in a twist, are seen by the run itself.
     const double min_edge_speed = ContactLaw<double>::speed * root(0.5 * law.law(false).shape(0.5 * d) / expected);
     for_each_neighbor(
-        neighbors,
-        [&](Index i, std::size_t first, std::size_t last) {
-            const Index* const triangles = neighbors.triangles.second.data();
-            law.particle(s, i, triangles + first, triangles + last, at, velocity, m);
+        neighbors, d,
+        [&](Index i, const Index* begin, const Index* end) {
+            law.particle(s, i, begin, end, at, velocity, m);
             bound.include(s, m);
             add_layer_loads(plan, law, m, at, velocity, load);
-            for (std::size_t k = first; k < last; ++k)
-                bound.add_approaching(neighbors.triangle_corners(k), false, law, at, velocity, duration);
         },
         [&](std::size_t k) {
             law.edges(s, s.edges[neighbors.edges.first[k]], s.edges[neighbors.edges.second[k]], at, velocity, m);
             bound.include(s, m);
-            bound.add_approaching(neighbors.edge_corners(k), true, law, at, velocity, duration, min_edge_speed);
         });
+    bound.add_approaching<false>(s, neighbors.triangles, law, at.from, velocity.from, duration);
+    bound.add_approaching<true>(s, neighbors.edges, law, at.from, velocity.from, duration, min_edge_speed);
     bound.flush();
     load.flush();
     const double frequency = plan.contacts.frequency;
@@ -242,34 +239,36 @@ bool ccd_self(Plan& plan, const double* x0, const double* x1) {
     const double d = plan.contacts.thickness;
     const Array<double> from = quads_of(plan, x0), to = quads_of(plan, x1);
     MotionBound motion;
-    for (std::int64_t i = 0; i < plan.count; ++i) motion.include(load4(to.data() + 4 * i) - load4(from.data() + 4 * i));
+    motion.include(to.data(), from.data(), plan.count);
     const double max_motion = motion.diameter();
     if (!neighbors.find(from.data(), d, max_motion)) return true;
     const Quads start{from.data()}, end{to.data()};
-    const auto intersects = [&](const std::array<Index, 4>& corner, bool edges) {
+    const auto intersects = [&](const std::array<Index, 4>& corner, bool edges, double square) {
         Vec3<double> displacement[4];
         for (int k = 0; k < 4; ++k) displacement[k] = end(corner[k]) - start(corner[k]);
         const auto relative_motion = [&](int k) { return root(norm2(displacement[k] - displacement[0])); };
         const double second_motion = larger(relative_motion(2), relative_motion(3)),
                      length = edges ? relative_motion(1) + second_motion : larger(relative_motion(1), second_motion);
         double fraction = 0.0;
-        for (int iteration = 0; fraction < 1.0; ++iteration) {
-            Vec3<double> at[4];
-            for (int k = 0; k < 4; ++k) at[k] = start(corner[k]) + fraction * displacement[k];
-            const double square = edges ? near_segments(at[0], at[1], at[2], at[3]).square
-                                        : near_triangle(at[0], at[1], at[2], at[3]).square;
+        for (int iteration = 0;; ++iteration) {
             const double gap = root(square);
             if (!(gap > 1e-3 * d) || iteration > 1000) return true;
             if (!(length > 0.0)) return false;
             fraction += gap / length;
+            if (!(fraction < 1.0)) return false;
+            Vec3<double> at[4];
+            for (int k = 0; k < 4; ++k) at[k] = start(corner[k]) + fraction * displacement[k];
+            square = edges ? near_segments(at[0], at[1], at[2], at[3]).square
+                           : near_triangle(at[0], at[1], at[2], at[3]).square;
         }
-        return false;
     };
     bool intersected = false;
     for (std::size_t k = 0; k < neighbors.triangles.size() && !intersected; ++k)
-        intersected = intersects(neighbors.triangle_corners(k), false);
+        intersected = intersects(pair_corners<false>(neighbors.surface, neighbors.triangles, k), false,
+                                 neighbors.triangles.square[k]);
     for (std::size_t k = 0; k < neighbors.edges.size() && !intersected; ++k)
-        intersected = intersects(neighbors.edge_corners(k), true);
+        intersected =
+            intersects(pair_corners<true>(neighbors.surface, neighbors.edges, k), true, neighbors.edges.square[k]);
     return intersected;
 }
 
@@ -283,10 +282,8 @@ SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const do
     const Array<double> positions = quads_of(plan, x0);
     speed_limit_ = 2.0 * relative_speed(v0) + SelfContact::speed_margin;
     const double margin = speed_limit_ * duration;
-    SelfVerletList& neighbors = self.neighbors();
     plan.self_culled = plan.contacts.thickness + margin < SelfVerletList::min_reach * self.surface.shortest &&
-                       neighbors.find(positions.data(), plan.contacts.thickness, margin) &&
-                       neighbors.triangles.size() == 0 && neighbors.edges.size() == 0;
+                       self.neighbors().has_no_pairs(positions.data(), plan.contacts.thickness, margin);
 }
 
 bool SelfCulling::is_violated(const double* x, const double* v) const {

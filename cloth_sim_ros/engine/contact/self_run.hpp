@@ -27,19 +27,6 @@ inline bool may_intersect(double square, const Index* corner, bool edges, F&& di
     return !(most < root(square));
 }
 
-/// Minimum of an array, at most 1e30.
-inline double min_of(const std::vector<double>& values) {
-    using V = vec<double>;
-    V lane_min = splat<V>(1e30);
-    std::size_t k = 0;
-    for (; k + lanes<double> <= values.size(); k += lanes<double>)
-        lane_min = smaller(load(values.data() + k), lane_min);
-    double min = 1e30;
-    for (int lane = 0; lane < lanes<double>; ++lane) min = smaller<double>(lane_min[lane], min);
-    for (; k < values.size(); ++k) min = smaller(values[k], min);
-    return min;
-}
-
 /// Self-contact over a run, on one thread.
 class SelfRun {
 public:
@@ -72,13 +59,12 @@ public:
         const auto add_force = [&](Index c, Vec3<double> force) {
             f[4 * c] += force.x, f[4 * c + 1] += force.y, f[4 * c + 2] += force.z;
         };
+        bound_.add_approaching<true>(s, neighbors_.edges, law_, x, v, 2.0 * step_);
         for (std::size_t k = 0; k < neighbors_.edges.size(); ++k) {
+            if (!(neighbors_.edges.square[k] < 0.25 * thickness_ * thickness_)) continue;
             law_.edges(s, s.edges[neighbors_.edges.first[k]], s.edges[neighbors_.edges.second[k]], at, velocity,
                        contact_);
-            if (contact_.gaps.empty()) {
-                bound_.add_approaching(neighbors_.edge_corners(k), true, law_, at, velocity, 2.0 * step_);
-                continue;
-            }
+            if (contact_.gaps.empty()) continue;
             law_.forces(contact_, add_force);
             bound_.include(s, contact_);
             if (dissipation) *dissipation += law_.dissipation(contact_);
@@ -108,43 +94,28 @@ private:
         SelfGaps& gaps = neighbors_.gaps;
         if (!gaps.size) return;
         gaps.evaluate(vector_law_, law_, v);
-        sums_.begin(neighbors_.surface.count, gaps.size);
-        double approach_speed = 0.0;
-        for (std::size_t k = 0; k < gaps.size; ++k) {
-            const double gap = gaps.gap(k), closing = gaps.closing(k);
-            if (gap < thickness_) {
-                sums_.include(k, gaps);
-            } else if (gap - thickness_ < 2.0 * step_ * closing) {
-                approach_speed = larger(closing, approach_speed);
-            }
-        }
+        const double approach_speed = sums_.include(gaps, neighbors_.surface.count, thickness_, 2.0 * step_);
         if (approach_speed > 0.0) bound_.add_contact(false, approach_speed);
-        double min_gap = root(min_of(gaps.square));
+        double min_gap = root(gaps.min_square);
         if (law_.reduced()) {
             min_gap = thickness_;
-            for (std::size_t k = 0; k < gaps.ends[0]; ++k) min_gap = smaller(gaps.gap(k), min_gap);
+            for (std::size_t k = 0; k < gaps.ends[0]; ++k) min_gap = smaller(gaps.terms(k)[2], min_gap);
         }
         if (min_gap < thickness_) bound_.gap = smaller(min_gap, bound_.gap);
         sums_.finalize(neighbors_.surface, law_, dissipation, growth_power);
         if (sums_.max_energy > 0.0) bound_.include_energy(false, sums_.max_energy);
-        sums_.add_forces(neighbors_.surface, gaps, f);
+        sums_.add_forces(gaps, f);
         bound_.gather_row_sums(neighbors_.surface, f);
     }
     /// Friction of the particles in contact.
     template <class F>
     void add_friction(std::int64_t step, const Quads& at, const Quads& velocity, F&& add_force, double* dissipation) {
-        const PairList& pairs = neighbors_.inner_pairs();
         double friction_power = 0.0;
-        for (std::size_t first = 0, last; first < pairs.size(); first = last) {
-            const Index i = pairs.first[first];
-            bool in_contact = false;
-            for (last = first; last < pairs.size() && pairs.first[last] == i; ++last)
-                in_contact = in_contact || neighbors_.gaps.square[last] < thickness_ * thickness_;
-            if (!in_contact) continue;
-            const Index* const triangles = pairs.second.data();
-            law_.particle(neighbors_.surface, i, triangles + first, triangles + last, at, velocity, contact_);
+        const auto add = [&](Index i, const Index* begin, const Index* end) {
+            law_.particle(neighbors_.surface, i, begin, end, at, velocity, contact_);
             friction_->add(step, contact_, at, velocity, add_force, dissipation ? &friction_power : nullptr);
-        }
+        };
+        for_each_particle(neighbors_.inner_pairs(), neighbors_.gaps.square, thickness_, add);
         friction_->flush();
         if (!dissipation) return;
         *dissipation += friction_power;
@@ -159,7 +130,7 @@ private:
             previous_.assign(x, x + 4 * n);
         } else {
             MotionBound bound;
-            for (std::int64_t i = 0; i < n; ++i) bound.include(load4(x + 4 * i) - load4(previous_.data() + 4 * i));
+            bound.include(x, previous_.data(), n);
             since = motion = bound.diameter();
         }
         // A pair within twice `motion` [m] of contact may come into contact in one of the next two steps.
@@ -175,15 +146,17 @@ private:
         const auto displacement = [&](Index c) { return current(c) - previous(c); };
         const SelfGaps& gaps = neighbors_.gaps;
         // Usually nothing is that near.
-        if (min_of(gaps.square) <= motion * motion)
+        if (gaps.min_square <= motion * motion)
             for (std::size_t k = 0; k < gaps.square.size(); ++k)
                 if (gaps.square[k] <= motion * motion)
                     intersected_ =
-                        intersected_ || may_intersect(gaps.square[k], gaps.corners(k).data(), false, displacement);
+                        intersected_ || may_intersect(gaps.square[k], gaps.candidate(k).data(), false, displacement);
         for (std::size_t k = 0; k < neighbors_.edges.size(); ++k)
-            if (neighbors_.edge_squares[k] <= motion * motion)
-                intersected_ = intersected_ || may_intersect(neighbors_.edge_squares[k],
-                                                             neighbors_.edge_corners(k).data(), true, displacement);
+            if (neighbors_.edges.square[k] <= motion * motion)
+                intersected_ =
+                    intersected_ || may_intersect(neighbors_.edges.square[k],
+                                                  pair_corners<true>(neighbors_.surface, neighbors_.edges, k).data(),
+                                                  true, displacement);
     }
     SelfVerletList& neighbors_;
     SelfLaw<double> law_;

@@ -22,13 +22,19 @@ struct Surface {
     std::vector<std::array<Index, 3>> triangles;
     /// Neighbour of each triangle across its edges from corner 0 to 1, 1 to 2, 2 to 0; -1 at the border.
     std::vector<std::array<Index, 3>> neighbors;
+    /// Corner of each neighbour that is not on the common edge, as 0, 1 or 2.
+    std::vector<std::array<Index, 3>> opposite;
     std::vector<std::array<Index, 2>> edges;
+    /// Edges and corners of which each triangle is the first: bit j for the edge from corner j, between two triangles;
+    /// bit 3 + j for corner j, if that is inner.
+    std::vector<unsigned char> owned;
     /// Triangles about each particle in ascending order: fan[start[i]] to before fan[start[i + 1]].
     std::vector<Index> fan, start;
     /// Particles that are not on a border.
     std::vector<char> inner;
     /// Lowest of the particles that joints connect with each one, itself included: these do not touch each other.
     std::vector<Index> joined;
+    bool has_joints = false;
     /// Shortest edge of the cloth at rest [m].
     double shortest = 0.0;
 
@@ -37,11 +43,6 @@ struct Surface {
         const auto& t = triangles[triangle];
         const Index j = joined[particle];
         return joined[t[0]] == j || joined[t[1]] == j || joined[t[2]] == j;
-    }
-    /// Whether two edges have a common end, or joined ones.
-    bool share_end(const std::array<Index, 2>& a, const std::array<Index, 2>& b) const {
-        const Index a0 = joined[a[0]], a1 = joined[a[1]], b0 = joined[b[0]], b1 = joined[b[1]];
-        return a0 == b0 || a0 == b1 || a1 == b0 || a1 == b1;
     }
     /// First triangle about a particle that does not contain particle i.
     Index first_about(Index particle, Index i) const {
@@ -66,6 +67,7 @@ struct Surface {
         joined.resize(count);
         std::iota(joined.begin(), joined.end(), Index{0});
         neighbors.assign(triangles.size(), {-1, -1, -1});
+        opposite.assign(triangles.size(), {0, 0, 0});
         inner.assign(count, 1);
         edges.clear();
         for (std::size_t first = 0, last; first < half_edges.size(); first = last) {
@@ -74,8 +76,11 @@ struct Surface {
                 ++last;
             edges.push_back({half_edges[first].low, half_edges[first].high});
             if (last - first == 2) {
-                neighbors[half_edges[first].triangle][half_edges[first].edge] = half_edges[first + 1].triangle;
-                neighbors[half_edges[first + 1].triangle][half_edges[first + 1].edge] = half_edges[first].triangle;
+                for (const std::size_t k : {first, first + 1}) {
+                    const HalfEdge &side = half_edges[k], &other = half_edges[2 * first + 1 - k];
+                    neighbors[side.triangle][side.edge] = other.triangle;
+                    opposite[side.triangle][side.edge] = (other.edge + 2) % 3;
+                }
             } else {
                 inner[half_edges[first].low] = inner[half_edges[first].high] = 0;
             }
@@ -89,8 +94,14 @@ struct Surface {
         }
         fan.resize(3 * triangles.size());
         std::vector<Index> next(start.begin(), start.end() - 1);
+        owned.assign(triangles.size(), 0);
         for (std::size_t t = 0; t < triangles.size(); ++t)
-            for (const Index corner : triangles[t]) fan[next[corner]++] = static_cast<Index>(t);
+            for (int j = 0; j < 3; ++j) {
+                const Index corner = triangles[t][j];
+                if (neighbors[t][j] > static_cast<Index>(t)) owned[t] |= 1u << j;
+                if (inner[corner] && next[corner] == start[corner]) owned[t] |= 8u << j;
+                fan[next[corner]++] = static_cast<Index>(t);
+            }
     }
 };
 

@@ -182,6 +182,18 @@ CLOTH_INLINE unsigned bits_of(M yes) {
     for (std::size_t k = 0; k < sizeof(M) / sizeof(scalar<M>); ++k) bits |= (yes[k] ? 1u : 0u) << k;
     return bits;
 }
+/// The lanes whose bits are set, moved to the front. The lanes behind them have any numbers.
+CLOTH_INLINE vec<double> compress(vec<double> a, unsigned bits) {
+#if defined(__AVX512F__)
+    if constexpr (lanes<double> == 8) return vec<double>(_mm512_maskz_compress_pd(__mmask8(bits), __m512d(a)));
+#endif
+    vec<double> r = a;
+    for (int lane = 0, to = 0; lane < lanes<double>; ++lane) {
+        r[to] = a[lane];
+        to += bits >> lane & 1u;
+    }
+    return r;
+}
 /// Whether a mask, or a bool, is set in any lane.
 CLOTH_INLINE bool any(bool yes) { return yes; }
 template <class M>
@@ -267,28 +279,35 @@ CLOTH_INLINE V join_rows(const quad<scalar<V>>* rows, int k) {
 }
 
 template <class V>
-CLOTH_INLINE void deinterleave(const quad<scalar<V>>* rows, V& x, V& y, V& z) {
+CLOTH_INLINE void deinterleave(const quad<scalar<V>>* rows, V& x, V& y, V& z, V& w) {
     if constexpr (sizeof(V) == 2 * sizeof(scalar<V>)) {
         x = V{rows[0][0], rows[1][0]};
         y = V{rows[0][1], rows[1][1]};
         z = V{rows[0][2], rows[1][2]};
+        w = V{rows[0][3], rows[1][3]};
     } else {
-        V none = join_rows<V>(rows, 3);
         x = join_rows<V>(rows, 0);
         y = join_rows<V>(rows, 1);
         z = join_rows<V>(rows, 2);
-        transpose(x, y, z, none);
+        w = join_rows<V>(rows, 3);
+        transpose(x, y, z, w);
     }
 }
-
 template <class V>
-CLOTH_INLINE void interleave(V x, V y, V z, quad<scalar<V>>* rows) {
+CLOTH_INLINE void deinterleave(const quad<scalar<V>>* rows, V& x, V& y, V& z) {
+    V unused;
+    deinterleave(rows, x, y, z, unused);
+}
+
+/// `w`: the fourth numbers.
+template <class V>
+CLOTH_INLINE void interleave(V x, V y, V z, quad<scalar<V>>* rows, V w = V{}) {
     constexpr int L = sizeof(V) / sizeof(scalar<V>);
     if constexpr (L == 2) {
-        rows[0] = quad<scalar<V>>{x[0], y[0], z[0], 0};
-        rows[1] = quad<scalar<V>>{x[1], y[1], z[1], 0};
+        rows[0] = quad<scalar<V>>{x[0], y[0], z[0], w[0]};
+        rows[1] = quad<scalar<V>>{x[1], y[1], z[1], w[1]};
     } else {
-        V four[4] = {x, y, z, V{}};
+        V four[4] = {x, y, z, w};
         transpose(four[0], four[1], four[2], four[3]);
         for (int k = 0; k < 4; ++k) {
             rows[k] = __builtin_shufflevector(four[k], four[k], 0, 1, 2, 3);

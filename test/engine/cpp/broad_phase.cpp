@@ -4,10 +4,7 @@
 // Broad phase of self-contact against all pairs.
 #include "contact/broad_phase.hpp"
 
-#include <algorithm>
-#include <utility>
-
-#include "samples.hpp"
+#include "sheets.hpp"
 
 namespace cloth::tests {
 
@@ -15,72 +12,11 @@ using namespace contact;
 
 namespace {
 
-using Pairs = std::vector<std::pair<Index, Index>>;
-
 Pairs pairs_of(const PairList& list) {
     Pairs pairs;
     for (std::size_t k = 0; k < list.size(); ++k) pairs.emplace_back(list.first[k], list.second[k]);
     return pairs;
 }
-
-/// A sheet of triangles, and positions of its particles as quads [m].
-struct Sheet {
-    Surface surface;
-    std::vector<double> x;
-
-    explicit Sheet(Index rows) {
-        surface.count = rows * rows;
-        for (Index i = 0; i + 1 < rows; ++i)
-            for (Index j = 0; j + 1 < rows; ++j) {
-                const Index a = i * rows + j;
-                surface.triangles.push_back({a, a + rows, a + 1});
-                surface.triangles.push_back({a + 1, a + rows, a + rows + 1});
-            }
-        surface.build_topology();
-        x.assign(4 * surface.count, 0.0);
-    }
-    void set_position(Index i, Vec3<double> p) { x[4 * i] = p.x, x[4 * i + 1] = p.y, x[4 * i + 2] = p.z; }
-    Vec3<double> at(Index i) const { return {x[4 * i], x[4 * i + 1], x[4 * i + 2]}; }
-
-    /// Flat, of a spacing of 0.1 m, folded in layers, or crumpled in a cube of 1 m.
-    void arrange(int kind, Random& random) {
-        const Index rows = static_cast<Index>(std::lround(std::sqrt(surface.count)));
-        for (Index i = 0; i < surface.count; ++i) {
-            const double u = 0.1 * (i % rows), v = 0.1 * static_cast<double>(i / rows);
-            const double folded = std::abs(std::remainder(v, 0.6));
-            if (kind == 0) set_position(i, {u, v, 0.0});
-            if (kind == 1)
-                set_position(i, Vec3<double>{u, folded, 0.05 * std::round(v / 0.6)} + 0.02 * random.vector());
-            if (kind == 2) set_position(i, 0.5 * random.vector());
-            if (kind == 3) set_position(i, {1.0, 2.0, 3.0});
-        }
-    }
-    /// All pairs of a particle and a triangle without it within a range.
-    Pairs all_triangles(double reach) const {
-        Pairs pairs;
-        for (Index i = 0; i < surface.count; ++i)
-            for (std::size_t t = 0; t < surface.triangles.size(); ++t) {
-                const auto& c = surface.triangles[t];
-                if (surface.has(static_cast<std::int64_t>(t), i)) continue;
-                if (near_triangle(at(i), at(c[0]), at(c[1]), at(c[2])).square < reach * reach)
-                    pairs.emplace_back(i, static_cast<Index>(t));
-            }
-        return pairs;
-    }
-    /// All pairs of edges without a common particle within a range.
-    Pairs all_edges(double reach) const {
-        Pairs pairs;
-        const Index count = static_cast<Index>(surface.edges.size());
-        for (Index e = 0; e < count; ++e)
-            for (Index f = e + 1; f < count; ++f) {
-                const auto &a = surface.edges[e], &b = surface.edges[f];
-                if (a[0] == b[0] || a[0] == b[1] || a[1] == b[0] || a[1] == b[1]) continue;
-                if (near_segments(at(a[0]), at(a[1]), at(b[0]), at(b[1])).square < reach * reach)
-                    pairs.emplace_back(e, f);
-            }
-        return pairs;
-    }
-};
 
 }  // namespace
 
@@ -108,19 +44,48 @@ TEST_CASE("squared distances of pair lists are those of the primitives") {
     pairs.build(sheet.surface, sheet.x.data(), 0.2);
     REQUIRE(pairs.triangles.size() > 100);
     REQUIRE(pairs.edges.size() > 100);
-    std::vector<double> squares;
-    pairs.triangle_squares(sheet.surface, sheet.x.data(), squares);
-    for (std::size_t k = 0; k < pairs.triangles.size(); ++k) {
-        const auto& c = sheet.surface.triangles[pairs.triangles.second[k]];
-        const auto expected =
-            near_triangle(sheet.at(pairs.triangles.first[k]), sheet.at(c[0]), sheet.at(c[1]), sheet.at(c[2]));
-        CHECK(has_same_bits(squares[k], expected.square));
+    // Measured where it was built, and after a motion.
+    for (int turn = 0; turn < 2; ++turn) {
+        for (std::size_t k = 0; k < pairs.triangles.size(); ++k) {
+            const auto& c = sheet.surface.triangles[pairs.triangles.second[k]];
+            const auto expected =
+                near_triangle(sheet.at(pairs.triangles.first[k]), sheet.at(c[0]), sheet.at(c[1]), sheet.at(c[2]));
+            CHECK(has_same_bits(pairs.triangles.square[k], expected.square));
+        }
+        for (std::size_t k = 0; k < pairs.edges.size(); ++k) {
+            const auto &a = sheet.surface.edges[pairs.edges.first[k]], &b = sheet.surface.edges[pairs.edges.second[k]];
+            CHECK(has_same_bits(pairs.edges.square[k],
+                                near_segments(sheet.at(a[0]), sheet.at(a[1]), sheet.at(b[0]), sheet.at(b[1])).square));
+        }
+        sheet.arrange(2, random);
+        pairs.measure(sheet.surface, sheet.x.data());
     }
-    pairs.edge_squares(sheet.surface, sheet.x.data(), squares);
-    for (std::size_t k = 0; k < pairs.edges.size(); ++k) {
-        const auto &a = sheet.surface.edges[pairs.edges.first[k]], &b = sheet.surface.edges[pairs.edges.second[k]];
-        CHECK(has_same_bits(squares[k],
-                            near_segments(sheet.at(a[0]), sheet.at(a[1]), sheet.at(b[0]), sheet.at(b[1])).square));
+}
+
+TEST_CASE("a selection keeps the pairs within a range and names the others") {
+    Random random;
+    PairList from, to;
+    // An earlier content is replaced.
+    to.add(7, 7);
+    for (const int size : {0, 1, 9, 200}) {
+        from.clear();
+        for (int k = 0; k < size; ++k) {
+            from.add(static_cast<Index>(random.below(20)), static_cast<Index>(k));
+            from.square.push_back(random.uniform(0.0, 2.0));
+        }
+        from.square.resize(from.square.size() + lanes<double>, 0.0);
+        std::vector<Index> others;
+        Pairs near;
+        std::vector<double> squares;
+        for (int k = 0; k < size; ++k)
+            if (from.square[k] < 1.0)
+                near.emplace_back(from.first[k], from.second[k]), squares.push_back(from.square[k]);
+            else
+                others.push_back(static_cast<Index>(k));
+        CHECK(to.select(from, 1.0) == others);
+        CHECK(pairs_of(to) == near);
+        CHECK(std::vector<double>(to.square.begin(), to.square.begin() + std::ssize(near)) == squares);
+        CHECK(to.square.size() == near.size() + lanes<double>);
     }
 }
 
@@ -151,6 +116,21 @@ TEST_CASE("the sort by the first index keeps the order of the second") {
     CHECK(pairs_of(list) == Pairs{{0, 1}, {0, 5}, {1, 3}, {2, 0}, {2, 1}});
 }
 
+TEST_CASE("the pair lists omit particles and edges that are joined") {
+    Random random;
+    Sheet sheet(8);
+    sheet.arrange(2, random);
+    SurfacePairs pairs;
+    pairs.build(sheet.surface, sheet.x.data(), 0.3);
+    const std::size_t n_triangles = pairs.triangles.size(), n_edges = pairs.edges.size();
+    for (const Index i : {5, 17, 40}) sheet.surface.joined[i + 1] = sheet.surface.joined[i];
+    pairs.build(sheet.surface, sheet.x.data(), 0.3);
+    CHECK(pairs.triangles.size() < n_triangles);
+    CHECK(pairs.edges.size() < n_edges);
+    CHECK(pairs_of(pairs.triangles) == sheet.all_triangles(0.3));
+    CHECK(pairs_of(pairs.edges) == sheet.all_edges(0.3));
+}
+
 TEST_CASE("cells visit each point of a box once") {
     Random random;
     for (const std::int64_t count : {1, 7, 300}) {
@@ -172,30 +152,35 @@ TEST_CASE("cells visit each point of a box once") {
     }
 }
 
-TEST_CASE("sorted boxes visit the slots that overlap") {
+TEST_CASE("sorted boxes visit the slots that overlap and have other keys") {
     Random random;
     constexpr std::int64_t count = 50;
-    SortedBoxes boxes(count);
-    std::vector<std::array<Vec3<double>, 2>> ends(count);
-    const auto ascending = [](Vec3<double> a, Vec3<double> b) {
-        return std::array<Vec3<double>, 2>{Vec3<double>{std::min(a.x, b.x), std::min(a.y, b.y), std::min(a.z, b.z)},
-                                           Vec3<double>{std::max(a.x, b.x), std::max(a.y, b.y), std::max(a.z, b.z)}};
+    SortedBoxes<2> boxes(count);
+    std::vector<AxisBox> all;
+    std::vector<std::array<Index, 2>> keys;
+    const auto random_keys = [&] {
+        return std::array<Index, 2>{static_cast<Index>(random.below(9)), static_cast<Index>(random.below(9))};
+    };
+    const auto random_box = [&](double size) {
+        const Vec3<double> a = random.vector();
+        AxisBox box(a);
+        box.include(a + size * random.vector());
+        return box;
     };
     for (std::int64_t slot = 0; slot < count; ++slot) {
-        const Vec3<double> a = random.vector();
-        ends[slot] = ascending(a, a + 0.4 * random.vector());
-        boxes.put(slot, ends[slot][0], ends[slot][1]);
+        all.push_back(random_box(0.4));
+        keys.push_back(random_keys());
+        boxes.put(slot, all[slot], keys[slot]);
     }
     for (int round = 0; round < 100; ++round) {
-        const Vec3<double> a = random.vector();
-        const auto box = ascending(a, a + 0.6 * random.vector());
+        const AxisBox box = random_box(0.6);
+        const std::array<Index, 2> other = random_keys();
         const std::int64_t begin = random.below(count), end = begin + random.below(count - begin + 1);
         std::vector<std::int64_t> visited, expected;
-        boxes.for_each_overlap(begin, end, box[0], box[1], [&](std::int64_t slot) { visited.push_back(slot); });
+        boxes.for_each_overlap(begin, end, box, other, [&](std::int64_t slot) { visited.push_back(slot); });
         for (std::int64_t slot = begin; slot < end; ++slot) {
-            const auto& [low, high] = ends[slot];
-            if (low.x <= box[1].x && low.y <= box[1].y && low.z <= box[1].z && high.x >= box[0].x &&
-                high.y >= box[0].y && high.z >= box[0].z)
+            const auto [a, b] = keys[slot];
+            if (all[slot].overlaps(box) && a != other[0] && a != other[1] && b != other[0] && b != other[1])
                 expected.push_back(slot);
         }
         CHECK(visited == expected);
@@ -210,12 +195,18 @@ TEST_CASE("the topology of a sheet has neighbours, borders and fans") {
     for (std::size_t t = 0; t < s.triangles.size(); ++t)
         for (int k = 0; k < 3; ++k) {
             const Index neighbor = s.neighbors[t][k];
+            CHECK(bool(s.owned[t] >> k & 1) == (neighbor > static_cast<Index>(t)));
             if (neighbor < 0) continue;
             CHECK(s.has(neighbor, s.triangles[t][k]));
             CHECK(s.has(neighbor, s.triangles[t][(k + 1) % 3]));
+            CHECK_FALSE(s.has(t, s.triangles[neighbor][s.opposite[t][k]]));
         }
     for (Index i = 0; i < s.count; ++i) {
         CHECK(bool(s.inner[i]) == (i == 4));
+        for (Index k = s.start[i]; k < s.start[i + 1]; ++k)
+            for (int j = 0; j < 3; ++j)
+                if (s.triangles[s.fan[k]][j] == i)
+                    CHECK(bool(s.owned[s.fan[k]] >> (3 + j) & 1) == (s.inner[i] && k == s.start[i]));
         for (Index k = s.start[i]; k < s.start[i + 1]; ++k) CHECK(s.has(s.fan[k], i));
     }
     CHECK(s.start[5] - s.start[4] == 6);

@@ -125,6 +125,22 @@ TEST_CASE("a triangle has a closed distance above its inside, an edge and a corn
     CHECK(corner.weight[1] == 1.0);
 }
 
+TEST_CASE("a triangle tells the distances of its edges and corners") {
+    Random random;
+    for (int round = 0; round < 300; ++round) {
+        const Points points(random, round % 3);
+        const Vec3<double>* const at = points.at;
+        PartSquares<double> parts;
+        const auto with_parts = near_triangle(at[0], at[1], at[2], at[3], &parts);
+        CHECK(has_same_bits(with_parts.square, near_triangle(at[0], at[1], at[2], at[3]).square));
+        for (int j = 0; j < 3; ++j) {
+            const auto edge = near_segment(at[0], at[1 + j], at[1 + (j + 1) % 3]);
+            CHECK(has_same_bits(parts.edge[j], edge.square));
+            CHECK(has_same_bits(parts.corner[j], norm2(at[0] - at[1 + j])));
+        }
+    }
+}
+
 TEST_CASE("degenerate triangles have the distance of their longest edge") {
     const Vec3<double> a{0.0, 0.0, 0.0}, b{1.0, 0.0, 0.0}, c{3.0, 0.0, 0.0}, p{2.0, 2.0, 0.0};
     CHECK(near_triangle(p, a, b, c).square == 4.0);

@@ -73,7 +73,7 @@ struct MovingSheet {
                             std::min(square, near_triangle(at(i, t), at(c[0], t), at(c[1], t), at(c[2], t)).square);
             for (const auto& a : surface.edges)
                 for (const auto& b : surface.edges)
-                    if (!surface.share_end(a, b))
+                    if (a[0] != b[0] && a[0] != b[1] && a[1] != b[0] && a[1] != b[1])
                         square =
                             std::min(square, near_segments(at(a[0], t), at(a[1], t), at(b[0], t), at(b[1], t)).square);
         }

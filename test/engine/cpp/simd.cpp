@@ -150,6 +150,17 @@ TEST_CASE("each_below visits the indices below a limit in ascending order") {
     }
 }
 
+TEST_CASE("compress moves lanes to the front in their order") {
+    vec<double> a{};
+    for (int k = 0; k < lanes<double>; ++k) a[k] = 10.0 + k;
+    for (unsigned pattern = 0; pattern < (1u << lanes<double>); ++pattern) {
+        const vec<double> front = compress(a, pattern);
+        int n = 0;
+        for (int k = 0; k < lanes<double>; ++k)
+            if (pattern >> k & 1u) CHECK(front[n++] == a[k]);
+    }
+}
+
 TEST_CASE_TEMPLATE("shift joins the end of a vector with the begin of the next", T, double, float) {
     vec<T> previous{}, next{};
     for (int k = 0; k < lanes<T>; ++k) {
@@ -165,8 +176,9 @@ TEST_CASE_TEMPLATE("shift joins the end of a vector with the begin of the next",
 
 TEST_CASE_TEMPLATE("deinterleave separates components and interleave joins them", T, double, float) {
     constexpr int count = lanes<T>;
-    const std::vector<quad<T>> rows = particle_rows<T>(count);
-    vec<T> x{}, y{}, z{};
+    std::vector<quad<T>> rows = particle_rows<T>(count);
+    for (int k = 0; k < count; ++k) rows[k][3] = T(-1 - k);
+    vec<T> x{}, y{}, z{}, w{};
     deinterleave(rows.data(), x, y, z);
     for (int k = 0; k < count; ++k) {
         CHECK(x[k] == T(10 * k));
@@ -179,6 +191,10 @@ TEST_CASE_TEMPLATE("deinterleave separates components and interleave joins them"
         for (int component = 0; component < 3; ++component) CHECK(joined[k][component] == rows[k][component]);
         CHECK(joined[k][3] == T(0));
     }
+    deinterleave(rows.data(), x, y, z, w);
+    interleave(x, y, z, joined.data(), w);
+    for (int k = 0; k < count; ++k)
+        for (int component = 0; component < 4; ++component) CHECK(joined[k][component] == rows[k][component]);
 }
 
 TEST_CASE("transpose exchanges rows and columns of each group of four lanes") {
