@@ -19,11 +19,6 @@ void move(Sheet& sheet, Vec3<double> common, double each, Random& random) {
     for (Index i = 0; i < sheet.surface.count; ++i)
         sheet.set_position(i, sheet.at(i) + common + each * random.vector());
 }
-Patches patches_of(const Sheet& sheet, std::int64_t columns) {
-    Patches patches;
-    patches.set(sheet.surface, columns);
-    return patches;
-}
 
 }  // namespace
 
@@ -63,7 +58,7 @@ TEST_CASE("pairs beyond a range stay beyond the bound of their patches") {
             for (const std::int64_t columns : {std::int64_t{0}, std::int64_t{rows}}) {
                 Sheet sheet(rows);
                 sheet.arrange(kind, random);
-                Patches patches = patches_of(sheet, columns);
+                Patches patches(sheet.surface, columns);
                 Patches::Distances beyond;
                 patches.set_beyond(beyond, sheet.surface, sheet.x.data(), reach);
                 CHECK(patches.bound(beyond, sheet.x.data()) >= reach);
@@ -87,7 +82,7 @@ TEST_CASE("omitted pairs stay beyond the bound of their patches") {
         for (const std::int64_t columns : {0, 12}) {
             Sheet sheet(12);
             sheet.arrange(kind, random);
-            Patches patches = patches_of(sheet, columns);
+            Patches patches(sheet.surface, columns);
             SurfacePairs pairs;
             pairs.build(sheet.surface, sheet.x.data(), 0.15);
             REQUIRE(pairs.triangles.size() > 50);
@@ -124,7 +119,7 @@ TEST_CASE("omitted pairs stay beyond the bound of their patches") {
 
 TEST_CASE("distances of no pairs have no bound") {
     Sheet sheet(4);
-    Patches patches = patches_of(sheet, 4);
+    Patches patches(sheet.surface, 4);
     Patches::Distances none;
     patches.clear(none, sheet.x.data());
     patches.finish(none);
@@ -148,7 +143,7 @@ TEST_CASE("the bound of a pair follows the motion of all patches that it is on")
         while (!s.has(s.fan[k], j)) ++k;
         return s.fan[k];
     };
-    Patches patches = patches_of(sheet, columns);
+    Patches patches(sheet.surface, columns);
     const auto check_bound = [&](auto edges, Index first, Index second, const std::vector<Index>& moving) {
         Patches::Distances omitted;
         patches.clear(omitted, sheet.x.data());
@@ -190,7 +185,7 @@ TEST_CASE("patches that are far from each other are bound by the motion of all")
         for (Index i = 0; i < n; ++i) sheet.set_position(n + i, sheet.at(i) + Vec3<double>{0.0, 0.0, height});
     };
     lift(0.4);
-    Patches patches = patches_of(sheet, 0);
+    Patches patches(sheet.surface, 0);
     Patches::Distances beyond;
     patches.set_beyond(beyond, s, sheet.x.data(), 0.05);
     CHECK(patches.bound(beyond, sheet.x.data()) == 0.05);
@@ -206,8 +201,7 @@ TEST_CASE("a patch has the triangles about its particles") {
     s.build_topology();
     std::vector<double> x(4 * s.count, 0.0);
     for (int i = 0; i < 27; ++i) x[4 * i] = 2.0 * (i / 9 == 2) - (i / 9 > 0), x[4 * i + 1] = i / 9 > 0 ? 1.0 : 0.0;
-    Patches patches;
-    patches.set(s, 0);
+    Patches patches(s, 0);
     Patches::Distances beyond;
     patches.set_beyond(beyond, s, x.data(), 0.5);
     // The first patch comes near the middle of the triangle, which is nearer than its corners.

@@ -168,12 +168,7 @@ TEST_CASE("no bit of a run depends on the age of its lists") {
             constexpr double d = 0.03;
             Sheet sheet(rows);
             sheet.arrange(kind, random);
-            SelfContact lists[2];
-            for (SelfContact& self : lists) {
-                self.surface = sheet.surface;
-                self.patches.set(sheet.surface, rows);
-            }
-            lists[1].caches = false;
+            SelfVerletList lists[2] = {{sheet.surface, rows, true}, {sheet.surface, rows, false}};
             std::vector<Vec3<double>> rates;
             for (Index i = 0; i < sheet.surface.count; ++i) rates.push_back(reduced_gap * random.vector());
             SelfRun runs[2] = {{lists[0], d, damping, duration}, {lists[1], d, damping, duration}};
@@ -211,6 +206,46 @@ TEST_CASE("no bit of a run depends on the age of its lists") {
             CHECK(has_same_bits(runs[0].bounds().omega2, runs[1].bounds().omega2));
             CHECK(has_same_bits(runs[0].bounds().damping, runs[1].bounds().damping));
         }
+}
+
+TEST_CASE("edges that alone come near are found in time") {
+    // Two triangles that stand on each other, edge on edge.
+    constexpr double d = 0.03;
+    Surface s;
+    s.count = 6;
+    s.triangles = {{0, 1, 2}, {3, 4, 5}};
+    s.build_topology();
+    s.shortest = 0.1;
+    s.masses.assign(6, 0.01), s.inverse.assign(6, 100.0), s.is_free.assign(6, 1);
+    const auto positions = [](double height) {
+        return std::vector<double>{-0.1, 0.0,  0.0,    0.0, 0.1, 0.0, 0.0,    0.0, 0.0, 0.0, -0.2,         0.0,
+                                   0.0,  -0.1, height, 0.0, 0.0, 0.1, height, 0.0, 0.0, 0.0, height + 0.2, 0.0};
+    };
+    const std::vector<double> v(24, 0.0);
+    // Without other searches, with one of the middle list, and with one of the outer list.
+    for (const double margin : {0.0, 0.2 * d, 1.5 * d}) {
+        SelfVerletList lists(s, 0, true);
+        SelfRun run(lists, d, damping, duration);
+        std::vector<double> f(24, 0.0);
+        int n_searches = 0;
+        for (double height = 0.2; height > 0.013; height -= 0.002) {
+            std::fill(f.begin(), f.end(), 0.0);
+            run.add(0, positions(height).data(), v.data(), f.data(), nullptr);
+            CHECK((f[2] != 0.0) == (height < 0.5 * d));
+            if (!(margin > 0.0 && height < 0.1)) continue;
+            CHECK(lists.find(positions(height).data(), d, margin));
+            CHECK(lists.edges.size() == (height < 0.5 * d + margin ? 1 : 0));
+            ++n_searches;
+        }
+        CHECK(f[2] < 0.0);
+        CHECK((n_searches > 0) == (margin > 0.0));
+        // At once far from each other and near again.
+        for (const double height : {0.3, 0.02, 0.3, 0.02}) {
+            CHECK(lists.find(positions(height).data(), d, 0.2 * d));
+            CHECK(lists.edges.size() == (height < 0.1 ? 1 : 0));
+            CHECK(lists.has_no_pairs(positions(height).data(), d, 0.2 * d) == (height > 0.1));
+        }
+    }
 }
 
 }  // namespace cloth::tests
