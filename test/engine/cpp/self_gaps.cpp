@@ -160,6 +160,26 @@ TEST_CASE("particles that come near count by their speed") {
     }
 }
 
+TEST_CASE("lists have no pairs where the nearest one is out of range") {
+    Sheet sheet(4);
+    Random random;
+    sheet.arrange(0, random);
+    Surface& s = sheet.surface;
+    const Index falling = static_cast<Index>(s.count++);
+    s.build_topology();
+    sheet.x.resize(4 * s.count, 0.0);
+    SelfVerletList lists(s, 0, true);
+    // The last search found the particle, or did not.
+    for (const double found_at : {0.05, 0.2})
+        for (const double height : {0.03, 0.05, 0.07}) {
+            sheet.set_position(falling, {0.14, 0.13, found_at});
+            CHECK(lists.find(sheet.x.data(), 0.03, 0.03));
+            CHECK((lists.triangles.size() > 0) == (found_at < 0.06));
+            sheet.set_position(falling, {0.14, 0.13, height});
+            CHECK(lists.has_no_pairs(sheet.x.data(), 0.03, 0.01) == (height > 0.04));
+        }
+}
+
 TEST_CASE("no bit of a run depends on the age of its lists") {
     Random random;
     for (const int kind : {1, 2})
@@ -228,7 +248,7 @@ TEST_CASE("edges that alone come near are found in time") {
         SelfRun run(lists, d, damping, duration);
         std::vector<double> f(24, 0.0);
         int n_searches = 0;
-        for (double height = 0.2; height > 0.013; height -= 0.002) {
+        for (double height = 0.2; height > 0.0145; height -= 0.0005) {
             std::fill(f.begin(), f.end(), 0.0);
             run.add(0, positions(height).data(), v.data(), f.data(), nullptr);
             CHECK((f[2] != 0.0) == (height < 0.5 * d));
