@@ -353,7 +353,7 @@ public:
             if (!dissipation) continue;
             const V loss = mass * (factor - unit) * rate * square,
                     power = mass * scaling.growth * square * SelfLaw<double>::growing(factor * lever, shape);
-            for (int lane = 0; lane < lanes<double> && k + lane < size_; ++lane) {
+            for (int lane = 0; lane < lanes<double>; ++lane) {
                 *dissipation += loss[lane];
                 if (law.reduced()) growth_power += power[lane];
             }
