@@ -228,7 +228,8 @@ public:
                         axis_overlap(2, box.low.z, box.high.z));
             auto counts = overlap >= V{};
             for (const auto& key : key_)
-                for (const Index other : keys) counts &= load(key.data() + k) != static_cast<double>(other) * unit;
+                for (const Index excluded : keys)
+                    counts &= load(key.data() + k) != static_cast<double>(excluded) * unit;
             unsigned bits = bits_of(counts);
             if (end - k < lanes<double>) bits &= (1u << (end - k)) - 1u;
             for (; bits; bits &= bits - 1u) visit(k + std::countr_zero(bits));

@@ -63,22 +63,22 @@ public:
         Array<double> positions;
         std::vector<std::array<Index, 2>> patches;
         std::vector<double> distance;
-        double others = std::numeric_limits<double>::infinity();
+        double far_distance = std::numeric_limits<double>::infinity();
     };
 
     /// Patches of a surface: squares of a sheet with a number of columns, or ranges of particles if that is zero.
     Patches(const Surface& s, std::int64_t columns) {
-        auto side = std::int64_t{3};
-        while (side * side * max_patches < s.count) ++side;
+        auto width = std::int64_t{3};
+        while (width * width * max_patches < s.count) ++width;
         patch_.resize(s.count);
         Index n_patches = 0;
-        std::vector<Index> number;
+        std::vector<Index> numbers;
         for (std::int64_t i = 0; i < s.count; ++i) {
             const std::int64_t k =
-                columns ? i / columns / side * (columns / side + 1) + i % columns / side : i / (side * side);
-            number.resize(std::max<std::size_t>(number.size(), k + 1), -1);
-            if (number[k] < 0) number[k] = n_patches++;
-            patch_[i] = number[k];
+                columns ? i / columns / width * (columns / width + 1) + i % columns / width : i / (width * width);
+            numbers.resize(std::max<std::size_t>(numbers.size(), k + 1), -1);
+            if (numbers[k] < 0) numbers[k] = n_patches++;
+            patch_[i] = numbers[k];
         }
         const auto patches_of = [&](auto parts, auto& all) {
             all.clear();
@@ -98,7 +98,7 @@ public:
     void clear(Distances& all, const double* x) const {
         all.positions.assign(x, x + 4 * patch_.size());
         all.patches.clear(), all.distance.clear();
-        all.others = std::numeric_limits<double>::infinity();
+        all.far_distance = std::numeric_limits<double>::infinity();
     }
     /// Include a pair of two edges, or of a particle and a triangle, at a distance [m].
     template <bool Edges>
@@ -122,12 +122,12 @@ public:
             for (Index f = s.start[i]; f < s.start[i + 1]; ++f)
                 for (const Index corner : s.triangles[s.fan[f]]) hulls[patch_[i]].include(load4(x + 4 * corner));
         }
-        all.others = far * reach;
+        all.far_distance = far_factor * reach;
         for (std::size_t a = 0; a < hulls.size(); ++a)
             for (std::size_t b = a; b < hulls.size(); ++b) {
                 const quad<double> gap = MotionBound::gap(hulls[a], hulls[b]);
                 const double distance = root(norm2(Vec3<double>{gap[0], gap[1], gap[2]}));
-                if (distance < all.others) include_patches(all, a, b, larger(reach, distance));
+                if (distance < all.far_distance) include_patches(all, a, b, larger(reach, distance));
             }
         finish(all);
     }
@@ -150,7 +150,7 @@ public:
         MotionBound total;
         for (const MotionBound& moved : moved_) total.include(moved);
         const double diameter = total.diameter();
-        V least = splat<V>(all.others - diameter);
+        V least = splat<V>(all.far_distance - diameter);
         for (std::size_t k = 0; k + lanes<double> <= all.patches.size(); k += lanes<double>) {
             quad<double> rows[lanes<double>];
             for (int lane = 0; lane < lanes<double>; ++lane) {
@@ -170,7 +170,7 @@ public:
 private:
     static constexpr std::int64_t max_patches = 256;
     /// Patches that are further apart have one distance, as a multiple of the reach.
-    static constexpr double far = 4.0, largest = 1e300;
+    static constexpr double far_factor = 4.0, largest = 1e300;
 
     void include_patches(Distances& all, std::size_t a, std::size_t b, double distance) {
         double& least = least_[std::min(a, b) * moved_.size() + std::max(a, b)];

@@ -377,12 +377,12 @@ private:
 /// squared distances of the pairs.
 template <class F>
 inline void for_each_particle(const PairList& pairs, const std::vector<double>& square, double distance, F&& particle) {
-    std::vector<Index> near;
+    std::vector<Index> triangles;
     for (std::size_t first = 0, last; first < pairs.size(); first = last) {
-        near.clear();
+        triangles.clear();
         for (last = first; last < pairs.size() && pairs.first[last] == pairs.first[first]; ++last)
-            if (square[last] < distance * distance) near.push_back(pairs.second[last]);
-        if (!near.empty()) particle(pairs.first[first], near.data(), near.data() + near.size());
+            if (square[last] < distance * distance) triangles.push_back(pairs.second[last]);
+        if (!triangles.empty()) particle(pairs.first[first], triangles.data(), triangles.data() + triangles.size());
     }
 }
 /// Call particle(i, begin, end) with each particle in contact and its triangles, and edge(k) with each pair of edges in

@@ -74,15 +74,15 @@ TEST_CASE("a selection keeps the pairs within a range and names the others") {
             from.square.push_back(random.uniform(0.0, 2.0));
         }
         from.square.resize(from.square.size() + lanes<double>, 0.0);
-        std::vector<Index> others;
+        std::vector<Index> omitted;
         Pairs near;
         std::vector<double> squares;
         for (int k = 0; k < size; ++k)
             if (from.square[k] < 1.0)
                 near.emplace_back(from.first[k], from.second[k]), squares.push_back(from.square[k]);
             else
-                others.push_back(static_cast<Index>(k));
-        CHECK(to.select(from, 1.0) == others);
+                omitted.push_back(static_cast<Index>(k));
+        CHECK(to.select(from, 1.0) == omitted);
         CHECK(pairs_of(to) == near);
         CHECK(std::vector<double>(to.square.begin(), to.square.begin() + std::ssize(near)) == squares);
         CHECK(to.square.size() == near.size() + lanes<double>);
@@ -174,13 +174,13 @@ TEST_CASE("sorted boxes visit the slots that overlap and have other keys") {
     }
     for (int round = 0; round < 100; ++round) {
         const AxisBox box = random_box(0.6);
-        const std::array<Index, 2> other = random_keys();
+        const std::array<Index, 2> excluded = random_keys();
         const std::int64_t begin = random.below(count), end = begin + random.below(count - begin + 1);
         std::vector<std::int64_t> visited, expected;
-        boxes.for_each_overlap(begin, end, box, other, [&](std::int64_t slot) { visited.push_back(slot); });
+        boxes.for_each_overlap(begin, end, box, excluded, [&](std::int64_t slot) { visited.push_back(slot); });
         for (std::int64_t slot = begin; slot < end; ++slot) {
             const auto [a, b] = keys[slot];
-            if (all[slot].overlaps(box) && a != other[0] && a != other[1] && b != other[0] && b != other[1])
+            if (all[slot].overlaps(box) && a != excluded[0] && a != excluded[1] && b != excluded[0] && b != excluded[1])
                 expected.push_back(slot);
         }
         CHECK(visited == expected);

@@ -15,9 +15,9 @@ using namespace contact;
 namespace {
 
 /// Move all particles by the same vector [m], and each by up to another distance along each axis.
-void move(Sheet& sheet, Vec3<double> common, double each, Random& random) {
+void move(Sheet& sheet, Vec3<double> common, double jitter, Random& random) {
     for (Index i = 0; i < sheet.surface.count; ++i)
-        sheet.set_position(i, sheet.at(i) + common + each * random.vector());
+        sheet.set_position(i, sheet.at(i) + common + jitter * random.vector());
 }
 
 }  // namespace
@@ -63,11 +63,11 @@ TEST_CASE("pairs beyond a range stay beyond the bound of their patches") {
                 patches.set_beyond(beyond, sheet.surface, sheet.x.data(), reach);
                 CHECK(patches.bound(beyond, sheet.x.data()) >= reach);
                 const Pairs triangles = sheet.all_triangles(reach), edges = sheet.all_edges(reach - reduction);
-                for (const double each : {0.0, 0.005, 0.03}) {
-                    move(sheet, {0.5, -1.0, 2.0}, each, random);
+                for (const double jitter : {0.0, 0.005, 0.03}) {
+                    move(sheet, {0.5, -1.0, 2.0}, jitter, random);
                     const double bound = patches.bound(beyond, sheet.x.data());
                     // Moving together leaves the bound.
-                    if (each == 0.0) CHECK(bound >= reach - 1e-12);
+                    if (jitter == 0.0) CHECK(bound >= reach - 1e-12);
                     for (const auto& pair : sheet.all_triangles(std::max(bound, 0.0)))
                         CHECK(std::binary_search(triangles.begin(), triangles.end(), pair));
                     for (const auto& pair : sheet.all_edges(std::max(bound - reduction, 0.0)))
@@ -103,8 +103,8 @@ TEST_CASE("omitted pairs stay beyond the bound of their patches") {
             }
             patches.finish(omitted);
             CHECK(patches.bound(omitted, sheet.x.data()) == least);
-            for (const double each : {0.001, 0.01}) {
-                move(sheet, {3.0, 1.0, -2.0}, each, random);
+            for (const double jitter : {0.001, 0.01}) {
+                move(sheet, {3.0, 1.0, -2.0}, jitter, random);
                 pairs.measure(sheet.surface, sheet.x.data());
                 const double bound = patches.bound(omitted, sheet.x.data());
                 for (std::size_t k = 0; k < pairs.triangles.size(); k += 2)

@@ -170,11 +170,11 @@ TEST_CASE("lists have no pairs where the nearest one is out of range") {
     sheet.x.resize(4 * s.count, 0.0);
     SelfVerletList lists(s, 0, true);
     // The last search found the particle, or did not.
-    for (const double found_at : {0.05, 0.2})
+    for (const double first_height : {0.05, 0.2})
         for (const double height : {0.03, 0.05, 0.07}) {
-            sheet.set_position(falling, {0.14, 0.13, found_at});
+            sheet.set_position(falling, {0.14, 0.13, first_height});
             CHECK(lists.find(sheet.x.data(), 0.03, 0.03));
-            CHECK((lists.triangles.size() > 0) == (found_at < 0.06));
+            CHECK((lists.triangles.size() > 0) == (first_height < 0.06));
             sheet.set_position(falling, {0.14, 0.13, height});
             CHECK(lists.has_no_pairs(sheet.x.data(), 0.03, 0.01) == (height > 0.04));
         }
