@@ -152,7 +152,8 @@ public:
     /// Push, closing speed, gap and b of gap k; its normal, and 1.
     const double* terms(std::size_t k) const { return terms_.data() + 4 * k; }
     const double* normal(std::size_t k) const { return normals_.data() + 4 * k; }
-    /// Squared distances of all candidate triangles [m^2], their minimum, at most 1e30, and their corners.
+    /// Squared distances of all candidate triangles [m^2], with padding at the end, their minimum, at most 1e30, and
+    /// their corners.
     std::vector<double> square;
     double min_square = 1e30;
     std::array<Index, 4> candidate(std::size_t k) const {

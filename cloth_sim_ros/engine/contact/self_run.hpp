@@ -147,7 +147,7 @@ private:
         const SelfGaps& gaps = neighbors_.gaps;
         // Usually nothing is that near.
         if (gaps.min_square <= motion * motion)
-            for (std::size_t k = 0; k < gaps.square.size(); ++k)
+            for (std::size_t k = 0; k < neighbors_.inner_pairs().size(); ++k)
                 if (gaps.square[k] <= motion * motion)
                     intersected_ =
                         intersected_ || may_intersect(gaps.square[k], gaps.candidate(k).data(), false, displacement);
