@@ -25,8 +25,9 @@ struct Surface;
 class SelfCulling {
 public:
     SelfCulling(Plan& plan, double duration, const double* x0, const double* v0);
-    /// Whether a run with positions x and velocities v at its end violates the assumptions.
-    bool is_violated(const double* x, const double* v) const;
+    /// Whether a run with positions x and velocities v at its end violates the assumptions. `is_next_start`: whether the
+    /// next frame starts at this end.
+    bool is_violated(const double* x, const double* v, bool is_next_start) const;
     void disable() { plan_.self_culled = false; }
 
 private:

@@ -81,7 +81,7 @@ public:
         }
         return find(x, thickness, margin) && !triangles.size() && !edges.size();
     }
-    /// Result of `update`, and the pairs of a particle and a triangle that it evaluated, as many as `gaps.square`.
+    /// Result of `update`, and the pairs of a particle and a triangle that it evaluated, in the order of `gaps.square`.
     SelfGaps gaps;
     const PairList& inner_pairs() const { return inner_.pairs.triangles; }
 
@@ -210,30 +210,26 @@ public:
             return a.size() == size && !std::memcmp(a.data(), b, size * sizeof(double));
         };
         if (!(limits == checked_limits_ && is_same(checked_x_, x) && is_same(checked_v_, v)))
-            keep_check(x, v, limits, separation.bound(x, {v, duration}, limits[1]) >= limits[1]);
+            keep_check(x, v, limits, separation.separated_motions(x, {{v, duration}}, limits[1]) != 0);
         return is_separated_;
     }
     /// Whether a sheet that `stays_separated` has done so on its way from positions x0 to x and velocities v at the end
-    /// of a frame: on straight paths, and backwards from the end at the velocities v.
-    bool stayed_separated(const double* x0, const double* x, const double* v, double thickness, double duration) {
+    /// of a frame: on straight paths, and backwards from the end at the velocities v. `is_next_start`: whether the next
+    /// frame starts at this end.
+    bool stayed_separated(const double* x0, const double* x, const double* v, double thickness, double duration,
+                          bool is_next_start) {
         const double needed = separation_needed(thickness, duration);
-        const auto reversed = [&](auto&& component) -> const double* {
-            motion_back_.resize(3 * static_cast<std::size_t>(surface.count));
-            for (std::size_t k = 0; k < motion_back_.size(); ++k) motion_back_[k] = component(k);
-            return motion_back_.data();
-        };
-        const SheetSeparation::Motion straight{reversed([&](std::size_t k) { return x0[k] - x[k]; }), 1.0};
-        if (separation.is_clear(x, {straight, {v, duration}}, needed)) {
-            // A next frame that starts here stays separated.
-            keep_check(x, v, {duration, needed}, true);
-            return true;
-        }
-        return separation.bound(x, straight, needed) >= needed &&
-               separation.bound(x, {reversed([&](std::size_t k) { return -v[k]; }), duration}, needed) >= needed;
+        way_back_.resize(3 * static_cast<std::size_t>(surface.count));
+        for (std::size_t k = 0; k < way_back_.size(); ++k) way_back_[k] = x0[k] - x[k];
+        const SheetSeparation::Motion straight{way_back_.data(), 1.0}, backwards{v, -duration}, next{v, duration};
+        if (!is_next_start) return separation.separated_motions(x, {straight, backwards}, needed) == 3;
+        const unsigned separated = separation.separated_motions(x, {straight, backwards, next}, needed);
+        keep_check(x, v, {duration, needed}, separated >> 2);
+        return (separated & 3) == 3;
     }
     /// Whether it is clear without a search for pairs that a regular sheet at positions x, (3, n), is not in contact
     /// with itself. False for any other surface.
-    bool is_clear(const double* x, double thickness) { return separation.is_clear(x, {}, thickness); }
+    bool is_clear(const double* x, double thickness) { return separation.is_clear(x, thickness); }
     /// Speed that particles may gain in a frame [m/s].
     static constexpr double speed_margin = 0.1;
 
@@ -248,8 +244,8 @@ private:
     /// Arguments and result of `stays_separated`.
     std::array<double, 2> checked_limits_{-1.0, -1.0};
     Array<double> checked_x_, checked_v_;
-    /// Velocities or displacement of `stayed_separated`, reversed.
-    std::vector<double> motion_back_;
+    /// Displacements of `stayed_separated` from the end of the frame to its start.
+    std::vector<double> way_back_;
     bool is_separated_ = false;
     std::array<std::unique_ptr<SelfVerletList>, plan::max_concurrency> neighbors_;
     bool caches_ = true;

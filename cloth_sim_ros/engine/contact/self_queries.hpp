@@ -286,10 +286,10 @@ SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const do
                        self.neighbors().has_no_pairs(positions.data(), plan.contacts.thickness, margin);
 }
 
-bool SelfCulling::is_violated(const double* x, const double* v) const {
+bool SelfCulling::is_violated(const double* x, const double* v, bool is_next_start) const {
     if (!plan_.self_culled) return false;
     if (!is_separated_) return !(relative_speed(v) <= speed_limit_);
-    return !plan_.self->stayed_separated(x0_, x, v, plan_.contacts.thickness, duration_);
+    return !plan_.self->stayed_separated(x0_, x, v, plan_.contacts.thickness, duration_, is_next_start);
 }
 
 double SelfCulling::relative_speed(const double* v) const {

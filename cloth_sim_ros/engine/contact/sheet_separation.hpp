@@ -8,6 +8,7 @@
 #include <cstring>
 #include <initializer_list>
 #include <limits>
+#include <span>
 
 #include "contact/primitives.hpp"
 #include "contact/surface.hpp"
@@ -40,32 +41,48 @@ public:
         }
     }
     bool applies() const { return !levels_.empty(); }
-    /// Motion of all particles at constant velocities, (3, n), for a duration [s].
+    /// Motion of all particles at constant velocities, (3, n), for a duration [s]; backwards for a negative one.
     struct Motion {
         const double* v;
         double duration;
     };
-    /// Lower bound of the distance [m] during a motion from positions x, (3, n). Its calculation ends below `needed`,
-    /// for numbers beyond `largest`, and where it takes too much work.
-    double bound(const double* x, Motion motion, double needed) {
-        x_ = x, v_ = motion.v, duration_ = motion.duration, needed_ = needed;
+    /// The motions, among up to three from positions x, (3, n), that keep all pairs at least `needed` [m] apart: bit k
+    /// stands for the k-th. Motions beyond the second must have the second's velocities, and its duration but for the
+    /// sign. A motion is left out where that takes too much work, and for numbers beyond `largest`.
+    unsigned separated_motions(const double* x, std::initializer_list<Motion> motions, double needed) {
+        if (!applies() || !measure(x, motions)) return 0;
+        x_ = x, motions_ = {motions.begin(), motions.size()}, needed_ = (1.0 + rounding) * needed;
         has_boxes_ = false;
-        work_left_ = work_per_cell * static_cast<std::int64_t>(cells_.size()) + min_work;
-        if (!measure(x, {motion})) return -1.0;
-        return bound_by_windows(needed, [&](std::size_t l, std::int64_t r, std::int64_t c) {
-            return l ? window_bound(l - 1, 2 * r, 2 * c) : window_distance(r, c);
+        unsigned separated = (1u << motions.size()) - 1;
+        std::int64_t work_left[max_motions];
+        std::fill_n(work_left, max_motions, work_per_cell * static_cast<std::int64_t>(cells_.size()) + min_work);
+        for_each_bent_window([&](std::size_t l, std::int64_t r, std::int64_t c, unsigned bent) {
+            for (std::size_t k = 0; k < motions.size(); ++k) {
+                if (!(separated >> k & bent >> derivative_plane(k) & 1u)) continue;
+                motion_ = k;
+                std::swap(work_left_, work_left[k]);
+                if (!(l ? is_window_separated(l - 1, 2 * r, 2 * c) : are_cells_separated(r, c)))
+                    separated &= ~(1u << k);
+                std::swap(work_left_, work_left[k]);
+            }
+            return separated != 0;
         });
+        return separated;
     }
-    /// Whether windows alone bound the distance by `needed` [m] in each of some motions from positions x, in either
-    /// direction. Then `bound` does so as well, and nothing has pierced anything at x.
-    bool is_clear(const double* x, std::initializer_list<Motion> motions, double needed) {
-        return applies() && measure(x, motions) && bound_by_windows(needed, [](auto...) { return -1.0; }) >= needed;
+    /// Whether windows alone keep all pairs at positions x at least `needed` [m] apart. Then nothing has pierced
+    /// anything.
+    bool is_clear(const double* x, double needed) {
+        if (!applies() || !measure(x, {})) return false;
+        needed_ = (1.0 + rounding) * needed;
+        return for_each_bent_window([](auto...) { return false; });
     }
 
 private:
-    /// Planes of a level: squared largest derivative of a motion's displacement; least and largest derivatives of the
-    /// position along columns, and along rows, by component; least and largest positions; least and largest velocities.
-    static constexpr int first_derivative = 1, gradient_planes = 13, first_speed = 19, planes = 25;
+    /// Planes of a level: squared largest derivatives of two motions' displacements; least and largest derivatives of
+    /// the position along columns, and along rows, by component; least and largest positions; least and largest
+    /// velocities of two motions.
+    static constexpr int first_derivative = 2, first_position = 14, first_speed = 20, planes = 32;
+    static constexpr int max_motions = 3;
     static constexpr double rounding = 1e-6, largest = 1e30;
     /// Work limit, in pairs of blocks: beyond it a search for pairs is cheaper. Work of the pairs of some cells.
     static constexpr std::int64_t work_per_cell = 16, min_work = 4096, cells_work = 100;
@@ -81,7 +98,7 @@ private:
             for (auto& numbers : plane) numbers.assign(r * pitch, 0.0);
         }
         /// Whether a plane has largest numbers.
-        static bool is_upper(int k) { return !k || (k - 1) / 3 % 2; }
+        static bool is_upper(int k) { return k < first_derivative || (k - first_derivative) / 3 % 2; }
         static double unite(int k, double a, double b) { return is_upper(k) ? larger(a, b) : smaller(a, b); }
         void pad(int first, int last) {
             for (int k = first; k < last; ++k)
@@ -106,13 +123,13 @@ private:
         }
     };
 
-    /// Minimum of the bounds of all windows, or a lower number below `needed`. `unclear` bounds a window of a level, at
-    /// a row and a column, that bends too much.
+    /// Call visit(level, row, column, motions) with each window that bends too much for the bound, and the motions, by
+    /// plane, for which it does, until that returns false. Return whether it never did.
     template <class F>
-    double bound_by_windows(double needed, F&& unclear) {
-        double least = std::numeric_limits<double>::infinity();
+    bool for_each_bent_window(F&& visit) {
+        const auto is_bent = [&](vec<double> bounds) { return bits_of(!(bounds >= splat<vec<double>>(needed_))); };
         for (std::size_t l = 0; l < levels_.size(); ++l) {
-            if (l) levels_[l].unite(levels_[l - 1], 0, gradient_planes);
+            if (l) levels_[l].unite(levels_[l - 1], 0, first_position);
             // In adjacent cells, a corner of a cell is next to its diagonal.
             const double distance =
                 l ? std::ldexp(smaller(spacing_[0], spacing_[1]), static_cast<int>(l) - 1)
@@ -120,21 +137,18 @@ private:
             const Level& level = levels_[l];
             for (std::int64_t r = 0; r < level.rows; ++r)
                 for (std::int64_t c = 0; c < level.columns; c += lanes<double>) {
+                    const WindowFactor factor = window_factor(level, r, c);
+                    const unsigned bent[2] = {is_bent(distance * (factor.at_rest - factor.derivative[0])),
+                                              is_bent(distance * (factor.at_rest - factor.derivative[1]))};
+                    if (!(bent[0] | bent[1])) continue;
                     // Padding repeats the last window.
-                    const vec<double> bounds = distance * window_factor(level, r, c);
-                    const unsigned is_unclear = bits_of(!(bounds >= splat<vec<double>>(needed)));
-                    for (int lane = 0; lane < lanes<double>; ++lane) {
-                        double bound = bounds[lane];
-                        if (is_unclear >> lane & 1u) {
-                            if (c + lane >= level.columns) continue;
-                            bound = unclear(l, r, c + lane);
-                        }
-                        least = smaller(bound, least);
-                        if (!(least >= needed)) return least;
+                    for (int lane = 0; lane < lanes<double> && c + lane < level.columns; ++lane) {
+                        const unsigned motions = (bent[0] >> lane & 1u) | (bent[1] >> lane & 1u) << 1;
+                        if (motions && !visit(l, r, c + lane, motions)) return false;
                     }
                 }
         }
-        return (1.0 - rounding) * least;
+        return true;
     }
     /// Set the triangles and the diagonal of each cell. Return whether all triangles are halves of cells, and no two
     /// overlap.
@@ -190,11 +204,11 @@ private:
                 for (std::int64_t c = 0; c < cells.columns; c += lanes<double>)
                     visit(r * pitch_ + c, r * cells.pitch + c);
         };
-        std::fill(cells.plane[0].begin(), cells.plane[0].end(), 0.0);
-        for (const Motion& motion : motions) {
-            const double duration = motion.duration;
-            if (!(duration >= 0.0 && duration < largest && copy(motion.v))) return false;
-            const V square = splat<V>(duration * duration);
+        for (std::size_t k = motions.size(); k < 2; ++k) std::fill(cells.plane[k].begin(), cells.plane[k].end(), 0.0);
+        for (std::size_t k = 0; k < std::min<std::size_t>(motions.size(), 2); ++k) {
+            const Motion& motion = motions.begin()[k];
+            const double square = motion.duration * motion.duration;
+            if (!(square < largest && copy(motion.v))) return false;
             for_each_vector([&](std::int64_t from, std::int64_t to) CLOTH_INLINED {
                 Sides sums{};
                 for (const auto& component : component_) {
@@ -203,8 +217,7 @@ private:
                             fma(sides.left, sides.left, sums.left), fma(sides.right, sides.right, sums.right)};
                 }
                 const V derivative = larger(sums.top, sums.bottom) + larger(sums.left, sums.right);
-                double* const out = cells.plane[0].data() + to;
-                store(out, larger(load(out), square * derivative));
+                store(cells.plane[k].data() + to, splat<V>(square) * derivative);
             });
         }
         if (!copy(x)) return false;
@@ -216,13 +229,18 @@ private:
                 store(cells.plane[first_derivative + 6 + k].data() + to, smaller(sides.left, sides.right));
                 store(cells.plane[first_derivative + 9 + k].data() + to, larger(sides.left, sides.right));
             });
-        cells.pad(0, gradient_planes);
+        cells.pad(0, first_position);
         return true;
     }
+    /// Plane of a motion among those of two motions.
+    static int derivative_plane(std::size_t motion) { return motion ? 1 : 0; }
     void build_boxes() {
         Level& cells = levels_[0];
-        for (int k = gradient_planes; k < planes; ++k) {
-            const double* const from = (k < first_speed ? x_ : v_) + (k - gradient_planes) % 3 * rows_ * columns_;
+        for (int k = first_position; k < planes; ++k) {
+            const auto motion = static_cast<std::size_t>((k - first_speed) / 6);
+            if (k >= first_speed && motion >= motions_.size()) break;
+            const double* const array = k < first_speed ? x_ : motions_[motion].v;
+            const double* const from = array + (k - first_position) % 3 * rows_ * columns_;
             for (std::int64_t r = 0; r < cells.rows; ++r)
                 for (std::int64_t c = 0; c < cells.columns; ++c) {
                     const double* const corner = from + r * columns_ + c;
@@ -231,13 +249,16 @@ private:
                         Level::unite(k, Level::unite(k, corner[0], corner[1]), Level::unite(k, below[0], below[1]));
                 }
         }
-        cells.pad(gradient_planes, planes);
-        for (std::size_t l = 1; l < levels_.size(); ++l) levels_[l].unite(levels_[l - 1], gradient_planes, planes);
+        cells.pad(first_position, planes);
+        for (std::size_t l = 1; l < levels_.size(); ++l) levels_[l].unite(levels_[l - 1], first_position, planes);
         has_boxes_ = true;
     }
-    /// s_min(A) - max |F - A| of a vector of windows, A in the middle of the derivatives, less the largest derivative of
-    /// the motions' displacements.
-    CLOTH_INLINE vec<double> window_factor(const Level& level, std::int64_t r, std::int64_t c) const {
+    /// Of a vector of windows: s_min(A) - max |F - A|, A in the middle of the derivatives; largest derivatives of the
+    /// displacements of two motions.
+    struct WindowFactor {
+        vec<double> at_rest, derivative[2];
+    };
+    CLOTH_INLINE WindowFactor window_factor(const Level& level, std::int64_t r, std::int64_t c) const {
         using V = vec<double>;
         const std::int64_t at = r * level.pitch + c, below = r + 1 < level.rows ? at + level.pitch : at;
         const auto united = [&](int k, auto&& choose) CLOTH_INLINED {
@@ -261,71 +282,70 @@ private:
         const V aa = norm2(a), bb = norm2(b), ab = dot(a, b), difference = aa - bb, twice = ab + ab;
         // Smaller eigenvalue of the transpose of A times A.
         const V square = half * (aa + bb - root(fma(difference, difference, twice * twice)));
-        return root(larger(square, V{})) - root(spread) - root(united(0, largest));
+        return {root(larger(square, V{})) - root(spread), {root(united(0, largest)), root(united(1, largest))}};
     }
-    /// Bound of the pairs of blocks that are not adjacent, among four by four from a row and a column on.
-    double window_bound(std::size_t l, std::int64_t row, std::int64_t column) {
+    /// Whether the present motion keeps those blocks apart that are not adjacent, among four by four from a row and a
+    /// column on.
+    bool is_window_separated(std::size_t l, std::int64_t row, std::int64_t column) {
         if (!has_boxes_) build_boxes();
         const std::int64_t rows = std::min(row + 4, levels_[l].rows),
                            columns = std::min(column + 4, levels_[l].columns);
-        double least = std::numeric_limits<double>::infinity();
         for (std::int64_t r = row; r < rows; ++r)
             for (std::int64_t c = column; c < columns; ++c)
                 for (std::int64_t r2 = r; r2 < rows; ++r2)
                     for (std::int64_t c2 = column; c2 < columns; ++c2) {
                         if (r2 - r < 2 && (std::abs(c2 - c) < 2 || (r2 == r && c2 < c))) continue;
-                        least = smaller(block_bound(l, r, c, r2, c2), least);
-                        if (!(least >= needed_)) return least;
+                        if (!are_blocks_separated(l, r, c, r2, c2)) return false;
                     }
-        return least;
+        return true;
     }
-    /// Bound of two blocks that are not adjacent.
-    double block_bound(std::size_t l, std::int64_t r, std::int64_t c, std::int64_t r2, std::int64_t c2) {
-        if (--work_left_ < 0) return -1.0;
+    /// The same for two blocks that are not adjacent.
+    bool are_blocks_separated(std::size_t l, std::int64_t r, std::int64_t c, std::int64_t r2, std::int64_t c2) {
+        if (--work_left_ < 0) return false;
         const Level& level = levels_[l];
+        const int speed_planes = first_speed + 6 * derivative_plane(motion_);
         const std::int64_t first = r * level.pitch + c, second = r2 * level.pitch + c2;
         double gap_square = 0.0, speed_square = 0.0;
         for (int k = 0; k < 3; ++k) {
             const auto plane = [&](int at) { return level.plane[at + k].data(); };
-            const double* const low = plane(gradient_planes);
-            const double* const high = plane(gradient_planes + 3);
+            const double* const low = plane(first_position);
+            const double* const high = plane(first_position + 3);
             const double gap = larger(larger(low[first] - high[second], low[second] - high[first]), 0.0);
             gap_square = cloth::fma(gap, gap, gap_square);
-            const double* const slowest = plane(first_speed);
-            const double* const fastest = plane(first_speed + 3);
+            const double* const slowest = plane(speed_planes);
+            const double* const fastest = plane(speed_planes + 3);
             const double speed = larger(fastest[first] - slowest[second], fastest[second] - slowest[first]);
             speed_square = cloth::fma(speed, speed, speed_square);
         }
-        const double bound = root(gap_square) - duration_ * root(speed_square);
-        if (bound >= needed_) return bound;
+        const double duration = std::fabs(motion().duration);
+        if (root(gap_square) - duration * root(speed_square) >= needed_) return true;
         if (!l) {
             compared_cells_ = {cell(r, c), cell(r2, c2)};
-            return cells_distance();
+            return are_compared_cells_separated();
         }
         const Level& finer = levels_[l - 1];
-        double least = std::numeric_limits<double>::infinity();
         for (std::int64_t i = 2 * r; i < std::min(2 * r + 2, finer.rows); ++i)
             for (std::int64_t j = 2 * c; j < std::min(2 * c + 2, finer.columns); ++j)
                 for (std::int64_t i2 = 2 * r2; i2 < std::min(2 * r2 + 2, finer.rows); ++i2)
                     for (std::int64_t j2 = 2 * c2; j2 < std::min(2 * c2 + 2, finer.columns); ++j2) {
-                        least = smaller(block_bound(l - 1, i, j, i2, j2), least);
-                        if (!(least >= needed_)) return least;
+                        if (!are_blocks_separated(l - 1, i, j, i2, j2)) return false;
                     }
-        return least;
+        return true;
     }
+    const Motion& motion() const { return motions_[motion_]; }
     std::int64_t cell(std::int64_t r, std::int64_t c) const { return r * (columns_ - 1) + c; }
-    /// Bound of the pairs of two by two cells.
-    double window_distance(std::int64_t r, std::int64_t c) {
+    /// The same for the pairs of two by two cells.
+    bool are_cells_separated(std::int64_t r, std::int64_t c) {
         compared_cells_.clear();
         for (std::int64_t i = r; i < std::min(r + 2, rows_ - 1); ++i)
             for (std::int64_t j = c; j < std::min(c + 2, columns_ - 1); ++j) compared_cells_.push_back(cell(i, j));
-        return cells_distance();
+        return are_compared_cells_separated();
     }
-    /// Bound of the pairs of `compared_cells_`.
-    double cells_distance() {
+    /// The same for the pairs of `compared_cells_`.
+    bool are_compared_cells_separated() {
         const std::vector<std::int64_t>& cells = compared_cells_;
         work_left_ -= cells_work;
-        if (work_left_ < 0) return -1.0;
+        if (work_left_ < 0) return false;
         particles_.clear(), edges_.clear(), triangle_pairs_.clear(), edge_pairs_.clear();
         const auto next = static_cast<Index>(columns_);
         for (const std::int64_t k : cells) {
@@ -354,14 +374,15 @@ private:
                 if (a[0] != b[0] && a[0] != b[1] && a[1] != b[0] && a[1] != b[1])
                     edge_pairs_.push_back({a[0], a[1], b[0], b[1]});
             }
-        const double of_triangles = distance_left<false>(triangle_pairs_);
-        return of_triangles >= needed_ ? smaller(distance_left<true>(edge_pairs_), of_triangles) : of_triangles;
+        return distance_left<false>(triangle_pairs_) >= needed_ && distance_left<true>(edge_pairs_) >= needed_;
     }
-    /// Least distance of pairs, less the duration times the largest closing speed of their corners along it: no points
-    /// of a pair come nearer at constant velocities.
+    /// Least distance of pairs, less the way of the present motion at the largest closing speed of their corners along
+    /// it: no points of a pair come nearer.
     template <bool Edges>
     double distance_left(const std::vector<Corners>& pairs) const {
         using V = vec<double>;
+        const double* const v = motion().v;
+        const double sign = motion().duration < 0.0 ? -1.0 : 1.0, duration = std::fabs(motion().duration);
         V least = splat<V>(std::numeric_limits<double>::infinity());
         for (std::size_t k = 0; k < pairs.size(); k += lanes<double>) {
             Vec3<V> at[4], velocity[4];
@@ -370,7 +391,8 @@ private:
                 for (int j = 0; j < 4; ++j) {
                     const std::int64_t i = pairs[std::min(k + lane, pairs.size() - 1)][j];
                     at[j].x[lane] = x_[i], at[j].y[lane] = x_[n + i], at[j].z[lane] = x_[2 * n + i];
-                    velocity[j].x[lane] = v_[i], velocity[j].y[lane] = v_[n + i], velocity[j].z[lane] = v_[2 * n + i];
+                    velocity[j].x[lane] = sign * v[i], velocity[j].y[lane] = sign * v[n + i],
+                    velocity[j].z[lane] = sign * v[2 * n + i];
                 }
             // Corners before `split` are of one side.
             constexpr int split = Edges ? 2 : 1;
@@ -385,7 +407,7 @@ private:
             const V distance = root(norm2(away));
             // Without a distance, no direction is known.
             const V closing = select(distance > V{}, larger(fastest - slowest, V{}) / distance, V{});
-            least = smaller(distance - duration_ * closing, least);
+            least = smaller(distance - duration * closing, least);
         }
         double scalar = std::numeric_limits<double>::infinity();
         for (int lane = 0; lane < lanes<double>; ++lane) scalar = smaller<double>(least[lane], scalar);
@@ -403,9 +425,11 @@ private:
     std::vector<Level> levels_;
     /// Positions or velocities by component, rows padded.
     std::vector<double> component_[3];
-    /// Arguments of `bound`, and whether the levels have their boxes.
-    const double *x_ = nullptr, *v_ = nullptr;
-    double duration_ = 0.0, needed_ = 0.0;
+    /// Arguments of `separated_motions`, its present motion, and whether the levels have their boxes.
+    const double* x_ = nullptr;
+    std::span<const Motion> motions_;
+    double needed_ = 0.0;
+    std::size_t motion_ = 0;
     bool has_boxes_ = false;
     std::int64_t work_left_ = 0;
     /// Cells whose pairs are compared, and these pairs.

@@ -134,9 +134,10 @@ public:
         : plan_(plan), obstacles_(plan, frame.duration, frame.x0, frame.v0),
           self_(plan, frame.duration, frame.x0, frame.v0),
           features_(plan, frame.t, frame.duration, frame.x0, frame.v0) {}
-    /// Whether a run violates the assumptions.
-    bool is_violated(const Run& run) const {
-        return violates_obstacles(run) || self_.is_violated(run.x, run.v) || features_.is_violated(run.v);
+    /// Whether a run violates the assumptions. `is_next_start`: whether the next frame starts at its end.
+    bool is_violated(const Run& run, bool is_next_start) const {
+        return violates_obstacles(run) || self_.is_violated(run.x, run.v, is_next_start) ||
+               features_.is_violated(run.v);
     }
     /// Leave out no contact that the run concerns.
     void disable_for(const Run& run) {
@@ -170,7 +171,7 @@ inline RunStatus execute_runs(Plan& plan, const FrameRequest& frame) {
             const RunStatus done = is_concurrent ? RunStatus::ok : execute_run(plan, runs[k]);
             if (done != RunStatus::ok) return done;
             prescribe_end(plan, frame, runs[k]);
-            if (culling.is_violated(runs[k])) break;
+            if (culling.is_violated(runs[k], requested == 1 && k == 0)) break;
         }
         drops = drops || k < count;
         if (k >= requested) break;

@@ -58,6 +58,10 @@ struct MovingSheet {
             set(v, i, speed * (drift + cross(spin, p) + 0.3 * random.vector()));
         }
     }
+    /// Whether all pairs are found to stay `needed` apart for a duration.
+    bool stays_apart(double duration, double needed) {
+        return separation.separated_motions(x.data(), {{v.data(), duration}}, needed) == 1;
+    }
     Vec3<double> at(Index i, double t) const {
         const std::int64_t n = surface.count;
         return {x[i] + t * v[i], x[n + i] + t * v[n + i], x[2 * n + i] + t * v[2 * n + i]};
@@ -83,24 +87,28 @@ struct MovingSheet {
 
 }  // namespace
 
-TEST_CASE("the bound is below the least distance of all pairs, now and later") {
+TEST_CASE("pairs that are found to stay apart do so, now, later and before") {
     Random random;
-    int n_clear = 0, n_unclear = 0;
+    int n_apart = 0, n_unclear = 0;
     for (const auto& [rows, columns] : {std::pair<Index, Index>{2, 2}, {2, 9}, {9, 2}, {5, 12}, {11, 10}})
         for (const Shape shape : {flat, arch, wrinkled, folded, crumpled})
             for (const double speed : {0.0, 0.2, 2.0}) {
                 MovingSheet sheet(rows, columns);
                 REQUIRE(sheet.separation.applies());
                 sheet.arrange(shape, speed, random);
-                for (const double needed : {0.004, 0.02, 0.05}) {
-                    const double bound = sheet.separation.bound(sheet.x.data(), {sheet.v.data(), 0.02}, needed);
-                    ++(bound >= needed ? n_clear : n_unclear);
-                    if (bound >= needed) CHECK(bound <= sheet.min_distance(0.02));
+                for (const double duration : {0.02, -0.02}) {
+                    const double distance = sheet.min_distance(duration);
+                    for (const double needed : {0.004, 0.02, 0.05, distance}) {
+                        const bool is_apart = sheet.stays_apart(duration, needed);
+                        ++(is_apart ? n_apart : n_unclear);
+                        if (is_apart) CHECK(distance >= needed);
+                        CHECK_FALSE(sheet.stays_apart(duration, 1.00001 * distance));
+                    }
                 }
             }
     // Neither is a matter of course.
-    CHECK(n_clear > 60);
-    CHECK(n_unclear > 50);
+    CHECK(n_apart > 120);
+    CHECK(n_unclear > 100);
 }
 
 TEST_CASE("a sheet that is far from itself is found so, and one near itself is not") {
@@ -108,38 +116,38 @@ TEST_CASE("a sheet that is far from itself is found so, and one near itself is n
     MovingSheet sheet(11, 10);
     for (const Shape shape : {flat, arch, wrinkled}) {
         sheet.arrange(shape, 0.0, random);
-        CHECK(sheet.separation.bound(sheet.x.data(), {sheet.v.data(), 0.0}, 0.02) >= 0.02);
+        CHECK(sheet.stays_apart(0.0, 0.02));
     }
     sheet.arrange(folded, 0.0, random);
-    CHECK(sheet.separation.bound(sheet.x.data(), {sheet.v.data(), 0.0}, 0.0347) >= 0.0347);
-    CHECK(sheet.separation.bound(sheet.x.data(), {sheet.v.data(), 0.0}, 0.035) < 0.035);
+    CHECK(sheet.stays_apart(0.0, 0.0347));
+    CHECK_FALSE(sheet.stays_apart(0.0, 0.035));
     // Both halves approach each other at 1 m/s.
     for (Index i = 0; i < sheet.surface.count; ++i) sheet.set(sheet.v, i, {0.0, 0.0, i / 10 > 5 ? -0.5 : 0.5});
-    CHECK(sheet.separation.bound(sheet.x.data(), {sheet.v.data(), 0.01}, 0.02) >= 0.02);
-    CHECK(sheet.separation.bound(sheet.x.data(), {sheet.v.data(), 0.03}, 0.02) < 0.02);
+    CHECK(sheet.stays_apart(0.01, 0.02));
+    CHECK_FALSE(sheet.stays_apart(0.03, 0.02));
 }
 
-TEST_CASE("what is clear in two motions is clear in each, in either direction") {
+TEST_CASE("motions are found separated together as they are one by one") {
     Random random;
-    int n_clear = 0, n_unclear = 0;
-    for (const Shape shape : {flat, arch, wrinkled, crumpled})
+    int n_mixed = 0;
+    for (const Shape shape : {flat, arch, wrinkled, folded, crumpled})
         for (const double speed : {0.2, 1.0, 5.0}) {
             MovingSheet sheet(5, 12), other(5, 12);
             other.arrange(shape, 5.2 - speed, random);
             sheet.arrange(shape, speed, random);
-            std::vector<double> reversed = sheet.v;
-            for (double& component : reversed) component = -component;
             const double* const x = sheet.x.data();
-            for (const double needed : {0.004, 0.02, 0.05}) {
-                const bool clear =
-                    sheet.separation.is_clear(x, {{sheet.v.data(), 0.01}, {other.v.data(), 0.01}}, needed);
-                ++(clear ? n_clear : n_unclear);
-                for (const double* const v : {sheet.v.data(), other.v.data(), reversed.data()})
-                    if (clear) CHECK(sheet.separation.bound(x, {v, 0.01}, needed) >= needed);
+            const SheetSeparation::Motion first{other.v.data(), 0.01}, second{sheet.v.data(), -0.01},
+                third{sheet.v.data(), 0.01};
+            for (const double needed : {0.004, 0.01, 0.02, 0.05}) {
+                unsigned alone = 0;
+                for (int k = 0; k < 3; ++k)
+                    alone |= sheet.separation.separated_motions(x, {k ? k > 1 ? third : second : first}, needed) << k;
+                CHECK(sheet.separation.separated_motions(x, {first, second, third}, needed) == alone);
+                if (sheet.separation.is_clear(x, needed)) CHECK(sheet.stays_apart(0.0, needed));
+                n_mixed += alone && alone != 7;
             }
         }
-    CHECK(n_clear > 5);
-    CHECK(n_unclear > 10);
+    CHECK(n_mixed > 3);
 }
 
 TEST_CASE("a part that passed another in a frame has not stayed separated") {
@@ -151,10 +159,10 @@ TEST_CASE("a part that passed another in a frame has not stayed separated") {
     self.separation = sheet.separation;
     const double thickness = 0.004, duration = 0.02;
     CHECK(self.stays_separated(sheet.x.data(), sheet.v.data(), thickness, duration));
-    const auto stayed = [&](double height, double speed) {
+    const auto stayed = [&](double height, double speed, bool is_next_start = false) {
         std::vector<double> x = sheet.x, v = sheet.v;
         for (Index i = 60; i < sheet.surface.count; ++i) x[2 * 110 + i] = height, v[2 * 110 + i] = speed;
-        return self.stayed_separated(sheet.x.data(), x.data(), v.data(), thickness, duration);
+        return self.stayed_separated(sheet.x.data(), x.data(), v.data(), thickness, duration, is_next_start);
     };
     CHECK(stayed(0.04, 0.0));
     // From rest to rest, beyond the other half.
@@ -162,6 +170,7 @@ TEST_CASE("a part that passed another in a frame has not stayed separated") {
     // It comes from where the other half is.
     CHECK(stayed(0.05, 0.5));
     CHECK_FALSE(stayed(0.05, 3.0));
+    for (const double speed : {0.0, -2.5}) CHECK(stayed(0.04, speed, true) == stayed(0.04, speed));
 }
 
 TEST_CASE("layers whose boxes overlap everywhere end the search") {
@@ -174,7 +183,7 @@ TEST_CASE("layers whose boxes overlap everywhere end the search") {
         const double along = std::min(b, 6.4 - b), height = b > 3.2 ? 0.008 : 0.0;
         sheet.set(sheet.x, i, {a, (along - height) * 0.7071, (along + height) * 0.7071});
     }
-    CHECK(sheet.separation.bound(sheet.x.data(), {sheet.v.data(), 0.0}, 0.007) < 0.007);
+    CHECK_FALSE(sheet.stays_apart(0.0, 0.007));
 }
 
 TEST_CASE("numbers that are not finite are not clear") {
@@ -182,10 +191,10 @@ TEST_CASE("numbers that are not finite are not clear") {
     MovingSheet sheet(5, 6);
     sheet.arrange(flat, 0.0, random);
     sheet.x[7] = std::numeric_limits<double>::quiet_NaN();
-    CHECK(sheet.separation.bound(sheet.x.data(), {sheet.v.data(), 0.01}, 0.01) < 0.01);
+    CHECK_FALSE(sheet.stays_apart(0.01, 0.01));
     sheet.arrange(flat, 0.0, random);
     sheet.v[2 * 30 + 7] = std::numeric_limits<double>::infinity();
-    CHECK(sheet.separation.bound(sheet.x.data(), {sheet.v.data(), 0.01}, 0.01) < 0.01);
+    CHECK_FALSE(sheet.stays_apart(0.01, 0.01));
 }
 
 TEST_CASE("a surface whose triangles are not halves of cells gets no bound") {
