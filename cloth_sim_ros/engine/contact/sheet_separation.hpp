@@ -53,21 +53,15 @@ public:
         if (!applies() || !measure(x, motions)) return 0;
         x_ = x, motions_ = {motions.begin(), motions.size()}, needed_ = (1.0 + rounding) * needed;
         has_boxes_ = false;
-        unsigned separated = (1u << motions.size()) - 1;
-        std::int64_t work_left[max_motions];
-        std::fill_n(work_left, max_motions, work_per_cell * static_cast<std::int64_t>(cells_.size()) + min_work);
+        work_left_ = work_per_cell * static_cast<std::int64_t>(cells_.size()) + min_work;
+        separated_ = (1u << motions.size()) - 1;
         for_each_bent_window([&](std::size_t l, std::int64_t r, std::int64_t c, unsigned bent) {
-            for (std::size_t k = 0; k < motions.size(); ++k) {
-                if (!(separated >> k & bent >> derivative_plane(k) & 1u)) continue;
-                motion_ = k;
-                std::swap(work_left_, work_left[k]);
-                if (!(l ? is_window_separated(l - 1, 2 * r, 2 * c) : are_cells_separated(r, c)))
-                    separated &= ~(1u << k);
-                std::swap(work_left_, work_left[k]);
-            }
-            return separated != 0;
+            // The third motion bends a window as the second does.
+            checked_ = separated_ & (bent | (bent & 2u) << 1);
+            if (checked_) l ? check_window(l - 1, 2 * r, 2 * c) : check_cells(r, c);
+            return separated_ != 0;
         });
-        return separated;
+        return separated_;
     }
     /// Whether windows alone keep all pairs at positions x at least `needed` [m] apart. Then nothing has pierced
     /// anything.
@@ -82,7 +76,7 @@ private:
     /// the position along columns, and along rows, by component; least and largest positions; least and largest
     /// velocities of two motions.
     static constexpr int first_derivative = 2, first_position = 14, first_speed = 20, planes = 32;
-    static constexpr int max_motions = 3;
+    static constexpr std::size_t max_motions = 3;
     static constexpr double rounding = 1e-6, largest = 1e30;
     /// Work limit, in pairs of blocks: beyond it a search for pairs is cheaper. Work of the pairs of some cells.
     static constexpr std::int64_t work_per_cell = 16, min_work = 4096, cells_work = 100;
@@ -99,7 +93,6 @@ private:
         }
         /// Whether a plane has largest numbers.
         static bool is_upper(int k) { return k < first_derivative || (k - first_derivative) / 3 % 2; }
-        static double unite(int k, double a, double b) { return is_upper(k) ? larger(a, b) : smaller(a, b); }
         void pad(int first, int last) {
             for (int k = first; k < last; ++k)
                 for (std::int64_t r = 0; r < rows; ++r) {
@@ -109,17 +102,21 @@ private:
         }
         /// Set planes to those of two by two blocks of a finer level.
         void unite(const Level& finer, int first, int last) {
-            for (int k = first; k < last; ++k)
-                for (std::int64_t r = 0; r < rows; ++r) {
-                    const double* const upper = finer.plane[k].data() + 2 * r * finer.pitch;
-                    const double* const lower = 2 * r + 1 < finer.rows ? upper + finer.pitch : upper;
-                    double* const row = plane[k].data() + r * pitch;
-                    // Of an odd number of blocks, the last is united with its copy.
-                    for (std::int64_t c = 0; c < columns; ++c)
-                        row[c] = unite(k, unite(k, upper[2 * c], upper[2 * c + 1]),
-                                       unite(k, lower[2 * c], lower[2 * c + 1]));
-                }
+            const auto smallest = [](double a, double b) CLOTH_INLINED { return smaller(a, b); };
+            const auto largest = [](double a, double b) CLOTH_INLINED { return larger(a, b); };
+            for (int k = first; k < last; ++k) is_upper(k) ? unite(finer, k, largest) : unite(finer, k, smallest);
             pad(first, last);
+        }
+        template <class F>
+        void unite(const Level& finer, int k, F&& choose) {
+            for (std::int64_t r = 0; r < rows; ++r) {
+                const double* const upper = finer.plane[k].data() + 2 * r * finer.pitch;
+                const double* const lower = 2 * r + 1 < finer.rows ? upper + finer.pitch : upper;
+                double* const __restrict row = plane[k].data() + r * pitch;
+                // Of an odd number of blocks, the last is united with its copy.
+                for (std::int64_t c = 0; c < columns; ++c)
+                    row[c] = choose(choose(upper[2 * c], lower[2 * c]), choose(upper[2 * c + 1], lower[2 * c + 1]));
+            }
         }
     };
 
@@ -232,25 +229,46 @@ private:
         cells.pad(0, first_position);
         return true;
     }
-    /// Plane of a motion among those of two motions.
-    static int derivative_plane(std::size_t motion) { return motion ? 1 : 0; }
-    void build_boxes() {
+    /// Set least and largest numbers of each cell from `component_`.
+    void bound_cells(int first) {
+        using V = vec<double>;
         Level& cells = levels_[0];
-        for (int k = first_position; k < planes; ++k) {
-            const auto motion = static_cast<std::size_t>((k - first_speed) / 6);
-            if (k >= first_speed && motion >= motions_.size()) break;
-            const double* const array = k < first_speed ? x_ : motions_[motion].v;
-            const double* const from = array + (k - first_position) % 3 * rows_ * columns_;
+        for (int k = 0; k < 3; ++k)
             for (std::int64_t r = 0; r < cells.rows; ++r)
-                for (std::int64_t c = 0; c < cells.columns; ++c) {
-                    const double* const corner = from + r * columns_ + c;
-                    const double* const below = corner + columns_;
-                    cells.plane[k][r * cells.pitch + c] =
-                        Level::unite(k, Level::unite(k, corner[0], corner[1]), Level::unite(k, below[0], below[1]));
+                for (std::int64_t c = 0; c < cells.columns; c += lanes<double>) {
+                    const double* const corner = component_[k].data() + r * pitch_ + c;
+                    const double* const below = corner + pitch_;
+                    const V a = load(corner), b = load(corner + 1), d = load(below), e = load(below + 1);
+                    double* const low = cells.plane[first + k].data() + r * cells.pitch + c;
+                    store(low, smaller(smaller(a, b), smaller(d, e)));
+                    double* const high = cells.plane[first + 3 + k].data() + r * cells.pitch + c;
+                    store(high, larger(larger(a, b), larger(d, e)));
                 }
+    }
+    /// Motions with planes of their own.
+    int n_planes() const { return static_cast<int>(std::min<std::size_t>(motions_.size(), 2)); }
+    void build_boxes() {
+        copy(x_);
+        bound_cells(first_position);
+        for (int k = 0; k < n_planes(); ++k) {
+            copy(motions_[k].v);
+            bound_cells(first_speed + 6 * k);
         }
-        cells.pad(first_position, planes);
-        for (std::size_t l = 1; l < levels_.size(); ++l) levels_[l].unite(levels_[l - 1], first_position, planes);
+        const int end = first_speed + 6 * n_planes();
+        levels_[0].pad(first_position, end);
+        for (std::size_t l = 1; l < levels_.size(); ++l) levels_[l].unite(levels_[l - 1], first_position, end);
+        double approach = 0.0;
+        for (int k = 0; k < n_planes(); ++k) {
+            double square = 0.0;
+            for (int plane = first_speed + 6 * k; plane < first_speed + 6 * k + 3; ++plane) {
+                const auto &least = levels_.back().plane[plane], &most = levels_.back().plane[plane + 3];
+                const double range =
+                    *std::max_element(most.begin(), most.end()) - *std::min_element(least.begin(), least.end());
+                square = cloth::fma(range, range, square);
+            }
+            approach = larger(std::fabs(motions_[k].duration) * root(square), approach);
+        }
+        far_square_ = (needed_ + approach) * (needed_ + approach);
         has_boxes_ = true;
     }
     /// Of a vector of windows: s_min(A) - max |F - A|, A in the middle of the derivatives; largest derivatives of the
@@ -284,9 +302,9 @@ private:
         const V square = half * (aa + bb - root(fma(difference, difference, twice * twice)));
         return {root(larger(square, V{})) - root(spread), {root(united(0, largest)), root(united(1, largest))}};
     }
-    /// Whether the present motion keeps those blocks apart that are not adjacent, among four by four from a row and a
-    /// column on.
-    bool is_window_separated(std::size_t l, std::int64_t row, std::int64_t column) {
+    /// Check the motions `checked_` for the pairs of those blocks that are not adjacent, among four by four from a row
+    /// and a column on. As all checks, return whether one of them is left that separates all pairs so far.
+    bool check_window(std::size_t l, std::int64_t row, std::int64_t column) {
         if (!has_boxes_) build_boxes();
         const std::int64_t rows = std::min(row + 4, levels_[l].rows),
                            columns = std::min(column + 4, levels_[l].columns);
@@ -295,57 +313,64 @@ private:
                 for (std::int64_t r2 = r; r2 < rows; ++r2)
                     for (std::int64_t c2 = column; c2 < columns; ++c2) {
                         if (r2 - r < 2 && (std::abs(c2 - c) < 2 || (r2 == r && c2 < c))) continue;
-                        if (!are_blocks_separated(l, r, c, r2, c2)) return false;
+                        if (!check_blocks(l, r, c, r2, c2)) return false;
                     }
         return true;
     }
-    /// The same for two blocks that are not adjacent.
-    bool are_blocks_separated(std::size_t l, std::int64_t r, std::int64_t c, std::int64_t r2, std::int64_t c2) {
-        if (--work_left_ < 0) return false;
+    bool leave_out(unsigned motions) {
+        separated_ &= ~motions;
+        checked_ &= ~motions;
+        return checked_ != 0;
+    }
+    bool check_blocks(std::size_t l, std::int64_t r, std::int64_t c, std::int64_t r2, std::int64_t c2) {
+        if (--work_left_ < 0) return leave_out(checked_);
         const Level& level = levels_[l];
-        const int speed_planes = first_speed + 6 * derivative_plane(motion_);
         const std::int64_t first = r * level.pitch + c, second = r2 * level.pitch + c2;
-        double gap_square = 0.0, speed_square = 0.0;
-        for (int k = 0; k < 3; ++k) {
-            const auto plane = [&](int at) { return level.plane[at + k].data(); };
-            const double* const low = plane(first_position);
-            const double* const high = plane(first_position + 3);
-            const double gap = larger(larger(low[first] - high[second], low[second] - high[first]), 0.0);
-            gap_square = cloth::fma(gap, gap, gap_square);
-            const double* const slowest = plane(speed_planes);
-            const double* const fastest = plane(speed_planes + 3);
-            const double speed = larger(fastest[first] - slowest[second], fastest[second] - slowest[first]);
-            speed_square = cloth::fma(speed, speed, speed_square);
+        const auto square_of = [&](int low, auto&& component) CLOTH_INLINED {
+            double square = 0.0;
+            for (int k = low; k < low + 3; ++k) {
+                const double* const least = level.plane[k].data();
+                const double* const most = level.plane[k + 3].data();
+                const double number = component(least[first] - most[second], least[second] - most[first]);
+                square = cloth::fma(number, number, square);
+            }
+            return square;
+        };
+        const double gap_square =
+            square_of(first_position, [](double a, double b) CLOTH_INLINED { return larger(larger(a, b), 0.0); });
+        // Usually the blocks are further apart than any parts can come nearer.
+        if (gap_square >= far_square_) return true;
+        double approach = 0.0;
+        for (int k = 0; k < n_planes(); ++k) {
+            const double speed =
+                root(square_of(first_speed + 6 * k, [](double a, double b) CLOTH_INLINED { return smaller(a, b); }));
+            approach = larger(std::fabs(motions_[k].duration) * speed, approach);
         }
-        const double duration = std::fabs(motion().duration);
-        if (root(gap_square) - duration * root(speed_square) >= needed_) return true;
+        if (root(gap_square) - approach >= needed_) return true;
         if (!l) {
             compared_cells_ = {cell(r, c), cell(r2, c2)};
-            return are_compared_cells_separated();
+            return check_compared_cells();
         }
         const Level& finer = levels_[l - 1];
         for (std::int64_t i = 2 * r; i < std::min(2 * r + 2, finer.rows); ++i)
             for (std::int64_t j = 2 * c; j < std::min(2 * c + 2, finer.columns); ++j)
                 for (std::int64_t i2 = 2 * r2; i2 < std::min(2 * r2 + 2, finer.rows); ++i2)
-                    for (std::int64_t j2 = 2 * c2; j2 < std::min(2 * c2 + 2, finer.columns); ++j2) {
-                        if (!are_blocks_separated(l - 1, i, j, i2, j2)) return false;
-                    }
+                    for (std::int64_t j2 = 2 * c2; j2 < std::min(2 * c2 + 2, finer.columns); ++j2)
+                        if (!check_blocks(l - 1, i, j, i2, j2)) return false;
         return true;
     }
-    const Motion& motion() const { return motions_[motion_]; }
     std::int64_t cell(std::int64_t r, std::int64_t c) const { return r * (columns_ - 1) + c; }
-    /// The same for the pairs of two by two cells.
-    bool are_cells_separated(std::int64_t r, std::int64_t c) {
+    /// Check the pairs of two by two cells.
+    bool check_cells(std::int64_t r, std::int64_t c) {
         compared_cells_.clear();
         for (std::int64_t i = r; i < std::min(r + 2, rows_ - 1); ++i)
             for (std::int64_t j = c; j < std::min(c + 2, columns_ - 1); ++j) compared_cells_.push_back(cell(i, j));
-        return are_compared_cells_separated();
+        return check_compared_cells();
     }
-    /// The same for the pairs of `compared_cells_`.
-    bool are_compared_cells_separated() {
+    bool check_compared_cells() {
         const std::vector<std::int64_t>& cells = compared_cells_;
         work_left_ -= cells_work;
-        if (work_left_ < 0) return false;
+        if (work_left_ < 0) return leave_out(checked_);
         particles_.clear(), edges_.clear(), triangle_pairs_.clear(), edge_pairs_.clear();
         const auto next = static_cast<Index>(columns_);
         for (const std::int64_t k : cells) {
@@ -374,44 +399,51 @@ private:
                 if (a[0] != b[0] && a[0] != b[1] && a[1] != b[0] && a[1] != b[1])
                     edge_pairs_.push_back({a[0], a[1], b[0], b[1]});
             }
-        return distance_left<false>(triangle_pairs_) >= needed_ && distance_left<true>(edge_pairs_) >= needed_;
+        return check_pairs<false>(triangle_pairs_) && check_pairs<true>(edge_pairs_);
     }
-    /// Least distance of pairs, less the way of the present motion at the largest closing speed of their corners along
-    /// it: no points of a pair come nearer.
+    /// Check pairs by their distance, less the way at the largest closing speed of their corners along it: no points of
+    /// a pair come nearer.
     template <bool Edges>
-    double distance_left(const std::vector<Corners>& pairs) const {
+    bool check_pairs(const std::vector<Corners>& pairs) {
         using V = vec<double>;
-        const double* const v = motion().v;
-        const double sign = motion().duration < 0.0 ? -1.0 : 1.0, duration = std::fabs(motion().duration);
-        V least = splat<V>(std::numeric_limits<double>::infinity());
+        const std::int64_t n = rows_ * columns_;
+        V least[max_motions];
+        std::fill_n(least, max_motions, splat<V>(std::numeric_limits<double>::infinity()));
         for (std::size_t k = 0; k < pairs.size(); k += lanes<double>) {
-            Vec3<V> at[4], velocity[4];
-            const std::int64_t n = rows_ * columns_;
-            for (int lane = 0; lane < lanes<double>; ++lane)
-                for (int j = 0; j < 4; ++j) {
-                    const std::int64_t i = pairs[std::min(k + lane, pairs.size() - 1)][j];
-                    at[j].x[lane] = x_[i], at[j].y[lane] = x_[n + i], at[j].z[lane] = x_[2 * n + i];
-                    velocity[j].x[lane] = sign * v[i], velocity[j].y[lane] = sign * v[n + i],
-                    velocity[j].z[lane] = sign * v[2 * n + i];
-                }
-            // Corners before `split` are of one side.
-            constexpr int split = Edges ? 2 : 1;
-            Vec3<V> away;
+            const auto gather = [&](const double* a, Vec3<V>(&to)[4]) {
+                for (int lane = 0; lane < lanes<double>; ++lane)
+                    for (int j = 0; j < 4; ++j) {
+                        const double* const from = a + pairs[std::min(k + lane, pairs.size() - 1)][j];
+                        to[j].x[lane] = from[0], to[j].y[lane] = from[n], to[j].z[lane] = from[2 * n];
+                    }
+            };
+            Vec3<V> at[4], velocity[4], away;
+            gather(x_, at);
             if constexpr (Edges)
                 away = near_segments(at[0], at[1], at[2], at[3]).away;
             else
                 away = near_triangle(at[0], at[1], at[2], at[3]).away;
-            V slowest = dot(away, velocity[0]), fastest = dot(away, velocity[split]);
-            for (int j = 1; j < split; ++j) slowest = smaller(dot(away, velocity[j]), slowest);
-            for (int j = split + 1; j < 4; ++j) fastest = larger(dot(away, velocity[j]), fastest);
             const V distance = root(norm2(away));
-            // Without a distance, no direction is known.
-            const V closing = select(distance > V{}, larger(fastest - slowest, V{}) / distance, V{});
-            least = smaller(distance - duration * closing, least);
+            for (std::size_t m = 0; m < motions_.size(); ++m) {
+                if (!(checked_ >> m & 1u)) continue;
+                gather(motions_[m].v, velocity);
+                const V duration = splat<V>(motions_[m].duration);
+                V way[4];
+                for (int j = 0; j < 4; ++j) way[j] = duration * dot(away, velocity[j]);
+                // Corners before `split` are of one side.
+                constexpr int split = Edges ? 2 : 1;
+                V shortest = way[0], longest = way[split];
+                for (int j = 1; j < split; ++j) shortest = smaller(way[j], shortest);
+                for (int j = split + 1; j < 4; ++j) longest = larger(way[j], longest);
+                // Without a distance, no direction is known.
+                const V closing = select(distance > V{}, larger(longest - shortest, V{}) / distance, V{});
+                least[m] = smaller(distance - closing, least[m]);
+            }
         }
-        double scalar = std::numeric_limits<double>::infinity();
-        for (int lane = 0; lane < lanes<double>; ++lane) scalar = smaller<double>(least[lane], scalar);
-        return scalar;
+        unsigned near = 0;
+        for (std::size_t m = 0; m < motions_.size(); ++m)
+            if (bits_of(!(least[m] >= splat<V>(needed_)))) near |= 1u << m;
+        return leave_out(near & checked_);
     }
     /// A cell with up to two triangles; `absent`: the corner that the last one lacks.
     struct Cell {
@@ -425,11 +457,14 @@ private:
     std::vector<Level> levels_;
     /// Positions or velocities by component, rows padded.
     std::vector<double> component_[3];
-    /// Arguments of `separated_motions`, its present motion, and whether the levels have their boxes.
+    /// Arguments of `separated_motions`, its result so far, the motions that are checked for a window, and whether the
+    /// levels have their boxes.
     const double* x_ = nullptr;
     std::span<const Motion> motions_;
     double needed_ = 0.0;
-    std::size_t motion_ = 0;
+    unsigned separated_ = 0, checked_ = 0;
+    /// Squared distance of blocks [m^2] from which on no motion brings them nearer than needed.
+    double far_square_ = 0.0;
     bool has_boxes_ = false;
     std::int64_t work_left_ = 0;
     /// Cells whose pairs are compared, and these pairs.

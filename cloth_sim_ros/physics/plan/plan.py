@@ -242,8 +242,9 @@ class Plan(PlanQueries, Uncopyable):
             if self.contact is not None:
                 obstacles = self.contact.count
                 n_contact_numbers = binding.CONTACT_SUMMARY_NUMBERS if self.contact.force.is_active else 0
-                end_buffers = self.contact.end_buffers(count)
-                end_addresses = [0 if array is None else address(array) for array in end_buffers]
+                if self.contact.force.has_memory:
+                    end_buffers = self.contact.end_buffers(count)
+                    end_addresses = [0 if array is None else address(array) for array in end_buffers]
             integrals = zeros((count, n_integrals(grippers, obstacles) + n_contact_numbers))
             n_combined = count
             if weights is not None:

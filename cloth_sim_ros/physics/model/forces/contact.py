@@ -207,4 +207,5 @@ class Contact(EngineForce):
     def steady(self) -> bool:
         """Return true if no obstacle moves or turns over its path, and no thickness recovers."""
         paths, _, recovery = self.controls
-        return recovery.target is None and not (paths[:, 4:13].any() or paths[:, 17:26].any())
+        moves = bool(self.obstacles) and (paths[:, 4:13].any() or paths[:, 17:26].any())
+        return recovery.target is None and not moves
