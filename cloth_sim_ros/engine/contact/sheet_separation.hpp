@@ -331,8 +331,8 @@ private:
             for (int k = low; k < low + 3; ++k) {
                 const double* const least = level.plane[k].data();
                 const double* const most = level.plane[k + 3].data();
-                const double number = component(least[first] - most[second], least[second] - most[first]);
-                square = cloth::fma(number, number, square);
+                const double difference = component(least[first] - most[second], least[second] - most[first]);
+                square = cloth::fma(difference, difference, square);
             }
             return square;
         };
@@ -428,13 +428,13 @@ private:
                 if (!(checked_ >> m & 1u)) continue;
                 gather(motions_[m].v, velocity);
                 const V duration = splat<V>(motions_[m].duration);
-                V way[4];
-                for (int j = 0; j < 4; ++j) way[j] = duration * dot(away, velocity[j]);
+                V displacement[4];
+                for (int j = 0; j < 4; ++j) displacement[j] = duration * dot(away, velocity[j]);
                 // Corners before `split` are of one side.
                 constexpr int split = Edges ? 2 : 1;
-                V shortest = way[0], longest = way[split];
-                for (int j = 1; j < split; ++j) shortest = smaller(way[j], shortest);
-                for (int j = split + 1; j < 4; ++j) longest = larger(way[j], longest);
+                V shortest = displacement[0], longest = displacement[split];
+                for (int j = 1; j < split; ++j) shortest = smaller(displacement[j], shortest);
+                for (int j = split + 1; j < 4; ++j) longest = larger(displacement[j], longest);
                 // Without a distance, no direction is known.
                 const V closing = select(distance > V{}, larger(longest - shortest, V{}) / distance, V{});
                 least[m] = smaller(distance - closing, least[m]);
