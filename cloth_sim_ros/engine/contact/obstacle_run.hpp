@@ -327,7 +327,7 @@ private:
                 growth_power = mass * scaling.growth * fma(law_force.push, gap, energy);
             }
             Vec3<V> force = (mass * law_force.push) * s.normal;
-            V dissipation = mass * (law_force.push - law_force.elastic) * closing;
+            [[maybe_unused]] V friction_dissipation{};
             if constexpr (Friction) {
                 const V bond = load(anchors + 3 * pitch_ + j);
                 const auto bonded = bond > V{};
@@ -340,7 +340,7 @@ private:
                 const auto friction_force = friction.force(offset, s.normal, s.slip, law_force.push);
                 const Vec3<V> tangential = mass * friction_force.push;
                 force = force + tangential;
-                dissipation = fma(mass, friction_force.dissipation, dissipation);
+                friction_dissipation = friction_force.dissipation;
                 if (move_anchors) {
                     // Forces are evaluated at the middle of a step. Anchors are advanced to its end, by the present
                     // relative velocity and the extrapolated push; otherwise they would lag by half a step.
@@ -351,14 +351,19 @@ private:
                     store<T>(previous_push, select(in_contact, law_force.push, V{}));
                     const V end_push = larger(fma(splat<V>(T(0.5)), increase, law_force.push), V{});
                     const auto end = friction.radial_return(offset + remaining, s.normal, s.slip, end_push);
-                    const Vec3<V> dragged = local + posed.template inward<V>(remaining - end.stretch);
-                    const auto store_anchor = [&](int c, V a, V b) CLOTH_INLINED {
-                        store<T>(anchors + c * pitch_ + j, select(in_contact, select(end.slides, a, b), V{}));
-                    };
-                    store_anchor(0, dragged.x, anchor.x);
-                    store_anchor(1, dragged.y, anchor.y);
-                    store_anchor(2, dragged.z, anchor.z);
-                    store_anchor(3, splat<V>(T(slides)), splat<V>(T(sticks)));
+                    const V next_bond =
+                        select(in_contact, select(end.slides, splat<V>(T(slides)), splat<V>(T(sticks))), V{});
+                    // Most anchors stay: those that stick, and those out of contact, which are zero.
+                    if (any((end.slides & in_contact) | (next_bond != bond))) {
+                        const Vec3<V> dragged = local + posed.template inward<V>(remaining - end.stretch);
+                        const auto store_anchor = [&](int c, V a, V b) CLOTH_INLINED {
+                            store<T>(anchors + c * pitch_ + j, select(in_contact, select(end.slides, a, b), V{}));
+                        };
+                        store_anchor(0, dragged.x, anchor.x);
+                        store_anchor(1, dragged.y, anchor.y);
+                        store_anchor(2, dragged.z, anchor.z);
+                        store<T>(anchors + 3 * pitch_ + j, next_bond);
+                    }
                 }
             }
             const auto chosen = [&](V a) CLOTH_INLINED { return select(in_contact, a, V{}); };
@@ -379,6 +384,8 @@ private:
             if (reduced.growth_power) add(reduced.growth_power + j % n_partials, growth_power);
             const Vec3<V> torque = cross(force, jaw_load ? s.arm + splat3<V>(posed.lever) : s.arm);
             const V power = dot(force, splat3<V>(posed.velocity) + cross(splat3<V>(posed.spin), s.arm));
+            V dissipation = mass * (law_force.push - law_force.elastic) * closing;
+            if constexpr (Friction) dissipation = fma(mass, friction_dissipation, dissipation);
             const V record[record_numbers] = {-force.x, -force.y, -force.z, torque.x,
                                               torque.y, torque.z, power,    dissipation};
             for (int component = 0; component < record_numbers; ++component) {
