@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from support.session_maker import SessionMaker
 
 from cloth_sim_ros.physics.plan.gripper_path import rotation_matrix
@@ -285,6 +286,23 @@ def test_gripper_stops_before_its_particle_enters_an_obstacle() -> None:
     for _ in range(30):
         cloth.advance()
     assert np.isfinite(cloth.positions).all()
+
+
+def test_gripper_slides_along_a_near_obstacle() -> None:
+    turn = Rotation.from_euler("xyz", [0.2, 0.3, 0.1])
+    orientation, normal, along = turn.as_quat().tolist(), turn.apply([0.0, 0.0, 1.0]), turn.apply([1.0, 0.4, 0.0])
+    tilted = {
+        "table.orientation": orientation,
+        "table.position": [0.0, 0.0, 0.0],
+        "cloth.orientation": orientation,
+        "cloth.position": (5e-4 * normal).tolist(),
+    }
+    cloth, start = closed(Scene.from_parameters({**LYING, **tilted}))
+    frames = [cloth.advance([Target("gripper", tuple((start + 0.002 * k * along).tolist()))]) for k in range(1, 13)]
+    assert all(frame.stopped == () for frame in frames)
+    assert cloth.positions[-1] == pytest.approx(start + 0.024 * along)
+    frame = cloth.advance([Target("gripper", tuple((start + 0.024 * along - 1e-4 * normal).tolist()))])
+    assert frame.stopped == ("gripper",)
 
 
 def test_gripper_that_crushes_the_cloth_stops(monkeypatch: pytest.MonkeyPatch) -> None:

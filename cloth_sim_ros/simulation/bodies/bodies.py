@@ -24,6 +24,8 @@ from cloth_sim_ros.simulation.bodies.kinematic_bodies import constant_paths
 
 #: Least gap of a prescribed particle as a fraction of the contact thickness, and samples of its path in a frame.
 _MIN_GAP_FRACTION, _PATH_SAMPLES = 0.1, 4
+#: Decrease of a gap by rounding, as a fraction of the contact thickness.
+_GAP_ROUNDING = 1e-9
 
 if TYPE_CHECKING:
     from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
@@ -177,7 +179,8 @@ def blocked_grippers(plan: Plan, grippers: Grippers, state: State, t: float, dur
     candidates = grippers.prescribing()
     if plan.contact is None or not candidates:
         return []
-    min_gap = _MIN_GAP_FRACTION * plan.contact.force.thickness
+    thickness = plan.contact.force.thickness
+    min_gap = _MIN_GAP_FRACTION * thickness
     particles = np.concatenate([grippers.grasped_particles(g) for g in candidates])
     times = [t + k * duration / _PATH_SAMPLES for k in range(_PATH_SAMPLES + 1)]
     path = [_prescribed_positions(plan, state, time) for time in times]
@@ -191,7 +194,7 @@ def blocked_grippers(plan: Plan, grippers: Grippers, state: State, t: float, dur
         gaps = [
             _min_gap_of(plan, time, state, positions[:, particles]) for time, positions in zip(times, path, strict=True)
         ]
-        if min(gaps) < min(min_gap, gaps[0]):
+        if min(gaps) < min(min_gap, gaps[0] - _GAP_ROUNDING * thickness):
             blocked.append(g)
     return blocked
 
