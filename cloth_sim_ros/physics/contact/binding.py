@@ -60,6 +60,17 @@ class ContactBinding(Uncopyable):
         self._engine_plan, self.force = engine_plan, contact
         self._library, self._handle = library(), engine_plan.pointer
         self._shape = (3, particle_count)
+        #: Number of obstacles, jaws included.
+        self.count = len(contact.obstacles)
+        #: Shape of anchors: obstacles; position in the obstacle's frame [m] and bond (none, sticks, slides); particles.
+        #: With friction between layers there are two more rows: triangle, weights of its second and third corner, bond.
+        self.anchors_shape = (
+            self.count + LAYER_SIDES * contact.has_self_friction,
+            binding.ANCHOR_NUMBERS,
+            particle_count,
+        )
+        #: Shape of jaw states: pinches; half opening between the faces [m] and jaw speed [m/s].
+        self.jaws_shape = (len(contact.jaws), binding.JAW_NUMBERS)
         # Controls and arrays of a state's memory that the engine has.
         self._paths: Array | None = None
         self._jaw_commands: NDArray[np.bool_] = np.zeros((0, 2), dtype=bool)
@@ -75,11 +86,6 @@ class ContactBinding(Uncopyable):
         faces = contact.faces
         self._features = None if faces is None else FeatureBinding(engine_plan, faces, particle_count)
         self._upload_obstacles()
-
-    @property
-    def count(self) -> int:
-        """Number of obstacles, jaws included."""
-        return len(self.force.obstacles)
 
     def _upload_obstacles(self) -> None:
         """Upload obstacles and the law."""
@@ -168,19 +174,6 @@ class ContactBinding(Uncopyable):
     def offset_time(self, duration: float) -> None:
         """Shift obstacle paths and thickness recovery by a duration [s]: at time t they are as at t plus duration."""
         self._time_offset, self._paths, self._recovery = duration, None, None
-
-    @property
-    def anchors_shape(self) -> tuple[int, int, int]:
-        """Shape of anchors: obstacles; position in the obstacle's frame [m] and bond (none, sticks, slides); particles.
-
-        With friction between layers there are two more rows: triangle, weights of its second and third corner, bond.
-        """
-        return (self.count + LAYER_SIDES * self.force.has_self_friction, binding.ANCHOR_NUMBERS, self._shape[1])
-
-    @property
-    def jaws_shape(self) -> tuple[int, int]:
-        """Shape of jaw states: pinches; half opening between the faces [m] and jaw speed [m/s]."""
-        return (len(self.force.jaws), binding.JAW_NUMBERS)
 
     @property
     def thickness_shape(self) -> tuple[int, int]:

@@ -142,8 +142,16 @@ class Contact(EngineForce):
                 )
         #: Obstacles and jaws, two for each gripper that pinches.
         self.obstacles = (*obstacles, *(box for jaw in self.jaws for box in jaw.boxes()))
-        #: Whether any obstacle has friction.
+        #: Number of obstacles without jaws.
+        self.n_solids = len(obstacles)
+        #: Whether any obstacle has friction; layers of the cloth; either of them, so that states have anchors.
         self.has_friction = any(obstacle.friction[0] > 0.0 for obstacle in self.obstacles)
+        self.has_self_friction = surface is not None and surface.friction[0] > 0.0
+        self.has_anchors = self.has_friction or self.has_self_friction
+        #: Whether states have anchors or jaws.
+        self.has_memory = bool(self.jaws) or self.has_anchors
+        #: Whether there is anything to touch.
+        self.is_active = bool(self.obstacles) or surface is not None
         paths = np.zeros((len(self.obstacles), PATH_NUMBERS))
         paths[:, 16] = 1.0
         #: Paths of obstacles and jaws, jaw commands and recovery of thickness.
@@ -170,26 +178,6 @@ class Contact(EngineForce):
         """
         self.controls = self.controls._replace(recovery=ThicknessRecovery(t, duration, thickness, start))
 
-    @property
-    def n_solids(self) -> int:
-        """Number of obstacles without jaws."""
-        return len(self.obstacles) - 2 * len(self.jaws)
-
-    @property
-    def has_self_friction(self) -> bool:
-        """True if layers of the cloth have friction."""
-        return self.surface is not None and self.surface.friction[0] > 0.0
-
-    @property
-    def has_anchors(self) -> bool:
-        """True if any friction exists; then states have anchors."""
-        return self.has_friction or self.has_self_friction
-
-    @property
-    def has_memory(self) -> bool:
-        """True if states have anchors or jaws."""
-        return bool(self.jaws) or self.has_anchors
-
     def parts(self, particle_count: int) -> Sequence[Part]:
         for surface in (self.surface, self.faces):
             if surface is not None and surface.particle_count != particle_count:
@@ -198,11 +186,6 @@ class Contact(EngineForce):
                     f"{particle_count}; give the model's own"
                 )
         return (ContactPart(contact=self),)
-
-    @property
-    def is_active(self) -> bool:
-        """True if there is anything to touch."""
-        return bool(self.obstacles) or self.surface is not None
 
     def steady(self) -> bool:
         """Return true if no obstacle moves or turns over its path, and no thickness recovers."""
