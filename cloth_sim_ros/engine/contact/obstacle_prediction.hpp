@@ -73,10 +73,8 @@ double predict_contact_energy(const Plan& plan, double t, double duration, const
                     speed = larger(s.closing + dot(speed_change[k] + cross(spin[k], s.arm), s.normal), speed);
                 V gap = s.gap, scaled_speed = speed, weight = splat<V>(2.0 * field_acceleration);
                 if (contacts.reduced.any()) {
-                    const ReducedThickness& reduced = contacts.reduced;
-                    const std::int64_t k = obstacle * (plan.count + 1) + first + j;
                     const Scaling<V> scaling =
-                        reduced.scaling<V>(load(reduced.at_start.data() + k), load(reduced.rates.data() + k), t);
+                        contacts.reduced.lane_scaling(obstacle * (plan.count + 1) + first + j, t);
                     speed = fma(scaling.growth, gap, speed);
                     scaled_speed = scaling.scale * speed;
                     gap = scaling.gap(gap);

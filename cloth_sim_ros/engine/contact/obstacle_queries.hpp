@@ -131,14 +131,13 @@ inline auto friction_force(const Plan& plan, std::int64_t obstacle, std::int64_t
 
 void combine_anchors(const Plan& plan, double t, const double* x, const double* v, std::int64_t runs,
                      const double* weights, const double* ends, double* out) {
+    using V = vec<double>;
     const Contacts& contacts = plan.contacts;
     const std::int64_t n = plan.count, size = plan.anchor_count();
     std::fill(out, out + size, 0.0);
-    const auto law = contacts.law<double>();
-    for_each_contact(plan, t, x, v, [&](const ObstacleContact& contact) {
-        if (!(contacts.obstacles[contact.obstacle].friction.at_rest > 0.0)) return;
-        const std::int64_t index = contact.obstacle * anchor_numbers * n + contact.particle;
-        double* const to = out + index;
+    const auto law = contacts.law<V>();
+    const auto none = [](std::int64_t, const PosedObstacle<double>&) { return false; };
+    const auto combine = [&](std::int64_t index, double* to) {
         const double* const last_anchor = ends + (runs - 1) * size + index;
         bool all_bonded = true, same = true;
         for (std::int64_t run = 0; run < runs; ++run) {
@@ -146,24 +145,56 @@ void combine_anchors(const Plan& plan, double t, const double* x, const double* 
             all_bonded = all_bonded && from[3 * n] > 0.0;
             for (int c = 0; c < anchor_numbers; ++c) same = same && from[c * n] == last_anchor[c * n];
         }
-        for (int c = 0; c < anchor_numbers; ++c) to[c * n] = last_anchor[c * n];
+        for (int c = 0; c < anchor_numbers; ++c) to[c] = last_anchor[c * n];
         for (int c = 0; all_bonded && !same && c < 3; ++c) {
             double sum = 0.0;
             for (std::int64_t run = 0; run < runs; ++run)
                 sum = fma(weights[run], ends[run * size + index + c * n], sum);
-            to[c * n] = sum;
+            to[c] = sum;
         }
-        const ContactKinematics<double> s = contact.kinematics();
-        const auto friction = friction_force<double>(plan, contact.obstacle, contact.particle, contact.posed, s,
-                                                     contact.force(law).push, out);
-        const Vec3<double> local = contact.posed.inward<double>(s.arm);
-        const Vec3<double> dragged = local - contact.posed.inward<double>(friction.stretch);
-        if (friction.slides || !(to[3 * n] > 0.0)) {
-            const Vec3<double> anchor = friction.slides ? dragged : local;
-            to[0] = anchor.x, to[n] = anchor.y, to[2 * n] = anchor.z;
-        }
-        to[3 * n] = friction.slides ? double(slides) : double(sticks);
-    });
+    };
+    for_each_near_block(
+        plan, t, x, v, none, [&](double) { return contacts.thickness; },
+        [&](std::int64_t obstacle, std::int64_t first, auto shape, const PosedObstacle<double>& posed,
+            const Block<double>& block) {
+            const Obstacle& properties = contacts.obstacles[obstacle];
+            if (!(properties.friction.at_rest > 0.0)) return;
+            const FrictionLaw<V> friction(properties.friction, contacts.frequency);
+            for (std::ptrdiff_t j = 0; j < block.count; j += lanes<double>) {
+                const auto s = contact_kinematics<shape.value, true, V>(posed, properties.size, block.position<V>(j),
+                                                                        block.velocity<V>(j));
+                const Scaling<V> scaling = contacts.reduced.lane_scaling(obstacle * (n + 1) + first + j, t);
+                const V gap = scaling.gap(s.gap);
+                const auto in_contact = (load(block.mass + j) > V{}) & (gap < splat<V>(contacts.thickness));
+                const unsigned lanes_in_contact = bits_of(in_contact);
+                if (!lanes_in_contact) continue;
+                const auto for_each_lane = [&](auto&& visit) {
+                    for (int lane = 0; lane < lanes<double>; ++lane)
+                        if (lanes_in_contact >> lane & 1u)
+                            visit(lane, obstacle * anchor_numbers * n + first + j + lane);
+                };
+                V numbers[anchor_numbers] = {};
+                for_each_lane([&](int lane, std::int64_t index) {
+                    double combined[anchor_numbers];
+                    combine(index, combined);
+                    for (int c = 0; c < anchor_numbers; ++c) numbers[c][lane] = combined[c];
+                });
+                const Vec3<V> local = posed.inward<V>(s.arm);
+                const auto bonded = numbers[3] > V{};
+                const Vec3<V> anchor{select(bonded, numbers[0], local.x), select(bonded, numbers[1], local.y),
+                                     select(bonded, numbers[2], local.z)};
+                const V push = law.force(gap, scaling.closing(s.gap, s.closing)).push / scaling.scale;
+                const auto force = friction.force(posed.outward<V>(local - anchor), s.normal, s.slip, push);
+                const Vec3<V> dragged = local - posed.inward<V>(force.stretch);
+                const V moved[anchor_numbers] = {
+                    select(force.slides, dragged.x, anchor.x), select(force.slides, dragged.y, anchor.y),
+                    select(force.slides, dragged.z, anchor.z),
+                    select(force.slides, splat<V>(double(slides)), splat<V>(double(sticks)))};
+                for_each_lane([&](int lane, std::int64_t index) {
+                    for (int c = 0; c < anchor_numbers; ++c) out[index + c * n] = moved[c][lane];
+                });
+            }
+        });
 }
 
 double contact_energy(const Plan& plan, double t, const double* x) {

@@ -46,6 +46,11 @@ struct ReducedThickness {
         const V thickness = smaller(fma(rate, of(t - start), at_start), of(full));
         return {of(full) / thickness, rate / thickness};
     }
+    /// Scaling of a vector of contacts from an index on.
+    Scaling<vec<double>> lane_scaling(std::int64_t index, double t) const {
+        using V = vec<double>;
+        return any() ? scaling<V>(load(at_start.data() + index), load(rates.data() + index), t) : full_thickness<V>();
+    }
     /// Scaling of one contact by row and column.
     Scaling<double> scaling(std::int64_t row, std::int64_t column, std::int64_t columns, double t) const {
         const std::int64_t k = row * columns + column;
