@@ -6,6 +6,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
 #include <cstdio>
 #include <cstdlib>
@@ -39,8 +40,23 @@ using cloth::plan::Plan;
 
 constexpr std::int64_t rows = 8, columns = 9, n = rows * columns, runs = 4;
 
-/// The springs of a sheet: listed, or those along rows and columns on a grid and the others listed.
-static Plan* make_plan(bool grid) {
+/// The springs of a sheet: listed, or those along rows and columns on a grid and the others listed; listed ones of a
+/// sheet that touches itself.
+enum Scene { listed, grid, layers };
+constexpr const char* names[] = {"list", "grid", "layers"};
+
+/// Let a surface touch itself within 40 mm.
+static void add_self_contact(Plan* plan) {
+    std::vector<std::int64_t> triangles;
+    for (std::int64_t i = 0; i + columns < n; ++i)
+        if (i % columns + 1 < columns) {
+            const std::int64_t a = i, b = i + 1, d = i + columns, e = d + 1;
+            triangles.insert(triangles.end(), {a, b, d, b, e, d});
+        }
+    cloth_plan_contact(plan, 0, nullptr, nullptr, nullptr, nullptr, nullptr, 0.04, 10.0, 2000.0);
+    cloth_plan_self(plan, static_cast<std::int64_t>(triangles.size() / 3), triangles.data(), 0.1);
+}
+static Plan* make_plan(Scene scene) {
     const std::vector<double> masses(n, 0.01), inverse(n, 100.0);
     Plan* const plan = cloth_plan_new(n, masses.data(), inverse.data());
     std::vector<std::int64_t> first, second;
@@ -54,23 +70,31 @@ static Plan* make_plan(bool grid) {
     numbers.resize(2 * count, 0.1);
     numbers.resize(3 * count, 0.01);
     double families[6 * cloth::grid::family_count] = {1, 5.0, 0.1, 0.01, 1, 0, 1, 5.0, 0.1, 0.01, 1, 0};
-    if (grid) cloth_plan_grid(plan, rows, columns, families);
+    if (scene == grid) cloth_plan_grid(plan, rows, columns, families);
     cloth_plan_list(plan, static_cast<int>(cloth::mesh::Kind::spring), count, first.data(), numbers.data(), nullptr);
+    if (scene == layers) add_self_contact(plan);
     return plan;
 }
 
 /// Execute a frame of four runs of the plan, in turn or concurrently; set their end states and return the status.
-static int run_frame(Plan* plan, std::int64_t concurrency, std::vector<double>& out) {
-    static const std::int64_t steps[runs] = {9, 18, 27, 36};
+static int run_frame(Plan* plan, Scene scene, std::int64_t concurrency, std::vector<double>& out) {
+    static const std::int64_t steps[runs] = {9, 18, 27, 36}, few_steps[runs] = {3, 6, 9, 12};
     static const double weights[2] = {-0.5, 1.5};
-    static std::vector<double> x(3 * n), v(3 * n), result(6 * n), notes(2 * runs);
+    static std::vector<double> x(3 * n), v(3 * n), result(6 * n), notes(16 * runs);
     for (std::int64_t i = 0; i < n; ++i) {
         x[i] = 0.1 * static_cast<double>(i % columns), x[n + i] = 0.1 * static_cast<double>(i / columns);
         x[2 * n + i] = 0.01 * static_cast<double>(i * 13 % 7);
+        if (scene != layers) continue;
+        // Folded in the middle, the halves 30 mm apart.
+        const std::int64_t row = i / columns;
+        x[n + i] = 0.1 * static_cast<double>(std::min(row, rows - 1 - row)) + (row < rows / 2 ? 0.0 : 0.013);
+        x[2 * n + i] = (row < rows / 2 ? 0.0 : 0.03) + 0.001 * static_cast<double>(i * 13 % 7);
     }
     std::fill(out.begin(), out.end(), 0.0);
     cloth::plan::FrameRequest frame{};
-    frame.duration = 1e-2, frame.runs = runs, frame.steps = steps, frame.weights = weights, frame.bands = 2;
+    // A step with contact allocates several times.
+    frame.duration = scene == layers ? 3e-3 : 1e-2, frame.runs = runs,
+    frame.steps = scene == layers ? few_steps : steps, frame.weights = weights, frame.bands = 2;
     frame.x0 = x.data(), frame.v0 = v.data(), frame.out = out.data(), frame.result = result.data();
     frame.records = notes.data(), frame.multirate = 1, frame.combined = 2, frame.concurrency = concurrency;
     return cloth_frame(plan, &frame);
@@ -78,22 +102,22 @@ static int run_frame(Plan* plan, std::int64_t concurrency, std::vector<double>& 
 
 int main() {
     enum Outcome { reported, unharmed, wrong, failed_later, done };
-    for (const bool grid : {false, true})
+    for (const Scene scene : {listed, grid, layers})
         for (const std::int64_t concurrency : {1, 2}) {
             std::vector<double> expected(6 * n * runs), out(expected);
-            run_frame(make_plan(grid), 1, expected);
+            run_frame(make_plan(scene), scene, 1, expected);
             int outcomes[done] = {}, crashed = 0;
             for (long k = 1;; ++k) {
                 std::fflush(stdout);
                 const pid_t child = fork();
                 if (child == 0) {
                     alarm(20);
-                    Plan* const plan = make_plan(grid);
+                    Plan* const plan = make_plan(scene);
                     failing = k;
-                    const int first = run_frame(plan, concurrency, out);
+                    const int first = run_frame(plan, scene, concurrency, out);
                     if (allocated < k) _exit(done);
                     for (int again = 0; again < 2; ++again) {
-                        if (run_frame(plan, concurrency, out) != 0) _exit(failed_later);
+                        if (run_frame(plan, scene, concurrency, out) != 0) _exit(failed_later);
                         if (out != expected) _exit(wrong);
                     }
                     _exit(first ? reported : unharmed);
@@ -106,7 +130,7 @@ int main() {
                 else
                     ++crashed;
             }
-            std::printf("%s, %s: %d reported, %d crashed, %d wrong, %d failed later\n", grid ? "grid" : "list",
+            std::printf("%s, %s: %d reported, %d crashed, %d wrong, %d failed later\n", names[scene],
                         concurrency > 1 ? "at once" : "in turn", outcomes[reported], crashed, outcomes[wrong],
                         outcomes[failed_later]);
         }

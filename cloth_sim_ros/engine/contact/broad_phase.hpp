@@ -64,9 +64,10 @@ struct PairList {
         std::size_t n = 0, n_omitted = 0;
         each_below(from.square.data(), size, reach * reach, [&](std::size_t) { ++n; });
         // One more, because each pair is written before it is known to count.
-        for (auto* all : {&first, &second}) all->resize(n + 1);
-        square.resize(n + lanes<double>);
+        // `first` last, because its size tells that all have theirs.
         omitted_.resize(size - n + 1);
+        square.resize(n + lanes<double>);
+        for (auto* all : {&second, &first}) all->resize(n + 1);
         n = 0;
         for (std::size_t k = 0; k < size; ++k) {
             first[n] = from.first[k], second[n] = from.second[k], square[n] = from.square[k];

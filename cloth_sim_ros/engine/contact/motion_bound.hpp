@@ -95,7 +95,10 @@ public:
         least_.assign(static_cast<std::size_t>(n_patches) * n_patches, std::numeric_limits<double>::infinity());
     }
     /// Set the distances to no pairs at positions x, quads.
-    void clear(Distances& all, const double* x) const {
+    void clear(Distances& all, const double* x) {
+        // An exception may have ended the collection of others.
+        if (is_collecting_) std::fill(least_.begin(), least_.end(), std::numeric_limits<double>::infinity());
+        is_collecting_ = true;
         all.positions.assign(x, x + 4 * patch_.size());
         all.patches.clear(), all.distance.clear();
         all.far_distance = std::numeric_limits<double>::infinity();
@@ -140,6 +143,7 @@ public:
         }
         all.patches.resize(all.patches.size() + lanes<double>);
         all.distance.resize(all.patches.size(), std::numeric_limits<double>::infinity());
+        is_collecting_ = false;
     }
     /// Lower bound of the distances of these pairs at other positions. NaN if a position is not finite.
     double bound(const Distances& all, const double* x) {
@@ -150,7 +154,7 @@ public:
         MotionBound total;
         for (const MotionBound& moved : moved_) total.include(moved);
         const double diameter = total.diameter();
-        V least = splat<V>(all.far_distance - diameter);
+        V least = splat<V>((1.0 - rounding) * all.far_distance - (1.0 + rounding) * diameter);
         for (std::size_t k = 0; k + lanes<double> <= all.patches.size(); k += lanes<double>) {
             quad<double> rows[lanes<double>];
             for (int lane = 0; lane < lanes<double>; ++lane) {
@@ -160,7 +164,9 @@ public:
             }
             Vec3<V> extent;
             deinterleave(rows, extent.x, extent.y, extent.z);
-            least = smaller(load(all.distance.data() + k) - root(norm2(extent)), least);
+            const V distance = load(all.distance.data() + k);
+            least = smaller(fma(splat<V>(1.0 - rounding), distance, splat<V>(-1.0 - rounding) * root(norm2(extent))),
+                            least);
         }
         double min = diameter < largest ? std::numeric_limits<double>::infinity() : diameter;
         for (int lane = 0; lane < lanes<double>; ++lane) min = smaller<double>(least[lane], min);
@@ -171,6 +177,8 @@ private:
     static constexpr std::int64_t max_patches = 256;
     /// Patches that are further apart have one distance, as a multiple of the reach.
     static constexpr double far_factor = 4.0, largest = 1e300;
+    /// Relative rounding of distances.
+    static constexpr double rounding = 1e-12;
 
     void include_patches(Distances& all, std::size_t a, std::size_t b, double distance) {
         double& least = least_[std::min(a, b) * moved_.size() + std::max(a, b)];
@@ -185,6 +193,7 @@ private:
     std::vector<std::array<Index, 2>> of_edge_;
     std::vector<std::array<Index, 3>> of_triangle_;
     std::vector<double> least_;  ///< distance of two patches, while distances are collected
+    bool is_collecting_ = false;
     std::vector<MotionBound> moved_;
 };
 

@@ -77,10 +77,11 @@ public:
         state_.resize(n_candidates_ + lanes<double> + 1);
         state_[n_candidates_] = 0;
         if (gap_.size() < capacity_) {
-            corner_.resize(capacity_), gap_.resize(capacity_);
-            terms_.resize(4 * capacity_), normals_.resize(4 * capacity_);
+            corner_.resize(capacity_), terms_.resize(4 * capacity_), normals_.resize(4 * capacity_);
             for (auto* of : {weight_, away_})
                 for (int j = 0; j < 3; ++j) of[j].resize(capacity_);
+            // Last, because its size tells that all have theirs.
+            gap_.resize(capacity_);
         }
         points_.clear(), remaining_.resize(capacity_);
         std::size_t n_remaining = 0;
