@@ -15,6 +15,15 @@ template <class V>
 struct Vec3 {
     V x, y, z;
 };
+/// Conversions between numbers of single and double precision.
+template <class T>
+CLOTH_INLINE Vec3<double> to_double(Vec3<T> a) {
+    return {static_cast<double>(a.x), static_cast<double>(a.y), static_cast<double>(a.z)};
+}
+template <class T>
+CLOTH_INLINE Vec3<T> narrowed(Vec3<double> a) {
+    return {static_cast<T>(a.x), static_cast<T>(a.y), static_cast<T>(a.z)};
+}
 template <class V>
 CLOTH_INLINE Vec3<V> operator+(Vec3<V> a, Vec3<V> b) {
     return {a.x + b.x, a.y + b.y, a.z + b.z};

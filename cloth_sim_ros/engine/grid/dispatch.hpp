@@ -47,6 +47,7 @@ inline GridConstants<T> grid_constants(const Plan& plan) {
         const GridFamily& family = plan.grid->families[f];
         if (!family.present) continue;
         c.families[f] = {T(family.stiffness), T(family.stiffness / family.rest_length), T(family.damping)};
+        c.lost[f] = T(double(c.families[f].ks) / family.rest_length - double(c.families[f].k));
     }
     c.drag = T(plan.drag);
     for (int k = 0; k < 3; ++k) c.body_acceleration[k] = T(plan.body_acceleration(k));

@@ -7,6 +7,7 @@
 #include <map>
 #include <string>
 
+#include "core/algebra.hpp"
 #include "core/storage.hpp"
 
 namespace cloth::grid {
@@ -23,10 +24,52 @@ inline constexpr Ends family_ends[family_count] = {{0, 0, 0, 1}, {0, 0, 1, 0}, {
 inline constexpr int row_reach = 2;
 
 /// Components of a padded row: positions, velocities, damping velocities, previous accelerations and, in single
-/// precision, the compensation of rounding (Kahan).
-enum Slot : int { position = 0, velocity = 3, damping_velocity = 6, previous_acceleration = 9, compensation = 12 };
+/// precision, the low parts of positions and velocities: what rounding left of them (Kahan).
+enum Slot : int {
+    position = 0,
+    velocity = 3,
+    damping_velocity = 6,
+    previous_acceleration = 9,
+    low_position = 12,
+    low_velocity = 15
+};
 template <class T>
-inline constexpr int components = sizeof(T) == 4 ? 15 : 12;
+inline constexpr int components = sizeof(T) == 4 ? 18 : 12;
+
+/// What rounding to the high part left of a number.
+template <class T>
+inline T low_part(double number, T high) {
+    return static_cast<T>(number - static_cast<double>(high));
+}
+/// Number at the end of a run in single precision: the change is added to the initial one.
+inline double final_value(double initial, double origin, float high, float low) {
+    const auto high0 = static_cast<float>(initial - origin), low0 = low_part(initial - origin, high0);
+    return initial + ((static_cast<double>(high) - static_cast<double>(high0)) +
+                      (static_cast<double>(low) - static_cast<double>(low0)));
+}
+
+/// Positions of a vector of particles.
+template <class V>
+struct Place {
+    Vec3<V> high, low;
+    /// The difference of two high parts is rounded relative to itself, so that the low parts are of use.
+    friend CLOTH_INLINE Vec3<V> operator-(const Place& a, const Place& b) {
+        if constexpr (sizeof(scalar<V>) == 8)
+            return a.high - b.high;
+        else
+            return (a.high - b.high) + (a.low - b.low);
+    }
+};
+/// Load positions; `from`: the first component, components `pitch` numbers apart.
+template <class T>
+CLOTH_INLINE Place<vec<T>> load_place(const T* from, std::ptrdiff_t pitch) {
+    Place<vec<T>> place{{load(from), load(from + pitch), load(from + 2 * pitch)}, {}};
+    if constexpr (sizeof(T) == 4) {
+        const T* const low = from + (low_position - position) * pitch;
+        place.low = {load(low), load(low + pitch), load(low + 2 * pitch)};
+    }
+    return place;
+}
 
 /// Slots of a table entry: 1/m, one for free particles, then the weights of the families.
 inline constexpr int inverse_mass = 0, freedom = 1, weights = 2, table_slots = weights + family_count;

@@ -41,16 +41,17 @@ struct HingeOperands {
 
     CLOTH_INLINE HingeOperands(const HingeRow<T>& at, const Stencil& stencil, int index, std::ptrdiff_t j,
                                bool damped) {
-        const auto differ = [&](const T* const(&rows)[3], Vec3<V>* to) CLOTH_INLINED {
-            const auto point = [&](int c) CLOTH_INLINED {
-                const T* const from = rows[stencil.row[c]] + stencil.column[c] + j;
-                return Vec3<V>{load(from), load(from + at.pitch), load(from + 2 * at.pitch)};
-            };
-            const Vec3<V> first = point(0);
+        const auto differ = [&](const T* const(&rows)[3], auto&& load_point, Vec3<V>* to) CLOTH_INLINED {
+            const auto point = [&](int c)
+                                   CLOTH_INLINED { return load_point(rows[stencil.row[c]] + stencil.column[c] + j); };
+            const auto first = point(0);
             for (int c = 1; c < Law::corners; ++c) to[c - 1] = point(c) - first;
         };
-        differ(at.x, d);
-        if (damped) differ(at.v, u);
+        differ(at.x, [&](const T* from) CLOTH_INLINED { return load_place(from, at.pitch); }, d);
+        const auto three = [&](const T* from) CLOTH_INLINED {
+            return Vec3<V>{load(from), load(from + at.pitch), load(from + 2 * at.pitch)};
+        };
+        if (damped) differ(at.v, three, u);
         V values[3];
         for (int p = 0; p < Law::params; ++p) values[p] = load(at.numbers + (index * Law::params + p) * at.pitch + j);
         params = law_params<Law, V>(values, nullptr);

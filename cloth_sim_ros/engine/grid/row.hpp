@@ -18,6 +18,8 @@ using laws::Spring;
 template <class T>
 struct GridConstants {
     typename Spring::template Params<T> families[family_count];
+    /// What rounding of these numbers takes from a family's factor at rest length; in single precision only.
+    T lost[family_count];
     T drag, body_acceleration[3];
 };
 /// Add the force rows and the forces of the row's own springs, and advance the row by one step if it is `owned`;
@@ -37,16 +39,19 @@ inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, co
             const T* from = at.row[row] + slot * pitch + j + column;
             return Vec3<V>{load(from), load(from + pitch), load(from + 2 * pitch)};
         };
+        const auto place = [&](int row, int column)
+                               CLOTH_INLINED { return load_place(at.row[row] + position * pitch + j + column, pitch); };
         // Force on the first end of a family's springs.
-        const auto spring_force = [&](Family family, Vec3<V> x0, Vec3<V> p0) CLOTH_INLINED {
+        const auto spring_force = [&](Family family, const Place<V>& x0, Vec3<V> p0) CLOTH_INLINED {
             const Ends e = family_ends[family];
-            const Vec3<V> d = point(e.row1, e.column1, position) - x0;
+            const Vec3<V> d = place(e.row1, e.column1) - x0;
             Vec3<V> u{none, none, none};
             if constexpr (damped) u = point(e.row1, e.column1, damping_velocity) - p0;
             const auto& c = constants.families[family];
             const typename Spring::template Params<V> params{splat<V>(c.ks), splat<V>(c.k), splat<V>(c.c)};
-            const V q = Spring::factor(params, d, u, damped) * load(at.entry + (weights + family) * pitch + j);
-            return q * d;
+            V q = Spring::factor(params, d, u, damped);
+            if constexpr (sizeof(T) == 4) q = q + splat<V>(constants.lost[family]);
+            return (q * load(at.entry + (weights + family) * pitch + j)) * d;
         };
         const auto add = [&](T* to, Vec3<V> f) CLOTH_INLINED {
             store(to + j, load(to + j) + f.x);
@@ -63,7 +68,7 @@ inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, co
         constexpr std::integral_constant<int, 1> by_one;
         constexpr std::integral_constant<int, 2> by_two;
 
-        const Vec3<V> x = point(0, 0, position);
+        const Place<V> x = place(0, 0);
         Vec3<V> p{none, none, none};
         if constexpr (uses_velocity) p = point(0, 0, damping_velocity);
 
@@ -90,7 +95,7 @@ inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, co
             below = below - shifted(previous11, f, by_one);
         }
         if constexpr (has(antidiagonal)) {
-            const Vec3<V> x1 = point(0, 1, position);
+            const Place<V> x1 = place(0, 1);
             Vec3<V> p1{none, none, none};
             if constexpr (damped) p1 = point(0, 1, damping_velocity);
             const Vec3<V> f = spring_force(antidiagonal, x1, p1);
@@ -125,23 +130,27 @@ inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, co
                 store(at.accelerations + c * at.acceleration_pitch + j, a);
                 return;
             }
-            const V v = fma(kick, a, load(x_c + velocity * pitch));
-            store(x_c + velocity * pitch, v);
+            const auto advance = [&](Slot slot, Slot low_slot, V old, V factor, V rate) CLOTH_INLINED {
+                if constexpr (sizeof(T) == 8) {
+                    const V end = fma(factor, rate, old);
+                    store(x_c + slot * pitch, end);
+                    return end;
+                } else {
+                    // Kahan summation: the low part carries what rounding leaves.
+                    const V increment = fma(factor, rate, load(x_c + low_slot * pitch)), end = old + increment;
+                    store(x_c + low_slot * pitch, increment - (end - old));
+                    store(x_c + slot * pitch, end);
+                    return end;
+                }
+            };
+            const V v = advance(velocity, low_velocity, load(x_c + velocity * pitch), kick, a);
             if constexpr (uses_velocity) {
                 const V previous_a = load(x_c + previous_acceleration * pitch);
                 store(x_c + previous_acceleration * pitch, a);
                 store(x_c + damping_velocity * pitch,
                       fma(splat<V>(motion.predict), a, fma(splat<V>(motion.predict_previous), previous_a, v)));
             }
-            const V x_old = c == 0 ? x.x : c == 1 ? x.y : x.z;
-            if constexpr (sizeof(T) == 8) {
-                store(x_c, fma(drift, v, x_old));
-            } else {
-                // Kahan summation: the compensation carries the rounding error of the position.
-                const V increment = fma(drift, v, load(x_c + compensation * pitch)), end = x_old + increment;
-                store(x_c + compensation * pitch, increment - (end - x_old));
-                store(x_c, end);
-            }
+            advance(position, low_position, c == 0 ? x.high.x : c == 1 ? x.high.y : x.high.z, drift, v);
         };
         finish(0, force.x, p.x);
         finish(1, force.y, p.y);

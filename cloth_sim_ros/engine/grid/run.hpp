@@ -14,7 +14,7 @@
 
 namespace cloth::grid {
 
-using plan::final_value, plan::OffGridForces, plan::Run, plan::RunStatus;
+using plan::OffGridForces, plan::Run, plan::RunStatus;
 
 template <class T>
 class GridRun {
@@ -187,18 +187,21 @@ private:
     void load_row(int b, std::int64_t row, bool full) {
         const std::int64_t n = plan_.count, columns = grid_.columns;
         T* const to = row_of(b, row);
-        const auto put = [&](int slot, const double* from, double origin) {
-            T* const at = to + slot * pitch_;
-            for (std::int64_t j = 0; j < columns; ++j) at[j] = static_cast<T>(from[j] - origin);
-            std::fill(at + columns, at + pitch_, T(0));
+        const auto put = [&](int slot, int low_slot, const double* from, double origin) {
+            T *const high = to + slot * pitch_, *const low = to + low_slot * pitch_;
+            for (std::int64_t j = 0; j < columns; ++j) high[j] = static_cast<T>(from[j] - origin);
+            std::fill(high + columns, high + pitch_, T(0));
+            if (sizeof(T) == 8 || low_slot == slot) return;
+            for (std::int64_t j = 0; j < columns; ++j) low[j] = low_part(from[j] - origin, high[j]);
+            std::fill(low + columns, low + pitch_, T(0));
         };
         for (int c = 0; c < 3; ++c) {
             const double *const x = run_.x0 + c * n + row * columns, *const v = run_.v0 + c * n + row * columns;
-            put(position + c, x, off_grid_.origin[c]);
-            put(damping_velocity + c, v, 0.0);
-            if (full) put(velocity + c, v, 0.0);
+            put(position + c, low_position + c, x, off_grid_.origin[c]);
+            put(damping_velocity + c, damping_velocity + c, v, 0.0);
+            if (full) put(velocity + c, low_velocity + c, v, 0.0);
         }
-        if (full) std::fill(to + previous_acceleration * pitch_, to + stride_, T(0));
+        if (full) std::fill(to + previous_acceleration * pitch_, to + (previous_acceleration + 3) * pitch_, T(0));
     }
     void unload_band(int b) {
         const std::int64_t n = plan_.count, columns = grid_.columns;
@@ -206,14 +209,13 @@ private:
             const T* const from = row_of(b, row);
             for (int c = 0; c < 3; ++c) {
                 const std::int64_t at = c * n + row * columns;
-                const T *const x = from + (position + c) * pitch_, *const v = from + (velocity + c) * pitch_;
-                const T* const carry = from + (sizeof(T) == 4 ? compensation + c : 0) * pitch_;
-                const double* const x0 = run_.x0 + at;
-                for (std::int64_t j = 0; run_.x && j < columns; ++j)
-                    run_.x[at + j] = final_value<T>(x0[j], off_grid_.origin[c], x[j], sizeof(T) == 4 ? carry[j] : T(0));
-                const double* const v0 = run_.v0 + at;
-                for (std::int64_t j = 0; run_.v && j < columns; ++j)
-                    run_.v[at + j] = final_value<T>(v0[j], 0.0, v[j], T(0));
+                const auto put = [&](int slot, int low_slot, const double* initial, double origin, double* to) {
+                    const T *const high = from + slot * pitch_, *const low = from + low_slot * pitch_;
+                    for (std::int64_t j = 0; j < columns; ++j)
+                        to[j] = sizeof(T) == 8 ? high[j] : final_value(initial[j], origin, high[j], low[j]);
+                };
+                if (run_.x) put(position + c, low_position + c, run_.x0 + at, off_grid_.origin[c], run_.x + at);
+                if (run_.v) put(velocity + c, low_velocity + c, run_.v0 + at, 0.0, run_.v + at);
             }
             for (std::int64_t j = 0; run_.activity && j < columns; ++j)
                 if (!off_grid_.has_prescribed() || plan_.free_inverse[row * columns + j] > 0.0)
@@ -229,9 +231,15 @@ private:
             for (std::int64_t row = border_[b]; row < border_[b + 1]; ++row) {
                 T* const at = row_of(b, row);
                 for (std::int64_t j = 0; j < 3 * pitch_; ++j) {
-                    const T x = at[j], increment = half * at[velocity * pitch_ + j], end = x + increment;
-                    if constexpr (sizeof(T) == 4) at[compensation * pitch_ + j] = increment - (end - x);
-                    at[j] = sizeof(T) == 4 ? end : fma(half, at[velocity * pitch_ + j], x);
+                    const T x = at[j], v = at[velocity * pitch_ + j];
+                    if constexpr (sizeof(T) == 8) {
+                        at[j] = fma(half, v, x);
+                    } else {
+                        T& low = at[low_position * pitch_ + j];
+                        const T increment = fma(half, v, low);
+                        at[j] = x + increment;
+                        low = increment - (at[j] - x);
+                    }
                 }
             }
             return;

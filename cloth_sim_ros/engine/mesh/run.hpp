@@ -83,8 +83,8 @@ private:
             const std::int64_t rank = plan_.rank[plan_.grips.particle[grip]];
             if (rank < borders_[thread] || rank >= borders_[thread + 1]) continue;
             const T *const x = off_grid_.x.data() + 4 * rank, *const v = off_grid_.v.data() + 4 * rank;
-            const Vec3<T> force =
-                off_grid_.grip_force(thread, grip, step, {x[0], x[1], x[2]}, {v[0], v[1], v[2]}, true);
+            const Vec3<T> force = off_grid_.grip_force(
+                thread, grip, step, {to_double<T>({x[0], x[1], x[2]}), to_double<T>({v[0], v[1], v[2]})}, true);
             f[4 * rank] += force.x, f[4 * rank + 1] += force.y, f[4 * rank + 2] += force.z;
         }
         off_grid_.add_contact(thread, step, f);
@@ -133,12 +133,11 @@ private:
             const std::int64_t rank = plan_.rank[plan_.grips.particle[grip]], at = 4 * rank;
             if (!plan_.grips.prescribed[grip] || rank < borders_[thread] || rank >= borders_[thread + 1]) continue;
             const T* const a = previous_acceleration_.data() + at;
-            Vec3<T> x, v, damping_v;
-            off_grid_.prescribe(thread, grip, step, {a[0], a[1], a[2]}, true, x, v, damping_v);
+            const auto end = off_grid_.prescribe(thread, grip, step, {a[0], a[1], a[2]}, true);
             const auto put = [&](Array<T>& to, Vec3<T> p) { to[at] = p.x, to[at + 1] = p.y, to[at + 2] = p.z; };
-            put(off_grid_.x, x);
-            put(velocity_, v);
-            put(off_grid_.v, damping_v);
+            put(off_grid_.x, narrowed<T>(end.x));
+            put(velocity_, narrowed<T>(end.v));
+            put(off_grid_.v, narrowed<T>(end.v));
             if constexpr (sizeof(T) == 4) put(compensation_, {T(0), T(0), T(0)});
         }
     }

@@ -167,8 +167,10 @@ void OffGridForces<T>::add_row_forces(int thread, std::int64_t row, std::int64_t
         if (plan.grips.prescribed[grip - particles.begin()]) continue;
         const std::int64_t j = *grip - first;
         const T *const x = at.row[0] + position * at.pitch + j, *const v = at.row[0] + damping_velocity * at.pitch + j;
-        const Vec3<T> f = grip_force(thread, grip - particles.begin(), step, {x[0], x[at.pitch], x[2 * at.pitch]},
-                                     {v[0], v[at.pitch], v[2 * at.pitch]}, record);
+        const auto three = [&](const T* from) { return to_double<T>({from[0], from[at.pitch], from[2 * at.pitch]}); };
+        Motion particle{three(x), three(v)};
+        if constexpr (sizeof(T) == 4) particle.x = particle.x + three(x + (grid::low_position - position) * at.pitch);
+        const Vec3<T> f = grip_force(thread, grip - particles.begin(), step, particle, record);
         forces[j] += f.x, forces[at.pitch + j] += f.y, forces[2 * at.pitch + j] += f.z;
     }
     if (!is_active(step)) return;
@@ -186,40 +188,33 @@ void OffGridForces<T>::add_row_forces(int thread, std::int64_t row, std::int64_t
 }
 
 template <class T>
-Vec3<T> OffGridForces<T>::grip_force(int thread, std::int64_t grip, std::int64_t step, Vec3<T> x_, Vec3<T> v_,
+Vec3<T> OffGridForces<T>::grip_force(int thread, std::int64_t grip, std::int64_t step, const Motion& particle,
                                      bool record) {
     const Grips& grips = plan.grips;
-    const Vec3<double> position{origin[0] + x_.x, origin[1] + x_.y, origin[2] + x_.z};
-    const Vec3<double> velocity{double(v_.x), double(v_.y), double(v_.z)};
+    const Vec3<double> position{origin[0] + particle.x.x, origin[1] + particle.x.y, origin[2] + particle.x.z};
     const auto point = grips.point(poses[thread].at(grips.gripper[grip], step), grip);
-    const Vec3<double> force = grips.force(grip, point, position, velocity);
+    const Vec3<double> force = grips.force(grip, point, position, particle.v);
     if (record && step >= 0) {
         // Each grip has its own sum: threads accumulate in any order.
-        grips.accumulate(grip_sums.data() + grip * record_numbers, grip, point, force, velocity, run.step);
+        grips.accumulate(grip_sums.data() + grip * record_numbers, grip, point, force, particle.v, run.step);
     }
     return {T(force.x), T(force.y), T(force.z)};
 }
 
 template <class T>
-void OffGridForces<T>::prescribe(int thread, std::int64_t grip, std::int64_t step, Vec3<T> a, bool record, Vec3<T>& x_,
-                                 Vec3<T>& v_, Vec3<T>& damping_v) {
+auto OffGridForces<T>::prescribe(int thread, std::int64_t grip, std::int64_t step, Vec3<T> a, bool record) -> Motion {
     const Grips& grips = plan.grips;
     const std::int64_t path = grips.gripper[grip];
     if (record && step >= 0) {
         const Pose& pose = poses[thread].at(path, step);
-        const double mass = plan.masses[grips.particle[grip]];
-        const Vec3<double> f{mass * double(a.x), mass * double(a.y), mass * double(a.z)};
-        grips.accumulate_prescribed(grip_sums.data() + grip * record_numbers, pose, grips.point(pose, grip), f, mass,
+        grips.accumulate_prescribed(grip_sums.data() + grip * record_numbers, pose, grips.point(pose, grip),
+                                    plan.masses[grips.particle[grip]] * to_double(a), plan.masses[grips.particle[grip]],
                                     run.step);
     }
     const bool at_end = step + 1 == run.steps;
     const Grips::Point point = at_end ? grips.point_at(grip, run.t + static_cast<double>(run.steps) * run.step)
                                       : grips.point(poses[thread].at(path, step + 1), grip);
-    const auto narrowed = [](Vec3<double> p) { return Vec3<T>{T(p.x), T(p.y), T(p.z)}; };
-    const Vec3<double> relative{point.position.x - origin[0], point.position.y - origin[1],
-                                point.position.z - origin[2]};
-    x_ = narrowed(relative);
-    v_ = damping_v = narrowed(point.velocity);
+    return {{point.position.x - origin[0], point.position.y - origin[1], point.position.z - origin[2]}, point.velocity};
 }
 
 template <class T>
@@ -235,12 +230,15 @@ void OffGridForces<T>::prescribe_row(int thread, std::int64_t row, std::int64_t 
         const auto put = [&](Slot k, Vec3<T> p) { slot(k, 0) = p.x, slot(k, 1) = p.y, slot(k, 2) = p.z; };
         const Vec3<T> a{slot(grid::previous_acceleration, 0), slot(grid::previous_acceleration, 1),
                         slot(grid::previous_acceleration, 2)};
-        Vec3<T> x_, v_, damping_v;
-        prescribe(thread, grip - particles.begin(), step, a, record, x_, v_, damping_v);
+        const Motion end = prescribe(thread, grip - particles.begin(), step, a, record);
+        const Vec3<T> x_ = narrowed<T>(end.x), v_ = narrowed<T>(end.v);
         put(grid::position, x_);
         put(grid::velocity, v_);
-        put(damping_velocity, damping_v);
-        if constexpr (sizeof(T) == 4) put(grid::compensation, {T(0), T(0), T(0)});
+        put(damping_velocity, v_);
+        if constexpr (sizeof(T) == 4) {
+            put(grid::low_position, narrowed<T>(end.x - to_double(x_)));
+            put(grid::low_velocity, narrowed<T>(end.v - to_double(v_)));
+        }
     }
 }
 

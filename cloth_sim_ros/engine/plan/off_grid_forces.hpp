@@ -88,12 +88,14 @@ struct OffGridForces {
     void add_contact(int thread, std::int64_t step, T* f);
     /// Add the forces of contact, grippers, lists and callback to the force row of a sheet's row.
     void add_row_forces(int thread, std::int64_t row, std::int64_t step, const RowView<T>& at, bool record);
-    /// Force on the particle of a grip at a step, from its position and velocity in the run.
-    Vec3<T> grip_force(int thread, std::int64_t grip, std::int64_t step, Vec3<T> x_, Vec3<T> v_, bool record);
-    /// Move a prescribed particle to its point after a step, and record the force on it in the step, mass times `a`.
-    /// Position, velocity and damping velocity are written.
-    void prescribe(int thread, std::int64_t grip, std::int64_t step, Vec3<T> a, bool record, Vec3<T>& x_, Vec3<T>& v_,
-                   Vec3<T>& damping_v);
+    /// Position, relative to the origin, and velocity of a particle.
+    struct Motion {
+        Vec3<double> x, v;
+    };
+    /// Force on the particle of a grip at a step, from its motion in the run.
+    Vec3<T> grip_force(int thread, std::int64_t grip, std::int64_t step, const Motion& particle, bool record);
+    /// Motion of a prescribed particle's point after a step; record the force on it in the step, mass times `a`.
+    Motion prescribe(int thread, std::int64_t grip, std::int64_t step, Vec3<T> a, bool record);
     /// The same for a row of the sheet that has moved.
     void prescribe_row(int thread, std::int64_t row, std::int64_t step, const RowView<T>& at, bool record);
     /// A run whose surface may have intersected itself or an obstacle has no result.
