@@ -24,26 +24,21 @@ inline constexpr Ends family_ends[family_count] = {{0, 0, 0, 1}, {0, 0, 1, 0}, {
 inline constexpr int row_reach = 2;
 
 /// Components of a padded row: positions, velocities, damping velocities, previous accelerations and, in single
-/// precision, the low parts of positions and velocities: what rounding left of them (Kahan).
-enum Slot : int {
-    position = 0,
-    velocity = 3,
-    damping_velocity = 6,
-    previous_acceleration = 9,
-    low_position = 12,
-    low_velocity = 15
-};
+/// precision, the low parts of positions: what rounding leaves of them.
+enum Slot : int { position = 0, velocity = 3, damping_velocity = 6, previous_acceleration = 9, low_position = 12 };
 template <class T>
-inline constexpr int components = sizeof(T) == 4 ? 18 : 12;
+inline constexpr int components = sizeof(T) == 4 ? 15 : 12;
 
-/// What rounding to the high part left of a number.
+/// Low part of a number: what rounding to the high part leaves.
 template <class T>
 inline T low_part(double number, T high) {
     return static_cast<T>(number - static_cast<double>(high));
 }
-/// Number at the end of a run in single precision: the change is added to the initial one.
-inline double final_value(double initial, double origin, float high, float low) {
-    const auto high0 = static_cast<float>(initial - origin), low0 = low_part(initial - origin, high0);
+/// Position at the end of a run; in single precision the change is added to the initial one.
+template <class T>
+inline double final_position(double initial, double origin, T high, T low) {
+    if constexpr (sizeof(T) == 8) return high;
+    const T high0 = static_cast<T>(initial - origin), low0 = low_part(initial - origin, high0);
     return initial + ((static_cast<double>(high) - static_cast<double>(high0)) +
                       (static_cast<double>(low) - static_cast<double>(low0)));
 }

@@ -18,8 +18,6 @@ using laws::Spring;
 template <class T>
 struct GridConstants {
     typename Spring::template Params<T> families[family_count];
-    /// What rounding of these numbers takes from a family's factor at rest length; in single precision only.
-    T lost[family_count];
     T drag, body_acceleration[3];
 };
 /// Add the force rows and the forces of the row's own springs, and advance the row by one step if it is `owned`;
@@ -49,9 +47,8 @@ inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, co
             if constexpr (damped) u = point(e.row1, e.column1, damping_velocity) - p0;
             const auto& c = constants.families[family];
             const typename Spring::template Params<V> params{splat<V>(c.ks), splat<V>(c.k), splat<V>(c.c)};
-            V q = Spring::factor(params, d, u, damped);
-            if constexpr (sizeof(T) == 4) q = q + splat<V>(constants.lost[family]);
-            return (q * load(at.entry + (weights + family) * pitch + j)) * d;
+            const V q = Spring::factor(params, d, u, damped) * load(at.entry + (weights + family) * pitch + j);
+            return q * d;
         };
         const auto add = [&](T* to, Vec3<V> f) CLOTH_INLINED {
             store(to + j, load(to + j) + f.x);
@@ -130,27 +127,23 @@ inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, co
                 store(at.accelerations + c * at.acceleration_pitch + j, a);
                 return;
             }
-            const auto advance = [&](Slot slot, Slot low_slot, V old, V factor, V rate) CLOTH_INLINED {
-                if constexpr (sizeof(T) == 8) {
-                    const V end = fma(factor, rate, old);
-                    store(x_c + slot * pitch, end);
-                    return end;
-                } else {
-                    // Kahan summation: the low part carries what rounding leaves.
-                    const V increment = fma(factor, rate, load(x_c + low_slot * pitch)), end = old + increment;
-                    store(x_c + low_slot * pitch, increment - (end - old));
-                    store(x_c + slot * pitch, end);
-                    return end;
-                }
-            };
-            const V v = advance(velocity, low_velocity, load(x_c + velocity * pitch), kick, a);
+            const V v = fma(kick, a, load(x_c + velocity * pitch));
+            store(x_c + velocity * pitch, v);
             if constexpr (uses_velocity) {
                 const V previous_a = load(x_c + previous_acceleration * pitch);
                 store(x_c + previous_acceleration * pitch, a);
                 store(x_c + damping_velocity * pitch,
                       fma(splat<V>(motion.predict), a, fma(splat<V>(motion.predict_previous), previous_a, v)));
             }
-            advance(position, low_position, c == 0 ? x.high.x : c == 1 ? x.high.y : x.high.z, drift, v);
+            const V x_old = c == 0 ? x.high.x : c == 1 ? x.high.y : x.high.z;
+            if constexpr (sizeof(T) == 8) {
+                store(x_c, fma(drift, v, x_old));
+            } else {
+                // Kahan summation: the low part keeps what rounding leaves of the position.
+                const V increment = fma(drift, v, load(x_c + low_position * pitch)), end = x_old + increment;
+                store(x_c + low_position * pitch, increment - (end - x_old));
+                store(x_c, end);
+            }
         };
         finish(0, force.x, p.x);
         finish(1, force.y, p.y);

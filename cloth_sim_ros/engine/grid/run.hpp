@@ -14,7 +14,7 @@
 
 namespace cloth::grid {
 
-using plan::OffGridForces, plan::Run, plan::RunStatus;
+using plan::final_value, plan::OffGridForces, plan::Run, plan::RunStatus;
 
 template <class T>
 class GridRun {
@@ -187,19 +187,21 @@ private:
     void load_row(int b, std::int64_t row, bool full) {
         const std::int64_t n = plan_.count, columns = grid_.columns;
         T* const to = row_of(b, row);
-        const auto put = [&](int slot, int low_slot, const double* from, double origin) {
-            T *const high = to + slot * pitch_, *const low = to + low_slot * pitch_;
-            for (std::int64_t j = 0; j < columns; ++j) high[j] = static_cast<T>(from[j] - origin);
-            std::fill(high + columns, high + pitch_, T(0));
-            if (sizeof(T) == 8 || low_slot == slot) return;
-            for (std::int64_t j = 0; j < columns; ++j) low[j] = low_part(from[j] - origin, high[j]);
-            std::fill(low + columns, low + pitch_, T(0));
+        const auto put = [&](int slot, const double* from, double origin) {
+            T* const at = to + slot * pitch_;
+            for (std::int64_t j = 0; j < columns; ++j) at[j] = static_cast<T>(from[j] - origin);
+            std::fill(at + columns, at + pitch_, T(0));
         };
         for (int c = 0; c < 3; ++c) {
             const double *const x = run_.x0 + c * n + row * columns, *const v = run_.v0 + c * n + row * columns;
-            put(position + c, low_position + c, x, off_grid_.origin[c]);
-            put(damping_velocity + c, damping_velocity + c, v, 0.0);
-            if (full) put(velocity + c, low_velocity + c, v, 0.0);
+            put(position + c, x, off_grid_.origin[c]);
+            if constexpr (sizeof(T) == 4) {
+                T *const high = to + (position + c) * pitch_, *const low = to + (low_position + c) * pitch_;
+                for (std::int64_t j = 0; j < columns; ++j) low[j] = low_part(x[j] - off_grid_.origin[c], high[j]);
+                std::fill(low + columns, low + pitch_, T(0));
+            }
+            put(damping_velocity + c, v, 0.0);
+            if (full) put(velocity + c, v, 0.0);
         }
         if (full) std::fill(to + previous_acceleration * pitch_, to + (previous_acceleration + 3) * pitch_, T(0));
     }
@@ -209,13 +211,13 @@ private:
             const T* const from = row_of(b, row);
             for (int c = 0; c < 3; ++c) {
                 const std::int64_t at = c * n + row * columns;
-                const auto put = [&](int slot, int low_slot, const double* initial, double origin, double* to) {
-                    const T *const high = from + slot * pitch_, *const low = from + low_slot * pitch_;
-                    for (std::int64_t j = 0; j < columns; ++j)
-                        to[j] = sizeof(T) == 8 ? high[j] : final_value(initial[j], origin, high[j], low[j]);
-                };
-                if (run_.x) put(position + c, low_position + c, run_.x0 + at, off_grid_.origin[c], run_.x + at);
-                if (run_.v) put(velocity + c, low_velocity + c, run_.v0 + at, 0.0, run_.v + at);
+                const T *const x = from + (position + c) * pitch_, *const v = from + (velocity + c) * pitch_;
+                const T* const low = from + ((sizeof(T) == 4 ? low_position : position) + c) * pitch_;
+                const double *const x0 = run_.x0 + at, *const v0 = run_.v0 + at;
+                for (std::int64_t j = 0; run_.x && j < columns; ++j)
+                    run_.x[at + j] = final_position<T>(x0[j], off_grid_.origin[c], x[j], low[j]);
+                for (std::int64_t j = 0; run_.v && j < columns; ++j)
+                    run_.v[at + j] = final_value<T>(v0[j], 0.0, v[j], T(0));
             }
             for (std::int64_t j = 0; run_.activity && j < columns; ++j)
                 if (!off_grid_.has_prescribed() || plan_.free_inverse[row * columns + j] > 0.0)

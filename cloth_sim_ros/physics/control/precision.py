@@ -28,9 +28,9 @@ from cloth_sim_ros.physics.state.state import State
 _SPACING = 2.0**-24
 #: Time over which energy input of rounding is compared with the kinetic energy [s]: that of the error bound.
 _COMPARISON_TIME = 1.0
-#: Number of frames in which the power is measured; the largest counts. A flat sheet of 65 x 65 over one metre has
-#: coordinates without rounding until it moves.
-_MAX_SAMPLES = 4.0
+#: Number of frames in which the power is measured at least, and over which its mean is taken. A flat sheet of 65 x 65
+#: over one metre has coordinates without rounding until it moves.
+_MIN_SAMPLES = 4.0
 #: Attempts in single precision that may miss the budget. Rounding may be the cause; finer steps do not reduce it.
 _MAX_MISSES = 1
 
@@ -73,9 +73,13 @@ class PrecisionRule:
             Force evaluations of the measurement.
         """
         memory, noise, plan = self.memory, self.noise, self._plan
-        if n_runs > 1 or (noise.n_samples >= _MAX_SAMPLES and self._is_known_at(state)):
+        is_measured = noise.n_samples >= _MIN_SAMPLES and self._is_known_at(state) and self._fits_energy_budget()
+        if n_runs > 1 or is_measured:
             return 0
         if not plan.supports_single_precision(self._duration, state.x, state.v, state.memory):
+            return 0
+        if largest_component(state.v) == 0.0:
+            # Sheets at rest use no single precision, and rounding changes all their springs alike.
             return 0
         extent = float((state.x.max(axis=1) - state.x.min(axis=1)).max())
         if _SPACING * extent > self._rounding_budget:
@@ -101,9 +105,7 @@ class PrecisionRule:
             runs.append(run)
             supplied = accumulator.work + accumulator.wind_work + accumulator.recovery_work
             energies.append(plan.energy(t + span, run.x, run.v, state.memory) + accumulator.dissipation - supplied)
-        # Over a few steps the energy changes by rounding may cancel; the kinetic energy of the difference does not.
         dv = runs[1].v - runs[0].v
-        energy_change = max(abs(energies[1] - energies[0]), 0.5 * weighted_dot(plan.model.masses, dv, dv))
         if math.isfinite(energies[1] - energies[0]):
             noise.n_samples += 1.0
             trust = CONSTANTS.estimate_trust_factor
@@ -116,7 +118,11 @@ class PrecisionRule:
             growth = root(self._duration / span, 2)
             memory.common_rounding = max(memory.common_rounding, trust * VELOCITY_ERROR_TIME * mean_change * growth)
             memory.speed = max(memory.speed, largest_component(runs[0].v))
-            noise.power = max(noise.power, trust * energy_change / span)
+            # The energy of the difference adds up. Changes of the motion's energy have either sign.
+            noise.power = max(noise.power, trust * 0.5 * weighted_dot(plan.model.masses, dv, dv) / span)
+            kept = min(1.0, (_MIN_SAMPLES - 1.0) / noise.n_samples)
+            noise.energy_change = kept * noise.energy_change + trust * (energies[1] - energies[0])
+            noise.time = kept * noise.time + span
         return 2 * (steps + 1)
 
     def update_kinetic_energy(self, state: State) -> None:
@@ -136,10 +142,10 @@ class PrecisionRule:
             n_runs: number of combined runs.
             estimates_error: True if a further run estimates the error.
         """
-        memory, noise = self.memory, self.noise
+        memory = self.memory
         if self.n_misses > _MAX_MISSES or memory.rounding < 0.0:
             return False
-        if not 0.0 <= noise.power * _COMPARISON_TIME <= CONSTANTS.max_energy_gain * noise.kinetic_energy:
+        if not self._fits_energy_budget():
             return False
         factor = amplification(n_runs)
         rounding = factor * memory.rounding
@@ -164,6 +170,11 @@ class PrecisionRule:
         The combination is only an estimate. Rounding must be small against the budget, not against the error.
         """
         return amplification(n_runs) * self.memory.rounding <= self._estimate_uncertainty
+
+    def _fits_energy_budget(self) -> bool:
+        """Return True if rounding supplies little energy, compared with the kinetic energy."""
+        noise = self.noise
+        return 0.0 <= noise.total_power * _COMPARISON_TIME <= CONSTANTS.max_energy_gain * noise.kinetic_energy
 
     def _is_known_at(self, state: State) -> bool:
         """Return True if the rounding of velocities was measured at the speed of a state."""
