@@ -25,6 +25,8 @@ from cloth_sim_ros.physics.plan.plan import compile
 SPACING, MASS = 0.05, 2e-3
 #: The narrowest ones, and rows that end within, with and just before a vector or a cache line.
 SHAPES = [(2, 2), (2, 9), (9, 2), (3, 3), (7, 38), (8, 40), (19, 16), (33, 37)]
+#: Largest error of rows in single precision, relative to the largest component.
+ROW_ROUNDING = 4e-7
 COEFFICIENTS = [(0.45, 0.0), (0.3, 0.1), (0.0, 0.2)]
 every_shape = pytest.mark.parametrize("shape", SHAPES)
 every_coefficients = pytest.mark.parametrize("coefficients", COEFFICIENTS)
@@ -117,11 +119,13 @@ def test_forces_of_rows_follow_the_law(shape, coefficients, collapsed):
 def test_rows_equal_lists(shape, coefficients, left_out):
     rows, lists = (scene(shape, coefficients, left_out=left_out, as_lists=as_lists) for as_lists in (False, True))
     assert_close(accelerations(rows), accelerations(lists), 1e-13)
-    for single, rounding in ((False, 1e-13), (True, 2e-6)):
-        actual, expected = run(rows, single_precision=single), run(lists, single_precision=single)
-        for a, b in zip(actual.end_state, expected.end_state, strict=True):
+    # In single precision rows round less than lists, so that each is compared with double precision.
+    exact = run(rows)
+    for case, single, rounding in ((lists, False, 1e-13), (rows, True, ROW_ROUNDING), (lists, True, 2e-5)):
+        actual = run(case, single_precision=single)
+        for a, b in zip(actual.end_state, exact.end_state, strict=True):
             assert_close(a, b, rounding)
-        assert np.isfinite(actual.end_state).all()
+    for single in (False, True):
         actual, expected = (
             run(case, single_precision=single, record_power=True).power_integrals for case in (rows, lists)
         )

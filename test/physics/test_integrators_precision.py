@@ -61,11 +61,11 @@ def frames(tolerance: float, count: int) -> tuple[list[list[bool]], State]:
 
 def test_loose_tolerance_uses_single_precision() -> None:
     precisions_of_frames, state = frames(1e-2, 48)
-    # Before the first frame, which starts at rest, a few steps in both precisions measure the difference.
-    assert precisions_of_frames[0] == [False, True, False, False]
+    # The first frame starts at rest, where single precision is not used and nothing is measured.
+    assert not any(precisions_of_frames[0])
     # The rounding of velocities is unknown while they grow.
     assert [False] in precisions_of_frames[1:8]
-    # Error estimates measure it.
+    # Error estimates measure it: before their frames, a few steps run in both precisions.
     assert precisions_of_frames.count([False, True, True, True]) >= 1
     assert precisions_of_frames.count([True]) > 10
     rounding = PrecisionState.load(state).rounding
@@ -75,7 +75,7 @@ def test_loose_tolerance_uses_single_precision() -> None:
 
 
 def test_estimate_uses_single_precision_beyond_a_combination() -> None:
-    tolerance = 2.6e-3
+    tolerance = 2.4e-4
     budget = CONSTANTS.error_budget_fraction * PERIOD * tolerance
     precisions_of_frames, state = frames(tolerance, 24)
     amplified_rounding = amplification(2) * PrecisionState.load(state).rounding
@@ -86,7 +86,7 @@ def test_estimate_uses_single_precision_beyond_a_combination() -> None:
 
 
 def test_single_precision_estimate_equals_double_estimate() -> None:
-    tolerance, count = 2.6e-3, 24
+    tolerance, count = 2.4e-4, 24
     budget = CONSTANTS.error_budget_fraction * PERIOD * tolerance
     plan, state = build()
     seen, compared = record_precisions(plan), 0
@@ -151,7 +151,7 @@ def test_stiff_sheet_uses_double_precision_for_its_energy() -> None:
     residual, noise, precisions_of_frames = swing_sheet(100.0)
     # In single precision it is 0.1 (docs/derivations/time_stepping.md).
     assert residual < 1e-3
-    assert noise.power > CONSTANTS.max_energy_gain * noise.kinetic_energy > 0.0
+    assert noise.total_power > CONSTANTS.max_energy_gain * noise.kinetic_energy > 0.0
     # The measurements alone use single precision.
     assert sum(sum(runs) for runs in precisions_of_frames) == noise.n_samples > 2.0
 
@@ -167,16 +167,16 @@ def test_rounding_of_a_flat_sheet_is_measured_once_it_moves() -> None:
 def test_soft_sheet_uses_single_precision_and_keeps_its_energy() -> None:
     residual, noise, precisions_of_frames = swing_sheet(0.3)
     assert residual < 1e-3
-    assert 0.0 < noise.power < CONSTANTS.max_energy_gain * noise.kinetic_energy
+    assert 0.0 < noise.total_power < CONSTANTS.max_energy_gain * noise.kinetic_energy
     assert sum(all(runs) for runs in precisions_of_frames) > 10
 
 
 def test_event_causes_a_new_measurement() -> None:
     plan, state = build()
-    for frame in range(3):
+    for frame in range(12):
         Extrapolated(tolerance=1e-2).advance(plan, state, frame * PERIOD, PERIOD)
     assert PrecisionState.load(state).rounding > 0.0
     reset_step_control(state)
     seen = record_precisions(plan)
-    Extrapolated(tolerance=1e-2).advance(plan, state, 3 * PERIOD, PERIOD)
+    Extrapolated(tolerance=1e-2).advance(plan, state, 12 * PERIOD, PERIOD)
     assert seen[0] is False
