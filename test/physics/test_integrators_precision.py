@@ -149,7 +149,7 @@ def swing_sheet(
 
 def test_stiff_sheet_uses_double_precision_for_its_energy() -> None:
     residual, noise, precisions_of_frames = swing_sheet(100.0)
-    # In single precision it is 0.1 (docs/derivations/time_stepping.md).
+    # In single precision it is 2e-3 (docs/derivations/single_precision.md).
     assert residual < 1e-3
     assert noise.total_power > CONSTANTS.max_energy_gain * noise.kinetic_energy > 0.0
     # The measurements alone use single precision.

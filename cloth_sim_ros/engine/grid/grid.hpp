@@ -29,10 +29,10 @@ enum Slot : int { position = 0, velocity = 3, damping_velocity = 6, previous_acc
 template <class T>
 inline constexpr int components = sizeof(T) == 4 ? 15 : 12;
 
-/// Low part of a number: what rounding to the high part leaves.
+/// Low part of a value: what rounding to the high part leaves.
 template <class T>
-inline T low_part(double number, T high) {
-    return static_cast<T>(number - static_cast<double>(high));
+inline T low_part(double value, T high) {
+    return static_cast<T>(value - static_cast<double>(high));
 }
 /// Position at the end of a run; in single precision the change is added to the initial one.
 template <class T>
@@ -45,10 +45,10 @@ inline double final_position(double initial, double origin, T high, T low) {
 
 /// Positions of a vector of particles.
 template <class V>
-struct Place {
+struct SplitPosition {
     Vec3<V> high, low;
     /// The difference of two high parts is rounded relative to itself, so that the low parts are of use.
-    friend CLOTH_INLINE Vec3<V> operator-(const Place& a, const Place& b) {
+    friend CLOTH_INLINE Vec3<V> operator-(const SplitPosition& a, const SplitPosition& b) {
         if constexpr (sizeof(scalar<V>) == 8)
             return a.high - b.high;
         else
@@ -57,13 +57,13 @@ struct Place {
 };
 /// Load positions; `from`: the first component, components `pitch` numbers apart.
 template <class T>
-CLOTH_INLINE Place<vec<T>> load_place(const T* from, std::ptrdiff_t pitch) {
-    Place<vec<T>> place{{load(from), load(from + pitch), load(from + 2 * pitch)}, {}};
+CLOTH_INLINE SplitPosition<vec<T>> load_position(const T* from, std::ptrdiff_t pitch) {
+    SplitPosition<vec<T>> x{{load(from), load(from + pitch), load(from + 2 * pitch)}, {}};
     if constexpr (sizeof(T) == 4) {
         const T* const low = from + (low_position - position) * pitch;
-        place.low = {load(low), load(low + pitch), load(low + 2 * pitch)};
+        x.low = {load(low), load(low + pitch), load(low + 2 * pitch)};
     }
-    return place;
+    return x;
 }
 
 /// Slots of a table entry: 1/m, one for free particles, then the weights of the families.

@@ -47,7 +47,7 @@ struct HingeOperands {
             const auto first = point(0);
             for (int c = 1; c < Law::corners; ++c) to[c - 1] = point(c) - first;
         };
-        differ(at.x, [&](const T* from) CLOTH_INLINED { return load_place(from, at.pitch); }, d);
+        differ(at.x, [&](const T* from) CLOTH_INLINED { return load_position(from, at.pitch); }, d);
         const auto three = [&](const T* from) CLOTH_INLINED {
             return Vec3<V>{load(from), load(from + at.pitch), load(from + 2 * at.pitch)};
         };

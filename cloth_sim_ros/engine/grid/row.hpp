@@ -37,12 +37,13 @@ inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, co
             const T* from = at.row[row] + slot * pitch + j + column;
             return Vec3<V>{load(from), load(from + pitch), load(from + 2 * pitch)};
         };
-        const auto place = [&](int row, int column)
-                               CLOTH_INLINED { return load_place(at.row[row] + position * pitch + j + column, pitch); };
+        const auto position_of = [&](int row, int column) CLOTH_INLINED {
+            return load_position(at.row[row] + position * pitch + j + column, pitch);
+        };
         // Force on the first end of a family's springs.
-        const auto spring_force = [&](Family family, const Place<V>& x0, Vec3<V> p0) CLOTH_INLINED {
+        const auto spring_force = [&](Family family, const SplitPosition<V>& x0, Vec3<V> p0) CLOTH_INLINED {
             const Ends e = family_ends[family];
-            const Vec3<V> d = place(e.row1, e.column1) - x0;
+            const Vec3<V> d = position_of(e.row1, e.column1) - x0;
             Vec3<V> u{none, none, none};
             if constexpr (damped) u = point(e.row1, e.column1, damping_velocity) - p0;
             const auto& c = constants.families[family];
@@ -65,7 +66,7 @@ inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, co
         constexpr std::integral_constant<int, 1> by_one;
         constexpr std::integral_constant<int, 2> by_two;
 
-        const Place<V> x = place(0, 0);
+        const SplitPosition<V> x = position_of(0, 0);
         Vec3<V> p{none, none, none};
         if constexpr (uses_velocity) p = point(0, 0, damping_velocity);
 
@@ -92,7 +93,7 @@ inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, co
             below = below - shifted(previous11, f, by_one);
         }
         if constexpr (has(antidiagonal)) {
-            const Place<V> x1 = place(0, 1);
+            const SplitPosition<V> x1 = position_of(0, 1);
             Vec3<V> p1{none, none, none};
             if constexpr (damped) p1 = point(0, 1, damping_velocity);
             const Vec3<V> f = spring_force(antidiagonal, x1, p1);

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Precision rule: selects single precision if its measured effect fits the error budget.
 
-The budget protects positions. Energies need a further bound. Rounding of coordinates excites neighbours against each
-other, with a power that grows as the stiffness to the power of 1.5. Damping dissipates it. Therefore the power is
-measured too; in one second it may supply a small fraction of the kinetic energy.
+The budget protects positions. Energies need a further bound. Rounding of forces excites neighbours against each other,
+and damping dissipates this energy. Therefore the power is measured too; in one second it may supply a small fraction of
+the kinetic energy (docs/derivations/single_precision.md).
 """
 
 from __future__ import annotations
@@ -120,9 +120,9 @@ class PrecisionRule:
             memory.speed = max(memory.speed, largest_component(runs[0].v))
             # The energy of the difference adds up. Changes of the motion's energy have either sign.
             noise.power = max(noise.power, trust * 0.5 * weighted_dot(plan.model.masses, dv, dv) / span)
-            kept = min(1.0, (_MIN_SAMPLES - 1.0) / noise.n_samples)
-            noise.energy_change = kept * noise.energy_change + trust * (energies[1] - energies[0])
-            noise.time = kept * noise.time + span
+            weight = min(1.0, (_MIN_SAMPLES - 1.0) / noise.n_samples)
+            noise.energy_change = weight * noise.energy_change + trust * (energies[1] - energies[0])
+            noise.time = weight * noise.time + span
         return 2 * (steps + 1)
 
     def update_kinetic_energy(self, state: State) -> None:
