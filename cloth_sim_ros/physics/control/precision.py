@@ -28,7 +28,7 @@ from cloth_sim_ros.physics.state.state import State
 _SPACING = 2.0**-24
 #: Time over which energy input of rounding is compared with the kinetic energy [s]: that of the error bound.
 _COMPARISON_TIME = 1.0
-#: Number of frames in which the power is measured at least, and over which its mean is taken. A flat sheet of 65 x 65
+#: Least number of frames in which the power is measured; its mean is that of about so many. A flat sheet of 65 x 65
 #: over one metre has coordinates without rounding until it moves.
 _MIN_SAMPLES = 4.0
 #: Attempts in single precision that may miss the budget. Rounding may be the cause; finer steps do not reduce it.
@@ -73,8 +73,7 @@ class PrecisionRule:
             Force evaluations of the measurement.
         """
         memory, noise, plan = self.memory, self.noise, self._plan
-        is_measured = noise.n_samples >= _MIN_SAMPLES and self._is_known_at(state) and self._fits_energy_budget()
-        if n_runs > 1 or is_measured:
+        if n_runs > 1 or (noise.n_samples >= _MIN_SAMPLES and self._is_known_at(state)):
             return 0
         if not plan.supports_single_precision(self._duration, state.x, state.v, state.memory):
             return 0
@@ -120,7 +119,7 @@ class PrecisionRule:
             memory.speed = max(memory.speed, largest_component(runs[0].v))
             # The energy of the difference adds up. Changes of the motion's energy have either sign.
             noise.power = max(noise.power, trust * 0.5 * weighted_dot(plan.model.masses, dv, dv) / span)
-            weight = min(1.0, (_MIN_SAMPLES - 1.0) / noise.n_samples)
+            weight = 1.0 if noise.n_samples <= _MIN_SAMPLES else 1.0 - 1.0 / _MIN_SAMPLES
             noise.energy_change = weight * noise.energy_change + trust * (energies[1] - energies[0])
             noise.time = weight * noise.time + span
         return 2 * (steps + 1)
@@ -142,10 +141,10 @@ class PrecisionRule:
             n_runs: number of combined runs.
             estimates_error: True if a further run estimates the error.
         """
-        memory = self.memory
+        memory, noise = self.memory, self.noise
         if self.n_misses > _MAX_MISSES or memory.rounding < 0.0:
             return False
-        if not self._fits_energy_budget():
+        if not 0.0 <= noise.total_power * _COMPARISON_TIME <= CONSTANTS.max_energy_gain * noise.kinetic_energy:
             return False
         factor = amplification(n_runs)
         rounding = factor * memory.rounding
@@ -170,11 +169,6 @@ class PrecisionRule:
         The combination is only an estimate. Rounding must be small against the budget, not against the error.
         """
         return amplification(n_runs) * self.memory.rounding <= self._estimate_uncertainty
-
-    def _fits_energy_budget(self) -> bool:
-        """Return True if rounding supplies little energy, compared with the kinetic energy."""
-        noise = self.noise
-        return 0.0 <= noise.total_power * _COMPARISON_TIME <= CONSTANTS.max_energy_gain * noise.kinetic_energy
 
     def _is_known_at(self, state: State) -> bool:
         """Return True if the rounding of velocities was measured at the speed of a state."""

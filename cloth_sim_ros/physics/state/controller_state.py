@@ -179,7 +179,7 @@ class RoundingNoiseState(ControllerState):
     n_samples: float = bounded_number(0.0, minimum=0.0)
     #: Kinetic energy at the last error estimate, or half of the previous value if that is larger [J].
     kinetic_energy: float = bounded_number(0.0, minimum=0.0)
-    #: Change of energy in all measurements [J], and their total time [s].
+    #: Change of energy in the last measurements [J], and their total time [s].
     energy_change: float = bounded_number(0.0, is_later=True)
     time: float = bounded_number(0.0, minimum=0.0, is_later=True)
 
