@@ -151,7 +151,7 @@ def test_stiff_sheet_uses_double_precision_for_its_energy() -> None:
     residual, noise, precisions_of_frames = swing_sheet(100.0)
     # In single precision it is 2e-3 (docs/derivations/single_precision.md).
     assert residual < 1e-3
-    assert noise.total_power > CONSTANTS.max_energy_gain * noise.kinetic_energy > 0.0
+    assert noise.power > CONSTANTS.max_energy_gain * noise.kinetic_energy > 0.0
     # The measurements alone use single precision.
     assert sum(sum(runs) for runs in precisions_of_frames) == noise.n_samples > 2.0
 
@@ -167,7 +167,7 @@ def test_rounding_of_a_flat_sheet_is_measured_once_it_moves() -> None:
 def test_soft_sheet_uses_single_precision_and_keeps_its_energy() -> None:
     residual, noise, precisions_of_frames = swing_sheet(0.3)
     assert residual < 1e-3
-    assert 0.0 < noise.total_power < CONSTANTS.max_energy_gain * noise.kinetic_energy
+    assert 0.0 < noise.power < CONSTANTS.max_energy_gain * noise.kinetic_energy
     assert sum(all(runs) for runs in precisions_of_frames) > 10
 
 

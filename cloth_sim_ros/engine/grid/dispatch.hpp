@@ -4,8 +4,6 @@
 // Choice of the row loop of a sheet by its families of springs and its dependence on velocities.
 #pragma once
 
-#include <limits>
-
 #include "grid/row.hpp"
 #include "plan/plan.hpp"
 
@@ -41,26 +39,6 @@ inline StepRow<T> select_row_step(unsigned shape, Mode mode) {
     }
 }
 
-/// Parameters of a family's springs. Rounding changes the rest length k_s / k, and pulls all springs alike. Therefore in
-/// single precision k is that of a few next numbers for which the rest length is most accurate.
-template <class T>
-inline typename Spring::template Params<T> spring_params(const GridFamily& family) {
-    const double stiffness = family.stiffness / family.rest_length;
-    typename Spring::template Params<T> best{T(family.stiffness), T(stiffness), T(family.damping)};
-    if constexpr (sizeof(T) == 8) return best;
-    constexpr int n_neighbors = 4;
-    double min_error = std::numeric_limits<double>::infinity();
-    for (int n = -n_neighbors; n <= n_neighbors; ++n) {
-        const T k = T(stiffness * (1.0 + n * 0x1p-24)), ks = T(family.rest_length * double(k));
-        const double error = double(ks) - family.rest_length * double(k);
-        if (!(error * error < min_error)) continue;
-        min_error = error * error;
-        best.ks = ks;
-        best.k = k;
-    }
-    return best;
-}
-
 /// Constants of the row loop.
 template <class T>
 inline GridConstants<T> grid_constants(const Plan& plan) {
@@ -68,7 +46,7 @@ inline GridConstants<T> grid_constants(const Plan& plan) {
     for (int f = 0; f < family_count; ++f) {
         const GridFamily& family = plan.grid->families[f];
         if (!family.present) continue;
-        c.families[f] = spring_params<T>(family);
+        c.families[f] = {T(family.stiffness), T(family.stiffness / family.rest_length), T(family.damping)};
     }
     c.drag = T(plan.drag);
     for (int k = 0; k < 3; ++k) c.body_acceleration[k] = T(plan.body_acceleration(k));

@@ -66,8 +66,11 @@ CLOTH_INLINE SplitPosition<vec<T>> load_position(const T* from, std::ptrdiff_t p
     return x;
 }
 
-/// Slots of a table entry: 1/m, one for free particles, then the weights of the families.
-inline constexpr int inverse_mass = 0, freedom = 1, weights = 2, table_slots = weights + family_count;
+/// Slots of a table entry: 1/m, one for free particles, the weights of the families and, in single precision, their
+/// weighted corrections.
+inline constexpr int inverse_mass = 0, freedom = 1, weights = 2, corrections = weights + family_count;
+template <class T>
+inline constexpr int table_slots = sizeof(T) == 4 ? corrections + family_count : corrections;
 
 /// Dependence of the forces on velocity.
 enum class Mode { position_only, drag, damped };
@@ -97,6 +100,13 @@ struct GridFamily {
     bool present = false;
     double stiffness = 0.0, rest_length = 1.0, damping = 0.0, border = 1.0;
     int parity = -1;
+    /// Correction of a spring's factor k - k_s / |d| [N/m]. Rounding k_s and k changes the rest length, and all springs
+    /// would pull alike.
+    template <class T>
+    double correction() const {
+        return static_cast<double>(static_cast<T>(stiffness)) / rest_length -
+               static_cast<double>(static_cast<T>(stiffness / rest_length));
+    }
 };
 
 struct Grid {
@@ -154,7 +164,7 @@ struct GridTables {
 
     GridTables() = default;
     GridTables(const Grid& grid, const double* inverse) : pitch(row_pitch<T>(grid.columns)) {
-        const std::int64_t size = table_slots * pitch, padding = 64 / sizeof(T);
+        const std::int64_t size = table_slots<T> * pitch, padding = 64 / sizeof(T);
         numbers.assign(padding, T(0));
         std::map<std::string, std::int64_t> entries;
         std::vector<T> slots(size);
@@ -171,8 +181,13 @@ struct GridTables {
                 const double mass = inverse[row * grid.columns + column];
                 slots[inverse_mass * pitch + column] = static_cast<T>(mass);
                 slots[freedom * pitch + column] = mass > 0.0 ? T(1) : T(0);
-                for (int f = 0; f < family_count; ++f)
-                    slots[(weights + f) * pitch + column] = static_cast<T>(grid.weight(f, row, column));
+                for (int f = 0; f < family_count; ++f) {
+                    const double weight = grid.weight(f, row, column);
+                    slots[(weights + f) * pitch + column] = static_cast<T>(weight);
+                    if constexpr (sizeof(T) == 4)
+                        slots[(corrections + f) * pitch + column] =
+                            static_cast<T>(weight * grid.families[f].template correction<T>());
+                }
             }
             entry.push_back(store_entry());
         }

@@ -48,8 +48,12 @@ inline void step_row(const RowView<T>& at, const GridConstants<T>& constants, co
             if constexpr (damped) u = point(e.row1, e.column1, damping_velocity) - p0;
             const auto& c = constants.families[family];
             const typename Spring::template Params<V> params{splat<V>(c.ks), splat<V>(c.k), splat<V>(c.c)};
-            const V q = Spring::factor(params, d, u, damped) * load(at.entry + (weights + family) * pitch + j);
-            return q * d;
+            const T* const entry = at.entry + family * pitch + j;
+            const V q = Spring::factor(params, d, u, damped), weight = load(entry + weights * pitch);
+            if constexpr (sizeof(T) == 8)
+                return (q * weight) * d;
+            else
+                return fma(q, weight, load(entry + corrections * pitch)) * d;
         };
         const auto add = [&](T* to, Vec3<V> f) CLOTH_INLINED {
             store(to + j, load(to + j) + f.x);

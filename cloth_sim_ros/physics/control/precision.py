@@ -28,9 +28,9 @@ from cloth_sim_ros.physics.state.state import State
 _SPACING = 2.0**-24
 #: Time over which energy input of rounding is compared with the kinetic energy [s]: that of the error bound.
 _COMPARISON_TIME = 1.0
-#: Least number of frames in which the power is measured; its mean is that of about so many. A flat sheet of 65 x 65
-#: over one metre has coordinates without rounding until it moves.
-_MIN_SAMPLES = 4.0
+#: Number of frames in which the power is measured; the largest counts. A flat sheet of 65 x 65 over one metre has
+#: coordinates without rounding until it moves.
+_MAX_SAMPLES = 4.0
 #: Attempts in single precision that may miss the budget. Rounding may be the cause; finer steps do not reduce it.
 _MAX_MISSES = 1
 
@@ -73,7 +73,7 @@ class PrecisionRule:
             Force evaluations of the measurement.
         """
         memory, noise, plan = self.memory, self.noise, self._plan
-        if n_runs > 1 or (noise.n_samples >= _MIN_SAMPLES and self._is_known_at(state)):
+        if n_runs > 1 or (noise.n_samples >= _MAX_SAMPLES and self._is_known_at(state)):
             return 0
         if not plan.supports_single_precision(self._duration, state.x, state.v, state.memory):
             return 0
@@ -87,7 +87,7 @@ class PrecisionRule:
         # last bit of the sheet's extent for any number of steps.
         steps = max(1, int(steps_for(self._duration, step) // CONSTANTS.single_precision_sample_divisor))
         span = steps * step
-        runs, energies = [], []
+        runs, dissipation = [], []
         for single in (False, True):
             (run,), _ = plan.runs(
                 t,
@@ -102,10 +102,11 @@ class PrecisionRule:
             accumulator = WorkAccumulator(plan.gripper_count, record_power=True, obstacle_count=plan.obstacle_count)
             accumulator.add_runs((1.0,), (run,), span)
             runs.append(run)
-            supplied = accumulator.work + accumulator.wind_work + accumulator.recovery_work
-            energies.append(plan.energy(t + span, run.x, run.v, state.memory) + accumulator.dissipation - supplied)
+            dissipation.append(accumulator.dissipation)
+        # What rounding supplies is dissipated, or remains as kinetic energy of the difference and as much in springs.
         dv = runs[1].v - runs[0].v
-        if math.isfinite(energies[1] - energies[0]):
+        supplied = abs(dissipation[1] - dissipation[0]) + weighted_dot(plan.model.masses, dv, dv)
+        if math.isfinite(supplied):
             noise.n_samples += 1.0
             trust = CONSTANTS.estimate_trust_factor
             displacement, _ = plan.velocity_displacement(t + span, runs[0].x, dv, VELOCITY_ERROR_TIME)
@@ -117,11 +118,7 @@ class PrecisionRule:
             growth = root(self._duration / span, 2)
             memory.common_rounding = max(memory.common_rounding, trust * VELOCITY_ERROR_TIME * mean_change * growth)
             memory.speed = max(memory.speed, largest_component(runs[0].v))
-            # The energy of the difference adds up. Changes of the motion's energy have either sign.
-            noise.power = max(noise.power, trust * 0.5 * weighted_dot(plan.model.masses, dv, dv) / span)
-            weight = 1.0 if noise.n_samples <= _MIN_SAMPLES else 1.0 - 1.0 / _MIN_SAMPLES
-            noise.energy_change = weight * noise.energy_change + trust * (energies[1] - energies[0])
-            noise.time = weight * noise.time + span
+            noise.power = max(noise.power, trust * supplied / span)
         return 2 * (steps + 1)
 
     def update_kinetic_energy(self, state: State) -> None:
@@ -144,7 +141,7 @@ class PrecisionRule:
         memory, noise = self.memory, self.noise
         if self.n_misses > _MAX_MISSES or memory.rounding < 0.0:
             return False
-        if not 0.0 <= noise.total_power * _COMPARISON_TIME <= CONSTANTS.max_energy_gain * noise.kinetic_energy:
+        if not 0.0 <= noise.power * _COMPARISON_TIME <= CONSTANTS.max_energy_gain * noise.kinetic_energy:
             return False
         factor = amplification(n_runs)
         rounding = factor * memory.rounding

@@ -173,20 +173,12 @@ class RoundingNoiseState(ControllerState):
 
     key = "control.noise"
 
-    #: Largest measured power of the kinetic energy of velocity differences [W]; negative if unknown.
+    #: Largest measured power [W]; negative if unknown.
     power: float = bounded_number(-1.0)
     #: Number of measurements.
     n_samples: float = bounded_number(0.0, minimum=0.0)
     #: Kinetic energy at the last error estimate, or half of the previous value if that is larger [J].
     kinetic_energy: float = bounded_number(0.0, minimum=0.0)
-    #: Change of energy in the last measurements [J], and their total time [s].
-    energy_change: float = bounded_number(0.0, is_later=True)
-    time: float = bounded_number(0.0, minimum=0.0, is_later=True)
-
-    @property
-    def total_power(self) -> float:
-        """Larger of both powers [W]; negative if unknown."""
-        return max(self.power, abs(self.energy_change) / self.time) if self.time > 0.0 else self.power
 
 
 @attrs.define
