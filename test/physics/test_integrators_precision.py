@@ -180,3 +180,29 @@ def test_event_causes_a_new_measurement() -> None:
     seen = record_precisions(plan)
     Extrapolated(tolerance=1e-2).advance(plan, state, 12 * PERIOD, PERIOD)
     assert seen[0] is False
+
+
+@pytest.mark.parametrize("resolution", [20, 34, 64])
+def test_single_precision_resolves_sheets_at_rest(resolution: int) -> None:
+    sheet = RawSheet(resolution=resolution, gravity=(0.0, 0.0, 0.0))
+    plan, turned = sheet.plan([0]), np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    x = np.ascontiguousarray((sheet.flat(hung=True) @ turned + [0.3, 5.1, -2.7]).T)
+    step, steps = 1e-4, 20
+    (run,), _ = plan.runs(0.0, steps * step, (x, np.zeros_like(x)), [steps], single_precision=True)
+    # Springs are rounded relative to their length. Positions alone would be rounded relative to the sheet of 1 m.
+    spacing = 2.0**-24 / step
+    assert np.abs(run.v).max() < 2.0 * spacing * sheet.spacing
+    assert np.abs(run.x - x).max() < 1e-8
+
+
+def test_single_precision_keeps_the_rest_length() -> None:
+    # Single precision rounds k_s / k of this sheet, so that all springs would pull alike at an anchored edge.
+    sheet = RawSheet(resolution=64)
+    plan, x = sheet.plan(sheet.index[0]), np.ascontiguousarray(sheet.flat(hung=False).T)
+    x *= 1.002
+    x[2] = 0.2 * np.sin(3.0 * x[0]) * x[1]
+    changes = [
+        plan.runs(0.0, 2e-3, (x, np.zeros_like(x)), [13], single_precision=single)[0][0].v.mean(axis=1)
+        for single in (False, True)
+    ]
+    assert np.abs(changes[1] - changes[0]).max() < 6e-8

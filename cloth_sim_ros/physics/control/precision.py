@@ -83,8 +83,8 @@ class PrecisionRule:
         extent = float((state.x.max(axis=1) - state.x.min(axis=1)).max())
         if _SPACING * extent > self._rounding_budget:
             return 0
-        # A fraction of the steps is representative: compensated summation of positions leaves a rounding error of the
-        # last bit of the sheet's extent for any number of steps.
+        # A fraction of the steps is representative: low parts of positions carry the rounding of drifts, and forces
+        # restore what they round.
         steps = max(1, int(steps_for(self._duration, step) // CONSTANTS.single_precision_sample_divisor))
         span = steps * step
         runs, dissipation = [], []
