@@ -156,7 +156,7 @@ def test_force_jump_is_located_and_its_error_stated(tolerance: float) -> None:
     assert abs(state.x[0, 0] - (time_after_jump + 0.5e6 * time_after_jump * time_after_jump)) < 2.0 * done.error
     # Halving locates it: equally fine steps everywhere would take a million evaluations.
     assert done.evaluations < 100_000
-    assert "stretches" in done.reason
+    assert "pieces" in done.reason
     # No step is small enough, so the remaining error is flagged.
     assert done.flagged == 1
     assert done.error > tolerance * PERIOD

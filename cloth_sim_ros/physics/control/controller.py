@@ -660,14 +660,14 @@ class Controller:
         next_refinement = min(refinement, CONSTANTS.max_refinement_factor * present_refinement)
         is_affordable = self._attempts < CONSTANTS.max_failed_attempts and piece.length >= _MIN_PIECE * self._duration
         is_affordable = is_affordable and self._fits(n_runs, next_refinement, piece)
-        exceeds_order = not is_smooth and self._exceeds_order(refinement)
+        requires_much_more = not is_smooth and self._requires_much_more(refinement)
         # Halves cost less than much finer steps in all of a piece.
         is_much_finer = self._attempts > 0 and refinement > CONSTANTS.max_refinement_factor * present_refinement
-        if is_much_finer or (not is_smooth and (not is_affordable or exceeds_order)):
+        if is_much_finer or (not is_smooth and (not is_affordable or requires_much_more)):
             if self._halve_if_long(piece):
                 self.rejected += 1
                 return True
-            self._is_rough = self._is_rough or exceeds_order
+            self._is_rough = self._is_rough or requires_much_more
         if not is_affordable and not math.isfinite(self._errors[0]):
             self._retry(2.0, "not finite", piece)
             return True
@@ -693,8 +693,8 @@ class Controller:
             lambda n: self._stability.min_refinement(n, piece.length),
         )
 
-    def _exceeds_order(self, refinement: float) -> bool:
-        """Return True if the last refinement reduced the error less than its order predicts."""
+    def _requires_much_more(self, refinement: float) -> bool:
+        """Return True if a refinement is far above the present one, after a rejected attempt or in rough motion."""
         is_repeated = self._is_rough or self._attempts > 0
         return is_repeated and refinement > CONSTANTS.estimate_trust_factor * self.refinement
 
@@ -760,8 +760,10 @@ class Controller:
         options, has_failed = self.options, not self.options.work and self._attempts >= CONSTANTS.max_failed_attempts
         self.rejected += 1
         refinement = factor * self.refinement
-        exceeds_order = options.tolerance is not None and factor > 1.0 and self._exceeds_order(2.0 * refinement)
-        if exceeds_order and self._halve_if_long(piece):
+        requires_much_more = (
+            options.tolerance is not None and factor > 1.0 and self._requires_much_more(2.0 * refinement)
+        )
+        if requires_much_more and self._halve_if_long(piece):
             return
         # With contact, fewer runs are cheaper and more accurate than implicit steps.
         n_runs = self.n_runs

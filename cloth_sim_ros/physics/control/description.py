@@ -57,7 +57,7 @@ def describe(
     elif tolerance is not None and is_refined:
         limit = "accuracy"
     order = f"order {n_runs + 1}" + (f" by {n_runs} runs" if n_runs > 1 else "")
-    pieces = f" in the finest of {n_pieces} stretches" if n_pieces > 1 else ""
+    pieces = f" in the finest of {n_pieces} pieces" if n_pieces > 1 else ""
     ending = pieces + (f"; bending every {ratio} steps" if ratio > 1 else "")
     ending += "; in single precision" if single_precision else ""
     return limit, f"{name}: {order}, {_step_text(tolerance, fixed_step, limit, step, is_refined)}{ending}"
