@@ -75,10 +75,10 @@ class PrecisionRule:
         memory, noise, plan = self.memory, self.noise, self._plan
         if n_runs > 1 or (noise.n_samples >= _MAX_SAMPLES and self._is_known_at(state)):
             return 0
-        if not plan.supports_single_precision(self._duration, state.x, state.v, state.memory):
-            return 0
         if largest_component(state.v) == 0.0:
             # Sheets at rest use no single precision, and rounding changes all their springs alike.
+            return 0
+        if not plan.supports_single_precision(self._duration, state.x, state.v, state.memory):
             return 0
         extent = float((state.x.max(axis=1) - state.x.min(axis=1)).max())
         if _SPACING * extent > self._rounding_budget:
@@ -106,6 +106,11 @@ class PrecisionRule:
         # What rounding supplies is dissipated, or remains as kinetic energy of the difference and as much in springs.
         dv = runs[1].v - runs[0].v
         supplied = abs(dissipation[1] - dissipation[0]) + weighted_dot(plan.model.masses, dv, dv)
+        means = [self._mean(dv, axis) for axis in range(3)]
+        if plan.model.inverse_masses.all():
+            # Nothing restores the common motion of a sheet without anchors, and its rounding may have one sign.
+            power_terms = [self._mean(runs[0].v, axis) * means[axis] for axis in range(3)]
+            supplied += abs(plan.model.mass * ordered_sum(power_terms))
         if math.isfinite(supplied):
             noise.n_samples += 1.0
             trust = CONSTANTS.estimate_trust_factor
@@ -113,7 +118,6 @@ class PrecisionRule:
             change = largest_distance(runs[0].x, runs[1].x) + displacement
             memory.rounding = max(memory.rounding, trust * change)
             # What all particles have in common is small beside their noise, and not restored by forces.
-            means = [self._mean(dv, axis) for axis in range(3)]
             mean_change = root(ordered_sum(mean * mean for mean in means), 2)
             growth = root(self._duration / span, 2)
             memory.common_rounding = max(memory.common_rounding, trust * VELOCITY_ERROR_TIME * mean_change * growth)
