@@ -33,7 +33,9 @@ CLOTH_API Plan* cloth_plan_new(std::int64_t count, const double* masses, const d
         plan->masses.assign(masses, masses + count);
         plan->inverse.assign(inverse, inverse + count);
         plan->free_inverse = plan->inverse;
-        for (std::int64_t i = 0; i < count; ++i) plan->rank.push_back(i);
+        std::vector<std::int64_t> ranks(count);
+        std::iota(ranks.begin(), ranks.end(), std::int64_t{0});
+        plan->set_ranks(std::move(ranks));
         return plan.release();
     } catch (const std::bad_alloc&) {
         return nullptr;
@@ -77,7 +79,7 @@ CLOTH_API int cloth_plan_air(Plan* plan, const double* common) {
     });
 }
 CLOTH_API int cloth_plan_order(Plan* plan, const std::int64_t* rank) {
-    return guarded(plan, [&] { plan->rank.assign(rank, rank + plan->count); });
+    return guarded(plan, [&] { plan->set_ranks({rank, rank + plan->count}); });
 }
 CLOTH_API int cloth_plan_callback(Plan* plan, Callback callback) {
     return guarded(plan, [&] { plan->callback = callback; });

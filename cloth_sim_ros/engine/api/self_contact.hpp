@@ -49,11 +49,7 @@ CLOTH_API int cloth_self_joints(Plan* plan, const std::int64_t* lowest) {
     });
 }
 CLOTH_API int cloth_self_friction(Plan* plan, double at_rest, double sliding) {
-    return guarded(plan, [&] {
-        plan->self->friction = {at_rest, sliding};
-        plan->particle_of_rank.resize(plan->count);
-        for (std::int64_t i = 0; i < plan->count; ++i) plan->particle_of_rank[plan->rank[i]] = i;
-    });
+    return guarded(plan, [&] { plan->self->friction = {at_rest, sliding}; });
 }
 CLOTH_API int cloth_self_friction_power(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] { *out = contact::self_friction_power(*plan, t, x, v); });

@@ -21,28 +21,6 @@ struct Quads {
     }
 };
 
-/// An axis-aligned box.
-struct AxisBox {
-    Vec3<double> low, high;
-
-    explicit AxisBox(Vec3<double> a) : low(a), high(a) {}
-    void include(Vec3<double> a) {
-        low = {smaller(a.x, low.x), smaller(a.y, low.y), smaller(a.z, low.z)};
-        high = {larger(a.x, high.x), larger(a.y, high.y), larger(a.z, high.z)};
-    }
-    AxisBox expanded(double by) const {
-        const Vec3<double> margin{by, by, by};
-        AxisBox b(low - margin);
-        b.high = high + margin;
-        return b;
-    }
-    bool overlaps(const AxisBox& b) const {
-        return b.high.x >= low.x && b.low.x <= high.x && b.high.y >= low.y && b.low.y <= high.y && b.high.z >= low.z &&
-               b.low.z <= high.z;
-    }
-    Vec3<double> center() const { return 0.5 * (low + high); }
-};
-
 /// Pairs by index, ascending by the first and then by the second.
 struct PairList {
     std::vector<Index> first, second;
@@ -115,6 +93,20 @@ CLOTH_INLINE std::array<Index, 4> pair_corners(const Surface& s, const PairList&
     else
         return {first, s.triangles[second][0], s.triangles[second][1], s.triangles[second][2]};
 }
+/// Squared distance of a pair [m^2], from the positions of its corners.
+template <bool Edges, class X>
+CLOTH_INLINE auto pair_square(const std::array<Index, 4>& corner, X&& at) {
+    if constexpr (Edges)
+        return near_segments(at(corner[0]), at(corner[1]), at(corner[2]), at(corner[3])).square;
+    else
+        return near_triangle(at(corner[0]), at(corner[1]), at(corner[2]), at(corner[3])).square;
+}
+/// Length of the longest edge [m].
+inline double longest_edge(const Surface& s, const Quads& at) {
+    double square = 0.0;
+    for (const auto& e : s.edges) square = larger(norm2(at(e[0]) - at(e[1])), square);
+    return root(square);
+}
 /// Positions of the corners of a vector of pairs from k on; the last one is repeated.
 template <bool Edges>
 CLOTH_INLINE void gather_pairs(const Surface& s, const PairList& pairs, std::size_t k, const double* x,
@@ -139,13 +131,10 @@ public:
     void fill(F&& at) {
         const std::int64_t points = static_cast<std::int64_t>(cell_.size());
         if (!points) return;
-        Vec3<double> high = low_ = at(0);
-        for (std::int64_t i = 1; i < points; ++i) {
-            const Vec3<double> p = at(i);
-            low_ = {smaller(p.x, low_.x), smaller(p.y, low_.y), smaller(p.z, low_.z)};
-            high = {larger(p.x, high.x), larger(p.y, high.y), larger(p.z, high.z)};
-        }
-        const Vec3<double> extent = high - low_;
+        AxisBox box(at(0));
+        for (std::int64_t i = 1; i < points; ++i) box.include(at(i));
+        low_ = box.low;
+        const Vec3<double> extent = box.high - box.low;
         const double max_cells = 4.0 * static_cast<double>(points) + 64.0;
         const auto cells_along = [&](double length) { return length < 1e300 ? std::floor(length / size_) + 1.0 : 1.0; };
         while (cells_along(extent.x) * cells_along(extent.y) * cells_along(extent.z) > max_cells) size_ *= 1.5;
@@ -260,9 +249,7 @@ public:
         clear();
         if (s.triangles.empty()) return;
         const Quads at{x};
-        double length = 0.0;
-        for (const auto& e : s.edges) length = larger(norm2(at(e[0]) - at(e[1])), length);
-        length = root(length);
+        const double length = longest_edge(s, at);
         SurfacePairs near;
         near.reach = reach;
         near.find_triangles(s, at, length);
@@ -299,10 +286,7 @@ private:
             points.put(slot, AxisBox(at(cells[slot])), {s.joined[cells[slot]]});
         for (std::size_t t = 0; t < s.triangles.size(); ++t) {
             const auto& corner = s.triangles[t];
-            AxisBox box(at(corner[0]));
-            box.include(at(corner[1]));
-            box.include(at(corner[2]));
-            box = box.expanded(reach);
+            const AxisBox box = AxisBox({at(corner[0]), at(corner[1]), at(corner[2])}).expanded(reach);
             const std::array<Index, 3> keys{s.joined[corner[0]], s.joined[corner[1]], s.joined[corner[2]]};
             cells.for_each_row(box.low, box.high, [&](std::int64_t begin, std::int64_t end) {
                 points.for_each_overlap(begin, end, box, keys,
@@ -318,9 +302,7 @@ private:
         // Edges are sorted by their centers; none extends further than half the largest extent along an axis.
         Vec3<double> half{};
         for (const auto& e : s.edges) {
-            AxisBox box(at(e[0]));
-            box.include(at(e[1]));
-            boxes.push_back(box);
+            const AxisBox& box = boxes.emplace_back(AxisBox({at(e[0]), at(e[1])}));
             const Vec3<double> extent = 0.5 * (box.high - box.low);
             half = {larger(extent.x, half.x), larger(extent.y, half.y), larger(extent.z, half.z)};
         }

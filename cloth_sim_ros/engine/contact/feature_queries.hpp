@@ -83,8 +83,6 @@ void add_feature_jaw_forces(Plan& plan, double t, const double* x, const double*
                                      });
 }
 void add_feature_bounds(Plan& plan, double t, const double* x, double* stiff, double* damp) {
-    std::vector<std::int64_t> particle_of_rank(plan.count);
-    for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
     for_each_feature_contact<double>(
         plan, t, {x, nullptr}, {nullptr, nullptr}, [&](const auto& law, auto, const auto&, const auto& m) {
             for (const auto& g : m.gaps) {
@@ -92,7 +90,7 @@ void add_feature_bounds(Plan& plan, double t, const double* x, double* stiff, do
                 const double mass = law.mass() * (m.edges ? m.fade_factor : 1.0);
                 const double k = mass * law.law().stiffness(g.gap), c = mass * law.law().damping(g.gap);
                 for (int corner = 0; corner < g.corners; ++corner) {
-                    const std::int64_t i = particle_of_rank[g.corner[corner]];
+                    const std::int64_t i = plan.particle_of_rank[g.corner[corner]];
                     if (stiff) add_block(stiff, plan.count, i, outer(k * g.weight[corner], g.normal, 0.0));
                     if (damp) add_block(damp, plan.count, i, outer(c * g.weight[corner], g.normal, 0.0));
                 }
@@ -101,15 +99,13 @@ void add_feature_bounds(Plan& plan, double t, const double* x, double* stiff, do
 }
 void add_feature_product(Plan& plan, double t, const double* x, const double* v, const double* dx, const double* dv,
                          double* out) {
-    std::vector<std::int64_t> particle_of_rank(plan.count);
-    for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
     for_each_feature_contact<Dual>(plan, t, {x, dx}, {v, dv}, [&](const auto& law, auto, const auto&, const auto& m) {
         law.forces(
             m,
             [&](Index c, Vec3<Dual> force) {
-                out[particle_of_rank[c]] += force.x.slope;
-                out[plan.count + particle_of_rank[c]] += force.y.slope;
-                out[2 * plan.count + particle_of_rank[c]] += force.z.slope;
+                out[plan.particle_of_rank[c]] += force.x.slope;
+                out[plan.count + plan.particle_of_rank[c]] += force.y.slope;
+                out[2 * plan.count + plan.particle_of_rank[c]] += force.z.slope;
             },
             [](Index, Vec3<Dual>) {});
     });
@@ -262,13 +258,7 @@ FeatureCulling::FeatureCulling(Plan& plan, double t, double duration, const doub
         const Features& features = contact.obstacles[k];
         if (!contact.has(contacts, k)) continue;
         const double* const path = contacts.path(k);
-        double path_length = 0.0, path_angle = 0.0, power = 1.0;
-        for (int order = 0; order < 3; ++order) {
-            power *= duration;
-            const double *const a = path + 4 + 3 * order, *const r = path + 17 + 3 * order;
-            path_length += power * root(norm2(Vec3<double>{a[0], a[1], a[2]}));
-            path_angle += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
-        }
+        auto [path_length, path_angle] = max_path_motion(path, duration);
         const Pose pose = contacts.obstacle_pose(k, t);
         // Jaws rotate about their gripper. The cloth may push them back faster than they are driven.
         const double lever = root(norm2(pose.position - pose_at(path, t).position));
@@ -329,8 +319,6 @@ void find_feature_intersection(Plan& plan, double t, const double* x, std::int64
     const Surface& s = contact.surface;
     const Array<double> positions = quads_of(plan, x);
     const Quads at{positions.data()};
-    std::vector<std::int64_t> particle_of_rank(plan.count);
-    for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
     std::fill(out, out + 3, std::int64_t{-1});
     const double origin[3] = {}, min_step = 1e-3 * contacts.thickness;
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
@@ -339,7 +327,7 @@ void find_feature_intersection(Plan& plan, double t, const double* x, std::int64
         const Pose pose = contacts.obstacle_pose(k, t);
         const FeaturesAt from{features, pose};
         const auto report = [&](Index a, Index b) {
-            out[0] = k, out[1] = particle_of_rank[a], out[2] = particle_of_rank[b];
+            out[0] = k, out[1] = plan.particle_of_rank[a], out[2] = plan.particle_of_rank[b];
         };
         // Edges of the cloth that enter the obstacle, sampled in steps of one gap.
         const Obstacle& obstacle = contacts.obstacles[k];
@@ -360,10 +348,7 @@ void find_feature_intersection(Plan& plan, double t, const double* x, std::int64
         // Features that intersect a triangle.
         for (const auto& c : s.triangles) {
             const Vec3<double> p[3] = {at(c[0]), at(c[1]), at(c[2])};
-            AxisBox box(p[0]);
-            box.include(p[1]);
-            box.include(p[2]);
-            box = box.expanded(features.radius);
+            const AxisBox box = AxisBox({p[0], p[1], p[2]}).expanded(features.radius);
             for (std::size_t j = 0; features.radius > 0.0 && j < features.points.size(); ++j) {
                 const Vec3<double> q = from.position(static_cast<Index>(j));
                 if (box.overlaps(AxisBox(q)) &&
@@ -372,12 +357,8 @@ void find_feature_intersection(Plan& plan, double t, const double* x, std::int64
             }
             for (const auto& edge : features.edges) {
                 const Vec3<double> q = from.position(edge[0]), r = from.position(edge[1]);
-                AxisBox edge_box(q);
-                edge_box.include(r);
-                if (!box.overlaps(edge_box) || !(volume(p[0], p[1], p[2], q) * volume(p[0], p[1], p[2], r) < 0.0))
-                    continue;
-                const double u = volume(q, r, p[0], p[1]), v = volume(q, r, p[1], p[2]), w = volume(q, r, p[2], p[0]);
-                if ((u > 0.0 && v > 0.0 && w > 0.0) || (u < 0.0 && v < 0.0 && w < 0.0)) return report(c[0], c[1]);
+                if (box.overlaps(AxisBox({q, r})) && segment_intersects(q, r, p[0], p[1], p[2]))
+                    return report(c[0], c[1]);
             }
         }
     }

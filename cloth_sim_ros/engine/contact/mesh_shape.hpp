@@ -4,13 +4,8 @@
 // Closed triangle mesh as an obstacle: nearest point, and whether a point is inside.
 #pragma once
 
-#include <algorithm>
-#include <array>
-#include <cstdint>
-#include <numeric>
-#include <vector>
-
 #include "contact/primitives.hpp"
+#include "contact/surface.hpp"
 
 namespace cloth::contact {
 
@@ -23,12 +18,12 @@ public:
         for (std::int64_t k = 0; k < vertices; ++k)
             vertices_.push_back({positions[3 * k], positions[3 * k + 1], positions[3 * k + 2]});
         for (std::int64_t k = 0; k < triangles; ++k)
-            triangles_.push_back({static_cast<Id>(corners[3 * k]), static_cast<Id>(corners[3 * k + 1]),
-                                  static_cast<Id>(corners[3 * k + 2])});
+            triangles_.push_back({static_cast<Index>(corners[3 * k]), static_cast<Index>(corners[3 * k + 1]),
+                                  static_cast<Index>(corners[3 * k + 2])});
         compute_normals();
         order_.resize(triangles_.size());
-        std::iota(order_.begin(), order_.end(), Id{0});
-        build_tree(0, static_cast<Id>(order_.size()));
+        std::iota(order_.begin(), order_.end(), Index{0});
+        build_tree(0, static_cast<Index>(order_.size()));
     }
 
     /// Nearest feature of the mesh: point `from`; its kind, a face, an edge or a vertex; and whether the query point is
@@ -65,19 +60,18 @@ public:
     }
 
 private:
-    using Id = std::int32_t;
     struct Node {
-        Vec3<double> low, high;
-        Id first, last;  ///< of the triangles in order
-        Id left = -1, right = -1;
+        AxisBox box;
+        Index first, last;  ///< of the triangles in order
+        Index left = -1, right = -1;
     };
     struct Best {
         double square = 1e300;
-        Id triangle = 0;
+        Index triangle = 0;
         OnTriangle<double> point;
     };
     /// Maximum number of triangles in a leaf of the tree.
-    static constexpr Id max_leaf_size = 4;
+    static constexpr Index max_leaf_size = 4;
 
     static Vec3<double> unit(Vec3<double> a) { return (1.0 / root(norm2(a))) * a; }
     /// Angle between two vectors: tangent of its half, halved three times, then the series of the arctangent.
@@ -90,11 +84,6 @@ private:
         return 16.0 * t * sum;
     }
     void compute_normals() {
-        struct HalfEdge {
-            Id low, high, triangle;
-            int edge;
-        };
-        std::vector<HalfEdge> half_edges;
         corners_.assign(vertices_.size(), {});
         for (std::size_t k = 0; k < triangles_.size(); ++k) {
             const auto& t = triangles_[k];
@@ -104,13 +93,10 @@ private:
             for (int c = 0; c < 3; ++c) {
                 const int next = (c + 1) % 3, last = (c + 2) % 3;
                 corners_[t[c]] = corners_[t[c]] + angle(x[next] - x[c], x[last] - x[c]) * n;
-                half_edges.push_back({std::min(t[c], t[next]), std::max(t[c], t[next]), static_cast<Id>(k), c});
             }
         }
         edges_.resize(triangles_.size());
-        std::stable_sort(half_edges.begin(), half_edges.end(), [](const HalfEdge& a, const HalfEdge& b) {
-            return a.low != b.low ? a.low < b.low : a.high < b.high;
-        });
+        const std::vector<HalfEdge> half_edges = sorted_half_edges(triangles_);
         // In a closed mesh each edge has two triangles.
         for (std::size_t k = 0; k + 1 < half_edges.size(); k += 2) {
             const Vec3<double> sum = faces_[half_edges[k].triangle] + faces_[half_edges[k + 1].triangle];
@@ -120,44 +106,40 @@ private:
     }
     static double component(Vec3<double> a, int axis) { return axis == 0 ? a.x : axis == 1 ? a.y : a.z; }
 
-    Id build_tree(Id first, Id last) {
-        const auto node_index = static_cast<Id>(nodes_.size());
-        Vec3<double> low = vertices_[triangles_[order_[first]][0]], high = low;
-        for (Id k = first; k < last; ++k)
-            for (const Id corner : triangles_[order_[k]]) {
-                const Vec3<double> a = vertices_[corner];
-                low = {smaller(a.x, low.x), smaller(a.y, low.y), smaller(a.z, low.z)};
-                high = {larger(a.x, high.x), larger(a.y, high.y), larger(a.z, high.z)};
-            }
-        nodes_.push_back({low, high, first, last});
+    Index build_tree(Index first, Index last) {
+        const auto node_index = static_cast<Index>(nodes_.size());
+        AxisBox box(vertices_[triangles_[order_[first]][0]]);
+        for (Index k = first; k < last; ++k)
+            for (const Index corner : triangles_[order_[k]]) box.include(vertices_[corner]);
+        nodes_.push_back({box, first, last});
         if (last - first <= max_leaf_size) return node_index;
-        const Vec3<double> extent = high - low;
+        const Vec3<double> extent = box.high - box.low;
         const int axis = extent.x >= extent.y && extent.x >= extent.z ? 0 : extent.y >= extent.z ? 1 : 2;
-        const auto center = [&](Id k) {
+        const auto center = [&](Index k) {
             const auto& t = triangles_[k];
             return component(vertices_[t[0]], axis) + component(vertices_[t[1]], axis) +
                    component(vertices_[t[2]], axis);
         };
-        const Id half = first + (last - first) / 2;
-        std::sort(order_.begin() + first, order_.begin() + last, [&](Id a, Id b) {
+        const Index half = first + (last - first) / 2;
+        std::sort(order_.begin() + first, order_.begin() + last, [&](Index a, Index b) {
             const double u = center(a), v = center(b);
             return u != v ? u < v : a < b;
         });
-        const Id left = build_tree(first, half), right = build_tree(half, last);
+        const Index left = build_tree(first, half), right = build_tree(half, last);
         nodes_[node_index].left = left;
         nodes_[node_index].right = right;
         return node_index;
     }
-    double box_square(Id node, Vec3<double> p) const {
-        const Node& n = nodes_[node];
+    double box_square(Index node, Vec3<double> p) const {
+        const AxisBox& box = nodes_[node].box;
         const auto out = [](double a, double low, double high) { return larger(larger(low - a, a - high), 0.0); };
-        return norm2(
-            Vec3<double>{out(p.x, n.low.x, n.high.x), out(p.y, n.low.y, n.high.y), out(p.z, n.low.z, n.high.z)});
+        return norm2(Vec3<double>{out(p.x, box.low.x, box.high.x), out(p.y, box.low.y, box.high.y),
+                                  out(p.z, box.low.z, box.high.z)});
     }
-    void search(Id node_index, Vec3<double> p, Best& best) const {
+    void search(Index node_index, Vec3<double> p, Best& best) const {
         const Node& node = nodes_[node_index];
         if (node.left < 0) {
-            for (Id k = node.first; k < node.last; ++k) {
+            for (Index k = node.first; k < node.last; ++k) {
                 const auto& t = triangles_[order_[k]];
                 const auto point = near_triangle(p, vertices_[t[0]], vertices_[t[1]], vertices_[t[2]]);
                 if (point.square < best.square) best = {point.square, order_[k], point};
@@ -171,9 +153,9 @@ private:
     }
 
     std::vector<Vec3<double>> vertices_, faces_, corners_;
-    std::vector<std::array<Id, 3>> triangles_;
+    std::vector<std::array<Index, 3>> triangles_;
     std::vector<std::array<Vec3<double>, 3>> edges_;
-    std::vector<Id> order_;
+    std::vector<Index> order_;
     std::vector<Node> nodes_;
 };
 

@@ -95,13 +95,7 @@ public:
         for (std::int64_t k = 0; k < contacts.count(); ++k) {
             if (!contacts.present(k)) continue;
             const double* const path = contacts.path(k);
-            double path_length = 0.0, path_angle = 0.0, power = 1.0;
-            for (int order = 0; order < 3; ++order) {
-                power *= duration;
-                const double *const a = path + 4 + 3 * order, *const r = path + 17 + 3 * order;
-                path_length += power * root(norm2(Vec3<double>{a[0], a[1], a[2]}));
-                path_angle += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
-            }
+            const auto [path_length, path_angle] = max_path_motion(path, duration);
             const Obstacle& obstacle = contacts.obstacles[k];
             double distance;
             if (obstacle.shape == Shape::plane) {

@@ -131,6 +131,22 @@ struct Contacts {
     }
 };
 
+/// Upper bounds of the distance [m] and of the angle [rad] that an obstacle covers on its path in a duration [s].
+struct PathMotion {
+    double length = 0.0, angle = 0.0;
+};
+inline PathMotion max_path_motion(const double* path, double duration) {
+    PathMotion motion;
+    double power = 1.0;
+    for (int order = 0; order < 3; ++order) {
+        power *= duration;
+        const double *const a = path + 4 + 3 * order, *const r = path + 17 + 3 * order;
+        motion.length += power * root(norm2(Vec3<double>{a[0], a[1], a[2]}));
+        motion.angle += power * root(norm2(Vec3<double>{r[0], r[1], r[2]}));
+    }
+    return motion;
+}
+
 /// Contact summary of a run. `energy`: largest energy per mass that contact has to absorb, in units of U^2/2. `gap`:
 /// least gap [m]. `violated`: whether a skipped block moved faster than assumed.
 struct ContactSummary {

@@ -5,9 +5,47 @@
 // number.
 #pragma once
 
+#include <initializer_list>
+
 #include "core/algebra.hpp"
 
 namespace cloth::contact {
+
+/// An axis-aligned box.
+struct AxisBox {
+    Vec3<double> low, high;
+
+    explicit AxisBox(Vec3<double> a) : low(a), high(a) {}
+    explicit AxisBox(std::initializer_list<Vec3<double>> points) : AxisBox(*points.begin()) {
+        for (const Vec3<double>& p : points) include(p);
+    }
+    void include(Vec3<double> a) {
+        low = {smaller(a.x, low.x), smaller(a.y, low.y), smaller(a.z, low.z)};
+        high = {larger(a.x, high.x), larger(a.y, high.y), larger(a.z, high.z)};
+    }
+    AxisBox expanded(double by) const {
+        const Vec3<double> margin{by, by, by};
+        AxisBox b(low - margin);
+        b.high = high + margin;
+        return b;
+    }
+    bool overlaps(const AxisBox& b) const {
+        return b.high.x >= low.x && b.low.x <= high.x && b.high.y >= low.y && b.low.y <= high.y && b.high.z >= low.z &&
+               b.low.z <= high.z;
+    }
+    Vec3<double> center() const { return 0.5 * (low + high); }
+};
+
+/// Whether a segment from p to q intersects a triangle, not at its border.
+inline bool segment_intersects(Vec3<double> p, Vec3<double> q, Vec3<double> a, Vec3<double> b, Vec3<double> c) {
+    // Six times the signed volume of a tetrahedron.
+    const auto volume = [](Vec3<double> i, Vec3<double> j, Vec3<double> k, Vec3<double> l) {
+        return dot(cross(j - i, k - i), l - i);
+    };
+    if (!(volume(a, b, c, p) * volume(a, b, c, q) < 0.0)) return false;
+    const double u = volume(p, q, a, b), v = volume(p, q, b, c), w = volume(p, q, c, a);
+    return (u > 0.0 && v > 0.0 && w > 0.0) || (u < 0.0 && v < 0.0 && w < 0.0);
+}
 
 template <class V>
 CLOTH_INLINE V within_one(V a) {

@@ -107,8 +107,6 @@ void combine_self_anchors(Plan& plan, double t, const double* x, const double* v
 }
 
 void add_self_bounds(Plan& plan, double t, const double* x, double* stiff, double* damp) {
-    std::vector<std::int64_t> particle_of_rank(plan.count);
-    for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
     for_each_self_contact(plan, t, x, nullptr,
                           [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
                               add_layer_bounds(plan, law, m, at, velocity, stiff, damp);
@@ -120,7 +118,7 @@ void add_self_bounds(Plan& plan, double t, const double* x, double* stiff, doubl
                                   for (int corner = 0; corner < 4; ++corner) {
                                       if (!m.edges && corner && g.corner[corner] == g.corner[0]) continue;
                                       const double weight = absolute(g.weight[corner]);
-                                      const std::int64_t i = particle_of_rank[g.corner[corner]];
+                                      const std::int64_t i = plan.particle_of_rank[g.corner[corner]];
                                       if (stiff) add_block(stiff, plan.count, i, outer(k * weight, g.normal, 0.0));
                                       if (damp) add_block(damp, plan.count, i, outer(c * weight, g.normal, 0.0));
                                   }
@@ -137,14 +135,12 @@ void add_self_product(Plan& plan, double t, const double* x, const double* v, co
     std::vector<Scaling<double>> scalings;
     self_scalings(plan, t, scalings);
     law.reduce(&scalings);
-    std::vector<std::int64_t> particle_of_rank(plan.count);
-    for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
     const auto add = [&](const Contact<Dual>& m, auto& x_at, auto& v_at) {
         add_layer_product(plan, law, m, x_at, v_at, out);
         law.forces(m, [&](Index c, Vec3<Dual> force) {
-            out[particle_of_rank[c]] += force.x.slope;
-            out[plan.count + particle_of_rank[c]] += force.y.slope;
-            out[2 * plan.count + particle_of_rank[c]] += force.z.slope;
+            out[plan.particle_of_rank[c]] += force.x.slope;
+            out[plan.count + plan.particle_of_rank[c]] += force.y.slope;
+            out[2 * plan.count + plan.particle_of_rank[c]] += force.z.slope;
         });
     };
     for_each_self_contact<Dual>(plan.self->neighbors(), law, contacts.thickness, at, velocity, add);
@@ -171,12 +167,10 @@ void self_gaps(Plan& plan, const double* x, double* out) {
     });
 }
 void self_gap_row(Plan& plan, const double* x, double* out) {
-    std::vector<std::int64_t> particle_of_rank(plan.count);
-    for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
     for_each_full_contact(plan, x, [&](const Contact<double>& m) {
         const double gap = m.edges ? 2.0 * m.min_gap() : m.min_gap();
         for (int k = 0; k < (m.edges ? 4 : 1); ++k) {
-            double& to = out[particle_of_rank[m.gaps[0].corner[k]]];
+            double& to = out[plan.particle_of_rank[m.gaps[0].corner[k]]];
             to = smaller(gap, to);
         }
     });
@@ -299,33 +293,21 @@ double SelfCulling::relative_speed(const double* v) const {
     return bound.diameter();
 }
 
-/// Six times the signed volume of a tetrahedron.
-inline double volume(Vec3<double> a, Vec3<double> b, Vec3<double> c, Vec3<double> e) {
-    return dot(cross(b - a, c - a), e - a);
-}
-
 void find_self_intersection(Plan& plan, const double* x, std::int64_t* out) {
     const Surface& s = plan.self->surface;
     std::fill(out, out + 5, std::int64_t{-1});
     if (plan.self->is_clear(x, plan.contacts.thickness)) return;
     const Array<double> positions = quads_of(plan, x);
     const Quads at{positions.data()};
-    double longest = 0.0;
-    for (const auto& e : s.edges) longest = larger(norm2(at(e[0]) - at(e[1])), longest);
     // A point of a triangle is no further from its edges than the radius of the inscribed circle.
     SurfacePairs pairs;
-    pairs.build(s, positions.data(), 0.3 * root(longest));
-    std::vector<std::int64_t> particle_of_rank(plan.count);
-    for (std::int64_t i = 0; i < plan.count; ++i) particle_of_rank[plan.rank[i]] = i;
+    pairs.build(s, positions.data(), 0.3 * longest_edge(s, at));
     const auto intersects = [&](const std::array<Index, 2>& e, Index triangle) {
         if (triangle < 0 || s.has(triangle, e[0]) || s.has(triangle, e[1])) return false;
         const auto& t = s.triangles[triangle];
-        const Vec3<double> p = at(e[0]), q = at(e[1]), a = at(t[0]), b = at(t[1]), c = at(t[2]);
-        if (!(volume(a, b, c, p) * volume(a, b, c, q) < 0.0)) return false;
-        const double u = volume(p, q, a, b), v = volume(p, q, b, c), w = volume(p, q, c, a);
-        if (!((u > 0.0 && v > 0.0 && w > 0.0) || (u < 0.0 && v < 0.0 && w < 0.0))) return false;
+        if (!segment_intersects(at(e[0]), at(e[1]), at(t[0]), at(t[1]), at(t[2]))) return false;
         const Index hit[5] = {e[0], e[1], t[0], t[1], t[2]};
-        for (int k = 0; k < 5; ++k) out[k] = particle_of_rank[hit[k]];
+        for (int k = 0; k < 5; ++k) out[k] = plan.particle_of_rank[hit[k]];
         return true;
     };
     // The triangles of an edge are about its ends.

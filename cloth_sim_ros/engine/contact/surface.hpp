@@ -15,6 +15,24 @@ namespace cloth::contact {
 
 using Index = std::int32_t;
 
+/// A side of a triangle, from one of its corners to the next; its ends in ascending order.
+struct HalfEdge {
+    Index low, high, triangle, edge;
+};
+/// Sides of triangles, sorted by their ends.
+inline std::vector<HalfEdge> sorted_half_edges(const std::vector<std::array<Index, 3>>& triangles) {
+    std::vector<HalfEdge> half_edges;
+    for (std::size_t t = 0; t < triangles.size(); ++t)
+        for (int k = 0; k < 3; ++k) {
+            const Index a = triangles[t][k], b = triangles[t][(k + 1) % 3];
+            half_edges.push_back({std::min(a, b), std::max(a, b), static_cast<Index>(t), k});
+        }
+    std::stable_sort(half_edges.begin(), half_edges.end(), [](const HalfEdge& a, const HalfEdge& b) {
+        return a.low != b.low ? a.low < b.low : a.high < b.high;
+    });
+    return half_edges;
+}
+
 struct Surface {
     std::int64_t count = 0;               ///< number of particles
     std::vector<double> masses, inverse;  ///< [kg], and inverse masses, zero if anchored
@@ -52,18 +70,7 @@ struct Surface {
     }
     /// Build edges and fans from triangles. An edge of more than two triangles counts as a border.
     void build_topology() {
-        struct HalfEdge {
-            Index low, high, triangle, edge;
-        };
-        std::vector<HalfEdge> half_edges;
-        for (std::size_t t = 0; t < triangles.size(); ++t)
-            for (int k = 0; k < 3; ++k) {
-                const Index a = triangles[t][k], b = triangles[t][(k + 1) % 3];
-                half_edges.push_back({std::min(a, b), std::max(a, b), static_cast<Index>(t), k});
-            }
-        std::stable_sort(half_edges.begin(), half_edges.end(), [](const HalfEdge& a, const HalfEdge& b) {
-            return a.low != b.low ? a.low < b.low : a.high < b.high;
-        });
+        const std::vector<HalfEdge> half_edges = sorted_half_edges(triangles);
         joined.resize(count);
         std::iota(joined.begin(), joined.end(), Index{0});
         neighbors.assign(triangles.size(), {-1, -1, -1});

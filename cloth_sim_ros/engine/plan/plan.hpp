@@ -58,10 +58,8 @@ struct Plan {
     /// Contact with points and edges of obstacles, with the thickness and damping of `contacts`.
     std::unique_ptr<FeatureContactModel> features;
     Callback callback = nullptr;
-    /// Order of particles in runs without a grid: neighbours are close together.
-    std::vector<std::int64_t> order, rank;
-    /// Inverse of `rank`, if there is friction between layers.
-    std::vector<std::int64_t> particle_of_rank;
+    /// Order of particles in runs without a grid, where neighbours are close together: ranks, and the inverse.
+    std::vector<std::int64_t> rank, particle_of_rank;
 
     std::array<Workspace<double>, max_concurrency> workspaces;
     std::array<Workspace<float>, max_concurrency> single_workspaces;
@@ -76,6 +74,11 @@ struct Plan {
             return workspaces[index];
         else
             return single_workspaces[index];
+    }
+    void set_ranks(std::vector<std::int64_t> ranks) {
+        rank = std::move(ranks);
+        particle_of_rank.resize(count);
+        for (std::int64_t i = 0; i < count; ++i) particle_of_rank[rank[i]] = i;
     }
     template <class T>
     const GridTables<T>& grid_tables();
