@@ -5,6 +5,7 @@
 #pragma once
 
 #include "api/guard.hpp"
+#include "api/self_contact.hpp"
 #include "contact/feature_queries.hpp"
 #include "contact/obstacle_prediction.hpp"
 #include "contact/self_queries.hpp"
@@ -39,27 +40,16 @@ static void predict_surface_contact(Plan& plan, double t, double duration, doubl
 CLOTH_API int cloth_plan_faces(Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest) {
     return guarded(plan, [&] {
         contact::FeatureContactModel contact;
-        contact::Surface& s = contact.surface;
-        s.count = plan->count;
-        s.shortest = shortest;
-        s.masses.resize(plan->count);
         double total = 0.0, n_free = 0.0;
         for (std::int64_t i = 0; i < plan->count; ++i) {
-            s.masses[plan->rank[i]] = plan->masses[i];
             if (!(plan->inverse[i] > 0.0)) continue;
             total += plan->masses[i];
             n_free += 1.0;
         }
         if (!(n_free > 0.0)) return;
         contact.mass = total / n_free;
-        for (std::int64_t t = 0; t < count; ++t) {
-            const std::int64_t* const c = triangles + 3 * t;
-            if (!(plan->inverse[c[0]] > 0.0 && plan->inverse[c[1]] > 0.0 && plan->inverse[c[2]] > 0.0)) continue;
-            const auto corner = [&](int k) { return static_cast<contact::Index>(plan->rank[c[k]]); };
-            s.triangles.push_back({corner(0), corner(1), corner(2)});
-        }
-        if (s.triangles.empty()) return;
-        s.build_topology();
+        contact.surface = surface_of(*plan, count, triangles, shortest, true);
+        if (contact.surface.triangles.empty()) return;
         plan->features = std::make_unique<contact::FeatureContactModel>(std::move(contact));
     });
 }

@@ -9,25 +9,29 @@
 
 namespace cloth::api {
 
+/// Surface of a plan: triangles, or those without anchored corners.
+static contact::Surface surface_of(const Plan& plan, std::int64_t count, const std::int64_t* triangles, double shortest,
+                                   bool without_anchored) {
+    contact::Surface s;
+    s.count = plan.count;
+    s.shortest = shortest;
+    for (const std::int64_t i : plan.particle_of_rank) {
+        s.masses.push_back(plan.masses[i]);
+        s.inverse.push_back(plan.inverse[i]);
+        s.is_free.push_back(plan.inverse[i] > 0.0);
+    }
+    for (const std::int64_t* c = triangles; c != triangles + 3 * count; c += 3) {
+        const auto corner = [&](int k) { return static_cast<contact::Index>(plan.rank[c[k]]); };
+        if (without_anchored && !(s.is_free[corner(0)] && s.is_free[corner(1)] && s.is_free[corner(2)])) continue;
+        s.triangles.push_back({corner(0), corner(1), corner(2)});
+    }
+    s.build_topology();
+    return s;
+}
 CLOTH_API int cloth_plan_self(Plan* plan, std::int64_t count, const std::int64_t* triangles, double shortest) {
     return guarded(plan, [&] {
         auto self = std::make_unique<contact::SelfContact>();
-        contact::Surface& s = self->surface;
-        s.count = plan->count;
-        s.shortest = shortest;
-        s.masses.resize(plan->count);
-        s.is_free.resize(plan->count);
-        s.inverse.resize(plan->count);
-        for (std::int64_t i = 0; i < plan->count; ++i) {
-            s.masses[plan->rank[i]] = plan->masses[i];
-            s.is_free[plan->rank[i]] = plan->inverse[i] > 0.0;
-            s.inverse[plan->rank[i]] = plan->inverse[i];
-        }
-        for (std::int64_t t = 0; t < count; ++t) {
-            const auto corner = [&](int k) { return static_cast<contact::Index>(plan->rank[triangles[3 * t + k]]); };
-            s.triangles.push_back({corner(0), corner(1), corner(2)});
-        }
-        s.build_topology();
+        contact::Surface& s = self->surface = surface_of(*plan, count, triangles, shortest, false);
         // Particles of a grid are numbered row by row.
         if (const auto& sheet = plan->grid) {
             const auto spacing = [&](grid::Family k) {

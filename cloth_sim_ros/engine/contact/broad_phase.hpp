@@ -230,6 +230,71 @@ private:
     std::vector<double> low_[3], high_[3], key_[Keys];
 };
 
+/// Cell size as a fraction of the search distance.
+inline constexpr double cell_fineness = 0.5;
+
+/// Add the pairs of points, in ascending order, and triangles whose boxes are within `reach` [m]. `point_at(k)`:
+/// position; `key_of(k)`: key of a point, which counts with triangles that have no corner joined to that particle.
+/// `length` [m]: that of the longest edge.
+template <class P, class K>
+inline void find_triangles(const Surface& s, const Quads& at, double length, double reach, std::int64_t count,
+                           P&& point_at, K&& key_of, PairList& pairs) {
+    if (!count) return;
+    Cells cells(count, cell_fineness * (length + reach));
+    cells.fill(point_at);
+    SortedBoxes<1> points(count);
+    for (std::int64_t slot = 0; slot < count; ++slot)
+        points.put(slot, AxisBox(point_at(cells[slot])), {key_of(cells[slot])});
+    for (std::size_t t = 0; t < s.triangles.size(); ++t) {
+        const auto& corner = s.triangles[t];
+        const AxisBox box = AxisBox({at(corner[0]), at(corner[1]), at(corner[2])}).expanded(reach);
+        const std::array<Index, 3> keys{s.joined[corner[0]], s.joined[corner[1]], s.joined[corner[2]]};
+        cells.for_each_row(box.low, box.high, [&](std::int64_t begin, std::int64_t end) {
+            points.for_each_overlap(begin, end, box, keys,
+                                    [&](std::int64_t slot) { pairs.add(cells[slot], static_cast<Index>(t)); });
+        });
+    }
+    pairs.sort(count);
+}
+
+/// Edges of a surface in the slots of a grid, by the centers of their boxes.
+class EdgeGrid {
+public:
+    EdgeGrid(const Surface& s, const Quads& at, double cell_size)
+        : count(static_cast<std::int64_t>(s.edges.size())), surface_(s), cells_(count, cell_size), sorted_(count) {
+        boxes_.reserve(count);
+        for (const auto& e : s.edges) {
+            const AxisBox& box = boxes_.emplace_back(AxisBox({at(e[0]), at(e[1])}));
+            const Vec3<double> extent = 0.5 * (box.high - box.low);
+            half_ = {larger(extent.x, half_.x), larger(extent.y, half_.y), larger(extent.z, half_.z)};
+        }
+        cells_.fill([&](std::int64_t e) { return boxes_[e].center(); });
+        for (std::int64_t slot = 0; slot < count; ++slot) sorted_.put(slot, boxes_[cells_[slot]], keys(cells_[slot]));
+    }
+    const std::int64_t count;
+    Index operator[](std::int64_t slot) const { return cells_[slot]; }
+    const AxisBox& box(Index e) const { return boxes_[e]; }
+    /// Particles that edges with a common corner share.
+    std::array<Index, 2> keys(Index e) const {
+        return {surface_.joined[surface_.edges[e][0]], surface_.joined[surface_.edges[e][1]]};
+    }
+    /// Call `visit` with each edge from a slot on whose box overlaps another, unless a key is equal.
+    template <class F>
+    void for_each_overlap(const AxisBox& box, const std::array<Index, 2>& keys, std::int64_t from_slot, F&& visit) {
+        cells_.for_each_row(box.low - half_, box.high + half_, [&](std::int64_t begin, std::int64_t end) {
+            sorted_.for_each_overlap(std::max(begin, from_slot), end, box, keys,
+                                     [&](std::int64_t slot) { visit(cells_[slot]); });
+        });
+    }
+
+private:
+    const Surface& surface_;
+    std::vector<AxisBox> boxes_;
+    Vec3<double> half_{};  ///< no box extends further from its center
+    Cells cells_;
+    SortedBoxes<2> sorted_;
+};
+
 /// Pairs of a surface within a range of each other.
 class SurfacePairs {
 public:
@@ -251,8 +316,7 @@ public:
         const Quads at{x};
         const double length = longest_edge(s, at);
         SurfacePairs near;
-        near.reach = reach;
-        near.find_triangles(s, at, length);
+        find_triangles(s, at, length, reach, s.count, at, [&](Index i) { return s.joined[i]; }, near.triangles);
         near.find_edges(s, at, length, max_distance - edge_reduction);
         near.measure(s, x);
         triangles.select(near.triangles, reach);
@@ -278,55 +342,16 @@ private:
                 store(pairs.square.data() + k, near_triangle(at[0], at[1], at[2], at[3]).square);
         }
     }
-    void find_triangles(const Surface& s, const Quads& at, double length) {
-        Cells cells(s.count, fineness * (length + reach));
-        cells.fill(at);
-        SortedBoxes<1> points(s.count);
-        for (std::int64_t slot = 0; slot < s.count; ++slot)
-            points.put(slot, AxisBox(at(cells[slot])), {s.joined[cells[slot]]});
-        for (std::size_t t = 0; t < s.triangles.size(); ++t) {
-            const auto& corner = s.triangles[t];
-            const AxisBox box = AxisBox({at(corner[0]), at(corner[1]), at(corner[2])}).expanded(reach);
-            const std::array<Index, 3> keys{s.joined[corner[0]], s.joined[corner[1]], s.joined[corner[2]]};
-            cells.for_each_row(box.low, box.high, [&](std::int64_t begin, std::int64_t end) {
-                points.for_each_overlap(begin, end, box, keys,
-                                        [&](std::int64_t slot) { triangles.add(cells[slot], static_cast<Index>(t)); });
-            });
-        }
-        triangles.sort(s.count);
-    }
     void find_edges(const Surface& s, const Quads& at, double length, double reach) {
-        const std::int64_t count = static_cast<std::int64_t>(s.edges.size());
-        std::vector<AxisBox> boxes;
-        boxes.reserve(count);
-        // Edges are sorted by their centers; none extends further than half the largest extent along an axis.
-        Vec3<double> half{};
-        for (const auto& e : s.edges) {
-            const AxisBox& box = boxes.emplace_back(AxisBox({at(e[0]), at(e[1])}));
-            const Vec3<double> extent = 0.5 * (box.high - box.low);
-            half = {larger(extent.x, half.x), larger(extent.y, half.y), larger(extent.z, half.z)};
+        EdgeGrid grid(s, at, cell_fineness * (length + reach));
+        // Each pair is found once, by the one that is first in the order of slots.
+        for (std::int64_t slot = 0; slot < grid.count; ++slot) {
+            const Index e = grid[slot];
+            grid.for_each_overlap(grid.box(e).expanded(reach), grid.keys(e), slot + 1,
+                                  [&](Index other) { edges.add(std::min(e, other), std::max(e, other)); });
         }
-        Cells cells(count, fineness * (length + reach));
-        cells.fill([&](std::int64_t e) { return boxes[e].center(); });
-        const auto keys = [&](Index e) {
-            return std::array<Index, 2>{s.joined[s.edges[e][0]], s.joined[s.edges[e][1]]};
-        };
-        SortedBoxes<2> sorted(count);
-        for (std::int64_t slot = 0; slot < count; ++slot) sorted.put(slot, boxes[cells[slot]], keys(cells[slot]));
-        // Each pair is found once, by the one that is first in the order of cells.
-        for (std::int64_t edge_slot = 0; edge_slot < count; ++edge_slot) {
-            const Index e = cells[edge_slot];
-            const AxisBox box = boxes[e].expanded(reach);
-            cells.for_each_row(box.low - half, box.high + half, [&](std::int64_t begin, std::int64_t end) {
-                sorted.for_each_overlap(std::max(begin, edge_slot + 1), end, box, keys(e), [&](std::int64_t slot) {
-                    edges.add(std::min(e, cells[slot]), std::max(e, cells[slot]));
-                });
-            });
-        }
-        edges.sort_both(count);
+        edges.sort_both(grid.count);
     }
-    /// Cell size as a fraction of the search distance.
-    static constexpr double fineness = 0.5;
 };
 
 }  // namespace cloth::contact

@@ -53,12 +53,9 @@ private:
     /// Speed that particles may gain [m/s].
     static constexpr double speed_margin = 0.25;
 
-    /// Compute the bounding ball of the edges of the cloth.
-    void measure_cloth(const Surface& s, const double* x);
     double max_particle_speed(const double* v) const;
     Plan& plan_;
-    Vec3<double> center_{};
-    double speed_limit_ = 0.0, radius_ = 0.0;
+    double speed_limit_ = 0.0;
     bool covers_all_ = true;
 };
 

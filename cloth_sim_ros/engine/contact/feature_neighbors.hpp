@@ -5,11 +5,20 @@
 // until something has moved too far. No bit depends on when they are rebuilt.
 #pragma once
 
+#include <optional>
+
 #include "contact/features.hpp"
 #include "contact/self_contact.hpp"
 
 namespace cloth::contact {
 
+/// Box of the edges of a surface.
+inline AxisBox box_of_edges(const Surface& s, const Quads& at) {
+    AxisBox box(at(s.edges[0][0]));
+    for (const auto& e : s.edges)
+        for (const Index c : e) box.include(at(c));
+    return box;
+}
 /// Clip the segment from a to b to a box: the fractions `first` to `last`, in reverse order if it is outside.
 inline void clip(const AxisBox& box, Vec3<double> a, Vec3<double> b, double& first, double& last) {
     first = 0.0, last = 1.0;
@@ -27,124 +36,84 @@ inline void clip(const AxisBox& box, Vec3<double> a, Vec3<double> b, double& fir
     slab(a.z, b.z, box.low.z, box.high.z);
 }
 
+/// Corners of pair k of an obstacle: its point ~k and those of the triangle; or those of the cloth's edge and of the
+/// obstacle's.
+template <bool Edges>
+inline std::array<Index, 4> feature_corners(const Surface& s, const Features& features, const PairList& pairs,
+                                            std::size_t k) {
+    if constexpr (Edges) {
+        const auto &edge = s.edges[pairs.second[k]], &obstacle_edge = features.edges[pairs.first[k]];
+        return {edge[0], edge[1], ~obstacle_edge[0], ~obstacle_edge[1]};
+    } else {
+        const auto& t = s.triangles[pairs.second[k]];
+        return {~pairs.first[k], t[0], t[1], t[2]};
+    }
+}
+
 /// Pairs of one obstacle: point and triangle, edge of the obstacle and edge of the cloth.
-class FeaturePairs {
-public:
+struct FeaturePairs {
     PairList triangles, edges;
     double reach = -1.0;
 
     /// Build the list of all pairs within `max_distance` [m], radius included. Positions are quads.
     void build(const Surface& s, const FeaturesAt& from, const double* x, double max_distance) {
         reach = max_distance;
-        triangles.clear();
-        edges.clear();
-        if (s.triangles.empty() || from.features.points.empty()) return;
-        const Quads at{x};
-        double length = 0.0;
-        AxisBox cloth(at(s.edges[0][0]));
-        for (const auto& e : s.edges) {
-            length = larger(norm2(at(e[0]) - at(e[1])), length);
-            cloth.include(at(e[0]));
-            cloth.include(at(e[1]));
-        }
-        length = root(length);
-        const AxisBox search_box = cloth.expanded(reach);
-        const auto count = static_cast<Index>(from.features.points.size());
-        std::vector<Index> points, near_edges;
-        for (Index k = 0; k < count; ++k)
-            if (search_box.overlaps(AxisBox(from.position(k)))) points.push_back(k);
-        for (std::size_t e = 0; e < from.features.edges.size(); ++e) {
-            double first, last;
-            clip(search_box, from.position(from.features.edges[e][0]), from.position(from.features.edges[e][1]), first,
-                 last);
-            if (first <= last) near_edges.push_back(static_cast<Index>(e));
-        }
-        if (!points.empty()) find_triangles(s, from, at, points, length);
-        if (!near_edges.empty()) find_edges(s, from, at, near_edges, search_box, length);
+        FeaturePairs near;
+        if (!s.triangles.empty() && !from.features.points.empty()) near.find(s, from, Quads{x}, reach);
+        near.measure(s, from, x);
+        select(near, reach);
+    }
+    /// Set to the pairs of other lists that are measured within a range [m].
+    void select(const FeaturePairs& from, double range) {
+        triangles.select(from.triangles, range);
+        edges.select(from.edges, range);
+    }
+    /// Measure the squared distances of all pairs.
+    void measure(const Surface& s, const FeaturesAt& from, const double* x) {
+        measure<false>(s, from, Quads{x}, triangles);
+        measure<true>(s, from, Quads{x}, edges);
     }
 
 private:
-    void find_triangles(const Surface& s, const FeaturesAt& from, const Quads& at, const std::vector<Index>& points,
-                        double length) {
-        std::vector<AxisBox> boxes;
-        boxes.reserve(s.triangles.size());
-        for (const auto& t : s.triangles) {
-            boxes.emplace_back(at(t[0]));
-            boxes.back().include(at(t[1]));
-            boxes.back().include(at(t[2]));
-        }
-        const BoxGrid cells(boxes, length + reach);
-        std::vector<Index> candidates;
-        for (const Index k : points) {
-            const Vec3<double> p = from.position(k);
-            const AxisBox box = AxisBox(p).expanded(reach);
-            cells.query(box, length, candidates);
-            for (const Index t : candidates) {
-                if (!box.overlaps(boxes[t])) continue;
-                const auto& c = s.triangles[t];
-                if (near_triangle(p, at(c[0]), at(c[1]), at(c[2])).square < reach * reach) triangles.add(k, t);
-            }
-        }
+    template <bool Edges>
+    static void measure(const Surface& s, const FeaturesAt& from, const Quads& at, PairList& pairs) {
+        pairs.square.resize(pairs.size() + lanes<double>);
+        for (std::size_t k = 0; k < pairs.size(); ++k)
+            pairs.square[k] =
+                pair_square<Edges>(feature_corners<Edges>(s, from.features, pairs, k), with_point_positions(from, at));
     }
-    void find_edges(const Surface& s, const FeaturesAt& from, const Quads& at, const std::vector<Index>& near_edges,
-                    const AxisBox& search_box, double length) {
-        std::vector<AxisBox> boxes;
-        boxes.reserve(s.edges.size());
-        for (const auto& e : s.edges) {
-            boxes.emplace_back(at(e[0]));
-            boxes.back().include(at(e[1]));
-        }
-        const BoxGrid cells(boxes, length + reach);
-        std::vector<Index> candidates, hits;
-        for (const Index edge : near_edges) {
+    void find(const Surface& s, const FeaturesAt& from, const Quads& at, double range) {
+        const double length = longest_edge(s, at);
+        const AxisBox search_box = box_of_edges(s, at).expanded(range);
+        std::vector<Index> points;
+        for (Index k = 0; k < std::ssize(from.features.points); ++k)
+            if (search_box.overlaps(AxisBox(from.position(k)))) points.push_back(k);
+        find_triangles(
+            s, at, length, range, std::ssize(points), [&](std::int64_t k) { return from.position(points[k]); },
+            [](Index) { return Index{-1}; }, triangles);
+        for (Index& k : triangles.first) k = points[k];
+        std::optional<EdgeGrid> grid;
+        std::vector<Index> hits;
+        for (std::size_t edge = 0; edge < from.features.edges.size(); ++edge) {
             const Vec3<double> a = from.position(from.features.edges[edge][0]),
                                b = from.position(from.features.edges[edge][1]);
             double first, last;
             clip(search_box, a, b, first, last);
+            if (!(first <= last)) continue;
+            if (!grid) grid.emplace(s, at, length + range);
             // Search in pieces as long as a cell: the box of a whole long edge would contain half the cloth.
-            const double pieces = std::ceil((last - first) * root(norm2(b - a)) / (length + reach));
+            const double pieces = larger(std::ceil((last - first) * root(norm2(b - a)) / (length + range)), 1.0);
             hits.clear();
-            for (double piece = 0.0; piece < larger(pieces, 1.0); piece += 1.0) {
-                const double span = (last - first) / larger(pieces, 1.0), begin = first + piece * span;
-                AxisBox box(a + begin * (b - a));
-                box.include(a + (begin + span) * (b - a));
-                box = box.expanded(reach);
-                cells.query(box, length, candidates);
-                for (const Index e : candidates)
-                    if (box.overlaps(boxes[e])) hits.push_back(e);
+            for (double piece = 0.0; piece < pieces; piece += 1.0) {
+                const double span = (last - first) / pieces, begin = first + piece * span;
+                const AxisBox box({a + begin * (b - a), a + (begin + span) * (b - a)});
+                grid->for_each_overlap(box.expanded(range), {-1, -1}, 0, [&](Index e) { hits.push_back(e); });
             }
             std::sort(hits.begin(), hits.end());
             hits.erase(std::unique(hits.begin(), hits.end()), hits.end());
-            for (const Index e : hits)
-                if (near_segments(at(s.edges[e][0]), at(s.edges[e][1]), a, b).square < reach * reach)
-                    edges.add(edge, e);
+            for (const Index e : hits) edges.add(static_cast<Index>(edge), e);
         }
     }
-    /// Boxes sorted into cells by their centers. A query that would visit more cells than boxes returns all of them.
-    class BoxGrid {
-    public:
-        BoxGrid(const std::vector<AxisBox>& boxes, double size)
-            : size_(size), count_(static_cast<Index>(boxes.size())), cells_(count_, size) {
-            cells_.fill([&](std::int64_t k) { return boxes[k].center(); });
-        }
-        /// Return the boxes that may overlap a box, in ascending order. None has a side longer than `length`.
-        void query(const AxisBox& box, double length, std::vector<Index>& hits) const {
-            hits.clear();
-            const AxisBox expanded = box.expanded(0.5 * length);
-            const Vec3<double> n_cells = (1.0 / size_) * (expanded.high - expanded.low);
-            if ((n_cells.x + 1.0) * (n_cells.y + 1.0) * (n_cells.z + 1.0) > static_cast<double>(count_)) {
-                for (Index k = 0; k < count_; ++k) hits.push_back(k);
-                return;
-            }
-            cells_.for_each(expanded.low, expanded.high, [&](Index k) { hits.push_back(k); });
-            std::sort(hits.begin(), hits.end());
-        }
-
-    private:
-        double size_;
-        Index count_;
-        Cells cells_;
-    };
 };
 
 /// Upper bound of the displacement of a point at a distance `reach` [m] by the rotation between two poses.
@@ -155,10 +124,10 @@ inline double rotation_displacement(const Pose& a, const Pose& b, double reach) 
 }
 
 /// Verlet lists of the features of one obstacle, kept between calls. Concurrent runs need one each.
-class FeatureVerletList {
+class FeatureVerletList : private FeaturePairs {
 public:
-    /// Pairs of the last `find`.
-    PairList triangles, edges;
+    /// Pairs of the last `find`, measured.
+    using FeaturePairs::triangles, FeaturePairs::edges;
 
     /// Find the pairs nearer than thickness + margin [m], in addition to the radius. Return false if a position is not
     /// finite, or if that distance is at least four times the shortest edge.
@@ -181,17 +150,9 @@ public:
                 motion_ = 0.0;
             }
         }
-        filter(s, from, x, inner_.pairs, from.features.radius + range, triangles, edges);
+        inner_.pairs.measure(s, from, x);
+        select(inner_.pairs, from.features.radius + range);
         return true;
-    }
-    /// Squared distance of a pair [m^2].
-    static double point_square(const Surface& s, const FeaturesAt& from, const Quads& at, Index point, Index triangle) {
-        const auto& t = s.triangles[triangle];
-        return near_triangle(from.position(point), at(t[0]), at(t[1]), at(t[2])).square;
-    }
-    static double edge_square(const Surface& s, const FeaturesAt& from, const Quads& at, Index edge, Index cloth_edge) {
-        const auto &a = s.edges[cloth_edge], &b = from.features.edges[edge];
-        return near_segments(at(a[0]), at(a[1]), from.position(b[0]), from.position(b[1])).square;
     }
 
 private:
@@ -226,28 +187,16 @@ private:
             const double outer_range = larger(SelfVerletList::min_reach * s.shortest, 1.5 * range);
             outer_.pairs.build(s, from, x, radius + outer_range);
             store_reference(s, x, from.pose, outer_.reference);
+        } else {
+            outer_.pairs.measure(s, from, x);
         }
-        filter(s, from, x, outer_.pairs, radius + range, inner_.pairs.triangles, inner_.pairs.edges);
+        inner_.pairs.select(outer_.pairs, radius + range);
         store_reference(s, x, from.pose, inner_.reference);
         inner_.margin = margin;
     }
     static void store_reference(const Surface& s, const double* x, const Pose& pose, ReferenceState& reference) {
         reference.positions.assign(x, x + 4 * s.count);
         reference.pose = pose;
-    }
-    static void filter(const Surface& s, const FeaturesAt& from, const double* x, const FeaturePairs& pairs,
-                       double reach, PairList& triangles, PairList& edges) {
-        const Quads at{x};
-        triangles.clear();
-        edges.clear();
-        for (std::size_t k = 0; k < pairs.triangles.size(); ++k) {
-            const Index a = pairs.triangles.first[k], b = pairs.triangles.second[k];
-            if (point_square(s, from, at, a, b) < reach * reach) triangles.add(a, b);
-        }
-        for (std::size_t k = 0; k < pairs.edges.size(); ++k) {
-            const Index a = pairs.edges.first[k], b = pairs.edges.second[k];
-            if (edge_square(s, from, at, a, b) < reach * reach) edges.add(a, b);
-        }
     }
     ListLevel outer_, inner_;
     double thickness_ = 0.0, motion_ = 0.0;  ///< upper bound since the inner list was built
@@ -284,21 +233,10 @@ struct FeatureContactModel {
     void activate_all(const Contacts& contacts) {
         for (std::int64_t k = 0; k < contacts.count(); ++k) is_active[k] = has(contacts, k);
     }
-    FeatureLaw<double> law(const Contacts& contacts) const { return {contacts.thickness, contacts.damping, mass}; }
+    SurfaceLaw<double> law(const Contacts& contacts) const { return {contacts.thickness, contacts.damping, mass}; }
 
 private:
     std::array<std::vector<FeatureVerletList>, plan::max_concurrency> neighbors_;
 };
-
-/// Call point(k, first, last) with the range of triangles of each point, and edge(k) with each pair of edges of `find`.
-template <class P, class E>
-inline void for_each_feature(const FeatureVerletList& neighbors, P&& point, E&& edge) {
-    const PairList& t = neighbors.triangles;
-    for (std::size_t first = 0, last; first < t.size(); first = last) {
-        for (last = first; last < t.size() && t.first[last] == t.first[first];) ++last;
-        point(t.first[first], first, last);
-    }
-    for (std::size_t k = 0; k < neighbors.edges.size(); ++k) edge(k);
-}
 
 }  // namespace cloth::contact

@@ -10,37 +10,30 @@
 
 namespace cloth::contact {
 
-/// Call visit(law, obstacle, from, contact) for each contact at time t, positions x and velocities v, with derivatives
-/// dx and dv if V has them. Positions that are not finite have no contact. With `ignore_reduction` all contacts have
-/// the full thickness.
+/// Call visit(law, contact, obstacle, from) with each contact at time t, positions x and velocities v, with derivatives
+/// if V has them. Positions that are not finite have no contact. With `ignore_reduction` all contacts have the full
+/// thickness.
 template <class V, class F>
 inline void for_each_feature_contact(Plan& plan, double t, const double* const (&x)[2], const double* const (&v)[2],
                                      F&& visit, bool ignore_reduction = false) {
     FeatureContactModel& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
-    FeatureLaw<V> law(contacts.thickness, contacts.damping, contact.mass);
-    Array<double> quads[4];
-    FeatureContact<V> m;
+    if (!contact.has_any(contacts)) return;
+    const QueryNumbers<V> at(plan, x), velocity(plan, v);
+    SurfaceLaw<V> law(contacts.thickness, contacts.damping, contact.mass);
+    Contact<V> m;
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
         FeatureVerletList& neighbors = contact.neighbors()[k];
         if (!contact.has(contacts, k)) continue;
-        if (quads[0].empty())
-            for (int a = 0; a < 4; ++a) quads[a] = quads_of(plan, a < 2 ? x[a] : v[a - 2]);
         const Pose pose = contacts.obstacle_pose(k, t);
         const FeaturesAt from{contact.obstacles[k], pose, pose.position - pose_at(contacts.path(k), t).position};
-        if (!neighbors.find(contact.surface, quads[0].data(), from, law.thickness(), 0.0)) continue;
-        law.reduce(ignore_reduction ? full_thickness<double>()
-                                    : contacts.reduced.scaling(k, plan.count, plan.count + 1, t));
-        const auto of = [&](int a) {
-            return [value = Quads{quads[a].data()}, slope = Quads{quads[a + 1].data()}](Index c) {
-                if constexpr (std::is_same_v<V, double>)
-                    return value(c);
-                else
-                    return with_slope(value(c), slope(c));
-            };
-        };
-        for_each_feature_contact<V>(contact.surface, neighbors, from, law, of(0), of(2), m,
-                                    [&](const FeatureContact<V>& term) { visit(law, k, from, term); });
+        if (!neighbors.find(contact.surface, at.quads(), from, law.thickness(false), 0.0)) continue;
+        law.set_obstacle(from.features.radius, ignore_reduction
+                                                   ? full_thickness<double>()
+                                                   : contacts.reduced.scaling(k, plan.count, plan.count + 1, t));
+        for_each_feature_contact<V>(contact.surface, neighbors, from, law, with_point_positions(from, at),
+                                    with_point_velocities(from, velocity), m,
+                                    [&](const Contact<V>& one) { visit(law, one, k, from); });
     }
 }
 
@@ -48,72 +41,53 @@ double feature_energy(Plan& plan, double t, const double* x) {
     double total = 0.0;
     for_each_feature_contact<double>(
         plan, t, {x, nullptr}, {nullptr, nullptr},
-        [&](const auto& law, auto, const auto&, const auto& m) { total += law.energy(m); });
+        [&](const auto& law, const auto& m, auto, const auto&) { total += law.energy(m); });
     return total;
 }
 void add_feature_wrenches(Plan& plan, double t, const double* x, const double* v, double weight, double* wrenches) {
-    for_each_feature_contact<double>(
-        plan, t, {x, nullptr}, {v, nullptr},
-        [&](const auto& law, std::int64_t k, const FeaturesAt& from, const auto& m) {
-            double* const to = wrenches + k * record_numbers;
-            law.forces(
-                m, [](Index, Vec3<double>) {},
-                [&](Index point, Vec3<double> force) { FeatureRun::accumulate(to, from, point, force, weight); });
-            to[record_numbers - 1] += weight * law.dissipation(m);
-        });
+    for_each_feature_contact<double>(plan, t, {x, nullptr}, {v, nullptr},
+                                     [&](const auto& law, const auto& m, std::int64_t k, const FeaturesAt& from) {
+                                         double* const to = wrenches + k * record_numbers;
+                                         law.forces(m, [&](Index c, Vec3<double> force) {
+                                             if (c < 0) FeatureRun::accumulate(to, from, ~c, force, weight);
+                                         });
+                                         to[record_numbers - 1] += weight * law.dissipation(m);
+                                     });
 }
 double feature_growth_power(Plan& plan, double t, const double* x, const double* v) {
     double power = 0.0;
     for_each_feature_contact<double>(
         plan, t, {x, nullptr}, {v, nullptr},
-        [&](const auto& law, auto, const auto&, const auto& m) { power += law.growth_power(m); });
+        [&](const auto& law, const auto& m, auto, const auto&) { power += law.growth_power(m); });
     return power;
 }
 void add_feature_jaw_forces(Plan& plan, double t, const double* x, const double* v, std::vector<double>& jaw_forces) {
-    const Contacts& contacts = plan.contacts;
     for_each_feature_contact<double>(plan, t, {x, nullptr}, {v, nullptr},
-                                     [&](const auto& law, std::int64_t k, const FeaturesAt& from, const auto& m) {
-                                         if (!contacts.jaw_of(k)) return;
-                                         law.forces(
-                                             m, [](Index, Vec3<double>) {},
-                                             [&](Index, Vec3<double> force) {
-                                                 jaw_forces[contacts.obstacles[k].parallel_jaw] +=
-                                                     contacts.obstacles[k].jaw_side * dot(from.pose.rotation[1], force);
-                                             });
+                                     [&](const auto& law, const auto& m, std::int64_t k, const FeaturesAt& from) {
+                                         const Obstacle& obstacle = plan.contacts.obstacles[k];
+                                         if (obstacle.parallel_jaw < 0) return;
+                                         law.forces(m, [&](Index c, Vec3<double> force) {
+                                             if (c < 0)
+                                                 jaw_forces[obstacle.parallel_jaw] +=
+                                                     obstacle.jaw_side * dot(from.pose.rotation[1], force);
+                                         });
                                      });
 }
 void add_feature_bounds(Plan& plan, double t, const double* x, double* stiff, double* damp) {
     for_each_feature_contact<double>(
-        plan, t, {x, nullptr}, {nullptr, nullptr}, [&](const auto& law, auto, const auto&, const auto& m) {
-            for (const auto& g : m.gaps) {
-                if (g.sign < 0.0) continue;
-                const double mass = law.mass() * (m.edges ? m.fade_factor : 1.0);
-                const double k = mass * law.law().stiffness(g.gap), c = mass * law.law().damping(g.gap);
-                for (int corner = 0; corner < g.corners; ++corner) {
-                    const std::int64_t i = plan.particle_of_rank[g.corner[corner]];
-                    if (stiff) add_block(stiff, plan.count, i, outer(k * g.weight[corner], g.normal, 0.0));
-                    if (damp) add_block(damp, plan.count, i, outer(c * g.weight[corner], g.normal, 0.0));
-                }
-            }
-        });
+        plan, t, {x, nullptr}, {nullptr, nullptr},
+        [&](const auto& law, const auto& m, auto, const auto&) { add_gap_bounds(plan, law, m, 1.0, stiff, damp); });
 }
 void add_feature_product(Plan& plan, double t, const double* x, const double* v, const double* dx, const double* dv,
                          double* out) {
-    for_each_feature_contact<Dual>(plan, t, {x, dx}, {v, dv}, [&](const auto& law, auto, const auto&, const auto& m) {
-        law.forces(
-            m,
-            [&](Index c, Vec3<Dual> force) {
-                out[plan.particle_of_rank[c]] += force.x.slope;
-                out[plan.count + plan.particle_of_rank[c]] += force.y.slope;
-                out[2 * plan.count + plan.particle_of_rank[c]] += force.z.slope;
-            },
-            [](Index, Vec3<Dual>) {});
+    for_each_feature_contact<Dual>(plan, t, {x, dx}, {v, dv}, [&](const auto& law, const auto& m, auto, const auto&) {
+        law.forces(m, add_slope_to(plan, out));
     });
 }
 void feature_gaps(Plan& plan, double t, const double* x, double* out) {
     for_each_feature_contact<double>(
         plan, t, {x, nullptr}, {nullptr, nullptr},
-        [&](const auto&, std::int64_t k, const auto&, const auto& m) {
+        [&](const auto&, const auto& m, std::int64_t k, const auto&) {
             out[2 * k + 1] = smaller(m.min_gap(), out[2 * k + 1]);
         },
         true);
@@ -121,7 +95,7 @@ void feature_gaps(Plan& plan, double t, const double* x, double* out) {
 void feature_gap_column(Plan& plan, double t, const double* x, double* out) {
     for_each_feature_contact<double>(
         plan, t, {x, nullptr}, {nullptr, nullptr},
-        [&](const auto&, std::int64_t k, const auto&, const auto& m) {
+        [&](const auto&, const auto& m, std::int64_t k, const auto&) {
             double& to = out[k * (plan.count + 1) + plan.count];
             to = smaller(2.0 * m.min_gap(), to);
         },
@@ -134,30 +108,31 @@ ContactBounds predict_feature_contact(Plan& plan, double t, double duration, dou
     const Contacts& contacts = plan.contacts;
     // Usually particles alone keep all obstacles out.
     if (!contact.has_any(contacts)) return {};
-    FeatureLaw<double> law = contact.law(contacts);
+    SurfaceLaw<double> law = contact.law(contacts);
     const double infinite = std::numeric_limits<double>::infinity();
     const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, v);
     const Quads at{positions.data()}, velocity{velocities.data()};
     FeatureStiffnessBound bound(contact.mass);
-    FeatureContact<double> m;
+    Contact<double> m;
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
         FeatureVerletList& neighbors = contact.neighbors()[k];
         if (!contact.has(contacts, k)) continue;
         const Pose pose = contacts.driven_pose(k, t, duration);
         const FeaturesAt from{contact.obstacles[k], pose};
         bound.set_obstacle(contacts, k);
-        law.reduce(contacts.reduced.scaling(k, plan.count, plan.count + 1, t));
+        law.set_obstacle(from.features.radius, contacts.reduced.scaling(k, plan.count, plan.count + 1, t));
         MotionBound motion;
         for (std::int64_t i = 0; i < plan.count; ++i) motion.include(load4(velocities.data() + 4 * i));
         motion.include(quad<double>{pose.velocity.x, pose.velocity.y, pose.velocity.z, 0.0});
         const double speed = motion.diameter() + root(norm2(pose.spin)) * from.features.reach;
         // The next call sees pairs further away.
         const double margin = smaller(speed * duration, 2.0 * contact.surface.shortest);
-        if (!neighbors.find(contact.surface, positions.data(), from, law.thickness(), margin))
+        if (!neighbors.find(contact.surface, positions.data(), from, law.thickness(false), margin))
             return {infinite, infinite};
         for_each_feature_contact<double>(
-            contact.surface, neighbors, from, law, at, velocity, m,
-            [&](const auto& term) { bound.include(contact.surface, term); }, &bound, duration);
+            contact.surface, neighbors, from, law, with_point_positions(from, at),
+            with_point_velocities(from, velocity), m, [&](const auto& term) { bound.include(contact.surface, term); },
+            &bound, duration);
     }
     bound.flush();
     if (bound.gap <= 0.0) return {infinite, infinite};
@@ -179,47 +154,21 @@ inline bool ccd_obstacle_features(FeatureContactModel& contact, std::int64_t k, 
     motion.include(quad<double>{displacement.x, displacement.y, displacement.z, 0.0});
     const double max_motion = motion.diameter() + rotation_displacement(start_pose, end_pose, features.reach);
     if (!neighbors.find(s, from, begin, thickness, max_motion)) return true;
-    // Advance along the path; the sides of a pair approach at most by `length` from its start to its end.
-    const auto intersects = [&](int corners, const Index* corner, Index a, Index b, auto&& square) {
-        Vec3<double> displacements[3];
-        for (int c = 0; c < corners; ++c) displacements[c] = end(corner[c]) - start(corner[c]);
-        const Vec3<double> pa = begin.position(a), pb = begin.position(b), wa = finish.position(a) - pa,
-                           wb = finish.position(b) - pb;
-        double length = 0.0;
-        for (int c = 0; c < corners; ++c) length = larger(root(norm2(displacements[c] - wa)), length);
-        length += root(norm2(wb - wa));
-        double fraction = 0.0;
-        for (int iteration = 0; fraction < 1.0; ++iteration) {
-            Vec3<double> at[3];
-            for (int c = 0; c < corners; ++c) at[c] = start(corner[c]) + fraction * displacements[c];
-            const double gap = root(square(at, pa + fraction * wa, pb + fraction * wb)) - features.radius;
-            if (!(gap > 1e-3 * thickness) || iteration > 1000) return true;
-            if (!(length > 0.0)) return false;
-            fraction += gap / length;
-        }
+    const auto start_at = with_point_positions(begin, start), end_at = with_point_positions(finish, end);
+    const auto any_intersects = [&](auto edges, const PairList& pairs) {
+        for (std::size_t k = 0; k < pairs.size(); ++k)
+            if (ccd_pair<edges()>(feature_corners<edges()>(s, features, pairs, k), features.radius, 1e-3 * thickness,
+                                  start_at, end_at))
+                return true;
         return false;
     };
-    for (std::size_t pair = 0; pair < neighbors.triangles.size(); ++pair) {
-        const Index point = neighbors.triangles.first[pair];
-        const auto square = [](const Vec3<double>* at, Vec3<double> p, Vec3<double>) {
-            return near_triangle(p, at[0], at[1], at[2]).square;
-        };
-        if (intersects(3, s.triangles[neighbors.triangles.second[pair]].data(), point, point, square)) return true;
-    }
-    for (std::size_t pair = 0; pair < neighbors.edges.size(); ++pair) {
-        const auto& edge = features.edges[neighbors.edges.first[pair]];
-        const auto square = [](const Vec3<double>* at, Vec3<double> p, Vec3<double> q) {
-            return near_segments(at[0], at[1], p, q).square;
-        };
-        if (intersects(2, s.edges[neighbors.edges.second[pair]].data(), edge[0], edge[1], square)) return true;
-    }
-    return false;
+    return any_intersects(std::false_type{}, neighbors.triangles) || any_intersects(std::true_type{}, neighbors.edges);
 }
 bool ccd_features(Plan& plan, double t, double duration, const double* x0, const double* x1) {
     FeatureContactModel& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
     const Array<double> from = quads_of(plan, x0), to = quads_of(plan, x1);
-    const double thickness = contact.law(contacts).thickness();
+    const double thickness = contact.law(contacts).thickness(false);
     for (std::int64_t k = 0; k < contacts.count(); ++k)
         if (contact.has(contacts, k) &&
             ccd_obstacle_features(contact, k, thickness, contacts.obstacle_pose(k, t),
@@ -231,7 +180,7 @@ void ccd_jaws(Plan& plan, double t, const double* x, const double* half_openings
     FeatureContactModel& contact = *plan.features;
     const Contacts& contacts = plan.contacts;
     const Array<double> at = quads_of(plan, x);
-    const double thickness = contact.law(contacts).thickness();
+    const double thickness = contact.law(contacts).thickness(false);
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
         const std::int64_t jaw = contacts.obstacles[k].parallel_jaw;
         if (jaw < 0 || !contact.has(contacts, k)) continue;
@@ -250,9 +199,12 @@ FeatureCulling::FeatureCulling(Plan& plan, double t, double duration, const doub
     const Surface& s = contact.surface;
     std::fill(contact.is_active.begin(), contact.is_active.end(), 0);
     if (s.triangles.empty() || !contact.has_any(contacts)) return;
-    const double thickness = contact.law(contacts).thickness();
+    const double thickness = contact.law(contacts).thickness(false);
     speed_limit_ = 2.0 * max_particle_speed(v0) + speed_margin;
     Array<double> positions;
+    // Ball about the cloth.
+    Vec3<double> center{};
+    double radius = 0.0;
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
         FeatureVerletList& neighbors = contact.neighbors()[k];
         const Features& features = contact.obstacles[k];
@@ -266,10 +218,12 @@ FeatureCulling::FeatureCulling(Plan& plan, double t, double duration, const doub
         const double margin = speed_limit_ * duration + path_length + path_angle * (lever + features.reach);
         if (positions.empty()) {
             positions = quads_of(plan, x0);
-            measure_cloth(s, positions.data());
+            const AxisBox box = box_of_edges(s, {positions.data()});
+            center = box.center();
+            radius = 0.5 * root(norm2(box.high - box.low));
         }
         // Distance between the bounding balls of cloth and obstacle.
-        const double distance = root(norm2(center_ - pose.position)) - radius_ - features.reach - features.radius;
+        const double distance = root(norm2(center - pose.position)) - radius - features.reach - features.radius;
         if (distance > thickness + margin) continue;
         const bool is_valid = neighbors.find(s, positions.data(), {features, pose}, thickness, margin);
         contact.is_active[k] = !is_valid || neighbors.triangles.size() || neighbors.edges.size();
@@ -293,17 +247,6 @@ double FeatureCulling::max_particle_speed(const double* v) const {
         if (!(square_i < std::numeric_limits<double>::infinity())) return square_i;
     }
     return root(square);
-}
-
-void FeatureCulling::measure_cloth(const Surface& s, const double* x) {
-    const Quads at{x};
-    AxisBox box(at(s.edges[0][0]));
-    for (const auto& e : s.edges) {
-        box.include(at(e[0]));
-        box.include(at(e[1]));
-    }
-    center_ = box.center();
-    radius_ = 0.5 * root(norm2(box.high - box.low));
 }
 
 void activate_features(Plan& plan) {

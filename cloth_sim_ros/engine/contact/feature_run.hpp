@@ -11,137 +11,46 @@ namespace cloth::contact {
 
 using plan::record_numbers;
 
-/// Stiffness bound of contact with features: the energy per mass that contact absorbs, in units of U^2/2, and the
-/// largest row sum of stiffness over mass relative to a single gap at a particle. Gershgorin: a gap's stiffness k g g'
-/// is at most k |w_c| at a corner of weight w_c, because the weights add up to one and an obstacle does not yield. Jaws
-/// yield: there it is at most 2 k |w_c|, and 2 k at the jaws.
-class FeatureStiffnessBound {
-public:
-    explicit FeatureStiffnessBound(double mass) : mass_(mass) {}
-    double encountered = 0.0, gap = 1e30;
-
-    /// Set the obstacle of the contacts that follow.
-    void set_obstacle(const Contacts& contacts, std::int64_t obstacle) {
-        const ParallelJaw* const jaw = contacts.jaw_of(obstacle);
-        jaw_ = jaw ? contacts.obstacles[obstacle].parallel_jaw : -1;
-        inverse_jaw_mass_ = jaw ? 1.0 / jaw->mass : 0.0;
-        mobility_ = jaw ? 2.0 : 1.0;
-        if (jaw_loads_.size() < contacts.parallel_jaws.size()) jaw_loads_.resize(contacts.parallel_jaws.size(), 0.0);
-    }
-    template <class V>
-    void include(const Surface& s, const FeatureContact<V>& m) {
-        gap = smaller(m.min_gap(), gap);
-        for (const auto& g : m.gaps) {
-            double weight[3];
-            for (int k = 0; k < g.corners; ++k) weight[k] = number_of(g.weight[k]);
-            add_contact(s, g.corners, g.corner, weight, number_of(g.closing), number_of(m.shape));
-            for (int k = 0; k < g.corners; ++k) {
-                const Index c = g.corner[k];
-                if (load_.empty()) load_.assign(s.count, 0.0);
-                if (load_[c] == 0.0) loaded_.push_back(c);
-                load_[c] += mobility_ * g.sign * mass_ * weight[k] / s.masses[c];
-            }
-            if (jaw_ >= 0) jaw_loads_[jaw_] += mobility_ * g.sign * mass_ * inverse_jaw_mass_;
-        }
-    }
-    /// Add a gap with a closing speed and a contact energy: m_e w^2/2 of all its corners is converted into M U^2/2 b,
-    /// where 1/m_e is the sum of w_c^2 / m_c and the inverse mass of the jaws.
-    void add_contact(const Surface& s, int corners, const Index* corner, const double* weight, double closing,
-                     double shape) {
-        const double speed = larger(closing, 0.0) / ContactLaw<double>::speed;
-        double inverse = inverse_jaw_mass_;
-        row_sum_ = larger(mobility_ * mass_ * inverse_jaw_mass_, row_sum_);
-        for (int k = 0; k < corners; ++k) {
-            inverse += weight[k] * weight[k] / s.masses[corner[k]];
-            row_sum_ = larger(mobility_ * mass_ * weight[k] / s.masses[corner[k]], row_sum_);
-        }
-        encountered = larger(shape + speed * speed / (mass_ * inverse), encountered);
-    }
-    /// Add a gap that comes into contact within a duration [s], because the step has to be short enough before that.
-    /// `distance` [m] is left until then.
-    void add_approaching(const Surface& s, int corners, const Index* corner, const double* weight, double distance,
-                         double closing, double duration) {
-        if (distance >= 0.0 && distance < duration * closing) add_contact(s, corners, corner, weight, closing, 0.0);
-    }
-    /// Include the row sums collected since the last call, and clear them.
-    void flush() {
-        for (const Index c : loaded_) {
-            row_sum_ = larger(load_[c], row_sum_);
-            load_[c] = 0.0;
-        }
-        loaded_.clear();
-        for (double& load : jaw_loads_) {
-            row_sum_ = larger(load, row_sum_);
-            load = 0.0;
-        }
-    }
-    ContactBounds bounds(const FeatureLaw<double>& law, double expected = 1.0) const {
-        if (!(encountered > 0.0)) return {};
-        const double at = stopping_gap(expected * encountered) * law.thickness();
-        return {row_sum_ * law.law().stiffness(at), row_sum_ * law.law().damping(at)};
-    }
-
-private:
-    double mass_, row_sum_ = 1.0, inverse_jaw_mass_ = 0.0, mobility_ = 1.0;
-    std::int64_t jaw_ = -1;  ///< index of the present obstacle's gripper, or -1
-    std::vector<double> load_, jaw_loads_;
-    std::vector<Index> loaded_;
-};
-
 /// Call `visit` with each contact of an obstacle's features in its Verlet lists. If `bound` is given, add pairs that
-/// come into contact within `duration` [s] to it.
+/// come into contact within `duration` [s] to it. `at` and `velocity` have the points of the obstacle.
 template <class V, class X, class U, class F>
 inline void for_each_feature_contact(const Surface& s, const FeatureVerletList& neighbors, const FeaturesAt& from,
-                                     const FeatureLaw<V>& law, X&& at, U&& velocity, FeatureContact<V>& m, F&& visit,
+                                     const SurfaceLaw<V>& law, X&& at, U&& velocity, Contact<V>& m, F&& visit,
                                      FeatureStiffnessBound* bound = nullptr, double duration = 0.0) {
-    const double radius = from.features.radius;
-    for_each_feature(
-        neighbors,
-        [&](Index k, std::size_t first, std::size_t last) {
-            const Index* const triangles = neighbors.triangles.second.data();
-            law.point(s, from, k, triangles + first, triangles + last, at, velocity, m);
-            if (!m.gaps.empty()) visit(m);
-            if constexpr (std::is_same_v<V, double>) {
-                for (std::size_t pair = first; bound && pair < last; ++pair) {
-                    const auto& t = s.triangles[triangles[pair]];
-                    const auto n = near_triangle(from.position(k), at(t[0]), at(t[1]), at(t[2]));
-                    const double away = root(n.square);
-                    const Vec3<double> slip = n.weight[0] * velocity(t[0]) + n.weight[1] * velocity(t[1]) +
-                                              n.weight[2] * velocity(t[2]) - from.velocity(k);
-                    const double gap = away - radius;
-                    bound->add_approaching(s, 3, t.data(), n.weight, law.scaling().gap(gap) - law.thickness(),
-                                           law.scaling().closing(gap, dot(n.away, slip) / away), duration);
-                }
+    const auto add_approaching = [&](int corners, const Index* corner, const double* weight, double distance,
+                                     double speed) {
+        const Scaling<double> scaling = law.scaling(~0);
+        const double gap = distance - law.radius();
+        bound->add_approaching(s, corners, corner, weight, scaling.gap(gap) - law.thickness(false),
+                               scaling.closing(gap, speed), duration);
+    };
+    const auto point = [&](Index k, const Index* begin, const Index* end) {
+        law.particle(s, ~k, begin, end, at, velocity, m);
+        if (!m.gaps.empty()) visit(m);
+        if constexpr (std::is_same_v<V, double>)
+            for (const Index* triangle = begin; bound && triangle != end; ++triangle) {
+                const auto& t = s.triangles[*triangle];
+                const auto n = near_triangle(at(~k), at(t[0]), at(t[1]), at(t[2]));
+                const double away = root(n.square);
+                const Vec3<double> slip = n.weight[0] * velocity(t[0]) + n.weight[1] * velocity(t[1]) +
+                                          n.weight[2] * velocity(t[2]) - velocity(~k);
+                add_approaching(3, t.data(), n.weight, away, dot(n.away, slip) / away);
             }
-        },
-        [&](std::size_t pair) {
-            const auto& edge = s.edges[neighbors.edges.second[pair]];
-            law.edges(edge, from, neighbors.edges.first[pair], at, velocity, m);
-            if (!m.gaps.empty()) visit(m);
-            if constexpr (std::is_same_v<V, double>) {
-                if (!bound || !m.gaps.empty()) return;
-                const auto& obstacle_edge = from.features.edges[neighbors.edges.first[pair]];
-                const auto n = near_segments(at(edge[0]), at(edge[1]), from.position(obstacle_edge[0]),
-                                             from.position(obstacle_edge[1]));
-                const double away = root(n.square), weight[2] = {1.0 - n.first, n.first};
-                const Vec3<double> u = from.velocity(obstacle_edge[0]), w = from.velocity(obstacle_edge[1]);
-                const Vec3<double> slip =
-                    weight[0] * velocity(edge[0]) + weight[1] * velocity(edge[1]) - u - n.second * (w - u);
-                const double gap = away - radius;
-                bound->add_approaching(s, 2, edge.data(), weight, law.scaling().gap(gap) - law.thickness(),
-                                       law.scaling().closing(gap, -dot(n.away, slip) / away), duration);
-            }
-        });
-}
-
-/// Whether a pair may have intersected in a step that ended at a squared distance [m^2]. It has not if its relative
-/// motion is below its gap. No point of a side moves further, relative to a corner of the other, than the side's own
-/// corners.
-inline bool feature_may_intersect(double square, double radius, const Vec3<double>* displacement, int corners,
-                                  Vec3<double> first, Vec3<double> second) {
-    double max_motion = 0.0;
-    for (int k = 0; k < corners; ++k) max_motion = larger(root(norm2(displacement[k] - first)), max_motion);
-    return !(max_motion + root(norm2(second - first)) < root(square) - radius);
+    };
+    for_each_particle(neighbors.triangles, neighbors.triangles.square, std::numeric_limits<double>::infinity(), point);
+    for (std::size_t pair = 0; pair < neighbors.edges.size(); ++pair) {
+        const auto c = feature_corners<true>(s, from.features, neighbors.edges, pair);
+        law.edges(s, {c[0], c[1]}, {c[2], c[3]}, at, velocity, m);
+        if (!m.gaps.empty()) visit(m);
+        if constexpr (std::is_same_v<V, double>) {
+            if (!bound || !m.gaps.empty()) continue;
+            const auto n = near_segments(at(c[0]), at(c[1]), at(c[2]), at(c[3]));
+            const double away = root(n.square), weight[2] = {1.0 - n.first, n.first};
+            const Vec3<double> u = velocity(c[2]), w = velocity(c[3]);
+            const Vec3<double> slip = weight[0] * velocity(c[0]) + weight[1] * velocity(c[1]) - u - n.second * (w - u);
+            add_approaching(2, c.data(), weight, away, -dot(n.away, slip) / away);
+        }
+    }
 }
 
 /// Features over a run, on one thread.
@@ -167,26 +76,27 @@ public:
             if (!update_neighbors(k, x, pose)) return;
             const FeaturesAt from{contact_.obstacles[k], pose, pose.position - path_pose.position};
             bound_.set_obstacle(contacts_, k);
-            law_.reduce(contacts_.reduced.scaling(k, contact_.surface.count, contact_.surface.count + 1, t));
+            law_.set_obstacle(from.features.radius,
+                              contacts_.reduced.scaling(k, contact_.surface.count, contact_.surface.count + 1, t));
             JawRun::JawLoad jaw_load;
             double* const sums = run_.record_obstacles && step >= 0 ? sums_.data() + k * record_numbers : nullptr;
-            for_each_feature_contact<double>(
-                contact_.surface, neighbors_[k], from, law_, at, velocity, feature_contact_,
-                [&](const FeatureContact<double>& m) {
-                    bound_.include(contact_.surface, m);
-                    law_.forces(
-                        m,
-                        [&](Index c, Vec3<double> force) {
-                            f[4 * c] += force.x, f[4 * c + 1] += force.y, f[4 * c + 2] += force.z;
-                        },
-                        [&](Index point, Vec3<double> force) {
-                            jaw_load.force += contacts_.obstacles[k].jaw_side * dot(pose.rotation[1], force);
-                            if (sums) accumulate(sums, from, point, force, 1.0);
-                        });
-                    if (sums) sums[record_numbers - 1] += law_.dissipation(m);
-                    if (sums) growth_work_ += run_.step * law_.growth_power(m);
-                },
-                &bound_, 2.0 * run_.step);
+            const auto add_force = [&](Index c, Vec3<double> force) {
+                if (c >= 0) {
+                    f[4 * c] += force.x, f[4 * c + 1] += force.y, f[4 * c + 2] += force.z;
+                    return;
+                }
+                jaw_load.force += contacts_.obstacles[k].jaw_side * dot(pose.rotation[1], force);
+                if (sums) accumulate(sums, from, ~c, force, 1.0);
+            };
+            const auto add_contact = [&](const Contact<double>& m) {
+                bound_.include(contact_.surface, m);
+                law_.forces(m, add_force);
+                if (sums) sums[record_numbers - 1] += law_.dissipation(m);
+                if (sums) growth_work_ += run_.step * law_.growth_power(m);
+            };
+            for_each_feature_contact<double>(contact_.surface, neighbors_[k], from, law_,
+                                             with_point_positions(from, at), with_point_velocities(from, velocity),
+                                             feature_contact_, add_contact, &bound_, 2.0 * run_.step);
             if (contacts_.jaw_of(k)) jaws_->record_surface_load(k, step, jaw_load);
         }
         bound_.flush();
@@ -244,45 +154,33 @@ private:
             since = motion = bound.diameter() + rotation_displacement(pose, poses_[k], from.features.reach);
         }
         // A pair within twice `motion` [m] of contact may come into contact in one of the next two steps.
-        intersected_ = !neighbors.update(contact_.surface, x, from, law_.thickness(), 2.0 * motion, since);
+        intersected_ = !neighbors.update(contact_.surface, x, from, law_.thickness(false), 2.0 * motion, since);
         if (!intersected_ && motion > 0.0) check_intersections(neighbors, x, from, poses_[k], motion);
         poses_[k] = pose;
         return !intersected_;
     }
     void check_intersections(const FeatureVerletList& neighbors, const double* x, const FeaturesAt& current,
                              const Pose& previous_pose, double motion) {
-        const Surface& s = contact_.surface;
-        const Features& features = current.features;
-        const FeaturesAt previous{features, previous_pose};
-        const Quads at{x}, was{positions_.data()};
-        const double radius = features.radius, threshold = (radius + motion) * (radius + motion);
-        Vec3<double> displacement[3];
-        const auto corner_motion = [&](Index c) { return at(c) - was(c); };
-        const auto point_motion = [&](Index point) { return current.position(point) - previous.position(point); };
-        for (std::size_t k = 0; k < neighbors.triangles.size() && !intersected_; ++k) {
-            const Index point = neighbors.triangles.first[k], triangle = neighbors.triangles.second[k];
-            const double square = FeatureVerletList::point_square(s, current, at, point, triangle);
-            if (square > threshold) continue;
-            for (int c = 0; c < 3; ++c) displacement[c] = corner_motion(s.triangles[triangle][c]);
-            intersected_ =
-                feature_may_intersect(square, radius, displacement, 3, point_motion(point), point_motion(point));
-        }
-        for (std::size_t k = 0; k < neighbors.edges.size() && !intersected_; ++k) {
-            const Index edge = neighbors.edges.first[k];
-            const double square = FeatureVerletList::edge_square(s, current, at, edge, neighbors.edges.second[k]);
-            if (square > threshold) continue;
-            for (int c = 0; c < 2; ++c) displacement[c] = corner_motion(s.edges[neighbors.edges.second[k]][c]);
-            intersected_ = feature_may_intersect(square, radius, displacement, 2, point_motion(features.edges[edge][0]),
-                                                 point_motion(features.edges[edge][1]));
-        }
+        const FeaturesAt previous{current.features, previous_pose};
+        const Quads cloth{x}, previous_cloth{positions_.data()};
+        const auto at = with_point_positions(current, cloth), was = with_point_positions(previous, previous_cloth);
+        const auto displacement = [&](Index c) { return at(c) - was(c); };
+        const auto may_any_intersect = [&](auto edges, const PairList& pairs) {
+            return may_intersect<edges()>(
+                pairs.square, pairs.size(), current.features.radius, motion,
+                [&](std::size_t k) { return feature_corners<edges()>(contact_.surface, current.features, pairs, k); },
+                displacement);
+        };
+        intersected_ = may_any_intersect(std::false_type{}, neighbors.triangles) ||
+                       may_any_intersect(std::true_type{}, neighbors.edges);
     }
 
     const FeatureContactModel& contact_;
     std::vector<FeatureVerletList>& neighbors_;
     const Contacts& contacts_;
     const Run& run_;
-    FeatureLaw<double> law_;
-    FeatureContact<double> feature_contact_;
+    SurfaceLaw<double> law_;
+    Contact<double> feature_contact_;
     FeatureStiffnessBound bound_;
     std::vector<double> sums_;
     double growth_work_ = 0.0;

@@ -53,6 +53,48 @@ private:
     quad<double> low_ = quad<double>{} + 1e300, high_ = quad<double>{} - 1e300, nan_check_{};
 };
 
+/// Upper bound of the relative motion of the sides of a pair [m], from the displacements of its corners. No point of a
+/// side moves further, relative to a corner, than the side's corners. That corner is an obstacle's if there is one.
+template <bool Edges, class F>
+inline double relative_motion(const std::array<Index, 4>& corner, F&& displacement) {
+    const int first = Edges && corner[2] < 0 ? 2 : 0;
+    const Vec3<double> reference = displacement(corner[first]);
+    const auto relative = [&](int k) { return root(norm2(displacement(corner[k ^ first]) - reference)); };
+    const double second = larger(relative(2), relative(3));
+    return Edges ? relative(1) + second : larger(relative(1), second);
+}
+/// Whether pairs may have intersected during a step: of a particle and a triangle, or of edges, at squared distances
+/// from `squares` [m^2] at the end of the step. They have not if their relative motion is below that distance, less the
+/// radius [m] of an obstacle. Nothing has moved further than `motion` [m] relative to anything. `corners_of(k)`: of a
+/// pair; displacement(c): of a corner [m].
+template <bool Edges, class C, class F>
+inline bool may_intersect(const std::vector<double>& squares, std::size_t count, double radius, double motion,
+                          C&& corners_of, F&& displacement) {
+    const double limit = radius + motion;
+    for (std::size_t k = 0; k < count; ++k)
+        if (squares[k] <= limit * limit &&
+            !(relative_motion<Edges>(corners_of(k), displacement) < root(squares[k]) - radius))
+            return true;
+    return false;
+}
+/// Whether a pair intersects on the straight paths of its corners from start(c) to end(c). Conservative advancement:
+/// the sides approach at most by their relative motion, so each step along the paths is one gap long. A gap below
+/// `min_gap` [m] counts as an intersection.
+template <bool Edges, class X, class Y>
+inline bool ccd_pair(const std::array<Index, 4>& corner, double radius, double min_gap, X&& start, Y&& end) {
+    const auto displacement = [&](Index c) { return end(c) - start(c); };
+    const double length = relative_motion<Edges>(corner, displacement);
+    double fraction = 0.0;
+    for (int iteration = 0; fraction < 1.0; ++iteration) {
+        const auto at = [&](Index c) { return start(c) + fraction * displacement(c); };
+        const double gap = root(pair_square<Edges>(corner, at)) - radius;
+        if (!(gap > min_gap) || iteration > 1000) return true;
+        if (!(length > 0.0)) return false;
+        fraction += gap / length;
+    }
+    return false;
+}
+
 /// Patches of a surface: particles that are close to each other on it. Those of two layers in contact move much less
 /// relative to each other than all particles of the surface.
 class Patches {

@@ -1,7 +1,7 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Self-contact: Verlet lists (neighbour lists) of near pairs, and stiffness bounds for step control.
+// Self-contact: Verlet lists (neighbour lists) of near pairs.
 #pragma once
 
 #include <array>
@@ -15,8 +15,6 @@
 #include "plan/workspace.hpp"
 
 namespace cloth::contact {
-
-using laws::stopping_gap;
 
 /// Verlet lists of a surface, kept between calls. Positions are quads. Concurrent runs need one each.
 class SelfVerletList {
@@ -257,126 +255,8 @@ private:
     bool caches_ = true;
 };
 
-/// Stiffness bound of self-contact: the energy per mass that it absorbs, in units of U^2/2, for particles and for
-/// edges; and the largest row sum of stiffness over mass relative to a single gap (Gershgorin: a pair's stiffness k g
-/// g' is at most 2 k |g_c| at each of its corners).
-class StiffnessBound {
-public:
-    /// Least row sum relative to a single gap: two layers in contact push each other.
-    static constexpr double min_row_sum = 2.0;
-    double encountered[2] = {}, gap = 1e30;
-
-    /// Include the contact of a particle or of a pair of edges.
-    template <class V>
-    void include(const Surface& s, const Contact<V>& m) {
-        if (m.gaps.empty()) return;
-        gap = smaller(m.min_gap(), gap);
-        add_contact(m.edges, m.max_closing(), value_of(m.shape));
-        for (const auto& g : m.gaps)
-            for (int k = 0; k < 4; ++k) {
-                const Index c = g.corner[k];
-                if ((!m.edges && k && c == g.corner[0]) || !s.is_free[c]) continue;
-                const double weight = absolute(value_of(g.weight[k]));
-                add(m.edges, c, s.count, 2.0 * g.sign * m.mass * weight / s.masses[c]);
-            }
-    }
-    /// Add a gap with a closing speed and a contact energy. One of the two masses may be at rest: then m w^2/2 is
-    /// converted into half of m U^2/2 b.
-    void add_contact(bool edges, double closing, double shape = 0.0) {
-        include_energy(edges, energy_to_stop(closing, shape));
-    }
-    void include_energy(bool edges, double energy) { encountered[edges] = larger(energy, encountered[edges]); }
-    /// Include the row sums collected as the fourth number of each quad, times the inverse mass, and clear them.
-    void gather_row_sums(const Surface& s, double* f) {
-        // Four independent maxima, because each waits for the one before.
-        double max[4] = {};
-        const auto include = [&](std::int64_t i, double& to) {
-            to = larger(f[4 * i + 3] * s.inverse[i], to);
-            f[4 * i + 3] = 0.0;
-        };
-        std::int64_t i = 0;
-        for (; i + 4 <= s.count; i += 4)
-            for (int k = 0; k < 4; ++k) include(i + k, max[k]);
-        for (; i < s.count; ++i) include(i, max[0]);
-        for (const double lane_max : max) row_sum_[0] = larger(lane_max, row_sum_[0]);
-    }
-    /// Add the pairs of a list that come into contact within a duration [s], because the step has to be short enough for
-    /// their closing speeds before that. Slower ones than `min_speed` [m/s] are ignored. Positions and velocities are
-    /// quads.
-    template <bool Edges>
-    void add_approaching(const Surface& s, const PairList& pairs, const SelfLaw<double>& law, const double* x,
-                         const double* velocities, double duration, double min_speed = 0.0) {
-        using V = vec<double>;
-        V max{};
-        for (std::size_t k = 0; k < pairs.size(); k += lanes<double>) {
-            Vec3<V> at[4], v[4], offset, relative_velocity;
-            gather_pairs<Edges>(s, pairs, k, x, at);
-            gather_pairs<Edges>(s, pairs, k, velocities, v);
-            if constexpr (Edges) {
-                const auto n = near_segments(at[0], at[1], at[2], at[3]);
-                offset = n.away;
-                relative_velocity = v[0] + n.first * (v[1] - v[0]) - v[2] - n.second * (v[3] - v[2]);
-            } else {
-                const auto n = near_triangle(at[0], at[1], at[2], at[3]);
-                offset = n.away;
-                relative_velocity = v[0] - n.weight[0] * v[1] - n.weight[1] * v[2] - n.weight[2] * v[3];
-            }
-            const Scaling<V> scaling = law.lane_scaling([&](int lane) {
-                const auto c = pair_corners<Edges>(s, pairs, std::min(k + lane, pairs.size() - 1));
-                return Edges ? law.scaling({c[0], c[1]}, {c[2], c[3]}) : law.scaling(c[0]);
-            });
-            const V distance = root(norm2(offset)),
-                    closing = scaling.closing(distance, -dot(offset, relative_velocity) / distance),
-                    remaining = scaling.gap(distance) - splat<V>(law.thickness(Edges));
-            const auto approaches =
-                (remaining >= V{}) & (remaining < splat<V>(duration) * closing) & (closing >= splat<V>(min_speed));
-            max = larger(select(approaches, closing, V{}), max);
-        }
-        for (int lane = 0; lane < lanes<double>; ++lane) add_contact(Edges, max[lane]);
-    }
-    /// Include the row sums collected since the last call, and clear them.
-    void flush() {
-        for (int edges = 0; edges < 2; ++edges) {
-            for (const Index c : loaded_[edges]) {
-                row_sum_[edges] = larger(load_[edges][c], row_sum_[edges]);
-                load_[edges][c] = 0.0;
-            }
-            loaded_[edges].clear();
-        }
-    }
-    /// `friction_omega2` [1/s^2]: squared frequency of the anchor springs, which act at every contact.
-    ContactBounds bounds(double thickness, double damping, double expected = 1.0, double friction_omega2 = 0.0,
-                         double frequency = 1.0) const {
-        ContactBounds r;
-        if (encountered[0] > 0.0) {
-            r.omega2 += friction_omega2;
-            r.damping += FrictionLaw<double>::damping_per_frequency / frequency * friction_omega2;
-        }
-        for (int edges = 0; edges < 2; ++edges) {
-            if (!(encountered[edges] > 0.0)) continue;
-            const double d = edges ? 0.5 * thickness : thickness, row_sum = larger(row_sum_[edges], min_row_sum);
-            const ContactLaw<double> law(d, damping);
-            const double at = stopping_gap(expected * encountered[edges]) * d;
-            r.omega2 += row_sum * law.stiffness(at);
-            r.damping += row_sum * law.damping(at);
-        }
-        return r;
-    }
-
-private:
-    void add(bool edges, Index c, std::int64_t count, double load) {
-        auto& all = load_[edges];
-        if (all.empty()) all.assign(count, 0.0);
-        if (all[c] == 0.0) loaded_[edges].push_back(c);
-        all[c] += load;
-    }
-    double row_sum_[2] = {};
-    std::vector<double> load_[2];
-    std::vector<Index> loaded_[2];
-};
-
-/// Call particle(i, begin, end) with each particle that is nearer than `distance` to triangles, and with these. `square`:
-/// squared distances of the pairs.
+/// Call particle(i, begin, end) with each particle of pairs whose squared distance is below that of `distance`, and
+/// with their triangles.
 template <class F>
 inline void for_each_particle(const PairList& pairs, const std::vector<double>& square, double distance, F&& particle) {
     std::vector<Index> triangles;
@@ -387,13 +267,14 @@ inline void for_each_particle(const PairList& pairs, const std::vector<double>& 
         if (!triangles.empty()) particle(pairs.first[first], triangles.data(), triangles.data() + triangles.size());
     }
 }
-/// Call particle(i, begin, end) with each particle in contact and its triangles, and edge(k) with each pair of edges in
-/// contact, after `find`. A reduced thickness is below the full one.
+/// Call particle(i, begin, end) with each particle in contact and its triangles, and edge(corners) with each pair of
+/// edges in contact, after `find`. A reduced thickness is below the full one.
 template <class P, class E>
 inline void for_each_neighbor(const SelfVerletList& neighbors, double thickness, P&& particle, E&& edge) {
     for_each_particle(neighbors.triangles, neighbors.triangles.square, thickness, particle);
     for (std::size_t k = 0; k < neighbors.edges.size(); ++k)
-        if (neighbors.edges.square[k] < 0.25 * thickness * thickness) edge(k);
+        if (neighbors.edges.square[k] < 0.25 * thickness * thickness)
+            edge(pair_corners<true>(neighbors.surface, neighbors.edges, k));
 }
 
 }  // namespace cloth::contact

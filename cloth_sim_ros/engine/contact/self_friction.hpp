@@ -6,12 +6,11 @@
 #pragma once
 
 #include "contact/layer_anchors.hpp"
-#include "contact/self_law.hpp"
-#include "laws/friction.hpp"
+#include "contact/stiffness_bound.hpp"
 
 namespace cloth::contact {
 
-using laws::FrictionCoefficients, laws::FrictionLaw;
+using laws::FrictionCoefficients;
 
 /// Push on one face of a particle, as an acceleration, and the nearest triangle there, -1 for none.
 template <class V>
@@ -41,7 +40,7 @@ struct AnchorKinematics {
 template <class V>
 class SelfFriction {
 public:
-    SelfFriction(const FrictionCoefficients& coefficients, double frequency, const SelfLaw<V>& law)
+    SelfFriction(const FrictionCoefficients& coefficients, double frequency, const SurfaceLaw<V>& law)
         : friction_(coefficients, frequency), law_(law), stiffness_(frequency * frequency) {}
 
     /// Find the layers on the faces of a particle from its contact. The first triangle about the particle defines the
@@ -143,11 +142,14 @@ public:
         }
         for (int k = 0; k < 4; ++k) visit(on.corner[k], on.mass * stiffness_ * sum * parts[k]);
     }
-    /// Anchor after sliding, at positions `at`: the particle advanced by `remaining` [m], minus the stretch. It stays
-    /// in its triangle until the particle's foot has left it by `keep_margin`.
+    /// Anchor after sticking or sliding, at positions `at`. If it slides it is the particle advanced by `remaining` [m],
+    /// minus the stretch. It stays in its triangle until the particle's foot has left it by `keep_margin`.
     template <class X>
-    LayerAnchor drag_anchor(const Surface& s, const AnchorKinematics<V>& on, const Layer<V>& layer, Vec3<V> remaining,
-                            Vec3<V> stretch, X&& at) const {
+    LayerAnchor next_anchor(const Surface& s, const AnchorKinematics<V>& on, const Layer<V>& layer,
+                            const LayerAnchor& anchor, bool is_sliding, Vec3<V> remaining, Vec3<V> stretch,
+                            X&& at) const {
+        if (!is_sliding && anchor.bond == no_bond) return {layer.triangle, on.foot[1], on.foot[2], sticks};
+        if (!is_sliding) return {anchor.triangle, anchor.second, anchor.third, sticks};
         const Vec3<V> b = on.weights_at(remaining - stretch);
         if (contains(on.foot, keep_margin)) return {on.triangle, b.y, b.z, slides};
         const Index next = supporting_triangle(s, layer.triangle, on.corner[0], at);
@@ -211,40 +213,15 @@ private:
         return -1;
     }
     FrictionLaw<V> friction_;
-    const SelfLaw<V>& law_;
+    const SurfaceLaw<V>& law_;
     double stiffness_;
-};
-
-/// Largest stiffness over mass [1/s^2] of anchor springs at any particle.
-class LayerLoad {
-public:
-    void add(const Surface& s, Index c, double stiffness) {
-        if (!s.is_free[c]) return;
-        if (load_.empty()) load_.assign(s.count, 0.0);
-        if (load_[c] == 0.0) loaded_.push_back(c);
-        load_[c] += stiffness / s.masses[c];
-    }
-    /// Include the row sums collected since the last call, and clear them.
-    void flush() {
-        for (const Index c : loaded_) {
-            max_ = larger(load_[c], max_);
-            load_[c] = 0.0;
-        }
-        loaded_.clear();
-    }
-    double max() const { return max_; }
-
-private:
-    double max_ = 0.0;
-    std::vector<double> load_;
-    std::vector<Index> loaded_;
 };
 
 /// Friction between layers over a run, on one thread.
 class SelfFrictionRun {
 public:
     SelfFrictionRun(const Surface& surface, const FrictionCoefficients& coefficients, double frequency,
-                    const SelfLaw<double>& law, double step, const LayerAnchors& anchors)
+                    const SurfaceLaw<double>& law, double step, const LayerAnchors& anchors)
         : surface_(surface), friction_(coefficients, frequency, law), step_(step),
           anchors_(layer_sides * surface.count), pushes_(anchors_.size(), 0.0), last_step_(anchors_.size(), -1) {
         for (int face = 0; face < layer_sides; ++face)
@@ -274,12 +251,7 @@ public:
             const Vec3<double> tangential = on.slip - dot(on.slip, on.normal) * on.normal,
                                remaining = (0.5 * step_) * tangential;
             const auto end = friction_.law().radial_return(on.offset + remaining, on.normal, on.slip, end_push);
-            if (end.slides)
-                anchors_[k] = friction_.drag_anchor(surface_, on, layer, remaining, end.stretch, at);
-            else if (anchor.bond != no_bond)
-                anchors_[k].bond = sticks;
-            else
-                anchors_[k] = {layer.triangle, on.foot[1], on.foot[2], sticks};
+            anchors_[k] = friction_.next_anchor(surface_, on, layer, anchor, end.slides, remaining, end.stretch, at);
             pushes_[k] = on.push;
             last_step_[k] = step;
         };
@@ -307,7 +279,7 @@ private:
     std::vector<LayerAnchor> anchors_;
     std::vector<double> pushes_;
     std::vector<std::int64_t> last_step_;  ///< last step in contact
-    LayerLoad load_;
+    RowSums load_;
 };
 
 }  // namespace cloth::contact

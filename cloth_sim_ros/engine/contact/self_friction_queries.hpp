@@ -13,76 +13,64 @@ using plan::Plan;
 
 /// Call `visit` with the friction law and the kinematics of each layer in contact.
 template <class V, class X, class U, class F>
-inline void for_each_layer_contact(const Plan& plan, const SelfLaw<V>& law, const Contact<V>& m, X&& at, U&& velocity,
-                                   F&& visit) {
+inline void for_each_layer_contact(const Plan& plan, const SurfaceLaw<V>& law, const Contact<V>& m, X&& at,
+                                   U&& velocity, F&& visit) {
     if (!plan.has_self_friction()) return;
     const SelfFriction<V> friction(plan.self->friction, plan.contacts.frequency, law);
     friction.for_each_layer(
         plan.self->surface, m, plan.layer_anchors(), at, velocity,
         [&](int, const Layer<V>&, const LayerAnchor&, const AnchorKinematics<V>& on) { visit(friction, on); });
 }
+/// Energy [J], and power [W], of friction.
 template <class X, class U>
-inline double layer_energy(const Plan& plan, const SelfLaw<double>& law, const Contact<double>& m, X&& at,
+inline double layer_energy(const Plan& plan, const SurfaceLaw<double>& law, const Contact<double>& m, X&& at,
                            U&& velocity) {
     double energy = 0.0;
-    for_each_layer_contact<double>(plan, law, m, at, velocity,
-                                   [&](const auto& friction, const AnchorKinematics<double>& on) {
-                                       energy += on.mass * friction.force(on).energy;
-                                   });
+    for_each_layer_contact<double>(plan, law, m, at, velocity, [&](const auto& friction, const auto& on) {
+        energy += on.mass * friction.force(on).energy;
+    });
     return energy;
 }
-/// Power of friction [W].
 template <class X, class U>
-inline double layer_dissipation(const Plan& plan, const SelfLaw<double>& law, const Contact<double>& m, X&& at,
+inline double layer_dissipation(const Plan& plan, const SurfaceLaw<double>& law, const Contact<double>& m, X&& at,
                                 U&& velocity) {
     double dissipation = 0.0;
-    for_each_layer_contact<double>(plan, law, m, at, velocity,
-                                   [&](const auto& friction, const AnchorKinematics<double>& on) {
-                                       dissipation += on.mass * friction.force(on).dissipation;
-                                   });
+    for_each_layer_contact<double>(plan, law, m, at, velocity, [&](const auto& friction, const auto& on) {
+        dissipation += on.mass * friction.force(on).dissipation;
+    });
     return dissipation;
 }
+/// Call `visit` with each corner and a bound [N/m] of the stiffness of its anchor spring.
+template <class X, class U, class F>
+inline void for_each_layer_bound(const Plan& plan, const SurfaceLaw<double>& law, const Contact<double>& m, X&& at,
+                                 U&& velocity, F&& visit) {
+    for_each_layer_contact<double>(plan, law, m, at, velocity,
+                                   [&](const auto& friction, const auto& on) { friction.bounds(on, visit); });
+}
 template <class X, class U>
-inline void add_layer_bounds(const Plan& plan, const SelfLaw<double>& law, const Contact<double>& m, X&& at,
+inline void add_layer_bounds(const Plan& plan, const SurfaceLaw<double>& law, const Contact<double>& m, X&& at,
                              U&& velocity, double* stiff, double* damp) {
     const double damping_ratio = FrictionLaw<double>::damping_per_frequency / plan.contacts.frequency;
-    for_each_layer_contact<double>(
-        plan, law, m, at, velocity, [&](const auto& friction, const AnchorKinematics<double>& on) {
-            friction.bounds(on, [&](Index c, double k) {
-                const Sym3<double> stiffness{k, k, k, 0.0, 0.0, 0.0},
-                    damping{damping_ratio * k, damping_ratio * k, damping_ratio * k, 0.0, 0.0, 0.0};
-                if (stiff) add_block(stiff, plan.count, plan.particle_of_rank[c], stiffness);
-                if (damp) add_block(damp, plan.count, plan.particle_of_rank[c], damping);
-            });
-        });
+    for_each_layer_bound(plan, law, m, at, velocity, [&](Index c, double k) {
+        const std::int64_t i = plan.particle_of_rank[c];
+        const double damping = damping_ratio * k;
+        if (stiff) add_block(stiff, plan.count, i, {k, k, k, 0.0, 0.0, 0.0});
+        if (damp) add_block(damp, plan.count, i, {damping, damping, damping, 0.0, 0.0, 0.0});
+    });
 }
-/// Add the derivative of the forces to out, (3, n).
-template <class X, class U>
-inline void add_layer_product(const Plan& plan, const SelfLaw<Dual>& law, const Contact<Dual>& m, X&& at, U&& velocity,
-                              double* out) {
-    for_each_layer_contact<Dual>(plan, law, m, at, velocity,
-                                 [&](const auto& friction, const AnchorKinematics<Dual>& on) {
-                                     friction.forces(on, friction.force(on), [&](Index c, Vec3<Dual> force) {
-                                         const std::int64_t i = plan.particle_of_rank[c];
-                                         out[i] += force.x.slope;
-                                         out[plan.count + i] += force.y.slope;
-                                         out[2 * plan.count + i] += force.z.slope;
-                                     });
-                                 });
-}
-template <class X, class U>
-inline void add_layer_loads(const Plan& plan, const SelfLaw<double>& law, const Contact<double>& m, X&& at,
-                            U&& velocity, LayerLoad& load) {
-    for_each_layer_contact<double>(
-        plan, law, m, at, velocity, [&](const auto& friction, const AnchorKinematics<double>& on) {
-            friction.bounds(on, [&](Index c, double k) { load.add(plan.self->surface, c, k); });
-        });
+/// Call `visit` with each corner and its force, whose derivatives are those of the law.
+template <class X, class U, class F>
+inline void add_layer_product(const Plan& plan, const SurfaceLaw<Dual>& law, const Contact<Dual>& m, X&& at,
+                              U&& velocity, F&& visit) {
+    for_each_layer_contact<Dual>(plan, law, m, at, velocity, [&](const auto& friction, const auto& on) {
+        friction.forces(on, friction.force(on), visit);
+    });
 }
 
 /// Combine the anchors on a layer after runs, as `combine_anchors` does for obstacles: anchors that no run moved are
 /// kept, the others are combined as positions and returned to the cone. The runs' `ends` are `stride` numbers apart.
 template <class X, class U>
-inline void combine_layer_anchors(const Plan& plan, const SelfLaw<double>& law, const Contact<double>& m, X&& at,
+inline void combine_layer_anchors(const Plan& plan, const SurfaceLaw<double>& law, const Contact<double>& m, X&& at,
                                   U&& velocity, std::int64_t runs, const double* weights, const double* ends,
                                   std::int64_t stride, double* out) {
     const Surface& s = plan.self->surface;
@@ -113,15 +101,9 @@ inline void combine_layer_anchors(const Plan& plan, const SelfLaw<double>& law, 
     friction.for_each_layer(
         s, m, combined, at, velocity,
         [&](int face, const Layer<double>& layer, const LayerAnchor& anchor, const AnchorKinematics<double>& on) {
-            const auto friction_force = friction.force(on);
-            LayerAnchor result = anchor;
-            if (friction_force.slides)
-                result = friction.drag_anchor(s, on, layer, Vec3<double>{}, friction_force.stretch, at);
-            else if (anchor.bond == no_bond)
-                result = {layer.triangle, on.foot[1], on.foot[2], sticks};
-            else
-                result.bond = sticks;
-            write_anchor(out, n, face, plan.particle_of_rank[on.corner[0]], result);
+            const auto force = friction.force(on);
+            write_anchor(out, n, face, plan.particle_of_rank[on.corner[0]],
+                         friction.next_anchor(s, on, layer, anchor, force.slides, {}, force.stretch, at));
         });
 }
 

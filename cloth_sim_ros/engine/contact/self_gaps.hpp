@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Gaps between particles and the surface in runs, evaluated in every step for a vector at a time. The law is that of
-// self_law.hpp. No bit depends on the vector width or on candidates out of range: each lane is one number, and sums
+// surface_law.hpp. No bit depends on the vector width or on candidates out of range: each lane is one number, and sums
 // follow the order of the candidates.
 #pragma once
 
@@ -10,7 +10,7 @@
 #include <cstring>
 
 #include "contact/broad_phase.hpp"
-#include "contact/self_law.hpp"
+#include "contact/surface_law.hpp"
 
 namespace cloth::contact {
 
@@ -116,7 +116,7 @@ public:
     }
     /// Evaluate the law: pushes without damping, closing speeds, gaps, b; and normals. If the law is reduced, gaps and
     /// speeds are in units of the full thickness, see Scaling.
-    void evaluate(const ContactLaw<vec<double>>& law, const SelfLaw<double>& self_law, const double* v) {
+    void evaluate(const ContactLaw<vec<double>>& law, const SurfaceLaw<double>& self_law, const double* v) {
         using V = vec<double>;
         const V unit = splat<V>(1.0);
         for (std::size_t k = 0; k < size; k += lanes<double>) {
@@ -330,7 +330,7 @@ public:
         return approach_speed;
     }
     /// Damping factors of the forces, dissipation, and growth power [W].
-    void finalize(const Surface& s, const SelfLaw<double>& law, double* dissipation, double& growth_power) {
+    void finalize(const Surface& s, const SurfaceLaw<double>& law, double* dissipation, double& growth_power) {
         using V = vec<double>;
         const V unit = splat<V>(1.0);
         V most{};
@@ -354,7 +354,7 @@ public:
             store(scale_.data() + k, factor * (mass * inverse_scale));
             if (!dissipation) continue;
             const V loss = mass * (factor - unit) * rate * square,
-                    power = mass * scaling.growth * square * SelfLaw<double>::growing(factor * lever, shape);
+                    power = mass * scaling.growth * square * SurfaceLaw<double>::growing(factor * lever, shape);
             for (int lane = 0; lane < lanes<double>; ++lane) {
                 *dissipation += loss[lane];
                 if (law.reduced()) growth_power += power[lane];

@@ -18,162 +18,164 @@ inline Array<double> quads_of(const Plan& plan, const double* a) {
         for (std::int64_t i = 0; i < plan.count; ++i) out[4 * plan.rank[i] + c] = a[c * plan.count + i];
     return out;
 }
+/// Numbers of a query by particle: an array (3, n), with derivatives if V has them.
+template <class V>
+class QueryNumbers {
+public:
+    QueryNumbers(const Plan& plan, const double* const (&numbers)[2]) : value_(quads_of(plan, numbers[0])) {
+        if constexpr (std::is_same_v<V, Dual>) slope_ = quads_of(plan, numbers[1]);
+    }
+    const double* quads() const { return value_.data(); }
+    Vec3<V> operator()(Index c) const {
+        if constexpr (std::is_same_v<V, Dual>)
+            return with_slope(Quads{value_.data()}(c), Quads{slope_.data()}(c));
+        else
+            return Quads{value_.data()}(c);
+    }
 
-/// Call `visit` with each contact and the functions of position and velocity, at positions x and velocities v (quads,
-/// with derivatives dx and dv if V has them). Positions that are not finite have no contact.
+private:
+    Array<double> value_, slope_;
+};
+
+/// Call visit(law, contact, at, velocity) with each contact at time t, positions x and velocities v, with derivatives if
+/// V has them. Positions that are not finite have no contact. With `ignore_reduction` all contacts have the full
+/// thickness.
 template <class V, class F>
-inline void for_each_self_contact(SelfVerletList& neighbors, const SelfLaw<V>& law, double thickness,
-                                  const Quads (&x)[2], const Quads (&v)[2], F&& visit) {
-    if (!neighbors.find(x[0].from, thickness, 0.0)) return;
-    const auto of = [](const Quads(&a)[2]) {
-        return [&a](Index c) {
-            if constexpr (std::is_same_v<V, double>)
-                return a[0](c);
-            else
-                return with_slope(a[0](c), a[1](c));
-        };
-    };
-    const auto at = of(x), velocity = of(v);
-    const Surface& s = neighbors.surface;
+inline void for_each_self_contact(Plan& plan, double t, const double* const (&x)[2], const double* const (&v)[2],
+                                  F&& visit, bool ignore_reduction = false) {
+    const Contacts& contacts = plan.contacts;
+    if (plan.self->is_clear(x[0], contacts.thickness)) return;
+    const QueryNumbers<V> at(plan, x), velocity(plan, v);
+    SelfVerletList& neighbors = plan.self->neighbors();
+    if (!neighbors.find(at.quads(), contacts.thickness, 0.0)) return;
+    SurfaceLaw<V> law(contacts.thickness, contacts.damping);
+    std::vector<Scaling<double>> scalings;
+    if (!ignore_reduction) self_scalings(plan, t, scalings);
+    law.reduce(&scalings);
     Contact<V> m;
     const auto emit = [&] {
-        if (!m.gaps.empty()) visit(m, at, velocity);
+        if (!m.gaps.empty()) visit(law, m, at, velocity);
     };
     for_each_neighbor(
-        neighbors, thickness,
+        neighbors, contacts.thickness,
         [&](Index i, const Index* begin, const Index* end) {
-            law.particle(s, i, begin, end, at, velocity, m);
+            law.particle(neighbors.surface, i, begin, end, at, velocity, m);
             emit();
         },
-        [&](std::size_t k) {
-            law.edges(s, s.edges[neighbors.edges.first[k]], s.edges[neighbors.edges.second[k]], at, velocity, m);
+        [&](const std::array<Index, 4>& c) {
+            law.edges(neighbors.surface, {c[0], c[1]}, {c[2], c[3]}, at, velocity, m);
             emit();
         });
-}
-template <class F>
-inline void for_each_self_contact(Plan& plan, double t, const double* x, const double* v, F&& visit) {
-    const Contacts& contacts = plan.contacts;
-    if (plan.self->is_clear(x, contacts.thickness)) return;
-    const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, v);
-    const Quads at[2] = {{positions.data()}, {nullptr}}, velocity[2] = {{velocities.data()}, {nullptr}};
-    SelfLaw<double> law(contacts.thickness, contacts.damping);
-    std::vector<Scaling<double>> scalings;
-    self_scalings(plan, t, scalings);
-    law.reduce(&scalings);
-    for_each_self_contact<double>(plan.self->neighbors(), law, contacts.thickness, at, velocity,
-                                  [&](const Contact<double>& m, auto& x_at, auto& v_at) { visit(law, m, x_at, v_at); });
 }
 
 double self_energy(Plan& plan, double t, const double* x) {
     double total = 0.0;
-    for_each_self_contact(plan, t, x, nullptr,
-                          [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
-                              total += law.energy(m) + layer_energy(plan, law, m, at, velocity);
-                          });
+    for_each_self_contact<double>(plan, t, {x, nullptr}, {nullptr, nullptr},
+                                  [&](const auto& law, const auto& m, auto& at, auto& velocity) {
+                                      total += law.energy(m) + layer_energy(plan, law, m, at, velocity);
+                                  });
     return total;
 }
 double self_dissipation(Plan& plan, double t, const double* x, const double* v) {
     double dissipation = 0.0;
-    for_each_self_contact(plan, t, x, v,
-                          [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
-                              dissipation += law.dissipation(m) + layer_dissipation(plan, law, m, at, velocity);
-                          });
+    for_each_self_contact<double>(plan, t, {x, nullptr}, {v, nullptr},
+                                  [&](const auto& law, const auto& m, auto& at, auto& velocity) {
+                                      dissipation += law.dissipation(m) + layer_dissipation(plan, law, m, at, velocity);
+                                  });
     return dissipation;
 }
 double self_friction_power(Plan& plan, double t, const double* x, const double* v) {
     double dissipation = 0.0;
-    for_each_self_contact(plan, t, x, v,
-                          [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
-                              dissipation += layer_dissipation(plan, law, m, at, velocity);
-                          });
+    for_each_self_contact<double>(plan, t, {x, nullptr}, {v, nullptr},
+                                  [&](const auto& law, const auto& m, auto& at, auto& velocity) {
+                                      dissipation += layer_dissipation(plan, law, m, at, velocity);
+                                  });
     return dissipation;
 }
 double self_growth_power(Plan& plan, double t, const double* x, const double* v) {
     double power = 0.0;
-    for_each_self_contact(plan, t, x, v, [&](const SelfLaw<double>& law, const Contact<double>& m, auto&, auto&) {
-        if (law.reduced()) power += law.growth_power(m);
-    });
+    for_each_self_contact<double>(plan, t, {x, nullptr}, {v, nullptr},
+                                  [&](const auto& law, const auto& m, auto&, auto&) {
+                                      if (law.reduced()) power += law.growth_power(m);
+                                  });
     return power;
 }
 void combine_self_anchors(Plan& plan, double t, const double* x, const double* v, std::int64_t runs,
                           const double* weights, const double* ends, double* out) {
     if (!plan.has_self_friction()) return;
     const std::int64_t offset = plan.contacts.obstacle_anchors(plan.count);
-    for_each_self_contact(plan, t, x, v,
-                          [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
-                              combine_layer_anchors(plan, law, m, at, velocity, runs, weights, ends + offset,
-                                                    plan.anchor_count(), out + offset);
-                          });
+    for_each_self_contact<double>(plan, t, {x, nullptr}, {v, nullptr},
+                                  [&](const auto& law, const auto& m, auto& at, auto& velocity) {
+                                      combine_layer_anchors(plan, law, m, at, velocity, runs, weights, ends + offset,
+                                                            plan.anchor_count(), out + offset);
+                                  });
 }
 
+/// Add the bounds of a contact: of a gap k g g', at corner c, `mobility` k |w_c| n n'.
+inline void add_gap_bounds(const Plan& plan, const SurfaceLaw<double>& law, const Contact<double>& m, double mobility,
+                           double* stiff, double* damp) {
+    for (const GapTerm<double>& g : m.gaps) {
+        if (g.sign < 0.0) continue;
+        const double mass = mobility * m.mass * (m.edges ? m.fade_factor : 1.0);
+        const double k = mass * law.law(m.edges).stiffness(g.gap), c = mass * law.law(m.edges).damping(g.gap);
+        for (int corner = 0; corner < 4; ++corner) {
+            if (g.corner[corner] < 0 || (!m.edges && corner && g.corner[corner] == g.corner[0])) continue;
+            const double weight = absolute(g.weight[corner]);
+            const std::int64_t i = plan.particle_of_rank[g.corner[corner]];
+            if (stiff) add_block(stiff, plan.count, i, outer(k * weight, g.normal, 0.0));
+            if (damp) add_block(damp, plan.count, i, outer(c * weight, g.normal, 0.0));
+        }
+    }
+}
 void add_self_bounds(Plan& plan, double t, const double* x, double* stiff, double* damp) {
-    for_each_self_contact(plan, t, x, nullptr,
-                          [&](const SelfLaw<double>& law, const Contact<double>& m, auto& at, auto& velocity) {
-                              add_layer_bounds(plan, law, m, at, velocity, stiff, damp);
-                              for (const GapTerm<double>& g : m.gaps) {
-                                  if (g.sign < 0.0) continue;
-                                  const double fade_factor = m.edges ? m.fade_factor : 1.0;
-                                  const double k = 2.0 * m.mass * fade_factor * law.law(m.edges).stiffness(g.gap);
-                                  const double c = 2.0 * m.mass * fade_factor * law.law(m.edges).damping(g.gap);
-                                  for (int corner = 0; corner < 4; ++corner) {
-                                      if (!m.edges && corner && g.corner[corner] == g.corner[0]) continue;
-                                      const double weight = absolute(g.weight[corner]);
-                                      const std::int64_t i = plan.particle_of_rank[g.corner[corner]];
-                                      if (stiff) add_block(stiff, plan.count, i, outer(k * weight, g.normal, 0.0));
-                                      if (damp) add_block(damp, plan.count, i, outer(c * weight, g.normal, 0.0));
-                                  }
-                              }
-                          });
+    for_each_self_contact<double>(plan, t, {x, nullptr}, {nullptr, nullptr},
+                                  [&](const auto& law, const auto& m, auto& at, auto& velocity) {
+                                      add_layer_bounds(plan, law, m, at, velocity, stiff, damp);
+                                      add_gap_bounds(plan, law, m, 2.0, stiff, damp);
+                                  });
 }
 
+/// Function that adds the derivative of a force to out, (3, n), unless it acts on an obstacle.
+inline auto add_slope_to(const Plan& plan, double* out) {
+    return [&plan, out](Index c, Vec3<Dual> force) {
+        if (c < 0) return;
+        const std::int64_t i = plan.particle_of_rank[c];
+        out[i] += force.x.slope;
+        out[plan.count + i] += force.y.slope;
+        out[2 * plan.count + i] += force.z.slope;
+    };
+}
 void add_self_product(Plan& plan, double t, const double* x, const double* v, const double* dx, const double* dv,
                       double* out) {
-    const Contacts& contacts = plan.contacts;
-    const Array<double> a = quads_of(plan, x), b = quads_of(plan, v), da = quads_of(plan, dx), db = quads_of(plan, dv);
-    const Quads at[2] = {{a.data()}, {da.data()}}, velocity[2] = {{b.data()}, {db.data()}};
-    SelfLaw<Dual> law(contacts.thickness, contacts.damping);
-    std::vector<Scaling<double>> scalings;
-    self_scalings(plan, t, scalings);
-    law.reduce(&scalings);
-    const auto add = [&](const Contact<Dual>& m, auto& x_at, auto& v_at) {
-        add_layer_product(plan, law, m, x_at, v_at, out);
-        law.forces(m, [&](Index c, Vec3<Dual> force) {
-            out[plan.particle_of_rank[c]] += force.x.slope;
-            out[plan.count + plan.particle_of_rank[c]] += force.y.slope;
-            out[2 * plan.count + plan.particle_of_rank[c]] += force.z.slope;
-        });
-    };
-    for_each_self_contact<Dual>(plan.self->neighbors(), law, contacts.thickness, at, velocity, add);
-}
-
-/// Call `visit` with each contact within the full thickness.
-template <class F>
-inline void for_each_full_contact(Plan& plan, const double* x, F&& visit) {
-    const Contacts& contacts = plan.contacts;
-    if (plan.self->is_clear(x, contacts.thickness)) return;
-    const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, nullptr);
-    const Quads at[2] = {{positions.data()}, {nullptr}}, velocity[2] = {{velocities.data()}, {nullptr}};
-    const SelfLaw<double> law(contacts.thickness, contacts.damping);
-    for_each_self_contact<double>(plan.self->neighbors(), law, contacts.thickness, at, velocity,
-                                  [&](const Contact<double>& m, auto&, auto&) { visit(m); });
+    for_each_self_contact<Dual>(plan, t, {x, dx}, {v, dv},
+                                [&](const auto& law, const auto& m, auto& at, auto& velocity) {
+                                    add_layer_product(plan, law, m, at, velocity, add_slope_to(plan, out));
+                                    law.forces(m, add_slope_to(plan, out));
+                                });
 }
 
 void self_gaps(Plan& plan, const double* x, double* out) {
     out[0] = 0.0;
     out[1] = std::numeric_limits<double>::infinity();
-    for_each_full_contact(plan, x, [&](const Contact<double>& m) {
-        out[0] += 1.0;
-        out[1] = smaller(m.min_gap(), out[1]);
-    });
+    for_each_self_contact<double>(
+        plan, 0.0, {x, nullptr}, {nullptr, nullptr},
+        [&](const auto&, const auto& m, auto&, auto&) {
+            out[0] += 1.0;
+            out[1] = smaller(m.min_gap(), out[1]);
+        },
+        true);
 }
 void self_gap_row(Plan& plan, const double* x, double* out) {
-    for_each_full_contact(plan, x, [&](const Contact<double>& m) {
-        const double gap = m.edges ? 2.0 * m.min_gap() : m.min_gap();
-        for (int k = 0; k < (m.edges ? 4 : 1); ++k) {
-            double& to = out[plan.particle_of_rank[m.gaps[0].corner[k]]];
-            to = smaller(gap, to);
-        }
-    });
+    for_each_self_contact<double>(
+        plan, 0.0, {x, nullptr}, {nullptr, nullptr},
+        [&](const auto&, const auto& m, auto&, auto&) {
+            const double gap = m.edges ? 2.0 * m.min_gap() : m.min_gap();
+            for (int k = 0; k < (m.edges ? 4 : 1); ++k) {
+                double& to = out[plan.particle_of_rank[m.gaps[0].corner[k]]];
+                to = smaller(gap, to);
+            }
+        },
+        true);
 }
 
 ContactBounds predict_self_contact(Plan& plan, double t, double duration, double expected, const double* x,
@@ -193,8 +195,8 @@ ContactBounds predict_self_contact(Plan& plan, double t, double duration, double
     // away.
     const double margin = smaller(motion.diameter() * duration, 0.5 * self.surface.shortest);
     StiffnessBound bound;
-    LayerLoad load;
-    SelfLaw<double> law(d, plan.contacts.damping);
+    RowSums load;
+    SurfaceLaw<double> law(d, plan.contacts.damping);
     std::vector<Scaling<double>> scalings;
     self_scalings(plan, t, scalings);
     law.reduce(&scalings);
@@ -213,10 +215,10 @@ ContactBounds predict_self_contact(Plan& plan, double t, double duration, double
         [&](Index i, const Index* begin, const Index* end) {
             law.particle(s, i, begin, end, at, velocity, m);
             bound.include(s, m);
-            add_layer_loads(plan, law, m, at, velocity, load);
+            for_each_layer_bound(plan, law, m, at, velocity, [&](Index c, double k) { load.add(s, c, k); });
         },
-        [&](std::size_t k) {
-            law.edges(s, s.edges[neighbors.edges.first[k]], s.edges[neighbors.edges.second[k]], at, velocity, m);
+        [&](const std::array<Index, 4>& c) {
+            law.edges(s, {c[0], c[1]}, {c[2], c[3]}, at, velocity, m);
             bound.include(s, m);
         });
     bound.add_approaching<false>(s, neighbors.triangles, law, at.from, velocity.from, duration);
@@ -237,33 +239,13 @@ bool ccd_self(Plan& plan, const double* x0, const double* x1) {
     const double max_motion = motion.diameter();
     if (!neighbors.find(from.data(), d, max_motion)) return true;
     const Quads start{from.data()}, end{to.data()};
-    const auto intersects = [&](const std::array<Index, 4>& corner, bool edges, double square) {
-        Vec3<double> displacement[4];
-        for (int k = 0; k < 4; ++k) displacement[k] = end(corner[k]) - start(corner[k]);
-        const auto relative_motion = [&](int k) { return root(norm2(displacement[k] - displacement[0])); };
-        const double second_motion = larger(relative_motion(2), relative_motion(3)),
-                     length = edges ? relative_motion(1) + second_motion : larger(relative_motion(1), second_motion);
-        double fraction = 0.0;
-        for (int iteration = 0;; ++iteration) {
-            const double gap = root(square);
-            if (!(gap > 1e-3 * d) || iteration > 1000) return true;
-            if (!(length > 0.0)) return false;
-            fraction += gap / length;
-            if (!(fraction < 1.0)) return false;
-            Vec3<double> at[4];
-            for (int k = 0; k < 4; ++k) at[k] = start(corner[k]) + fraction * displacement[k];
-            square = edges ? near_segments(at[0], at[1], at[2], at[3]).square
-                           : near_triangle(at[0], at[1], at[2], at[3]).square;
-        }
-    };
-    bool intersected = false;
-    for (std::size_t k = 0; k < neighbors.triangles.size() && !intersected; ++k)
-        intersected = intersects(pair_corners<false>(neighbors.surface, neighbors.triangles, k), false,
-                                 neighbors.triangles.square[k]);
-    for (std::size_t k = 0; k < neighbors.edges.size() && !intersected; ++k)
-        intersected =
-            intersects(pair_corners<true>(neighbors.surface, neighbors.edges, k), true, neighbors.edges.square[k]);
-    return intersected;
+    for (std::size_t k = 0; k < neighbors.triangles.size(); ++k)
+        if (ccd_pair<false>(pair_corners<false>(neighbors.surface, neighbors.triangles, k), 0.0, 1e-3 * d, start, end))
+            return true;
+    for (std::size_t k = 0; k < neighbors.edges.size(); ++k)
+        if (ccd_pair<true>(pair_corners<true>(neighbors.surface, neighbors.edges, k), 0.0, 1e-3 * d, start, end))
+            return true;
+    return false;
 }
 
 SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const double* v0)

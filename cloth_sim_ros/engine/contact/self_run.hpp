@@ -15,18 +15,6 @@ namespace cloth::contact {
 
 using plan::midpoint_time, plan::Plan, plan::Run, plan::self_scalings;
 
-/// Whether a pair may have intersected during a step. `square`: squared distance at the end of the step [m^2];
-/// displacement(c): that of a corner [m]. It has not if its relative motion is below that distance. No point of a side
-/// moves further, relative to the first corner, than the side's corners.
-template <class F>
-inline bool may_intersect(double square, const Index* corner, bool edges, F&& displacement) {
-    const Vec3<double> reference = displacement(corner[0]);
-    const auto relative_motion = [&](int k) { return root(norm2(displacement(corner[k]) - reference)); };
-    const double second_motion = larger(relative_motion(2), relative_motion(3));
-    const double most = edges ? relative_motion(1) + second_motion : larger(relative_motion(1), second_motion);
-    return !(most < root(square));
-}
-
 /// Self-contact over a run, on one thread.
 class SelfRun {
 public:
@@ -62,8 +50,8 @@ public:
         bound_.add_approaching<true>(s, neighbors_.edges, law_, x, v, 2.0 * step_);
         for (std::size_t k = 0; k < neighbors_.edges.size(); ++k) {
             if (!(neighbors_.edges.square[k] < 0.25 * thickness_ * thickness_)) continue;
-            law_.edges(s, s.edges[neighbors_.edges.first[k]], s.edges[neighbors_.edges.second[k]], at, velocity,
-                       contact_);
+            const auto c = pair_corners<true>(s, neighbors_.edges, k);
+            law_.edges(s, {c[0], c[1]}, {c[2], c[3]}, at, velocity, contact_);
             if (contact_.gaps.empty()) continue;
             law_.forces(contact_, add_force);
             bound_.include(s, contact_);
@@ -89,7 +77,7 @@ public:
     }
 
 private:
-    /// Contacts of particles, by the law of SelfLaw::particle: sums over each particle's gaps, then forces.
+    /// Contacts of particles, by the law of SurfaceLaw::particle: sums over each particle's gaps, then forces.
     void add_particles(const double* v, double* f, double* dissipation, double& growth_power) {
         SelfGaps& gaps = neighbors_.gaps;
         if (!gaps.size) return;
@@ -145,21 +133,19 @@ private:
         const Quads current{x}, previous{previous_.data()};
         const auto displacement = [&](Index c) { return current(c) - previous(c); };
         const SelfGaps& gaps = neighbors_.gaps;
+        const PairList& edges = neighbors_.edges;
         // Usually nothing is that near.
-        if (gaps.min_square <= motion * motion)
-            for (std::size_t k = 0; k < neighbors_.inner_pairs().size(); ++k)
-                if (gaps.square[k] <= motion * motion)
-                    intersected_ =
-                        intersected_ || may_intersect(gaps.square[k], gaps.candidate(k).data(), false, displacement);
-        for (std::size_t k = 0; k < neighbors_.edges.size(); ++k)
-            if (neighbors_.edges.square[k] <= motion * motion)
-                intersected_ =
-                    intersected_ || may_intersect(neighbors_.edges.square[k],
-                                                  pair_corners<true>(neighbors_.surface, neighbors_.edges, k).data(),
-                                                  true, displacement);
+        intersected_ =
+            (gaps.min_square <= motion * motion &&
+             may_intersect<false>(
+                 gaps.square, neighbors_.inner_pairs().size(), 0.0, motion,
+                 [&](std::size_t k) { return gaps.candidate(k); }, displacement)) ||
+            may_intersect<true>(
+                edges.square, edges.size(), 0.0, motion,
+                [&](std::size_t k) { return pair_corners<true>(neighbors_.surface, edges, k); }, displacement);
     }
     SelfVerletList& neighbors_;
-    SelfLaw<double> law_;
+    SurfaceLaw<double> law_;
     ContactLaw<vec<double>> vector_law_;
     double thickness_, damping_, step_;
     Contact<double> contact_;

@@ -56,8 +56,9 @@ struct Surface {
     /// Shortest edge of the cloth at rest [m].
     double shortest = 0.0;
 
-    /// Whether a corner of a triangle is a particle, or is joined to it.
+    /// Whether a corner of a triangle is a particle, or is joined to it. No corner is a point of an obstacle, ~k.
     bool has(std::int64_t triangle, Index particle) const {
+        if (particle < 0) return false;
         const auto& t = triangles[triangle];
         const Index j = joined[particle];
         return joined[t[0]] == j || joined[t[1]] == j || joined[t[2]] == j;

@@ -24,7 +24,7 @@ struct Step {
 Step by_vectors(const Surface& s, const PairList& triangles, const std::vector<double>& x, const std::vector<double>& v,
                 double range, const std::vector<Scaling<double>>& scalings) {
     Step step{std::vector<double>(4 * s.count, 0.0)};
-    SelfLaw<double> law(thickness, damping);
+    SurfaceLaw<double> law(thickness, damping);
     law.reduce(&scalings);
     SelfGaps gaps;
     SelfSums sums;
@@ -45,7 +45,7 @@ Step by_vectors(const Surface& s, const PairList& triangles, const std::vector<d
 Step by_particles(const Sheet& sheet, const std::vector<double>& v, const std::vector<Scaling<double>>& scalings) {
     const Surface& s = sheet.surface;
     Step step{std::vector<double>(4 * s.count, 0.0)};
-    SelfLaw<double> law(thickness, damping);
+    SurfaceLaw<double> law(thickness, damping);
     law.reduce(&scalings);
     const Quads at{sheet.x.data()}, velocity{v.data()};
     Contact<double> m;

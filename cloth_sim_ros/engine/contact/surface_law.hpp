@@ -1,8 +1,9 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Law of self-contact: the contact barrier on gaps between a particle and the surface, and between two edges.
-// docs/derivations/self_contact.md derives it. V is a number or a dual number.
+// Law of contact with the surface: the contact barrier on gaps between a point and the surface, and between two edges.
+// The point, or the second edge, is the cloth's or an obstacle's. docs/derivations/self_contact.md and
+// docs/derivations/obstacle_features.md derive it. V is a number or a dual number.
 #pragma once
 
 #include "contact/primitives.hpp"
@@ -13,12 +14,11 @@ namespace cloth::contact {
 
 using laws::ContactLaw, laws::full_thickness, laws::Scaling;
 
-/// A gap between points of the surface: its vector is the sum of weights times corner positions; the weights add up to
-/// zero.
+/// A gap: its vector is the sum of weights times corner positions; the weights add up to zero.
 template <class V>
 struct GapTerm {
-    double sign;  ///< sign of the energy of this gap in the sum, 1 or -1
-    Index corner[4];
+    double sign;      ///< sign of the energy of this gap in the sum, 1 or -1
+    Index corner[4];  ///< particles; ~k is point k of an obstacle
     V weight[4];
     Vec3<V> normal;
     V gap, closing;
@@ -41,16 +41,19 @@ struct Contact {
     V shape{}, push{}, rate{};
     /// Scaling by a reduced thickness; gaps, speeds and these sums are in units of the full one.
     Scaling<V> scaling = full_thickness<V>();
-    V lever{};  ///< sum of push times gap [m^2/s^2], during recovery
+    V lever{};  ///< sum of push times gap [m^2/s^2]
     /// Of a pair of edges: fade factor of the energy, and its gradient with respect to the corners.
     V fade_factor{};
     Vec3<V> slope[4];
     bool edges = false;
+    bool has_feature = false;  ///< whether a side is a point or an edge of an obstacle
 
-    void clear() {
+    /// Begin with the contact of the second edge, or of the point, which begins with a corner.
+    void clear(Index corner) {
         gaps.clear();
         shape = push = rate = lever = V{};
         edges = false;
+        has_feature = corner < 0;
     }
     double min_gap() const {
         double min = 1e30;
@@ -66,24 +69,32 @@ struct Contact {
 };
 
 template <class V>
-class SelfLaw {
+class SurfaceLaw {
 public:
-    /// Edges have half the thickness.
-    SelfLaw(double thickness, double damping)
-        : thickness_(thickness), damping_(damping), particle_law_(thickness, damping),
-          edge_law_(0.5 * thickness, damping) {}
+    /// The cloth with itself. Edges have half the thickness.
+    SurfaceLaw(double thickness, double damping) : SurfaceLaw(thickness, 0.5 * thickness, damping, 0.0) {}
+    /// The cloth with points and edges of obstacles. Both have half the thickness, so that particles in contact keep the
+    /// cloth out of their range. `mass` [kg]: mean mass of a particle of the cloth.
+    SurfaceLaw(double thickness, double damping, double mass)
+        : SurfaceLaw(0.5 * thickness, 0.5 * thickness, damping, mass) {}
 
-    double thickness(bool edges) const { return edges ? 0.5 * thickness_ : thickness_; }
+    double thickness(bool edges) const { return edges ? edge_thickness_ : thickness_; }
 
     /// Set a reduced thickness by particle, or null; `scalings` has to outlive the law.
     void reduce(const std::vector<Scaling<double>>* scalings) {
         scalings_ = scalings && !scalings->empty() ? scalings->data() : nullptr;
     }
     bool reduced() const { return scalings_; }
-    Scaling<double> scaling(Index i) const { return scalings_ ? scalings_[i] : full_thickness<double>(); }
+    /// Set the obstacle whose points and edges follow: their radius [m] and the scaling of its contacts.
+    void set_obstacle(double radius, Scaling<double> scaling) {
+        radius_ = radius;
+        common_scaling_ = scaling;
+    }
+    double radius() const { return radius_; }
+    Scaling<double> scaling(Index i) const { return scalings_ && i >= 0 ? scalings_[i] : common_scaling_; }
     /// Scaling of a pair of edges: that of the thinnest end.
     Scaling<double> scaling(const std::array<Index, 2>& edge1, const std::array<Index, 2>& edge2) const {
-        Scaling<double> result = full_thickness<double>();
+        Scaling<double> result = common_scaling_;
         if (!scalings_) return result;
         for (const Index c : {edge1[0], edge1[1], edge2[0], edge2[1]})
             if (scalings_[c].scale > result.scale) result = scalings_[c];
@@ -101,16 +112,16 @@ public:
         return lanes_scaling;
     }
 
-    /// Evaluate the energy of particle i with the triangles from `begin` to `end`: that of triangles, minus that of
-    /// edges between two of them, plus that of inner particles. Therefore a flat surface counts once, independent of
-    /// its triangulation (Euler's formula; Li et al., Convergent IPC, 2023).
+    /// Evaluate the energy of particle i, or of point ~i of an obstacle, with the triangles from `begin` to `end`: that
+    /// of triangles, minus that of edges between two of them, plus that of inner particles. Therefore a flat surface
+    /// counts once, independent of its triangulation (Euler's formula; Li et al., Convergent IPC, 2023).
     template <class X, class U>
     void particle(const Surface& s, Index i, const Index* begin, const Index* end, X&& at, U&& velocity,
                   Contact<V>& m) const {
-        m.clear();
-        m.mass = 0.5 * s.masses[i];
+        m.clear(i);
+        m.mass = m.has_feature ? feature_mass_ : 0.5 * s.masses[i];
         m.scaling = splat_scaling(scaling(i));
-        const double range = thickness_ / value_of(m.scaling.scale), square_range = range * range;
+        const double range = radius_ + thickness_ / value_of(m.scaling.scale), square_range = range * range;
         const Vec3<V> p = at(i);
         for (const Index* triangle = begin; triangle != end; ++triangle) {
             const auto& t = s.triangles[*triangle];
@@ -148,7 +159,7 @@ public:
             m.push = m.push + push;
             m.rate = m.rate + push * g.closing;
             m.shape = m.shape + splat<V>(g.sign) * particle_law_.shape(g.gap);
-            if (scalings_) m.lever = m.lever + push * g.gap;
+            m.lever = m.lever + push * g.gap;
         }
     }
     /// Evaluate the energy of two edges. It fades out as they become parallel, because the nearest points jump there:
@@ -156,15 +167,17 @@ public:
     template <class X, class U>
     void edges(const Surface& s, const std::array<Index, 2>& edge1, const std::array<Index, 2>& edge2, X&& at,
                U&& velocity, Contact<V>& m) const {
-        m.clear();
+        m.clear(edge2[0]);
         const Index corner[4] = {edge1[0], edge1[1], edge2[0], edge2[1]};
         const Vec3<V> x[4] = {at(corner[0]), at(corner[1]), at(corner[2]), at(corner[3])};
         const OnSegments<V> n = near_segments(x[0], x[1], x[2], x[3]);
         m.scaling = splat_scaling(scaling(edge1, edge2));
-        const double thickness = 0.5 * thickness_ / value_of(m.scaling.scale);
-        if (!(value_of(n.square) < thickness * thickness)) return;
+        const double range = radius_ + edge_thickness_ / value_of(m.scaling.scale);
+        if (!(value_of(n.square) < range * range)) return;
         m.edges = true;
-        m.mass = 0.25 * (s.masses[corner[0]] + s.masses[corner[1]] + s.masses[corner[2]] + s.masses[corner[3]]);
+        m.mass = m.has_feature
+                     ? feature_mass_
+                     : 0.25 * (s.masses[corner[0]] + s.masses[corner[1]] + s.masses[corner[2]] + s.masses[corner[3]]);
         const V unit = splat<V>(1.0);
         add_gap({1.0,
                  {corner[0], corner[1], corner[2], corner[3]},
@@ -206,13 +219,17 @@ public:
     template <class F>
     void forces(const Contact<V>& m, F&& visit) const {
         const V scale = splat<V>(m.mass) * damped(m), inverse_scale = splat<V>(1.0) / m.scaling.scale;
+        const V slope_scale = m.has_feature ? inverse_scale * (inverse_scale * scale) : inverse_scale * inverse_scale;
         for (const GapTerm<V>& g : m.gaps) {
-            const V push = inverse_scale * (m.edges ? m.push : splat<V>(g.sign) * particle_law_.elastic(g.gap));
+            const V elastic = m.edges ? m.push : splat<V>(g.sign) * particle_law_.elastic(g.gap),
+                    push = inverse_scale * elastic;
+            const Vec3<V> total = ((inverse_scale * scale) * elastic) * g.normal;
             for (int k = 0; k < 4; ++k) {
                 if (!m.edges && k && g.corner[k] == g.corner[0]) continue;
-                Vec3<V> force = (push * g.weight[k]) * g.normal;
-                if (m.edges) force = force - (inverse_scale * inverse_scale) * m.slope[k];
-                visit(g.corner[k], scale * force);
+                // The order of products differs, because it decides bits.
+                Vec3<V> force = m.has_feature ? g.weight[k] * total : (push * g.weight[k]) * g.normal;
+                if (m.edges) force = force - slope_scale * m.slope[k];
+                visit(g.corner[k], m.has_feature ? force : scale * force);
             }
         }
     }
@@ -236,6 +253,9 @@ public:
     const ContactLaw<V>& law(bool edges) const { return edges ? edge_law_ : particle_law_; }
 
 private:
+    SurfaceLaw(double thickness, double edge_thickness, double damping, double feature_mass)
+        : thickness_(thickness), edge_thickness_(edge_thickness), damping_(damping), feature_mass_(feature_mass),
+          particle_law_(thickness, damping), edge_law_(edge_thickness, damping) {}
     static Scaling<V> splat_scaling(Scaling<double> s) { return {splat<V>(s.scale), splat<V>(s.growth)}; }
     static double unscaled(const Contact<V>& m) {
         const double scale = value_of(m.scaling.scale);
@@ -248,10 +268,16 @@ private:
     /// [m^2].
     template <class U>
     void add_gap(GapTerm<V> g, U&& velocity, Contact<V>& m) const {
-        g.gap = root(g.gap);
-        g.normal = (splat<V>(1.0) / g.gap) * g.normal;
+        const V distance = root(g.gap);
+        g.normal = (splat<V>(1.0) / distance) * g.normal;
+        g.gap = distance - splat<V>(radius_);
         Vec3<V> speed{};
-        for (int k = 0; k < 4; ++k)
+        const bool has_obstacle_edge = m.edges && m.has_feature;
+        if (has_obstacle_edge) {
+            const Vec3<V> u = velocity(g.corner[2]), w = velocity(g.corner[3]);
+            speed = g.weight[3] * (w - u) - u;
+        }
+        for (int k = 0; k < (has_obstacle_edge ? 2 : 4); ++k)
             if (!k || g.corner[k] != g.corner[0]) speed = fma(g.weight[k], velocity(g.corner[k]), speed);
         g.closing = m.scaling.closing(g.gap, -dot(g.normal, speed));
         g.gap = m.scaling.gap(g.gap);
@@ -274,9 +300,11 @@ private:
         m.slope[0] = -first, m.slope[1] = first, m.slope[2] = -second, m.slope[3] = second;
     }
 
-    double thickness_, damping_;
+    double thickness_, edge_thickness_, damping_, feature_mass_;
     ContactLaw<V> particle_law_, edge_law_;
     const Scaling<double>* scalings_ = nullptr;
+    double radius_ = 0.0;
+    Scaling<double> common_scaling_ = full_thickness<double>();
 };
 
 }  // namespace cloth::contact
