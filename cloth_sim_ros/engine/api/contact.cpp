@@ -6,10 +6,8 @@
 #include "api/features.hpp"
 #include "api/guard.hpp"
 #include "api/self_contact.hpp"
-#include "contact/feature_queries.hpp"
 #include "contact/obstacle_prediction.hpp"
-#include "contact/queries.hpp"
-#include "contact/self_queries.hpp"
+#include "contact/surface_queries.hpp"
 
 namespace cloth::api {
 
@@ -77,7 +75,7 @@ CLOTH_API int cloth_plan_jaw_states(Plan* plan, const double* jaw_states) {
 CLOTH_API int cloth_jaw_accelerations(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
         std::vector<double> jaw_forces(plan->contacts.parallel_jaws.size(), 0.0);
-        if (plan->features) contact::add_feature_jaw_forces(*plan, t, x, v, jaw_forces);
+        contact::add_feature_jaw_forces(*plan, t, x, v, jaw_forces);
         contact::jaw_accelerations(*plan, t, x, v, jaw_forces, out);
     });
 }
@@ -86,19 +84,19 @@ CLOTH_API int cloth_contact_wrenches(Plan* plan, double t, const double* x, cons
                                      double* out) {
     return guarded(plan, [&] {
         contact::add_contact_wrenches(*plan, t, x, v, weight, out);
-        if (plan->features) contact::add_feature_wrenches(*plan, t, x, v, weight, out);
+        contact::add_feature_wrenches(*plan, t, x, v, weight, out);
     });
 }
 CLOTH_API int cloth_contact_gaps(Plan* plan, double t, const double* x, double* out) {
     return guarded(plan, [&] {
         contact::contact_gaps(*plan, t, x, out);
-        if (plan->features) contact::feature_gaps(*plan, t, x, out);
+        contact::feature_gaps(*plan, t, x, out);
     });
 }
 CLOTH_API int cloth_contact_bounds(Plan* plan, double t, const double* x, double* stiff, double* damp) {
     return guarded(plan, [&] {
         contact::add_contact_bounds(*plan, t, x, stiff, damp);
-        if (plan->features) contact::add_feature_bounds(*plan, t, x, stiff, damp);
+        contact::add_feature_bounds(*plan, t, x, stiff, damp);
     });
 }
 CLOTH_API int cloth_predict_obstacle_contact(const Plan* plan, double t, double duration, const double* x,
@@ -143,15 +141,13 @@ CLOTH_API int cloth_contact_gap_rows(Plan* plan, double t, const double* x, doub
         const std::int64_t columns = plan->count + 1, rows = plan->contacts.count() + 1;
         std::fill(out, out + rows * columns, std::numeric_limits<double>::infinity());
         contact::contact_gap_rows(*plan, t, x, out);
-        if (plan->features) contact::feature_gap_column(*plan, t, x, out);
-        if (plan->self) contact::self_gap_row(*plan, x, out + (rows - 1) * columns);
+        contact::surface_gap_rows(*plan, t, x, out);
     });
 }
 CLOTH_API int cloth_contact_growth_power(Plan* plan, double t, const double* x, const double* v, double* out) {
     return guarded(plan, [&] {
         *out = contact::contact_growth_power(*plan, t, x, v);
-        if (plan->self) *out += contact::self_growth_power(*plan, t, x, v);
-        if (plan->features) *out += contact::feature_growth_power(*plan, t, x, v);
+        contact::add_surface_growth_power(*plan, t, x, v, *out);
     });
 }
 CLOTH_API int cloth_contact_limits(const Plan* plan, double energy, double* out) {

@@ -6,9 +6,8 @@
 
 #include "api/guard.hpp"
 #include "api/self_contact.hpp"
-#include "contact/feature_queries.hpp"
 #include "contact/obstacle_prediction.hpp"
-#include "contact/self_queries.hpp"
+#include "contact/surface_queries.hpp"
 
 namespace cloth::api {
 

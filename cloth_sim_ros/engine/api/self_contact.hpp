@@ -5,7 +5,7 @@
 #pragma once
 
 #include "api/guard.hpp"
-#include "contact/self_queries.hpp"
+#include "contact/surface_queries.hpp"
 
 namespace cloth::api {
 

@@ -123,6 +123,12 @@ inline double rotation_displacement(const Pose& a, const Pose& b, double reach) 
     return root(square) * reach;
 }
 
+/// Upper bound of the motion of the cloth relative to an obstacle that moves between two poses.
+inline double max_relative_motion(MotionBound cloth, const Features& features, const Pose& from, const Pose& to) {
+    cloth.include(to.position - from.position);
+    return cloth.diameter() + rotation_displacement(to, from, features.reach);
+}
+
 /// Verlet lists of the features of one obstacle, kept between calls. Concurrent runs need one each.
 class FeatureVerletList : private FeaturePairs {
 public:
@@ -168,17 +174,12 @@ private:
     /// Relative motion of cloth and obstacle since the reference; since the origin if there is none.
     double motion_since(const Surface& s, const double* x, const FeaturesAt& from,
                         const ReferenceState& reference) const {
-        MotionBound motion;
         const bool has_reference = !reference.positions.empty();
-        for (std::int64_t i = 0; i < s.count; ++i) {
-            const quad<double> x_i = load4(x + 4 * i);
-            motion.include(has_reference ? quad<double>(x_i - load4(reference.positions.data() + 4 * i)) : x_i);
-        }
-        const Pose& pose = from.pose;
-        const Vec3<double> displacement = has_reference ? pose.position - reference.pose.position : pose.position;
-        motion.include(quad<double>{displacement.x, displacement.y, displacement.z, 0.0});
-        return motion.diameter() +
-               (has_reference ? rotation_displacement(pose, reference.pose, from.features.reach) : 0.0);
+        MotionBound motion;
+        motion.include(x, has_reference ? reference.positions.data() : nullptr, s.count);
+        if (has_reference) return max_relative_motion(motion, from.features, reference.pose, from.pose);
+        motion.include(from.pose.position);
+        return motion.diameter();
     }
     void rebuild_inner(const Surface& s, const double* x, const FeaturesAt& from, double margin) {
         const double range = thickness_ + margin, radius = from.features.radius;

@@ -76,8 +76,7 @@ public:
             if (!update_neighbors(k, x, pose)) return;
             const FeaturesAt from{contact_.obstacles[k], pose, pose.position - path_pose.position};
             bound_.set_obstacle(contacts_, k);
-            law_.set_obstacle(from.features.radius,
-                              contacts_.reduced.scaling(k, contact_.surface.count, contact_.surface.count + 1, t));
+            law_.set_obstacle(from.features.radius, contacts_.feature_scaling(k, contact_.surface.count, t));
             JawRun::JawLoad jaw_load;
             double* const sums = run_.record_obstacles && step >= 0 ? sums_.data() + k * record_numbers : nullptr;
             const auto add_force = [&](Index c, Vec3<double> force) {
@@ -135,11 +134,9 @@ private:
     }
     /// Measure the motion of the cloth since the last step.
     void measure_motion(const double* x) {
-        const std::int64_t n = contact_.surface.count;
         has_previous_ = !positions_.empty();
         cloth_ = {};
-        for (std::int64_t i = 0; has_previous_ && i < n; ++i)
-            cloth_.include(load4(x + 4 * i) - load4(positions_.data() + 4 * i));
+        if (has_previous_) cloth_.include(x, positions_.data(), contact_.surface.count);
     }
     /// Update the neighbours of an obstacle, and check the motion since the last step for intersections.
     bool update_neighbors(std::int64_t k, const double* x, const Pose& pose) {
@@ -147,12 +144,7 @@ private:
         const FeaturesAt from{contact_.obstacles[k], pose};
         FeatureVerletList& neighbors = neighbors_[k];
         double motion = 0.0, since = std::numeric_limits<double>::infinity();
-        if (has_previous_) {
-            MotionBound bound = cloth_;
-            const Vec3<double> displacement = pose.position - poses_[k].position;
-            bound.include(quad<double>{displacement.x, displacement.y, displacement.z, 0.0});
-            since = motion = bound.diameter() + rotation_displacement(pose, poses_[k], from.features.reach);
-        }
+        if (has_previous_) since = motion = max_relative_motion(cloth_, from.features, poses_[k], pose);
         // A pair within twice `motion` [m] of contact may come into contact in one of the next two steps.
         intersected_ = !neighbors.update(contact_.surface, x, from, law_.thickness(false), 2.0 * motion, since);
         if (!intersected_ && motion > 0.0) check_intersections(neighbors, x, from, poses_[k], motion);

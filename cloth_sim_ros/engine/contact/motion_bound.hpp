@@ -19,6 +19,9 @@ public:
         high_ = larger(displacement, high_);
         nan_check_ = fma(displacement, quad<double>{}, nan_check_);
     }
+    void include(Vec3<double> displacement) {
+        include(quad<double>{displacement.x, displacement.y, displacement.z, 0.0});
+    }
     void include(const MotionBound& other) {
         low_ = smaller(other.low_, low_);
         high_ = larger(other.high_, high_);

@@ -129,6 +129,8 @@ inline auto friction_force(const Plan& plan, std::int64_t obstacle, std::int64_t
     return law.force(posed.template outward<V>(local - anchor), s.normal, s.slip, push);
 }
 
+/// Combine the anchors after runs, each (obstacles, anchor_numbers, n), at the combined state x and v. Anchors that no
+/// run moved are kept. The others are combined with the weights of the runs, and returned to the cone.
 void combine_anchors(const Plan& plan, double t, const double* x, const double* v, std::int64_t runs,
                      const double* weights, const double* ends, double* out) {
     using V = vec<double>;
@@ -211,6 +213,8 @@ double contact_energy(const Plan& plan, double t, const double* x) {
     return total;
 }
 
+/// Add the wrench on each obstacle about its position, the power on the cloth and the dissipation, (obstacles,
+/// record_numbers).
 void add_contact_wrenches(const Plan& plan, double t, const double* x, const double* v, double weight,
                           double* wrenches) {
     const auto law = plan.contacts.law<double>();
@@ -233,6 +237,7 @@ void add_contact_wrenches(const Plan& plan, double t, const double* x, const dou
     });
 }
 
+/// Power of contacts that recover their thickness [W].
 double contact_growth_power(const Plan& plan, double t, const double* x, const double* v) {
     const auto law = plan.contacts.law<double>();
     double power = 0.0;
@@ -243,6 +248,7 @@ double contact_growth_power(const Plan& plan, double t, const double* x, const d
     return power;
 }
 
+/// Add blocks of stiffness and damping across the gap. The curvature of a surface only softens.
 void add_contact_bounds(const Plan& plan, double t, const double* x, double* stiff, double* damp) {
     const auto law = plan.contacts.law<double>();
     for_each_contact(plan, t, x, nullptr, [&](const ObstacleContact& contact) {
@@ -260,6 +266,7 @@ void add_contact_bounds(const Plan& plan, double t, const double* x, double* sti
     });
 }
 
+/// Squared frequency [1/s^2] and damping rate [1/s] of contact that has absorbed an energy per mass, in U^2/2.
 ContactBounds contact_limits(const Contacts& contacts, double energy) {
     ContactBounds r;
     for (const ParallelJaw& jaw : contacts.parallel_jaws)
@@ -275,6 +282,8 @@ ContactBounds contact_limits(const Contacts& contacts, double energy) {
     return r;
 }
 
+/// Accelerations [m/s^2] of the half openings at time t, by the cloth and the drives; `jaw_forces` [N] are other
+/// opening forces by gripper.
 void jaw_accelerations(const Plan& plan, double t, const double* x, const double* v, std::vector<double> jaw_forces,
                        double* out) {
     const Contacts& contacts = plan.contacts;
@@ -325,6 +334,7 @@ void add_contact_product(const Plan& plan, double t, const double* x, const doub
     });
 }
 
+/// Number of particles in contact with each obstacle, and the least gap to any particle: (obstacles, 2).
 void contact_gaps(const Plan& plan, double t, const double* x, double* out) {
     for (std::int64_t obstacle = 0; obstacle < plan.contacts.count(); ++obstacle) {
         out[2 * obstacle] = 0.0;
@@ -337,6 +347,7 @@ void contact_gaps(const Plan& plan, double t, const double* x, double* out) {
         to[1] = smaller(contact.gap, to[1]);
     });
 }
+/// Gap of each contact [m] in the rows and columns of `ReducedThickness`: obstacles and particles.
 void contact_gap_rows(const Plan& plan, double t, const double* x, double* out) {
     const auto any_distance = [](double) { return no_gap<double>; };
     for_each_near(plan, t, x, nullptr, any_distance, [&](const ObstacleContact& contact) {
@@ -344,6 +355,9 @@ void contact_gap_rows(const Plan& plan, double t, const double* x, double* out) 
     });
 }
 
+/// Whether a particle intersects an obstacle on its straight path from x0 at time t to x1, `duration` [s] later.
+/// Conservative advancement: a particle cannot reach the surface before its relative motion equals its gap. Each step
+/// along the path is one gap long; then the gap is measured again.
 bool ccd_obstacles(const Plan& plan, double t, double duration, const double* x0, const double* x1) {
     const std::int64_t n = plan.count;
     const double origin[3] = {}, min_step = 1e-3 * plan.contacts.thickness;

@@ -81,6 +81,10 @@ struct Contacts {
             if (present(k)) active.push_back(k);
     }
     std::int64_t count() const { return static_cast<std::int64_t>(obstacles.size()); }
+    /// Scaling of the contacts of an obstacle's points and edges with a cloth of a number of particles.
+    Scaling<double> feature_scaling(std::int64_t obstacle, std::int64_t particles, double t) const {
+        return reduced.scaling(obstacle, particles, particles + 1, t);
+    }
     const double* path(std::int64_t obstacle) const { return paths.data() + obstacle * path_numbers; }
     /// The gripper whose jaw an obstacle is, or null.
     const ParallelJaw* jaw_of(std::int64_t obstacle) const {

@@ -36,8 +36,7 @@ Energy energy_of(Plan& plan, double t, const double* x, const double* v) {
         e.potential += Joint::energy(params, &d);
     }
     if (plan.contacts.count()) e.potential += contact::contact_energy(plan, t, x);
-    if (plan.self) e.potential += contact::self_energy(plan, t, x);
-    if (plan.features) e.potential += contact::feature_energy(plan, t, x);
+    if (plan.self || plan.features) contact::add_surface_energy(plan, t, x, e.potential);
     return e;
 }
 
@@ -89,8 +88,7 @@ void add_product(Plan& plan, double t, const double* x, const double* v, const d
     if (plan.grid) add_grid_product(*plan.grid, x, v, dx, dv, out);
     for (const List& list : plan.lists) add_list_product(list, x, v, dx, dv, n, out);
     if (plan.contacts.count()) contact::add_contact_product(plan, t, x, v, dx, dv, out);
-    if (plan.self) contact::add_self_product(plan, t, x, v, dx, dv, out);
-    if (plan.features) contact::add_feature_product(plan, t, x, v, dx, dv, out);
+    contact::add_surface_product(plan, t, x, v, dx, dv, out);
     for (int axis = 0; axis < 3; ++axis) {
         if (plan.drag > 0.0)
             for (std::int64_t i = 0; i < n; ++i) out[axis * n + i] -= plan.drag * plan.masses[i] * dv[axis * n + i];

@@ -1,0 +1,660 @@
+// Copyright 2026 the cloth_sim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+//
+// Queries of contact with the surface, by the cloth itself and by points and edges of obstacles: energy, powers, bounds,
+// derivative product, prediction, continuous collision detection, culling. Arrays are (3, n) by component.
+#pragma once
+
+#include "contact/culling.hpp"
+#include "contact/feature_run.hpp"
+#include "contact/queries.hpp"
+
+namespace cloth::contact {
+
+/// Convert an array (3, n) to quads in the order of runs.
+inline Array<double> quads_of(const Plan& plan, const double* a) {
+    Array<double> out(4 * plan.count, 0.0);
+    for (int c = 0; a && c < 3; ++c)
+        for (std::int64_t i = 0; i < plan.count; ++i) out[4 * plan.rank[i] + c] = a[c * plan.count + i];
+    return out;
+}
+/// Numbers of a query by particle: an array (3, n), with derivatives if V has them.
+template <class V>
+class QueryNumbers {
+public:
+    QueryNumbers(const Plan& plan, const double* value, const double* slope) : value_(quads_of(plan, value)) {
+        if constexpr (std::is_same_v<V, Dual>) slope_ = quads_of(plan, slope);
+    }
+    const double* quads() const { return value_.data(); }
+    Vec3<V> operator()(Index c) const {
+        if constexpr (std::is_same_v<V, Dual>)
+            return with_slope(Quads{value_.data()}(c), Quads{slope_.data()}(c));
+        else
+            return Quads{value_.data()}(c);
+    }
+
+private:
+    Array<double> value_, slope_;
+};
+
+/// A contact in a query: its law, and functions of the position and velocity of corners; of the cloth with an obstacle,
+/// this and its features.
+template <class V, class X, class U>
+struct SurfaceContact {
+    const SurfaceLaw<V>& law;
+    const Contact<V>& contact;
+    const X& at;
+    const U& velocity;
+    std::int64_t obstacle = -1;
+    const FeaturesAt* from = nullptr;
+    using Number = V;
+};
+/// Time, positions and velocities of a query, with derivatives or null. With `ignore_reduction` all contacts have the
+/// full thickness.
+struct SurfaceState {
+    double t;
+    const double *x, *v = nullptr, *dx = nullptr, *dv = nullptr;
+    bool ignore_reduction = false;
+};
+
+/// Call `visit` with each contact of the cloth with itself. Positions that are not finite have no contact.
+template <class V, class F>
+inline void for_each_self_contact(Plan& plan, const SurfaceState& state, F&& visit) {
+    const Contacts& contacts = plan.contacts;
+    if (!plan.self || plan.self->is_clear(state.x, contacts.thickness)) return;
+    const QueryNumbers<V> at(plan, state.x, state.dx), velocity(plan, state.v, state.dv);
+    SelfVerletList& neighbors = plan.self->neighbors();
+    if (!neighbors.find(at.quads(), contacts.thickness, 0.0)) return;
+    SurfaceLaw<V> law(contacts.thickness, contacts.damping);
+    std::vector<Scaling<double>> scalings;
+    if (!state.ignore_reduction) self_scalings(plan, state.t, scalings);
+    law.reduce(&scalings);
+    Contact<V> m;
+    const auto emit = [&] {
+        if (!m.gaps.empty()) visit(SurfaceContact{law, m, at, velocity});
+    };
+    for_each_neighbor(
+        neighbors, contacts.thickness,
+        [&](Index i, const Index* begin, const Index* end) {
+            law.particle(neighbors.surface, i, begin, end, at, velocity, m);
+            emit();
+        },
+        [&](const std::array<Index, 4>& c) {
+            law.edges(neighbors.surface, {c[0], c[1]}, {c[2], c[3]}, at, velocity, m);
+            emit();
+        });
+}
+/// The same with points and edges of obstacles.
+template <class V, class F>
+inline void for_each_feature_contact(Plan& plan, const SurfaceState& state, F&& visit) {
+    const Contacts& contacts = plan.contacts;
+    if (!plan.features || !plan.features->has_any(contacts)) return;
+    FeatureContactModel& model = *plan.features;
+    const QueryNumbers<V> cloth(plan, state.x, state.dx), cloth_velocity(plan, state.v, state.dv);
+    SurfaceLaw<V> law(contacts.thickness, contacts.damping, model.mass);
+    Contact<V> m;
+    for (std::int64_t k = 0; k < contacts.count(); ++k) {
+        FeatureVerletList& neighbors = model.neighbors()[k];
+        if (!model.has(contacts, k)) continue;
+        const Pose pose = contacts.obstacle_pose(k, state.t);
+        const FeaturesAt from{model.obstacles[k], pose, pose.position - pose_at(contacts.path(k), state.t).position};
+        if (!neighbors.find(model.surface, cloth.quads(), from, law.thickness(false), 0.0)) continue;
+        law.set_obstacle(from.features.radius, state.ignore_reduction
+                                                   ? full_thickness<double>()
+                                                   : contacts.feature_scaling(k, plan.count, state.t));
+        const auto at = with_point_positions(from, cloth), velocity = with_point_velocities(from, cloth_velocity);
+        for_each_feature_contact<V>(model.surface, neighbors, from, law, at, velocity, m, [&](const Contact<V>& one) {
+            visit(SurfaceContact{law, one, at, velocity, k, &from});
+        });
+    }
+}
+template <class V, class F>
+inline void for_each_surface_contact(Plan& plan, const SurfaceState& state, F&& visit) {
+    for_each_self_contact<V>(plan, state, visit);
+    for_each_feature_contact<V>(plan, state, visit);
+}
+/// Add the sum of term(contact) over the contacts of the cloth with itself, and that over the others.
+template <class F>
+inline void add_sums(Plan& plan, const SurfaceState& state, double& to, F&& term) {
+    double sums[2] = {};
+    for_each_surface_contact<double>(plan, state, [&](const auto& c) { sums[c.contact.has_feature] += term(c); });
+    to += sums[0];
+    to += sums[1];
+}
+
+/// Call `visit` with the friction law and the kinematics of each layer in contact, with the anchors of the plan.
+template <class C, class F>
+inline void for_each_layer_contact(const Plan& plan, const C& c, F&& visit) {
+    if (!plan.has_self_friction() || c.contact.has_feature) return;
+    const SelfFriction<typename C::Number> friction(plan.self->friction, plan.contacts.frequency, c.law);
+    friction.for_each_layer(plan.self->surface, c.contact, plan.layer_anchors(), c.at, c.velocity,
+                            [&](int, const auto&, const auto&, const auto& on) { visit(friction, on); });
+}
+/// Sum of a number of the friction per mass, for all layers in contact.
+template <class C, class F>
+inline double layer_sum(const Plan& plan, const C& c, F&& number) {
+    double sum = 0.0;
+    for_each_layer_contact(plan, c,
+                           [&](const auto& friction, const auto& on) { sum += on.mass * number(friction.force(on)); });
+    return sum;
+}
+template <class C>
+inline double layer_dissipation(const Plan& plan, const C& c) {
+    return layer_sum(plan, c, [](const auto& friction) { return friction.dissipation; });
+}
+
+void add_surface_energy(Plan& plan, double t, const double* x, double& potential) {
+    add_sums(plan, {.t = t, .x = x}, potential, [&](const auto& c) {
+        return c.law.energy(c.contact) + layer_sum(plan, c, [](const auto& friction) { return friction.energy; });
+    });
+}
+double self_dissipation(Plan& plan, double t, const double* x, const double* v) {
+    double dissipation = 0.0;
+    for_each_self_contact<double>(plan, {.t = t, .x = x, .v = v}, [&](const auto& c) {
+        dissipation += c.law.dissipation(c.contact) + layer_dissipation(plan, c);
+    });
+    return dissipation;
+}
+/// Power of friction between layers [W].
+double self_friction_power(Plan& plan, double t, const double* x, const double* v) {
+    double dissipation = 0.0;
+    for_each_self_contact<double>(plan, {.t = t, .x = x, .v = v},
+                                  [&](const auto& c) { dissipation += layer_dissipation(plan, c); });
+    return dissipation;
+}
+/// Add the power of contacts that recover their thickness [W].
+void add_surface_growth_power(Plan& plan, double t, const double* x, const double* v, double& power) {
+    if (!plan.contacts.reduced.any()) return;
+    add_sums(plan, {.t = t, .x = x, .v = v}, power, [](const auto& c) { return c.law.growth_power(c.contact); });
+}
+/// Add the wrench on each obstacle about its position, the power on the cloth and the dissipation, (obstacles,
+/// record_numbers).
+void add_feature_wrenches(Plan& plan, double t, const double* x, const double* v, double weight, double* wrenches) {
+    for_each_feature_contact<double>(plan, {.t = t, .x = x, .v = v}, [&](const auto& c) {
+        double* const to = wrenches + c.obstacle * record_numbers;
+        c.law.forces(c.contact, [&](Index k, Vec3<double> force) {
+            if (k < 0) FeatureRun::accumulate(to, *c.from, ~k, force, weight);
+        });
+        to[record_numbers - 1] += weight * c.law.dissipation(c.contact);
+    });
+}
+/// Add the forces that open the jaws [N], by gripper.
+void add_feature_jaw_forces(Plan& plan, double t, const double* x, const double* v, std::vector<double>& jaw_forces) {
+    for_each_feature_contact<double>(plan, {.t = t, .x = x, .v = v}, [&](const auto& c) {
+        const Obstacle& obstacle = plan.contacts.obstacles[c.obstacle];
+        if (obstacle.parallel_jaw < 0) return;
+        c.law.forces(c.contact, [&](Index k, Vec3<double> force) {
+            if (k < 0) jaw_forces[obstacle.parallel_jaw] += obstacle.jaw_side * dot(c.from->pose.rotation[1], force);
+        });
+    });
+}
+
+/// Add blocks that bound the stiffness and damping of a contact: for a gap k g g', g = weights times normal, at most
+/// `mobility` k |w_c| n n' at corner c, because the weights of either side add up to one. Terms with a negative sign
+/// only soften, and fading edges too.
+inline void add_gap_bounds(const Plan& plan, const SurfaceLaw<double>& law, const Contact<double>& m, double mobility,
+                           double* stiff, double* damp) {
+    for (const GapTerm<double>& g : m.gaps) {
+        if (g.sign < 0.0) continue;
+        const double mass = mobility * m.mass * (m.edges ? m.fade_factor : 1.0);
+        const double k = mass * law.law(m.edges).stiffness(g.gap), c = mass * law.law(m.edges).damping(g.gap);
+        for (int corner = 0; corner < 4; ++corner) {
+            if (g.corner[corner] < 0 || (!m.edges && corner && g.corner[corner] == g.corner[0])) continue;
+            const double weight = absolute(g.weight[corner]);
+            const std::int64_t i = plan.particle_of_rank[g.corner[corner]];
+            if (stiff) add_block(stiff, plan.count, i, outer(k * weight, g.normal, 0.0));
+            if (damp) add_block(damp, plan.count, i, outer(c * weight, g.normal, 0.0));
+        }
+    }
+}
+/// Call `visit` with each corner and a bound [N/m] of the stiffness of its anchor spring.
+template <class C, class F>
+inline void for_each_layer_bound(const Plan& plan, const C& c, F&& visit) {
+    for_each_layer_contact(plan, c, [&](const auto& friction, const auto& on) { friction.bounds(on, visit); });
+}
+void add_self_bounds(Plan& plan, double t, const double* x, double* stiff, double* damp) {
+    const double damping_ratio = FrictionLaw<double>::damping_per_frequency / plan.contacts.frequency;
+    for_each_self_contact<double>(plan, {.t = t, .x = x}, [&](const auto& contact) {
+        for_each_layer_bound(plan, contact, [&](Index c, double k) {
+            const std::int64_t i = plan.particle_of_rank[c];
+            const double damping = damping_ratio * k;
+            if (stiff) add_block(stiff, plan.count, i, {k, k, k, 0.0, 0.0, 0.0});
+            if (damp) add_block(damp, plan.count, i, {damping, damping, damping, 0.0, 0.0, 0.0});
+        });
+        add_gap_bounds(plan, contact.law, contact.contact, 2.0, stiff, damp);
+    });
+}
+void add_feature_bounds(Plan& plan, double t, const double* x, double* stiff, double* damp) {
+    for_each_feature_contact<double>(plan, {.t = t, .x = x},
+                                     [&](const auto& c) { add_gap_bounds(plan, c.law, c.contact, 1.0, stiff, damp); });
+}
+void add_surface_product(Plan& plan, double t, const double* x, const double* v, const double* dx, const double* dv,
+                         double* out) {
+    const auto add = [&](Index c, Vec3<Dual> force) {
+        if (c < 0) return;
+        const std::int64_t i = plan.particle_of_rank[c];
+        out[i] += force.x.slope;
+        out[plan.count + i] += force.y.slope;
+        out[2 * plan.count + i] += force.z.slope;
+    };
+    for_each_surface_contact<Dual>(plan, {.t = t, .x = x, .v = v, .dx = dx, .dv = dv}, [&](const auto& c) {
+        for_each_layer_contact(
+            plan, c, [&](const auto& friction, const auto& on) { friction.forces(on, friction.force(on), add); });
+        c.law.forces(c.contact, add);
+    });
+}
+
+/// Number of particles and pairs of edges in contact, and their least gap [m], infinite if there are none.
+void self_gaps(Plan& plan, const double* x, double* out) {
+    out[0] = 0.0;
+    out[1] = std::numeric_limits<double>::infinity();
+    for_each_self_contact<double>(plan, {.t = 0.0, .x = x, .ignore_reduction = true}, [&](const auto& c) {
+        out[0] += 1.0;
+        out[1] = smaller(c.contact.min_gap(), out[1]);
+    });
+}
+/// Lower the gaps in column 1 of (obstacles, 2) to the least gap of each obstacle's features.
+void feature_gaps(Plan& plan, double t, const double* x, double* out) {
+    for_each_feature_contact<double>(plan, {.t = t, .x = x, .ignore_reduction = true}, [&](const auto& c) {
+        double& to = out[2 * c.obstacle + 1];
+        to = smaller(c.contact.min_gap(), to);
+    });
+}
+/// Lower the gaps [m] in the rows and columns of `ReducedThickness`, in units of the full thickness of particles. The
+/// last row has each particle's contacts within the thickness, to triangles, edges and particles, and of its edges with
+/// other edges; the last column each obstacle's features within half the thickness.
+void surface_gap_rows(Plan& plan, double t, const double* x, double* out) {
+    const std::int64_t columns = plan.count + 1;
+    for_each_surface_contact<double>(plan, {.t = t, .x = x, .ignore_reduction = true}, [&](const auto& c) {
+        const Contact<double>& m = c.contact;
+        const double gap = m.edges || m.has_feature ? 2.0 * m.min_gap() : m.min_gap();
+        const auto lower = [&](std::int64_t row, std::int64_t column) {
+            double& to = out[row * columns + column];
+            to = smaller(gap, to);
+        };
+        if (m.has_feature) return lower(c.obstacle, plan.count);
+        for (int k = 0; k < (m.edges ? 4 : 1); ++k)
+            lower(plan.contacts.count(), plan.particle_of_rank[m.gaps[0].corner[k]]);
+    });
+}
+
+/// Combine the anchors on layers after runs, as `combine_anchors` does for obstacles, whose anchors come before them:
+/// anchors that no run moved are kept, the others are combined as positions and returned to the cone.
+void combine_self_anchors(Plan& plan, double t, const double* x, const double* v, std::int64_t runs,
+                          const double* weights, const double* all_ends, double* all_out) {
+    if (!plan.has_self_friction()) return;
+    const std::int64_t offset = plan.contacts.obstacle_anchors(plan.count), stride = plan.anchor_count();
+    const double* const ends = all_ends + offset;
+    double* const out = all_out + offset;
+    const Surface& s = plan.self->surface;
+    const std::int64_t n = plan.count;
+    const auto ended = [&](std::int64_t run, int face, Index i) {
+        return LayerAnchors{ends + run * stride, plan.particle_of_rank.data(), n}(face, i);
+    };
+    for_each_self_contact<double>(plan, {.t = t, .x = x, .v = v}, [&](const auto& contact) {
+        const SelfFriction<double> friction(plan.self->friction, plan.contacts.frequency, contact.law);
+        const auto combined = [&](int face, Index i) {
+            const LayerAnchor last_anchor = ended(runs - 1, face, i);
+            bool all_bonded = last_anchor.bond != no_bond, same = true;
+            for (std::int64_t run = 0; run < runs; ++run) {
+                const LayerAnchor anchor = ended(run, face, i);
+                all_bonded = all_bonded && anchor.bond != no_bond;
+                same = same && anchor.triangle == last_anchor.triangle && anchor.second == last_anchor.second &&
+                       anchor.third == last_anchor.third && anchor.bond == last_anchor.bond;
+            }
+            if (!all_bonded || same) return last_anchor;
+            Vec3<double> sum{};
+            for (std::int64_t run = 0; run < runs; ++run) {
+                const LayerAnchor anchor = ended(run, face, i);
+                const auto& t = s.triangles[anchor.triangle];
+                const Vec3<double> a = contact.at(t[0]), e = contact.at(t[1]) - a, g = contact.at(t[2]) - a;
+                sum = fma(weights[run], fma(anchor.second, e, fma(anchor.third, g, a)), sum);
+            }
+            return friction.barycentric_anchor(s, last_anchor.triangle, sum, contact.at);
+        };
+        friction.for_each_layer(
+            s, contact.contact, combined, contact.at, contact.velocity,
+            [&](int face, const Layer<double>& layer, const LayerAnchor& anchor, const AnchorKinematics<double>& on) {
+                const auto force = friction.force(on);
+                write_anchor(out, n, face, plan.particle_of_rank[on.corner[0]],
+                             friction.next_anchor(s, on, layer, anchor, force.slides, {}, force.stretch, contact.at));
+            });
+    });
+}
+
+ContactBounds predict_self_contact(Plan& plan, double t, double duration, double expected, const double* x,
+                                   const double* v) {
+    SelfContact& self = *plan.self;
+    SelfVerletList& neighbors = self.neighbors();
+    const double d = plan.contacts.thickness;
+    // A reduced thickness is below the full one.
+    if (self.stays_separated(x, v, d, duration)) {
+        neighbors.clear_pairs();
+        return {};
+    }
+    const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, v);
+    MotionBound motion;
+    motion.include(velocities.data(), nullptr, plan.count);
+    // At most half the shortest edge, so that neighbours in a flat sheet don't count. The next call sees pairs further
+    // away.
+    const double margin = smaller(motion.diameter() * duration, 0.5 * self.surface.shortest);
+    StiffnessBound bound;
+    RowSums load;
+    SurfaceLaw<double> law(d, plan.contacts.damping);
+    std::vector<Scaling<double>> scalings;
+    self_scalings(plan, t, scalings);
+    law.reduce(&scalings);
+    if (!neighbors.find(positions.data(), d, margin)) {
+        const double infinite = std::numeric_limits<double>::infinity();
+        return {infinite, infinite};
+    }
+    const Surface& s = self.surface;
+    const Quads at{positions.data()}, velocity{velocities.data()};
+    Contact<double> m;
+    // Edges have half the thickness. Slower layers are stopped by their particles before that. Edges that touch
+    // nevertheless, in a twist, are seen by the run itself.
+    const double min_edge_speed = ContactLaw<double>::speed * root(0.5 * law.law(false).shape(0.5 * d) / expected);
+    for_each_neighbor(
+        neighbors, d,
+        [&](Index i, const Index* begin, const Index* end) {
+            law.particle(s, i, begin, end, at, velocity, m);
+            bound.include(s, m);
+            for_each_layer_bound(plan, SurfaceContact{law, m, at, velocity},
+                                 [&](Index c, double k) { load.add(s, c, k); });
+        },
+        [&](const std::array<Index, 4>& c) {
+            law.edges(s, {c[0], c[1]}, {c[2], c[3]}, at, velocity, m);
+            bound.include(s, m);
+        });
+    bound.add_approaching<false>(s, neighbors.triangles, law, at.from, velocity.from, duration);
+    bound.add_approaching<true>(s, neighbors.edges, law, at.from, velocity.from, duration, min_edge_speed);
+    bound.flush();
+    load.flush();
+    const double frequency = plan.contacts.frequency;
+    const double friction_omega2 = plan.has_self_friction() ? larger(load.max(), 2.0 * frequency * frequency) : 0.0;
+    return bound.bounds(d, plan.contacts.damping, expected, friction_omega2, frequency);
+}
+
+ContactBounds predict_feature_contact(Plan& plan, double t, double duration, double expected, const double* x,
+                                      const double* v) {
+    FeatureContactModel& contact = *plan.features;
+    const Contacts& contacts = plan.contacts;
+    // Usually particles alone keep all obstacles out.
+    if (!contact.has_any(contacts)) return {};
+    SurfaceLaw<double> law = contact.law(contacts);
+    const double infinite = std::numeric_limits<double>::infinity();
+    const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, v);
+    const Quads at{positions.data()}, velocity{velocities.data()};
+    FeatureStiffnessBound bound(contact.mass);
+    Contact<double> m;
+    for (std::int64_t k = 0; k < contacts.count(); ++k) {
+        FeatureVerletList& neighbors = contact.neighbors()[k];
+        if (!contact.has(contacts, k)) continue;
+        const Pose pose = contacts.driven_pose(k, t, duration);
+        const FeaturesAt from{contact.obstacles[k], pose};
+        bound.set_obstacle(contacts, k);
+        law.set_obstacle(from.features.radius, contacts.feature_scaling(k, plan.count, t));
+        MotionBound motion;
+        motion.include(velocities.data(), nullptr, plan.count);
+        motion.include(pose.velocity);
+        const double speed = motion.diameter() + root(norm2(pose.spin)) * from.features.reach;
+        // The next call sees pairs further away.
+        const double margin = smaller(speed * duration, 2.0 * contact.surface.shortest);
+        if (!neighbors.find(contact.surface, positions.data(), from, law.thickness(false), margin))
+            return {infinite, infinite};
+        for_each_feature_contact<double>(
+            contact.surface, neighbors, from, law, with_point_positions(from, at),
+            with_point_velocities(from, velocity), m, [&](const auto& term) { bound.include(contact.surface, term); },
+            &bound, duration);
+    }
+    bound.flush();
+    if (bound.gap <= 0.0) return {infinite, infinite};
+    return bound.bounds(law, expected);
+}
+
+bool ccd_self(Plan& plan, const double* x0, const double* x1) {
+    SelfVerletList& neighbors = plan.self->neighbors();
+    const double d = plan.contacts.thickness;
+    const Array<double> from = quads_of(plan, x0), to = quads_of(plan, x1);
+    MotionBound motion;
+    motion.include(to.data(), from.data(), plan.count);
+    const double max_motion = motion.diameter();
+    if (!neighbors.find(from.data(), d, max_motion)) return true;
+    const Quads start{from.data()}, end{to.data()};
+    for (std::size_t k = 0; k < neighbors.triangles.size(); ++k)
+        if (ccd_pair<false>(pair_corners<false>(neighbors.surface, neighbors.triangles, k), 0.0, 1e-3 * d, start, end))
+            return true;
+    for (std::size_t k = 0; k < neighbors.edges.size(); ++k)
+        if (ccd_pair<true>(pair_corners<true>(neighbors.surface, neighbors.edges, k), 0.0, 1e-3 * d, start, end))
+            return true;
+    return false;
+}
+
+/// Whether the features of an obstacle intersect the cloth while the obstacle moves between two poses and the particles
+/// (quads) move straight. Conservative advancement: each step is one gap long.
+inline bool ccd_obstacle_features(FeatureContactModel& contact, std::int64_t k, double thickness,
+                                  const Pose& start_pose, const Pose& end_pose, const double* from, const double* to) {
+    const Surface& s = contact.surface;
+    const Quads start{from}, end{to};
+    FeatureVerletList& neighbors = contact.neighbors()[k];
+    const Features& features = contact.obstacles[k];
+    const FeaturesAt begin{features, start_pose}, finish{features, end_pose};
+    MotionBound motion;
+    motion.include(to, from, s.count);
+    if (!neighbors.find(s, from, begin, thickness, max_relative_motion(motion, features, start_pose, end_pose)))
+        return true;
+    const auto start_at = with_point_positions(begin, start), end_at = with_point_positions(finish, end);
+    const auto any_intersects = [&](auto edges, const PairList& pairs) {
+        for (std::size_t k = 0; k < pairs.size(); ++k)
+            if (ccd_pair<edges()>(feature_corners<edges()>(s, features, pairs, k), features.radius, 1e-3 * thickness,
+                                  start_at, end_at))
+                return true;
+        return false;
+    };
+    return any_intersects(std::false_type{}, neighbors.triangles) || any_intersects(std::true_type{}, neighbors.edges);
+}
+bool ccd_features(Plan& plan, double t, double duration, const double* x0, const double* x1) {
+    FeatureContactModel& contact = *plan.features;
+    const Contacts& contacts = plan.contacts;
+    const Array<double> from = quads_of(plan, x0), to = quads_of(plan, x1);
+    const double thickness = contact.law(contacts).thickness(false);
+    for (std::int64_t k = 0; k < contacts.count(); ++k)
+        if (contact.has(contacts, k) &&
+            ccd_obstacle_features(contact, k, thickness, contacts.obstacle_pose(k, t),
+                                  contacts.obstacle_pose(k, t + duration), from.data(), to.data()))
+            return true;
+    return false;
+}
+/// For each gripper, whether a jaw intersects the cloth at x while it moves from a half opening [m] to its present one.
+void ccd_jaws(Plan& plan, double t, const double* x, const double* half_openings, std::int64_t* out) {
+    FeatureContactModel& contact = *plan.features;
+    const Contacts& contacts = plan.contacts;
+    const Array<double> at = quads_of(plan, x);
+    const double thickness = contact.law(contacts).thickness(false);
+    for (std::int64_t k = 0; k < contacts.count(); ++k) {
+        const std::int64_t jaw = contacts.obstacles[k].parallel_jaw;
+        if (jaw < 0 || !contact.has(contacts, k)) continue;
+        const Pose previous_pose = contacts.shifted_pose(pose_at(contacts.path(k), t), k, half_openings[jaw], 0.0);
+        if (ccd_obstacle_features(contact, k, thickness, previous_pose, contacts.obstacle_pose(k, t), at.data(),
+                                  at.data()))
+            out[jaw] = 1;
+    }
+}
+
+/// First edge that intersects a triangle: its two particles and those of the triangle, or -1 if there is none. Pairs
+/// with a common corner do not count.
+void find_self_intersection(Plan& plan, const double* x, std::int64_t* out) {
+    const Surface& s = plan.self->surface;
+    std::fill(out, out + 5, std::int64_t{-1});
+    if (plan.self->is_clear(x, plan.contacts.thickness)) return;
+    const Array<double> positions = quads_of(plan, x);
+    const Quads at{positions.data()};
+    // A point of a triangle is no further from its edges than the radius of the inscribed circle.
+    SurfacePairs pairs;
+    pairs.build(s, positions.data(), 0.3 * longest_edge(s, at));
+    const auto intersects = [&](const std::array<Index, 2>& e, Index triangle) {
+        if (triangle < 0 || s.has(triangle, e[0]) || s.has(triangle, e[1])) return false;
+        const auto& t = s.triangles[triangle];
+        if (!segment_intersects(at(e[0]), at(e[1]), at(t[0]), at(t[1]), at(t[2]))) return false;
+        const Index hit[5] = {e[0], e[1], t[0], t[1], t[2]};
+        for (int k = 0; k < 5; ++k) out[k] = plan.particle_of_rank[hit[k]];
+        return true;
+    };
+    // The triangles of an edge are about its ends.
+    const auto any_triangle_of = [&](const std::array<Index, 2>& e, const std::array<Index, 2>& edge) {
+        for (Index k = s.start[edge[0]]; k < s.start[edge[0] + 1]; ++k)
+            if (s.has(s.fan[k], edge[1]) && intersects(e, s.fan[k])) return true;
+        return false;
+    };
+    for (std::size_t k = 0; k < pairs.edges.size(); ++k) {
+        const auto &a = s.edges[pairs.edges.first[k]], &b = s.edges[pairs.edges.second[k]];
+        if (any_triangle_of(a, b) || any_triangle_of(b, a)) return;
+    }
+}
+
+/// Find an initial intersection at time t, three numbers: the obstacle, and two particles of the edge inside it or of
+/// the triangle that its feature intersects; -1 if there is none.
+void find_feature_intersection(Plan& plan, double t, const double* x, std::int64_t* out) {
+    const FeatureContactModel& contact = *plan.features;
+    const Contacts& contacts = plan.contacts;
+    const Surface& s = contact.surface;
+    const Array<double> positions = quads_of(plan, x);
+    const Quads at{positions.data()};
+    std::fill(out, out + 3, std::int64_t{-1});
+    const double origin[3] = {}, min_step = 1e-3 * contacts.thickness;
+    for (std::int64_t k = 0; k < contacts.count(); ++k) {
+        const Features& features = contact.obstacles[k];
+        if (!contact.has(contacts, k)) continue;
+        const Pose pose = contacts.obstacle_pose(k, t);
+        const FeaturesAt from{features, pose};
+        const auto report = [&](Index a, Index b) {
+            out[0] = k, out[1] = plan.particle_of_rank[a], out[2] = plan.particle_of_rank[b];
+        };
+        // Edges of the cloth that enter the obstacle, sampled in steps of one gap.
+        const Obstacle& obstacle = contacts.obstacles[k];
+        const PosedObstacle<double> posed(pose, origin, obstacle);
+        for (const auto& e : s.edges) {
+            const Vec3<double> a = at(e[0]), b = at(e[1]);
+            const double length = root(norm2(b - a));
+            for (double distance = 0.0; distance < length;) {
+                const double gap = with_shape(obstacle.shape, [&](auto shape) {
+                    return contact_kinematics<shape.value, true, double>(posed, obstacle.size,
+                                                                         a + (distance / length) * (b - a), {})
+                        .gap;
+                });
+                if (!(gap > 0.0)) return report(e[0], e[1]);
+                distance += larger(gap, min_step);
+            }
+        }
+        // Features that intersect a triangle.
+        for (const auto& c : s.triangles) {
+            const Vec3<double> p[3] = {at(c[0]), at(c[1]), at(c[2])};
+            const AxisBox box = AxisBox({p[0], p[1], p[2]}).expanded(features.radius);
+            for (std::size_t j = 0; features.radius > 0.0 && j < features.points.size(); ++j) {
+                const Vec3<double> q = from.position(static_cast<Index>(j));
+                if (box.overlaps(AxisBox(q)) &&
+                    !(near_triangle(q, p[0], p[1], p[2]).square > features.radius * features.radius))
+                    return report(c[0], c[1]);
+            }
+            for (const auto& edge : features.edges) {
+                const Vec3<double> q = from.position(edge[0]), r = from.position(edge[1]);
+                if (box.overlaps(AxisBox({q, r})) && segment_intersects(q, r, p[0], p[1], p[2]))
+                    return report(c[0], c[1]);
+            }
+        }
+    }
+}
+
+SelfCulling::SelfCulling(Plan& plan, double duration, const double* x0, const double* v0)
+    : plan_(plan), x0_(x0), duration_(duration) {
+    plan.self_culled = false;
+    if (!plan.self) return;
+    SelfContact& self = *plan.self;
+    plan.self_culled = is_separated_ = self.stays_separated(x0, v0, plan.contacts.thickness, duration);
+    if (is_separated_) return;
+    const Array<double> positions = quads_of(plan, x0);
+    speed_limit_ = 2.0 * relative_speed(v0) + SelfContact::speed_margin;
+    const double margin = speed_limit_ * duration;
+    plan.self_culled = plan.contacts.thickness + margin < SelfVerletList::min_reach * self.surface.shortest &&
+                       self.neighbors().has_no_pairs(positions.data(), plan.contacts.thickness, margin);
+}
+
+bool SelfCulling::is_violated(const double* x, const double* v, bool is_next_start) const {
+    if (!plan_.self_culled) return false;
+    if (!is_separated_) return !(relative_speed(v) <= speed_limit_);
+    return !plan_.self->stayed_separated(x0_, x, v, plan_.contacts.thickness, duration_, is_next_start);
+}
+
+double SelfCulling::relative_speed(const double* v) const {
+    const std::int64_t n = plan_.count;
+    MotionBound bound;
+    for (std::int64_t i = 0; i < n; ++i) bound.include(Vec3<double>{v[i], v[n + i], v[2 * n + i]});
+    return bound.diameter();
+}
+
+FeatureCulling::FeatureCulling(Plan& plan, double t, double duration, const double* x0, const double* v0)
+    : plan_(plan) {
+    if (!plan.features) return;
+    FeatureContactModel& contact = *plan.features;
+    const Contacts& contacts = plan.contacts;
+    const Surface& s = contact.surface;
+    std::fill(contact.is_active.begin(), contact.is_active.end(), 0);
+    if (s.triangles.empty() || !contact.has_any(contacts)) return;
+    const double thickness = contact.law(contacts).thickness(false);
+    speed_limit_ = 2.0 * max_particle_speed(v0) + speed_margin;
+    Array<double> positions;
+    // Ball about the cloth.
+    Vec3<double> center{};
+    double radius = 0.0;
+    for (std::int64_t k = 0; k < contacts.count(); ++k) {
+        FeatureVerletList& neighbors = contact.neighbors()[k];
+        const Features& features = contact.obstacles[k];
+        if (!contact.has(contacts, k)) continue;
+        const double* const path = contacts.path(k);
+        auto [path_length, path_angle] = max_path_motion(path, duration);
+        const Pose pose = contacts.obstacle_pose(k, t);
+        // Jaws rotate about their gripper. The cloth may push them back faster than they are driven.
+        const double lever = root(norm2(pose.position - pose_at(path, t).position));
+        if (contacts.jaw_of(k)) path_length += 2.0 * contacts.max_jaw_speed(k) * duration;
+        const double margin = speed_limit_ * duration + path_length + path_angle * (lever + features.reach);
+        if (positions.empty()) {
+            positions = quads_of(plan, x0);
+            const AxisBox box = box_of_edges(s, {positions.data()});
+            center = box.center();
+            radius = 0.5 * root(norm2(box.high - box.low));
+        }
+        // Distance between the bounding balls of cloth and obstacle.
+        const double distance = root(norm2(center - pose.position)) - radius - features.reach - features.radius;
+        if (distance > thickness + margin) continue;
+        const bool is_valid = neighbors.find(s, positions.data(), {features, pose}, thickness, margin);
+        contact.is_active[k] = !is_valid || neighbors.triangles.size() || neighbors.edges.size();
+    }
+    for (std::int64_t k = 0; k < contacts.count(); ++k)
+        covers_all_ = covers_all_ && (contact.is_active[k] || !contact.has(contacts, k));
+}
+
+void FeatureCulling::disable() {
+    if (!plan_.features) return;
+    plan_.features->activate_all(plan_.contacts);
+    covers_all_ = true;
+}
+
+double FeatureCulling::max_particle_speed(const double* v) const {
+    const std::int64_t n = plan_.count;
+    double square = 0.0;
+    for (std::int64_t i = 0; i < n; ++i) {
+        const double square_i = norm2(Vec3<double>{v[i], v[n + i], v[2 * n + i]});
+        square = square_i <= square ? square : square_i;  // a speed that is NaN is kept
+        if (!(square_i < std::numeric_limits<double>::infinity())) return square_i;
+    }
+    return root(square);
+}
+
+void activate_features(Plan& plan) {
+    if (plan.features) plan.features->activate_all(plan.contacts);
+}
+void deactivate_features(Plan& plan) {
+    if (plan.features) std::fill(plan.features->is_active.begin(), plan.features->is_active.end(), 0);
+}
+
+}  // namespace cloth::contact
