@@ -23,14 +23,13 @@ static void predict_surface_contact(Plan& plan, double t, double duration, doubl
     };
     if (plan.self)
         add(contact::predict_self_contact(plan, t, duration, expected, x, v),
-            [&] { return plan.self->neighbors().triangles.size() + plan.self->neighbors().edges.size(); });
+            [&] { return plan.self->neighbors().size(); });
     if (!plan.features) return;
     add(contact::predict_feature_contact(plan, t, duration, expected, x, v), [&] {
         // The lists of an absent obstacle are of an earlier call.
         std::size_t pairs = 0;
         for (std::int64_t k = 0; k < plan.contacts.count(); ++k) {
-            const contact::FeatureVerletList& neighbors = plan.features->neighbors()[k];
-            if (plan.features->has(plan.contacts, k)) pairs += neighbors.triangles.size() + neighbors.edges.size();
+            if (plan.features->has(plan.contacts, k)) pairs += plan.features->neighbors()[k].size();
         }
         return pairs;
     });

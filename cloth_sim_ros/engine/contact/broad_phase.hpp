@@ -84,6 +84,32 @@ private:
     }
 };
 
+/// Pairs of a point and a triangle, and of two edges.
+struct PairLists {
+    PairList triangles, edges;
+
+    std::size_t size() const { return triangles.size() + edges.size(); }
+    bool empty() const { return !size(); }
+    void clear() {
+        triangles.clear();
+        edges.clear();
+    }
+    /// Set to the pairs of other lists that are measured within a range [m], edges within another.
+    void select(const PairLists& from, double range, double edge_range) {
+        triangles.select(from.triangles, range);
+        edges.select(from.edges, edge_range);
+    }
+    /// Whether test(edges, list, k) holds for any pair. `edges`: std::true_type for two edges.
+    template <class F>
+    bool any(F&& test) const {
+        for (std::size_t k = 0; k < triangles.size(); ++k)
+            if (test(std::false_type{}, triangles, k)) return true;
+        for (std::size_t k = 0; k < edges.size(); ++k)
+            if (test(std::true_type{}, edges, k)) return true;
+        return false;
+    }
+};
+
 /// Corners of pair k: of two edges, or the particle and those of the triangle.
 template <bool Edges>
 CLOTH_INLINE std::array<Index, 4> pair_corners(const Surface& s, const PairList& pairs, std::size_t k) {
@@ -296,17 +322,9 @@ private:
 };
 
 /// Pairs of a surface within a range of each other.
-class SurfacePairs {
-public:
-    PairList triangles;  ///< particle, triangle
-    PairList edges;      ///< edge, later edge
+struct SurfacePairs : PairLists {
     double reach = -1.0;
 
-    bool empty() const { return !triangles.size() && !edges.size(); }
-    void clear() {
-        triangles.clear();
-        edges.clear();
-    }
     /// Build the lists of all pairs within `max_distance` [m] at positions x, quads, and measure them; for edges the
     /// distance is `edge_reduction` [m] shorter.
     void build(const Surface& s, const double* x, double max_distance, double edge_reduction = 0.0) {
@@ -319,8 +337,7 @@ public:
         find_triangles(s, at, length, reach, s.count, at, [&](Index i) { return s.joined[i]; }, near.triangles);
         near.find_edges(s, at, length, max_distance - edge_reduction);
         near.measure(s, x);
-        triangles.select(near.triangles, reach);
-        edges.select(near.edges, max_distance - edge_reduction);
+        select(near, reach, max_distance - edge_reduction);
     }
     /// Measure the squared distances of all pairs.
     void measure(const Surface& s, const double* x) {

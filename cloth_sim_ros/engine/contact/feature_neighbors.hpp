@@ -51,8 +51,7 @@ inline std::array<Index, 4> feature_corners(const Surface& s, const Features& fe
 }
 
 /// Pairs of one obstacle: point and triangle, edge of the obstacle and edge of the cloth.
-struct FeaturePairs {
-    PairList triangles, edges;
+struct FeaturePairs : PairLists {
     double reach = -1.0;
 
     /// Build the list of all pairs within `max_distance` [m], radius included. Positions are quads.
@@ -61,12 +60,7 @@ struct FeaturePairs {
         FeaturePairs near;
         if (!s.triangles.empty() && !from.features.points.empty()) near.find(s, from, Quads{x}, reach);
         near.measure(s, from, x);
-        select(near, reach);
-    }
-    /// Set to the pairs of other lists that are measured within a range [m].
-    void select(const FeaturePairs& from, double range) {
-        triangles.select(from.triangles, range);
-        edges.select(from.edges, range);
+        select(near, reach, reach);
     }
     /// Measure the squared distances of all pairs.
     void measure(const Surface& s, const FeaturesAt& from, const double* x) {
@@ -129,12 +123,10 @@ inline double max_relative_motion(MotionBound cloth, const Features& features, c
     return cloth.diameter() + rotation_displacement(to, from, features.reach);
 }
 
-/// Verlet lists of the features of one obstacle, kept between calls. Concurrent runs need one each.
-class FeatureVerletList : private FeaturePairs {
+/// Pairs of the last `find`, by Verlet lists of the features of one obstacle, kept between calls. Concurrent runs need
+/// one each.
+class FeatureVerletList : public PairLists {
 public:
-    /// Pairs of the last `find`, measured.
-    using FeaturePairs::triangles, FeaturePairs::edges;
-
     /// Find the pairs nearer than thickness + margin [m], in addition to the radius. Return false if a position is not
     /// finite, or if that distance is at least four times the shortest edge.
     bool find(const Surface& s, const double* x, const FeaturesAt& from, double thickness, double margin) {
@@ -157,7 +149,7 @@ public:
             }
         }
         inner_.pairs.measure(s, from, x);
-        select(inner_.pairs, from.features.radius + range);
+        select(inner_.pairs, from.features.radius + range, from.features.radius + range);
         return true;
     }
 
@@ -191,7 +183,7 @@ private:
         } else {
             outer_.pairs.measure(s, from, x);
         }
-        inner_.pairs.select(outer_.pairs, radius + range);
+        inner_.pairs.select(outer_.pairs, radius + range, radius + range);
         store_reference(s, x, from.pose, inner_.reference);
         inner_.margin = margin;
     }

@@ -157,14 +157,12 @@ private:
         const Quads cloth{x}, previous_cloth{positions_.data()};
         const auto at = with_point_positions(current, cloth), was = with_point_positions(previous, previous_cloth);
         const auto displacement = [&](Index c) { return at(c) - was(c); };
-        const auto may_any_intersect = [&](auto edges, const PairList& pairs) {
-            return may_intersect<edges()>(
-                pairs.square, pairs.size(), current.features.radius, motion,
-                [&](std::size_t k) { return feature_corners<edges()>(contact_.surface, current.features, pairs, k); },
-                displacement);
-        };
-        intersected_ = may_any_intersect(std::false_type{}, neighbors.triangles) ||
-                       may_any_intersect(std::true_type{}, neighbors.edges);
+        const double radius = current.features.radius, limit = radius + motion;
+        intersected_ = neighbors.any([&](auto edges, const PairList& pairs, std::size_t k) {
+            return pairs.square[k] <= limit * limit &&
+                   may_intersect<edges()>(feature_corners<edges()>(contact_.surface, current.features, pairs, k),
+                                          pairs.square[k], radius, displacement);
+        });
     }
 
     const FeatureContactModel& contact_;

@@ -4,7 +4,7 @@
 // Jaws over a run: integrated like particles, with the forces of all blocks of particles in the step before.
 #pragma once
 
-#include "contact/jaw_law.hpp"
+#include "contact/parallel_jaw.hpp"
 #include "plan/plan.hpp"
 
 namespace cloth::contact {
@@ -87,10 +87,8 @@ public:
             run_.jaw_states[k * jaw_state_size] = state.jaws[k].half_opening;
             run_.jaw_states[k * jaw_state_size + 1] = state.jaws[k].speed;
         }
-        // A particle between two jaws, and jaws between particles: docs/derivations/parallel_jaw.md has the bound.
-        const double factor = 2.0 + state.mass_ratio + (state.stop_energy > 0.0 ? 1.0 : 0.0);
-        const double max_energy = larger(state.stop_energy, jaw_energy);
-        return larger(stiffened_energy(law_, contacts_.thickness, max_energy, factor), obstacle_energy);
+        return larger(stiffened_energy(law_, contacts_.thickness, jaw_energy, state.stop_energy, state.mass_ratio),
+                      obstacle_energy);
     }
 
 private:

@@ -66,19 +66,12 @@ inline double relative_motion(const std::array<Index, 4>& corner, F&& displaceme
     const double second = larger(relative(2), relative(3));
     return Edges ? relative(1) + second : larger(relative(1), second);
 }
-/// Whether pairs may have intersected during a step: of a particle and a triangle, or of edges, at squared distances
-/// from `squares` [m^2] at the end of the step. They have not if their relative motion is below that distance, less the
-/// radius [m] of an obstacle. Nothing has moved further than `motion` [m] relative to anything. `corners_of(k)`: of a
-/// pair; displacement(c): of a corner [m].
-template <bool Edges, class C, class F>
-inline bool may_intersect(const std::vector<double>& squares, std::size_t count, double radius, double motion,
-                          C&& corners_of, F&& displacement) {
-    const double limit = radius + motion;
-    for (std::size_t k = 0; k < count; ++k)
-        if (squares[k] <= limit * limit &&
-            !(relative_motion<Edges>(corners_of(k), displacement) < root(squares[k]) - radius))
-            return true;
-    return false;
+/// Whether a pair may have intersected during a step. `square`: squared distance at the end of the step [m^2];
+/// displacement(c): that of a corner [m]. It has not if its relative motion is below that distance, less the radius [m]
+/// of an obstacle.
+template <bool Edges, class F>
+inline bool may_intersect(const std::array<Index, 4>& corner, double square, double radius, F&& displacement) {
+    return !(relative_motion<Edges>(corner, displacement) < root(square) - radius);
 }
 /// Whether a pair intersects on the straight paths of its corners from start(c) to end(c). Conservative advancement:
 /// the sides approach at most by their relative motion, so each step along the paths is one gap long. A gap below

@@ -94,7 +94,7 @@ double predict_contact_energy(const Plan& plan, double t, double duration, const
             }
             if (visits) {
                 visits->all += n_visited;
-                if (properties.friction.at_rest > 0.0) visits->with_friction += n_visited;
+                if (properties.has_friction()) visits->with_friction += n_visited;
             }
             double& largest_energy = properties.parallel_jaw < 0 ? max_energy : jaw_energy[properties.parallel_jaw];
             for (int k = 0; k < lanes<double>; ++k) largest_energy = larger<double>(largest[k], largest_energy);
@@ -105,12 +105,10 @@ double predict_contact_energy(const Plan& plan, double t, double duration, const
         if (!jaw.present) continue;
         const double half_opening = contacts.jaw_states[k * jaw_state_size],
                      speed = contacts.jaw_states[k * jaw_state_size + 1];
-        const double driven_speed =
-            duration == 0.0 ? speed : (jaw.closed ? smaller(speed, -jaw.speed) : larger(speed, jaw.speed));
-        const double stop_energy = jaw.stop_energy(stop_law, thickness, half_opening, driven_speed, duration);
-        const double stiffness_factor = 2.0 + masses[k] / jaw.mass + (stop_energy > 0.0 ? 1.0 : 0.0);
-        max_energy = larger(stiffened_energy(stop_law, thickness, larger(stop_energy, jaw_energy[k]), stiffness_factor),
-                            max_energy);
+        const double stop_energy =
+            jaw.stop_energy(stop_law, thickness, half_opening, jaw.driven_speed(speed, duration), duration);
+        max_energy =
+            larger(stiffened_energy(stop_law, thickness, jaw_energy[k], stop_energy, masses[k] / jaw.mass), max_energy);
     }
     return max_energy;
 }

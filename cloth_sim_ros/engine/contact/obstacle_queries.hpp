@@ -5,7 +5,6 @@
 // are (3, n) by component; sums run obstacle by obstacle, particle by particle.
 #pragma once
 
-#include "contact/jaw_law.hpp"
 #include "contact/queries.hpp"
 #include "laws/friction.hpp"
 #include "plan/plan.hpp"
@@ -115,18 +114,18 @@ inline void for_each_contact(const Plan& plan, double t, const double* x, const 
         });
 }
 
-/// Friction at one contact, with the given anchors.
+/// Friction at one contact, with the given anchors; those of the plan by default.
 template <class V>
-inline auto friction_force(const Plan& plan, std::int64_t obstacle, std::int64_t particle,
-                           const PosedObstacle<double>& posed, const ContactKinematics<V>& s, V push,
-                           const double* anchors) {
+inline auto friction_force(const Plan& plan, const ObstacleContact& contact, const ContactKinematics<V>& s, V push,
+                           const double* anchors = nullptr) {
     const std::int64_t n = plan.count;
-    const double* const a = anchors + obstacle * anchor_numbers * n + particle;
-    const FrictionLaw<V> law(plan.contacts.obstacles[obstacle].friction, plan.contacts.frequency);
+    const double* const a =
+        (anchors ? anchors : plan.contacts.anchors.data()) + contact.obstacle * anchor_numbers * n + contact.particle;
+    const FrictionLaw<V> law(plan.contacts.obstacles[contact.obstacle].friction, plan.contacts.frequency);
     const double bond = a[3 * n];
-    const Vec3<V> local = posed.template inward<V>(s.arm);
+    const Vec3<V> local = contact.posed.template inward<V>(s.arm);
     const Vec3<V> anchor = bond > 0.0 ? splat3<V>(Vec3<double>{a[0], a[n], a[2 * n]}) : local;
-    return law.force(posed.template outward<V>(local - anchor), s.normal, s.slip, push);
+    return law.force(contact.posed.template outward<V>(local - anchor), s.normal, s.slip, push);
 }
 
 /// Combine the anchors after runs, each (obstacles, anchor_numbers, n), at the combined state x and v. Anchors that no
@@ -160,7 +159,7 @@ void combine_anchors(const Plan& plan, double t, const double* x, const double* 
         [&](std::int64_t obstacle, std::int64_t first, auto shape, const PosedObstacle<double>& posed,
             const Block<double>& block) {
             const Obstacle& properties = contacts.obstacles[obstacle];
-            if (!(properties.friction.at_rest > 0.0)) return;
+            if (!properties.has_friction()) return;
             const FrictionLaw<V> friction(properties.friction, contacts.frequency);
             for (std::ptrdiff_t j = 0; j < block.count; j += lanes<double>) {
                 const auto s = contact_kinematics<shape.value, true, V>(posed, properties.size, block.position<V>(j),
@@ -204,11 +203,8 @@ double contact_energy(const Plan& plan, double t, const double* x) {
     double total = 0.0;
     for_each_contact(plan, t, x, nullptr, [&](const ObstacleContact& contact) {
         total += contact.mass * contact.energy(law);
-        if (plan.contacts.obstacles[contact.obstacle].friction.at_rest > 0.0)
-            total += contact.mass * friction_force<double>(plan, contact.obstacle, contact.particle, contact.posed,
-                                                           contact.kinematics(), contact.elastic(law),
-                                                           plan.contacts.anchors.data())
-                                        .energy;
+        if (plan.contacts.obstacles[contact.obstacle].has_friction())
+            total += contact.mass * friction_force(plan, contact, contact.kinematics(), contact.elastic(law)).energy;
     });
     return total;
 }
@@ -223,9 +219,8 @@ void add_contact_wrenches(const Plan& plan, double t, const double* x, const dou
         Vec3<double> force = (contact.mass * push.push) * contact.normal;
         const double closing = fma(contact.scaling.growth, contact.gap, contact.closing);
         double dissipation = contact.mass * (push.push - push.elastic) * closing;
-        if (plan.contacts.obstacles[contact.obstacle].friction.at_rest > 0.0) {
-            const auto friction = friction_force<double>(plan, contact.obstacle, contact.particle, contact.posed,
-                                                         contact.kinematics(), push.push, plan.contacts.anchors.data());
+        if (plan.contacts.obstacles[contact.obstacle].has_friction()) {
+            const auto friction = friction_force(plan, contact, contact.kinematics(), push.push);
             force = force + contact.mass * friction.push;
             dissipation += contact.mass * friction.dissipation;
         }
@@ -253,7 +248,7 @@ void add_contact_bounds(const Plan& plan, double t, const double* x, double* sti
     const auto law = plan.contacts.law<double>();
     for_each_contact(plan, t, x, nullptr, [&](const ObstacleContact& contact) {
         // The anchor spring acts along the surface.
-        const bool has_friction = plan.contacts.obstacles[contact.obstacle].friction.at_rest > 0.0;
+        const bool has_friction = plan.contacts.obstacles[contact.obstacle].has_friction();
         const double w = has_friction ? plan.contacts.frequency : 0.0, along = contact.mass * w * w;
         const double friction_damping = contact.mass * FrictionLaw<double>::damping_per_frequency * w;
         if (stiff)
@@ -293,10 +288,7 @@ void jaw_accelerations(const Plan& plan, double t, const double* x, const double
         if (obstacle.parallel_jaw < 0) return;
         const double push = contact.force(law).push;
         Vec3<double> force = push * contact.normal;
-        if (obstacle.friction.at_rest > 0.0)
-            force = force + friction_force<double>(plan, contact.obstacle, contact.particle, contact.posed,
-                                                   contact.kinematics(), push, contacts.anchors.data())
-                                .push;
+        if (obstacle.has_friction()) force = force + friction_force(plan, contact, contact.kinematics(), push).push;
         jaw_forces[obstacle.parallel_jaw] -= contact.mass * obstacle.jaw_side * dot(contact.posed.rotation[1], force);
     });
     for (std::size_t k = 0; k < contacts.parallel_jaws.size(); ++k) {
@@ -322,10 +314,7 @@ void add_contact_product(const Plan& plan, double t, const double* x, const doub
             const Scaling<Dual> scaling{{contact.scaling.scale, 0.0}, {contact.scaling.growth, 0.0}};
             const Dual push = law.push(scaling.gap(s.gap), scaling.closing(s.gap, s.closing)) / scaling.scale;
             Vec3<Dual> force = push * s.normal;
-            if (obstacle.friction.at_rest > 0.0)
-                force = force + friction_force<Dual>(plan, contact.obstacle, contact.particle, contact.posed, s, push,
-                                                     plan.contacts.anchors.data())
-                                    .push;
+            if (obstacle.has_friction()) force = force + friction_force(plan, contact, s, push).push;
             force = Dual{contact.mass, 0.0} * force;
             out[contact.particle] += force.x.slope;
             out[n + contact.particle] += force.y.slope;

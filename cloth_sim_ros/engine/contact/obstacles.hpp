@@ -27,6 +27,8 @@ struct Obstacle {
     std::int64_t parallel_jaw = -1;  ///< index of the gripper whose jaw this is; negative for other obstacles
     double jaw_side = 0.0;           ///< side on the closing axis, +1 or -1
     std::shared_ptr<const Mesh> mesh = nullptr;  ///< of a mesh obstacle
+
+    bool has_friction() const { return friction.at_rest > 0.0; }
 };
 
 /// Contacts with a temporarily reduced thickness. Each recovers the full thickness at a constant rate over a frame.
@@ -101,21 +103,13 @@ struct Contacts {
         const ParallelJaw* const jaw = jaw_of(obstacle);
         return jaw ? jaw_pose(pose, obstacles[obstacle].jaw_side, half_opening + jaw->half_thickness, jaw_speed) : pose;
     }
-    /// Pose of an obstacle, with the jaws as at the start of runs.
-    Pose obstacle_pose(std::int64_t obstacle, double t) const {
+    /// Pose of an obstacle. The jaws are as at the start of runs, but as fast as they may be within a duration [s].
+    Pose obstacle_pose(std::int64_t obstacle, double t, double duration = 0.0) const {
         const Pose at = pose_at(path(obstacle), t);
-        if (!jaw_of(obstacle)) return at;
-        const double* const state = jaw_states.data() + obstacles[obstacle].parallel_jaw * jaw_state_size;
-        return shifted_pose(at, obstacle, state[0], state[1]);
-    }
-    /// The same with jaws that move as fast as they may within a duration [s]: at the speed without load, or at their
-    /// present speed if that is larger.
-    Pose driven_pose(std::int64_t obstacle, double t, double duration) const {
         const ParallelJaw* const jaw = jaw_of(obstacle);
-        if (!jaw || duration == 0.0) return obstacle_pose(obstacle, t);
+        if (!jaw) return at;
         const double* const state = jaw_states.data() + obstacles[obstacle].parallel_jaw * jaw_state_size;
-        const double jaw_speed = jaw->closed ? smaller(state[1], -jaw->speed) : larger(state[1], jaw->speed);
-        return shifted_pose(pose_at(path(obstacle), t), obstacle, state[0], jaw_speed);
+        return shifted_pose(at, obstacle, state[0], jaw->driven_speed(state[1], duration));
     }
     /// The larger of the present speed of a jaw and its speed without load [m/s].
     double max_jaw_speed(std::int64_t obstacle) const {
@@ -126,7 +120,7 @@ struct Contacts {
     std::int64_t obstacle_anchors(std::int64_t particles) const { return count() * anchor_numbers * particles; }
     bool has_friction() const {
         for (const Obstacle& obstacle : obstacles)
-            if (obstacle.friction.at_rest > 0.0) return true;
+            if (obstacle.has_friction()) return true;
         return false;
     }
     template <class V>

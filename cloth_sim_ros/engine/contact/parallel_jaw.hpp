@@ -1,20 +1,16 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Parallel gripper: two jaws with one degree of freedom, moved by a drive and by the cloth between them.
-// docs/derivations/parallel_jaw.md derives it.
+// Parallel gripper: two jaws with one degree of freedom, moved by a drive and by the cloth between them; their stops,
+// and the stiffness of cloth between them. docs/derivations/parallel_jaw.md derives it.
 #pragma once
 
+#include "laws/contact.hpp"
 #include "plan/grips.hpp"
-
-namespace cloth::laws {
-template <class V>
-class ContactLaw;
-}
 
 namespace cloth::contact {
 
-using laws::ContactLaw, plan::Pose;
+using laws::ContactLaw, laws::stopping_gap, plan::Pose;
 
 /// Half the opening between the faces of the jaws [m], and its rate [m/s].
 inline constexpr int jaw_state_size = 2;
@@ -32,11 +28,46 @@ struct ParallelJaw {
     /// barrier stops the jaws at each other when half a thickness is left between their faces, which is closer than
     /// cloth between them allows, and at the full opening when a thickness is left.
     double acceleration(const ContactLaw<double>& law, double thickness, double half_opening, double jaw_speed,
-                        double cloth_force) const;
+                        double cloth_force) const {
+        const double drive_force = 2.0 * force * ((closed ? -1.0 : 1.0) - jaw_speed / speed);
+        const double inner = law.push(half_opening + 0.75 * thickness, -jaw_speed),
+                     outer = law.push(max_half_opening + thickness - half_opening, jaw_speed);
+        return (cloth_force + drive_force) / mass + (inner - outer);
+    }
     /// Energy per mass, in U^2/2, that a stop has to absorb at that rate; zero if no stop is near.
     double stop_energy(const ContactLaw<double>& law, double thickness, double half_opening, double jaw_speed,
-                       double horizon) const;
+                       double horizon) const {
+        const auto at = [&](double gap, double closing) {
+            const double w = larger(closing, 0.0) / ContactLaw<double>::speed;
+            return gap - horizon * larger(closing, 0.0) < thickness ? w * w + law.shape(gap) : 0.0;
+        };
+        return larger(at(half_opening + 0.75 * thickness, -jaw_speed),
+                      at(max_half_opening + thickness - half_opening, jaw_speed));
+    }
+    /// Rate of the half opening [m/s] of jaws that move as fast as they may within a duration [s]: at the speed without
+    /// load, or at their present speed if that is larger.
+    double driven_speed(double jaw_speed, double duration) const {
+        if (duration == 0.0) return jaw_speed;
+        return closed ? smaller(jaw_speed, -speed) : larger(jaw_speed, speed);
+    }
 };
+
+/// Energy per mass, in U^2/2, at which a single contact is as stiff as a particle between two jaws, or as jaws between
+/// particles of `mass_ratio` times their mass, by the energies that contact and a stop have to absorb.
+/// docs/derivations/parallel_jaw.md has the bound.
+inline double stiffened_energy(const ContactLaw<double>& law, double thickness, double contact_energy,
+                               double stop_energy, double mass_ratio) {
+    const double energy = larger(stop_energy, contact_energy),
+                 factor = 2.0 + mass_ratio + (stop_energy > 0.0 ? 1.0 : 0.0);
+    if (!(energy > 0.0) || !(factor > 1.0)) return energy;
+    double high = stopping_gap(energy), low = 0.0;
+    const double target = factor * law.stiffness(high * thickness);
+    for (int k = 0; k < 64; ++k) {
+        const double middle = 0.5 * (low + high);
+        (law.stiffness(middle * thickness) < target ? high : low) = middle;
+    }
+    return law.shape(low * thickness);
+}
 
 /// Pose of the jaw on a side, +1 or -1, of the closing axis y, from the pose of the gripper.
 inline Pose jaw_pose(Pose pose, double jaw_side, double half_opening, double jaw_speed) {

@@ -16,8 +16,9 @@
 
 namespace cloth::contact {
 
-/// Verlet lists of a surface, kept between calls. Positions are quads. Concurrent runs need one each.
-class SelfVerletList {
+/// Pairs of the last `find`, by Verlet lists of a surface, kept between calls. Positions are quads. Concurrent runs need
+/// one each.
+class SelfVerletList : public PairLists {
 public:
     /// The surface must outlive the lists. `columns`: see Patches. Without `caches` each call rebuilds them, for tests.
     SelfVerletList(const Surface& surface, std::int64_t columns, bool caches)
@@ -25,17 +26,9 @@ public:
 
     const Surface& surface;
     bool caches;
-    /// Pairs of the last `find`.
-    PairList triangles, edges;
     /// Least range of a list, as a fraction of the shortest edge: next-nearest neighbours in a flat sheet are beyond
     /// it.
     static constexpr double min_reach = 0.6;
-
-    /// Forget the pairs of the last `find`.
-    void clear_pairs() {
-        triangles.clear();
-        edges.clear();
-    }
 
     /// Find the pairs of a particle and a triangle nearer than thickness + margin [m], and the pairs of edges nearer
     /// than thickness / 2 + margin. Return false if a position is not finite, or if thickness + margin is at least four
@@ -47,8 +40,7 @@ public:
         SurfacePairs& from = use_inner ? inner_.pairs : use_middle ? middle_.pairs : outer_.pairs;
         if (use_inner || !(use_middle ? update_middle(x, margin, 0.0) : update_outer(x, margin)))
             from.measure(surface, x);
-        triangles.select(from.triangles, thickness + margin);
-        edges.select(from.edges, 0.5 * thickness + margin);
+        select(from, thickness + margin, 0.5 * thickness + margin);
         return true;
     }
     /// The same for each step of a run, with `gaps` in place of triangles. `motion`: upper bound of the relative motion
@@ -73,11 +65,10 @@ public:
         if (triangles.size()) {
             const double *const squares = triangles.square.data(), range = thickness + margin;
             const Quads at{x};
-            const auto c = pair_corners<false>(surface, triangles,
-                                               std::min_element(squares, squares + triangles.size()) - squares);
-            if (near_triangle(at(c[0]), at(c[1]), at(c[2]), at(c[3])).square < range * range) return false;
+            const auto nearest = std::min_element(squares, squares + triangles.size()) - squares;
+            if (pair_square<false>(pair_corners<false>(surface, triangles, nearest), at) < range * range) return false;
         }
-        return find(x, thickness, margin) && !triangles.size() && !edges.size();
+        return find(x, thickness, margin) && empty();
     }
     /// Result of `update`, and the pairs of a particle and a triangle that it evaluated, in the order of `gaps.square`.
     SelfGaps gaps;

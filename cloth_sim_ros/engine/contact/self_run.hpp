@@ -134,15 +134,16 @@ private:
         const auto displacement = [&](Index c) { return current(c) - previous(c); };
         const SelfGaps& gaps = neighbors_.gaps;
         const PairList& edges = neighbors_.edges;
+        const double limit = motion * motion;
         // Usually nothing is that near.
-        intersected_ =
-            (gaps.min_square <= motion * motion &&
-             may_intersect<false>(
-                 gaps.square, neighbors_.inner_pairs().size(), 0.0, motion,
-                 [&](std::size_t k) { return gaps.candidate(k); }, displacement)) ||
-            may_intersect<true>(
-                edges.square, edges.size(), 0.0, motion,
-                [&](std::size_t k) { return pair_corners<true>(neighbors_.surface, edges, k); }, displacement);
+        for (std::size_t k = 0; gaps.min_square <= limit && k < neighbors_.inner_pairs().size(); ++k)
+            if (gaps.square[k] <= limit)
+                intersected_ =
+                    intersected_ || may_intersect<false>(gaps.candidate(k), gaps.square[k], 0.0, displacement);
+        for (std::size_t k = 0; k < edges.size(); ++k)
+            if (edges.square[k] <= limit)
+                intersected_ = intersected_ || may_intersect<true>(pair_corners<true>(neighbors_.surface, edges, k),
+                                                                   edges.square[k], 0.0, displacement);
     }
     SelfVerletList& neighbors_;
     SurfaceLaw<double> law_;

@@ -70,13 +70,11 @@ CLOTH_INLINE SurfacePoint<V> nearest_on(const Vec3<V>& p, const Vec3<V>& size) {
 }
 
 /// The same for a mesh, from its nearest feature.
-CLOTH_INLINE Vec3<double> number_of(const Vec3<double>& a) { return a; }
-inline Vec3<double> number_of(const Vec3<Dual>& a) { return {a.x.value, a.y.value, a.z.value}; }
 template <class V>
 inline SurfacePoint<V> nearest_on_mesh(const Mesh& mesh, const Vec3<V>& p) {
     if constexpr (std::is_same_v<V, double> || std::is_same_v<V, Dual>) {
         const auto constant = [](Vec3<double> a) { return Vec3<V>{splat<V>(a.x), splat<V>(a.y), splat<V>(a.z)}; };
-        const Mesh::NearestFeature nearest = mesh.nearest(number_of(p));
+        const Mesh::NearestFeature nearest = mesh.nearest({value_of(p.x), value_of(p.y), value_of(p.z)});
         Vec3<V> away = p - constant(nearest.from);
         if (nearest.kind == 2) {
             const Vec3<V> normal = constant(nearest.normal);
@@ -100,7 +98,11 @@ inline SurfacePoint<V> nearest_on_mesh(const Mesh& mesh, const Vec3<V>& p) {
     }
 }
 
-/// Call `visit` with the shape as a compile-time constant.
+/// Call `visit` with a flag, or with the shape, as a compile-time constant.
+template <class F>
+inline auto with_flag(bool flag, F&& visit) {
+    return flag ? visit(std::true_type{}) : visit(std::false_type{});
+}
 template <class F>
 inline auto with_shape(Shape shape, F&& visit) {
     switch (shape) {

@@ -329,7 +329,7 @@ ContactBounds predict_self_contact(Plan& plan, double t, double duration, double
     const double d = plan.contacts.thickness;
     // A reduced thickness is below the full one.
     if (self.stays_separated(x, v, d, duration)) {
-        neighbors.clear_pairs();
+        neighbors.clear();
         return {};
     }
     const Array<double> positions = quads_of(plan, x), velocities = quads_of(plan, v);
@@ -390,7 +390,7 @@ ContactBounds predict_feature_contact(Plan& plan, double t, double duration, dou
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
         FeatureVerletList& neighbors = contact.neighbors()[k];
         if (!contact.has(contacts, k)) continue;
-        const Pose pose = contacts.driven_pose(k, t, duration);
+        const Pose pose = contacts.obstacle_pose(k, t, duration);
         const FeaturesAt from{contact.obstacles[k], pose};
         bound.set_obstacle(contacts, k);
         law.set_obstacle(from.features.radius, contacts.feature_scaling(k, plan.count, t));
@@ -421,13 +421,9 @@ bool ccd_self(Plan& plan, const double* x0, const double* x1) {
     const double max_motion = motion.diameter();
     if (!neighbors.find(from.data(), d, max_motion)) return true;
     const Quads start{from.data()}, end{to.data()};
-    for (std::size_t k = 0; k < neighbors.triangles.size(); ++k)
-        if (ccd_pair<false>(pair_corners<false>(neighbors.surface, neighbors.triangles, k), 0.0, 1e-3 * d, start, end))
-            return true;
-    for (std::size_t k = 0; k < neighbors.edges.size(); ++k)
-        if (ccd_pair<true>(pair_corners<true>(neighbors.surface, neighbors.edges, k), 0.0, 1e-3 * d, start, end))
-            return true;
-    return false;
+    return neighbors.any([&](auto edges, const PairList& pairs, std::size_t k) {
+        return ccd_pair<edges()>(pair_corners<edges()>(neighbors.surface, pairs, k), 0.0, 1e-3 * d, start, end);
+    });
 }
 
 /// Whether the features of an obstacle intersect the cloth while the obstacle moves between two poses and the particles
@@ -444,14 +440,10 @@ inline bool ccd_obstacle_features(FeatureContactModel& contact, std::int64_t k, 
     if (!neighbors.find(s, from, begin, thickness, max_relative_motion(motion, features, start_pose, end_pose)))
         return true;
     const auto start_at = with_point_positions(begin, start), end_at = with_point_positions(finish, end);
-    const auto any_intersects = [&](auto edges, const PairList& pairs) {
-        for (std::size_t k = 0; k < pairs.size(); ++k)
-            if (ccd_pair<edges()>(feature_corners<edges()>(s, features, pairs, k), features.radius, 1e-3 * thickness,
-                                  start_at, end_at))
-                return true;
-        return false;
-    };
-    return any_intersects(std::false_type{}, neighbors.triangles) || any_intersects(std::true_type{}, neighbors.edges);
+    return neighbors.any([&](auto edges, const PairList& pairs, std::size_t k) {
+        return ccd_pair<edges()>(feature_corners<edges()>(s, features, pairs, k), features.radius, 1e-3 * thickness,
+                                 start_at, end_at);
+    });
 }
 bool ccd_features(Plan& plan, double t, double duration, const double* x0, const double* x1) {
     FeatureContactModel& contact = *plan.features;
@@ -627,7 +619,7 @@ FeatureCulling::FeatureCulling(Plan& plan, double t, double duration, const doub
         const double distance = root(norm2(center - pose.position)) - radius - features.reach - features.radius;
         if (distance > thickness + margin) continue;
         const bool is_valid = neighbors.find(s, positions.data(), {features, pose}, thickness, margin);
-        contact.is_active[k] = !is_valid || neighbors.triangles.size() || neighbors.edges.size();
+        contact.is_active[k] = !is_valid || !neighbors.empty();
     }
     for (std::int64_t k = 0; k < contacts.count(); ++k)
         covers_all_ = covers_all_ && (contact.is_active[k] || !contact.has(contacts, k));
