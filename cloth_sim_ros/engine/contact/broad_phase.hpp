@@ -189,13 +189,6 @@ public:
                 if (begin < end) visit(begin, end);
             }
     }
-    /// Call `visit` with each point in the cells of a box.
-    template <class F>
-    void for_each(Vec3<double> low, Vec3<double> high, F&& visit) const {
-        for_each_row(low, high, [&](std::int64_t begin, std::int64_t end) {
-            for (std::int64_t slot = begin; slot < end; ++slot) visit(order_[slot]);
-        });
-    }
 
 private:
     /// Index of a cell along an axis, clamped to the grid.

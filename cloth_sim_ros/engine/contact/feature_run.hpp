@@ -4,7 +4,7 @@
 // Contact of points and edges of obstacles with the cloth over a run.
 #pragma once
 
-#include "contact/feature_neighbors.hpp"
+#include "contact/features.hpp"
 #include "contact/jaw_run.hpp"
 
 namespace cloth::contact {

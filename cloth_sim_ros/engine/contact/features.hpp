@@ -1,11 +1,13 @@
 // Copyright 2026 the cloth_sim_ros authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// Points and edges of an obstacle, with a radius, for contact with triangles and edges of the cloth.
+// Points and edges of obstacles, with a radius, and their neighbours: triangles and edges of the cloth. Verlet lists are
+// valid until something has moved too far. No bit depends on when they are rebuilt.
 #pragma once
 
-#include "contact/obstacles.hpp"
-#include "contact/surface.hpp"
+#include <optional>
+
+#include "contact/self_contact.hpp"
 
 namespace cloth::contact {
 
@@ -47,5 +49,225 @@ auto with_point_velocities(const FeaturesAt& from, const X& at) {
         return c < 0 ? splat3<V>(from.velocity(~c)) : at(c);
     };
 }
+
+/// Box of the edges of a surface.
+inline AxisBox box_of_edges(const Surface& s, const Quads& at) {
+    AxisBox box(at(s.edges[0][0]));
+    for (const auto& e : s.edges)
+        for (const Index c : e) box.include(at(c));
+    return box;
+}
+/// Clip the segment from a to b to a box: the fractions `first` to `last`, in reverse order if it is outside.
+inline void clip(const AxisBox& box, Vec3<double> a, Vec3<double> b, double& first, double& last) {
+    first = 0.0, last = 1.0;
+    const auto slab = [&](double from, double to, double low, double high) {
+        if (from == to) {
+            if (from < low || from > high) last = -1.0;
+            return;
+        }
+        const double over = 1.0 / (to - from), u = (low - from) * over, v = (high - from) * over;
+        first = larger(smaller(u, v), first);
+        last = smaller(larger(u, v), last);
+    };
+    slab(a.x, b.x, box.low.x, box.high.x);
+    slab(a.y, b.y, box.low.y, box.high.y);
+    slab(a.z, b.z, box.low.z, box.high.z);
+}
+
+/// Corners of pair k of an obstacle: its point ~k and those of the triangle; or those of the cloth's edge and of the
+/// obstacle's.
+template <bool Edges>
+inline std::array<Index, 4> feature_corners(const Surface& s, const Features& features, const PairList& pairs,
+                                            std::size_t k) {
+    if constexpr (Edges) {
+        const auto &edge = s.edges[pairs.second[k]], &obstacle_edge = features.edges[pairs.first[k]];
+        return {edge[0], edge[1], ~obstacle_edge[0], ~obstacle_edge[1]};
+    } else {
+        const auto& t = s.triangles[pairs.second[k]];
+        return {~pairs.first[k], t[0], t[1], t[2]};
+    }
+}
+
+/// Pairs of one obstacle: point and triangle, edge of the obstacle and edge of the cloth.
+struct FeaturePairs : PairLists {
+    double reach = -1.0;
+
+    /// Build the list of all pairs within `max_distance` [m], radius included. Positions are quads.
+    void build(const Surface& s, const FeaturesAt& from, const double* x, double max_distance) {
+        reach = max_distance;
+        FeaturePairs near;
+        if (!s.triangles.empty() && !from.features.points.empty()) near.find(s, from, Quads{x}, reach);
+        near.measure(s, from, x);
+        select(near, reach, reach);
+    }
+    /// Measure the squared distances of all pairs.
+    void measure(const Surface& s, const FeaturesAt& from, const double* x) {
+        measure<false>(s, from, Quads{x}, triangles);
+        measure<true>(s, from, Quads{x}, edges);
+    }
+
+private:
+    template <bool Edges>
+    static void measure(const Surface& s, const FeaturesAt& from, const Quads& at, PairList& pairs) {
+        pairs.square.resize(pairs.size() + lanes<double>);
+        for (std::size_t k = 0; k < pairs.size(); ++k)
+            pairs.square[k] =
+                pair_square<Edges>(feature_corners<Edges>(s, from.features, pairs, k), with_point_positions(from, at));
+    }
+    void find(const Surface& s, const FeaturesAt& from, const Quads& at, double range) {
+        const double length = longest_edge(s, at);
+        const AxisBox search_box = box_of_edges(s, at).expanded(range);
+        std::vector<Index> points;
+        for (Index k = 0; k < std::ssize(from.features.points); ++k)
+            if (search_box.overlaps(AxisBox(from.position(k)))) points.push_back(k);
+        find_triangles(
+            s, at, length, range, std::ssize(points), [&](std::int64_t k) { return from.position(points[k]); },
+            [](Index) { return Index{-1}; }, triangles);
+        for (Index& k : triangles.first) k = points[k];
+        std::optional<EdgeGrid> grid;
+        std::vector<Index> hits;
+        for (std::size_t edge = 0; edge < from.features.edges.size(); ++edge) {
+            const Vec3<double> a = from.position(from.features.edges[edge][0]),
+                               b = from.position(from.features.edges[edge][1]);
+            double first, last;
+            clip(search_box, a, b, first, last);
+            if (!(first <= last)) continue;
+            if (!grid) grid.emplace(s, at, length + range);
+            // Search in pieces as long as a cell: the box of a whole long edge would contain half the cloth.
+            const double pieces = larger(std::ceil((last - first) * root(norm2(b - a)) / (length + range)), 1.0);
+            hits.clear();
+            for (double piece = 0.0; piece < pieces; piece += 1.0) {
+                const double span = (last - first) / pieces, begin = first + piece * span;
+                const AxisBox box({a + begin * (b - a), a + (begin + span) * (b - a)});
+                grid->for_each_overlap(box.expanded(range), {-1, -1}, 0, [&](Index e) { hits.push_back(e); });
+            }
+            std::sort(hits.begin(), hits.end());
+            hits.erase(std::unique(hits.begin(), hits.end()), hits.end());
+            for (const Index e : hits) edges.add(static_cast<Index>(edge), e);
+        }
+    }
+};
+
+/// Upper bound of the displacement of a point at a distance `reach` [m] by the rotation between two poses.
+inline double rotation_displacement(const Pose& a, const Pose& b, double reach) {
+    double square = 0.0;
+    for (int j = 0; j < 3; ++j) square += norm2(a.rotation[j] - b.rotation[j]);
+    return root(square) * reach;
+}
+
+/// Upper bound of the motion of the cloth relative to an obstacle that moves between two poses.
+inline double max_relative_motion(MotionBound cloth, const Features& features, const Pose& from, const Pose& to) {
+    cloth.include(to.position - from.position);
+    return cloth.diameter() + rotation_displacement(to, from, features.reach);
+}
+
+/// Pairs of the last `find`, by Verlet lists of the features of one obstacle, kept between calls. Concurrent runs need
+/// one each.
+class FeatureVerletList : public PairLists {
+public:
+    /// Find the pairs nearer than thickness + margin [m], in addition to the radius. Return false if a position is not
+    /// finite, or if that distance is at least four times the shortest edge.
+    bool find(const Surface& s, const double* x, const FeaturesAt& from, double thickness, double margin) {
+        return update(s, x, from, thickness, margin, std::numeric_limits<double>::infinity());
+    }
+    /// The same for each step of a run. `motion`: upper bound of the relative motion of cloth and obstacle since the
+    /// last call [m]; infinite after any other call.
+    bool update(const Surface& s, const double* x, const FeaturesAt& from, double thickness, double margin,
+                double motion) {
+        const double range = thickness + margin;
+        if (!(range < 4.0 * s.shortest)) return false;
+        motion_ += motion;
+        if (thickness != thickness_ || !(margin + motion_ <= inner_.margin)) {
+            if (!(motion_since(s, x, from, ReferenceState{}) < 1e30)) return false;
+            motion_ = motion_since(s, x, from, inner_.reference);
+            if (thickness != thickness_ || !(margin + motion_ <= inner_.margin)) {
+                thickness_ = thickness;
+                rebuild_inner(s, x, from, margin + 0.6 * thickness);
+                motion_ = 0.0;
+            }
+        }
+        inner_.pairs.measure(s, from, x);
+        select(inner_.pairs, from.features.radius + range, from.features.radius + range);
+        return true;
+    }
+
+private:
+    struct ReferenceState {
+        Array<double> positions;
+        Pose pose{};
+    };
+    struct ListLevel {
+        FeaturePairs pairs;
+        ReferenceState reference;
+        double margin = -1.0;
+    };
+    /// Relative motion of cloth and obstacle since the reference; since the origin if there is none.
+    double motion_since(const Surface& s, const double* x, const FeaturesAt& from,
+                        const ReferenceState& reference) const {
+        const bool has_reference = !reference.positions.empty();
+        MotionBound motion;
+        motion.include(x, has_reference ? reference.positions.data() : nullptr, s.count);
+        if (has_reference) return max_relative_motion(motion, from.features, reference.pose, from.pose);
+        motion.include(from.pose.position);
+        return motion.diameter();
+    }
+    void rebuild_inner(const Surface& s, const double* x, const FeaturesAt& from, double margin) {
+        const double range = thickness_ + margin, radius = from.features.radius;
+        if (outer_.reference.positions.empty() ||
+            !(radius + range + motion_since(s, x, from, outer_.reference) <= outer_.pairs.reach)) {
+            const double outer_range = larger(SelfVerletList::min_reach * s.shortest, 1.5 * range);
+            outer_.pairs.build(s, from, x, radius + outer_range);
+            store_reference(s, x, from.pose, outer_.reference);
+        } else {
+            outer_.pairs.measure(s, from, x);
+        }
+        inner_.pairs.select(outer_.pairs, radius + range, radius + range);
+        store_reference(s, x, from.pose, inner_.reference);
+        inner_.margin = margin;
+    }
+    static void store_reference(const Surface& s, const double* x, const Pose& pose, ReferenceState& reference) {
+        reference.positions.assign(x, x + 4 * s.count);
+        reference.pose = pose;
+    }
+    ListLevel outer_, inner_;
+    double thickness_ = 0.0, motion_ = 0.0;  ///< upper bound since the inner list was built
+};
+
+/// The surface of the cloth and the features of each obstacle. `is_active[k]`: whether runs evaluate obstacle k.
+struct FeatureContactModel {
+    Surface surface;  ///< triangles with three free corners: anchored particles are not pushed
+    double mass = 0.0;
+    std::vector<Features> obstacles;
+    std::vector<char> is_active;
+
+    /// Set the number of obstacles; none has features then.
+    void resize(std::int64_t count) {
+        obstacles.assign(count, {});
+        is_active.assign(count, 0);
+        for (auto& lists : neighbors_) lists.clear();
+    }
+    /// Verlet lists of each obstacle, of a workspace. Queries use those of the first.
+    std::vector<FeatureVerletList>& neighbors(int workspace = 0) {
+        neighbors_[workspace].resize(obstacles.size());
+        return neighbors_[workspace];
+    }
+
+    bool any() const { return std::find(is_active.begin(), is_active.end(), 1) != is_active.end(); }
+    bool has(const Contacts& contacts, std::int64_t k) const {
+        return !obstacles[k].points.empty() && contacts.present(k);
+    }
+    bool has_any(const Contacts& contacts) const {
+        for (std::int64_t k = 0; k < contacts.count(); ++k)
+            if (has(contacts, k)) return true;
+        return false;
+    }
+    void activate_all(const Contacts& contacts) {
+        for (std::int64_t k = 0; k < contacts.count(); ++k) is_active[k] = has(contacts, k);
+    }
+    SurfaceLaw<double> law(const Contacts& contacts) const { return {contacts.thickness, contacts.damping, mass}; }
+
+private:
+    std::array<std::vector<FeatureVerletList>, plan::max_concurrency> neighbors_;
+};
 
 }  // namespace cloth::contact

@@ -10,7 +10,6 @@
 #include <utility>
 
 #include "contact/culling.hpp"
-#include "contact/obstacle_culling.hpp"
 #include "contact/queries.hpp"
 #include "core/thread_pool.hpp"
 #include "plan/frame_request.hpp"

@@ -141,7 +141,9 @@ TEST_CASE("cells visit each point of a box once") {
         for (int round = 0; round < 50; ++round) {
             const Vec3<double> center = 1.2 * random.vector(), half{0.3, 0.2, 0.1};
             std::vector<int> visits(count, 0);
-            cells.for_each(center - half, center + half, [&](Index i) { ++visits[i]; });
+            cells.for_each_row(center - half, center + half, [&](std::int64_t begin, std::int64_t end) {
+                for (std::int64_t slot = begin; slot < end; ++slot) ++visits[cells[slot]];
+            });
             for (std::int64_t i = 0; i < count; ++i) {
                 const Vec3<double> p = points[i] - center;
                 const bool inside = std::abs(p.x) <= half.x && std::abs(p.y) <= half.y && std::abs(p.z) <= half.z;
