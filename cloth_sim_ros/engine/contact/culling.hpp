@@ -158,6 +158,10 @@ private:
     bool is_separated_ = false;
 };
 
+/// Let the next runs evaluate contact of all features; of none.
+void activate_features(Plan& plan);
+void deactivate_features(Plan& plan);
+
 /// Excludes features of obstacles that stay away from the cloth from a frame. If a run ends with a larger speed than
 /// assumed, all runs of the frame are repeated with all features.
 class FeatureCulling {
@@ -167,7 +171,10 @@ public:
     bool is_violated(const double* v) const {
         return plan_.features && !covers_all_ && !(max_particle_speed(v) <= speed_limit_);
     }
-    void disable();
+    void disable() {
+        activate_features(plan_);
+        covers_all_ = true;
+    }
 
 private:
     /// Speed that particles may gain [m/s].
@@ -178,9 +185,5 @@ private:
     double speed_limit_ = 0.0;
     bool covers_all_ = true;
 };
-
-/// Let the next runs evaluate contact of all features; of none.
-void activate_features(Plan& plan);
-void deactivate_features(Plan& plan);
 
 }  // namespace cloth::contact

@@ -66,11 +66,10 @@ template <class S, class W, class F>
 inline void for_each_near_block(const Plan& plan, double t, const double* x, const double* v, S&& skips, W&& widest,
                                 F&& visit) {
     const Contacts& contacts = plan.contacts;
-    const double origin[3] = {};
     BlockReader blocks(plan, x, v);
     for (std::int64_t obstacle = 0; obstacle < contacts.count(); ++obstacle) {
         if (!contacts.present(obstacle)) continue;
-        PosedObstacle<double> posed(contacts.obstacle_pose(obstacle, t), origin, contacts.obstacles[obstacle]);
+        PosedObstacle<double> posed(contacts.obstacle_pose(obstacle, t), contacts.obstacles[obstacle]);
         if (contacts.jaw_of(obstacle)) posed.lever = posed.position - pose_at(contacts.path(obstacle), t).position;
         if (skips(obstacle, posed)) continue;
         const Vec3<double>& size = contacts.obstacles[obstacle].size;
@@ -102,6 +101,8 @@ inline void for_each_near(const Plan& plan, double t, const double* x, const dou
             }
         });
 }
+/// Limit of the gap for all blocks.
+inline constexpr auto any_distance = [](double) { return no_gap<double>; };
 /// Call `visit` for each particle in contact.
 template <class F>
 inline void for_each_contact(const Plan& plan, double t, const double* x, const double* v, F&& visit) {
@@ -328,7 +329,6 @@ void contact_gaps(const Plan& plan, double t, const double* x, double* out) {
         out[2 * obstacle] = 0.0;
         out[2 * obstacle + 1] = std::numeric_limits<double>::infinity();
     }
-    const auto any_distance = [](double) { return no_gap<double>; };
     for_each_near(plan, t, x, nullptr, any_distance, [&](const ObstacleContact& contact) {
         double* const to = out + 2 * contact.obstacle;
         to[0] += contact.scaled_gap() < plan.contacts.thickness ? 1.0 : 0.0;
@@ -337,7 +337,6 @@ void contact_gaps(const Plan& plan, double t, const double* x, double* out) {
 }
 /// Gap of each contact [m] in the rows and columns of `ReducedThickness`: obstacles and particles.
 void contact_gap_rows(const Plan& plan, double t, const double* x, double* out) {
-    const auto any_distance = [](double) { return no_gap<double>; };
     for_each_near(plan, t, x, nullptr, any_distance, [&](const ObstacleContact& contact) {
         out[contact.obstacle * (plan.count + 1) + contact.particle] = contact.gap;
     });
@@ -348,9 +347,8 @@ void contact_gap_rows(const Plan& plan, double t, const double* x, double* out) 
 /// along the path is one gap long; then the gap is measured again.
 bool ccd_obstacles(const Plan& plan, double t, double duration, const double* x0, const double* x1) {
     const std::int64_t n = plan.count;
-    const double origin[3] = {}, min_step = 1e-3 * plan.contacts.thickness;
+    const double min_step = 1e-3 * plan.contacts.thickness;
     bool intersects = false;
-    const auto any_distance = [](double) { return no_gap<double>; };
     for_each_near(plan, t, x0, nullptr, any_distance, [&](const ObstacleContact& contact) {
         if (intersects) return;
         const double* const path = plan.contacts.path(contact.obstacle);
@@ -377,13 +375,8 @@ bool ccd_obstacles(const Plan& plan, double t, double duration, const double* x0
         if (contact.gap > path_length) return;
         for (double fraction = 0.0, gap = contact.gap; fraction < 1.0 && !intersects;) {
             fraction = smaller(fraction + larger(gap, min_step) / path_length, 1.0);
-            const PosedObstacle<double> posed(plan.contacts.obstacle_pose(contact.obstacle, t + fraction * duration),
-                                              origin, obstacle);
-            gap = with_shape(obstacle.shape, [&](auto shape) {
-                return contact_kinematics<shape.value, true, double>(posed, obstacle.size,
-                                                                     from + fraction * (to - from), {})
-                    .gap;
-            });
+            const Pose pose = plan.contacts.obstacle_pose(contact.obstacle, t + fraction * duration);
+            gap = gap_of({pose, obstacle}, obstacle, from + fraction * (to - from));
             intersects = !(gap > 0.0);
         }
     });
@@ -408,7 +401,6 @@ double predict_contact_energy(const Plan& plan, double t, double duration, const
     // their speed without load.
     std::vector<PosedObstacle<double>> future;
     future.reserve(2 * contacts.count());
-    const double origin[3] = {};
     for (std::int64_t obstacle = 0; obstacle < contacts.count(); ++obstacle)
         for (const double fraction : {0.5, 1.0}) {
             const Pose pose = pose_at(contacts.path(obstacle), t + fraction * duration);
@@ -416,7 +408,7 @@ double predict_contact_energy(const Plan& plan, double t, double duration, const
             const double half_opening =
                 jaw ? contacts.jaw_states[contacts.obstacles[obstacle].parallel_jaw * jaw_state_size] : 0.0;
             const double jaw_speed = !jaw || duration == 0.0 ? 0.0 : jaw->closed ? -jaw->speed : jaw->speed;
-            future.emplace_back(contacts.shifted_pose(pose, obstacle, half_opening, jaw_speed), origin,
+            future.emplace_back(contacts.shifted_pose(pose, obstacle, half_opening, jaw_speed),
                                 contacts.obstacles[obstacle]);
         }
     double fastest = 0.0, max_energy = 0.0;

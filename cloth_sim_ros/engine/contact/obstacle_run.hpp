@@ -25,9 +25,9 @@ public:
     /// The particles of consecutive blocks are `pitch` numbers apart.
     ObstacleRun(Plan& plan, const Run& run, const double* origin, int threads, std::int64_t blocks, std::int64_t pitch,
                 const ParticleSlots& slot_of)
-        : contacts_(plan.contacts), run_(run), origin_(origin), law_(plan.contacts.template law<V>()), blocks_(blocks),
-          pitch_(pitch), jaws_(plan.contacts, run, threads, blocks),
-          masses_(plan.workspace<T>(run.workspace).contact_masses) {
+        : contacts_(plan.contacts), run_(run), origin_{origin[0], origin[1], origin[2]},
+          law_(plan.contacts.template law<V>()), blocks_(blocks), pitch_(pitch),
+          jaws_(plan.contacts, run, threads, blocks), masses_(plan.workspace<T>(run.workspace).contact_masses) {
         for (int k = 0; k < threads; ++k) threads_.emplace_back(*this);
         for (std::int64_t k = 0; k < contacts_.count(); ++k) max_surface_speeds_.push_back(T(max_surface_speed(k)));
         if (static_cast<std::int64_t>(masses_.size()) != blocks * pitch) {
@@ -236,9 +236,9 @@ private:
     PosedObstacle<T> posed_at(ThreadState& state, int thread, std::int64_t obstacle, std::int64_t step) const {
         const Pose& pose = state.poses.at(obstacle, step);
         const Obstacle& properties = contacts_.obstacles[obstacle];
-        if (properties.parallel_jaw < 0) return PosedObstacle<T>(pose, origin_, properties);
+        if (properties.parallel_jaw < 0) return PosedObstacle<T>(pose, properties, origin_);
         const Pose jaw_pose = jaws_.pose(thread, obstacle, pose);
-        PosedObstacle<T> posed(jaw_pose, origin_, properties);
+        PosedObstacle<T> posed(jaw_pose, properties, origin_);
         const Vec3<double> lever = jaw_pose.position - pose.position;
         posed.lever = {T(lever.x), T(lever.y), T(lever.z)};
         return posed;
@@ -404,7 +404,7 @@ private:
 
     const Contacts& contacts_;
     const Run& run_;
-    const double* origin_;
+    const Vec3<double> origin_;
     ContactLaw<V> law_;
     std::vector<T> max_surface_speeds_;  ///< upper bounds of the surface speed of each obstacle [m/s]
     std::int64_t blocks_, pitch_;

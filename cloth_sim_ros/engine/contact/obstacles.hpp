@@ -167,9 +167,9 @@ struct PosedObstacle {
     const Mesh* mesh;  ///< null if the obstacle is not a mesh
     Vec3<T> lever{};   ///< from the reference point of torques (the gripper of a jaw) to its position
 
-    PosedObstacle(const Pose& pose, const double* origin, const Obstacle& obstacle) : mesh(obstacle.mesh.get()) {
+    PosedObstacle(const Pose& pose, const Obstacle& obstacle, Vec3<double> origin = {}) : mesh(obstacle.mesh.get()) {
         const auto rounded = [](Vec3<double> a) { return Vec3<T>{T(a.x), T(a.y), T(a.z)}; };
-        position = rounded(pose.position - Vec3<double>{origin[0], origin[1], origin[2]});
+        position = rounded(pose.position - origin);
         for (int j = 0; j < 3; ++j) rotation[j] = rounded(pose.rotation[j]);
         velocity = rounded(pose.velocity);
         spin = rounded(pose.spin);
@@ -233,6 +233,13 @@ CLOTH_INLINE ContactKinematics<V> contact_kinematics(const PosedObstacle<scalar<
     if constexpr (Rotating) s.slip = s.slip - cross(splat3<V>(posed.spin), s.arm);
     s.closing = -dot(s.slip, s.normal);
     return s;
+}
+
+/// Gap of a point at x from an obstacle [m].
+inline double gap_of(const PosedObstacle<double>& posed, const Obstacle& obstacle, Vec3<double> x) {
+    return with_shape(obstacle.shape, [&](auto shape) {
+        return contact_kinematics<shape.value, true, double>(posed, obstacle.size, x, {}).gap;
+    });
 }
 
 /// A block of particles: positions and velocities by component, `pitch` numbers apart, and masses, zero for anchored

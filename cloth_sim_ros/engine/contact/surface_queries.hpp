@@ -513,7 +513,7 @@ void find_feature_intersection(Plan& plan, double t, const double* x, std::int64
     const Array<double> positions = quads_of(plan, x);
     const Quads at{positions.data()};
     std::fill(out, out + 3, std::int64_t{-1});
-    const double origin[3] = {}, min_step = 1e-3 * contacts.thickness;
+    const double min_step = 1e-3 * contacts.thickness;
     for (std::int64_t k = 0; k < contacts.count(); ++k) {
         const Features& features = contact.obstacles[k];
         if (!contact.has(contacts, k)) continue;
@@ -524,16 +524,12 @@ void find_feature_intersection(Plan& plan, double t, const double* x, std::int64
         };
         // Edges of the cloth that enter the obstacle, sampled in steps of one gap.
         const Obstacle& obstacle = contacts.obstacles[k];
-        const PosedObstacle<double> posed(pose, origin, obstacle);
+        const PosedObstacle<double> posed(pose, obstacle);
         for (const auto& e : s.edges) {
             const Vec3<double> a = at(e[0]), b = at(e[1]);
             const double length = root(norm2(b - a));
             for (double distance = 0.0; distance < length;) {
-                const double gap = with_shape(obstacle.shape, [&](auto shape) {
-                    return contact_kinematics<shape.value, true, double>(posed, obstacle.size,
-                                                                         a + (distance / length) * (b - a), {})
-                        .gap;
-                });
+                const double gap = gap_of(posed, obstacle, a + (distance / length) * (b - a));
                 if (!(gap > 0.0)) return report(e[0], e[1]);
                 distance += larger(gap, min_step);
             }
@@ -623,12 +619,6 @@ FeatureCulling::FeatureCulling(Plan& plan, double t, double duration, const doub
     }
     for (std::int64_t k = 0; k < contacts.count(); ++k)
         covers_all_ = covers_all_ && (contact.is_active[k] || !contact.has(contacts, k));
-}
-
-void FeatureCulling::disable() {
-    if (!plan_.features) return;
-    plan_.features->activate_all(plan_.contacts);
-    covers_all_ = true;
 }
 
 double FeatureCulling::max_particle_speed(const double* v) const {
