@@ -83,10 +83,12 @@ public:
             }
             with_shape(contacts_.obstacles[obstacle].shape, [&](auto shape) {
                 JawLoad* const load_of_jaw = is_jaw ? &jaw_load : nullptr;
-                with_flag(posed.is_rotating(), [&](auto rotating) {
-                    add_obstacle<shape.value, rotating.value>(state, skip, posed, obstacle, step, block, f, sums,
-                                                              anchors, load_of_jaw, reduced);
-                });
+                if (posed.is_rotating())
+                    add_obstacle<shape.value, true>(state, skip, posed, obstacle, step, block, f, sums, anchors,
+                                                    load_of_jaw, reduced);
+                else
+                    add_obstacle<shape.value, false>(state, skip, posed, obstacle, step, block, f, sums, anchors,
+                                                     load_of_jaw, reduced);
             });
             if (is_jaw) jaws_.record_load(obstacle, index, step, jaw_load);
         }
@@ -266,11 +268,13 @@ private:
         if (must_scan) result = scan();
         if (!must_scan || result.gap < thickness) {
             const BlockScan<T> block_scan(thickness, lookahead);
-            skip.in_contact = with_flag(anchors != nullptr, [&](auto has_friction) {
-                return add_contact_forces<S, Rotating, has_friction.value>(encounter, posed, size, block, block_scan, f,
-                                                                           sums, anchors, obstacle, step >= 0, jaw_load,
-                                                                           reduced);
-            });
+            if (anchors)
+                skip.in_contact =
+                    add_contact_forces<S, Rotating, true>(encounter, posed, size, block, block_scan, f, sums, anchors,
+                                                          obstacle, step >= 0, jaw_load, reduced);
+            else
+                skip.in_contact = add_contact_forces<S, Rotating, false>(
+                    encounter, posed, size, block, block_scan, f, sums, anchors, obstacle, false, jaw_load, reduced);
             if (!must_scan && !skip.in_contact) result = scan();
         }
         state.violated = state.violated || (skip.speed > T(0) && result.speed > T(2) * skip.speed);

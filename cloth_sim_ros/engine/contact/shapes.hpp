@@ -98,11 +98,7 @@ inline SurfacePoint<V> nearest_on_mesh(const Mesh& mesh, const Vec3<V>& p) {
     }
 }
 
-/// Call `visit` with a flag, or with the shape, as a compile-time constant.
-template <class F>
-inline auto with_flag(bool flag, F&& visit) {
-    return flag ? visit(std::true_type{}) : visit(std::false_type{});
-}
+/// Call `visit` with the shape as a compile-time constant.
 template <class F>
 inline auto with_shape(Shape shape, F&& visit) {
     switch (shape) {

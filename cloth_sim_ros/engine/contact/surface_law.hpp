@@ -219,17 +219,26 @@ public:
     template <class F>
     void forces(const Contact<V>& m, F&& visit) const {
         const V scale = splat<V>(m.mass) * damped(m), inverse_scale = splat<V>(1.0) / m.scaling.scale;
-        const V slope_scale = m.has_feature ? inverse_scale * (inverse_scale * scale) : inverse_scale * inverse_scale;
         for (const GapTerm<V>& g : m.gaps) {
-            const V elastic = m.edges ? m.push : splat<V>(g.sign) * particle_law_.elastic(g.gap),
-                    push = inverse_scale * elastic;
-            const Vec3<V> total = ((inverse_scale * scale) * elastic) * g.normal;
-            for (int k = 0; k < 4; ++k) {
-                if (!m.edges && k && g.corner[k] == g.corner[0]) continue;
-                // The order of products differs, because it decides bits.
-                Vec3<V> force = m.has_feature ? g.weight[k] * total : (push * g.weight[k]) * g.normal;
-                if (m.edges) force = force - slope_scale * m.slope[k];
-                visit(g.corner[k], m.has_feature ? force : scale * force);
+            const V elastic = m.edges ? m.push : splat<V>(g.sign) * particle_law_.elastic(g.gap);
+            const auto visit_corners = [&](auto&& force) {
+                for (int k = 0; k < 4; ++k)
+                    if (m.edges || !k || g.corner[k] != g.corner[0]) visit(g.corner[k], force(k));
+            };
+            // The order of products differs, and decides bits.
+            if (m.has_feature) {
+                const V part = inverse_scale * scale;
+                const Vec3<V> push = (part * elastic) * g.normal;
+                visit_corners([&](int k) {
+                    const Vec3<V> force = g.weight[k] * push;
+                    return m.edges ? force - (inverse_scale * part) * m.slope[k] : force;
+                });
+            } else {
+                const V push = inverse_scale * elastic;
+                visit_corners([&](int k) {
+                    const Vec3<V> force = (push * g.weight[k]) * g.normal;
+                    return scale * (m.edges ? force - (inverse_scale * inverse_scale) * m.slope[k] : force);
+                });
             }
         }
     }
