@@ -358,7 +358,7 @@ private:
         for (std::int64_t slot = 0; slot < grid.count; ++slot) {
             const Index e = grid[slot];
             grid.for_each_overlap(grid.box(e).expanded(reach), grid.keys(e), slot + 1,
-                                  [&](Index other) { edges.add(std::min(e, other), std::max(e, other)); });
+                                  [&](Index later) { edges.add(std::min(e, later), std::max(e, later)); });
         }
         edges.sort_both(grid.count);
     }

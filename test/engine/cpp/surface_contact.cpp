@@ -130,11 +130,11 @@ TEST_CASE("straight paths that intersect are detected, and others are not") {
     const std::array<Index, 4> corner{0, 1, 2, 3};
     const std::vector<Vec3<double>> triangle{{0.2, 0.2, 0.5}, {0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, {0.0, 1.0, 0.0}};
     const std::vector<Vec3<double>> edges{{0.0, 0.0, 0.5}, {1.0, 0.0, 0.5}, {0.5, -1.0, 0.0}, {0.5, 1.0, 0.0}};
-    const auto intersects = [&](auto is_edges, const std::vector<Vec3<double>>& from, int moving, Vec3<double> way,
-                                double radius = 0.0) {
+    const auto intersects = [&](auto is_edges, const std::vector<Vec3<double>>& from, int moving,
+                                Vec3<double> displacement, double radius = 0.0) {
         return ccd_pair<is_edges()>(
             corner, radius, 1e-6, [&](Index c) { return from[c]; },
-            [&](Index c) { return c < moving ? from[c] + way : from[c]; });
+            [&](Index c) { return c < moving ? from[c] + displacement : from[c]; });
     };
     CHECK(intersects(std::false_type{}, triangle, 1, {0.0, 0.0, -1.0}));
     CHECK_FALSE(intersects(std::false_type{}, triangle, 1, {0.0, 0.0, -0.49}));
