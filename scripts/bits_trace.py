@@ -162,7 +162,7 @@ CALLS: dict[str, tuple[str, tuple[Any, ...]]] = {
     "cloth_contact_wrenches": ("i", ("h", "d", _X, _X, "d", _obstacles(binding.RECORD_NUMBERS))),
     "cloth_contact_gaps": ("i", ("h", "d", _X, _obstacles(2))),
     "cloth_contact_bounds": ("i", ("h", "d", _X, _B, _B)),
-    "cloth_predict_obstacle_contact": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
+    "cloth_predict_obstacle_contact": ("i", ("h", "d", "d", _X, _X, _fixed(3))),
     "cloth_ccd_obstacles": ("i", ("h", "d", "d", _X, _X, _fixed(1))),
     "cloth_contact_thickness": ("i", ("h", _contacts, _contacts, "d")),
     "cloth_contact_gap_rows": ("i", ("h", "d", _X, _contacts)),
