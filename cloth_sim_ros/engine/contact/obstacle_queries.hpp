@@ -138,7 +138,7 @@ void combine_anchors(const Plan& plan, double t, const double* x, const double* 
     std::fill(out, out + size, 0.0);
     const auto law = contacts.law<V>();
     const auto none = [](std::int64_t, const PosedObstacle<double>&) { return false; };
-    const auto combine = [&](std::int64_t index, double* to) {
+    const auto combine_anchor = [&](std::int64_t index, double* to) {
         const double* const last_anchor = ends + (runs - 1) * size + index;
         bool all_bonded = true, same = true;
         for (std::int64_t run = 0; run < runs; ++run) {
@@ -177,7 +177,7 @@ void combine_anchors(const Plan& plan, double t, const double* x, const double* 
                 V numbers[anchor_numbers] = {};
                 for_each_lane([&](int lane, std::int64_t index) {
                     double combined[anchor_numbers];
-                    combine(index, combined);
+                    combine_anchor(index, combined);
                     for (int c = 0; c < anchor_numbers; ++c) numbers[c][lane] = combined[c];
                 });
                 const Vec3<V> local = posed.inward<V>(s.arm);

@@ -116,7 +116,7 @@ public:
     }
     /// Evaluate the law: pushes without damping, closing speeds, gaps, b; and normals. If the law is reduced, gaps and
     /// speeds are in units of the full thickness, see Scaling.
-    void evaluate(const ContactLaw<vec<double>>& law, const SurfaceLaw<double>& self_law, const double* v) {
+    void evaluate(const ContactLaw<vec<double>>& law, const SurfaceLaw<double>& surface_law, const double* v) {
         using V = vec<double>;
         const V unit = splat<V>(1.0);
         for (std::size_t k = 0; k < size; k += lanes<double>) {
@@ -129,9 +129,9 @@ public:
             const Vec3<V> n{over * load(away_[0].data() + k), over * load(away_[1].data() + k),
                             over * load(away_[2].data() + k)};
             V closing = -dot(n, speed);
-            if (self_law.reduced()) {
+            if (surface_law.reduced()) {
                 const Scaling<V> scaling =
-                    self_law.lane_scaling([&](int lane) { return self_law.scaling(corner_[k + lane][0] / 4); });
+                    surface_law.lane_scaling([&](int lane) { return surface_law.scaling(corner_[k + lane][0] / 4); });
                 closing = scaling.closing(gap, closing);
                 gap = scaling.gap(gap);
             }

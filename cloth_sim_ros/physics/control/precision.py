@@ -109,8 +109,8 @@ class PrecisionRule:
         means = [self._mean(dv, axis) for axis in range(3)]
         if plan.model.inverse_masses.all():
             # Nothing restores the common motion of a sheet without anchors, and its rounding may have one sign.
-            power_terms = [self._mean(runs[0].v, axis) * means[axis] for axis in range(3)]
-            supplied += abs(plan.model.mass * ordered_sum(power_terms))
+            products = [self._mean(runs[0].v, axis) * means[axis] for axis in range(3)]
+            supplied += abs(plan.model.mass * ordered_sum(products))
         if math.isfinite(supplied):
             noise.n_samples += 1.0
             trust = CONSTANTS.estimate_trust_factor
