@@ -7,7 +7,7 @@
 # Both make the environment when it is missing, and start at once when it is there.
 #
 # For those who work on it: make docs (the site), check (what CI runs: format, lint, types, tests), docs-check, engine,
-# sanitize, tidy, bits, format, soak, bench, validate, benchmarks, screenshots, colcon, clean; see CONTRIBUTING.md.
+# sanitize, tidy, bits, format, soak, bench, validate, benchmarks, screenshots, colcon, wheel, clean: CONTRIBUTING.md.
 # Variables: PYTHON (which Python), VENV (where the environment is), CXX (which compiler), ARGS (more arguments), as in
 #   make test ARGS="-k walls"
 #   make check VENV=.venv-3.12 PYTHON=python3.12
@@ -44,7 +44,8 @@ export RMW_IMPLEMENTATION := rmw_fastrtps_cpp
 # A demonstration in a lab must not move somebody's robot: it is heard on this machine alone, unless asked otherwise.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: help run docs docs-check engine engines sanitize tidy bits test check format soak bench validate benchmarks screenshots colcon clean
+.PHONY: help run docs docs-check engine engines sanitize tidy bits test check format soak bench validate benchmarks
+.PHONY: screenshots colcon wheel clean
 .DEFAULT_GOAL := help
 
 help:
@@ -133,8 +134,12 @@ screenshots: $(DEV) engine
 colcon: $(DEV)
 	@$(BIN)/colcon build --base-paths . $(ARGS)
 
+# The wheel for other machines, into dist/: all libraries of the processor's family, tried where there is no compiler.
+wheel:
+	@python=$$(scripts/find_python.sh) && "$$python" scripts/wheel.py
+
 clean:
-	rm -rf $(VENV) build install log *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist install log *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . \( -name __pycache__ -o -name _objects \) -type d -prune -exec rm -rf {} +
 
 .PHONY: anew

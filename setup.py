@@ -11,6 +11,11 @@ from types import SimpleNamespace
 from setuptools import Extension, find_packages, setup
 from setuptools.command.build_ext import build_ext
 
+try:
+    from setuptools.command.bdist_wheel import bdist_wheel
+except ImportError:  # setuptools before 70.1, as Ubuntu 24.04 has; colcon makes no wheels
+    bdist_wheel = None
+
 NAME = "cloth_sim_ros"
 ENGINE = f"{NAME}.engine"
 
@@ -40,6 +45,19 @@ class BuildEngine(build_ext):
             )
         except engine.BuildError as error:
             raise SystemExit(str(error)) from None
+
+
+commands = {"build_ext": BuildEngine}
+if bdist_wheel is not None:
+
+    class AnyPythonWheel(bdist_wheel):
+        """The libraries use no interface of Python's: one wheel serves every Python of a platform."""
+
+        def get_tag(self):
+            """Any Python 3, the platform of the libraries."""
+            return "py3", "none", super().get_tag()[2]
+
+    commands["bdist_wheel"] = AnyPythonWheel
 
 
 def extensions():
@@ -140,7 +158,7 @@ setup(
     # Files beside the code that are not Python: the sources of the engine.
     package_data={ENGINE: list(engine.PATTERNS)},
     ext_modules=extensions(),
-    cmdclass={"build_ext": BuildEngine},
+    cmdclass=commands,
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
