@@ -12,12 +12,12 @@ import pytest
 from cloth_sim_ros import Gravity, Model, PairSprings, Scene, Simulation, State
 from cloth_sim_ros.physics.control.automatic import make_integrator
 from cloth_sim_ros.physics.control.controller import Controller
-from cloth_sim_ros.physics.control.error import ErrorRule, ErrorSums
+from cloth_sim_ros.physics.control.error import ErrorEstimate, ErrorRule, ErrorSums
 from cloth_sim_ros.physics.control.extrapolated import Extrapolated
 from cloth_sim_ros.physics.integrators.base import UnstableError
 from cloth_sim_ros.physics.model.forces.force import Array, Force
 from cloth_sim_ros.physics.plan.plan import compile
-from cloth_sim_ros.physics.state.controller_state import ErrorState
+from cloth_sim_ros.physics.state.controller_state import EnergyState, ErrorState
 
 PERIOD = 1.0 / 60.0
 
@@ -229,7 +229,7 @@ def test_nanosecond_piece_gets_no_finer_steps() -> None:
     controller = _controller()
     piece = controller.choose_piece(0.0)
     assert piece is not None
-    controller._errors = [1.0]  # private: the estimate of the piece [m]
+    controller._estimate = ErrorEstimate(is_rough=False, errors=[1.0])  # private: that of the piece [m]
     assert controller.reject_inaccurate(piece, 1e-9)
     assert not controller.reject_inaccurate(piece._replace(length=1e-10), 1e-9)
 
@@ -239,7 +239,7 @@ def test_piece_rejected_for_its_energy_leaves_no_energy_behind() -> None:
     piece = controller.choose_piece(0.0)
     assert piece is not None
     tableau = controller.tableau(0.0, piece, None, None)
-    controller.keeps_energy(tableau, 0.0, piece)
+    assert not controller.keeps_energy(tableau, 0.0, piece)
     controller.reject_energy(piece)
-    # private: the next accepted piece would store it
-    assert controller._checked_energy is None
+    # private: what the frame would store
+    assert controller._energy.memory == EnergyState()

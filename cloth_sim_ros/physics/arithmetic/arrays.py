@@ -62,4 +62,4 @@ def weighted_dot(masses: Array, a: Array, b: Array) -> float:
 
 def largest_component(vectors: Array) -> float:
     """Return the largest absolute component of vectors, shape (3, n)."""
-    return float(np.abs(vectors).max())
+    return float(np.maximum.reduce(np.abs(vectors), axis=None))  # faster than the method `max`

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 _TOLERANCE_MISSED = "implicit steps missed the tolerance"
 _NO_SOLUTION = "implicit steps found no way through this fold"
+#: Expected iterations of the first frame by the implicit method: two stages of five.
+_FIRST_ITERATIONS = 10
 #: Integrators by the name that a scene gives.
 INTEGRATORS = ("auto", "leapfrog", "extrapolated", "implicit", "symplectic_euler")
 
@@ -100,7 +102,8 @@ class Automatic(Integrator):
         result, failure = None, ""
         if memory.is_implicit:
             start = state.shallow_copy()
-            strict = not memory.explicit_also_failed and self._fits_work_limit(memory.explicit_cost, duration)
+            fits = not self.work or memory.explicit_cost <= self.work * duration * 1e9
+            strict = fits and not memory.explicit_also_failed
             try:
                 result = self._implicit.advance(plan, state, t, duration, accumulator, is_strict=strict)
                 evaluations = result.evaluations
@@ -121,7 +124,7 @@ class Automatic(Integrator):
             if failure and result.flagged and is_implicit_feasible(plan):
                 # Both methods miss the tolerance: the cheaper one is used until the next comparison.
                 memory.is_implicit = memory.explicit_also_failed = 1.0
-        elif memory.is_implicit:
+        else:
             cost = result.evaluations * _iteration_cost(plan)
             # The mean avoids a change because of one repeated frame.
             memory.implicit_cost = 0.5 * (memory.implicit_cost + cost) if memory.implicit_cost else cost
@@ -134,10 +137,6 @@ class Automatic(Integrator):
             explanation = "explicit steps are cheaper" if memory.implicit_cost else "explicit steps are affordable"
         # `_replace` is slower, and every frame runs this line.
         return Advance._make((*result[:-1], f"auto: {explanation}; {result.reason}"))
-
-    def _fits_work_limit(self, cost: float, duration: float) -> bool:
-        """True if a frame of a cost [ns] fits the work limit."""
-        return self.work == 0.0 or cost <= self.work * duration * 1e9
 
     def _choose_integrator(
         self, memory: IntegratorChoiceState, plan: Plan, state: State, t: float, duration: float
@@ -159,7 +158,7 @@ class Automatic(Integrator):
         # Implicit steps find no way through a fold.
         implicit_pays = implicit_pays and _is_clear_of_itself(plan, state, duration)
         if implicit_pays:
-            implicit_cost = memory.implicit_cost or _first_implicit_frame_cost(plan)
+            implicit_cost = memory.implicit_cost or _FIRST_ITERATIONS * _iteration_cost(plan)
             factor = CONSTANTS.estimate_trust_factor if memory.is_implicit else 1.0
             implicit_pays = implicit_cost <= factor * memory.explicit_cost
         if implicit_pays != bool(memory.is_implicit):
@@ -184,13 +183,6 @@ def _explicit_frame_cost(plan: Plan, state: State, t: float, duration: float) ->
     steps = max(1.0, duration / (CONSTANTS.stability_safety * leapfrog_limit(*bounds)))
     cost = steps * plan.multirate_step_cost(int(MultirateState.load(state).ratio)) * plan.model.particle_count
     return cost + steps * plan.contact_cost(t, duration, state)
-
-
-def _first_implicit_frame_cost(plan: Plan) -> float:
-    """Return the estimated cost of the first frame by the implicit method [ns]."""
-    from cloth_sim_ros.physics.integrators.implicit_advance import EXPECTED_ITERATIONS
-
-    return EXPECTED_ITERATIONS * _iteration_cost(plan)
 
 
 def _iteration_cost(plan: Plan) -> float:

@@ -30,8 +30,6 @@ class ContactStepLimit:
         self._options, self._plan, self._stability = options, plan, stability
         #: Largest contact energy per mass of the last frame with an estimate, in U^2/2.
         self._known_energy = 0.0 if plan.contact is None else ContactState.load(state).contact_energy
-        #: Prediction for the whole advance until its use: time, duration [s], squared frequency [1/s^2], damping [1/s].
-        self._prediction: tuple[float, float, float, float] | None = None
         #: Estimated time that possible contacts add to a force evaluation, by the last prediction [ns].
         self.contact_time = 0.0
 
@@ -40,44 +38,22 @@ class ContactStepLimit:
         """Step limit of the sheet without contact, from its last spectral bounds [s]."""
         return self._options.step_limit(self._stability.omega2, self._stability.damping)
 
-    def predict(self, t: float, duration: float, state: State) -> float:
-        """Predict contact for a whole advance; the prediction also serves the next `predicted_limit`.
-
-        Args:
-            t: time at the start [s].
-            duration: of the advance [s].
-            state: at the start.
-
-        Returns:
-            Estimated time that possible contacts add to a force evaluation [ns].
+    def predicted_limit(self, t: float, duration: float, state: State) -> float:
+        """Return the step limit with predicted contact [s], over a duration [s] from a state at time t [s].
 
         Raises:
             NoRoomError: if no step is short enough.
         """
-        contact = self._plan.contact
-        assert contact is not None
+        contact, stability = self._plan.contact, self._stability
+        if contact is None:
+            return self.sheet_limit
         try:
             omega2, damping, operations = contact.predict_contact(t, duration, state.x, state.v, state.memory)
         except ValueError as error:
             raise NoRoomError(str(error)) from error
         if not omega2 < math.inf:
             raise NoRoomError("no step is short enough for contact: moving bodies have left the cloth no room")
-        self._prediction = t, duration, omega2, damping
         self.contact_time = CONSTANTS.operation_time * operations
-        return self.contact_time
-
-    def predicted_limit(self, t: float, duration: float, state: State) -> float:
-        """Return the step limit with predicted contact [s], over a duration [s] from a state at time t [s]."""
-        stability, prediction = self._stability, self._prediction
-        if self._plan.contact is None:
-            return self.sheet_limit
-        if prediction is None or prediction[:2] != (t, duration):
-            self.predict(t, duration, state)
-            prediction = self._prediction
-        assert prediction is not None
-        # Later intervals of the same time and length may start from another state.
-        self._prediction = None
-        omega2, damping = prediction[2:]
         return self._options.step_limit(stability.omega2 + omega2, stability.damping + damping)
 
     def limit_at_energy(self, energy: float, rates: tuple[float, float], sheet: StabilityState | RunSummary) -> float:
@@ -107,9 +83,8 @@ class ContactStepLimit:
         energy, self_contact = self._encountered(tableau, n_runs)
         return bool(energy or self_contact[0])
 
-    def encountered_limit(self, tableau: ExtrapolationTableau, n_runs: int) -> float:
+    def encountered_limit(self, tableau: ExtrapolationTableau, n_runs: int, summary: RunSummary) -> float:
         """Return the step limit of T_K [s], K = n_runs: contact in its runs, and the sheet at its end."""
-        summary = tableau.summary(n_runs)
         if self._plan.contact is None:
             return self._options.step_limit(summary.omega2, summary.damping)
         energy, self_contact = self._encountered(tableau, n_runs)

@@ -21,7 +21,7 @@ frame, or what halving in a rough motion has left.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from functools import cached_property
 
 from cloth_sim_ros.physics.accounting.work_accumulator import WorkAccumulator
 from cloth_sim_ros.physics.arithmetic.deterministic_math import root
@@ -29,9 +29,10 @@ from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.contact_step_limit import ContactStepLimit
 from cloth_sim_ros.physics.control.description import ExplicitSettings, describe
 from cloth_sim_ros.physics.control.energy import EnergyRule, external_work
-from cloth_sim_ros.physics.control.error import ErrorRule, ErrorSums
+from cloth_sim_ros.physics.control.error import ErrorEstimate, ErrorPrediction, ErrorRule, ErrorSums
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, is_implicit_feasible
 from cloth_sim_ros.physics.control.force_jump import EVALUATIONS, missed_velocity_change
+from cloth_sim_ros.physics.control.frame_totals import FrameTotals, Piece
 from cloth_sim_ros.physics.control.multirate import MultirateRule
 from cloth_sim_ros.physics.control.precision import PrecisionRule
 from cloth_sim_ros.physics.control.stability import MAX_UNDAMPED_STEPS, StabilityRule
@@ -47,11 +48,7 @@ from cloth_sim_ros.physics.integrators.limit import steps_for
 from cloth_sim_ros.physics.model.forces.force import EngineForce
 from cloth_sim_ros.physics.plan.plan import Plan
 from cloth_sim_ros.physics.state import controller_state
-from cloth_sim_ros.physics.state.controller_state import (
-    ErrorState,
-    FallbackState,
-    StabilityState,
-)
+from cloth_sim_ros.physics.state.controller_state import ErrorState, FallbackState, StabilityState
 from cloth_sim_ros.physics.state.state import State
 
 #: Minimum steps of a piece for halving; with fewer steps the runs of a half would not differ enough.
@@ -60,34 +57,12 @@ _MIN_HALVED_STEPS = 2 * MAX_UNDAMPED_STEPS
 _MIN_PIECE = 2.0**-24
 #: Attributes of the controller.
 _ATTRIBUTES = (
-    "_may_turn _budget_contact_time options _plan _state _t0 _duration rejected in_fallback exhausted "
-    "_multirate_rule _may_supply _stability _last_refinement budget _error _precision n_runs refinement "
-    "estimates_error limit _contact_limit _may_touch _ratio _fallback_count work _budget_ratio abandoned "
-    "_start_bounds _energy_rule _start_hinge_bounds _rest_rate _ends _elapsed _refined_time error n_pieces steps "
-    "_first_run_steps min_step _single_precision _max_ratio _is_rough _piece _met_limit _halved_step _attempts "
-    "_longest_step _longest_runs _sums _is_uniform _n_estimated _lower_order_error _contact_energy _has_missed "
-    "_checked_energy _stretch _multirate_refinement _weight _applied_refinement _allowed _activity _predicted "
-    "_piece_lower_order_error _piece_contact_energy _errors _end_error _needs_double _before _start_v"
+    "_allowed _applied_refinement _attempts _before _contact_limit _duration _elapsed _ends _energy_rule _error "
+    "_estimate _fallback_count _frame _halved_step _has_tolerance _is_rough _last_refinement _may_touch _may_turn "
+    "_met_limit _multirate _multirate_refinement _piece _plan _precision _prediction _ratio _stability _start_bounds "
+    "_start_hinge_bounds _start_v _state _stretch _t0 abandoned budget estimates_error exhausted in_fallback limit "
+    "n_runs options refinement rejected work __dict__"
 )
-
-
-class Piece(NamedTuple):
-    """A piece of an advance."""
-
-    #: Length H [s].
-    length: float
-    #: Steps of the first run, and multirate ratio.
-    steps: int
-    ratio: int
-    #: Longest stable step by the bounds at the start of its stretch [s]; a shorter fixed step instead.
-    max_step: float
-    #: Equal pieces until its stretch ends, itself included.
-    pieces_left: int
-
-    @property
-    def step(self) -> float:
-        """Step size of the first run [s]."""
-        return self.length / self.steps
 
 
 class Controller:
@@ -110,18 +85,15 @@ class Controller:
 
     def __init__(self, options: ExplicitSettings, plan: Plan, state: State, t: float, duration: float) -> None:
         self.options, self._plan, self._state, self._t0, self._duration = options, plan, state, t, duration
+        self._has_tolerance = has_tolerance = options.tolerance is not None
         #: Rejected attempts.
         self.rejected = 0
         #: True while the reserve finishes the frame; if the work budget allows no finer steps.
         self.in_fallback = self.exhausted = False
-        #: Rules that most frames do not need, created when they are.
+        #: Energy rule, which most frames do not need.
         self._energy_rule: EnergyRule | None = None
-        self._multirate_rule: MultirateRule | None = None
-        self._may_supply: bool | None = None
         #: True if a spring may turn over within the present piece.
         self._may_turn = False
-        #: True if single precision does not resolve the error of further runs, which may suffice.
-        self._needs_double = False
         has_previous_frame = StabilityState.key in state.memory
         memory, error = StabilityState.load(state), ErrorState.load(state)
         self._stability = StabilityRule(plan, memory, state.x)
@@ -130,51 +102,46 @@ class Controller:
         if abs(error.duration - duration) > 1e-6 * duration:
             # Recorded errors belong to frames of another length.
             error = ErrorState(n_runs=error.n_runs, refinement=error.refinement, duration=duration)
-            for key in (
-                controller_state.PREVIOUS_VELOCITIES_KEY,
-                controller_state.PrecisionState.key,
-                controller_state.RoundingNoiseState.key,
-            ):
+            precision_keys = controller_state.PrecisionState.key, controller_state.RoundingNoiseState.key
+            for key in (controller_state.PREVIOUS_VELOCITIES_KEY, *precision_keys):
                 state.memory.pop(key, None)
-        has_tolerance, is_due = options.tolerance is not None, error.time_until_estimate <= 0.0
-        self._last_refinement = 0.0
+        is_due, self._last_refinement = error.time_until_estimate <= 0.0, 0.0
         if is_due and not has_tolerance:
             # Longer steps than the energy rule required are tried periodically.
             self._last_refinement, error.refinement = error.refinement, max(1.0, 0.5 * error.refinement)
         #: Error budget of the frame [m].
-        self.budget = math.inf
-        if options.tolerance is not None:
-            self.budget = CONSTANTS.error_budget_fraction * duration * options.tolerance
+        tolerance = math.inf if options.tolerance is None else options.tolerance
+        self.budget = CONSTANTS.error_budget_fraction * duration * tolerance
         self._error = ErrorRule(error, self.budget, options.n_runs, state)
         self._precision = PrecisionRule(plan, state, duration, self.budget)
         #: Number of combined runs, refinement of their steps, and whether a further run estimates their error.
-        self.n_runs, self.refinement = min(int(error.n_runs), options.n_runs), error.refinement
-        self.estimates_error = has_tolerance and is_due
-        if not has_tolerance:
-            self.n_runs = options.n_runs
+        self.n_runs = min(int(error.n_runs), options.n_runs) if has_tolerance else options.n_runs
+        self.refinement, self.estimates_error = error.refinement, has_tolerance and is_due
         # A fixed step of a running simulation was stable at its start.
         proven_step = options.step if options.step is not None and has_previous_frame else 0.0
         memory.max_step = max(memory.max_step, min(max(sheet_limit, proven_step), duration))
         #: Step limit at the start [s].
-        self.limit, contact_time = sheet_limit, 0.0
         self._contact_limit = ContactStepLimit(options, plan, state, memory)
-        if plan.contact is not None:
-            contact_time = self._contact_limit.predict(t, duration, state)
-            self.limit = self._contact_limit.predicted_limit(t, duration, state)
+        self.limit = sheet_limit if plan.contact is None else self._contact_limit.predicted_limit(t, duration, state)
+        contact_time = self._contact_limit.contact_time
         self._may_touch = contact_time > 0.0
-        if options.step is not None and options.step > self.limit and not has_previous_frame:
+        if options.step is not None and not has_previous_frame:
             refuse_step(options.step, self.limit, options.name)
-        max_step = min(CONSTANTS.stability_safety * sheet_limit, duration)
-        self._ratio = self._choose_ratio(max_step) if plan.has_hinges else 1
+        self._ratio = 1
+        if plan.has_hinges:
+            # Waves of contact may have any frequency, without damping.
+            allowed = has_tolerance and not self._may_touch and self._stability.is_damped(duration)
+            self._multirate = MultirateRule(plan, controller_state.MultirateState.load(state), allowed=allowed)
+            self._start_hinge_bounds = self._multirate.bounds
+            self._ratio = self._choose_ratio(min(CONSTANTS.stability_safety * sheet_limit, duration))
         self._fallback_count = FallbackState.load(state).fallback_count if FallbackState.key in state.memory else 0.0
         limits = memory.max_step, self._fallback_count, contact_time, self.limit, self._ratio
         #: Work of explicit steps.
         self.work = WorkBudget(plan, options.work, duration, *limits)
-        self._budget_ratio, self._budget_contact_time = self._ratio, contact_time
         # Even the longest stable steps may exceed the work limit of the frame.
         #: True if explicit steps are abandoned.
         self.abandoned = duration / sheet_limit > self.work.cap and self._has_fallback
-        self._start_bounds = memory.omega2, memory.damping
+        self._start_bounds, self._start_v = (memory.omega2, memory.damping), state.v
         self._begin()
 
     @property
@@ -184,28 +151,14 @@ class Controller:
             self._energy_rule = EnergyRule(self._plan, memory, self._last_refinement)
         return self._energy_rule
 
-    @property
-    def _multirate(self) -> MultirateRule:
-        if self._multirate_rule is None:
-            # Waves of contact may have any frequency, without damping.
-            allowed = self.options.tolerance is not None and not self._may_touch
-            allowed = allowed and self._stability.is_damped(self._duration)
-            memory = controller_state.MultirateState.load(self._state)
-            self._multirate_rule = MultirateRule(self._plan, memory, allowed=allowed)
-            self._start_hinge_bounds = self._multirate_rule.bounds
-        return self._multirate_rule
-
-    @property
+    @cached_property
     def _has_external_work(self) -> bool:
         """True if forces in Python, moving air or moving obstacles may do work."""
-        if self._may_supply is None:
-            plan, state = self._plan, self._state
-            is_moving = plan.contact is not None and not plan.contact.force.steady()
-            has_python_forces = any(not isinstance(force, EngineForce) for force in plan.model.forces)
-            self._may_supply = (
-                is_moving or has_python_forces or plan.supply(self._t0, state.x, state.v, state.memory) != 0.0
-            )
-        return self._may_supply
+        plan, state = self._plan, self._state
+        if plan.contact is not None and not plan.contact.force.steady():
+            return True
+        has_python_forces = any(not isinstance(force, EngineForce) for force in plan.model.forces)
+        return has_python_forces or plan.supply(self._t0, state.x, state.v, state.memory) != 0.0
 
     @property
     def _has_fallback(self) -> bool:
@@ -215,7 +168,7 @@ class Controller:
     @property
     def has_explicit_fallback(self) -> bool:
         """True if explicit steps within the reserve are the fallback."""
-        return self._may_touch and self.options.tolerance is not None and not self.in_fallback
+        return self._may_touch and self._has_tolerance and not self.in_fallback
 
     def use_reserve(self) -> None:
         """Restart with single runs of the longest stable steps, within the reserve."""
@@ -228,43 +181,30 @@ class Controller:
         """Restart at the start of the frame, whose pieces all get an estimate."""
         memory = self._stability.memory
         memory.omega2, memory.damping = self._start_bounds
-        if self._multirate_rule is not None:
-            self._multirate_rule.bounds = self._start_hinge_bounds
+        if self._plan.has_hinges:
+            self._multirate.bounds = self._start_hinge_bounds
         self.estimates_error = True
         self._begin()
 
     def _begin(self) -> None:
         """Set what the pieces of a frame change to its start."""
-        #: Force evaluations per second of the choice at the start, with an error estimate.
-        self._rest_rate = self.refinement / (CONSTANTS.stability_safety * self._stability.memory.max_step)
-        self._rest_rate *= RATIO_SUMS[self.n_runs + 1]
+        #: Totals of the accepted pieces.
+        self._frame = FrameTotals()
+        max_step = CONSTANTS.stability_safety * self._stability.memory.max_step
+        self.work.rest_rate = self.refinement / max_step * RATIO_SUMS[self.n_runs + 1]
         #: Velocities [m/s] at the start of the interval before, and its length [s].
         previous = self._state.memory.get(controller_state.PREVIOUS_VELOCITIES_KEY)
-        self._start_v, self._before = self._state.v, None if previous is None else (previous, self._duration)
-        #: Ends of the frame and of the stretches that were halved, since the start of the frame [s]. Time since then
-        #: [s], and the part of it with refined steps [s].
-        self._ends, self._elapsed, self._refined_time = [self._duration], 0.0, 0.0
-        #: Sum of errors [m], number of pieces, steps of the result, steps of the first runs, and smallest step [s].
-        self.error, self.n_pieces, self.steps, self._first_run_steps, self.min_step = 0.0, 0, 0, 0, math.inf
-        #: True if the last runs used single precision; the largest multirate ratio.
-        self._single_precision, self._max_ratio = False, 1
+        self._before = None if previous is None else (previous, self._duration)
+        #: Ends of the frame and of the stretches that were halved, since the start of the frame [s]. Time since then.
+        self._ends, self._elapsed = [self._duration], 0.0
         #: True if the motion is rough. The present piece, the step limit that its runs met [s], the step to keep for
         #: its halves [s], and its rejected attempts.
         self._is_rough = self._may_turn
         self._piece: Piece | None = None
         self._met_limit, self._halved_step, self._attempts = math.inf, 0.0, 0
-        #: Longest step that a rough piece suggests for the next frame [s], and its number of runs.
-        self._longest_step, self._longest_runs = 0.0, 1
-        #: Sums of estimates, true if all have equal runs, and number of estimated pieces. Sum of errors of one run less
-        #: [m]. Largest contact energy. True if a piece was accepted although it missed its budget.
-        self._sums: ErrorSums | None = None
-        self._is_uniform, self._n_estimated, self._lower_order_error = True, 0, 0.0
-        self._contact_energy, self._piece_contact_energy, self._has_missed = 0.0, 0.0, False
-        #: Refinement of estimated runs, that of stability included. Error at the ends of the present piece [m], and its
-        #: energy: frequencies and drift.
-        self._applied_refinement, self._end_error = 1.0, 0.0
+        #: Refinement of estimated runs, that of stability included.
+        self._applied_refinement = 1.0
         self._energy_rule = None
-        self._checked_energy: tuple[tuple[float, float], float | None] | None = None
 
     def must_restart(self, *, is_missed: bool) -> bool:
         """Return True if the frame restarts with estimates, because pieces that were accepted may be wrong too.
@@ -274,7 +214,8 @@ class Controller:
         Args:
             is_missed: True if the predicted error of a piece exceeds its budget.
         """
-        return (is_missed and self._n_estimated < self.n_pieces) or (self._may_turn and not self._is_rough)
+        is_predicted = self._frame.n_pieces > 0 and self._frame.sums is None
+        return (is_missed and is_predicted) or (self._may_turn and not self._is_rough)
 
     # Pieces.
 
@@ -298,17 +239,17 @@ class Controller:
             max_step = min(CONSTANTS.stability_safety * limit, stretch)
             if not (self._contact_limit.should_halve(max_step, stretch) and self._halve(stretch)):
                 break
-        if options.step is not None:
-            max_step = options.step if options.step <= limit else min(options.step, max_step)
+        if options.step is not None and options.step <= limit:
+            max_step = options.step
         if self._halved_step:
             self.refinement, self._halved_step = max(1.0, max_step / self._halved_step), 0.0
         ratio, self._multirate_refinement = 1, 1.0
         if self._ratio > 1:
             ratio, self._multirate_refinement = self._multirate.ratio_within(max_step, stretch)
-        self._weight = self._evaluation_weight(ratio)
+        self.work.set_weight(ratio, self._contact_limit.contact_time)
         steps, n_pieces = self._count_steps(self.n_runs, self.refinement, stretch, max_step)
-        reserved = self._rest_work(self._ends[-1])
-        if not self.work.fits(self._work_of(self.n_runs, steps, n_pieces) + reserved):
+        reserved = self.work.rest_of(self._duration - self._ends[-1], len(self._ends))
+        if not self.work.fits(self.work.work_of(self.n_runs, steps, n_pieces) + reserved):
             self._clamp(stretch, max_step, reserved)
             steps, n_pieces = self._count_steps(self.n_runs, self.refinement, stretch, max_step)
         if self.estimates_error:
@@ -316,39 +257,18 @@ class Controller:
         steps = max(1, math.ceil(steps / n_pieces / ratio)) * ratio
         return Piece(stretch / n_pieces, steps, ratio, max_step, n_pieces)
 
-    def _evaluation_weight(self, ratio: int) -> float:
-        """Return the cost of a force evaluation at a multirate ratio, relative to that of the work budget.
-
-        The budget knows the contacts that the whole frame predicted; a piece may predict more.
-        """
-        weight, cost_of = 1.0, self._plan.multirate_step_cost
-        if ratio != self._budget_ratio:
-            weight = cost_of(ratio) / cost_of(self._budget_ratio)
-        more_time = self._contact_limit.contact_time - self._budget_contact_time
-        if more_time > 0.0:
-            particle_time = cost_of(self._budget_ratio) * self._plan.model.particle_count
-            weight += more_time / (particle_time + self._budget_contact_time)
-        return weight
-
     def _count_steps(self, n_runs: int, refinement: float, length: float, max_step: float) -> tuple[int, int]:
         """Return the steps of the first run over a length [s], and the number of its pieces."""
-        has_tolerance = self.options.tolerance is not None
-        if has_tolerance:
+        if self._has_tolerance:
             refinement = max(refinement, self._required_refinement(n_runs, length))
         fewest = MAX_UNDAMPED_STEPS if self._is_rough else self._count_fewest_steps(n_runs)
         steps = max(steps_for(length, max_step / refinement), fewest)
-        is_whole = n_runs == 1 and not has_tolerance
+        is_whole = n_runs == 1 and not self._has_tolerance
         return steps, 1 if is_whole else self._stability.n_pieces(n_runs, steps, length)
 
     def _count_fewest_steps(self, n_runs: int) -> int:
         """Return the fewest steps of the first run: the activity of a single run needs two halves."""
-        return 2 if n_runs == 1 and self.options.tolerance is not None else 1
-
-    def _work_of(self, n_runs: int, steps: int, n_pieces: int) -> float:
-        """Return the work of runs with an error estimate, in force evaluations, engine calls included."""
-        return (
-            self._weight * (steps * RATIO_SUMS[n_runs + 1] + n_pieces * (n_runs + 1)) + n_pieces * self.work.call_work
-        )
+        return 2 if n_runs == 1 and self._has_tolerance else 1
 
     def _required_refinement(self, n_runs: int, length: float) -> float:
         """Return the refinement that stability requires over a length [s], that of the multirate ratio included."""
@@ -356,16 +276,12 @@ class Controller:
 
     def _choose_ratio(self, max_step: float) -> int:
         """Return the multirate ratio; another one than before needs an error estimate."""
-        if not (self.estimates_error or controller_state.MultirateState.key in self._state.memory):
-            return 1
         rule, recorded_ratio = self._multirate, self._multirate.memory.ratio
         if self.estimates_error:
             rule.choose(self._state.x, max_step, self._duration, self.n_runs)
         else:
             rule.keep(max_step, self._duration)
-        self.estimates_error = self.estimates_error or (
-            self.options.tolerance is not None and rule.ratio != recorded_ratio
-        )
+        self.estimates_error = self.estimates_error or (self._has_tolerance and rule.ratio != recorded_ratio)
         return rule.ratio
 
     def _halve(self, length: float) -> bool:
@@ -379,20 +295,16 @@ class Controller:
         self._piece, self._met_limit, self._attempts = None, math.inf, 0
         return True
 
-    def _rest_work(self, end: float) -> float:
-        """Return the work of the frame after an end [s] with the choice at its start, in force evaluations."""
-        if end >= self._duration:
-            return 0.0
-        # Each stretch has at least a run of a few steps, its estimate, and the check of its ends.
-        least = self._work_of(1, MAX_UNDAMPED_STEPS, 1) + 4 * EVALUATIONS
-        return (self._duration - end) * self._rest_rate + len(self._ends) * least
+    def _rest_work(self, piece: Piece) -> float:
+        """Return the work of the frame after a piece, in force evaluations."""
+        return self.work.rest_of(self._duration - (self._elapsed + piece.length), len(self._ends))
 
     def _attempt_work(self, n_runs: int, refinement: float, length: float, max_step: float) -> float:
         """Return the work of a length [s] with an error estimate, in force evaluations, engine calls included."""
         steps, n_pieces = self._count_steps(n_runs, refinement, length, max_step)
         # Where air or obstacles do work, the energy check of a piece that misses its budget repeats its runs.
-        check = self._weight * steps * RATIO_SUMS[n_runs] if self._has_external_work else 0.0
-        return self._work_of(n_runs, steps, n_pieces) + check
+        check = self.work.weight * steps * RATIO_SUMS[n_runs] if self._has_external_work else 0.0
+        return self.work.work_of(n_runs, steps, n_pieces) + check
 
     def _clamp(self, stretch: float, max_step: float, reserved: float) -> None:
         """Clamp runs and refinement to the work budget.
@@ -400,7 +312,7 @@ class Controller:
         Explicit steps are abandoned if the longest stable ones exceed it by more than the cost of implicit steps that
         finish the frame.
         """
-        if self.options.tolerance is None:
+        if not self._has_tolerance:
             return  # the order is fixed, and there is no error estimate
 
         def work_of(n_runs: int, refinement: float) -> float:
@@ -409,7 +321,7 @@ class Controller:
         self.estimates_error = True
         while self.n_runs > 1 and not self.work.fits(work_of(self.n_runs, 1.0)):
             self.n_runs -= 1
-        remaining = self.work.remaining - reserved
+        remaining = self.work.cap - self.work.used - reserved
         refinement = self.refinement * remaining / self._attempt_work(self.n_runs, self.refinement, stretch, max_step)
         if not (self._attempts or self._is_rough):
             # A second attempt must fit too.
@@ -429,7 +341,7 @@ class Controller:
         """Return the runs of a piece from time t [s]; those of its previous attempt if it had the same steps."""
         counts = step_counts(piece.steps, ratio=piece.ratio, coprime=self._is_rough)
         single_precision = is_estimated = False
-        if self.options.tolerance is not None:
+        if self._has_tolerance:
             is_estimated = self.estimates_error or not self._error.is_predictable(counts[: self.n_runs], piece.length)
             single_precision = not self._is_rough and self._precision.allows_single_precision(
                 self._state, self.n_runs, estimates_error=self.estimates_error
@@ -472,8 +384,8 @@ class Controller:
         """Return True if the chosen combination is finite, and its steps are within the limit that the motion met."""
         n_runs = self.n_runs
         evaluations, summary = tableau.evaluations, tableau.summary(n_runs)
-        self.work.add(tableau.evaluations - evaluations, self._weight)
-        if not summary.is_finite or piece.step > self._contact_limit.encountered_limit(tableau, n_runs):
+        self.work.add(tableau.evaluations - evaluations, self.work.weight)
+        if not summary.is_finite or piece.step > self._contact_limit.encountered_limit(tableau, n_runs, summary):
             return False
         return piece.ratio == 1 or not self._multirate.exceeds_limit(piece.ratio * piece.step, summary)
 
@@ -486,7 +398,7 @@ class Controller:
         n_runs, factor, failure = self.n_runs, 1.0, "not within their stability limit"
         summary = tableau.summary(n_runs)
         if summary.is_finite:
-            limit = self._contact_limit.encountered_limit(tableau, n_runs)
+            limit = self._contact_limit.encountered_limit(tableau, n_runs, summary)
             if piece.ratio > 1 and self._multirate.exceeds_limit(piece.ratio * piece.step, summary):
                 self._multirate.ratio = self._ratio = 1
         else:
@@ -507,33 +419,34 @@ class Controller:
         """
         is_stretch_end = piece.pieces_left == 1
         elapsed = self._ends[-1] if is_stretch_end else self._elapsed + piece.length
-        self._allowed = self.budget * (elapsed / self._duration) - self.error
-        if self._has_missed:
+        self._allowed = self.budget * (elapsed / self._duration) - self._frame.error
+        if self._frame.has_missed:
             self._allowed = max(self._allowed, self.budget * (piece.length / self._duration))
         return self._allowed
 
     def predict(self, tableau: ExtrapolationTableau, piece: Piece) -> float:
         """Return the predicted error of a piece [m]; infinite if it is unknown or an estimate is due."""
-        if self.options.tolerance is None:
+        if not self._has_tolerance:
+            self._prediction = ErrorPrediction()
             return 0.0
         n_runs = self.n_runs
         summary = tableau.summary(n_runs)
-        counts, self._activity = tableau.counts[:n_runs], summary.activity
         self._may_turn = summary.turn > CONSTANTS.max_turn and not self.in_fallback
-        change = tableau.change(n_runs - 1) if n_runs > 1 else (0.0, 0.0)
-        self._predicted, self._piece_lower_order_error = self._error.predict(
-            counts,
+        error, lower_order_error = self._error.predict(
+            tableau.counts[:n_runs],
             piece.length,
-            change,
-            max(self._activity, summary.change_from_before),
+            tableau.change(n_runs - 1) if n_runs > 1 else (0.0, 0.0),
+            max(summary.activity, summary.change_from_before),
             tableau.jerk_change if summary.turn > CONSTANTS.smooth_turn else 0.0,
         )
+        contact_energy = 0.0
         if self._plan.contact is not None:
-            _, self._piece_contact_energy, _ = tableau.contact_summary(n_runs)
-            if self._contact_limit.exceeds_known_energy(self._piece_contact_energy):
+            _, contact_energy, _ = tableau.contact_summary(n_runs)
+            if self._contact_limit.exceeds_known_energy(contact_energy):
                 # The contact is harder than in the frame of the last estimate, or the first one.
-                self._predicted = math.inf
-        return math.inf if self.estimates_error else self._predicted
+                error = math.inf
+        self._prediction = ErrorPrediction(error, lower_order_error, summary.activity, contact_energy)
+        return math.inf if self.estimates_error else error
 
     def estimate(self, tableau: ExtrapolationTableau, t: float, piece: Piece, allowed: float) -> float:
         """Return the estimated error of a piece [m], and combine more of its runs if that suffices.
@@ -549,43 +462,37 @@ class Controller:
         Returns:
             The error; infinite if single precision does not resolve that of further runs, which may suffice.
         """
-        errors: list[float] = []
-        options, self._needs_double = self.options, False
+        estimate = self._estimate = ErrorEstimate(self._is_rough)
+        errors = estimate.errors
         if not self.estimates_error:
             self.estimates_error = True
             self._applied_refinement = max(self.refinement, self._required_refinement(self.n_runs, piece.length))
         for _ in range(self._count_estimates(tableau.counts)):
-            self._append_estimate(errors, tableau)
+            self._append_estimate(tableau)
         if (errors[-1] > allowed and not self.in_fallback) or self.refinement > 1.0:
-            target, reserved = CONSTANTS.error_target_fraction * allowed, self._rest_work(self._elapsed + piece.length)
-            while len(errors) < options.n_runs and errors[-1] > target:
-                is_affordable = self.work.fits(reserved + self._weight * tableau.counts[len(errors) + 1])
+            target, reserved = CONSTANTS.error_target_fraction * allowed, self._rest_work(piece)
+            while len(errors) < self.options.n_runs and errors[-1] > target:
+                is_affordable = self.work.fits(reserved + self.work.weight * tableau.counts[len(errors) + 1])
                 # If runs do not gain on one another, as at a force jump, a further run does not either.
                 is_useless = len(errors) > 1 and errors[-1] > errors[-2]
-                is_resolved = not tableau.single_precision or self._precision.resolves_error(len(errors) + 2)
-                if is_affordable and not (is_useless or is_resolved):
-                    self._needs_double = self._fits(self.n_runs, self.refinement, piece)
-                if not is_affordable or is_useless or not is_resolved:
+                if is_useless or not is_affordable:
                     break
-                self._append_estimate(errors, tableau)
-        if not self._is_rough:
-            self._confirm(errors)
-        self._errors, self.n_runs = errors, self._sufficient_runs(errors, allowed)
-        self._end_error = self._estimate_ends(tableau, t, piece) if self._is_rough else 0.0
-        return math.inf if self._needs_double else errors[self.n_runs - 1] + self._end_error
+                if tableau.single_precision and not self._precision.resolves_error(len(errors) + 2):
+                    estimate.needs_double = self._fits(self.n_runs, self.refinement, piece)
+                    break
+                self._append_estimate(tableau)
+        estimate.confirm(self._error.rounding_floor)
+        if not self.in_fallback:
+            self.n_runs = estimate.sufficient_runs(self.n_runs, allowed)
+        if self._is_rough:
+            estimate.end_error = self._estimate_ends(tableau, t, piece)
+        return math.inf if estimate.needs_double else estimate.error(self.n_runs)
 
-    def _append_estimate(self, errors: list[float], tableau: ExtrapolationTableau) -> None:
-        """Append the error estimate of the next combination [m].
-
-        If the motion is rough, an estimate may be small by chance. Then it counts as at least what the gain of the
-        combination before it makes plausible.
-        """
-        evaluations, error = tableau.evaluations, tableau.difference(len(errors) + 1)
-        self.work.add(tableau.evaluations - evaluations, self._weight)
-        if self._is_rough and errors:
-            gain = errors[-1] / errors[-2] if len(errors) > 1 and errors[-2] else CONSTANTS.first_gain
-            error = max(error, errors[-1] * gain * gain)
-        errors.append(error)
+    def _append_estimate(self, tableau: ExtrapolationTableau) -> None:
+        """Append the error estimate of the next combination [m], and count its work."""
+        evaluations, error = tableau.evaluations, tableau.difference(len(self._estimate.errors) + 1)
+        self.work.add(tableau.evaluations - evaluations, self.work.weight)
+        self._estimate.append(error)
 
     def _count_estimates(self, counts: tuple[int, ...]) -> int:
         """Return the number of estimates that the chosen runs need.
@@ -594,29 +501,7 @@ class Controller:
         second one confirms it.
         """
         is_confirmed = self.n_runs == 1 and counts[0] < CONSTANTS.min_ordered_steps and not self.in_fallback
-        return min(self.n_runs + is_confirmed, max(self.options.n_runs, self.n_runs))
-
-    def _confirm(self, errors: list[float]) -> None:
-        """Raise each estimate that is far below a later one above rounding: it is small by chance.
-
-        In a rough motion all estimates must fit instead.
-        """
-        for k in range(len(errors) - 1, 0, -1):
-            floor = self._error.rounding_floor(k + 1)
-            if errors[k] > CONSTANTS.estimate_trust_factor * max(errors[k - 1], floor):
-                errors[k - 1] = errors[k]
-
-    def _sufficient_runs(self, errors: list[float], allowed: float) -> int:
-        """Return the number of existing runs whose error fits a budget [m]; the chosen one if none fits.
-
-        If the motion is rough, all further estimates must fit too.
-        """
-        fits = [error <= allowed for error in errors]
-        if fits[self.n_runs - 1] or self.in_fallback:
-            return self.n_runs
-        n_confirming = len(errors) if self._is_rough else 0
-        sufficient = [k for k, fit in enumerate(fits, start=1) if fit and all(fits[k - 1 : n_confirming])]
-        return sufficient[0] if sufficient else self.n_runs
+        return min(self.n_runs + is_confirmed, self.options.n_runs)
 
     def _estimate_ends(self, tableau: ExtrapolationTableau, t: float, piece: Piece) -> float:
         """Return the error that a force jump in the first or last half step of a piece may cause [m]."""
@@ -636,11 +521,12 @@ class Controller:
             piece: the piece.
             allowed: its error budget [m].
         """
-        if self._needs_double:
+        estimate = self._estimate
+        if estimate.needs_double:
             self._precision.require_double()
             self._attempts, self.rejected = self._attempts + 1, self.rejected + 1
             return True
-        errors, error = self._errors, self._errors[self.n_runs - 1] + self._end_error
+        errors, error = estimate.errors, estimate.error(self.n_runs)
         floor = self._error.rounding_floor(self.n_runs, piece.steps if self._is_rough else 0)
         if self.in_fallback or error <= CONSTANTS.estimate_trust_factor * floor:
             return False  # no step reduces the error below rounding
@@ -668,7 +554,7 @@ class Controller:
                 self.rejected += 1
                 return True
             self._is_rough = self._is_rough or requires_much_more
-        if not is_affordable and not math.isfinite(self._errors[0]):
+        if not is_affordable and not math.isfinite(errors[0]):
             self._retry(2.0, "not finite", piece)
             return True
         if not is_affordable:
@@ -685,13 +571,8 @@ class Controller:
         """Return runs and refinement that meet a target [m] with the fewest evaluations, from the piece's estimates."""
         # The pieces of a stretch share the rounding error of one run, because it cancels over them.
         fraction, rounded_steps = piece.length / self._stretch, piece.steps if self._is_rough else 0
-        return self._error.choose(
-            self._errors,
-            refinement,
-            target,
-            lambda n: fraction * self._error.rounding_floor(n, rounded_steps),
-            lambda n: self._stability.min_refinement(n, piece.length),
-        )
+        choice = self._estimate.errors, refinement, target, self._stability, piece.length
+        return self._error.choose(*choice, rounding_fraction=fraction, rounded_steps=rounded_steps)
 
     def _requires_much_more(self, refinement: float) -> bool:
         """Return True if a refinement is far above the present one, after a rejected attempt or in rough motion."""
@@ -700,40 +581,40 @@ class Controller:
 
     def _halve_if_long(self, piece: Piece) -> bool:
         """Halve a piece if it has enough steps, and its halves fit the work budget; they start with the same step."""
-        if piece.steps < _MIN_HALVED_STEPS or not self._fits(self.n_runs, self.refinement, piece):
+        fits = piece.steps >= _MIN_HALVED_STEPS and self._fits(self.n_runs, self.refinement, piece)
+        if not (fits and self._halve(piece.length)):
             return False
-        is_halved = self._halve(piece.length)
-        self._halved_step = piece.max_step / self.refinement if is_halved else 0.0
-        return is_halved
+        self._halved_step = piece.max_step / self.refinement
+        return True
 
     def _fits(self, n_runs: int, refinement: float, piece: Piece) -> bool:
         """Return True if a further attempt of a piece fits the remaining work of the frame."""
         if self.work.cap == math.inf:
             return True
         work = self._attempt_work(n_runs, refinement, piece.length, piece.max_step)
-        return self.work.fits(work + self._rest_work(self._elapsed + piece.length))
+        return self.work.fits(work + self._rest_work(piece))
 
     # Rule 3: energy.
 
     def keeps_energy(self, tableau: ExtrapolationTableau, t: float, piece: Piece) -> bool:
-        """Return False if a piece without a reliable error estimate creates energy."""
-        n_runs, energy = self.n_runs, self._energy
+        """Return False if a piece without a reliable error estimate creates energy; learn from any other piece."""
+        n_runs, energy, drift = self.n_runs, self._energy, None
         has_contact = self._contact_limit.has_contact(tableau, n_runs)
         omega2 = self._stability.memory.omega2, math.inf if has_contact else tableau.summary(n_runs).omega2
         # The energy of a combination does not oscillate; a change of step size makes the deviation permanent.
         steps_differ = n_runs > 1 or self._is_rough
-        self._checked_energy = omega2, None
-        if not energy.must_check(omega2, steps_differ, self.refinement):
-            return True
-        end = self._state.shallow_copy()
-        tableau.commit(n_runs, end)
-        work, evaluations = external_work(self._plan, self._state, tableau, t, n_runs)
-        self.work.add(evaluations, self._weight)
-        step = 0.0 if steps_differ else piece.step
-        moments = (t, self._state), (t + piece.length, end)
-        drift = energy.measure_drift(*moments, step, work, refinement=self.refinement)
-        self._checked_energy = omega2, drift
-        return drift is not None
+        if energy.must_check(omega2, steps_differ, self.refinement):
+            end = self._state.shallow_copy()
+            tableau.commit(n_runs, end)
+            work, evaluations = external_work(self._plan, self._state, tableau, t, n_runs)
+            self.work.add(evaluations, self.work.weight)
+            step = 0.0 if steps_differ else piece.step
+            moments = (t, self._state), (t + piece.length, end)
+            drift = energy.measure_drift(*moments, step, work, refinement=self.refinement)
+            if drift is None:
+                return False
+        energy.accept(omega2, drift)
+        return True
 
     def reject_energy(self, piece: Piece) -> None:
         """Choose finer steps after an attempt that created energy, or abandon explicit steps.
@@ -741,7 +622,6 @@ class Controller:
         Raises:
             UnstableError: if no choice is left.
         """
-        self._checked_energy = None
         # The drive of a gripper's jaws may be its source; implicit steps finish then.
         self._retry(2.0, "making energy from nowhere", piece, may_abandon=True)
 
@@ -760,9 +640,7 @@ class Controller:
         options, has_failed = self.options, not self.options.work and self._attempts >= CONSTANTS.max_failed_attempts
         self.rejected += 1
         refinement = factor * self.refinement
-        requires_much_more = (
-            options.tolerance is not None and factor > 1.0 and self._requires_much_more(2.0 * refinement)
-        )
+        requires_much_more = self._has_tolerance and factor > 1.0 and self._requires_much_more(2.0 * refinement)
         if requires_much_more and self._halve_if_long(piece):
             return
         # With contact, fewer runs are cheaper and more accurate than implicit steps.
@@ -770,13 +648,12 @@ class Controller:
         while self._may_touch and n_runs > 1 and not self._fits(n_runs, refinement, piece):
             n_runs -= 1
         if not has_failed and self._fits(n_runs, refinement, piece):
-            if options.tolerance is None:
-                if factor > 1.0:
-                    self._error.memory.refinement = refinement
-                    self._error.set_period(CONSTANTS.max_estimate_period, 2.0 * self._error.memory.estimate_period)
-            else:
+            if self._has_tolerance:
                 # The recorded error is valid for the same runs and multirate ratio.
                 self.estimates_error = self.estimates_error or n_runs < self.n_runs or piece.ratio != self._ratio
+            elif factor > 1.0:
+                self._error.memory.refinement = refinement
+                self._error.set_period(CONSTANTS.max_estimate_period, 2.0 * self._error.memory.estimate_period)
             self.n_runs, self.refinement, self._piece = n_runs, refinement, None
             self._attempts += 1
             return
@@ -807,7 +684,7 @@ class Controller:
         Returns:
             Time since the start of the frame [s].
         """
-        n_runs, state, memory = self.n_runs, self._state, self._stability.memory
+        n_runs, state, memory, frame = self.n_runs, self._state, self._stability.memory, self._frame
         summary, length = tableau.summary(n_runs), piece.length
         if accumulator is not None:
             tableau.accumulate(n_runs, accumulator)
@@ -816,53 +693,21 @@ class Controller:
         memory.omega2, memory.damping = summary.omega2, summary.damping
         if piece.ratio > 1:
             self._multirate.bounds = summary.hinge_bounds
-        self._single_precision = tableau.single_precision
-        self._has_missed = self._has_missed or error > self._allowed
-        self.error, self.n_pieces = self.error + error, self.n_pieces + 1
-        self.steps += sum(tableau.counts[:n_runs])
-        self._first_run_steps, self.min_step = self._first_run_steps + piece.steps, min(self.min_step, piece.step)
-        self._max_ratio = max(self._max_ratio, piece.ratio)
-        self._refined_time += length if self.refinement > 1.0 else 0.0
-        if self.options.tolerance is not None:
-            self._contact_energy = max(self._contact_energy, self._piece_contact_energy)
-            self._lower_order_error += self._piece_lower_order_error
-            if self.estimates_error:
-                self._add_estimate(tableau, error)
-        if self._checked_energy is not None:
-            self._energy.accept(*self._checked_energy)
-            self._checked_energy = None
-        if self._ends:
-            self._before = state.v, length
+        frame.add(tableau, piece, n_runs, self._prediction, error)
+        frame.has_missed = frame.has_missed or error > self._allowed
+        frame.refined_time += length if self.refinement > 1.0 else 0.0
+        if self.estimates_error:
+            frame.add_estimate(tableau, self._prediction, self._estimate.errors, error)
+        self._before = state.v, length
         tableau.commit(n_runs, state)
-        if self.options.tolerance is not None:
+        if self._has_tolerance:
             # Without a tolerance steps do not grow again, so attempts count over the frame.
             self._attempts = 0
         self._met_limit, self._elapsed = math.inf, elapsed
         self._piece = None if is_stretch_end else piece._replace(pieces_left=piece.pieces_left - 1)
-        if self._is_rough and self.options.tolerance is not None:
+        if self._is_rough:
             self._choose_next(piece, is_stretch_end=is_stretch_end)
         return elapsed
-
-    def _add_estimate(self, tableau: ExtrapolationTableau, error: float) -> None:
-        """Add the estimates of a piece to those of the frame."""
-        self._n_estimated, errors = self._n_estimated + 1, self._errors
-        changes = [] if self._is_rough else [tableau.change(k) for k in range(1, len(errors) + 1)]
-        sums = ErrorSums(
-            tableau.counts,
-            tableau.duration,
-            list(errors),
-            changes,
-            error,
-            self._predicted,
-            self._activity,
-            tableau.jerk_change,
-        )
-        if self._sums is None:
-            self._sums = sums
-        elif (self._sums.counts, self._sums.length) == (sums.counts, sums.length):
-            self._sums.add(sums)
-        else:
-            self._is_uniform = False
 
     def _choose_next(self, piece: Piece, *, is_stretch_end: bool) -> None:
         """Choose runs and steps after a rough piece; steps grow by a factor of two at most.
@@ -873,56 +718,49 @@ class Controller:
         target = CONSTANTS.error_target_fraction * self.budget * (piece.length / self._duration)
         n_runs, refinement = self._choose_runs(piece, self.refinement, target)
         refinement = max(1.0, 0.5 * self.refinement, refinement)
-        if piece.max_step / refinement > self._longest_step:
-            self._longest_step, self._longest_runs = piece.max_step / refinement, n_runs
+        if piece.max_step / refinement > self._frame.longest_step:
+            self._frame.longest_step, self._frame.longest_runs = piece.max_step / refinement, n_runs
         if not is_stretch_end:
             # The moment that needs short steps may have passed: then the rest of the stretch is divided again.
-            if 2.0 * refinement <= self.refinement and self._errors[self.n_runs - 1] + self._end_error <= target:
+            if 2.0 * refinement <= self.refinement and self._estimate.error(self.n_runs) <= target:
                 self.n_runs, self.refinement, self._piece = n_runs, refinement, None
         elif self._ends and self._ends[-1] - self._elapsed > 1.5 * self._stretch:
             self.n_runs, self.refinement = n_runs, min(refinement, self.refinement)
 
     def store(self) -> None:
         """Write into the state what the next advance needs; choose its runs and steps if errors were estimated."""
-        state, error = self._state, self._error
-        if self.options.tolerance is None:
-            error.count_down()
-        elif self._n_estimated == self.n_pieces and self._sums is not None and not self._is_rough and self._is_uniform:
-            self._record_estimate(self._sums)
+        state, error, frame = self._state, self._error, self._frame
+        target = CONSTANTS.error_target_fraction * self.budget
+        if frame.sums is not None and frame.sums.is_uniform and not self._is_rough:
+            self._record_estimate(frame.sums, target)
         elif self._is_rough:
             max_step = min(CONSTANTS.stability_safety * self.limit, self._duration)
-            error.restart(self._longest_runs, max(1.0, max_step / self._longest_step))
-        elif self._n_estimated:
+            error.restart(frame.longest_runs, max(1.0, max_step / frame.longest_step))
+        elif frame.sums is not None:
             error.restart(self.n_runs, self.refinement)
-        elif self.n_runs > 1 and self._lower_order_error <= CONSTANTS.error_target_fraction * self.budget:
+        elif self._has_tolerance and self.n_runs > 1 and frame.lower_order_error <= target:
             error.memory.time_until_estimate = 0.0  # one run less may suffice
         else:
             error.count_down()
-        if self.options.tolerance is not None:
+        if self._has_tolerance:
             state.memory[controller_state.PREVIOUS_VELOCITIES_KEY] = self._start_v
         self._stability.memory.store(state)
         error.memory.store(state)
-        if self.estimates_error or self.options.tolerance is None:
+        if self.estimates_error or not self._has_tolerance:
             self._energy.memory.store(state)
             self._precision.store(state)
         if self._plan.has_hinges:
             self._multirate.memory.ratio = float(self._multirate.ratio)
             self._multirate.memory.store(state)
-        self._contact_limit.store(state, self._contact_energy if self.estimates_error else None)
+        self._contact_limit.store(state, frame.contact_energy if self.estimates_error else None)
         if self._fallback_count or self.in_fallback:
             FallbackState(min(64.0, self._fallback_count + 1.0) if self.in_fallback else 0.0).store(state)
 
-    def _record_estimate(self, sums: ErrorSums) -> None:
-        """Record the estimates of a frame of equal pieces, and choose runs and refinement of the next one."""
-        refinement = self._applied_refinement
-        target = CONSTANTS.error_target_fraction * self.budget
+    def _record_estimate(self, sums: ErrorSums, target: float) -> None:
+        """Record the estimates of a frame of equal pieces; choose runs and steps of the next one for a target [m]."""
+        refinement, choice = self._applied_refinement, (self._stability, self._duration)
         next_runs, next_refinement = self._error.choose(
-            sums.errors,
-            refinement,
-            target,
-            self._error.rounding_floor,
-            lambda n: self._stability.min_refinement(n, self._duration),
-            present_runs=self.n_runs,
+            sums.errors, refinement, target, *choice, present_runs=self.n_runs
         )
         # Steps grow by a factor of two at most, because a motion that reverses is slow for a moment.
         next_refinement = max(min(next_refinement, CONSTANTS.max_refinement_factor * refinement), 0.5 * refinement, 1.0)
@@ -936,21 +774,20 @@ class Controller:
 
     def report(self) -> Advance:
         """Return the result of the advance."""
-        options, step = self.options, self.min_step
-        is_refined = self._refined_time > 0.5 * self._duration
+        options, frame, step = self.options, self._frame, self._frame.min_step
         has_long_limit = self._duration <= CONSTANTS.stability_safety * self.limit
-        flagged = int(options.tolerance is not None and self.error > self.budget)
+        flagged = int(self._has_tolerance and frame.error > self.budget)
         limit, reason = describe(
             options.name,
             options.tolerance,
             options.step,
             self.n_runs,
             step,
-            self._max_ratio,
-            has_fewest_steps=self._first_run_steps <= self._count_fewest_steps(self.n_runs) and has_long_limit,
-            is_refined=is_refined,
-            single_precision=self._single_precision,
-            n_pieces=self.n_pieces if self._is_rough else 1,
+            frame.max_ratio,
+            has_fewest_steps=step >= self._duration / self._count_fewest_steps(self.n_runs) and has_long_limit,
+            is_refined=frame.refined_time > 0.5 * self._duration,
+            single_precision=frame.single_precision,
+            n_pieces=frame.n_pieces if self._is_rough else 1,
         )
         if flagged and self.exhausted and options.work:
             reason += f"; the tolerance was missed within the frame's work limit of {options.work:g}"
@@ -959,8 +796,8 @@ class Controller:
         elif flagged:
             reason += "; the tolerance is finer than rounding of the coordinates allows"
         limited_by = "work" if self.exhausted else limit
-        error = self.error if options.tolerance is not None else None
-        work, name = self.work, options.name
+        error = frame.error if self._has_tolerance else None
+        evaluations, name = self.work.evaluations, options.name
         return Advance(
-            self.steps, work.evaluations, step, self.limit, self.rejected, name, limited_by, error, flagged, reason
+            frame.steps, evaluations, step, self.limit, self.rejected, name, limited_by, error, flagged, reason
         )

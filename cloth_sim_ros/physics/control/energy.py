@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cloth_sim_ros.physics.arithmetic.arrays import weighted_dot
+from cloth_sim_ros.physics.arithmetic.arrays import largest_component, weighted_dot
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import ExtrapolationTableau
 from cloth_sim_ros.physics.model.forces.force import Array
@@ -101,7 +101,7 @@ class EnergyRule:
 
     def _rounding_energy(self, x: Array) -> float:
         """Return the energy [J] that rounding of coordinates causes in a sheet at rest: m w^2 / 2 times its square."""
-        displacement = _COORDINATE_ROUNDINGS * float(np.finfo(np.float64).eps) * max(float(x.max()), -float(x.min()))
+        displacement = _COORDINATE_ROUNDINGS * float(np.finfo(np.float64).eps) * largest_component(x)
         omega2, _ = self._plan.spectral_bounds(x)
         return 0.5 * self._plan.model.mass * omega2 * displacement * displacement
 

@@ -11,14 +11,16 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cached_property
+from typing import NamedTuple
 
 import attrs
 
 from cloth_sim_ros.physics.arithmetic.arrays import largest_component
 from cloth_sim_ros.physics.arithmetic.deterministic_math import ordered_sum, power, root
 from cloth_sim_ros.physics.control.constants import CONSTANTS
+from cloth_sim_ros.physics.control.stability import StabilityRule
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import (
     RATIO_SUMS,
     RATIOS,
@@ -34,6 +36,66 @@ _EPSILON = sys.float_info.epsilon
 _COORDINATE_ROUNDINGS = 4.0
 #: The predicted error of a single run grows with this power of the velocity change, as x''' may.
 _ACTIVITY_EXPONENT = 3
+
+
+class ErrorPrediction(NamedTuple):
+    """Predicted error of a piece, and what predicted it."""
+
+    #: Errors of the combination and of one run less [m]; infinite if they are unknown.
+    error: float = 0.0
+    lower_order_error: float = 0.0
+    #: Activity [m/s], see `runs.activity_of`, and largest contact energy per mass, in U^2/2.
+    activity: float = 0.0
+    contact_energy: float = 0.0
+
+
+@attrs.define
+class ErrorEstimate:
+    """Error estimate of a piece."""
+
+    is_rough: bool
+    #: Errors of T_1, T_2, ... [m], and error that force jumps at the ends of the piece may cause [m].
+    errors: list[float] = attrs.Factory(list)
+    end_error: float = 0.0
+    #: True if single precision does not resolve the error of further runs, which may suffice.
+    needs_double: bool = False
+
+    def error(self, n_runs: int) -> float:
+        """Return the error of a combination, that at the ends of the piece included [m]."""
+        return self.errors[n_runs - 1] + self.end_error
+
+    def append(self, error: float) -> None:
+        """Append the error of the next combination [m].
+
+        If the motion is rough, an estimate may be small by chance. Then it counts as at least what the gain of the
+        combination before it makes plausible.
+        """
+        errors = self.errors
+        if self.is_rough and errors:
+            gain = errors[-1] / errors[-2] if len(errors) > 1 and errors[-2] else CONSTANTS.first_gain
+            error = max(error, errors[-1] * gain * gain)
+        errors.append(error)
+
+    def confirm(self, rounding_floor: Callable[[int], float]) -> None:
+        """Raise each error that is far below a later one above rounding [m]: it is small by chance.
+
+        In a rough motion all errors must fit instead.
+        """
+        for k in range(0 if self.is_rough else len(self.errors) - 1, 0, -1):
+            floor = rounding_floor(k + 1)
+            if self.errors[k] > CONSTANTS.estimate_trust_factor * max(self.errors[k - 1], floor):
+                self.errors[k - 1] = self.errors[k]
+
+    def sufficient_runs(self, n_runs: int, allowed: float) -> int:
+        """Return the number of runs whose error fits a budget [m]: the chosen one, another one, the chosen one if none.
+
+        If the motion is rough, the errors of all further runs must fit too.
+        """
+        fits = [error <= allowed for error in self.errors]
+        if fits[n_runs - 1]:
+            return n_runs
+        n_confirming = len(fits) if self.is_rough else 0
+        return next((k for k, fit in enumerate(fits, 1) if fit and all(fits[k - 1 : n_confirming])), n_runs)
 
 
 @attrs.define
@@ -53,9 +115,12 @@ class ErrorSums:
     #: Largest activity and largest change of jerk of a piece [m/s].
     activity: float
     jerk_change: float
+    #: False if a piece has other runs; the sums are then of no use.
+    is_uniform: bool = True
 
     def add(self, piece: ErrorSums) -> None:
         """Add the estimates of a further piece."""
+        self.is_uniform &= (self.counts, self.length) == (piece.counts, piece.length)
         self.errors = [ordered_sum(pair) for pair in zip(self.errors, piece.errors, strict=False)]
         pairs = zip(self.changes, piece.changes, strict=False)
         self.changes = [(x + dx, v + dv) for (x, v), (dx, dv) in pairs]
@@ -150,12 +215,14 @@ class ErrorRule:
 
     def choose(
         self,
-        errors: Sequence[float],
+        errors: list[float],
         refinement: float,
         target: float,
-        floor_of: Callable[[int], float],
-        min_refinement: Callable[[int], float],
+        stability: StabilityRule,
+        length: float,
         *,
+        rounding_fraction: float = 1.0,
+        rounded_steps: int = 0,
         present_runs: int = 0,
     ) -> tuple[int, float]:
         """Return the runs and the refinement that meet a target with the fewest force evaluations.
@@ -164,17 +231,19 @@ class ErrorRule:
             errors: of T_1, T_2, ... at the present refinement [m]; that of T_K decreases as h^(K + 1).
             refinement: present refinement.
             target: aimed error [m].
-            floor_of: returns the error that rounding alone causes with a number of runs [m].
-            min_refinement: returns the refinement that stability requires of a number of runs.
+            stability: requires a refinement of each number of runs.
+            length: of the errors' interval [s].
+            rounding_fraction: fraction of the rounding error of a run that belongs to these errors.
+            rounded_steps: steps whose roundings of velocities count, see `rounding_floor`.
             present_runs: number of runs that needs no estimate in the next frame; 0 for none.
         """
         best = (1, refinement, math.inf)
         estimated_fraction = min(1.0, self.memory.duration / CONSTANTS.max_estimate_period)
         for n_runs, error in enumerate(errors[: self._max_runs], start=1):
-            floor = floor_of(n_runs)
+            floor = rounding_fraction * self.rounding_floor(n_runs, rounded_steps)
             # No step reduces the error below rounding.
             scale = root(max(error, floor) / max(target, floor), n_runs + 1)
-            required_refinement = max(min_refinement(n_runs), refinement * scale)
+            required_refinement = max(stability.min_refinement(n_runs, length), refinement * scale)
             work = required_refinement * (RATIO_SUMS[n_runs] + RATIOS[n_runs] * estimated_fraction)
             if present_runs and n_runs != present_runs:
                 work *= CONSTANTS.run_change_cost

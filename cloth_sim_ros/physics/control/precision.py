@@ -72,11 +72,11 @@ class PrecisionRule:
         Returns:
             Force evaluations of the measurement.
         """
-        memory, noise, plan = self.memory, self.noise, self._plan
-        if n_runs > 1 or (noise.n_samples >= _MAX_SAMPLES and self._is_known_at(state)):
+        if n_runs > 1:
             return 0
-        if largest_component(state.v) == 0.0:
-            # Sheets at rest use no single precision, and rounding changes all their springs alike.
+        memory, noise, plan, speed = self.memory, self.noise, self._plan, largest_component(state.v)
+        # Sheets at rest use no single precision, and rounding changes all their springs alike.
+        if speed == 0.0 or (noise.n_samples >= _MAX_SAMPLES and self._is_known_at(speed)):
             return 0
         if not plan.supports_single_precision(self._duration, state.x, state.v, state.memory):
             return 0
@@ -150,15 +150,13 @@ class PrecisionRule:
         factor = amplification(n_runs)
         rounding = factor * memory.rounding
         # An error estimate needs one further run.
-        resolves_error = self.resolves_error(n_runs + 1) if estimates_error else rounding <= self._estimate_uncertainty
-        if not (rounding <= self._rounding_budget and resolves_error):
+        if not (rounding <= self._rounding_budget and self.resolves_error(n_runs + estimates_error)):
             return False
         if factor * memory.common_rounding > self._estimate_uncertainty:
             return False
         speed = largest_component(state.v)
-        # The rounding of velocities was measured at a speed.
-        is_known = speed <= CONSTANTS.estimate_trust_factor * memory.speed
-        return is_known and speed * self._duration > CONSTANTS.single_precision_min_motion * rounding
+        is_large = speed * self._duration > CONSTANTS.single_precision_min_motion * rounding
+        return is_large and self._is_known_at(speed)
 
     def require_double(self) -> None:
         """Allow no single precision until the end of the frame."""
@@ -171,9 +169,9 @@ class PrecisionRule:
         """
         return amplification(n_runs) * self.memory.rounding <= self._estimate_uncertainty
 
-    def _is_known_at(self, state: State) -> bool:
-        """Return True if the rounding of velocities was measured at the speed of a state."""
-        return largest_component(state.v) <= CONSTANTS.estimate_trust_factor * self.memory.speed
+    def _is_known_at(self, speed: float) -> bool:
+        """Return True if the rounding of velocities was measured at a speed [m/s]."""
+        return speed <= CONSTANTS.estimate_trust_factor * self.memory.speed
 
     def _mean(self, dv: Array, axis: int) -> float:
         """Return the mean of a component of velocity changes [m/s], weighted with masses."""

@@ -8,6 +8,8 @@ import math
 
 from cloth_sim_ros.physics.control.constants import CONSTANTS
 from cloth_sim_ros.physics.control.fallback import FALLBACK_EVALUATIONS, is_implicit_feasible
+from cloth_sim_ros.physics.control.force_jump import EVALUATIONS
+from cloth_sim_ros.physics.control.stability import MAX_UNDAMPED_STEPS
 from cloth_sim_ros.physics.integrators.extrapolation_tableau import RATIO_SUMS
 from cloth_sim_ros.physics.plan.plan import Plan
 
@@ -41,6 +43,11 @@ class WorkBudget:
         limit: float = math.inf,
         ratio: int = 1,
     ) -> None:
+        self._plan, self._contact_time, self._ratio = plan, contact_time, ratio
+        #: Cost of a force evaluation of the present piece, relative to that of the limit.
+        self.weight = 1.0
+        #: Force evaluations per second of the rest of the frame, with an error estimate.
+        self.rest_rate = 0.0
         count = plan.model.particle_count
         #: Force evaluations, and used work: evaluations and engine calls, in force evaluations.
         self.evaluations, self.used = 0, 0.0
@@ -65,10 +72,32 @@ class WorkBudget:
             # Without implicit steps, explicit ones get all of the work.
             self.cap = max(self.cap, min_cap)
 
-    @property
-    def remaining(self) -> float:
-        """Remaining work, in force evaluations; negative beyond the limit."""
-        return self.cap - self.used
+    def set_weight(self, ratio: int, contact_time: float) -> None:
+        """Set the cost of a force evaluation.
+
+        Args:
+            ratio: multirate ratio.
+            contact_time: estimated time that contact adds to a force evaluation of a piece [ns]. It may be more than
+                what the whole frame predicted.
+        """
+        cost_of = self._plan.multirate_step_cost
+        self.weight = 1.0 if ratio == self._ratio else cost_of(ratio) / cost_of(self._ratio)
+        more_time = contact_time - self._contact_time
+        if more_time > 0.0:
+            particle_time = cost_of(self._ratio) * self._plan.model.particle_count
+            self.weight += more_time / (particle_time + self._contact_time)
+
+    def work_of(self, n_runs: int, steps: int, n_pieces: int) -> float:
+        """Return the work of runs with an error estimate, in force evaluations, engine calls included."""
+        return self.weight * (steps * RATIO_SUMS[n_runs + 1] + n_pieces * (n_runs + 1)) + n_pieces * self.call_work
+
+    def rest_of(self, time: float, n_stretches: int) -> float:
+        """Return the work of the rest of the frame [s] with the choice at its start, in force evaluations."""
+        if time <= 0.0:
+            return 0.0
+        # Each stretch has at least a run of a few steps, its estimate, and the check of its ends.
+        min_work = self.work_of(1, MAX_UNDAMPED_STEPS, 1) + 4 * EVALUATIONS
+        return time * self.rest_rate + n_stretches * min_work
 
     def fits(self, work: float) -> bool:
         """Return True if further work, in force evaluations, fits the limit."""

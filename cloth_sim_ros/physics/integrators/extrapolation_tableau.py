@@ -141,49 +141,46 @@ class ExtrapolationTableau:
 
     def combine(self, n_runs: int) -> tuple[Array, Array]:
         """Return positions [m] and velocities [m/s] of T_K, K = n_runs, each of shape (3, n)."""
-        combination = self._combined.get(n_runs)
-        if combination is None:
+        if n_runs not in self._combined:
             self._make_runs(n_runs)
-            combination = self._combined.get(n_runs)
-        if combination is None:
+        if n_runs not in self._combined:
             x, v = combine([run.end_state for run in self._runs[:n_runs]], weights(self.counts[:n_runs]))
-            combination = self._combined[n_runs] = x, v
-        return combination
+            self._combined[n_runs] = x, v
+        return self._combined[n_runs]
 
     def summary(self, n_runs: int) -> RunSummary:
         """Return the summary of T_K, K = n_runs: activity, spectral bounds and contact at its end."""
-        summary = self._summaries.get(n_runs)
-        if summary is None:
+        if n_runs not in self._summaries:
             self._make_runs(n_runs)
-            summary = self._summaries.get(n_runs)
-        if summary is None:
-            x, v = self.combine(n_runs)
-            # The motion of prescribed particles is given.
-            free = self._plan.free_particles()
-            change = largest_distance(v * free, self._start.v * free)
-            activity = activity_of(change, self._runs[n_runs - 1].half_difference)
-            if not (math.isfinite(largest_distance(x, self._start.x)) and math.isfinite(change)):
+        if n_runs not in self._summaries:
+            self._summaries[n_runs] = self._summarize(n_runs)
+        return self._summaries[n_runs]
+
+    def _summarize(self, n_runs: int) -> RunSummary:
+        """Return the summary of T_K, K = n_runs, as the engine makes it for runs of one call."""
+        x, v = self.combine(n_runs)
+        # The motion of prescribed particles is given.
+        free = self._plan.free_particles()
+        change = largest_distance(v * free, self._start.v * free)
+        activity = activity_of(change, self._runs[n_runs - 1].half_difference)
+        if not (math.isfinite(largest_distance(x, self._start.x)) and math.isfinite(change)):
+            activity = math.inf
+        contact, contact_energy, self_contact = self._plan.contact, 0.0, (0.0, 0.0)
+        if contact is not None:
+            end, memory = self.t + self.duration, with_jaws(self._start.memory, self.jaws(n_runs))
+            contact_energy = contact.predict_energy(end, 0.0, x, v, memory)
+            self_contact = contact.predict_surface_contact(end, 0.0, x, v, memory)
+            finest = self._runs[n_runs - 1].x
+            if not contact_energy < math.inf or contact.ccd_surface_hits(end, 0.0, finest, x, memory):
                 activity = math.inf
-            contact, contact_energy, self_contact = self._plan.contact, 0.0, (0.0, 0.0)
-            if contact is not None:
-                end, memory = self.t + self.duration, with_jaws(self._start.memory, self.jaws(n_runs))
-                contact_energy = contact.predict_energy(end, 0.0, x, v, memory)
-                self_contact = contact.predict_surface_contact(end, 0.0, x, v, memory)
-                finest = self._runs[n_runs - 1].x
-                if not contact_energy < math.inf or contact.ccd_surface_hits(end, 0.0, finest, x, memory):
-                    activity = math.inf
-            omega2, damping, *hinge_bounds = self._plan.detailed_spectral_bounds(x, hinges=self.ratio > 1)
-            turn = self._plan.turn_in_step(self._start.x, x, self.counts[0])
-            from_before = 0.0
-            if self._before is not None:
-                v0, ratio = self._start.v, self.duration / self._before[1]
-                predicted = combine([v0, self._before[0]], (1.0 + ratio, -ratio))
-                from_before = 0.25 * largest_distance(v * free, predicted * free)
-            summary = RunSummary(
-                activity, from_before, turn, omega2, damping, contact_energy, self_contact, hinge_bounds
-            )
-            self._summaries[n_runs] = summary
-        return summary
+        omega2, damping, *hinge_bounds = self._plan.detailed_spectral_bounds(x, hinges=self.ratio > 1)
+        turn = self._plan.turn_in_step(self._start.x, x, self.counts[0])
+        from_before = 0.0
+        if self._before is not None:
+            v0, ratio = self._start.v, self.duration / self._before[1]
+            predicted = combine([v0, self._before[0]], (1.0 + ratio, -ratio))
+            from_before = 0.25 * largest_distance(v * free, predicted * free)
+        return RunSummary(activity, from_before, turn, omega2, damping, contact_energy, self_contact, hinge_bounds)
 
     @property
     def jerk_change(self) -> float:
@@ -193,11 +190,10 @@ class ExtrapolationTableau:
 
     def change(self, n_runs: int) -> tuple[float, float]:
         """Return the largest distances of positions [m] and of velocities [m/s] of T_(K+1) from those of T_K."""
-        change = self._changes.get(n_runs)
-        if change is None:
+        if n_runs not in self._changes:
             (x, v), (y, w) = self.combine(n_runs + 1), self.combine(n_runs)
-            change = self._changes[n_runs] = largest_distance(x, y), largest_distance(v, w)
-        return change
+            self._changes[n_runs] = largest_distance(x, y), largest_distance(v, w)
+        return self._changes[n_runs]
 
     def difference(self, n_runs: int) -> float:
         """Return the distance of T_(K+1) from T_K, K = n_runs [m]: the error estimate of T_K.
@@ -206,8 +202,7 @@ class ExtrapolationTableau:
         causes later. Slow waves keep that difference, fast ones lose it within a period. A jaw's half opening counts
         alike.
         """
-        distance = self._distances.get(n_runs)
-        if distance is None:
+        if n_runs not in self._distances:
             distance, _ = self.change(n_runs)
             if distance < math.inf:
                 (x, v), (_, w) = self.combine(n_runs + 1), self.combine(n_runs)
@@ -215,8 +210,8 @@ class ExtrapolationTableau:
                 displacement, steps = self._plan.velocity_displacement(end, x, v - w, VELOCITY_ERROR_TIME)
                 distance += displacement
                 self.evaluations += 2 * steps
-            distance = self._distances[n_runs] = max(distance, self._jaw_difference(n_runs))
-        return distance
+            self._distances[n_runs] = max(distance, self._jaw_difference(n_runs))
+        return self._distances[n_runs]
 
     def jaws(self, n_runs: int) -> Array | None:
         """Return the jaw states at the end of T_K, K = n_runs; None without parallel grippers."""
@@ -241,15 +236,14 @@ class ExtrapolationTableau:
             Energy per mass, in U^2/2, that contact had to absorb, or would have had to in a completed approach; the
             largest one in a contact; squared frequency [1/s^2] and damping rate [1/s] of self-contact.
         """
-        contact, summary = self._plan.contact, self._contact_summaries.get(n_runs)
+        contact = self._plan.contact
         if contact is None:
             return 0.0, 0.0, (0.0, 0.0)
-        if summary is None:
+        if n_runs not in self._contact_summaries:
             self._make_runs(n_runs)
             energies, gaps, rates = zip(*(run.contact_summary for run in self._runs[:n_runs]), strict=True)
-            summary = max(energies), contact.contact_energy(min(gaps)), max_rates(*rates)
-            self._contact_summaries[n_runs] = summary
-        return summary
+            self._contact_summaries[n_runs] = max(energies), contact.contact_energy(min(gaps)), max_rates(*rates)
+        return self._contact_summaries[n_runs]
 
     def commit(self, n_runs: int, state: State) -> None:
         """Write the end of T_K, K = n_runs, into a state: positions, velocities, jaws and friction anchors."""

@@ -41,8 +41,6 @@ _MAX_ATTEMPTS = 12
 _MAX_STEPS = 2048
 #: Size of the last correction without a tolerance [m].
 CONVERGED_DISTANCE = 1e-9
-#: Expected iterations of the first advance: two stages of five.
-EXPECTED_ITERATIONS = 10
 #: Largest relative growth of a contact thickness in a step. Beyond it corrections below the tolerance may correspond
 #: to an arbitrary contact energy.
 _MAX_THICKNESS_GROWTH = 0.1
@@ -305,7 +303,7 @@ class ImplicitAdvance:
         sixth = h / 6.0
         stages = ((t, sixth, x, u), (t + 0.5 * h, 4.0 * sixth, x + 0.5 * h * u, u), (t + h, sixth, end, u))
         step = ImplicitStep(end, end_v, (u - v) / h, error, stages, acts_at_end=self._plan.contact is not None)
-        gain, kinetic = self._energy_gain(t, h, step)
+        gain, kinetic, _ = self._energy_gain(t, h, step)
         if gain > 0.0:
             # The minimisation bounds the potential energy by the total energy before: a lower speed suffices.
             speed_factor = math.sqrt(max(0.0, 1.0 - gain / kinetic)) if kinetic > 0.0 else 0.0
@@ -324,15 +322,14 @@ class ImplicitAdvance:
         return contact.ccd_hits(t, h, start, end, memory) or contact.ccd_hits(t + h, 0.0, end, end, memory)
 
     def _creates_energy(self, t: float, h: float, step: ImplicitStep) -> bool:
-        gain, kinetic = self._energy_gain(t, h, step)
-        return not gain <= _MAX_ENERGY_GAIN * (
-            kinetic + abs(_external_work(self._plan, t, h, step, self._state.memory))
-        )
+        gain, kinetic, work = self._energy_gain(t, h, step)
+        return not gain <= _MAX_ENERGY_GAIN * (kinetic + abs(work))
 
-    def _energy_gain(self, t: float, h: float, step: ImplicitStep) -> tuple[float, float]:
-        """Return the energy that a step created, external work subtracted, and the kinetic energy at its end [J].
+    def _energy_gain(self, t: float, h: float, step: ImplicitStep) -> tuple[float, float, float]:
+        """Return the energy that a step created, the kinetic energy at its end, and the external work [J].
 
-        The latter is that of free particles, because the motion of prescribed ones is given.
+        The work is subtracted from the created energy. The kinetic energy is that of free particles, because the motion
+        of prescribed ones is given.
         """
         state = self._state
         energy_before = self._plan.energy(t, state.x, state.v, state.memory)
@@ -340,7 +337,7 @@ class ImplicitAdvance:
         v = step.v * self._is_free
         kinetic = self._plan.energies(t + h, step.x, v, state.memory)[0]
         work = _external_work(self._plan, t, h, step, state.memory)
-        return energy_after - energy_before - work - _ROUNDING * abs(energy_before), kinetic
+        return energy_after - energy_before - work - _ROUNDING * abs(energy_before), kinetic, work
 
     def _solve_stage(self, t: float, x: Array, v: Array, d: float, guess: Array) -> tuple[Array, Array] | None:
         """Solve a = a(t, x + d u, u), u = v + d a; return u [m/s] and a [m/s^2], or None without convergence."""

@@ -59,8 +59,8 @@ class ControllerState:
                 f"({len(names)},)"
             )
         for field, value in zip(fields, array.tolist(), strict=False):
-            if not math.isfinite(value) or value < field.metadata.get("minimum", -math.inf):
-                minimum = field.metadata.get("minimum", -math.inf)
+            minimum = field.metadata["minimum"]
+            if not math.isfinite(value) or value < minimum:
                 bound = "finite" if minimum == -math.inf else f"finite and at least {minimum:g}"
                 raise ValueError(f"memory '{cls.key}': {field.name} is {value}; it must be {bound}")
 
@@ -308,11 +308,9 @@ def with_jaws(memory: StateMemory, jaws: np.ndarray | None) -> StateMemory:
 def drift_jaws(memory: StateMemory, duration: float) -> StateMemory:
     """Return a state's memory after the jaws have moved uniformly for a duration [s], which may be negative."""
     jaws = memory.get(JAWS_KEY)
-    return (
-        memory
-        if jaws is None
-        else with_jaws(memory, np.stack([jaws[:, 0] + duration * jaws[:, 1], jaws[:, 1]], axis=1))
-    )
+    if jaws is None:
+        return memory
+    return with_jaws(memory, np.stack([jaws[:, 0] + duration * jaws[:, 1], jaws[:, 1]], axis=1))
 
 
 def reset_step_control(state: HasMemory, *, entirely: bool = False) -> None:
