@@ -389,6 +389,22 @@ class RecordParameters:
     least_free_space: int = parameter(
         "int", 100_000_000, "Free disk space below which the recording ends", unit="B", min=0, max=1 << 50
     )
+    topics: bool = parameter(
+        "bool",
+        False,
+        "Topics ~/frame and ~/snapshot, sent while they have subscribers: cloth_verify runs a bag that holds them again",
+    )
+    snapshot_period: float = parameter(
+        "double",
+        10.0,
+        "Simulated time between two messages of ~/snapshot; a bag that lost a message is run again from the next one "
+        "on. 0: only for each new subscriber",
+        unit="s",
+        min=0.0,
+        max=1e6,
+        live=True,
+        observes=True,
+    )
 
 
 @attrs.frozen(kw_only=True)
