@@ -392,7 +392,7 @@ class RecordParameters:
     topics: bool = parameter(
         "bool",
         False,
-        "Topics ~/frame and ~/snapshot, sent while they have subscribers: cloth_verify runs a bag that holds them again",
+        "Topics ~/frame and ~/snapshot, sent while ~/frame has subscribers; cloth_verify runs a bag with both again",
     )
     snapshot_period: float = parameter(
         "double",

@@ -28,7 +28,6 @@ from cloth_sim_ros.session.mcap_scan import (
 )
 from cloth_sim_ros.session.opening import open_file
 
-
 #: Type of snapshots, and the end of their topics.
 SNAPSHOT_TYPE, SNAPSHOT_LEAF = "std_msgs/msg/UInt8MultiArray", "/snapshot"
 #: Number of messages of an unfinished file in which snapshots are searched.

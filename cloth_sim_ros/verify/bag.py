@@ -2,17 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Re-run of the cloths in a bag that another program recorded.
 
-A bag differs from a session. Its recorder starts at any moment, may lose messages, and writes those of different topics
-in any order. Frame records are numbered, and snapshots name the number of the next record. A part of the bag that begins
-with a snapshot and lacks no record is run. Its clouds and wrenches are found by their stamps.
+The recorder of a bag starts at any moment, may lose messages, and writes those of different topics in any order.
+Therefore frame records are numbered, and a snapshot names the number of the next record. A part of the bag is run if it
+begins with a snapshot and lacks no record. Clouds and wrenches belong to the frame with their stamp.
 """
 
 from __future__ import annotations
 
 import bisect
+import itertools
 import struct
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -163,8 +163,8 @@ class _BagRun:
         self._pending: list[_PendingRecord] = []
         self._last_key = _Key(-1, 0)
         self._snapshots: dict[_Key, BagSnapshot] = {}
-        #: Clouds and wrenches by topic and stamp [ns].
-        self._outputs: dict[tuple[str, int], Message] = {}
+        #: Clouds and wrenches by stamp [ns] and topic; several of one stamp if the clock jumped back.
+        self._outputs: dict[int, dict[str, list[Message]]] = {}
         self._topology_message: Message | None = None
         self._next: _Key | None = None
         self._simulation: Simulation | None = None
@@ -179,15 +179,14 @@ class _BagRun:
             verdict.missing.append(f"no message of {self._node}{SNAPSHOT_LEAF}, from which the frames could be run")
         keys = sorted(frames)
         first = min(self._starts, default=None)
-        for before, after in zip(keys, keys[1:], strict=False):
+        for before, after in itertools.pairwise(keys):
             # A new run of the node begins with a snapshot; before the first one nothing is run.
             if after == before.successor or before.session != after.session or first is None or before < first:
                 continue
-            count = pluralize(after.sequence - before.sequence - 1, "frame record")
+            count = pluralize(after.sequence - before.sequence - 1, "record")
             resumed = min((start for start in self._starts if start >= after), default=None)
             rest = "nothing behind them is run" if resumed is None else f"the run goes on with frame {frames[resumed]}"
-            gap = f"between frames {frames[before]} and {frames[after]}"
-            verdict.missing.append(f"{count} {gap}: no snapshot follows at once, {rest}")
+            verdict.missing.append(f"{count} between frames {frames[before]} and {frames[after]}; {rest}")
             verdict.damaged = True
         verdict.damaged = bool(verdict.damaged or damage or self._content.unreadable or not self._starts)
 
@@ -200,7 +199,7 @@ class _BagRun:
             self._add_snapshot(message)
         elif topic == self._points or (topic.endswith("/wrench") and message.type_name == messages.WRENCH):
             self._has_clouds = self._has_clouds or topic == self._points
-            self._outputs[topic, _header_stamp(message.data)] = message
+            self._outputs.setdefault(_header_stamp(message.data), {}).setdefault(topic, []).append(message)
         elif topic == self._topology:
             self._topology_message = message
         else:
@@ -211,8 +210,9 @@ class _BagRun:
         while self._pending:
             self._run(self._pending.pop(0))
         findings, verdict = self._findings, self._findings.verdict
-        for topic, count in Counter(topic for topic, _ in self._outputs).items():
-            findings.not_compared(topic, "of no frame that was run", count)
+        for stamp in list(self._outputs):
+            while stamp in self._outputs:
+                self._skip_outputs(self._take_outputs(stamp))
         if not self._has_clouds:
             findings.absent(self._points)
         elif self._missing_clouds:
@@ -254,9 +254,10 @@ class _BagRun:
         elif key != self._next:
             self._simulation = None
         self._next = key.successor
-        simulation, findings = self._simulation, self._findings
+        simulation, findings, frame_outputs = self._simulation, self._findings, self._take_outputs(stamp)
         if simulation is None:
             findings.not_compared(self._topic, "without a snapshot before it")
+            self._skip_outputs(frame_outputs)
             return
         verdict = findings.verdict
         findings.position = FramePosition(verdict.frames, record.frame, record.time)
@@ -271,7 +272,7 @@ class _BagRun:
         verdict.simulated += simulation.time - start_time
         labels = {name: record.extras[name] for name in ("session", "sequence", "stamp")}
         compare_record(record, frame, simulation, findings, topic=self._topic, labels=labels)
-        self._compare_outputs(frame, simulation, stamp)
+        self._compare_outputs(frame, simulation, stamp, frame_outputs)
         self._on_frame()
 
     def _begin(self, snapshot: BagSnapshot) -> None:
@@ -309,19 +310,33 @@ class _BagRun:
         if not is_same:
             self._findings.difference("snapshot", "the snapshot behind it", rounding=True)
 
-    def _compare_outputs(self, frame: Frame, simulation: Simulation, stamp: int) -> None:
+    def _take_outputs(self, stamp: int) -> dict[str, Message]:
+        """Remove and return the first clouds and wrenches of a stamp [ns] by topic."""
+        by_topic = self._outputs.pop(stamp, {})
+        if later := {topic: entries[1:] for topic, entries in by_topic.items() if len(entries) > 1}:
+            self._outputs[stamp] = later
+        return {topic: entries[0] for topic, entries in by_topic.items()}
+
+    def _skip_outputs(self, frame_outputs: dict[str, Message]) -> None:
+        for topic in frame_outputs:
+            self._findings.not_compared(topic, "of no frame that was run")
+
+    def _compare_outputs(
+        self, frame: Frame, simulation: Simulation, stamp: int, frame_outputs: dict[str, Message]
+    ) -> None:
         findings, scene = self._findings, simulation.scene
-        cloud = self._outputs.pop((self._points, stamp), None)
+        cloud = frame_outputs.pop(self._points, None)
         if cloud is None:
             self._missing_clouds += 1
         else:
             findings.compared("cloud")
             self._clouds.compare(cloud, simulation, stamp)
         for name, wrench in outputs.wrenches(scene, frame):
-            message = self._outputs.pop((f"{self._node}/{name}/wrench", stamp), None)
+            message = frame_outputs.pop(f"{self._node}/{name}/wrench", None)
             if message is not None:
                 findings.compared("wrench")
                 outputs.compare_wrench(message, wrench, frame_id=scene.frame_id, stamp=stamp, findings=findings)
+        self._skip_outputs(frame_outputs)
 
 
 def _starts(content: _Contents) -> Iterator[_Key]:

@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     escape_unencodable()
     parser = argparse.ArgumentParser(
         prog="cloth_verify",
-        description="Run recorded sessions and bags again from their own snapshots and events, and compare every message. "
+        description="Run recorded sessions and bags again from their snapshots and events, and compare every message. "
         "Exit status 0: the same to the last bit; 1: something differs; 2: a file cannot be read, or holds no frames; "
         "3: recorded with other arithmetic, and nothing differs that this does not explain; "
         "4: with --accuracy, a window without flagged frames violates its error bound, or may do so.",

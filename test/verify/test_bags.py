@@ -1,0 +1,243 @@
+# Copyright 2026 the cloth_sim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags of other recorders: run again from frame records and snapshots, with each kind of loss."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.bag_maker import BagMessage, MessageMaker, write_bag
+
+from cloth_sim_ros.scene.scene import Scene
+from cloth_sim_ros.session.snapshot_message import read_snapshot
+from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, SetParameters, Step, Target
+from cloth_sim_ros.verify.bag import verify_bag
+from cloth_sim_ros.verify.main import main, status_of
+from cloth_sim_ros.verify.verdict import Verdict
+
+#: Frame of each snapshot after the first one.
+SNAPSHOTS = (40, 80)
+COUNT = 100
+EVENTS: dict[int, list[Event]] = {
+    5: [Target("gripper", (0.1, 0.0, 0.6)), Grasp("gripper", True)],
+    6: [Target("gripper", (0.1, 0.1, 0.6))],
+    12: [Pause(True)],
+    13: [Target("gripper", (0.2, 0.1, 0.6))],
+    14: [Step()],
+    15: [Pause(False)],
+    30: [SetParameters({"air.drag": 0.3, "cloth.anchors": ["top_left"]})],
+    60: [Reset()],
+    70: [Grasp("gripper", False)],
+}
+
+
+def scene(**values: object) -> Scene:
+    """Return a small cloth."""
+    return Scene.from_parameters({"cloth.resolution": [5, 6], **values})
+
+
+def stream(node: str = "/cloth_sim", session: str = "0f") -> list[BagMessage]:
+    """Return the messages of a node from its start: snapshots, frames, and events of each kind."""
+    maker = MessageMaker(scene(), node=node, session=session)
+    result = [maker.topology(), maker.snapshot()]
+    for index in range(COUNT):
+        if index in SNAPSHOTS:
+            result.append(maker.snapshot())
+        result += maker.frame(EVENTS.get(index, []))
+    return result
+
+
+@pytest.fixture(scope="module")
+def recorded() -> list[BagMessage]:
+    return stream()
+
+
+def verify_one(path: Path) -> Verdict:
+    (verdict,) = verify_bag(path)
+    return verdict
+
+
+def without(entries: list[BagMessage], leaf: str, *indices: int) -> list[BagMessage]:
+    """Return the messages without some of one topic, by their index on it."""
+    positions = [position for position, entry in enumerate(entries) if entry.topic.endswith(leaf)]
+    lost = {positions[index] for index in indices}
+    return [entry for position, entry in enumerate(entries) if position not in lost]
+
+
+def test_whole_bag_is_the_same_to_the_last_bit(recorded: list[BagMessage], tmp_path: Path) -> None:
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", recorded))
+    assert (verdict.frames, verdict.clouds, status_of(verdict)) == (COUNT, COUNT, 0)
+    assert verdict.compared == {"cloud": COUNT, "wrench": COUNT, "topology": 1, "snapshot": 2}
+    assert not (verdict.missing or verdict.absent or verdict.not_compared or verdict.environment)
+
+
+def test_command_verifies_a_bag(recorded: list[BagMessage], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_bag(tmp_path / "bag.mcap", recorded)
+    assert main([str(path)]) == 0
+    assert f"bag.mcap: {COUNT} frames and {COUNT} clouds came out the same to the last bit" in capsys.readouterr().out
+    assert main([str(path), "--accuracy"]) == 2
+    assert "is a bag; --accuracy takes a session" in capsys.readouterr().err
+
+
+def test_bag_from_the_middle_begins_at_its_first_snapshot(recorded: list[BagMessage], tmp_path: Path) -> None:
+    middle = [position for position, entry in enumerate(recorded) if entry.topic.endswith("/frame")][25]
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", recorded[middle:]))
+    assert (verdict.frames, status_of(verdict), verdict.missing) == (COUNT - 40, 0, [])
+    assert verdict.not_compared["/cloth_sim/frame", "without a snapshot before it"] == 15
+    assert verdict.not_compared["/cloth_sim/points", "of no frame that was run"] == 15
+
+
+def test_lost_frame_is_named_and_the_next_snapshot_resumes(recorded: list[BagMessage], tmp_path: Path) -> None:
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", without(recorded, "/frame", 50)))
+    assert verdict.same
+    assert (verdict.frames, status_of(verdict)) == (50 + 20, 2)
+    # Two frames passed no time: 12 and 13 are paused.
+    assert verdict.missing == ["1 record between frames 48 and 50; the run goes on with frame 79"]
+    assert verdict.not_compared["/cloth_sim/frame", "without a snapshot before it"] == 29
+
+
+def test_lost_frame_without_later_snapshot_ends_the_run(recorded: list[BagMessage], tmp_path: Path) -> None:
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", without(recorded, "/frame", 90, 91)))
+    assert (verdict.frames, status_of(verdict)) == (90, 2)
+    assert verdict.missing == ["2 records between frames 88 and 91; nothing behind them is run"]
+
+
+def test_lost_record_of_a_paused_frame_is_noticed(recorded: list[BagMessage], tmp_path: Path) -> None:
+    # The numbers of the frames around it do not show it.
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", without(recorded, "/frame", 13)))
+    assert verdict.missing == ["1 record between frames 12 and 13; the run goes on with frame 39"]
+
+
+def test_lost_cloud_and_lost_snapshot_are_no_difference(recorded: list[BagMessage], tmp_path: Path) -> None:
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", without(without(recorded, "/points", 3, 4), "/snapshot", 1)))
+    assert (verdict.frames, verdict.clouds, status_of(verdict)) == (COUNT, COUNT - 2, 0)
+    assert verdict.missing == ["2 messages of /cloth_sim/points"]
+
+
+def test_order_of_topics_in_the_bag_is_free(recorded: list[BagMessage], tmp_path: Path) -> None:
+    # Each topic has its own delay, up to 40 frames.
+    delays = {"/points": 120, "/wrench": -60, "/snapshot": 90, "/frame": 0, "/topology": 30}
+    shuffled = sorted(enumerate(recorded), key=lambda entry: entry[0] + delays[f"/{entry[1].topic.rpartition('/')[2]}"])
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", [entry for _, entry in shuffled]))
+    assert (verdict.frames, verdict.clouds, status_of(verdict), verdict.missing) == (COUNT, COUNT, 0, [])
+    assert verdict.compared["snapshot"] == 2
+
+
+@pytest.mark.parametrize(
+    ("leaf", "kind"), [("/points", "cloud"), ("/frame", "frame"), ("/wrench", "wrench"), ("/topology", "topology")]
+)
+def test_changed_bit_is_a_difference(recorded: list[BagMessage], tmp_path: Path, leaf: str, kind: str) -> None:
+    changed = list(recorded)
+    position = [k for k, entry in enumerate(recorded) if entry.topic.endswith(leaf)][-1]
+    data = bytearray(recorded[position].data)
+    at = data.find(b'"digest":"') + 10 if leaf == "/frame" else -9
+    data[at] = ord("0") + (data[at] == ord("0")) if leaf == "/frame" else data[at] ^ 1
+    changed[position] = recorded[position]._replace(data=bytes(data))
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", changed))
+    assert (dict(verdict.differing), status_of(verdict)) == ({kind: 1}, 1)
+
+
+def test_snapshot_of_another_state_is_a_difference(recorded: list[BagMessage], tmp_path: Path) -> None:
+    changed = list(recorded)
+    first, second, _ = (k for k, entry in enumerate(recorded) if entry.topic.endswith("/snapshot"))
+    data = recorded[first].data.replace(b"sequence\x01\x00\x00\x000", b"sequence\x02\x00\x00\x0040")
+    assert data == recorded[first].data or read_snapshot(recorded[first].data).sequence == 0
+    maker = MessageMaker(scene())
+    maker.sequence = 40
+    changed[second] = maker.snapshot()
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", changed))
+    assert (dict(verdict.differing), status_of(verdict)) == ({"snapshot": 1}, 1)
+
+
+def test_two_cloths_in_one_bag_have_a_verdict_each(recorded: list[BagMessage], tmp_path: Path) -> None:
+    other = stream(node="/left/cloth", session="1e")
+    both = [entry for pair in zip(recorded, without(other, "/frame", 95), strict=False) for entry in pair]
+    foreign = BagMessage("/camera/frame", "std_msgs/msg/String", b"\x00\x01\x00\x00\x03\x00\x00\x00{}\x00")
+    verdicts = verify_bag(write_bag(tmp_path / "bag.mcap", [foreign, *both, *recorded[len(both) // 2 :]]))
+    assert [verdict.name for verdict in verdicts] == ["bag.mcap, /cloth_sim", "bag.mcap, /left/cloth"]
+    assert [status_of(verdict) for verdict in verdicts] == [0, 2]
+    assert verdicts[1].missing == ["1 record between frames 93 and 95; nothing behind them is run"]
+
+
+def test_restarted_node_begins_with_its_own_snapshot(recorded: list[BagMessage], tmp_path: Path) -> None:
+    middle = len(recorded) // 3
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", [*recorded[:middle], *stream(session="ab")]))
+    assert verdict.frames > COUNT
+    assert (status_of(verdict), verdict.missing) == (0, [])
+
+
+def test_repeated_messages_are_run_once(recorded: list[BagMessage], tmp_path: Path) -> None:
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", [entry for entry in recorded for _ in range(2)]))
+    assert (verdict.frames, verdict.clouds, status_of(verdict)) == (COUNT, COUNT, 0)
+    assert verdict.not_compared["/cloth_sim/frame", "a second message of one frame"] == COUNT
+
+
+def test_folder_of_a_split_bag_is_read_in_order(recorded: list[BagMessage], tmp_path: Path) -> None:
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    cuts = [len(recorded) * k // 11 for k in range(12)]
+    for k in range(11):
+        write_bag(tmp_path / f"bag_{k}.mcap", recorded[cuts[k] : cuts[k + 1]])
+    assert main([str(tmp_path)]) == 0
+    assert verify_one(tmp_path).frames == COUNT
+
+
+def test_bag_of_sqlite_is_verified(recorded: list[BagMessage], tmp_path: Path) -> None:
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    from cloth_sim_ros.session.channel_description import standard_types
+
+    with rosbag2.Writer(tmp_path / "bag", version=9) as writer:
+        connections = {}
+        for index, (topic, kind, data) in enumerate(recorded):
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=standard_types())
+            writer.write(connections[topic], index, data)
+    assert main([str(tmp_path / "bag")]) == 0
+    (path,) = (tmp_path / "bag").glob("*.db3")
+    assert verify_one(path).frames == COUNT
+
+
+def test_cut_bag_is_verified_up_to_the_cut(recorded: list[BagMessage], tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "bag.mcap", recorded)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    verdict = verify_one(path)
+    assert verdict.same
+    assert 20 < verdict.frames < 80
+    assert status_of(verdict) == 2
+    assert "without the end of its data" in verdict.missing[0]
+
+
+def test_bag_without_snapshots_names_the_topic(recorded: list[BagMessage], tmp_path: Path) -> None:
+    entries = [entry for entry in recorded if not entry.topic.endswith("/snapshot")]
+    verdict = verify_one(write_bag(tmp_path / "bag.mcap", entries))
+    assert (verdict.frames, status_of(verdict)) == (0, 2)
+    assert verdict.missing == ["no message of /cloth_sim/snapshot, from which the frames could be run"]
+
+
+def test_snapshots_alone_are_refused_with_the_remedy(
+    recorded: list[BagMessage], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write_bag(tmp_path / "bag.mcap", [entry for entry in recorded if not entry.topic.endswith("/frame")])
+    assert main([str(path)]) == 2
+    assert "start the node with record.topics: true" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("leaf", ["/snapshot", "/frame"])
+def test_damaged_message_is_reported(recorded: list[BagMessage], tmp_path: Path, leaf: str) -> None:
+    position = next(k for k, entry in enumerate(recorded) if entry.topic.endswith(leaf))
+    for cut in (0, 3, 20, len(recorded[position].data) // 2):
+        changed = list(recorded)
+        changed[position] = recorded[position]._replace(data=recorded[position].data[:cut])
+        verdict = verify_one(write_bag(tmp_path / "bag.mcap", changed))
+        assert (verdict.same, status_of(verdict)) == (True, 2)
+        assert f"a message of /cloth_sim{leaf} cannot be read" in verdict.missing[0]
+        assert verdict.frames == COUNT - 40
+
+
+def test_text_that_is_no_bag_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bag.db3").write_bytes(b"SQLite format 3\x00 and no more")
+    assert main([str(tmp_path / "bag.db3")]) == 2
+    assert "can't be read as a bag of SQLite" in capsys.readouterr().err
+    (tmp_path / "empty").mkdir()
+    assert main([str(tmp_path / "empty")]) == 2
+    assert "is a folder" in capsys.readouterr().err
