@@ -10,7 +10,6 @@ import pytest
 from support.bag_maker import BagMessage, MessageMaker, write_bag
 
 from cloth_sim_ros.scene.scene import Scene
-from cloth_sim_ros.session.snapshot_message import read_snapshot
 from cloth_sim_ros.simulation.events import Event, Grasp, Pause, Reset, SetParameters, Step, Target
 from cloth_sim_ros.verify.bag import verify_bag
 from cloth_sim_ros.verify.main import main, status_of
@@ -140,9 +139,7 @@ def test_changed_bit_is_a_difference(recorded: list[BagMessage], tmp_path: Path,
 
 def test_snapshot_of_another_state_is_a_difference(recorded: list[BagMessage], tmp_path: Path) -> None:
     changed = list(recorded)
-    first, second, _ = (k for k, entry in enumerate(recorded) if entry.topic.endswith("/snapshot"))
-    data = recorded[first].data.replace(b"sequence\x01\x00\x00\x000", b"sequence\x02\x00\x00\x0040")
-    assert data == recorded[first].data or read_snapshot(recorded[first].data).sequence == 0
+    _, second, _ = (k for k, entry in enumerate(recorded) if entry.topic.endswith("/snapshot"))
     maker = MessageMaker(scene())
     maker.sequence = 40
     changed[second] = maker.snapshot()
