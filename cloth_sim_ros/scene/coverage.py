@@ -55,8 +55,8 @@ def check_coverage(scene: CoverageScene) -> None:
 class Coverage:
     """Area of the cloth's projection onto a plane, with overlapping layers counted once.
 
-    The plane is z = 0 of the obstacle's frame, and the projection is along z. The area is that of the square cells whose
-    centre lies in a projected triangle. Cells begin at the frame's origin.
+    The plane is z = 0 of the obstacle's frame, and the projection is along z. Square cells from the frame's origin on
+    count if their centre lies in a projected triangle.
 
     Args:
         scene: with `coverage.obstacle`.

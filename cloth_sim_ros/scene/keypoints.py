@@ -42,7 +42,8 @@ def keypoint_particles(scene: KeypointScene) -> dict[str, int]:
         return {}
     sheet, result = scene.sheet, dict[str, int]()
     count = len(sheet.positions())
-    for entry in [name for entry in entries for name in (_CORNER_NAMES if entry == _CORNERS else (entry,))]:
+    names = [name for entry in entries for name in (_CORNER_NAMES if entry == _CORNERS else (entry,))]
+    for entry in names:
         name, _, particle = entry.partition("=") if "=" in entry else (entry, "", entry)
         if not (NAME.fullmatch(name) or name == particle):
             raise ParameterError(f"keypoints has '{entry}'; a name has letters, digits and _, a letter first")

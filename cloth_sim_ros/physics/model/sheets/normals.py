@@ -28,5 +28,5 @@ def vertex_normals(x: Array, triangles: NDArray[np.int64]) -> Array:
     corners, count = triangles.T.ravel(), x.shape[1]
     sums = np.stack([np.bincount(corners, np.tile(part, 3), minlength=count) for part in doubled_areas])
     length = np.sqrt(sums[0] * sums[0] + sums[1] * sums[1] + sums[2] * sums[2])
-    normals: Array = np.divide(sums, length, out=np.zeros_like(sums), where=length > 0.0)
+    normals: Array = np.divide(sums, length, out=np.zeros(sums.shape), where=length > 0.0)
     return normals
