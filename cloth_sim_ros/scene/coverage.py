@@ -71,7 +71,7 @@ class Coverage:
         if description.shape == "box":
             size = tuple(min(a, b) if b else a for a, b in zip(description.size[:2], size, strict=True))
         #: Half of the rectangle's sides [m]; infinite for a whole plane.
-        self._half = [0.5 * side if side else math.inf for side in size]
+        self._half = [0.5 * length if length else math.inf for length in size]
 
     def area(self, x: Array, pose: Array) -> float:
         """Return the covered area [m^2].

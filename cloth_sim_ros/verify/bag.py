@@ -185,8 +185,10 @@ class _BagRun:
                 continue
             count = pluralize(after.sequence - before.sequence - 1, "record")
             resumed = min((start for start in self._starts if start >= after), default=None)
-            rest = "nothing behind them is run" if resumed is None else f"the run goes on with frame {frames[resumed]}"
-            verdict.missing.append(f"{count} between frames {frames[before]} and {frames[after]}; {rest}")
+            consequence = (
+                "nothing behind them is run" if resumed is None else f"the run goes on with frame {frames[resumed]}"
+            )
+            verdict.missing.append(f"{count} between frames {frames[before]} and {frames[after]}; {consequence}")
             verdict.damaged = True
         verdict.damaged = bool(verdict.damaged or damage or self._content.unreadable or not self._starts)
 
@@ -225,7 +227,7 @@ class _BagRun:
             pending = _read_record(message, self._content)
         except SessionError:
             return
-        if pending.key <= self._last_key or any(pending.key == other.key for other in self._pending):
+        if pending.key <= self._last_key or any(pending.key == entry.key for entry in self._pending):
             self._findings.not_compared(self._topic, "a second message of one frame")
             return
         bisect.insort(self._pending, pending, key=lambda entry: entry.key)

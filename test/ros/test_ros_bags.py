@@ -98,8 +98,8 @@ def test_bag_of_a_live_node_is_the_same_to_the_last_bit(client: Client, tmp_path
 def test_snapshots_repeat_and_resume_after_a_lost_frame(client: Client, tmp_path: Path) -> None:
     # Ten frames between two snapshots.
     with ClockedCloth(client, PARAMETERS | {"record.snapshot_period": 10 / 60}) as cloth:
-        lost = (f"{NODE}/frame", 5)
-        record(client, cloth, tmp_path / "bag.mcap", lambda: cloth.tick(30), keeps=lambda *message: message != lost)
+        missing = (f"{NODE}/frame", 5)
+        record(client, cloth, tmp_path / "bag.mcap", lambda: cloth.tick(30), keeps=lambda *message: message != missing)
     verdict = verify_one(tmp_path / "bag.mcap")
     assert (verdict.same, status_of(verdict), len(verdict.missing)) == (True, 2, 1)
     assert verdict.missing[0].startswith("1 record between frames ")

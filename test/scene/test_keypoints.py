@@ -58,8 +58,8 @@ def test_corners_of_a_mesh_are_refused(tmp_path: Path) -> None:
     mesh = {"cloth.mesh": str(tmp_path / "cloth.obj"), "cloth.anchors": ["0"], "bending.model": "none"}
     with pytest.raises(ParameterError, match="only a grid has edges: give particle numbers"):
         scene("corners", **mesh)
-    made = scene("cuff=2", "0", **mesh)
-    poses = KeypointPoses(made).compute(made.sheet.positions().T)
+    cloth = scene("cuff=2", "0", **mesh)
+    poses = KeypointPoses(cloth).compute(cloth.sheet.positions().T)
     assert poses[:, :3].tolist() == [[1.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
     # The first triangle of particle 2 is 0, 1, 2: its edge leads to particle 0.
     assert rotation_matrix(poses[0, 3:])[:, 0] == pytest.approx(np.array([-1.0, -1.0, 0.0]) / np.sqrt(2.0))
@@ -68,11 +68,11 @@ def test_corners_of_a_mesh_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_pose_has_z_along_the_normal_and_x_along_the_row(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    made = scene("corners", "5")
+    cloth = scene("corners", "5")
     rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     rotation *= np.linalg.det(rotation)
-    x = rotation @ made.sheet.positions().T + rng.normal(size=(3, 1))
-    poses = KeypointPoses(made).compute(x)
+    x = rotation @ cloth.sheet.positions().T + rng.normal(size=(3, 1))
+    poses = KeypointPoses(cloth).compute(x)
     assert poses[:, :3] == pytest.approx(x[:, [0, 3, 11, 8, 5]].T)
     # Columns rise along +x and rows along -y of the sheet, so that its normal is -z.
     expected = rotation * np.array([1.0, -1.0, -1.0])
@@ -82,5 +82,5 @@ def test_pose_has_z_along_the_normal_and_x_along_the_row(seed: int) -> None:
 
 
 def test_pose_without_a_normal_is_that_of_the_frame() -> None:
-    made = scene("5")
-    assert KeypointPoses(made).compute(np.ones((3, 12))).tolist() == [[1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0]]
+    cloth = scene("5")
+    assert KeypointPoses(cloth).compute(np.ones((3, 12))).tolist() == [[1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0]]

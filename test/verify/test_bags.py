@@ -60,8 +60,8 @@ def verify_one(path: Path) -> Verdict:
 def without(entries: list[BagMessage], leaf: str, *indices: int) -> list[BagMessage]:
     """Return the messages without some of one topic, by their index on it."""
     positions = [position for position, entry in enumerate(entries) if entry.topic.endswith(leaf)]
-    lost = {positions[index] for index in indices}
-    return [entry for position, entry in enumerate(entries) if position not in lost]
+    absent = {positions[index] for index in indices}
+    return [entry for position, entry in enumerate(entries) if position not in absent]
 
 
 def test_whole_bag_is_the_same_to_the_last_bit(recorded: list[BagMessage], tmp_path: Path) -> None:
@@ -148,8 +148,8 @@ def test_snapshot_of_another_state_is_a_difference(recorded: list[BagMessage], t
 
 
 def test_two_cloths_in_one_bag_have_a_verdict_each(recorded: list[BagMessage], tmp_path: Path) -> None:
-    other = stream(node="/left/cloth", session="1e")
-    both = [entry for pair in zip(recorded, without(other, "/frame", 95), strict=False) for entry in pair]
+    second = stream(node="/left/cloth", session="1e")
+    both = [entry for pair in zip(recorded, without(second, "/frame", 95), strict=False) for entry in pair]
     foreign = BagMessage("/camera/frame", "std_msgs/msg/String", b"\x00\x01\x00\x00\x03\x00\x00\x00{}\x00")
     verdicts = verify_bag(write_bag(tmp_path / "bag.mcap", [foreign, *both, *recorded[len(both) // 2 :]]))
     assert [verdict.name for verdict in verdicts] == ["bag.mcap, /cloth_sim", "bag.mcap, /left/cloth"]
