@@ -40,6 +40,8 @@ from cloth_sim_ros.verify.verdict import Findings, FramePosition, Verdict
 _FRAME_LEAF = "/frame"
 #: Number of later frame records after which a frame is run: its other messages may be a second late in the bag.
 _LAG = 64
+#: Number of different reasons why messages cannot be read that are reported.
+_MAX_REASONS = 5
 
 
 class _Key(NamedTuple):
@@ -72,7 +74,8 @@ class _Contents:
     """Frame number of each record."""
     snapshots: set[_Key] = field(default_factory=set)
     """Next record of each snapshot."""
-    unreadable: list[str] = field(default_factory=list)
+    unreadable: dict[str, int] = field(default_factory=dict)
+    """Number of unreadable messages by reason, of the first few reasons."""
 
     def key(self, session: str, sequence: int) -> _Key:
         """Return the place of a record."""
@@ -132,7 +135,9 @@ def _read_contents(stream: Iterator[Message]) -> dict[str, _Contents]:
                 snapshot = read_snapshot(message.data)
                 content.snapshots.add(content.key(snapshot.session, snapshot.sequence))
         except SessionError as error:
-            content.unreadable.append(f"a message of {message.topic} cannot be read: {error}")
+            reason = f"{message.topic} cannot be read: {error}"
+            if reason in content.unreadable or len(content.unreadable) < _MAX_REASONS:
+                content.unreadable[reason] = content.unreadable.get(reason, 0) + 1
     return {node: content for node, content in contents.items() if content.frames}
 
 
@@ -174,7 +179,10 @@ class _BagRun:
     def report_missing(self, damage: list[str]) -> None:
         """Report damaged files, unreadable messages, and the frame records that are missing between others."""
         verdict, frames = self._findings.verdict, self._content.frames
-        verdict.missing += [*damage, *self._content.unreadable]
+        unreadable = (
+            f"{pluralize(count, 'message')} of {reason}" for reason, count in self._content.unreadable.items()
+        )
+        verdict.missing += [*damage, *unreadable]
         if not self._content.snapshots:
             verdict.missing.append(f"no message of {self._node}{SNAPSHOT_LEAF}, from which the frames could be run")
         keys = sorted(frames)
@@ -185,10 +193,8 @@ class _BagRun:
                 continue
             count = pluralize(after.sequence - before.sequence - 1, "record")
             resumed = min((start for start in self._starts if start >= after), default=None)
-            consequence = (
-                "nothing behind them is run" if resumed is None else f"the run goes on with frame {frames[resumed]}"
-            )
-            verdict.missing.append(f"{count} between frames {frames[before]} and {frames[after]}; {consequence}")
+            end = "nothing behind them is run" if resumed is None else f"the run goes on with frame {frames[resumed]}"
+            verdict.missing.append(f"{count} between frames {frames[before]} and {frames[after]}; {end}")
             verdict.damaged = True
         verdict.damaged = bool(verdict.damaged or damage or self._content.unreadable or not self._starts)
 

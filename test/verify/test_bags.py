@@ -227,7 +227,7 @@ def test_damaged_message_is_reported(recorded: list[BagMessage], tmp_path: Path,
         changed[position] = recorded[position]._replace(data=recorded[position].data[:cut])
         verdict = verify_one(write_bag(tmp_path / "bag.mcap", changed))
         assert (verdict.same, status_of(verdict)) == (True, 2)
-        assert f"a message of /cloth_sim{leaf} cannot be read" in verdict.missing[0]
+        assert f"1 message of /cloth_sim{leaf} cannot be read" in verdict.missing[0]
         assert verdict.frames == COUNT - 40
 
 
